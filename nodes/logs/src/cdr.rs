@@ -1,0 +1,253 @@
+//! The part of CDR (XCDR1, little endian) that ROS 2 messages need. Alignment counts from the body, after the 4-byte head.
+
+use realo_schemas::Nanos;
+
+const HEAD: [u8; 4] = [0, 1, 0, 0];
+
+/// Appends one CDR payload, head included, to a buffer.
+pub struct CdrWriter<'a> {
+    buffer: &'a mut Vec<u8>,
+    body: usize,
+}
+
+impl<'a> CdrWriter<'a> {
+    /// Starts a payload at the end of `buffer`.
+    pub fn new(buffer: &'a mut Vec<u8>) -> Self {
+        buffer.extend_from_slice(&HEAD);
+        let body = buffer.len();
+        CdrWriter { buffer, body }
+    }
+
+    fn align(&mut self, size: usize) {
+        let used = self.buffer.len() - self.body;
+        self.buffer.resize(self.body + used.next_multiple_of(size), 0);
+    }
+
+    /// One byte.
+    pub fn u8(&mut self, value: u8) {
+        self.buffer.push(value);
+    }
+
+    /// A truth value.
+    pub fn bool(&mut self, value: bool) {
+        self.u8(u8::from(value));
+    }
+
+    /// 32 bits, also lengths of sequences.
+    pub fn u32(&mut self, value: u32) {
+        self.align(4);
+        self.buffer.extend_from_slice(&value.to_le_bytes());
+    }
+
+    /// 32 bits, signed.
+    pub fn i32(&mut self, value: i32) {
+        self.u32(value as u32);
+    }
+
+    /// Single precision.
+    pub fn f32(&mut self, value: f32) {
+        self.u32(value.to_bits());
+    }
+
+    /// 64 bits.
+    pub fn u64(&mut self, value: u64) {
+        self.align(8);
+        self.buffer.extend_from_slice(&value.to_le_bytes());
+    }
+
+    /// Double precision.
+    pub fn f64(&mut self, value: f64) {
+        self.u64(value.to_bits());
+    }
+
+    /// Several doubles of a fixed-size array.
+    pub fn f64s(&mut self, values: &[f64]) {
+        values.iter().for_each(|v| self.f64(*v));
+    }
+
+    /// Length of a sequence.
+    pub fn length(&mut self, length: usize) {
+        self.u32(u32::try_from(length).expect("sequences of a message have less than 2^32 elements"));
+    }
+
+    /// Text, with the closing zero that CDR counts.
+    pub fn string(&mut self, text: &str) {
+        self.length(text.len() + 1);
+        self.buffer.extend_from_slice(text.as_bytes());
+        self.buffer.push(0);
+    }
+
+    /// `size` bytes of a `uint8[]`, zeroed, for the caller to fill.
+    pub fn bytes_mut(&mut self, size: usize) -> &mut [u8] {
+        self.length(size);
+        let start = self.buffer.len();
+        self.buffer.resize(start + size, 0);
+        &mut self.buffer[start..]
+    }
+
+    /// `builtin_interfaces/Time`.
+    pub fn time(&mut self, nanos: Nanos) {
+        self.i32(nanos.div_euclid(1_000_000_000) as i32);
+        self.u32(nanos.rem_euclid(1_000_000_000) as u32);
+    }
+
+    /// `std_msgs/Header`.
+    pub fn header(&mut self, stamp: Nanos, frame: &str) {
+        self.time(stamp);
+        self.string(frame);
+    }
+}
+
+/// Why a CDR payload could not be read.
+pub type CdrError = String;
+
+/// Reads one CDR payload; checks every length against what is there.
+pub struct CdrReader<'a> {
+    body: &'a [u8],
+    at: usize,
+}
+
+impl<'a> CdrReader<'a> {
+    /// Starts behind the head.
+    ///
+    /// # Errors
+    /// Another encoding than little-endian CDR.
+    pub fn new(payload: &'a [u8]) -> Result<Self, CdrError> {
+        match payload {
+            [0, 1, _, _, body @ ..] => Ok(CdrReader { body, at: 0 }),
+            [a, b, _, _, ..] => Err(format!(
+                "expected little-endian CDR (head 00 01), found head {a:02x} {b:02x}"
+            )),
+            _ => Err(format!("expected a CDR head of 4 bytes, found {} bytes", payload.len())),
+        }
+    }
+
+    fn take(&mut self, size: usize, align: usize) -> Result<&'a [u8], CdrError> {
+        let start = self.at.next_multiple_of(align);
+        let bytes = start.checked_add(size).and_then(|end| self.body.get(start..end));
+        let bytes =
+            bytes.ok_or_else(|| format!("expected {size} more bytes at byte {start}, found {}", self.left(start)))?;
+        self.at = start + size;
+        Ok(bytes)
+    }
+
+    fn left(&self, start: usize) -> usize {
+        self.body.len().saturating_sub(start)
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], CdrError> {
+        let bytes = self.take(N, N)?;
+        Ok(std::array::from_fn(|i| bytes[i]))
+    }
+
+    /// One byte.
+    pub fn u8(&mut self) -> Result<u8, CdrError> {
+        self.array().map(u8::from_le_bytes)
+    }
+
+    /// A truth value.
+    pub fn bool(&mut self) -> Result<bool, CdrError> {
+        Ok(self.u8()? != 0)
+    }
+
+    /// 32 bits.
+    pub fn u32(&mut self) -> Result<u32, CdrError> {
+        self.array().map(u32::from_le_bytes)
+    }
+
+    /// 32 bits, signed.
+    pub fn i32(&mut self) -> Result<i32, CdrError> {
+        self.array().map(i32::from_le_bytes)
+    }
+
+    /// 64 bits.
+    pub fn u64(&mut self) -> Result<u64, CdrError> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    /// Double precision.
+    pub fn f64(&mut self) -> Result<f64, CdrError> {
+        self.array().map(f64::from_le_bytes)
+    }
+
+    /// A fixed number of doubles.
+    pub fn f64s<const N: usize>(&mut self) -> Result<[f64; N], CdrError> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.f64()?;
+        }
+        Ok(values)
+    }
+
+    /// Length of a sequence whose elements take at least `least` bytes each.
+    pub fn length(&mut self, least: usize) -> Result<usize, CdrError> {
+        let length = self.u32()? as usize;
+        match length.checked_mul(least) {
+            Some(bytes) if bytes <= self.left(self.at) => Ok(length),
+            _ => Err(format!(
+                "a sequence of {length} elements in {} bytes",
+                self.left(self.at)
+            )),
+        }
+    }
+
+    /// Text.
+    pub fn string(&mut self) -> Result<&'a str, CdrError> {
+        let length = self.length(1)?;
+        let bytes = self.take(length, 1)?;
+        let text = bytes.strip_suffix(&[0]).unwrap_or(bytes);
+        std::str::from_utf8(text).map_err(|error| format!("a text that is not UTF-8: {error}"))
+    }
+
+    /// A `uint8[]`.
+    pub fn bytes(&mut self) -> Result<&'a [u8], CdrError> {
+        let length = self.length(1)?;
+        self.take(length, 1)
+    }
+
+    /// `builtin_interfaces/Time`.
+    pub fn time(&mut self) -> Result<Nanos, CdrError> {
+        let seconds = self.i32()?;
+        Ok(i64::from(seconds) * 1_000_000_000 + i64::from(self.u32()?))
+    }
+
+    /// `std_msgs/Header`: stamp and frame.
+    pub fn header(&mut self) -> Result<(Nanos, &'a str), CdrError> {
+        Ok((self.time()?, self.string()?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn aligns_from_the_body_and_reads_what_it_wrote() {
+        let mut buffer = vec![9; 3];
+        let mut writer = CdrWriter::new(&mut buffer);
+        writer.header(-1, "cav1/body");
+        writer.u8(7);
+        writer.f64(0.1);
+        writer.bytes_mut(2).copy_from_slice(&[4, 5]);
+        let mut reader = CdrReader::new(&buffer[3..]).unwrap();
+        assert_eq!(reader.header().unwrap(), (-1, "cav1/body"));
+        assert_eq!(reader.u8().unwrap(), 7);
+        assert_eq!(reader.f64().unwrap(), 0.1);
+        assert_eq!(reader.bytes().unwrap(), [4, 5]);
+        assert!(reader.u8().unwrap_err().contains("found 0"));
+    }
+
+    #[test]
+    fn refuses_lengths_beyond_the_payload() {
+        let payload = [0, 1, 0, 0, 255, 255, 255, 255, 1];
+        assert!(
+            CdrReader::new(&payload)
+                .unwrap()
+                .string()
+                .unwrap_err()
+                .contains("4294967295")
+        );
+        assert!(CdrReader::new(&[0, 0, 0, 0]).err().unwrap().contains("little-endian"));
+        assert!(CdrReader::new(&[0]).is_err());
+    }
+}

@@ -1,0 +1,136 @@
+use std::io;
+use std::path::{Path, PathBuf};
+
+use realo_schemas::{Nanos, to_seconds};
+
+/// Why a log could not be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The file system refused.
+    #[error("cannot {action} `{}`: {source}", .path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Writing failed midway.
+    #[error("writing `{}` failed after {written} bytes: {reason}; what was written stays readable", .path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Length of the readable part.
+        written: u64,
+        /// What the system said.
+        reason: String,
+    },
+    /// Not an MCAP file.
+    #[error("`{}` is not an MCAP file: {reason}", .path.display())]
+    NotMcap {
+        /// The file.
+        path: PathBuf,
+        /// What was found instead.
+        reason: String,
+    },
+    /// An MCAP file that is not of the expected sort.
+    #[error(
+        "`{}` is not a {expected}: it has no metadata record `{record}` (it has: {found}); {hint}",
+        .path.display()
+    )]
+    NotRealo {
+        /// The file.
+        path: PathBuf,
+        /// What was wanted.
+        expected: &'static str,
+        /// Name of the metadata record that it lacks.
+        record: &'static str,
+        /// Metadata records that it has.
+        found: String,
+        /// What to do.
+        hint: &'static str,
+    },
+    /// A metadata record that does not say what it must.
+    #[error("`{}`: metadata `{field}`: {reason}", .path.display())]
+    Metadata {
+        /// The file.
+        path: PathBuf,
+        /// Key of the record.
+        field: &'static str,
+        /// Expected and found.
+        reason: String,
+    },
+    /// Bytes that contradict the format.
+    #[error("`{}` is damaged at byte {offset}: {reason}", .path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Where.
+        offset: u64,
+        /// What is wrong.
+        reason: String,
+    },
+    /// An agent that the log does not have.
+    #[error("`{}` has no agent `{agent}`; it has: {has}", .path.display())]
+    MissingAgent {
+        /// The file.
+        path: PathBuf,
+        /// The agent.
+        agent: String,
+        /// The agents that there are.
+        has: String,
+    },
+    /// A topic that the log does not have.
+    #[error("`{}` has no messages on `{topic}`; agent `{agent}` has: {has}", .path.display())]
+    MissingTopic {
+        /// The file.
+        path: PathBuf,
+        /// Its agent.
+        agent: String,
+        /// The topic.
+        topic: String,
+        /// The topics of that agent.
+        has: String,
+    },
+    /// A message that cannot be read.
+    #[error("message on `{topic}` at {:.3} s: {reason}", to_seconds(*.log_time))]
+    Content {
+        /// Its topic.
+        topic: String,
+        /// Its log time, ns.
+        log_time: Nanos,
+        /// Expected and found.
+        reason: String,
+    },
+    /// Something that cannot be put into a log.
+    #[error("cannot write to `{}`: {reason}", .path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// Expected and found.
+        reason: String,
+    },
+}
+
+impl LogError {
+    pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> LogError {
+        let path = path.to_path_buf();
+        move |source| LogError::Io { path, action, source }
+    }
+
+    pub(crate) fn damaged(path: &Path, offset: u64, reason: impl ToString) -> LogError {
+        LogError::Damaged {
+            path: path.to_path_buf(),
+            offset,
+            reason: reason.to_string(),
+        }
+    }
+
+    pub(crate) fn input(path: &Path, reason: impl Into<String>) -> LogError {
+        LogError::Input {
+            path: path.to_path_buf(),
+            reason: reason.into(),
+        }
+    }
+}

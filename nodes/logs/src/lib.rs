@@ -1,0 +1,46 @@
+//! Reads and writes logs: MCAP files of standard ROS 2 messages, which Foxglove and rerun open too.
+//!
+//! | topic | type | content |
+//! |---|---|---|
+//! | `/<agent>/points` | `sensor_msgs/msg/PointCloud2` | a sweep in `<agent>/body`: x y z (f32, m), intensity (u8), time (i32, ns from the stamp), ring (u16) |
+//! | `/<agent>/sweeps` | `std_msgs/msg/Header` | that a sweep was taken; lets a reader pass over the points |
+//! | `/<agent>/pose` | `geometry_msgs/msg/PoseWithCovarianceStamped` | map from body, as the agent believes; covariance 0: unknown |
+//! | `/<agent>/pose_truth` | the same | map from body, exactly |
+//! | `/<agent>/detections` | `vision_msgs/msg/Detection3DArray` | detections that were recorded for a sweep, in `<agent>/body` |
+//! | `/<agent>/ground_truth` | the same | all objects at a sweep's stamp, in the agent's true body frame; `id` is the track |
+//! | `/<agent>/detections_info`, `/<agent>/ground_truth_info` | `realo_msgs/msg/BoxesInfo` | companion: exact headings, velocities, covariances, the agent's own point counts, whether the frame is scored |
+//! | `/<agent>/ground_truth_markers` | `visualization_msgs/msg/MarkerArray` | for viewers |
+//! | `/tf` | `tf2_msgs/msg/TFMessage` | for viewers: map from body as believed |
+//!
+//! Log time is when a message existed (a sweep: its end), publish time the measurement's stamp; the message's sequence
+//! counts per topic from 0. Messages of one sweep (points, detections, truth) share their stamp. Chunks are zstd, at
+//! most 0.5 s long, and never hold clouds beside other messages. The metadata record `realo` at the beginning says what
+//! the log is ([`LogInfo`]); `realo_end` lists the scored frames.
+
+pub mod boxes;
+pub mod cdr;
+pub mod cloud;
+mod describe;
+mod error;
+mod info;
+mod log;
+mod log_writer;
+mod mcap_file;
+mod mcap_writer;
+pub mod pose;
+mod schema;
+mod topics;
+
+pub use boxes::BoxesInfo;
+pub use describe::{Description, describe};
+pub use error::LogError;
+pub use info::{AgentInfo, AgentKind, LogInfo, program};
+pub use log::{Entry, Log, LogReader};
+pub use log_writer::LogWriter;
+pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
+pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
+pub use schema::Schema;
+pub use topics::Stream;
+
+/// Name of the metadata record of a recording of a run.
+pub const RECORDING_RECORD: &str = "realo_recording";

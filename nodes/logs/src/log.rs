@@ -1,0 +1,363 @@
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::path::Path;
+
+use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus};
+
+use crate::info::{END_RECORD, LOG_RECORD};
+use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
+use crate::{BoxesInfo, LogError, LogInfo, Stream, boxes, cdr::CdrReader, cloud, pose};
+
+/// An open log.
+#[derive(Clone, Debug)]
+pub struct Log {
+    file: McapFile,
+    info: LogInfo,
+    truncation: Option<Truncation>,
+    streams: BTreeMap<(String, Stream), u16>,
+}
+
+impl Log {
+    /// Opens a log. One that was cut opens with what is left; [`Log::truncation`] says what is missing.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is no MCAP, or is not one of our logs.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, LogError> {
+        let path = path.as_ref();
+        let file = McapFile::open(path)?;
+        let Some(record) = file.metadata().get(LOG_RECORD) else {
+            return Err(not_realo(&file));
+        };
+        let info = LogInfo::from_record(path, record)?;
+        let truncation = file.truncation().cloned().map(|cut| Truncation {
+            expected_end: info.end,
+            ..cut
+        });
+        let mut streams = BTreeMap::new();
+        for (id, channel) in file.channels().iter().filter(|(_, channel)| channel.messages > 0) {
+            let Some((agent, stream)) = parse_topic(&channel.topic) else {
+                continue;
+            };
+            if channel.schema != stream.schema().name() || channel.encoding != "cdr" {
+                let (expected, found) = (stream.schema().name(), &channel.schema);
+                let reason = format!("expected {expected} as cdr, found {found} as {}", channel.encoding);
+                return Err(LogError::Content {
+                    topic: channel.topic.clone(),
+                    log_time: 0,
+                    reason,
+                });
+            }
+            if streams.insert((agent, stream), *id).is_some() {
+                let reason = "two channels have this topic".to_string();
+                return Err(LogError::Content {
+                    topic: channel.topic.clone(),
+                    log_time: 0,
+                    reason,
+                });
+            }
+        }
+        Ok(Log {
+            file,
+            info,
+            truncation,
+            streams,
+        })
+    }
+
+    /// The file's path.
+    pub fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// What the log says of itself.
+    pub fn info(&self) -> &LogInfo {
+        &self.info
+    }
+
+    /// Where the log was cut, if it was.
+    pub fn truncation(&self) -> Option<&Truncation> {
+        self.truncation.as_ref()
+    }
+
+    /// First and last log time, ns; `None` without messages.
+    pub fn span(&self) -> Option<(Nanos, Nanos)> {
+        self.file.span().map(|(first, last)| (first as Nanos, last as Nanos))
+    }
+
+    /// Stamps of the scored frames of each agent; `None` for a log that was not finished.
+    pub fn key_frames(&self) -> Option<BTreeMap<String, Vec<Nanos>>> {
+        serde_json::from_str(self.file.metadata().get(END_RECORD)?.get("key_frames")?).ok()
+    }
+
+    /// Every topic of the file.
+    pub fn topics(&self) -> BTreeMap<String, ChannelInfo> {
+        let channels = self.file.channels().values().filter(|channel| channel.messages > 0);
+        channels
+            .map(|channel| (channel.topic.clone(), channel.clone()))
+            .collect()
+    }
+
+    /// Messages of an agent's stream.
+    pub fn count(&self, agent: &str, stream: Stream) -> u64 {
+        let id = self.streams.get(&(agent.to_string(), stream));
+        id.map_or(0, |id| self.file.channels()[id].messages)
+    }
+
+    /// Whether an agent has messages on a stream.
+    pub fn has(&self, agent: &str, stream: Stream) -> bool {
+        self.streams.contains_key(&(agent.to_string(), stream))
+    }
+
+    /// Fails, saying what there is, unless the log has the agent.
+    ///
+    /// # Errors
+    /// [`LogError::MissingAgent`].
+    pub fn need_agent(&self, agent: &str) -> Result<(), LogError> {
+        match self.info.agent(agent) {
+            Some(_) => Ok(()),
+            None => Err(LogError::MissingAgent {
+                path: self.path().into(),
+                agent: agent.into(),
+                has: join(self.info.agents.iter().map(|agent| agent.name.as_str())),
+            }),
+        }
+    }
+
+    /// Fails, saying what there is, unless the agent has messages on the stream.
+    ///
+    /// # Errors
+    /// [`LogError::MissingAgent`], [`LogError::MissingTopic`].
+    pub fn need(&self, agent: &str, stream: Stream) -> Result<(), LogError> {
+        self.need_agent(agent)?;
+        match self.has(agent, stream) {
+            true => Ok(()),
+            false => Err(LogError::MissingTopic {
+                path: self.path().into(),
+                agent: agent.into(),
+                topic: stream.topic(agent),
+                has: join(
+                    self.streams
+                        .keys()
+                        .filter(|(name, _)| name == agent)
+                        .map(|(_, stream)| stream.as_str()),
+                ),
+            }),
+        }
+    }
+
+    /// Messages of the wanted streams with log times in `[from, until)`, in order of log time, then of [`Stream`], then
+    /// of the agents in [`LogInfo::agents`].
+    ///
+    /// # Errors
+    /// A wanted stream that the log does not have.
+    pub fn read(&self, wanted: &[(&str, Stream)], from: Nanos, until: Nanos) -> Result<LogReader, LogError> {
+        let mut channels = BTreeMap::new();
+        for (agent, stream) in wanted {
+            self.need(agent, *stream)?;
+            let rank = self
+                .info
+                .agents
+                .iter()
+                .position(|known| known.name == *agent)
+                .unwrap_or(0);
+            let id = self.streams[&(agent.to_string(), *stream)];
+            channels.insert(id, (*stream, rank, Name::from(*agent)));
+        }
+        let ids: BTreeSet<u16> = channels.keys().copied().collect();
+        let messages = self.file.messages(ids, from.max(0) as u64..until.max(0) as u64)?;
+        Ok(LogReader {
+            messages,
+            channels,
+            ahead: None,
+            instant: VecDeque::new(),
+        })
+    }
+
+    /// All messages of the wanted streams.
+    ///
+    /// # Errors
+    /// As [`Log::read`].
+    pub fn read_all(&self, wanted: &[(&str, Stream)]) -> Result<LogReader, LogError> {
+        self.read(wanted, 0, Nanos::MAX)
+    }
+}
+
+fn not_realo(file: &McapFile) -> LogError {
+    let found = join(file.metadata().keys().map(String::as_str));
+    let hint = match file.metadata().contains_key(crate::RECORDING_RECORD) {
+        true => "it is a recording of a run: give it to `realo evaluate LOG --detections`",
+        false => "make logs with `realo simulate` or `realo import`",
+    };
+    LogError::NotRealo {
+        path: file.path().into(),
+        expected: "log of realo",
+        record: LOG_RECORD,
+        found,
+        hint,
+    }
+}
+
+pub(crate) fn join<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    if names.is_empty() {
+        "none".into()
+    } else {
+        names.join(", ")
+    }
+}
+
+fn parse_topic(topic: &str) -> Option<(String, Stream)> {
+    let (agent, rest) = topic.strip_prefix('/')?.split_once('/')?;
+    let stream = Stream::ALL.into_iter().find(|stream| stream.as_str() == rest)?;
+    Some((agent.into(), stream))
+}
+
+/// Reads messages of a log in order.
+#[derive(Debug)]
+pub struct LogReader {
+    messages: Messages,
+    channels: BTreeMap<u16, (Stream, usize, Name)>,
+    ahead: Option<RawMessage>,
+    instant: VecDeque<Entry>,
+}
+
+impl LogReader {
+    /// The next message; `None` after the last.
+    ///
+    /// # Errors
+    /// Bytes that contradict the format.
+    #[allow(clippy::should_implement_trait)]
+    pub fn next(&mut self) -> Result<Option<Entry>, LogError> {
+        if self.instant.is_empty() {
+            self.read_instant()?;
+        }
+        Ok(self.instant.pop_front())
+    }
+
+    /// Reads all messages of the next log time and puts them in order.
+    fn read_instant(&mut self) -> Result<(), LogError> {
+        let Some(first) = self
+            .ahead
+            .take()
+            .map_or_else(|| self.messages.next(), |raw| Ok(Some(raw)))?
+        else {
+            return Ok(());
+        };
+        let time = first.log_time;
+        let mut instant = vec![first];
+        loop {
+            match self.messages.next()? {
+                Some(raw) if raw.log_time == time => instant.push(raw),
+                other => {
+                    self.ahead = other;
+                    break;
+                }
+            }
+        }
+        instant.sort_by_key(|raw| {
+            let (stream, rank, _) = &self.channels[&raw.channel];
+            (*stream, *rank, raw.sequence)
+        });
+        self.instant.extend(instant.into_iter().map(|raw| {
+            let (stream, _, agent) = &self.channels[&raw.channel];
+            Entry {
+                agent: agent.clone(),
+                stream: *stream,
+                raw,
+            }
+        }));
+        Ok(())
+    }
+}
+
+/// One message of a log.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// Its agent.
+    pub agent: Name,
+    /// Its stream.
+    pub stream: Stream,
+    raw: RawMessage,
+}
+
+impl Entry {
+    /// Its number on its topic, from 0 at the log's beginning.
+    pub fn seq(&self) -> u64 {
+        self.raw.sequence.into()
+    }
+
+    /// The measurement's reference time, ns.
+    pub fn stamp(&self) -> Nanos {
+        self.raw.publish_time.min(Nanos::MAX as u64) as Nanos
+    }
+
+    /// When it existed on the log's time line, ns.
+    pub fn ready(&self) -> Nanos {
+        self.raw.log_time.min(Nanos::MAX as u64) as Nanos
+    }
+
+    /// The message as written.
+    pub fn data(&self) -> &[u8] {
+        self.raw.data()
+    }
+
+    /// The points of a sweep ([`Stream::Points`]).
+    ///
+    /// # Errors
+    /// Bytes that are no such message.
+    pub fn cloud(&self) -> Result<PointCloud, LogError> {
+        cloud::decode(self.data())
+            .map(|(_, cloud)| cloud)
+            .map_err(|reason| self.bad(reason))
+    }
+
+    /// A pose ([`Stream::Pose`], [`Stream::PoseTruth`]).
+    ///
+    /// # Errors
+    /// Bytes that are no such message; numbers that are no pose.
+    pub fn pose(&self) -> Result<EgoState, LogError> {
+        let status = match self.stream {
+            Stream::PoseTruth => PoseStatus::Truth,
+            _ => PoseStatus::Recorded,
+        };
+        pose::decode(self.data(), status)
+            .map(|(_, state)| state)
+            .map_err(|reason| self.bad(reason))
+    }
+
+    /// Boxes ([`Stream::Detections`], [`Stream::GroundTruth`]) without what their companion says.
+    ///
+    /// # Errors
+    /// Bytes that are no such message.
+    pub fn boxes(&self) -> Result<Boxes, LogError> {
+        boxes::decode(self.data())
+            .map(|(_, boxes)| boxes)
+            .map_err(|reason| self.bad(reason))
+    }
+
+    /// Companion of `boxes` ([`Stream::DetectionsInfo`], [`Stream::GroundTruthInfo`]), which it completes.
+    ///
+    /// # Errors
+    /// Bytes that are no such message; a companion of other boxes.
+    pub fn info(&self, boxes: &mut Boxes) -> Result<BoxesInfo, LogError> {
+        boxes::decode_info(self.data(), boxes)
+            .map(|(_, info)| info)
+            .map_err(|reason| self.bad(reason))
+    }
+
+    /// Stamp in the message itself ([`Stream::Sweeps`]).
+    ///
+    /// # Errors
+    /// Bytes that are no such message.
+    pub fn header_stamp(&self) -> Result<Nanos, LogError> {
+        let read = || CdrReader::new(self.data())?.header().map(|(stamp, _)| stamp);
+        read().map_err(|reason| self.bad(reason))
+    }
+
+    fn bad(&self, reason: String) -> LogError {
+        LogError::Content {
+            topic: self.stream.topic(&self.agent),
+            log_time: self.ready(),
+            reason,
+        }
+    }
+}

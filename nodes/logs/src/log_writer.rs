@@ -1,0 +1,293 @@
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use realo_schemas::{Box3, Boxes, EgoState, Name, Nanos, PointCloud};
+
+use crate::info::{END_RECORD, LOG_RECORD, check_agents};
+use crate::mcap_writer::{ChannelId, Lane, McapWriter, Output};
+use crate::{BoxesInfo, LogError, LogInfo, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose};
+
+/// Writes a log.
+///
+/// Messages should come roughly in order of `ready`; `stamp` is the measurement's reference time. What was written at
+/// least half a second of log time ago is in the file, whatever happens to the program.
+pub struct LogWriter {
+    path: PathBuf,
+    /// Where the file goes when it is finished, if it is not written in place.
+    target: Option<PathBuf>,
+    map_frame: String,
+    mcap: Option<McapWriter>,
+    agents: BTreeMap<String, Agent>,
+    tf: Option<ChannelId>,
+}
+
+#[derive(Default)]
+struct Agent {
+    channels: BTreeMap<Stream, ChannelId>,
+    sweeps: BTreeMap<Nanos, u64>,
+    key_frames: Vec<Nanos>,
+}
+
+impl LogWriter {
+    /// Writes in place: what is there if the program dies can be read.
+    ///
+    /// # Errors
+    /// A file that cannot be created; agents that cannot be told apart.
+    pub fn create(path: impl AsRef<Path>, info: &LogInfo) -> Result<Self, LogError> {
+        let path = path.as_ref();
+        check_agents(&info.agents).map_err(|reason| LogError::input(path, reason))?;
+        let file = File::create(path).map_err(LogError::io(path, "create"))?;
+        Self::to_output(path, file, info)
+    }
+
+    /// Writes beside `path` and renames when finished: `path` is never a part of a log.
+    ///
+    /// # Errors
+    /// As [`LogWriter::create`].
+    pub fn create_atomic(path: impl AsRef<Path>, info: &LogInfo) -> Result<Self, LogError> {
+        let target = path.as_ref();
+        let mut name = target.file_name().unwrap_or_default().to_os_string();
+        name.push(format!(".{}.partial", std::process::id()));
+        let mut writer = Self::create(target.with_file_name(name), info)?;
+        writer.target = Some(target.into());
+        Ok(writer)
+    }
+
+    /// Writes to anything; `path` is its name in errors.
+    ///
+    /// # Errors
+    /// As [`LogWriter::create`].
+    pub fn to_output(path: &Path, output: impl Output, info: &LogInfo) -> Result<Self, LogError> {
+        check_agents(&info.agents).map_err(|reason| LogError::input(path, reason))?;
+        let mcap = McapWriter::new(output, &info.program, LOG_RECORD, &info.to_record());
+        Ok(LogWriter {
+            path: path.into(),
+            target: None,
+            map_frame: info.map_frame.clone(),
+            mcap: Some(mcap.map_err(LogError::io(path, "start writing"))?),
+            agents: info
+                .agents
+                .iter()
+                .map(|agent| (agent.name.clone(), Agent::default()))
+                .collect(),
+            tf: None,
+        })
+    }
+
+    /// A sweep: `/<agent>/points`, frame `<agent>/body`, and its entry in `/<agent>/sweeps`.
+    ///
+    /// # Errors
+    /// An agent that the log does not have; times before 1970; why writing failed.
+    pub fn cloud(&mut self, agent: &str, stamp: Nanos, ready: Nanos, cloud: &PointCloud) -> Result<(), LogError> {
+        self.sweep(agent, stamp, ready)?;
+        let frame = body(agent);
+        self.write(agent, Stream::Points, stamp, ready, |out| {
+            cloud::encode(out, stamp, &frame, cloud)
+        })
+    }
+
+    /// A sweep without its points, for logs that are replayed by their recorded detections alone.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn sweep(&mut self, agent: &str, stamp: Nanos, ready: Nanos) -> Result<(), LogError> {
+        let frame = body(agent);
+        let encode = |out: &mut Vec<u8>| CdrWriter::new(out).header(stamp, &frame);
+        self.write(agent, Stream::Sweeps, stamp, ready, encode)?;
+        if let Some(known) = self.agents.get_mut(agent) {
+            let seq = known.sweeps.last_key_value().map_or(0, |(_, seq)| seq + 1);
+            known.sweeps.insert(stamp, seq);
+            // Detections and truth of a sweep come soon after it.
+            while known.sweeps.len() > 64 {
+                known.sweeps.pop_first();
+            }
+        }
+        Ok(())
+    }
+
+    /// What the agent believes of its pose: `/<agent>/pose`, and `/tf` for viewers.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn pose(&mut self, agent: &str, stamp: Nanos, ready: Nanos, state: &EgoState) -> Result<(), LogError> {
+        let map = self.map_frame.clone();
+        self.write(agent, Stream::Pose, stamp, ready, |out| {
+            pose::encode(out, stamp, &map, state)
+        })?;
+        let mcap = open(&mut self.mcap);
+        let tf = *self
+            .tf
+            .get_or_insert_with(|| mcap.channel("/tf", Schema::TfMessage, Lane::Small));
+        let frame = body(agent);
+        let encode = |out: &mut Vec<u8>| pose::encode_transform(out, stamp, &map, &frame, &state.map_from_body);
+        let written = mcap.write(tf, ready as u64, stamp as u64, encode);
+        written.map(|_| ()).map_err(|failure| failure.of(&self.path))
+    }
+
+    /// The agent's true pose: `/<agent>/pose_truth`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn pose_truth(&mut self, agent: &str, stamp: Nanos, ready: Nanos, state: &EgoState) -> Result<(), LogError> {
+        let map = self.map_frame.clone();
+        self.write(agent, Stream::PoseTruth, stamp, ready, |out| {
+            pose::encode(out, stamp, &map, state)
+        })
+    }
+
+    /// What is really there at `stamp`, in the agent's true body frame, with the agent's own points on each object where
+    /// somebody counted, and whether the frame is scored: `/<agent>/ground_truth`, `…_info` and `…_markers`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`]; another number of counts than of boxes.
+    pub fn truth(
+        &mut self,
+        agent: &str,
+        stamp: Nanos,
+        ready: Nanos,
+        objects: &[Box3],
+        points: Option<&[u32]>,
+        key: bool,
+    ) -> Result<(), LogError> {
+        if let Some(points) = points
+            && points.len() != objects.len()
+        {
+            let reason = format!("{} point counts for {} boxes of {agent}", points.len(), objects.len());
+            return Err(LogError::input(&self.path, reason));
+        }
+        let seq = self.sweep_number(agent, stamp);
+        let agents = points.map(|_| Name::from(agent)).into_iter().collect();
+        let info = BoxesInfo {
+            seq,
+            key,
+            map_from_frame: None,
+            agents,
+            points: points.map(<[u32]>::to_vec),
+        };
+        let streams = [Stream::GroundTruth, Stream::GroundTruthInfo];
+        self.write_boxes(agent, streams, stamp, ready, objects, &info)?;
+        let frame = body(agent);
+        self.write(agent, Stream::GroundTruthMarkers, stamp, ready, |out| {
+            boxes::encode_markers(out, stamp, &frame, "ground_truth", objects);
+        })?;
+        if key && let Some(known) = self.agents.get_mut(agent) {
+            known.key_frames.push(stamp);
+        }
+        Ok(())
+    }
+
+    /// Detections that were recorded for a sweep, in the agent's body frame: `/<agent>/detections` and `…_info`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn detections(&mut self, agent: &str, stamp: Nanos, ready: Nanos, detections: &Boxes) -> Result<(), LogError> {
+        let info = BoxesInfo {
+            seq: self.sweep_number(agent, stamp),
+            ..BoxesInfo::default()
+        };
+        let streams = [Stream::Detections, Stream::DetectionsInfo];
+        self.write_boxes(agent, streams, stamp, ready, &detections.0, &info)
+    }
+
+    /// Writes what is left, the index and the closing record.
+    ///
+    /// # Errors
+    /// Why writing failed; what had been written stays readable, unless the log was to appear only when complete.
+    pub fn finish(mut self) -> Result<(), LogError> {
+        let Some(mut mcap) = self.mcap.take() else {
+            return Ok(());
+        };
+        mcap.metadata(END_RECORD, &self.end_record(mcap.span()));
+        mcap.finish().map_err(|failure| failure.of(&self.path))?;
+        if let Some(target) = self.target.take() {
+            fs::rename(&self.path, &target).map_err(LogError::io(&target, "rename the finished log to"))?;
+        }
+        Ok(())
+    }
+
+    fn end_record(&self, span: Option<(u64, u64)>) -> BTreeMap<String, String> {
+        let key_frames: BTreeMap<&str, &[Nanos]> = self
+            .agents
+            .iter()
+            .map(|(name, agent)| (name.as_str(), &agent.key_frames[..]))
+            .collect();
+        let key_frames = serde_json::to_string(&key_frames).expect("times are plain data");
+        let mut record = BTreeMap::from([("key_frames".to_string(), key_frames)]);
+        if let Some((start, end)) = span {
+            record.extend([
+                ("start".to_string(), start.to_string()),
+                ("end".to_string(), end.to_string()),
+            ]);
+        }
+        record
+    }
+
+    fn sweep_number(&self, agent: &str, stamp: Nanos) -> u64 {
+        self.agents
+            .get(agent)
+            .and_then(|known| known.sweeps.get(&stamp))
+            .copied()
+            .unwrap_or(u64::MAX)
+    }
+
+    fn write_boxes(
+        &mut self,
+        agent: &str,
+        [stream, companion]: [Stream; 2],
+        stamp: Nanos,
+        ready: Nanos,
+        objects: &[Box3],
+        info: &BoxesInfo,
+    ) -> Result<(), LogError> {
+        let frame = body(agent);
+        self.write(agent, stream, stamp, ready, |out| {
+            boxes::encode(out, stamp, &frame, objects)
+        })?;
+        self.write(agent, companion, stamp, ready, |out| {
+            boxes::encode_info(out, stamp, &frame, objects, info)
+        })
+    }
+
+    fn write(
+        &mut self,
+        agent: &str,
+        stream: Stream,
+        stamp: Nanos,
+        ready: Nanos,
+        encode: impl FnOnce(&mut Vec<u8>),
+    ) -> Result<(), LogError> {
+        let Some(known) = self.agents.get_mut(agent) else {
+            let reason = format!("agent `{agent}` is not one of those that the log was created with");
+            return Err(LogError::input(&self.path, reason));
+        };
+        if stamp < 0 || ready < 0 {
+            let reason = format!("stamp {stamp} and ready {ready} of {agent} must not lie before 1970");
+            return Err(LogError::input(&self.path, reason));
+        }
+        let mcap = open(&mut self.mcap);
+        let channel = || mcap.channel(&stream.topic(agent), stream.schema(), stream.lane());
+        let channel = *known.channels.entry(stream).or_insert_with(channel);
+        let written = mcap.write(channel, ready as u64, stamp as u64, encode);
+        written.map(|_| ()).map_err(|failure| failure.of(&self.path))
+    }
+}
+
+impl Drop for LogWriter {
+    /// An unfinished log that was to appear only when complete leaves nothing behind.
+    fn drop(&mut self) {
+        if self.target.is_some() {
+            self.mcap = None;
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// The writer is there until `finish` takes it together with the whole log writer.
+fn open(mcap: &mut Option<McapWriter>) -> &mut McapWriter {
+    mcap.as_mut().expect("finish consumes the log writer")
+}
+
+pub(crate) fn body(agent: &str) -> String {
+    format!("{agent}/body")
+}

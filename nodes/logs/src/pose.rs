@@ -1,0 +1,114 @@
+//! `EgoState` as `geometry_msgs/msg/PoseWithCovarianceStamped`, and as a frame for viewers.
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use realo_schemas::{EgoState, Nanos, PoseStatus};
+
+use crate::cdr::{CdrError, CdrReader, CdrWriter};
+
+/// Appends a pose as CDR. An unknown covariance is written as zeros.
+pub fn encode(buffer: &mut Vec<u8>, stamp: Nanos, frame: &str, state: &EgoState) {
+    let mut out = CdrWriter::new(buffer);
+    out.header(stamp, frame);
+    write_isometry(&mut out, &state.map_from_body);
+    out.f64s(state.covariance.as_deref().unwrap_or(&[0.0; 36]));
+}
+
+/// Reads a pose; all zeros are an unknown covariance. Velocities are unknown.
+///
+/// # Errors
+/// Bytes that are no such message; numbers that are no pose.
+pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, EgoState), CdrError> {
+    let mut input = CdrReader::new(payload)?;
+    let (stamp, _) = input.header()?;
+    let map_from_body = isometry(&input.f64s()?)?;
+    let covariance = Some(input.f64s::<36>()?)
+        .filter(|c| c.iter().any(|v| *v != 0.0))
+        .map(Box::new);
+    Ok((
+        stamp,
+        EgoState {
+            map_from_body,
+            covariance,
+            velocity: None,
+            angular_rate: None,
+            status,
+        },
+    ))
+}
+
+/// Appends a `tf2_msgs/msg/TFMessage` that places one frame in another.
+pub fn encode_transform(
+    buffer: &mut Vec<u8>,
+    stamp: Nanos,
+    parent: &str,
+    child: &str,
+    parent_from_child: &Isometry3<f64>,
+) {
+    let mut out = CdrWriter::new(buffer);
+    out.length(1);
+    out.header(stamp, parent);
+    out.string(child);
+    write_isometry(&mut out, parent_from_child);
+}
+
+/// x y z and the quaternion x y z w.
+pub(crate) fn parts(pose: &Isometry3<f64>) -> [f64; 7] {
+    let (t, q) = (&pose.translation, &pose.rotation);
+    [t.x, t.y, t.z, q.i, q.j, q.k, q.w]
+}
+
+/// The pose of seven numbers. A quaternion that has length 1 to rounding is kept as it is, so that poses survive a log.
+pub(crate) fn isometry(numbers: &[f64; 7]) -> Result<Isometry3<f64>, CdrError> {
+    let [x, y, z, i, j, k, w] = *numbers;
+    let quaternion = Quaternion::new(w, i, j, k);
+    let norm = quaternion.norm();
+    if !numbers.iter().all(|v| v.is_finite()) || norm < 1e-9 || !norm.is_finite() {
+        return Err(format!(
+            "expected a finite position and a quaternion of length 1, found {numbers:?}"
+        ));
+    }
+    let rotation = match (norm - 1.0).abs() < 1e-12 {
+        true => UnitQuaternion::new_unchecked(quaternion),
+        false => UnitQuaternion::from_quaternion(quaternion),
+    };
+    Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+}
+
+fn write_isometry(out: &mut CdrWriter, pose: &Isometry3<f64>) {
+    out.f64s(&parts(pose));
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    #[test]
+    fn poses_survive_bit_for_bit() {
+        let mut covariance = Box::new([0.0; 36]);
+        covariance[7] = 0.01;
+        let rotation = UnitQuaternion::from_euler_angles(0.01, -0.02, 2.5);
+        let pose = Isometry3::from_parts(Translation3::new(1e5 + 0.1, -3.3, 0.7), rotation);
+        for covariance in [None, Some(covariance)] {
+            let state = EgoState {
+                map_from_body: pose,
+                covariance,
+                velocity: None,
+                angular_rate: None,
+                status: PoseStatus::Recorded,
+            };
+            let mut payload = Vec::new();
+            encode(&mut payload, 42, "map", &state);
+            assert_eq!(decode(&payload, PoseStatus::Recorded).unwrap(), (42, state));
+        }
+    }
+
+    #[test]
+    fn refuses_what_is_no_pose_and_normalises_what_is_long() {
+        assert!(isometry(&[f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).is_err());
+        assert!(isometry(&[0.0; 7]).unwrap_err().contains("quaternion"));
+        let pose = isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 2.0]).unwrap();
+        assert!((pose.rotation * Vector3::x() - Vector3::y()).norm() < 1e-12);
+    }
+}

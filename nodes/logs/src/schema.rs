@@ -1,0 +1,211 @@
+//! ROS 2 message definitions, with everything nested in them, as MCAP schemas of encoding `ros2msg` want them.
+
+/// A message type of a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Schema {
+    /// LiDAR sweeps.
+    PointCloud2,
+    /// That a sweep was taken, and when.
+    Header,
+    /// Poses of agents.
+    PoseWithCovarianceStamped,
+    /// Boxes.
+    Detection3DArray,
+    /// What `Detection3DArray` cannot say of its boxes.
+    BoxesInfo,
+    /// Boxes for viewers.
+    MarkerArray,
+    /// Frames for viewers.
+    TfMessage,
+    /// JSON documents.
+    String,
+    /// Headers of what crossed a link.
+    PacketInfo,
+}
+
+impl Schema {
+    /// Name in MCAP, `package/msg/Type`.
+    pub fn name(self) -> String {
+        self.short().replacen('/', "/msg/", 1)
+    }
+
+    /// Definition text.
+    pub fn text(self) -> String {
+        let mut order = vec![self.short()];
+        let mut text = String::new();
+        let mut at = 0;
+        while let Some(name) = order.get(at).copied() {
+            let definition = definition(name);
+            if at > 0 {
+                text.push_str(&format!("{}\nMSG: {name}\n", "=".repeat(80)));
+            }
+            text.push_str(definition);
+            let nested = DEFINITIONS
+                .iter()
+                .map(|(name, _)| *name)
+                .filter(|nested| uses(definition, nested));
+            let new: Vec<&str> = nested.filter(|nested| !order.contains(nested)).collect();
+            order.extend(new);
+            at += 1;
+        }
+        text
+    }
+
+    fn short(self) -> &'static str {
+        match self {
+            Schema::PointCloud2 => "sensor_msgs/PointCloud2",
+            Schema::Header => "std_msgs/Header",
+            Schema::PoseWithCovarianceStamped => "geometry_msgs/PoseWithCovarianceStamped",
+            Schema::Detection3DArray => "vision_msgs/Detection3DArray",
+            Schema::BoxesInfo => "realo_msgs/BoxesInfo",
+            Schema::MarkerArray => "visualization_msgs/MarkerArray",
+            Schema::TfMessage => "tf2_msgs/TFMessage",
+            Schema::String => "std_msgs/String",
+            Schema::PacketInfo => "realo_msgs/PacketInfo",
+        }
+    }
+}
+
+fn definition(name: &str) -> &'static str {
+    let found = DEFINITIONS.iter().find(|(known, _)| *known == name);
+    found.expect("every schema is in the table").1
+}
+
+fn uses(definition: &str, name: &str) -> bool {
+    let kinds = definition.lines().filter_map(|line| line.split([' ', '[']).next());
+    kinds.into_iter().any(|kind| kind == name)
+}
+
+const DEFINITIONS: &[(&str, &str)] = &[
+    ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"),
+    ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"),
+    ("builtin_interfaces/Duration", "int32 sec\nuint32 nanosec\n"),
+    ("std_msgs/String", "string data\n"),
+    ("std_msgs/ColorRGBA", "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n"),
+    ("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
+    ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n"),
+    (
+        "geometry_msgs/Quaternion",
+        "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+    ),
+    (
+        "geometry_msgs/Pose",
+        "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
+    ),
+    (
+        "geometry_msgs/PoseWithCovariance",
+        "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
+    ),
+    (
+        "geometry_msgs/PoseWithCovarianceStamped",
+        "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
+    ),
+    (
+        "geometry_msgs/Transform",
+        "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
+    ),
+    (
+        "geometry_msgs/TransformStamped",
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
+    ),
+    ("tf2_msgs/TFMessage", "geometry_msgs/TransformStamped[] transforms\n"),
+    (
+        "sensor_msgs/PointField",
+        "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\nuint8 UINT32=6\n\
+         uint8 FLOAT32=7\nuint8 FLOAT64=8\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n",
+    ),
+    (
+        "sensor_msgs/PointCloud2",
+        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n\
+         uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n",
+    ),
+    (
+        "sensor_msgs/CompressedImage",
+        "std_msgs/Header header\nstring format\nuint8[] data\n",
+    ),
+    ("vision_msgs/ObjectHypothesis", "string class_id\nfloat64 score\n"),
+    (
+        "vision_msgs/ObjectHypothesisWithPose",
+        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n",
+    ),
+    (
+        "vision_msgs/BoundingBox3D",
+        "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    ),
+    (
+        "vision_msgs/Detection3D",
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\n\
+         string id\n",
+    ),
+    (
+        "vision_msgs/Detection3DArray",
+        "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
+    ),
+    ("visualization_msgs/UVCoordinate", "float32 u\nfloat32 v\n"),
+    ("visualization_msgs/MeshFile", "string filename\nuint8[] data\n"),
+    (
+        "visualization_msgs/Marker",
+        "int32 ARROW=0\nint32 CUBE=1\nint32 SPHERE=2\nint32 CYLINDER=3\nint32 LINE_STRIP=4\nint32 LINE_LIST=5\n\
+         int32 CUBE_LIST=6\nint32 SPHERE_LIST=7\nint32 POINTS=8\nint32 TEXT_VIEW_FACING=9\nint32 MESH_RESOURCE=10\n\
+         int32 TRIANGLE_LIST=11\nint32 ADD=0\nint32 MODIFY=0\nint32 DELETE=2\nint32 DELETEALL=3\n\
+         std_msgs/Header header\nstring ns\nint32 id\nint32 type\nint32 action\ngeometry_msgs/Pose pose\n\
+         geometry_msgs/Vector3 scale\nstd_msgs/ColorRGBA color\nbuiltin_interfaces/Duration lifetime\n\
+         bool frame_locked\ngeometry_msgs/Point[] points\nstd_msgs/ColorRGBA[] colors\nstring texture_resource\n\
+         sensor_msgs/CompressedImage texture\nvisualization_msgs/UVCoordinate[] uv_coordinates\nstring text\n\
+         string mesh_resource\nvisualization_msgs/MeshFile mesh_file\nbool mesh_use_embedded_materials\n",
+    ),
+    (
+        "visualization_msgs/MarkerArray",
+        "visualization_msgs/Marker[] markers\n",
+    ),
+    (
+        "realo_msgs/BoxesInfo",
+        "# What Detection3DArray cannot say of its boxes; entry i belongs to detection i.\n\
+         std_msgs/Header header\n\
+         # Number of the sweep, per agent from the log's beginning.\n\
+         uint64 seq\n\
+         # Whether the frame is scored.\n\
+         bool key\n\
+         # Map from frame, where known: x y z, quaternion x y z w.\n\
+         float64[] pose\n\
+         # Headings, rad, as they were before they became quaternions.\n\
+         float64[] yaw\n\
+         # Three numbers per box, m/s in the header's frame; NaN where unknown.\n\
+         float64[] velocity\n\
+         # Nine numbers per box over (x, y, yaw), row-major; NaN where unknown.\n\
+         float64[] covariance\n\
+         # Agents whose points are counted.\n\
+         string[] agents\n\
+         # Points per box and agent, row-major; empty where nobody counted.\n\
+         uint32[] points\n",
+    ),
+    (
+        "realo_msgs/PacketInfo",
+        "# The header of a message on a link.\n\
+         std_msgs/Header header\n\
+         string agent\nstring to\nstring kind\nuint64 seq\n\
+         # When it was ready at the recorder's input, ns.\n\
+         int64 ready\n\
+         # Codecs, first applied first, and the size they left.\n\
+         string[] codec\nuint64 bytes\n",
+    ),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_hold_every_nested_type_once() {
+        let text = Schema::MarkerArray.text();
+        for nested in [
+            "visualization_msgs/Marker",
+            "sensor_msgs/CompressedImage",
+            "builtin_interfaces/Time",
+        ] {
+            assert_eq!(text.matches(&format!("MSG: {nested}\n")).count(), 1, "{nested}\n{text}");
+        }
+        assert!(text.starts_with("visualization_msgs/Marker[] markers\n====="));
+        assert_eq!(Schema::TfMessage.name(), "tf2_msgs/msg/TFMessage");
+    }
+}

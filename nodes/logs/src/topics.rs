@@ -1,0 +1,79 @@
+use crate::Schema;
+use crate::mcap_writer::Lane;
+
+/// One of an agent's topics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stream {
+    /// What the agent believes of its pose.
+    Pose,
+    /// Its true pose.
+    PoseTruth,
+    /// That a sweep was taken, and when.
+    Sweeps,
+    /// The sweep's points.
+    Points,
+    /// Recorded detections.
+    Detections,
+    /// Their companion.
+    DetectionsInfo,
+    /// Ground truth in the agent's true body frame.
+    GroundTruth,
+    /// Its companion.
+    GroundTruthInfo,
+    /// Ground truth for viewers.
+    GroundTruthMarkers,
+}
+
+impl Stream {
+    /// Every stream; at equal log times messages are read in this order.
+    pub const ALL: [Stream; 9] = [
+        Stream::Pose,
+        Stream::PoseTruth,
+        Stream::Sweeps,
+        Stream::Points,
+        Stream::Detections,
+        Stream::DetectionsInfo,
+        Stream::GroundTruth,
+        Stream::GroundTruthInfo,
+        Stream::GroundTruthMarkers,
+    ];
+
+    /// The part of the topic behind the agent's name.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Stream::Pose => "pose",
+            Stream::PoseTruth => "pose_truth",
+            Stream::Sweeps => "sweeps",
+            Stream::Points => "points",
+            Stream::Detections => "detections",
+            Stream::DetectionsInfo => "detections_info",
+            Stream::GroundTruth => "ground_truth",
+            Stream::GroundTruthInfo => "ground_truth_info",
+            Stream::GroundTruthMarkers => "ground_truth_markers",
+        }
+    }
+
+    /// The topic of an agent.
+    pub fn topic(self, agent: &str) -> String {
+        format!("/{agent}/{}", self.as_str())
+    }
+
+    /// Type of its messages.
+    pub fn schema(self) -> Schema {
+        match self {
+            Stream::Pose | Stream::PoseTruth => Schema::PoseWithCovarianceStamped,
+            Stream::Sweeps => Schema::Header,
+            Stream::Points => Schema::PointCloud2,
+            Stream::Detections | Stream::GroundTruth => Schema::Detection3DArray,
+            Stream::DetectionsInfo | Stream::GroundTruthInfo => Schema::BoxesInfo,
+            Stream::GroundTruthMarkers => Schema::MarkerArray,
+        }
+    }
+
+    pub(crate) fn lane(self) -> Lane {
+        match self {
+            Stream::Points => Lane::Bulk,
+            _ => Lane::Small,
+        }
+    }
+}

@@ -1,0 +1,323 @@
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+use std::sync::{Arc, Mutex};
+
+use realo_logs::{Entry, Log, LogError, LogReader, Stream};
+use realo_runtime::PortId;
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Payload, PointCloud, to_seconds};
+
+use crate::truth::TruthJoin;
+use crate::{PlannedRun, ports};
+
+/// Offline, messages leave in order of stamp, which may lie this much before they were ready.
+const LATENCY: Nanos = 500_000_000;
+/// Poses from so long before the first sweep are sent too, so that it has some.
+const LEAD_IN: Nanos = 500_000_000;
+/// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
+const PAUSE: Nanos = 1_000_000_000;
+
+/// What the player counts.
+pub type Counters = Arc<Mutex<BTreeMap<String, u64>>>;
+
+/// What to play of a log, and how.
+#[derive(Clone)]
+pub struct Script {
+    pub log: Log,
+    pub run: Name,
+    pub cast: PlannedRun,
+    pub offline: bool,
+    pub true_poses: bool,
+    pub points: bool,
+    pub detections: bool,
+    pub repeat: u32,
+    /// Log times from (inclusive) and until (exclusive) which sweeps are played.
+    pub from: Nanos,
+    pub until: Nanos,
+    pub counters: Counters,
+}
+
+/// A message on its way out: release time, port, message.
+pub type Release = (Nanos, PortId, Message);
+
+/// Turns a log into messages in order of release.
+pub struct Feed {
+    script: Script,
+    agents: Vec<Name>,
+    pass: u32,
+    period: Nanos,
+    reader: LogReader,
+    truth: TruthJoin,
+    sweeps: BTreeMap<Name, BTreeMap<Nanos, u64>>,
+    unjoined: BTreeMap<Name, (Entry, Boxes)>,
+    queue: BinaryHeap<Reverse<Queued>>,
+    ended: bool,
+    released_to: Nanos,
+}
+
+struct Queued {
+    key: (Nanos, usize, usize, u64),
+    port: PortId,
+    message: Message,
+}
+
+impl PartialEq for Queued {
+    fn eq(&self, other: &Self) -> bool {
+        self.key == other.key
+    }
+}
+impl Eq for Queued {}
+impl PartialOrd for Queued {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Queued {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.key.cmp(&other.key)
+    }
+}
+
+impl Script {
+    fn agents(&self) -> Vec<Name> {
+        self.cast.agents().map(Name::from).collect()
+    }
+
+    fn pose_stream(&self, agent: &str) -> Stream {
+        let truth = self.true_poses || (self.offline && self.log.has(agent, Stream::PoseTruth));
+        if truth { Stream::PoseTruth } else { Stream::Pose }
+    }
+
+    /// Sweeps by their points, or, where nobody wants these, by the topic that only says when they were taken.
+    fn sweep_stream(&self, agent: &str) -> Stream {
+        match self.points || !self.log.has(agent, Stream::Sweeps) {
+            true => Stream::Points,
+            false => Stream::Sweeps,
+        }
+    }
+
+    fn open(&self) -> Result<LogReader, LogError> {
+        let mut wanted = Vec::new();
+        for agent in self.cast.agents() {
+            wanted.push((agent, self.pose_stream(agent)));
+            wanted.push((agent, self.sweep_stream(agent)));
+            if self.detections {
+                let streams = [Stream::Detections, Stream::DetectionsInfo];
+                let there = streams.into_iter().filter(|stream| self.log.has(agent, *stream));
+                wanted.extend(there.map(|stream| (agent, stream)));
+            }
+        }
+        self.log.read(&wanted, self.from.saturating_sub(LEAD_IN), self.until)
+    }
+
+    fn count(&self, counter: &str) {
+        let mut counters = self.counters.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        *counters.entry(counter.into()).or_default() += 1;
+    }
+}
+
+impl Feed {
+    pub fn new(script: Script) -> Result<Self, LogError> {
+        let agents = script.agents();
+        let (first, last) = script.log.span().unwrap_or_default();
+        let played = script.until.min(last) - script.from.max(first);
+        Ok(Feed {
+            reader: script.open()?,
+            truth: TruthJoin::new(&script.log, &agents, script.from, script.until)?,
+            period: played.max(0) + PAUSE + LEAD_IN,
+            sweeps: BTreeMap::new(),
+            unjoined: BTreeMap::new(),
+            queue: BinaryHeap::new(),
+            ended: false,
+            released_to: Nanos::MIN,
+            pass: 0,
+            agents,
+            script,
+        })
+    }
+
+    /// The next message, `None` after the last pass.
+    pub fn next(&mut self) -> Result<Option<Release>, LogError> {
+        loop {
+            if let Some(release) = self.ripe() {
+                return Ok(Some(release));
+            }
+            if self.ended {
+                if self.pass + 1 >= self.script.repeat {
+                    return Ok(None);
+                }
+                self.rewind()?;
+            }
+            match self.reader.next()? {
+                Some(entry) => self.take(&entry)?,
+                None => self.end(),
+            }
+        }
+    }
+
+    fn rewind(&mut self) -> Result<(), LogError> {
+        self.pass += 1;
+        self.ended = false;
+        self.sweeps.clear();
+        self.reader = self.script.open()?;
+        self.truth = TruthJoin::new(&self.script.log, &self.agents, self.script.from, self.script.until)?;
+        self.released_to = Nanos::MIN;
+        Ok(())
+    }
+
+    fn end(&mut self) {
+        for (entry, boxes) in std::mem::take(&mut self.unjoined).into_values() {
+            self.send_detections(&entry, boxes);
+        }
+        self.ended = true;
+        self.released_to = Nanos::MAX;
+    }
+
+    /// The first waiting message, once nothing earlier can come.
+    fn ripe(&mut self) -> Option<Release> {
+        let first = self.queue.peek()?;
+        if first.0.key.0 >= self.released_to {
+            return None;
+        }
+        let Reverse(first) = self.queue.pop()?;
+        Some((first.message.header.ready, first.port, first.message))
+    }
+
+    fn take(&mut self, entry: &Entry) -> Result<(), LogError> {
+        let reach = if self.script.offline { LATENCY } else { 0 };
+        if self.script.offline && entry.ready().saturating_sub(entry.stamp()) > LATENCY {
+            let (late, most) = (to_seconds(entry.ready() - entry.stamp()), to_seconds(LATENCY));
+            let reason =
+                format!("it was ready {late:.3} s after its stamp; played offline at most {most} s are expected");
+            return Err(LogError::Content {
+                topic: entry.stream.topic(&entry.agent),
+                log_time: entry.ready(),
+                reason,
+            });
+        }
+        self.released_to = self.released_to.max(entry.ready().saturating_sub(reach));
+        let playing = entry.ready() >= self.script.from;
+        match entry.stream {
+            Stream::Pose | Stream::PoseTruth => self.send_pose(entry),
+            _ if !playing => {}
+            Stream::Points => {
+                let cloud = if self.script.points {
+                    entry.cloud()?
+                } else {
+                    PointCloud::empty()
+                };
+                self.send_sweep(entry, cloud)?;
+            }
+            Stream::Sweeps => self.send_sweep(entry, PointCloud::empty())?,
+            Stream::Detections => self.take_detections(entry)?,
+            Stream::DetectionsInfo => self.take_info(entry)?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn send_pose(&mut self, entry: &Entry) {
+        match entry.pose() {
+            Ok(state) => self.send(
+                entry,
+                entry.seq(),
+                Kind::EgoState,
+                [ports::EGO_POSES, ports::POSES],
+                state,
+            ),
+            Err(_) => self.script.count("poses_unusable"),
+        }
+    }
+
+    fn send_sweep(&mut self, entry: &Entry, cloud: PointCloud) -> Result<(), LogError> {
+        let known = self.sweeps.entry(entry.agent.clone()).or_default();
+        if let Some((_, last)) = known.last_key_value()
+            && *last >= entry.seq()
+        {
+            return Err(LogError::Content {
+                topic: entry.stream.topic(&entry.agent),
+                log_time: entry.ready(),
+                reason: format!(
+                    "sequence {} follows {last}, expected rising numbers and stamps",
+                    entry.seq()
+                ),
+            });
+        }
+        known.insert(entry.stamp(), entry.seq());
+        while known.len() > 64 {
+            known.pop_first();
+        }
+        self.send(
+            entry,
+            entry.seq(),
+            Kind::Points,
+            [ports::EGO_CLOUDS, ports::CLOUDS],
+            cloud,
+        );
+        if entry.agent == self.agents[0] {
+            let truth: GroundTruth = self.truth.at(entry.stamp())?;
+            self.send(entry, entry.seq(), Kind::Truth, [ports::TRUTH; 2], truth);
+        }
+        Ok(())
+    }
+
+    fn take_detections(&mut self, entry: &Entry) -> Result<(), LogError> {
+        let boxes = entry.boxes()?;
+        if !self.script.log.has(&entry.agent, Stream::DetectionsInfo) {
+            self.send_detections(entry, boxes);
+        } else if let Some((entry, boxes)) = self.unjoined.insert(entry.agent.clone(), (entry.clone(), boxes)) {
+            self.send_detections(&entry, boxes);
+        }
+        Ok(())
+    }
+
+    fn take_info(&mut self, entry: &Entry) -> Result<(), LogError> {
+        if let Some((detections, mut boxes)) = self.unjoined.remove(&entry.agent) {
+            if detections.stamp() == entry.stamp() {
+                entry.info(&mut boxes)?;
+            }
+            self.send_detections(&detections, boxes);
+        }
+        Ok(())
+    }
+
+    fn send_detections(&mut self, entry: &Entry, boxes: Boxes) {
+        let seq = self
+            .sweeps
+            .get(&entry.agent)
+            .and_then(|sweeps| sweeps.get(&entry.stamp()))
+            .copied();
+        match seq {
+            Some(seq) => self.send(entry, seq, Kind::Boxes, [ports::EGO_RECORDED, ports::RECORDED], boxes),
+            None => self.script.count("detections_without_sweep"),
+        }
+    }
+
+    fn send(&mut self, entry: &Entry, seq: u64, kind: Kind, [ego, other]: [PortId; 2], payload: impl Into<Payload>) {
+        let rank = self.agents.iter().position(|agent| *agent == entry.agent).unwrap_or(0);
+        let release = if self.script.offline {
+            entry.stamp()
+        } else {
+            entry.ready()
+        };
+        let shift = Nanos::from(self.pass) * self.period;
+        let before = u64::from(self.pass) * self.script.log.count(&entry.agent, entry.stream);
+        let seq = match kind {
+            Kind::Boxes => seq + u64::from(self.pass) * self.sweeps_per_pass(&entry.agent),
+            _ => seq + before,
+        };
+        let (run, agent) = (&self.script.run, &self.agents[rank]);
+        let header = Header::origin(run, agent, kind, seq, entry.stamp() + shift, release + shift);
+        let port = if rank == 0 { ego } else { other };
+        let order = ports::ORDER.iter().position(|known| *known == port).unwrap_or(0);
+        let message = Message::new(header, payload);
+        self.queue.push(Reverse(Queued {
+            key: (release, order, rank, seq),
+            port,
+            message,
+        }));
+    }
+
+    fn sweeps_per_pass(&self, agent: &str) -> u64 {
+        self.script.log.count(agent, self.script.sweep_stream(agent))
+    }
+}

@@ -1,0 +1,386 @@
+//! Replays a log into both lanes of a graph: the ego's, and that of the agents that collaborate with it.
+//!
+//! | output | type | content |
+//! |---|---|---|
+//! | `ego_clouds` | PointCloud | the ego's sweeps |
+//! | `ego_poses` | EgoState | the ego's poses, as recorded or true |
+//! | `ego_recorded` | Boxes | detections recorded for the ego's sweeps; same seq and stamp |
+//! | `clouds` | PointCloud | the collaborators' sweeps |
+//! | `poses` | EgoState | their poses |
+//! | `recorded` | Boxes | their recorded detections |
+//! | `truth` | GroundTruth | one for each of the ego's sweeps, in its true body frame |
+//!
+//! Messages leave in order of their time on the log's line; at equal times poses go first, then clouds, recorded
+//! detections, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
+//! up to the cut and counted as `log_truncated`.
+
+mod feed;
+mod plan;
+mod truth;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread;
+
+use realo_logs::{Log, LogError, Stream};
+use realo_runtime::{Argument, Describe, Error, Port, PortId, Source};
+use realo_schemas::{Message, Nanos, PayloadType, from_seconds};
+use serde::{Deserialize, Serialize};
+
+use feed::{Counters, Feed, Release, Script};
+pub use plan::{Coop, Plan, PlanError, PlannedRun, plan};
+
+/// Messages that are read ahead.
+const AHEAD: usize = 256;
+
+mod ports {
+    use realo_runtime::PortId;
+
+    pub const EGO_CLOUDS: PortId = PortId(0);
+    pub const EGO_POSES: PortId = PortId(1);
+    pub const EGO_RECORDED: PortId = PortId(2);
+    pub const CLOUDS: PortId = PortId(3);
+    pub const POSES: PortId = PortId(4);
+    pub const RECORDED: PortId = PortId(5);
+    pub const TRUTH: PortId = PortId(6);
+    /// Who goes first at equal times.
+    pub const ORDER: [PortId; 7] = [EGO_POSES, POSES, EGO_CLOUDS, CLOUDS, EGO_RECORDED, RECORDED, TRUTH];
+}
+
+/// Which poses are sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PoseSource {
+    /// What the agents believed.
+    #[default]
+    Recorded,
+    /// The true ones.
+    True,
+}
+
+/// What to do about recorded detections.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Detections {
+    /// Sent where the log has them.
+    #[default]
+    Optional,
+    /// An agent without any is an error.
+    Required,
+    /// Not read.
+    Off,
+}
+
+/// Settings of the player.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Path of the log.
+    pub log: PathBuf,
+    /// Name of the ego; empty: the first eligible agent.
+    pub ego: String,
+    /// Who collaborates.
+    pub coop: Coop,
+    /// Who may take part; empty: all.
+    pub agents: Vec<String>,
+    /// Which poses are sent.
+    pub pose: PoseSource,
+    /// Ready times are stamps, poses are exact where known.
+    pub offline: bool,
+    /// Whether sweeps have their points.
+    pub points: bool,
+    /// What to do about recorded detections.
+    pub detections: Detections,
+    /// Seconds of log time per second, in a realtime run.
+    pub rate: f64,
+    /// Passes over the log.
+    pub repeat: u32,
+    /// Seconds of the log that are left out at its beginning.
+    pub start: f64,
+    /// Seconds of the log that are played; all by default.
+    pub duration: Option<f64>,
+    /// Name of the run.
+    pub run: String,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            log: "../target/realo/demo.mcap".into(),
+            ego: String::new(),
+            coop: Coop::All,
+            agents: Vec::new(),
+            pose: PoseSource::Recorded,
+            offline: false,
+            points: true,
+            detections: Detections::Optional,
+            rate: 1.0,
+            repeat: 1,
+            start: 0.0,
+            duration: None,
+            run: "run".into(),
+        }
+    }
+}
+
+/// The source that replays a log.
+pub struct Player {
+    releases: Receiver<Result<Option<Release>, LogError>>,
+    ended: bool,
+    counters: Counters,
+    rate: f64,
+    cast: PlannedRun,
+}
+
+impl Player {
+    /// Seconds of log time per second, for the realtime driver.
+    pub fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    /// Who takes part.
+    pub fn cast(&self) -> &PlannedRun {
+        &self.cast
+    }
+}
+
+impl Describe for Player {
+    type Config = Config;
+    const NAME: &'static str = "player";
+    const ABOUT: &'static str = "replays a log's sweeps, poses, recorded detections and ground truth";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "log",
+            about: "path of the log",
+        },
+        Argument {
+            name: "ego",
+            about: "name of the ego; empty: the first eligible agent",
+        },
+        Argument {
+            name: "coop",
+            about: "who collaborates: all, v2v, v2i or i2i",
+        },
+        Argument {
+            name: "agents",
+            about: "who may take part; empty: all",
+        },
+        Argument {
+            name: "pose",
+            about: "poses that are sent: recorded or true",
+        },
+        Argument {
+            name: "offline",
+            about: "ready times are stamps, poses are exact where known",
+        },
+        Argument {
+            name: "points",
+            about: "whether sweeps have their points",
+        },
+        Argument {
+            name: "detections",
+            about: "recorded detections: optional, required or off",
+        },
+        Argument {
+            name: "rate",
+            about: "seconds of log time per second, in a realtime run",
+        },
+        Argument {
+            name: "repeat",
+            about: "passes over the log",
+        },
+        Argument {
+            name: "start",
+            about: "seconds that are left out at the log's beginning",
+        },
+        Argument {
+            name: "duration",
+            about: "seconds that are played; null: all",
+        },
+        Argument {
+            name: "run",
+            about: "name of the run, in every header",
+        },
+    ];
+    const INPUTS: &'static [Port] = &[];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps"),
+        Port::new("ego_poses", &[PayloadType::EgoState], "the ego's poses"),
+        Port::new(
+            "ego_recorded",
+            &[PayloadType::Boxes],
+            "detections recorded for the ego's sweeps",
+        ),
+        Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps"),
+        Port::new("poses", &[PayloadType::EgoState], "the collaborators' poses"),
+        Port::new(
+            "recorded",
+            &[PayloadType::Boxes],
+            "detections recorded for the collaborators' sweeps",
+        ),
+        Port::new(
+            "truth",
+            &[PayloadType::GroundTruth],
+            "ground truth for each of the ego's sweeps",
+        ),
+    ];
+}
+
+impl Source for Player {
+    fn new(config: Config) -> Result<Self, Error> {
+        check(&config)?;
+        let log = Log::open(&config.log)?;
+        let counters = Counters::default();
+        if let Some(cut) = log.truncation() {
+            eprintln!("warning: log `{}` is {cut}", config.log.display());
+            count(&counters, "log_truncated");
+        }
+        let plan = plan(&log, &config.ego, config.coop, &config.agents)?;
+        let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
+        if cast.collaborators.is_empty() {
+            let (ego, coop) = (&cast.ego, config.coop);
+            eprintln!("warning: no agent of the log can collaborate with `{ego}` in mode {coop}; it runs alone");
+            count(&counters, "runs_alone");
+        }
+        need_topics(&log, &cast, &config)?;
+        let (from, until) = window(&log, &config)?;
+        let script = Script {
+            log,
+            run: config.run.as_str().into(),
+            cast: cast.clone(),
+            offline: config.offline,
+            true_poses: config.pose == PoseSource::True,
+            points: config.points,
+            detections: config.detections != Detections::Off,
+            repeat: config.repeat,
+            from,
+            until,
+            counters: counters.clone(),
+        };
+        let releases = read_ahead(Feed::new(script)?)?;
+        Ok(Player {
+            releases,
+            counters,
+            rate: config.rate,
+            cast,
+            ended: false,
+        })
+    }
+
+    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
+        if self.ended {
+            return Ok(None);
+        }
+        let next = self
+            .releases
+            .recv()
+            .map_err(|_| "player: the reading thread stopped")??;
+        self.ended = next.is_none();
+        Ok(next)
+    }
+
+    fn counters(&self) -> BTreeMap<String, u64> {
+        self.counters
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner())
+            .clone()
+    }
+}
+
+fn count(counters: &Counters, counter: &str) {
+    counters
+        .lock()
+        .unwrap_or_else(|poisoned| poisoned.into_inner())
+        .insert(counter.into(), 1);
+}
+
+fn check(config: &Config) -> Result<(), Error> {
+    if !config.log.exists() {
+        return Err(no_log(&config.log).into());
+    }
+    let positive = |value: f64| value.is_finite() && value > 0.0;
+    if !positive(config.rate) {
+        return Err(format!("player: `rate` must be a positive number, found {}", config.rate).into());
+    }
+    if config.repeat == 0 {
+        return Err("player: `repeat` must be at least 1, found 0".into());
+    }
+    if !config.start.is_finite() || config.start < 0.0 {
+        return Err(format!("player: `start` must not be negative, found {}", config.start).into());
+    }
+    match config.duration {
+        Some(duration) if !positive(duration) => {
+            Err(format!("player: `duration` must be a positive number, found {duration}").into())
+        }
+        _ => Ok(()),
+    }
+}
+
+fn no_log(path: &Path) -> String {
+    let path = path.display();
+    format!(
+        "there is no log `{path}`; make one with `realo simulate --scenario intersection --seed 1 --seconds 10 -o {path}`"
+    )
+}
+
+fn need_topics(log: &Log, cast: &PlannedRun, config: &Config) -> Result<(), LogError> {
+    for agent in cast.agents() {
+        let exact = config.offline && log.has(agent, Stream::PoseTruth);
+        let pose = if config.pose == PoseSource::True || exact {
+            Stream::PoseTruth
+        } else {
+            Stream::Pose
+        };
+        log.need(agent, pose)?;
+        let bare = !config.points && log.has(agent, Stream::Sweeps);
+        log.need(agent, if bare { Stream::Sweeps } else { Stream::Points })?;
+        if config.detections == Detections::Required {
+            log.need(agent, Stream::Detections)?;
+        }
+    }
+    Ok(())
+}
+
+/// Log times between which sweeps are played.
+fn window(log: &Log, config: &Config) -> Result<(Nanos, Nanos), Error> {
+    let (first, last) = log
+        .span()
+        .ok_or_else(|| format!("`{}` has no messages", log.path().display()))?;
+    let from = first.saturating_add(from_seconds(config.start));
+    if from > last {
+        let (start, length) = (config.start, (last - first) as f64 * 1e-9);
+        return Err(format!("player: `start` is {start} s, but the log has only {length:.3} s").into());
+    }
+    let until = config
+        .duration
+        .map_or(Nanos::MAX, |duration| from.saturating_add(from_seconds(duration)));
+    Ok((from, until))
+}
+
+fn read_ahead(mut feed: Feed) -> Result<Receiver<Result<Option<Release>, LogError>>, Error> {
+    let (sender, releases) = sync_channel(AHEAD);
+    let read = move || {
+        loop {
+            let next = feed.next();
+            let last = !matches!(next, Ok(Some(_)));
+            if sender.send(next).is_err() || last {
+                return;
+            }
+        }
+    };
+    thread::Builder::new().name("player-read".into()).spawn(read)?;
+    Ok(releases)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_are_the_keys_of_the_configuration() {
+        let keys: Vec<String> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let names: Vec<&str> = Player::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, names);
+    }
+}

@@ -1,0 +1,509 @@
+//! What the player makes of a log of three agents.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter};
+use realo_player::{Config, Coop, Detections, Player, PoseSource, plan};
+use realo_runtime::{Describe, Error, Source};
+use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Kind, Message, Nanos, Payload, PointCloud, PoseStatus};
+
+const START: Nanos = 1_700_000_000_000_000_000;
+const MS: Nanos = 1_000_000;
+const SWEEPS: usize = 20;
+/// When each agent's sweeps are, after the start.
+const AGENTS: [(&str, AgentKind, Nanos); 3] = [
+    ("cav1", AgentKind::Vehicle, 50),
+    ("cav2", AgentKind::Vehicle, 70),
+    ("rsu1", AgentKind::Roadside, 20),
+];
+
+fn state(seconds: f64, status: PoseStatus) -> EgoState {
+    let pose = Isometry3::from_parts(Translation3::new(seconds, 0.0, 0.0), UnitQuaternion::identity());
+    EgoState {
+        map_from_body: pose,
+        covariance: None,
+        velocity: None,
+        angular_rate: None,
+        status,
+    }
+}
+
+fn object(track: u64) -> Box3 {
+    Box3 {
+        center: [track as f64, 0.0, 0.8],
+        length: 4.0,
+        width: 2.0,
+        height: 1.6,
+        yaw: 0.3,
+        velocity: Some([1.0, 0.0, 0.0]),
+        class: "car".into(),
+        score: 1.0,
+        track: Some(track),
+        covariance: None,
+    }
+}
+
+fn cloud(n: usize) -> PointCloud {
+    let column = vec![1.0f32; n];
+    PointCloud::new(
+        column.clone(),
+        column.clone(),
+        column,
+        vec![0u8; n],
+        vec![0i32; n],
+        vec![0u16; n],
+    )
+    .unwrap()
+}
+
+fn info() -> LogInfo {
+    let agents = AGENTS.map(|(name, kind, _)| AgentInfo {
+        name: name.into(),
+        kind,
+        footprint: Some([-1.0, 3.0, -1.0, 1.0]),
+        sensor: String::new(),
+        sensor_position: None,
+    });
+    let mut info = LogInfo::new("test", agents.to_vec());
+    info.end = Some(START + SWEEPS as Nanos * 100 * MS);
+    info
+}
+
+/// Tracks 1, 2, 3 everywhere; an agent has `10 × rank + sweep` points on track 1, none on 2, and rsu1 does not list 3.
+fn make(path: &Path) {
+    let mut log = LogWriter::create(path, &info()).unwrap();
+    for tick in 0..SWEEPS * 10 {
+        let now = START + tick as Nanos * 10 * MS;
+        for (rank, (agent, _, phase)) in AGENTS.into_iter().enumerate() {
+            let seconds = tick as f64 * 0.01;
+            log.pose(agent, now, now + MS, &state(seconds + 0.5, PoseStatus::Recorded))
+                .unwrap();
+            log.pose_truth(agent, now, now + MS, &state(seconds, PoseStatus::Truth))
+                .unwrap();
+            if tick % 10 != phase as usize / 10 {
+                continue;
+            }
+            let (sweep, ready) = (tick / 10, now + 50 * MS);
+            log.cloud(agent, now, ready, &cloud(100 + sweep)).unwrap();
+            log.detections(agent, now, ready, &Boxes(vec![object(sweep as u64)]))
+                .unwrap();
+            let tracks: &[u64] = if agent == "rsu1" { &[2, 1] } else { &[1, 2, 3] };
+            let objects: Vec<Box3> = tracks.iter().map(|track| object(*track)).collect();
+            let of = |track: &u64| if *track == 1 { (10 * rank + sweep) as u32 } else { 0 };
+            let points: Vec<u32> = tracks.iter().map(of).collect();
+            log.truth(agent, now, ready, &objects, Some(&points), sweep % 2 == 0)
+                .unwrap();
+        }
+    }
+    log.finish().unwrap();
+}
+
+fn made() -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    make(&path);
+    (dir, path)
+}
+
+type Played = Vec<(Nanos, &'static str, Message)>;
+
+fn play(config: Config) -> (Played, Player) {
+    let mut player = Player::new(config).unwrap();
+    let mut played = Vec::new();
+    while let Some((time, port, message)) = player.next().unwrap() {
+        played.push((time, Player::OUTPUTS[port.0].name, message));
+    }
+    assert!(player.next().unwrap().is_none());
+    (played, player)
+}
+
+fn config(log: &Path) -> Config {
+    Config {
+        log: log.into(),
+        ..Config::default()
+    }
+}
+
+fn on<'a>(played: &'a Played, port: &str) -> Vec<&'a Message> {
+    played
+        .iter()
+        .filter(|(_, name, _)| *name == port)
+        .map(|(_, _, message)| message)
+        .collect()
+}
+
+fn truths(played: &Played) -> Vec<GroundTruth> {
+    let truth = |message: &&Message| match &message.payload {
+        Payload::GroundTruth(truth) => truth.clone(),
+        other => panic!("{other:?}"),
+    };
+    on(played, "truth").iter().map(truth).collect()
+}
+
+#[test]
+fn plays_both_lanes_in_order_of_release() {
+    let (_dir, path) = made();
+    let (played, player) = play(config(&path));
+    assert_eq!(player.cast().ego, "cav1");
+    assert_eq!(player.counters(), Default::default());
+    assert!(played.windows(2).all(|pair| pair[0].0 <= pair[1].0));
+    let counts = [
+        "ego_clouds",
+        "ego_recorded",
+        "truth",
+        "clouds",
+        "recorded",
+        "ego_poses",
+        "poses",
+    ];
+    assert_eq!(
+        counts.map(|port| on(&played, port).len()),
+        [20, 20, 20, 40, 40, 200, 400]
+    );
+    for (index, message) in on(&played, "ego_clouds").into_iter().enumerate() {
+        let header = &message.header;
+        assert_eq!(
+            (&*header.agent, header.kind, header.seq),
+            ("cav1", Kind::Points, index as u64)
+        );
+        assert_eq!(
+            (header.stamp, header.ready),
+            (START + (50 + 100 * index as Nanos) * MS, header.stamp + 50 * MS)
+        );
+        assert_eq!((&*header.frame, &*header.run), ("cav1/body", "run"));
+        assert!(matches!(&message.payload, Payload::PointCloud(cloud) if cloud.len() == 100 + index));
+    }
+    for (sweep, boxes) in on(&played, "ego_clouds").into_iter().zip(on(&played, "ego_recorded")) {
+        assert_eq!(
+            (sweep.header.seq, sweep.header.stamp),
+            (boxes.header.seq, boxes.header.stamp)
+        );
+        assert!(matches!(&boxes.payload, Payload::Boxes(Boxes(b)) if *b == [object(sweep.header.seq)]));
+    }
+    // At equal times poses go before what they are needed for.
+    for pair in played.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+        assert!(!pair[1].1.ends_with("poses") || pair[0].1.ends_with("poses"));
+    }
+    let Payload::EgoState(pose) = &on(&played, "ego_poses")[3].payload else {
+        panic!()
+    };
+    assert_eq!(*pose, state(0.53, PoseStatus::Recorded));
+}
+
+#[test]
+fn joins_the_points_of_the_nearest_sweeps() {
+    let (_dir, path) = made();
+    let (played, _) = play(config(&path));
+    for (sweep, truth) in truths(&played).into_iter().enumerate() {
+        let agents: Vec<&str> = truth.agents.iter().map(|agent| &**agent).collect();
+        assert_eq!(agents, ["cav1", "cav2", "rsu1"]);
+        assert_eq!(truth.key, sweep % 2 == 0);
+        assert_eq!(truth.ego_footprint, Some([-1.0, 3.0, -1.0, 1.0]));
+        assert_eq!(truth.boxes, [object(1), object(2), object(3)]);
+        // cav2's sweep is 20 ms later, rsu1's 30 ms earlier.
+        let n = sweep as u32;
+        assert_eq!(truth.points, [n, 10 + n, 20 + n, 0, 0, 0, 0, 0, 0]);
+    }
+}
+
+#[test]
+fn a_collaborators_nearest_sweep_may_come_later() {
+    let (_dir, path) = made();
+    let (played, _) = play(Config {
+        ego: "rsu1".into(),
+        ..config(&path)
+    });
+    let truth = &truths(&played)[4];
+    // From 420 ms: cav1 at 450 rather than 350, cav2 at 370 and 470 alike: the earlier.
+    assert_eq!(
+        truth.agents.iter().map(|agent| &**agent).collect::<Vec<_>>(),
+        ["rsu1", "cav1", "cav2"]
+    );
+    assert_eq!(truth.points, [0, 0, 0, 24, 4, 13]);
+}
+
+#[test]
+fn modes_choose_who_takes_part() {
+    let (_dir, path) = made();
+    let log = Log::open(&path).unwrap();
+    let runs = |ego: &str, coop, agents: &[&str]| {
+        let agents: Vec<String> = agents.iter().map(|agent| agent.to_string()).collect();
+        let plan = plan(&log, ego, coop, &agents);
+        plan.map(|plan| {
+            plan.runs
+                .into_iter()
+                .map(|run| run.agents().collect::<Vec<_>>().join("+"))
+                .collect::<Vec<_>>()
+        })
+    };
+    assert_eq!(runs("", Coop::All, &[]).unwrap(), ["cav1+cav2+rsu1", "cav2+cav1+rsu1"]);
+    assert_eq!(runs("", Coop::V2v, &[]).unwrap(), ["cav1+cav2", "cav2+cav1"]);
+    assert_eq!(runs("", Coop::V2i, &[]).unwrap(), ["cav1+rsu1", "cav2+rsu1"]);
+    assert_eq!(runs("", Coop::I2i, &[]).unwrap(), ["rsu1"]);
+    assert_eq!(runs("cav2", Coop::All, &["rsu1"]).unwrap(), ["cav2+rsu1"]);
+    assert_eq!(runs("rsu1", Coop::All, &[]).unwrap(), ["rsu1+cav1+cav2"]);
+    assert_eq!(runs("", Coop::All, &["rsu1"]).unwrap(), ["rsu1"]);
+    let error = runs("rsu1", Coop::V2i, &[]).unwrap_err().to_string();
+    assert!(
+        error.contains("`rsu1` is a roadside") && error.contains("cav1, cav2"),
+        "{error}"
+    );
+    let error = runs("", Coop::I2i, &["cav1"]).unwrap_err().to_string();
+    assert!(error.contains("rsu1 (roadside)"), "{error}");
+    let error = runs("cav9", Coop::All, &[]).unwrap_err().to_string();
+    assert!(error.contains("no agent `cav9`; it has: cav1, cav2, rsu1"), "{error}");
+
+    let (played, player) = play(Config {
+        coop: Coop::I2i,
+        ..config(&path)
+    });
+    assert_eq!(player.counters()["runs_alone"], 1);
+    assert!(on(&played, "clouds").is_empty() && on(&played, "ego_clouds").len() == SWEEPS);
+}
+
+#[test]
+fn offline_everything_is_ready_at_its_stamp_with_true_poses() {
+    let (_dir, path) = made();
+    let (played, _) = play(Config {
+        offline: true,
+        ..config(&path)
+    });
+    assert!(played.windows(2).all(|pair| pair[0].0 <= pair[1].0));
+    assert!(
+        played
+            .iter()
+            .all(|(time, _, message)| *time == message.header.stamp && *time == message.header.ready)
+    );
+    let counts = [
+        "ego_clouds",
+        "ego_recorded",
+        "truth",
+        "clouds",
+        "recorded",
+        "ego_poses",
+        "poses",
+    ];
+    assert_eq!(
+        counts.map(|port| on(&played, port).len()),
+        [20, 20, 20, 40, 40, 200, 400]
+    );
+    let Payload::EgoState(pose) = &on(&played, "ego_poses")[3].payload else {
+        panic!()
+    };
+    assert_eq!(*pose, state(0.03, PoseStatus::Truth));
+    // The pose of a sweep's very stamp goes before the sweep.
+    let sweep = played.iter().position(|(_, port, _)| *port == "ego_clouds").unwrap();
+    let before = played[..sweep]
+        .iter()
+        .rev()
+        .find(|(_, port, _)| *port == "ego_poses")
+        .unwrap();
+    assert_eq!(before.0, played[sweep].0);
+}
+
+#[test]
+fn without_points_sweeps_keep_their_headers() {
+    let (_dir, path) = made();
+    let (with, _) = play(config(&path));
+    let (without, _) = play(Config {
+        points: false,
+        ..config(&path)
+    });
+    let headers = |played: &Played| {
+        on(played, "clouds")
+            .into_iter()
+            .map(|m| m.header.clone())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(headers(&with), headers(&without));
+    assert!(
+        on(&without, "clouds")
+            .iter()
+            .all(|m| matches!(&m.payload, Payload::PointCloud(cloud) if cloud.is_empty()))
+    );
+    assert_eq!(truths(&with), truths(&without));
+    let (off, _) = play(Config {
+        detections: Detections::Off,
+        pose: PoseSource::True,
+        ..config(&path)
+    });
+    assert!(on(&off, "recorded").is_empty() && on(&off, "ego_recorded").is_empty());
+    assert!(
+        on(&off, "poses")
+            .iter()
+            .all(|m| matches!(&m.payload, Payload::EgoState(s) if s.status == PoseStatus::Truth))
+    );
+}
+
+#[test]
+fn a_part_of_a_log_keeps_its_numbers() {
+    let (_dir, path) = made();
+    let (played, _) = play(Config {
+        start: 1.0,
+        duration: Some(0.5),
+        ..config(&path)
+    });
+    let seqs: Vec<u64> = on(&played, "ego_clouds")
+        .iter()
+        .map(|message| message.header.seq)
+        .collect();
+    assert_eq!(seqs, [10, 11, 12, 13, 14]);
+    assert!(truths(&played).iter().all(|truth| truth.boxes.len() == 3));
+    assert!(played[0].1.ends_with("poses"));
+    let error = Player::new(Config {
+        start: 60.0,
+        ..config(&path)
+    })
+    .err()
+    .unwrap()
+    .to_string();
+    assert!(error.contains("`start` is 60 s, but the log has only"), "{error}");
+}
+
+#[test]
+fn repeated_passes_go_on_in_time_and_numbers() {
+    let (_dir, path) = made();
+    for offline in [false, true] {
+        let (played, _) = play(Config {
+            repeat: 3,
+            offline,
+            ..config(&path)
+        });
+        assert!(played.windows(2).all(|pair| pair[0].0 <= pair[1].0));
+        for port in ["ego_clouds", "ego_recorded", "truth", "ego_poses"] {
+            let messages = on(&played, port);
+            let per_pass = messages.len() / 3;
+            assert!(
+                messages
+                    .iter()
+                    .enumerate()
+                    .all(|(index, m)| m.header.seq == index as u64),
+                "{port}"
+            );
+            let (first, second) = (&messages[0], &messages[per_pass]);
+            assert_eq!(first.payload, second.payload);
+            assert!(second.header.stamp - first.header.stamp > 2900 * MS);
+        }
+    }
+}
+
+#[test]
+fn a_cut_log_is_played_up_to_the_cut_and_counted() {
+    let (dir, path) = made();
+    let bytes = fs::read(&path).unwrap();
+    let cut = dir.path().join("cut.mcap");
+    fs::write(&cut, &bytes[..bytes.len() * 6 / 10]).unwrap();
+    let (played, player) = play(config(&cut));
+    assert_eq!(player.counters()["log_truncated"], 1);
+    let (whole, _) = play(config(&path));
+    let (left, all) = (on(&played, "ego_clouds"), on(&whole, "ego_clouds"));
+    assert!(
+        left.len() < all.len() && left.len() >= 2,
+        "{} of {}",
+        left.len(),
+        all.len()
+    );
+    assert!(left.iter().zip(&all).all(|(a, b)| a == b));
+}
+
+fn refused(config: Config) -> String {
+    Player::new(config).err().map(|error: Error| error.to_string()).unwrap()
+}
+
+#[test]
+fn says_what_a_log_lacks() {
+    let (dir, path) = made();
+    let error = refused(config(&dir.path().join("none.mcap")));
+    assert!(
+        error.contains("none.mcap") && error.contains("realo simulate"),
+        "{error}"
+    );
+    assert!(
+        refused(Config {
+            rate: 0.0,
+            ..config(&path)
+        })
+        .contains("`rate`")
+    );
+    assert!(
+        refused(Config {
+            repeat: 0,
+            ..config(&path)
+        })
+        .contains("`repeat`")
+    );
+    assert!(
+        refused(Config {
+            duration: Some(f64::NAN),
+            ..config(&path)
+        })
+        .contains("`duration`")
+    );
+    assert!(
+        refused(Config {
+            agents: vec!["rsu7".into()],
+            ..config(&path)
+        })
+        .contains("`rsu7`")
+    );
+
+    let bare = dir.path().join("bare.mcap");
+    let mut log = LogWriter::create(&bare, &info()).unwrap();
+    for (agent, _, _) in AGENTS {
+        log.pose(agent, START, START, &state(0.0, PoseStatus::Recorded))
+            .unwrap();
+        log.sweep(agent, START, START).unwrap();
+    }
+    log.finish().unwrap();
+    let error = refused(config(&bare));
+    assert!(
+        error.contains("no messages on `/cav1/points`") && error.contains("has: pose, sweeps"),
+        "{error}"
+    );
+    let (played, _) = play(Config {
+        points: false,
+        ..config(&bare)
+    });
+    assert_eq!((on(&played, "ego_clouds").len(), on(&played, "clouds").len()), (1, 2));
+    assert_eq!(
+        truths(&played),
+        [GroundTruth {
+            agents: ["cav1", "cav2", "rsu1"].map(Into::into).to_vec(),
+            ego_footprint: Some([-1.0, 3.0, -1.0, 1.0]),
+            ..GroundTruth::default()
+        }]
+    );
+    let error = refused(Config {
+        points: false,
+        detections: Detections::Required,
+        ..config(&bare)
+    });
+    assert!(error.contains("/cav1/detections"), "{error}");
+    let error = refused(Config {
+        points: false,
+        pose: PoseSource::True,
+        ..config(&bare)
+    });
+    assert!(error.contains("/cav1/pose_truth"), "{error}");
+}
+
+#[test]
+fn poses_that_are_no_poses_are_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let mut log = LogWriter::create(&path, &info()).unwrap();
+    for tick in 0..10 {
+        let stamp = START + tick * 10 * MS;
+        let x = if tick == 4 { f64::NAN } else { 1.0 };
+        for (agent, _, _) in AGENTS {
+            log.pose(agent, stamp, stamp, &state(x, PoseStatus::Recorded)).unwrap();
+            log.cloud(agent, stamp, stamp, &cloud(0)).unwrap();
+        }
+    }
+    log.finish().unwrap();
+    let (played, player) = play(config(&path));
+    assert_eq!(on(&played, "ego_poses").len(), 9);
+    assert_eq!(player.counters()["poses_unusable"], 3);
+}

@@ -1,0 +1,178 @@
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use realo_logs::cdr::CdrReader;
+use realo_logs::{BoxesInfo, LogError, McapFile, RECORDING_RECORD, RawMessage, Schema, boxes};
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Pose};
+use serde_json::Value;
+
+/// The final boxes of a recording, in order of their ready time, bit for bit as the recorder got them.
+///
+/// Headers have agent, seq, stamp, ready, frame and pose. Of a recording that was cut all before the cut is read.
+///
+/// # Errors
+/// A file that cannot be read or is no recording; messages that cannot be read.
+pub fn read_boxes(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
+    let messages = read_with_companions(recording.as_ref(), "/boxes", Kind::Boxes)?;
+    Ok(messages
+        .into_iter()
+        .map(|(header, boxes, _)| Message::new(header, boxes))
+        .collect())
+}
+
+/// The recorded ground truth, as [`read_boxes`]; without the ego's footprint.
+///
+/// # Errors
+/// As [`read_boxes`].
+pub fn read_truth(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
+    let messages = read_with_companions(recording.as_ref(), "/ground_truth", Kind::Truth)?;
+    let message = |(header, boxes, info): (Header, Boxes, BoxesInfo)| {
+        let points = info.points.unwrap_or_default();
+        let truth = GroundTruth {
+            boxes: boxes.0,
+            agents: info.agents,
+            points,
+            ego_footprint: None,
+            key: info.key,
+        };
+        Message::new(header, truth)
+    };
+    Ok(messages.into_iter().map(message).collect())
+}
+
+type WithCompanion = (Header, Boxes, BoxesInfo);
+
+fn read_with_companions(recording: &Path, ending: &str, kind: Kind) -> Result<Vec<WithCompanion>, LogError> {
+    let file = open(recording)?;
+    let mut parts: BTreeMap<Name, RawMessage> = BTreeMap::new();
+    let mut found = Vec::new();
+    let topics = topics(&file, |topic| {
+        topic.strip_suffix("_info").unwrap_or(topic).ends_with(ending)
+    });
+    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
+    while let Some(raw) = messages.next()? {
+        let topic = &topics[&raw.channel];
+        let agent: Name = topic.split('/').nth(1).unwrap_or_default().into();
+        if !topic.ends_with("_info") {
+            parts.insert(agent, raw);
+            continue;
+        }
+        let Some(array) = parts
+            .remove(&agent)
+            .filter(|array| array.publish_time == raw.publish_time)
+        else {
+            continue;
+        };
+        found.push(
+            read_pair(&agent, kind, &array, &raw).map_err(|reason| LogError::Content {
+                topic: topic.clone(),
+                log_time: raw.log_time as Nanos,
+                reason,
+            })?,
+        );
+    }
+    Ok(found)
+}
+
+fn read_pair(agent: &Name, kind: Kind, array: &RawMessage, companion: &RawMessage) -> Result<WithCompanion, String> {
+    let (stamp, mut boxes): (Nanos, Boxes) = boxes::decode(array.data())?;
+    let (_, info) = boxes::decode_info(companion.data(), &mut boxes)?;
+    let (_, frame) = CdrReader::new(array.data())?.header()?;
+    let mut header = Header::origin(
+        &"recording".into(),
+        agent,
+        kind,
+        info.seq,
+        stamp,
+        array.log_time as Nanos,
+    );
+    header.frame = frame.into();
+    header.pose = info.map_from_frame.map(Pose::exact);
+    Ok((header, boxes, info))
+}
+
+/// The reports of a recording, in order: topic, agent where one reported, and document. The last of a finished run are
+/// its `books`.
+///
+/// # Errors
+/// As [`read_boxes`].
+pub fn read_reports(recording: impl AsRef<Path>) -> Result<Vec<Value>, LogError> {
+    let file = open(recording.as_ref())?;
+    let topics = topics(&file, |topic| topic == "/reports");
+    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
+    let mut found = Vec::new();
+    while let Some(raw) = messages.next()? {
+        let bad = |reason: String| LogError::Content {
+            topic: "/reports".into(),
+            log_time: raw.log_time as Nanos,
+            reason,
+        };
+        let text = CdrReader::new(raw.data())
+            .and_then(|mut input| input.string())
+            .map_err(bad)?;
+        found.push(serde_json::from_str(text).map_err(|error| bad(error.to_string()))?);
+    }
+    Ok(found)
+}
+
+/// The agents of the run, ego first, as the recorded truth names them; `None` in a recording without truth.
+///
+/// # Errors
+/// As [`read_boxes`].
+pub fn read_agents(recording: impl AsRef<Path>) -> Result<Option<Vec<String>>, LogError> {
+    let file = open(recording.as_ref())?;
+    let topics = topics(&file, |topic| {
+        topic.ends_with("/ground_truth") || topic.ends_with("/ground_truth_info")
+    });
+    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
+    let mut truth = None;
+    while let Some(raw) = messages.next()? {
+        let topic = &topics[&raw.channel];
+        let bad = |reason: String| LogError::Content {
+            topic: topic.clone(),
+            log_time: raw.log_time as Nanos,
+            reason,
+        };
+        match truth.take() {
+            Some(mut boxes) if topic.ends_with("_info") => {
+                let (_, info) = boxes::decode_info(raw.data(), &mut boxes).map_err(bad)?;
+                return Ok(Some(info.agents.iter().map(|agent| agent.to_string()).collect()));
+            }
+            _ => truth = Some(boxes::decode(raw.data()).map_err(bad)?.1),
+        }
+    }
+    Ok(None)
+}
+
+fn open(path: &Path) -> Result<McapFile, LogError> {
+    let file = McapFile::open(path)?;
+    if file.metadata().contains_key(RECORDING_RECORD) {
+        return Ok(file);
+    }
+    let names: BTreeSet<&str> = file.metadata().keys().map(String::as_str).collect();
+    let found = if names.is_empty() {
+        "none".into()
+    } else {
+        names.into_iter().collect::<Vec<_>>().join(", ")
+    };
+    Err(LogError::NotRealo {
+        path: path.into(),
+        expected: "recording of a run",
+        record: RECORDING_RECORD,
+        found,
+        hint: "the node `recorder` of a graph makes recordings",
+    })
+}
+
+fn topics(file: &McapFile, wanted: impl Fn(&str) -> bool) -> BTreeMap<u16, String> {
+    let of_ours = |schema: &str| {
+        [Schema::Detection3DArray, Schema::BoxesInfo, Schema::String]
+            .iter()
+            .any(|s| s.name() == schema)
+    };
+    let channels = file
+        .channels()
+        .iter()
+        .filter(|(_, channel)| of_ours(&channel.schema) && wanted(&channel.topic));
+    channels.map(|(id, channel)| (*id, channel.topic.clone())).collect()
+}

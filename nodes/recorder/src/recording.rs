@@ -1,0 +1,165 @@
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use realo_logs::cdr::CdrWriter;
+use realo_logs::{
+    BoxesInfo, ChannelId, Lane, LogError, McapWriter, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
+};
+use realo_runtime::Books;
+use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Header, Nanos, Packet, PointCloud, Report};
+use serde_json::{Value, json};
+
+/// A recording in the making.
+pub struct Recording {
+    path: PathBuf,
+    mcap: McapWriter,
+    channels: BTreeMap<String, ChannelId>,
+    last: Nanos,
+}
+
+impl Recording {
+    pub fn create(path: &Path) -> Result<Self, LogError> {
+        let io = |action| {
+            move |source| LogError::Io {
+                path: path.into(),
+                action,
+                source,
+            }
+        };
+        if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            fs::create_dir_all(folder).map_err(io("make the folder of"))?;
+        }
+        let file = File::create(path).map_err(io("create"))?;
+        let metadata = BTreeMap::from([("format".into(), "1".into()), ("program".into(), program())]);
+        let mcap = McapWriter::new(file, &program(), RECORDING_RECORD, &metadata).map_err(io("start writing"))?;
+        Ok(Recording {
+            path: path.into(),
+            mcap,
+            channels: BTreeMap::new(),
+            last: 0,
+        })
+    }
+
+    pub fn boxes(&mut self, topic: &str, header: &Header, boxes: &Boxes) -> Result<(), LogError> {
+        self.write_boxes(topic, header, &boxes.0, &BoxesInfo::default())
+    }
+
+    pub fn truth(&mut self, header: &Header, truth: &GroundTruth) -> Result<(), LogError> {
+        let counted = truth.points.len() == truth.boxes.len() * truth.agents.len();
+        let info = BoxesInfo {
+            key: truth.key,
+            agents: truth.agents.clone(),
+            points: counted.then(|| truth.points.clone()),
+            ..BoxesInfo::default()
+        };
+        self.write_boxes("ground_truth", header, &truth.boxes, &info)
+    }
+
+    fn write_boxes(&mut self, topic: &str, header: &Header, boxes: &[Box3], info: &BoxesInfo) -> Result<(), LogError> {
+        let (stamp, frame) = (header.stamp, &*header.frame);
+        let map_from_frame = header.pose.as_ref().map(|pose| pose.map_from_frame);
+        let info = BoxesInfo {
+            seq: header.seq,
+            map_from_frame,
+            ..info.clone()
+        };
+        let topic = format!("/{}/{topic}", header.agent);
+        self.write(&topic, Schema::Detection3DArray, header, |out| {
+            boxes::encode(out, stamp, frame, boxes)
+        })?;
+        self.write(&format!("{topic}_info"), Schema::BoxesInfo, header, |out| {
+            boxes::encode_info(out, stamp, frame, boxes, &info);
+        })?;
+        self.write(&format!("{topic}_markers"), Schema::MarkerArray, header, |out| {
+            boxes::encode_markers(out, stamp, frame, &topic, boxes);
+        })
+    }
+
+    pub fn state(&mut self, header: &Header, state: &EgoState) -> Result<(), LogError> {
+        let (stamp, topic) = (header.stamp, format!("/{}/pose", header.agent));
+        let schema = Schema::PoseWithCovarianceStamped;
+        self.write(&topic, schema, header, |out| pose::encode(out, stamp, "map", state))?;
+        let body = format!("{}/body", header.agent);
+        self.write("/tf", Schema::TfMessage, header, |out| {
+            pose::encode_transform(out, stamp, "map", &body, &state.map_from_body);
+        })
+    }
+
+    pub fn cloud(&mut self, header: &Header, cloud: &PointCloud) -> Result<(), LogError> {
+        let (stamp, topic) = (header.stamp, format!("/{}/points", header.agent));
+        self.write(&topic, Schema::PointCloud2, header, |out| {
+            cloud::encode(out, stamp, &header.frame, cloud)
+        })
+    }
+
+    pub fn packet(&mut self, header: &Header, packet: &Packet) -> Result<(), LogError> {
+        self.write("/packets", Schema::PacketInfo, header, |out| {
+            let mut out = CdrWriter::new(out);
+            out.header(header.stamp, &header.frame);
+            out.string(&header.agent);
+            out.string(header.to.as_deref().unwrap_or_default());
+            out.string(header.kind.as_str());
+            out.u64(header.seq);
+            out.u64(header.ready as u64);
+            out.length(packet.codec.len());
+            packet.codec.iter().for_each(|codec| out.string(codec));
+            out.u64(packet.bytes.len() as u64);
+        })
+    }
+
+    pub fn report(&mut self, header: &Header, report: &Report) -> Result<(), LogError> {
+        let document: Value = serde_json::from_str(&report.json).unwrap_or_else(|_| Value::String(report.json.clone()));
+        let text = json!({ "topic": &*report.topic, "agent": &*header.agent, "report": document }).to_string();
+        self.write("/reports", Schema::String, header, |out| {
+            CdrWriter::new(out).string(&text)
+        })
+    }
+
+    pub fn finish(mut self, books: &Books) -> Result<(), LogError> {
+        let books = json!({ "topic": "books", "report": books }).to_string();
+        let last = self.last;
+        self.put("/reports", Schema::String, last, last, |out| {
+            CdrWriter::new(out).string(&books)
+        })?;
+        self.mcap.finish().map_err(|failure| failure.of(&self.path))
+    }
+
+    fn write(
+        &mut self,
+        topic: &str,
+        schema: Schema,
+        header: &Header,
+        encode: impl FnOnce(&mut Vec<u8>),
+    ) -> Result<(), LogError> {
+        self.put(topic, schema, header.ready, header.stamp, encode)
+    }
+
+    fn put(
+        &mut self,
+        topic: &str,
+        schema: Schema,
+        ready: Nanos,
+        stamp: Nanos,
+        encode: impl FnOnce(&mut Vec<u8>),
+    ) -> Result<(), LogError> {
+        self.last = self.last.max(ready);
+        let lane = if schema == Schema::PointCloud2 {
+            Lane::Bulk
+        } else {
+            Lane::Small
+        };
+        let channel = match self.channels.get(topic) {
+            Some(channel) => *channel,
+            None => {
+                let channel = self.mcap.channel(topic, schema, lane);
+                self.channels.insert(topic.into(), channel);
+                channel
+            }
+        };
+        let written = self
+            .mcap
+            .write(channel, ready.max(0) as u64, stamp.max(0) as u64, encode);
+        written.map(|_| ()).map_err(|failure| failure.of(&self.path))
+    }
+}

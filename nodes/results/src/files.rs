@@ -1,0 +1,353 @@
+//! The files of a run's folder.
+
+use std::fs::File;
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::result::RESULT;
+use crate::run::SAMPLES;
+use crate::timing::TIMING;
+use crate::{Run, VERSION};
+
+const RESULT_FILE: &str = "result.json";
+const TIMING_FILE: &str = "timing.json";
+const SAMPLES_FILE: &str = "evaluation.json";
+/// In the order in which they are removed; written the other way round, so that a result is never without the others.
+const FILES: [(&str, &str); 3] = [(RESULT_FILE, RESULT), (TIMING_FILE, TIMING), (SAMPLES_FILE, SAMPLES)];
+
+/// Why a run's folder cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum FilesError {
+    /// No such folder.
+    #[error("{folder}: no such folder; expected the folder of a run, as `realo run --out` writes it")]
+    NoFolder {
+        /// As it was asked for.
+        folder: PathBuf,
+    },
+    /// A folder in which no run has come to its end.
+    #[error(
+        "{folder}: there is no `{RESULT_FILE}`: no run has come to its end here{hint}; expected the folder of a complete run"
+    )]
+    Incomplete {
+        /// The folder.
+        folder: PathBuf,
+        /// What there is instead.
+        hint: String,
+    },
+    /// A file of somebody else.
+    #[error("{file}: expected a file of realo with \"schema\": \"{expected}\", found {found}")]
+    Foreign {
+        /// The file.
+        file: PathBuf,
+        /// The schema that it should name.
+        expected: &'static str,
+        /// What it is.
+        found: String,
+    },
+    /// A folder with a file of somebody else is not written to.
+    #[error("{file} is not of realo ({found}) and is not overwritten; choose another folder (argument `out`)")]
+    Occupied {
+        /// The file.
+        file: PathBuf,
+        /// What it is.
+        found: String,
+    },
+    /// A file of another version.
+    #[error("{file}: version {found}, this program reads version {VERSION}; read it with the release that wrote it")]
+    Version {
+        /// The file.
+        file: PathBuf,
+        /// Its version.
+        found: Value,
+    },
+    /// A field that does not fit.
+    #[error("{file}: {reason}; the file is damaged: run again")]
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// The field and what was expected.
+        reason: String,
+    },
+    /// The system refuses.
+    #[error("{file}: cannot be read: {reason}")]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        reason: std::io::Error,
+    },
+    /// The system refuses.
+    #[error("{file}: cannot be written: {reason}{hint}")]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        reason: std::io::Error,
+        /// What helps.
+        hint: &'static str,
+    },
+}
+
+/// Reads the folder of a complete run.
+///
+/// # Errors
+/// [`FilesError`] names the file and what was expected.
+pub fn read_run(folder: impl AsRef<Path>) -> Result<Run, FilesError> {
+    let folder = folder.as_ref();
+    if !folder.is_dir() {
+        return Err(FilesError::NoFolder { folder: folder.into() });
+    }
+    if !folder.join(RESULT_FILE).exists() {
+        return Err(FilesError::Incomplete {
+            folder: folder.into(),
+            hint: what_else(folder),
+        });
+    }
+    Ok(Run {
+        result: read(&folder.join(RESULT_FILE), RESULT)?,
+        timing: read(&folder.join(TIMING_FILE), TIMING)?,
+        samples: read(&folder.join(SAMPLES_FILE), SAMPLES)?,
+    })
+}
+
+/// Folders below that hold a run, which may be the ones that were meant.
+fn what_else(folder: &Path) -> String {
+    let mut runs: Vec<String> = std::fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| entry.path().join(RESULT_FILE).exists())
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    runs.sort();
+    match runs.is_empty() {
+        true => String::new(),
+        false => format!(" (there is one in: {})", runs.join(", ")),
+    }
+}
+
+/// Writes a run's folder: each file at once or not at all, `result.json` last.
+///
+/// # Errors
+/// [`FilesError`] names the file; nothing of somebody else is overwritten.
+pub fn write_run(folder: impl AsRef<Path>, run: &Run) -> Result<(), FilesError> {
+    let folder = folder.as_ref();
+    claim(folder)?;
+    write(&folder.join(SAMPLES_FILE), &run.samples, false)?;
+    write(&folder.join(TIMING_FILE), &run.timing, true)?;
+    write(&folder.join(RESULT_FILE), &run.result, true)
+}
+
+/// Makes the folder and removes an earlier run's files from it, so that no result stands there until this one is written.
+///
+/// # Errors
+/// [`FilesError`] if the folder cannot be made or holds files of these names that are not of realo.
+pub fn claim(folder: &Path) -> Result<(), FilesError> {
+    std::fs::create_dir_all(folder).map_err(|reason| refused(folder, reason))?;
+    let present = FILES.iter().filter(|(name, _)| folder.join(name).exists());
+    let present: Vec<PathBuf> = present
+        .map(|(name, schema)| {
+            let file = folder.join(name);
+            match read_any(&file, schema) {
+                Ok(_) | Err(FilesError::Version { .. }) => Ok(file),
+                Err(FilesError::Foreign { file, found, .. }) => Err(FilesError::Occupied { file, found }),
+                Err(error) => Err(error),
+            }
+        })
+        .collect::<Result<_, _>>()?;
+    for file in present {
+        std::fs::remove_file(&file).map_err(|reason| refused(&file, reason))?;
+    }
+    Ok(())
+}
+
+fn refused(file: &Path, reason: std::io::Error) -> FilesError {
+    let hint = match reason.kind() {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
+            "; free some space or choose another disk (argument `out`)"
+        }
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "; choose another folder (argument `out`)",
+        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => {
+            "; a file stands where a folder is needed (argument `out`)"
+        }
+        _ => "",
+    };
+    FilesError::Write {
+        file: file.into(),
+        reason,
+        hint,
+    }
+}
+
+fn write<T: Serialize>(file: &Path, document: &T, readable: bool) -> Result<(), FilesError> {
+    let text = match readable {
+        true => serde_json::to_vec_pretty(document),
+        false => serde_json::to_vec(document),
+    };
+    let mut text = text.map_err(|error| refused(file, error.into()))?;
+    text.push(b'\n');
+    let partial = file.with_extension("json.partial");
+    let written = File::create(&partial)
+        .and_then(|mut file| file.write_all(&text).and_then(|()| file.sync_all()))
+        .and_then(|()| std::fs::rename(&partial, file));
+    written.map_err(|reason| {
+        // The first error is the one that matters; what is left over is overwritten by the next run.
+        let _ = std::fs::remove_file(&partial);
+        refused(file, reason)
+    })
+}
+
+/// A file of the schema and version that this program knows.
+fn read_any(file: &Path, schema: &'static str) -> Result<Vec<u8>, FilesError> {
+    #[derive(serde::Deserialize)]
+    struct Head {
+        schema: Value,
+        #[serde(default)]
+        version: Value,
+    }
+    let text = std::fs::read(file).map_err(|reason| FilesError::Read {
+        file: file.into(),
+        reason,
+    })?;
+    let foreign = |found: String| FilesError::Foreign {
+        file: file.into(),
+        expected: schema,
+        found,
+    };
+    let head: Head = serde_json::from_slice(&text).map_err(|error| {
+        foreign(match error.is_data() {
+            true => "JSON without a schema".into(),
+            false => format!("no JSON: {error}"),
+        })
+    })?;
+    if head.schema != schema {
+        return Err(foreign(format!("\"schema\": {}", head.schema)));
+    }
+    if head.version != VERSION {
+        return Err(FilesError::Version {
+            file: file.into(),
+            found: head.version,
+        });
+    }
+    Ok(text)
+}
+
+fn read<T: DeserializeOwned>(file: &Path, schema: &'static str) -> Result<T, FilesError> {
+    let text = read_any(file, schema)?;
+    serde_json::from_slice(&text).map_err(|error| FilesError::Damaged {
+        file: file.into(),
+        reason: error.to_string(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{RunResult, Samples, Settings, Timing};
+
+    fn run(graph: &str) -> Run {
+        let settings = Settings {
+            graph: graph.into(),
+            ..Settings::default()
+        };
+        Run {
+            result: RunResult::new(settings),
+            timing: Timing::default(),
+            samples: Samples::default(),
+        }
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = std::fs::read_dir(folder).unwrap();
+        let mut names: Vec<_> = entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn reads_what_it_wrote_and_replaces_an_earlier_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("a/b");
+        for graph in ["one", "two"] {
+            write_run(&folder, &run(graph)).unwrap();
+            assert_eq!(read_run(&folder).unwrap(), run(graph));
+            assert_eq!(names(&folder), ["evaluation.json", "result.json", "timing.json"]);
+        }
+    }
+
+    #[test]
+    fn a_claimed_folder_holds_no_result() {
+        let folder = tempfile::tempdir().unwrap();
+        write_run(folder.path(), &run("one")).unwrap();
+        std::fs::write(folder.path().join("detections.mcap"), "boxes").unwrap();
+        claim(folder.path()).unwrap();
+        assert_eq!(names(folder.path()), ["detections.mcap"]);
+        let error = read_run(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("no run has come to its end"), "{error}");
+    }
+
+    #[test]
+    fn refuses_folders_and_files_of_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = read_run(folder.path().join("x")).unwrap_err().to_string();
+        assert!(error.contains("no such folder"), "{error}");
+        write_run(folder.path().join("cav1"), &run("one")).unwrap();
+        let error = read_run(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("there is one in: cav1"), "{error}");
+
+        let file = folder.path().join(RESULT_FILE);
+        for (text, expected) in [
+            ("{\"score\": 1}", "JSON without a schema"),
+            ("{\"schema\": \"other\", \"version\": 1}", "found \"schema\": \"other\""),
+            ("result", "no JSON"),
+        ] {
+            std::fs::write(&file, text).unwrap();
+            let error = read_run(folder.path()).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("realo/result"), "{error}");
+            let error = write_run(folder.path(), &run("two")).unwrap_err().to_string();
+            assert!(error.contains("not overwritten") && error.contains("`out`"), "{error}");
+            assert_eq!(std::fs::read_to_string(&file).unwrap(), text);
+        }
+        std::fs::write(&file, "{\"schema\": \"realo/result\", \"version\": 99}").unwrap();
+        let error = read_run(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("version 99"), "{error}");
+        std::fs::write(&file, "{\"schema\": \"realo/result\", \"version\": 1}").unwrap();
+        let error = read_run(folder.path()).unwrap_err().to_string();
+        assert!(
+            error.contains("result.json") && error.contains("missing field"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_file_in_the_way_of_the_folder_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("out");
+        std::fs::write(&file, "").unwrap();
+        let error = write_run(&file, &run("one")).unwrap_err().to_string();
+        assert!(
+            error.contains("out") && error.contains("a file stands where a folder is needed"),
+            "{error}"
+        );
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_leaves_no_result_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let partial = folder.path().join("timing.json.partial");
+        std::os::unix::fs::symlink("/dev/full", &partial).unwrap();
+        let error = write_run(folder.path(), &run("one")).unwrap_err().to_string();
+        assert!(
+            error.contains("timing.json") && error.contains("free some space"),
+            "{error}"
+        );
+        assert_eq!(names(folder.path()), ["evaluation.json"]);
+    }
+}

@@ -1,0 +1,41 @@
+//! The node `results`: closes the books of a run and writes the files of its folder, and reads them again.
+//!
+//! | port | type | content |
+//! |---|---|---|
+//! | in `boxes` | Boxes | the final boxes |
+//! | in `truth` | GroundTruth | one for every sweep of the ego; without it the sweeps that gave no boxes are not known |
+//! | in `evaluation` | Report | topic `evaluation`, of the evaluator |
+//! | in `bank` | Report | topic `bank`, of the feature bank |
+//! | in `fusion` | Report | topic `fusion`, of the fusion |
+//! | in `link` | Report | topic `link`, of the link that carries data |
+//! | in `link_state` | Report | topic `link`, of the link that carries everybody's EgoState |
+//!
+//! | file | type | content |
+//! |---|---|---|
+//! | `result.json` | [`RunResult`] | scores, accounting, ages; written last, so it says that the run is complete |
+//! | `timing.json` | [`Timing`] | how long things took, and distributions |
+//! | `evaluation.json` | [`Samples`] | what the scores are made from |
+//!
+//! Each message that entered a link to the ego is accounted for:
+//! sent = used + skipped + over_limit + stale + superseded + lost + rejected + in_flight + unaccounted,
+//! where `unaccounted` is 0 unless dora lost something. No term is found by subtracting the others from `sent`.
+
+mod distribution;
+mod files;
+mod ledger;
+mod links;
+mod result;
+mod run;
+mod sink;
+mod timing;
+
+pub use distribution::{Ages, Spread};
+pub use files::{FilesError, claim, read_run, write_run};
+pub use ledger::{Fates, Ledger};
+pub use links::link_books;
+pub use result::{
+    Accounted, AgeTable, EdgeBooks, Frames, LinkBooks, NodeSummary, RESULT, RunResult, Settings, Transport, VERSION,
+};
+pub use run::{Run, SAMPLES, Samples, add_name};
+pub use sink::{Config, Results};
+pub use timing::{END_TO_END, FRAMEWORK, StageSamples, TIMING, Timing, TimingSamples};

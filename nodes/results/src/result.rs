@@ -1,0 +1,348 @@
+use std::collections::BTreeMap;
+
+use realo_evaluator::{Accuracy, Dropped, Intervals, Orders, RangeBin, Scores, Table, score};
+use serde::{Deserialize, Serialize};
+
+use crate::{Fates, Samples, Spread};
+
+/// Version of the files; a reader refuses what is newer.
+pub const VERSION: u32 = 1;
+/// Names `result.json`.
+pub const RESULT: &str = "realo/result";
+
+/// What a run gave: `result.json`. In virtual time it is the same bit by bit on every run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunResult {
+    /// [`RESULT`].
+    pub schema: String,
+    /// [`VERSION`].
+    pub version: u32,
+    /// The run came to an orderly end; the file is written last and only then.
+    pub complete: bool,
+    /// What was run.
+    #[serde(flatten)]
+    pub settings: Settings,
+    /// Runs that were pooled, 1 for a single one.
+    pub runs: u64,
+    /// Names of the logs, where they are known.
+    pub logs: Vec<String>,
+    /// The egos.
+    pub egos: Vec<String>,
+    /// The agents of the mode, ego first.
+    pub agents: Vec<String>,
+    /// Name of the evaluation's protocol; `None` without evaluation, as all that follows from it.
+    pub protocol: Option<String>,
+    /// Sweeps of the ego.
+    pub frames: Frames,
+    /// Against all objects of the mode; a key frame without boxes misses all of its objects.
+    pub accuracy: Option<Orders<Accuracy>>,
+    /// Against the objects that the ego alone sees; the others are ignored.
+    pub accuracy_seen: Option<Orders<Accuracy>>,
+    /// As `accuracy`, over the frames for which boxes came.
+    pub accuracy_processed: Option<Orders<Accuracy>>,
+    /// By super-class and IoU.
+    pub precision_recall_by_range: Option<Table<Vec<RangeBin>>>,
+    /// 95 % intervals by resampling logs; `None` with fewer than two.
+    pub intervals: Option<Intervals>,
+    /// Detections that did not count, and why.
+    pub dropped_detections: Option<Dropped>,
+    /// Objects that did not count, and why.
+    pub dropped_truths: Option<Dropped>,
+    /// By `<from>-<to>` and kind.
+    pub links: BTreeMap<String, BTreeMap<String, LinkBooks>>,
+    /// Ages of the data that were used.
+    pub age_ms: AgeTable,
+    /// What dora did not deliver, or not once and in order.
+    pub transport: Transport,
+    /// By node id: every node above the results.
+    pub nodes: BTreeMap<String, NodeSummary>,
+    /// What a reader must know.
+    pub notes: Vec<String>,
+}
+
+/// What was run, as the graph was told.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Name of the graph.
+    pub graph: String,
+    /// `realtime`, `virtual` or `offline`.
+    pub mode: String,
+    /// Who collaborates: `v2v`, `v2i`, `i2i`, or empty.
+    pub coop: String,
+    /// The ego; of pooled runs all of them.
+    pub ego: String,
+    /// Profile of the link.
+    pub link: String,
+    /// Compute profile of virtual time.
+    pub compute: String,
+    /// Seed of jitter and loss.
+    pub seed: String,
+    /// Kernel path of the networks.
+    pub isa: String,
+}
+
+/// Sweeps of the ego.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Frames {
+    /// All.
+    pub total: u64,
+    /// Those that are scored.
+    pub key: u64,
+    /// Those for which no boxes came.
+    pub skipped: u64,
+    /// Scored ones for which no boxes came.
+    pub key_skipped: u64,
+    /// Those for which boxes came.
+    pub processed: u64,
+}
+
+impl Frames {
+    /// Adds the sweeps of another run.
+    pub fn add(&mut self, other: &Frames) {
+        self.total += other.total;
+        self.key += other.key;
+        self.skipped += other.skipped;
+        self.key_skipped += other.key_skipped;
+        self.processed += other.processed;
+    }
+}
+
+/// What crossed one link, of one kind.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkBooks {
+    /// Messages that entered the channel.
+    pub sent: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Messages that the channel lost.
+    pub lost: u64,
+    /// Extra copies that the channel made; no messages.
+    pub duplicated: u64,
+    /// Messages that the range gate kept out; not part of `sent`.
+    pub out_of_range: u64,
+    /// What became of the others, where a fusion of the ego takes them.
+    #[serde(flatten, default, skip_serializing_if = "Option::is_none")]
+    pub accounted: Option<Accounted>,
+}
+
+/// The terms that, with `lost`, make up `sent`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Accounted {
+    /// By what became of them.
+    #[serde(flatten)]
+    pub fates: Fates,
+    /// `sent` - `lost` - the terms: 0, unless dora lost messages or reports between stages.
+    pub unaccounted: i64,
+}
+
+impl LinkBooks {
+    /// Adds what another run says of the same channel; it is accounted for only if both are.
+    pub fn add(&mut self, other: &LinkBooks) {
+        self.sent += other.sent;
+        self.bytes += other.bytes;
+        self.lost += other.lost;
+        self.duplicated += other.duplicated;
+        self.out_of_range += other.out_of_range;
+        self.accounted = self.accounted.zip(other.accounted).map(|(mut sum, other)| {
+            sum.fates.add(&other.fates);
+            sum.unaccounted += other.unaccounted;
+            sum
+        });
+    }
+}
+
+/// Ages of the data that were used, of all kinds and of each.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct AgeTable {
+    /// Of all kinds.
+    #[serde(flatten)]
+    pub all: Spread,
+    /// By kind.
+    pub by_kind: BTreeMap<String, Spread>,
+}
+
+/// What dora did to messages between nodes; apart from the links' books.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Transport {
+    /// By `<node>.<input>`: inputs to which something happened.
+    pub edges: BTreeMap<String, EdgeBooks>,
+    /// Messages that were not delivered, of all inputs.
+    pub total_lost: u64,
+}
+
+/// What dora did on one edge.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EdgeBooks {
+    /// Not delivered, or too late to be put in order.
+    pub lost: u64,
+    /// Delivered more than once.
+    pub repeated: u64,
+    /// Delivered out of order, and put in order again.
+    pub reordered: u64,
+}
+
+impl Transport {
+    /// Adds what happened on an edge.
+    pub fn add(&mut self, edge: &str, books: &EdgeBooks) {
+        if *books == EdgeBooks::default() {
+            return;
+        }
+        let sum = self.edges.entry(edge.into()).or_default();
+        sum.lost += books.lost;
+        sum.repeated += books.repeated;
+        sum.reordered += books.reordered;
+        self.total_lost += books.lost;
+    }
+}
+
+/// What a node counted.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NodeSummary {
+    /// Operator or node name.
+    pub operator: String,
+    /// Messages that it could not take.
+    pub errors: u64,
+    /// Messages that it passed over because it was busy.
+    pub skipped: u64,
+    /// Parts of sets that never became complete.
+    pub unjoined: u64,
+    /// Its own counters.
+    pub counters: BTreeMap<String, u64>,
+}
+
+impl NodeSummary {
+    /// Adds what the same node counted in another run.
+    pub fn add(&mut self, other: &NodeSummary) {
+        self.operator.clone_from(&other.operator);
+        self.errors += other.errors;
+        self.skipped += other.skipped;
+        self.unjoined += other.unjoined;
+        for (counter, n) in &other.counters {
+            *self.counters.entry(counter.clone()).or_default() += n;
+        }
+    }
+}
+
+impl RunResult {
+    /// The result of a run of which nothing is known yet.
+    pub fn new(settings: Settings) -> Self {
+        RunResult {
+            schema: RESULT.into(),
+            version: VERSION,
+            complete: true,
+            settings,
+            runs: 1,
+            logs: Vec::new(),
+            egos: Vec::new(),
+            agents: Vec::new(),
+            protocol: None,
+            frames: Frames::default(),
+            accuracy: None,
+            accuracy_seen: None,
+            accuracy_processed: None,
+            precision_recall_by_range: None,
+            intervals: None,
+            dropped_detections: None,
+            dropped_truths: None,
+            links: BTreeMap::new(),
+            age_ms: AgeTable::default(),
+            transport: Transport::default(),
+            nodes: BTreeMap::new(),
+            notes: Vec::new(),
+        }
+    }
+
+    /// Fills in all that follows from the samples and from what was counted: scores, ages and notes.
+    pub fn conclude(&mut self, samples: &Samples) {
+        self.age_ms = samples.ages();
+        self.notes = self.own_notes();
+        if let Some(evaluation) = &samples.evaluation {
+            self.take_scores(score(evaluation));
+        }
+    }
+
+    fn take_scores(&mut self, scores: Scores) {
+        self.protocol = Some(scores.protocol);
+        self.frames.key = scores.frames.key;
+        self.frames.key_skipped = scores.frames.skipped;
+        self.accuracy = Some(scores.accuracy);
+        self.accuracy_seen = Some(scores.accuracy_seen);
+        self.accuracy_processed = Some(scores.accuracy_processed);
+        self.precision_recall_by_range = Some(scores.by_range);
+        self.intervals = scores.intervals;
+        self.dropped_detections = Some(scores.dropped_detections);
+        self.dropped_truths = Some(scores.dropped_truths);
+        if scores.boxes_without_truth > 0 {
+            let n = scores.boxes_without_truth;
+            self.notes.push(format!(
+                "{n} messages with boxes have no truth of the same sweep: they are not scored"
+            ));
+        }
+        self.notes.extend(scores.notes);
+    }
+
+    /// A counter of all nodes together, e.g. the player's `log_truncated`.
+    pub fn counter(&self, name: &str) -> u64 {
+        self.nodes.values().filter_map(|node| node.counters.get(name)).sum()
+    }
+
+    fn own_notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        let mut note = |condition: bool, text: String| {
+            if condition {
+                notes.push(text);
+            }
+        };
+        let lost = self.transport.total_lost;
+        note(
+            lost > 0,
+            format!("dora lost {lost} messages between nodes: the scores are those of a disturbed run"),
+        );
+        let cut = self.counter("log_truncated");
+        note(
+            cut > 0,
+            format!(
+                "{cut} of {} logs are cut: what lies before the cut was played",
+                self.runs
+            ),
+        );
+        let alone = self.counter("runs_alone");
+        note(
+            alone > 0,
+            format!(
+                "in {alone} of {} runs no agent of the log may collaborate: the ego was alone",
+                self.runs
+            ),
+        );
+        let skipped = self.frames.skipped;
+        note(
+            skipped > 0,
+            format!("{skipped} of {} sweeps of the ego gave no boxes", self.frames.total),
+        );
+        for (id, node) in self.nodes.iter().filter(|(_, node)| node.errors > 0) {
+            note(
+                true,
+                format!("node {id} ({}) could not take {} messages", node.operator, node.errors),
+            );
+        }
+        for (link, kind, books) in self.channels() {
+            if let Some(unaccounted) = books.accounted.map(|books| books.unaccounted).filter(|n| *n != 0) {
+                note(
+                    true,
+                    format!(
+                        "link {link}: {unaccounted} of {} {kind} messages are not accounted for",
+                        books.sent
+                    ),
+                );
+            }
+        }
+        notes
+    }
+
+    /// Every channel: link, kind and its books.
+    pub fn channels(&self) -> impl Iterator<Item = (&str, &str, &LinkBooks)> {
+        self.links
+            .iter()
+            .flat_map(|(link, kinds)| kinds.iter().map(move |(kind, books)| (&**link, &**kind, books)))
+    }
+}

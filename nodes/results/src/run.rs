@@ -1,0 +1,95 @@
+use std::collections::BTreeMap;
+
+use realo_evaluator::Evaluation;
+use realo_schemas::Kind;
+use serde::{Deserialize, Serialize};
+
+use crate::{AgeTable, Ages, RunResult, Settings, Spread, Timing, VERSION};
+
+/// Names `evaluation.json`.
+pub const SAMPLES: &str = "realo/evaluation";
+
+/// What results are made from, so that runs can be pooled exactly: `evaluation.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Samples {
+    /// [`SAMPLES`].
+    pub schema: String,
+    /// [`VERSION`].
+    pub version: u32,
+    /// Ages of the data that were used, ns, by kind.
+    pub ages_ns: BTreeMap<Kind, Ages>,
+    /// Frames with what was detected and what is there; `None` if nothing was evaluated.
+    pub evaluation: Option<Evaluation>,
+}
+
+impl Default for Samples {
+    fn default() -> Self {
+        Samples {
+            schema: SAMPLES.into(),
+            version: VERSION,
+            ages_ns: BTreeMap::new(),
+            evaluation: None,
+        }
+    }
+}
+
+impl Samples {
+    /// The ages in a few numbers.
+    pub fn ages(&self) -> AgeTable {
+        let mut all = Ages::default();
+        self.ages_ns.values().for_each(|ages| all.merge(ages));
+        let by_kind = self.ages_ns.iter();
+        AgeTable {
+            all: Spread::of_ages(&all),
+            by_kind: by_kind
+                .map(|(kind, ages)| (kind.to_string(), Spread::of_ages(ages)))
+                .collect(),
+        }
+    }
+}
+
+/// A run: what its folder holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Run {
+    /// `result.json`.
+    pub result: RunResult,
+    /// `timing.json`.
+    pub timing: Timing,
+    /// `evaluation.json`.
+    pub samples: Samples,
+}
+
+impl Run {
+    /// The run of an evaluation that was made after the fact, without a graph: it has scores only.
+    pub fn of_evaluation(settings: Settings, evaluation: Evaluation) -> Self {
+        let mut result = RunResult::new(settings);
+        for scene in &evaluation.scenes {
+            let processed = scene.frames.iter().filter(|frame| frame.processed).count() as u64;
+            result.frames.total += scene.frames.len() as u64;
+            result.frames.processed += processed;
+            add_name(&mut result.logs, &scene.name);
+            add_name(&mut result.egos, &scene.ego);
+        }
+        result.frames.skipped = result.frames.total - result.frames.processed;
+        if result.settings.ego.is_empty() {
+            result.settings.ego = result.egos.join(", ");
+        }
+        let samples = Samples {
+            evaluation: Some(evaluation),
+            ..Samples::default()
+        };
+        result.conclude(&samples);
+        Run {
+            result,
+            timing: Timing::default(),
+            samples,
+        }
+    }
+}
+
+/// Adds a name to a list that names everything once, in order of appearance.
+pub fn add_name(names: &mut Vec<String>, name: &str) {
+    if !name.is_empty() && !names.iter().any(|known| known == name) {
+        names.push(name.into());
+    }
+}

@@ -1,0 +1,433 @@
+use std::path::Path;
+
+use realo_evaluator::{EvaluationReport, Protocol, evaluate, score};
+use realo_runtime::{InputBooks, NodeBooks, Tally};
+use realo_schemas::report::{BankReport, Departed, Fate, FusionReport, MessageId, Selected, to_report};
+use realo_schemas::{Box3, Clock, Kind, Nanos, TraceEntry};
+
+use super::*;
+use crate::{Accounted, Fates, FilesError, Frames, LinkBooks, read_run};
+
+const MS: Nanos = 1_000_000;
+
+fn header(seq: u64, kind: Kind) -> Header {
+    let stamp = seq as Nanos * 100 * MS;
+    Header::origin(&"run-17".into(), &"cav1".into(), kind, seq, stamp, stamp + 50 * MS)
+}
+
+fn car(x: f64, score: f32) -> Box3 {
+    Box3 {
+        center: [x, 0.0, 0.8],
+        length: 4.0,
+        width: 2.0,
+        height: 1.6,
+        yaw: 0.0,
+        velocity: None,
+        class: "Car".into(),
+        score,
+        track: None,
+        covariance: None,
+    }
+}
+
+fn truth() -> GroundTruth {
+    GroundTruth {
+        boxes: vec![car(10.0, 1.0), car(20.0, 1.0)],
+        agents: vec!["cav1".into(), "rsu1".into()],
+        key: true,
+        ..GroundTruth::default()
+    }
+}
+
+/// Final boxes, and the way that they came: detection takes 4 ms, then fusion 2.
+fn boxes(seq: u64) -> Message {
+    let mut header = header(seq, Kind::Boxes);
+    let ready = header.ready;
+    let entry = |node: &str, from: Nanos, to: Nanos| TraceEntry {
+        node: node.into(),
+        input: ready + from * MS,
+        start: ready + from * MS,
+        done: ready + to * MS,
+        ready: ready + to * MS,
+    };
+    header.trace = vec![entry("player", 0, 0), entry("detect", 0, 4), entry("fusion", 4, 6)];
+    header.ready += 6 * MS;
+    Message::new(header, Boxes(vec![car(10.0, 0.9)]))
+}
+
+fn a_report<T: Serialize>(topic: &str, document: &T) -> Message {
+    Message::new(header(0, Kind::Report), to_report(topic, document))
+}
+
+fn id(seq: u64) -> MessageId {
+    MessageId {
+        agent: "rsu1".into(),
+        kind: Kind::Boxes,
+        seq,
+    }
+}
+
+/// A query that selects a message of its number, 30 ms old; the one before departs.
+fn bank(query: u64) -> Message {
+    let selected = Selected {
+        message: id(query),
+        age_ns: 30 * MS,
+    };
+    let departed = query.checked_sub(1).map(|seq| Departed {
+        message: id(seq),
+        fate: Fate::Unused,
+    });
+    let report = BankReport {
+        query: Some(query),
+        agent: "cav1".into(),
+        selected: vec![selected],
+        departed: departed.into_iter().collect(),
+    };
+    a_report("bank", &report)
+}
+
+fn bank_end(departed: &[(u64, Fate)]) -> Message {
+    let departed = departed.iter().map(|(seq, fate)| Departed {
+        message: id(*seq),
+        fate: *fate,
+    });
+    let report = BankReport {
+        query: None,
+        agent: "cav1".into(),
+        selected: vec![],
+        departed: departed.collect(),
+    };
+    a_report("bank", &report)
+}
+
+fn fusion(query: u64, over_limit: Vec<MessageId>) -> Message {
+    let report = FusionReport {
+        query,
+        agent: "cav1".into(),
+        over_limit,
+        rejected: vec![],
+    };
+    a_report("fusion", &report)
+}
+
+fn link(kind: Kind, sent: u64, lost: u64) -> Message {
+    let channel = Channel {
+        from: "rsu1".into(),
+        to: "cav1".into(),
+        kind,
+        sent,
+        bytes: 1000 * sent,
+        lost,
+        duplicated: 0,
+        out_of_range: 0,
+    };
+    a_report(
+        "link",
+        &LinkReport {
+            channels: vec![channel],
+        },
+    )
+}
+
+fn evaluation(sweeps: u64, skipped: &[u64]) -> Message {
+    let truths = (0..sweeps).map(|seq| (header(seq, Kind::Truth), truth()));
+    let found = (0..sweeps).filter(|seq| !skipped.contains(seq)).map(boxes);
+    let found = found.map(|message| message.into_parts::<Boxes>().unwrap());
+    let evaluation = evaluate(truths, found, &Protocol::load("default").unwrap()).unwrap();
+    let report = EvaluationReport {
+        scores: score(&evaluation),
+        evaluation,
+    };
+    a_report(TOPIC, &report)
+}
+
+/// Books of a graph in which the decoder passed over one delivered message and could not read another.
+fn books(ports: &[&str]) -> Books {
+    let one = Tally([("rsu1".to_string(), [(Kind::Boxes, 1)].into())].into());
+    let packets = InputBooks {
+        skipped: one.clone(),
+        delivered_skipped: one.clone(),
+        delivered_rejected: one,
+        ..InputBooks::default()
+    };
+    let mut decoder = NodeBooks {
+        name: "transmission-decoder".into(),
+        inputs: [("packets".into(), packets)].into(),
+        errors: 1,
+        ..NodeBooks::default()
+    };
+    decoder.compute.record(2 * MS);
+    let own = NodeBooks {
+        name: "results".into(),
+        inputs: ports
+            .iter()
+            .map(|port| (port.to_string(), InputBooks::default()))
+            .collect(),
+        ..NodeBooks::default()
+    };
+    Books {
+        nodes: [("decoder".into(), decoder), ("results".into(), own)].into(),
+    }
+}
+
+const ALL: [&str; 7] = ["boxes", "truth", "evaluation", "bank", "fusion", "link", "link_state"];
+
+fn sink(out: &Path) -> Results {
+    Results::new(Config {
+        out: out.into(),
+        graph: "late_fusion".into(),
+        log: "intersection".into(),
+        ..Config::default()
+    })
+    .unwrap()
+}
+
+/// Ten sweeps; sweep 3 is skipped, the fusion takes no more at 5, the rest uses what was selected. Sent are the ten that
+/// were selected, one that the decoder passed over, one that it rejected, two that were lost, one each of the bank's.
+fn ten_sweeps() -> Vec<(PortId, Message)> {
+    let mut messages = Vec::new();
+    for seq in 0..10 {
+        messages.push((TRUTH, Message::new(header(seq, Kind::Truth), truth())));
+        messages.push((BANK, bank(seq)));
+        if seq != 3 {
+            messages.push((FUSION, fusion(seq, if seq == 5 { vec![id(5)] } else { vec![] })));
+            messages.push((BOXES, boxes(seq)));
+        }
+    }
+    let departed = [
+        (9, Fate::Unused),
+        (20, Fate::Stale),
+        (21, Fate::Superseded),
+        (22, Fate::InFlight),
+    ];
+    messages.push((BANK, bank_end(&departed)));
+    messages.push((LINK, link(Kind::Boxes, 17, 2)));
+    messages.push((LINK_STATE, link(Kind::EgoState, 100, 7)));
+    messages.push((EVALUATION, evaluation(10, &[3])));
+    messages
+}
+
+fn run_in(out: &Path, messages: Vec<(PortId, Message)>, books: &Books) -> Run {
+    let mut sink = sink(out);
+    messages
+        .into_iter()
+        .for_each(|(port, message)| sink.accept(port, message).unwrap());
+    assert!(
+        matches!(read_run(out), Err(FilesError::Incomplete { .. })),
+        "no result before the end"
+    );
+    sink.finish(books).unwrap();
+    read_run(out).unwrap()
+}
+
+#[test]
+fn accounts_for_every_message() {
+    let folder = tempfile::tempdir().unwrap();
+    let Run { result, samples, .. } = run_in(folder.path(), ten_sweeps(), &books(&ALL));
+    let expected = LinkBooks {
+        sent: 17,
+        bytes: 17_000,
+        lost: 2,
+        accounted: Some(Accounted {
+            fates: Fates {
+                used: 8,
+                skipped: 2,
+                over_limit: 1,
+                stale: 1,
+                superseded: 1,
+                rejected: 1,
+                in_flight: 1,
+            },
+            unaccounted: 0,
+        }),
+        ..LinkBooks::default()
+    };
+    assert_eq!(result.links["rsu1-cav1"]["boxes"], expected);
+    let state = &result.links["rsu1-cav1"]["ego_state"];
+    assert_eq!((state.sent, state.lost, state.accounted), (100, 7, None));
+    assert_eq!((result.age_ms.all.count, result.age_ms.by_kind["boxes"].count), (8, 8));
+    assert!((result.age_ms.all.p50.unwrap() - 30.0).abs() < 0.05);
+    assert_eq!(samples.ages_ns[&Kind::Boxes].count(), 8);
+    assert!(
+        result
+            .notes
+            .iter()
+            .any(|note| note == "1 of 10 sweeps of the ego gave no boxes"),
+        "{:?}",
+        result.notes
+    );
+    assert!(
+        result
+            .notes
+            .iter()
+            .any(|note| note.contains("decoder (transmission-decoder) could not take 1"))
+    );
+}
+
+#[test]
+fn scores_are_those_of_the_evaluator() {
+    let folder = tempfile::tempdir().unwrap();
+    let Run { result, samples, .. } = run_in(folder.path(), ten_sweeps(), &books(&ALL));
+    let frames = Frames {
+        total: 10,
+        key: 10,
+        skipped: 1,
+        key_skipped: 1,
+        processed: 9,
+    };
+    assert_eq!(result.frames, frames);
+    let evaluation = samples.evaluation.unwrap();
+    assert_eq!(evaluation.scenes[0].name, "intersection");
+    let scores = score(&evaluation);
+    assert_eq!(result.accuracy, Some(scores.accuracy));
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.path().join("result.json")).unwrap()).unwrap();
+    assert_eq!(json["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"], 0.45);
+    assert_eq!(json["accuracy_processed"]["v2x-real"]["AP"]["vehicle"]["0.5"], 0.5);
+    assert_eq!(json["accuracy_seen"]["sorted"]["counts"]["vehicle"]["0.3"]["total"], 0);
+    assert_eq!(json["links"]["rsu1-cav1"]["boxes"]["over_limit"], 1);
+    assert_eq!((&json["mode"], &json["ego"]), (&"virtual".into(), &"cav1".into()));
+    assert_eq!(json["agents"], serde_json::json!(["cav1", "rsu1"]));
+}
+
+#[test]
+fn a_result_in_virtual_time_names_no_run_place_or_date() {
+    let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let _ = run_in(one.path(), ten_sweeps(), &books(&ALL));
+    let again: Vec<_> = ten_sweeps()
+        .into_iter()
+        .map(|(port, mut message)| {
+            message.header.run = "run-18".into();
+            (port, message)
+        })
+        .collect();
+    let _ = run_in(other.path(), again, &books(&ALL));
+    for file in ["result.json", "timing.json", "evaluation.json"] {
+        let read = |folder: &Path| std::fs::read_to_string(folder.join(file)).unwrap();
+        assert_eq!(read(one.path()), read(other.path()), "{file}");
+        assert!(!read(one.path()).contains("run-17") && !read(one.path()).contains(one.path().to_str().unwrap()));
+    }
+}
+
+#[test]
+fn times_are_those_of_the_way_of_the_boxes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut messages = ten_sweeps();
+    for (_, message) in &mut messages {
+        message.header.clock = Some(Clock {
+            wall_origin: 0,
+            log_origin: 0,
+            rate: 2.0,
+        });
+    }
+    let Run { timing, result, .. } = run_in(folder.path(), messages, &books(&ALL));
+    assert_eq!(result.settings.mode, "realtime");
+    let p50 = |stage: &str| (timing.latency_ms[stage].p50.unwrap() * 10.0).round() / 10.0;
+    assert_eq!(
+        [p50("detect"), p50("fusion"), p50("end_to_end"), p50("framework")],
+        [2.0, 1.0, 3.0, 3.0]
+    );
+    assert_eq!(timing.rate_hz, Some(9.0));
+    assert!((timing.compute_profile().of("decoder") - 2 * MS).abs() < 2 * MS / 500);
+}
+
+#[test]
+fn without_fusion_there_are_no_links() {
+    let folder = tempfile::tempdir().unwrap();
+    let messages = vec![
+        (TRUTH, Message::new(header(0, Kind::Truth), truth())),
+        (BOXES, boxes(0)),
+        (EVALUATION, evaluation(1, &[])),
+    ];
+    let Run { result, .. } = run_in(folder.path(), messages, &books(&["boxes", "truth", "evaluation"]));
+    assert!(result.links.is_empty());
+    assert_eq!(
+        (result.age_ms.all.count, result.age_ms.all.p50, result.frames.processed),
+        (0, None, 1)
+    );
+}
+
+#[test]
+fn says_nothing_about_fates_that_it_does_not_hear_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let messages = vec![(BOXES, boxes(0)), (LINK, link(Kind::Boxes, 5, 1))];
+    let Run { result, .. } = run_in(folder.path(), messages, &books(&["boxes", "bank", "link"]));
+    assert_eq!(result.links["rsu1-cav1"]["boxes"].accounted, None);
+    assert_eq!(result.accuracy, None);
+}
+
+#[test]
+fn tells_what_dora_lost_and_what_is_missing_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut books = books(&ALL);
+    let bank = InputBooks {
+        transport_lost: 2,
+        transport_reordered: 1,
+        ..InputBooks::default()
+    };
+    let node = NodeBooks {
+        name: "feature-bank".into(),
+        inputs: [("others".into(), bank)].into(),
+        ..NodeBooks::default()
+    };
+    books.nodes.insert("bank".into(), node);
+    let mut messages = ten_sweeps();
+    messages.retain(|(port, _)| *port != LINK);
+    messages.push((LINK, link(Kind::Boxes, 19, 2)));
+    let Run { result, .. } = run_in(folder.path(), messages, &books);
+    let edge = EdgeBooks {
+        lost: 2,
+        repeated: 0,
+        reordered: 1,
+    };
+    assert_eq!((result.transport.total_lost, result.transport.edges.len()), (2, 1));
+    assert_eq!(result.transport.edges["bank.others"], edge);
+    assert_eq!(result.links["rsu1-cav1"]["boxes"].accounted.unwrap().unaccounted, 2);
+    assert!(result.notes[0].contains("dora lost 2 messages"), "{:?}", result.notes);
+    assert!(
+        result
+            .notes
+            .iter()
+            .any(|note| note.contains("2 of 19 boxes messages are not accounted for"))
+    );
+}
+
+#[test]
+fn refuses_reports_of_another_topic_or_form() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sink = sink(folder.path());
+    let error = sink.accept(BANK, fusion(0, vec![])).unwrap_err().to_string();
+    assert!(error.contains("`bank`") && error.contains("`fusion`"), "{error}");
+    let error = sink.accept(LINK, a_report("link", &["x"])).unwrap_err().to_string();
+    assert!(error.contains("report `link`"), "{error}");
+    let error = sink.accept(BOXES, fusion(0, vec![])).unwrap_err().to_string();
+    assert!(error.contains("expected a Boxes"), "{error}");
+    assert!(sink.accept(PortId(7), boxes(0)).is_err());
+    sink.accept(EVALUATION, evaluation(1, &[])).unwrap();
+    let error = sink.accept(EVALUATION, evaluation(1, &[])).unwrap_err().to_string();
+    assert!(error.contains("second report"), "{error}");
+}
+
+#[test]
+fn refuses_a_folder_of_somebody_else_before_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("result.json"), "{\"mine\": true}").unwrap();
+    let config = Config {
+        out: folder.path().into(),
+        ..Config::default()
+    };
+    let error = Results::new(config).err().unwrap().to_string();
+    assert!(error.contains("not overwritten"), "{error}");
+    let empty = Config {
+        out: "".into(),
+        ..Config::default()
+    };
+    assert!(Results::new(empty).err().unwrap().to_string().contains("`out`"));
+}
+
+#[test]
+fn describes_every_argument() {
+    let names: Vec<_> = Results::ARGUMENTS.iter().map(|argument| argument.name).collect();
+    let keys: Vec<_> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+    assert_eq!(names, keys);
+}

@@ -1,0 +1,315 @@
+use std::collections::BTreeMap;
+
+use realo_runtime::{Books, ComputeProfile, Durations};
+use realo_schemas::{Header, Nanos};
+use serde::{Deserialize, Serialize};
+
+use crate::{Spread, VERSION};
+
+/// Names `timing.json`.
+pub const TIMING: &str = "realo/timing";
+/// Key of `latency_ms` beside the stages: from the end of the sweep to the final boxes.
+pub const END_TO_END: &str = "end_to_end";
+/// Key of `latency_ms` beside the stages: `end_to_end` without the delays that links on the way modelled.
+pub const FRAMEWORK: &str = "framework";
+
+/// How long things took: `timing.json`. All but `compute_ns` is wall time of the way that the final boxes came.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Timing {
+    /// [`TIMING`].
+    pub schema: String,
+    /// [`VERSION`].
+    pub version: u32,
+    /// By stage: from its start to its end; and [`END_TO_END`] and [`FRAMEWORK`].
+    pub latency_ms: BTreeMap<String, Spread>,
+    /// By stage: from when its last input was ready until its start: transport, queue, busy stage.
+    pub waiting_ms: BTreeMap<String, Spread>,
+    /// By stage: how long the message of this way waited until the last of its partners was ready.
+    pub joining_ms: BTreeMap<String, Spread>,
+    /// By source: how late it released its messages.
+    pub late_ms: BTreeMap<String, Spread>,
+    /// By node: the median of its calls, ns; what a compute profile charges.
+    pub compute_ns: BTreeMap<String, Nanos>,
+    /// Sweeps of the ego that became boxes, per second of log time.
+    pub rate_hz: Option<f64>,
+    /// What all this is made from.
+    pub samples: TimingSamples,
+}
+
+/// Distributions, as lists of [ns, count] to three significant digits.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TimingSamples {
+    /// By stage.
+    pub stages: BTreeMap<String, StageSamples>,
+    /// See [`END_TO_END`].
+    pub end_to_end: Durations,
+    /// See [`FRAMEWORK`].
+    pub framework: Durations,
+    /// By source.
+    pub late: BTreeMap<String, Durations>,
+    /// By node.
+    pub compute: BTreeMap<String, Durations>,
+    /// Sweeps that became boxes in the time below.
+    pub processed: u64,
+    /// Log time of all sweeps, each with the mean time to the next, ns.
+    pub duration_ns: Nanos,
+}
+
+/// What one stage on the way of the final boxes took.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StageSamples {
+    /// From start to end.
+    pub latency: Durations,
+    /// From ready to start.
+    pub waiting: Durations,
+    /// From ready to partners ready.
+    pub joining: Durations,
+}
+
+impl TimingSamples {
+    /// Takes the way that final boxes came.
+    pub fn add_way(&mut self, header: &Header) {
+        let Some((source, stages)) = header.trace.split_first() else {
+            return;
+        };
+        let rate = header.clock.map_or(1.0, |clock| clock.rate);
+        let wall = |log: Nanos| (log as f64 / rate).round() as Nanos;
+        let (mut ready, mut delayed) = (source.ready, 0);
+        for stage in stages {
+            let samples = match self.stages.get_mut(&*stage.node) {
+                Some(samples) => samples,
+                None => self.stages.entry(stage.node.to_string()).or_default(),
+            };
+            samples.latency.record(wall(stage.done - stage.start));
+            samples.waiting.record(wall(stage.start - stage.input));
+            samples.joining.record(wall(stage.input - ready));
+            delayed += stage.ready - stage.done;
+            ready = stage.ready;
+        }
+        let whole = header.ready - source.ready;
+        self.end_to_end.record(wall(whole));
+        self.framework.record(wall(whole - delayed));
+    }
+
+    /// Takes what the nodes measured of themselves.
+    pub fn add_books(&mut self, books: &Books) {
+        for (id, node) in books.nodes.iter().filter(|(_, node)| node.compute.count() > 0) {
+            // A source has no inputs; it measures how late it is.
+            let kind = if node.inputs.is_empty() {
+                &mut self.late
+            } else {
+                &mut self.compute
+            };
+            kind.entry(id.clone()).or_default().merge(&node.compute);
+        }
+    }
+
+    /// Adds the samples of another run.
+    pub fn merge(&mut self, other: &TimingSamples) {
+        for (id, stage) in &other.stages {
+            let sum = self.stages.entry(id.clone()).or_default();
+            sum.latency.merge(&stage.latency);
+            sum.waiting.merge(&stage.waiting);
+            sum.joining.merge(&stage.joining);
+        }
+        self.end_to_end.merge(&other.end_to_end);
+        self.framework.merge(&other.framework);
+        for (sum, other) in [(&mut self.late, &other.late), (&mut self.compute, &other.compute)] {
+            for (id, durations) in other {
+                sum.entry(id.clone()).or_default().merge(durations);
+            }
+        }
+        self.processed += other.processed;
+        self.duration_ns += other.duration_ns;
+    }
+}
+
+impl Default for Timing {
+    fn default() -> Self {
+        Timing::of(TimingSamples::default())
+    }
+}
+
+impl Timing {
+    /// The few numbers of many samples.
+    pub fn of(samples: TimingSamples) -> Self {
+        let of_stages = |pick: fn(&StageSamples) -> &Durations| -> BTreeMap<String, Spread> {
+            let stages = samples.stages.iter();
+            stages
+                .map(|(id, stage)| (id.clone(), Spread::of(pick(stage))))
+                .collect()
+        };
+        let mut latency_ms = of_stages(|stage| &stage.latency);
+        for (key, durations) in [(END_TO_END, &samples.end_to_end), (FRAMEWORK, &samples.framework)] {
+            latency_ms.insert(key.into(), Spread::of(durations));
+        }
+        let median = |(id, durations): (&String, &Durations)| Some((id.clone(), durations.quantile(0.5)?));
+        let seconds = realo_schemas::to_seconds(samples.duration_ns);
+        Timing {
+            schema: TIMING.into(),
+            version: VERSION,
+            latency_ms,
+            waiting_ms: of_stages(|stage| &stage.waiting),
+            joining_ms: of_stages(|stage| &stage.joining),
+            late_ms: samples
+                .late
+                .iter()
+                .map(|(id, late)| (id.clone(), Spread::of(late)))
+                .collect(),
+            compute_ns: samples.compute.iter().filter_map(median).collect(),
+            rate_hz: (samples.duration_ns > 0).then(|| samples.processed as f64 / seconds),
+            samples,
+        }
+    }
+
+    /// What `--compute` takes to charge in virtual time what this run measured.
+    pub fn compute_profile(&self) -> ComputeProfile {
+        ComputeProfile {
+            nodes: self.compute_ns.clone(),
+        }
+    }
+}
+
+/// First and last stamp of a stream of sweeps, and their number.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Pace {
+    span: Option<(Nanos, Nanos)>,
+    pub count: u64,
+}
+
+impl Pace {
+    pub fn add(&mut self, stamp: Nanos) {
+        let (first, last) = self.span.unwrap_or((stamp, stamp));
+        self.span = Some((first.min(stamp), last.max(stamp)));
+        self.count += 1;
+    }
+
+    /// Log time of all sweeps, each with the mean time to the next; 0 of fewer than two.
+    pub fn duration(&self) -> Nanos {
+        match self.span {
+            Some((first, last)) if self.count > 1 => {
+                let span = (last - first) as f64;
+                (span * self.count as f64 / (self.count - 1) as f64).round() as Nanos
+            }
+            _ => 0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_runtime::{InputBooks, NodeBooks};
+    use realo_schemas::{Clock, Kind, TraceEntry};
+
+    use super::*;
+
+    const MS: Nanos = 1_000_000;
+
+    fn entry(node: &str, [input, start, done, ready]: [Nanos; 4]) -> TraceEntry {
+        TraceEntry {
+            node: node.into(),
+            input: input * MS,
+            start: start * MS,
+            done: done * MS,
+            ready: ready * MS,
+        }
+    }
+
+    fn header(rate: f64) -> Header {
+        let mut header = Header::origin(&"r".into(), &"cav1".into(), Kind::Boxes, 0, 0, 0);
+        header.clock = Some(Clock {
+            wall_origin: 0,
+            log_origin: 0,
+            rate,
+        });
+        // The fusion waits 6 ms for its partner, 1 ms in the queue, and takes 3 ms; the link delays by 20 ms.
+        header.trace = vec![
+            entry("player", [90, 100, 100, 100]),
+            entry("nms", [100, 102, 104, 104]),
+            entry("link", [104, 104, 104, 124]),
+            entry("fusion", [130, 131, 134, 134]),
+        ];
+        header.ready = 134 * MS;
+        header
+    }
+
+    fn max(spread: &Spread) -> f64 {
+        (spread.max.unwrap() * 10.0).round() / 10.0
+    }
+
+    #[test]
+    fn a_way_adds_up_and_is_in_wall_time() {
+        for rate in [1.0, 0.5] {
+            let mut samples = TimingSamples::default();
+            samples.add_way(&header(rate));
+            let timing = Timing::of(samples);
+            let stages = ["nms", "link", "fusion"];
+            let of = |table: &BTreeMap<String, Spread>| stages.map(|stage| max(&table[stage]) * rate);
+            assert_eq!(of(&timing.latency_ms), [2.0, 0.0, 3.0]);
+            assert_eq!(of(&timing.waiting_ms), [2.0, 0.0, 1.0]);
+            assert_eq!(of(&timing.joining_ms), [0.0, 0.0, 6.0]);
+            assert_eq!(max(&timing.latency_ms[END_TO_END]) * rate, 34.0);
+            assert_eq!(max(&timing.latency_ms[FRAMEWORK]) * rate, 14.0);
+            assert!(!timing.latency_ms.contains_key("player"));
+        }
+    }
+
+    #[test]
+    fn tells_lateness_of_sources_from_computing() {
+        let node = |inputs: &[&str], nanos: Nanos| {
+            let mut node = NodeBooks::default();
+            node.inputs = inputs
+                .iter()
+                .map(|port| (port.to_string(), InputBooks::default()))
+                .collect();
+            node.compute.record(nanos);
+            node
+        };
+        let books = Books {
+            nodes: [("player".into(), node(&[], 900)), ("nms".into(), node(&["boxes"], 700))].into(),
+        };
+        let mut samples = TimingSamples::default();
+        samples.add_books(&books);
+        let timing = Timing::of(samples);
+        assert_eq!(timing.late_ms["player"].max, Some(0.0009));
+        assert_eq!(timing.compute_profile().nodes, [("nms".to_string(), 700)].into());
+    }
+
+    #[test]
+    fn rates_count_the_time_of_the_last_sweep() {
+        let mut pace = Pace::default();
+        assert_eq!(pace.duration(), 0);
+        (0..100).for_each(|i| pace.add(i * 100 * MS));
+        assert_eq!(pace.duration(), 10_000 * MS);
+        let samples = TimingSamples {
+            processed: 50,
+            duration_ns: pace.duration(),
+            ..TimingSamples::default()
+        };
+        assert_eq!(Timing::of(samples).rate_hz, Some(5.0));
+        assert_eq!(Timing::default().rate_hz, None);
+    }
+
+    #[test]
+    fn merges_as_if_measured_together() {
+        let (mut one, mut other, mut both) = (
+            TimingSamples::default(),
+            TimingSamples::default(),
+            TimingSamples::default(),
+        );
+        for i in 0..50 {
+            let mut header = header(1.0);
+            header.trace[3].done += i * 71_113;
+            header.ready = header.trace[3].done;
+            if i % 2 == 0 { &mut one } else { &mut other }.add_way(&header);
+            both.add_way(&header);
+        }
+        let text = serde_json::to_string(&other).unwrap();
+        one.merge(&serde_json::from_str(&text).unwrap());
+        let (one, both) = (Timing::of(one), Timing::of(both));
+        assert_eq!(
+            serde_json::to_string(&one).unwrap(),
+            serde_json::to_string(&both).unwrap()
+        );
+    }
+}

@@ -1,0 +1,149 @@
+//! Average precision of detections against ground truth, by a protocol file; in a graph and after the fact.
+//!
+//! | port | type | content |
+//! |---|---|---|
+//! | in `truth` | GroundTruth | one for every sweep of the ego, in its true body frame |
+//! | in `boxes` | Boxes | what was detected, in the ego's body frame; joined with `truth` by (agent, seq) |
+//! | out `report` | Report | topic `evaluation`, at the end: an [`EvaluationReport`] |
+//!
+//! - A [`Protocol`] says what counts: region, rule, classes, IoUs, points.
+//! - A [`Collector`] joins the messages into [`Frame`]s; the frames of several runs can be [`pool`]ed exactly.
+//! - [`score`] makes the table: two orders of detections, objects of all agents and those that the ego sees.
+
+mod collect;
+mod frame;
+mod intervals;
+mod matching;
+mod precision;
+mod protocol;
+mod scores;
+mod sequence;
+#[cfg(test)]
+mod tests;
+
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::report::to_report;
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, PayloadType};
+use serde::{Deserialize, Serialize};
+
+pub use collect::{Collector, EvaluationError, evaluate};
+pub use frame::{Detection, Dropped, Evaluation, Frame, Outline, PoolError, Scene, Truth, pool};
+pub use intervals::{Bounds, Intervals};
+pub use matching::{Outcome, Scope, match_frame};
+pub use precision::{average_precision, curve};
+pub use protocol::{Protocol, ProtocolError, Rule, SuperClass};
+pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, Orders, RangeBin, Scores, Table, frame_scores, score};
+
+/// Topic of the operator's report.
+pub const TOPIC: &str = "evaluation";
+
+/// The document of the report.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvaluationReport {
+    /// The table of this run.
+    pub scores: Scores,
+    /// What it was made from, so that runs can be pooled.
+    pub evaluation: Evaluation,
+}
+
+/// Settings of [`Evaluator`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// `default`, `dair`, or the path of a protocol file.
+    pub protocol: String,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            protocol: "default".into(),
+        }
+    }
+}
+
+/// The operator `evaluator`.
+pub struct Evaluator {
+    collector: Option<Collector>,
+    /// The header of the report derives from it.
+    last: Option<Header>,
+}
+
+const TRUTH: PortId = PortId(0);
+const BOXES: PortId = PortId(1);
+const REPORT: PortId = PortId(0);
+
+impl Describe for Evaluator {
+    type Config = Config;
+    const NAME: &'static str = "evaluator";
+    const ABOUT: &'static str = "scores boxes against ground truth: average precision by a protocol";
+    const ARGUMENTS: &'static [Argument] = &[Argument {
+        name: "protocol",
+        about: "what counts: default, dair, or the path of a protocol file",
+    }];
+    const INPUTS: &'static [Port] = &[
+        Port::new(
+            "truth",
+            &[PayloadType::GroundTruth],
+            "one for every sweep of the ego, in its true body frame",
+        ),
+        Port::new(
+            "boxes",
+            &[PayloadType::Boxes],
+            "what was detected, in the ego's body frame",
+        ),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::new(
+        "report",
+        &[PayloadType::Report],
+        "topic `evaluation`, at the end: the scores and their frames",
+    )];
+}
+
+impl Operator for Evaluator {
+    fn new(config: Config) -> Result<Self, Error> {
+        Ok(Evaluator {
+            collector: Some(Collector::new(Protocol::load(&config.protocol)?)),
+            last: None,
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, _out: &mut Outputs) -> Result<(), Error> {
+        let collector = self.collector.as_mut().ok_or("a message after the end")?;
+        match port {
+            TRUTH => {
+                let (header, truth): (Header, GroundTruth) = message.into_parts().map_err(unexpected)?;
+                collector.add_truth(&header, &truth)?;
+                self.last = Some(header);
+            }
+            BOXES => {
+                let (header, boxes): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
+                collector.add_boxes(&header, boxes)?;
+            }
+            _ => return Err(wrong_port(Self::INPUTS, port)),
+        }
+        Ok(())
+    }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        // Without any truth there is no ego to report on.
+        let (Some(collector), Some(last)) = (self.collector.take(), self.last.take()) else {
+            return Ok(());
+        };
+        let evaluation = collector.finish();
+        let report = EvaluationReport {
+            scores: score(&evaluation),
+            evaluation,
+        };
+        out.count("boxes_without_truth", report.scores.boxes_without_truth);
+        let header = Header {
+            kind: Kind::Report,
+            seq: 0,
+            pose: None,
+            trace: Vec::new(),
+            ..last
+        };
+        out.send(REPORT, Message::new(header, to_report(TOPIC, &report)));
+        Ok(())
+    }
+}

@@ -1,0 +1,303 @@
+use std::collections::BTreeMap;
+
+use realo_schemas::Nanos;
+use serde::{Deserialize, Serialize};
+
+use crate::intervals::{Intervals, intervals};
+use crate::matching::Overlaps;
+use crate::sequence::{Order, Sequence, sequences};
+use crate::{Dropped, Evaluation, Frame, Outcome, Protocol, Scene, Scope};
+
+/// Values by super-class and IoU.
+pub type Table<T> = BTreeMap<String, BTreeMap<String, T>>;
+
+/// The table of an evaluation; all accuracies are fractions in [0, 1].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// Name of the protocol.
+    pub protocol: String,
+    /// Against all objects of the mode; a key frame without boxes misses all of its objects.
+    pub accuracy: Orders<Accuracy>,
+    /// Against the objects that the ego alone sees; the others are ignored.
+    pub accuracy_seen: Orders<Accuracy>,
+    /// As `accuracy`, over the frames for which boxes came.
+    pub accuracy_processed: Orders<Accuracy>,
+    /// 95 % intervals by resampling logs; `None` with fewer than two logs.
+    pub intervals: Option<Intervals>,
+    /// Precision and recall by distance from the ego.
+    pub by_range: Table<Vec<RangeBin>>,
+    /// Sweeps of the ego.
+    pub frames: FrameCounts,
+    /// Detections that did not count.
+    pub dropped_detections: Dropped,
+    /// Objects that did not count.
+    pub dropped_truths: Dropped,
+    /// Messages with boxes for which no truth came.
+    pub boxes_without_truth: u64,
+    /// What a reader must know, e.g. why a value is null.
+    pub notes: Vec<String>,
+}
+
+/// The same figures in the two orders of detections.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Orders<T> {
+    /// All detections of all frames by score.
+    pub sorted: T,
+    /// By score within a frame only, frames one after the other.
+    #[serde(rename = "v2x-real")]
+    pub v2x_real: T,
+}
+
+/// Average precision and what it is made from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Accuracy {
+    /// Average precision; `None` for a class without objects.
+    #[serde(rename = "AP")]
+    pub ap: Table<Option<f64>>,
+    /// Mean over all classes, by IoU; `None` if a class has none.
+    #[serde(rename = "mAP")]
+    pub mean_ap: BTreeMap<String, Option<f64>>,
+    /// Detections and objects.
+    pub counts: Table<Counts>,
+}
+
+/// Detections that are true and false, and objects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Counts {
+    /// Detections that found an object.
+    #[serde(rename = "true")]
+    pub hits: u64,
+    /// Detections that found none.
+    #[serde(rename = "false")]
+    pub misses: u64,
+    /// Objects.
+    pub total: u64,
+}
+
+/// Precision and recall at some distance. An object and what found it count at the object's distance, a false detection
+/// at its own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RangeBin {
+    /// Least distance of centres from the ego, m.
+    pub from: f64,
+    /// Distance that is no longer included, m; `None` in the last bin.
+    pub to: Option<f64>,
+    /// Detections and objects.
+    #[serde(flatten)]
+    pub counts: Counts,
+    /// True share of the detections; `None` without any.
+    pub precision: Option<f64>,
+    /// Found share of the objects; `None` without any.
+    pub recall: Option<f64>,
+}
+
+/// Sweeps of the ego.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameCounts {
+    /// All.
+    pub total: u64,
+    /// Those that are scored.
+    pub key: u64,
+    /// Scored ones for which no boxes came.
+    pub skipped: u64,
+}
+
+/// The counts of one frame, of all classes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameScore {
+    /// Its log.
+    pub scene: String,
+    /// Its ego.
+    pub ego: String,
+    /// Number of the sweep.
+    pub seq: u64,
+    /// Its reference time.
+    pub stamp: Nanos,
+    /// Detections and objects.
+    pub counts: Table<Counts>,
+}
+
+/// Scores all scenes together.
+pub fn score(evaluation: &Evaluation) -> Scores {
+    let protocol = &evaluation.protocol;
+    let all = sequences(evaluation, Scope::All);
+    let seen = sequences(evaluation, Scope::Seen);
+    let processed = |sequence: &Sequence| sequence.processed_total;
+    let mut scores = Scores {
+        protocol: protocol.name.clone(),
+        accuracy: orders(protocol, &all, Sequence::total),
+        accuracy_seen: orders(protocol, &seen, Sequence::total),
+        accuracy_processed: orders(protocol, &all, processed),
+        intervals: intervals(evaluation, &all, &seen),
+        by_range: table(protocol, &all, |sequence| range_bins(protocol, sequence)),
+        frames: FrameCounts::default(),
+        dropped_detections: Dropped::default(),
+        dropped_truths: Dropped::default(),
+        boxes_without_truth: 0,
+        notes: Vec::new(),
+    };
+    for scene in &evaluation.scenes {
+        let key = || scene.frames.iter().filter(|frame| frame.key);
+        scores.frames.total += scene.frames.len() as u64;
+        scores.frames.key += key().count() as u64;
+        scores.frames.skipped += key().filter(|frame| !frame.processed).count() as u64;
+        scores.dropped_detections.add(&scene.dropped_detections);
+        scores.dropped_truths.add(&scene.dropped_truths);
+        scores.boxes_without_truth += scene.boxes_without_truth;
+    }
+    scores.notes = notes(evaluation, &all, &seen);
+    scores
+}
+
+pub(crate) fn table<T>(protocol: &Protocol, sequences: &[Vec<Sequence>], value: impl Fn(&Sequence) -> T) -> Table<T> {
+    let per_iou = |sequences: &Vec<Sequence>| {
+        protocol
+            .ious
+            .iter()
+            .zip(sequences)
+            .map(|(iou, sequence)| (Protocol::iou_key(*iou), value(sequence)))
+            .collect()
+    };
+    let classes = protocol.classes.iter().zip(sequences);
+    classes
+        .map(|(class, sequences)| (class.name.clone(), per_iou(sequences)))
+        .collect()
+}
+
+fn orders(
+    protocol: &Protocol,
+    sequences: &[Vec<Sequence>],
+    total: impl Fn(&Sequence) -> u64 + Copy,
+) -> Orders<Accuracy> {
+    let accuracy = |order: Order| {
+        let ap = table(protocol, sequences, |sequence| {
+            sequence.average_precision(order, total(sequence))
+        });
+        let mean = |key: String| {
+            let values = protocol.classes.iter().map(|class| ap[&class.name][&key]);
+            (key.clone(), mean_of(values))
+        };
+        let mean_ap = protocol.ious.iter().map(|iou| mean(Protocol::iou_key(*iou))).collect();
+        let counts = table(protocol, sequences, |sequence| {
+            let hits = sequence.hit_count();
+            Counts {
+                hits,
+                misses: sequence.entries.len() as u64 - hits,
+                total: total(sequence),
+            }
+        });
+        Accuracy { ap, mean_ap, counts }
+    };
+    Orders {
+        sorted: accuracy(Order::Sorted),
+        v2x_real: accuracy(Order::V2xReal),
+    }
+}
+
+/// The mean, `None` if a value is missing.
+pub(crate) fn mean_of(values: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
+    let count = values.len() as f64;
+    values.sum::<Option<f64>>().map(|sum| sum / count)
+}
+
+fn range_bins(protocol: &Protocol, sequence: &Sequence) -> Vec<RangeBin> {
+    let share = |part: u64, of: u64| (of > 0).then(|| part as f64 / of as f64);
+    let bins = protocol.range_edges.iter().zip(&sequence.bins).enumerate();
+    bins.map(|(i, (from, bin))| RangeBin {
+        from: *from,
+        to: protocol.range_edges.get(i + 1).copied(),
+        counts: Counts {
+            hits: bin.hits,
+            misses: bin.misses,
+            total: bin.total,
+        },
+        precision: share(bin.hits, bin.hits + bin.misses),
+        recall: share(bin.hits, bin.total),
+    })
+    .collect()
+}
+
+fn notes(evaluation: &Evaluation, all: &[Vec<Sequence>], seen: &[Vec<Sequence>]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let empty = |sequences: &[Vec<Sequence>]| -> Vec<String> {
+        let classes = evaluation.protocol.classes.iter().zip(sequences);
+        let empty = classes.filter(|(_, per_iou)| per_iou.first().is_none_or(|sequence| sequence.total() == 0));
+        empty.map(|(class, _)| format!("`{}`", class.name)).collect()
+    };
+    if !evaluation
+        .scenes
+        .iter()
+        .flat_map(|scene| &scene.frames)
+        .any(|frame| frame.key)
+    {
+        notes.push("no frame has ground truth: nothing is scored".to_string());
+        return notes;
+    }
+    let silent = evaluation.scenes.iter().filter(|scene| !scene.knows_points()).count();
+    if silent > 0 {
+        let of = evaluation.scenes.len();
+        notes.push(format!(
+            "{silent} of {of} scenes do not say how many points the ego has on each object: left out of accuracy_seen"
+        ));
+    }
+    for (name, sequences) in [("accuracy", all), ("accuracy_seen", seen)] {
+        let classes = empty(sequences);
+        if !classes.is_empty() && (name == "accuracy" || silent < evaluation.scenes.len()) {
+            let classes = classes.join(", ");
+            notes.push(format!(
+                "{name}: no object of class {classes} in the scored frames: its AP and mAP are null"
+            ));
+        }
+    }
+    notes
+}
+
+/// The counts of each scored frame.
+pub fn frame_scores(evaluation: &Evaluation) -> Vec<FrameScore> {
+    let protocol = &evaluation.protocol;
+    let score = |scene: &Scene, frame: &Frame| FrameScore {
+        scene: scene.name.clone(),
+        ego: scene.ego.clone(),
+        seq: frame.seq,
+        stamp: frame.stamp,
+        counts: frame_counts(frame, protocol),
+    };
+    let frames = |scene: &'_ Scene| -> Vec<FrameScore> {
+        scene
+            .frames
+            .iter()
+            .filter(|frame| frame.key)
+            .map(|frame| score(scene, frame))
+            .collect()
+    };
+    evaluation.scenes.iter().flat_map(frames).collect()
+}
+
+fn frame_counts(frame: &Frame, protocol: &Protocol) -> Table<Counts> {
+    let per_class = |class: usize| {
+        let overlaps = Overlaps::new(frame, class as u8);
+        let counts = |iou: f64| {
+            let outcomes = overlaps.matched(iou, |_| true);
+            let hits = outcomes
+                .iter()
+                .filter(|outcome| matches!(outcome, Outcome::True(_)))
+                .count() as u64;
+            Counts {
+                hits,
+                misses: outcomes.len() as u64 - hits,
+                total: overlaps.truths.len() as u64,
+            }
+        };
+        protocol
+            .ious
+            .iter()
+            .map(|iou| (Protocol::iou_key(*iou), counts(*iou)))
+            .collect()
+    };
+    protocol
+        .classes
+        .iter()
+        .enumerate()
+        .map(|(i, class)| (class.name.clone(), per_class(i)))
+        .collect()
+}

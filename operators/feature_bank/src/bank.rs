@@ -1,0 +1,195 @@
+//! The bank itself: which message a query takes, and where every message went.
+
+use std::collections::BTreeMap;
+
+use realo_schemas::report::{BankReport, Departed, MessageId, Selected};
+use realo_schemas::{Header, Message, Name, Nanos, to_millis};
+
+use crate::sender::Sender;
+
+/// Greatest difference of stamps offline, ns; inclusive.
+pub const OFFLINE_REACH: Nanos = 50_000_000;
+
+/// Messages that are held of a sender; more than a query that waits for its turn can still ask for.
+const HELD: usize = 16;
+
+/// Why a message cannot be held.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BankError {
+    /// A stamp that lies after the message's arrival.
+    #[error(
+        "{message}: the stamp lies {by_ms} ms after its arrival, at most {limit_ms} are allowed (argument `ahead_ms`); the sender's clock is wrong"
+    )]
+    Ahead {
+        /// The message.
+        message: String,
+        /// By how much, ms.
+        by_ms: f64,
+        /// The limit, ms.
+        limit_ms: f64,
+    },
+    /// One agent too many.
+    #[error("{message}: {limit} other agents are known already (argument `max_agents`)")]
+    Agents {
+        /// The message.
+        message: String,
+        /// The limit.
+        limit: usize,
+    },
+}
+
+/// What became of a message that came in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// It is held, and will depart.
+    Held,
+    /// A copy of one that was seen before.
+    Repeated,
+    /// The ego's own.
+    FromEgo,
+}
+
+/// A query's answer: what to fuse, ordered by agent, and the report about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer {
+    /// The messages.
+    pub entries: Vec<Message>,
+    /// The report.
+    pub report: BankReport,
+}
+
+/// Holds what collaborators sent.
+pub struct Bank {
+    /// Greatest age online, ns; inclusive.
+    pub window: Nanos,
+    /// Whether the nearest stamp is taken instead of the newest.
+    pub offline: bool,
+    /// How far a stamp may lie after the message's arrival, ns.
+    pub ahead: Nanos,
+    /// Agents that are known at the same time.
+    pub max_agents: usize,
+    /// Agents unheard of for longer are forgotten, ns.
+    pub forget: Nanos,
+    /// Messages held of a sender at the same time.
+    held: usize,
+    ego: Option<Name>,
+    senders: BTreeMap<Name, Sender>,
+    departed: Vec<Departed>,
+}
+
+impl Bank {
+    /// An empty bank.
+    pub fn new(window: Nanos, offline: bool, ahead: Nanos, max_agents: usize, forget: Nanos) -> Self {
+        let (held, ego, senders, departed) = (HELD, None, BTreeMap::new(), Vec::new());
+        Bank {
+            window,
+            offline,
+            ahead,
+            max_agents,
+            forget,
+            held,
+            ego,
+            senders,
+            departed,
+        }
+    }
+
+    /// Takes a collaborator's message; `message.header.ready` is when it came.
+    ///
+    /// # Errors
+    /// [`BankError`] if its stamp lies in the future or it is of one agent too many.
+    pub fn insert(&mut self, message: Message) -> Result<Taken, BankError> {
+        let header = &message.header;
+        if self.ego.as_ref() == Some(&header.agent) {
+            return Ok(Taken::FromEgo);
+        }
+        let by = header.stamp.saturating_sub(header.ready);
+        if by > self.ahead {
+            let (by_ms, limit_ms) = (to_millis(by), to_millis(self.ahead));
+            return Err(BankError::Ahead {
+                message: header.to_string(),
+                by_ms,
+                limit_ms,
+            });
+        }
+        if !self.senders.contains_key(&header.agent) && self.senders.len() >= self.max_agents {
+            return Err(BankError::Agents {
+                message: header.to_string(),
+                limit: self.max_agents,
+            });
+        }
+        let sender = self.senders.entry(header.agent.clone()).or_insert_with(Sender::new);
+        sender.last = sender.last.max(header.ready);
+        if !sender.is_new(header) {
+            return Ok(Taken::Repeated);
+        }
+        sender.hold(message, self.held, &mut self.departed);
+        Ok(Taken::Held)
+    }
+
+    /// Answers a query of the ego. Queries come in the order in which they are ready (offline: of their stamps).
+    pub fn answer(&mut self, query: &Header) -> Answer {
+        self.learn_ego(&query.agent);
+        let mut entries = Vec::new();
+        for sender in self.senders.values_mut() {
+            let selected = match self.offline {
+                true => sender.nearest(query.stamp, OFFLINE_REACH, &mut self.departed),
+                false => sender.newest(query.ready, self.window, &mut self.departed),
+            };
+            entries.extend(selected);
+        }
+        self.forget_before(query.ready.saturating_sub(self.forget));
+        let selected = entries.iter().map(|entry| Selected {
+            message: MessageId::of(&entry.header),
+            age_ns: query.ready.saturating_sub(entry.header.stamp),
+        });
+        let report = BankReport {
+            query: Some(query.seq),
+            agent: query.agent.to_string(),
+            selected: selected.collect(),
+            departed: std::mem::take(&mut self.departed),
+        };
+        Answer { entries, report }
+    }
+
+    /// What it held of the ego itself, before it knew who that is, never counts.
+    fn learn_ego(&mut self, ego: &Name) {
+        if self.ego.as_ref() != Some(ego) {
+            self.senders.remove(ego);
+            self.ego = Some(ego.clone());
+        }
+    }
+
+    fn forget_before(&mut self, time: Nanos) {
+        let (departed, offline) = (&mut self.departed, self.offline);
+        self.senders.retain(|_, sender| {
+            let keep = sender.last >= time;
+            if !keep {
+                sender.leave(offline, departed);
+            }
+            keep
+        });
+    }
+
+    /// Closes the books: everything that is still held departs.
+    pub fn close(&mut self) -> BankReport {
+        for sender in self.senders.values_mut() {
+            sender.leave(self.offline, &mut self.departed);
+        }
+        self.senders.clear();
+        BankReport {
+            query: None,
+            agent: self.ego.as_deref().unwrap_or_default().into(),
+            selected: Vec::new(),
+            departed: std::mem::take(&mut self.departed),
+        }
+    }
+
+    /// Number of agents that it knows.
+    pub fn agents(&self) -> usize {
+        self.senders.len()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,35 @@
+//! The feature bank: holds what collaborators sent, of any payload, and answers each message of the ego with what to
+//! fuse. Nobody waits for a collaborator online.
+//!
+//! | port | direction | types | meaning |
+//! |---|---|---|---|
+//! | `ego` | in, all, query | PointCloud, FeatureMap, Boxes | what the ego says of itself; each message is a query |
+//! | `others` | in, all | PointCloud, FeatureMap, Boxes | what collaborators say |
+//! | `selections` | out | Selection | exactly one for each query, with the query's header |
+//! | `report` | out | Report | topic `bank`: one for each query, and one that closes the books |
+//!
+//! **Online** a query takes, of each sender, the message of newest stamp that was ready when the query was, unless it
+//! is older than the window (age = the query's ready - the message's stamp).
+//! **Offline** it takes the message of least |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
+//! 50 ms after its stamp.
+//!
+//! Every message that enters `others` departs exactly once, in a report; its fate is the first that fits:
+//!
+//! | fate | meaning |
+//! |---|---|
+//! | `unused` | it was in a Selection; the reports of fusion say whether it was used |
+//! | `stale` | too old when a query asked its sender: online beyond the window, offline more than 50 ms before the query and never within reach of one |
+//! | `superseded` | online a newer one of its sender was there before any query, offline a nearer one was taken |
+//! | `in_flight` | held at the end, and no query had asked for it |
+//!
+//! Copies of a message that was seen before (same agent, kind, seq and stamp among the sender's last 64) count as
+//! `repeated` and the ego's own messages as `from_ego`; neither is held nor departs. A sender that starts its seq
+//! afresh is welcome as long as its stamps go on. A message from the future (argument `ahead_ms`) or of one agent too
+//! many (argument `max_agents`) is an error, hence rejected.
+
+mod bank;
+mod operator;
+mod sender;
+
+pub use bank::{Answer, Bank, BankError, OFFLINE_REACH, Taken};
+pub use operator::{BankConfig, FeatureBank};

@@ -1,0 +1,196 @@
+use std::collections::BTreeMap;
+
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::report::{BankReport, to_report};
+use realo_schemas::{Header, Kind, Message, Nanos, PayloadType, Selection};
+use serde::{Deserialize, Serialize};
+
+use crate::{Bank, OFFLINE_REACH, Taken};
+
+const FUSABLE: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::FeatureMap, PayloadType::Boxes];
+
+const EGO: PortId = PortId(0);
+const OTHERS: PortId = PortId(1);
+const SELECTIONS: PortId = PortId(0);
+const REPORT: PortId = PortId(1);
+
+const NANOS_PER_MILLI: Nanos = 1_000_000;
+
+/// Settings of the bank.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BankConfig {
+    /// Greatest age of what is selected, ms.
+    pub window_ms: u32,
+    /// Nearest stamp within ±50 ms instead of the newest ready message.
+    pub offline: bool,
+    /// How far a stamp may lie after its message's arrival, ms.
+    pub ahead_ms: u32,
+    /// Other agents that are known at the same time.
+    pub max_agents: usize,
+    /// Agents unheard of for longer are forgotten, ms.
+    pub forget_ms: u32,
+}
+
+impl Default for BankConfig {
+    fn default() -> Self {
+        BankConfig {
+            window_ms: 400,
+            offline: false,
+            ahead_ms: 1000,
+            max_agents: 256,
+            forget_ms: 60_000,
+        }
+    }
+}
+
+/// Holds what collaborators sent and answers the ego's queries.
+pub struct FeatureBank {
+    bank: Bank,
+    /// Offline: queries that wait for what is up to 50 ms younger, by stamp and arrival.
+    pending: BTreeMap<(Nanos, u64), Header>,
+    /// Queries so far.
+    queries: u64,
+    /// The header that the closing report derives from.
+    last: Option<Header>,
+}
+
+impl Describe for FeatureBank {
+    type Config = BankConfig;
+    const NAME: &'static str = "feature-bank";
+    const ABOUT: &'static str = "Holds what collaborators sent and selects what each message of the ego is fused with";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "window_ms",
+            about: "greatest age of what is selected online, ms",
+        },
+        Argument {
+            name: "offline",
+            about: "select the nearest stamp within ±50 ms instead of the newest in the window",
+        },
+        Argument {
+            name: "ahead_ms",
+            about: "how far a stamp may lie after its message's arrival, ms",
+        },
+        Argument {
+            name: "max_agents",
+            about: "other agents that are known at the same time; one more is rejected",
+        },
+        Argument {
+            name: "forget_ms",
+            about: "agents unheard of for longer are forgotten, ms",
+        },
+    ];
+    const INPUTS: &'static [Port] = &[
+        Port::new("ego", FUSABLE, "what the ego says of itself; each message is a query").query(),
+        Port::new("others", FUSABLE, "what collaborators say"),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new(
+            "selections",
+            &[PayloadType::Selection],
+            "one for each query, with the query's header",
+        ),
+        Port::new(
+            "report",
+            &[PayloadType::Report],
+            "topic `bank`: what was selected and what departed",
+        ),
+    ];
+}
+
+impl FeatureBank {
+    fn answer(&mut self, query: Header, out: &mut Outputs) {
+        let answer = self.bank.answer(&query);
+        out.count("entries", answer.entries.len() as u64);
+        self.report(&query, &answer.report, out);
+        let selection = Selection {
+            query: query.seq,
+            entries: answer.entries,
+        };
+        out.send(SELECTIONS, Message::new(query, selection));
+    }
+
+    fn report(&self, header: &Header, report: &BankReport, out: &mut Outputs) {
+        let header = Header {
+            kind: Kind::Report,
+            ..header.clone()
+        };
+        out.send(REPORT, Message::new(header, to_report("bank", report)));
+    }
+}
+
+impl Operator for FeatureBank {
+    fn new(config: BankConfig) -> Result<Self, Error> {
+        if config.max_agents == 0 {
+            return Err("argument `max_agents`: expected at least 1, found 0; nothing could be fused".into());
+        }
+        let nanos = |millis: u32| Nanos::from(millis) * NANOS_PER_MILLI;
+        if config.forget_ms < config.window_ms {
+            let (forget, window) = (config.forget_ms, config.window_ms);
+            return Err(
+                format!("argument `forget_ms`: expected at least `window_ms` = {window}, found {forget}").into(),
+            );
+        }
+        let (window, ahead, forget) = (nanos(config.window_ms), nanos(config.ahead_ms), nanos(config.forget_ms));
+        let bank = Bank::new(window, config.offline, ahead, config.max_agents, forget);
+        Ok(FeatureBank {
+            bank,
+            pending: BTreeMap::new(),
+            queries: 0,
+            last: None,
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            EGO => {
+                let query = message.header;
+                self.last = Some(query.clone());
+                if self.bank.offline {
+                    out.wake_at(query.stamp.saturating_add(OFFLINE_REACH));
+                    self.pending.insert((query.stamp, self.queries), query);
+                    self.queries += 1;
+                } else {
+                    self.answer(query, out);
+                }
+            }
+            OTHERS => {
+                if self.last.is_none() {
+                    self.last = Some(message.header.clone());
+                }
+                match self.bank.insert(message)? {
+                    Taken::Held => {}
+                    Taken::Repeated => out.count("repeated", 1),
+                    Taken::FromEgo => out.count("from_ego", 1),
+                }
+            }
+            _ => return Err(wrong_port(Self::INPUTS, port)),
+        }
+        Ok(())
+    }
+
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+        let later = self
+            .pending
+            .split_off(&(now.saturating_sub(OFFLINE_REACH).saturating_add(1), 0));
+        for query in std::mem::replace(&mut self.pending, later).into_values() {
+            self.answer(query, out);
+        }
+        Ok(())
+    }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        for query in std::mem::take(&mut self.pending).into_values() {
+            self.answer(query, out);
+        }
+        let report = self.bank.close();
+        if let Some(last) = &self.last {
+            self.report(last, &report, out);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

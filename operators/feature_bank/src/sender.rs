@@ -1,0 +1,148 @@
+//! What the bank holds of one collaborator.
+
+use std::collections::VecDeque;
+
+use realo_schemas::report::{Departed, Fate, MessageId};
+use realo_schemas::{Header, Kind, Message, Nanos};
+
+/// Ids that are remembered of a sender, to know copies by.
+const REMEMBERED: usize = 64;
+
+/// A message in the bank and what happened to it there.
+struct Held {
+    message: Message,
+    selected: bool,
+    stale: bool,
+    passed_over: bool,
+}
+
+impl Held {
+    /// Its fate if it leaves now; `unasked` is that of a message which no query asked for.
+    fn fate(&self, unasked: Fate) -> Fate {
+        match (self.selected, self.stale, self.passed_over) {
+            (true, _, _) => Fate::Unused,
+            (_, true, _) => Fate::Stale,
+            (_, _, true) => Fate::Superseded,
+            _ => unasked,
+        }
+    }
+
+    fn departed(&self, unasked: Fate) -> Departed {
+        Departed {
+            message: MessageId::of(&self.message.header),
+            fate: self.fate(unasked),
+        }
+    }
+}
+
+/// One collaborator.
+pub(crate) struct Sender {
+    /// By stamp; of one stamp the latest arrival last.
+    held: Vec<Held>,
+    seen: VecDeque<(Kind, u64, Nanos)>,
+    /// When it was last heard of.
+    pub last: Nanos,
+}
+
+impl Sender {
+    pub fn new() -> Self {
+        Sender {
+            held: Vec::new(),
+            seen: VecDeque::new(),
+            last: Nanos::MIN,
+        }
+    }
+
+    /// Remembers a message; `false` if it was seen before.
+    pub fn is_new(&mut self, header: &Header) -> bool {
+        let id = (header.kind, header.seq, header.stamp);
+        if self.seen.contains(&id) {
+            return false;
+        }
+        if self.seen.len() == REMEMBERED {
+            self.seen.pop_front();
+        }
+        self.seen.push_back(id);
+        true
+    }
+
+    /// Holds a message. Which one a query takes is decided when it asks, because a query that has waited for its turn
+    /// must not see what became ready after it.
+    pub fn hold(&mut self, message: Message, limit: usize, departed: &mut Vec<Departed>) {
+        let at = self
+            .held
+            .partition_point(|held| held.message.header.stamp <= message.header.stamp);
+        self.held.insert(
+            at,
+            Held {
+                message,
+                selected: false,
+                stale: false,
+                passed_over: false,
+            },
+        );
+        if self.held.len() > limit {
+            departed.push(self.held.remove(0).departed(Fate::Superseded));
+        }
+    }
+
+    /// Online: the message of newest stamp that is ready at `ready`, unless it is older than the window.
+    pub fn newest(&mut self, ready: Nanos, window: Nanos, departed: &mut Vec<Departed>) -> Option<Message> {
+        let newest = self.held.iter().rposition(|held| held.message.header.ready <= ready)?;
+        let mut place = 0;
+        self.held.retain(|held| {
+            let keep = place >= newest || held.message.header.ready > ready;
+            if !keep {
+                departed.push(held.departed(Fate::Superseded));
+            }
+            place += 1;
+            keep
+        });
+        let held = self.held.iter_mut().rfind(|held| held.message.header.ready <= ready)?;
+        let in_time = ready.saturating_sub(held.message.header.stamp) <= window;
+        held.selected |= in_time;
+        held.stale |= !in_time;
+        in_time.then(|| held.message.clone())
+    }
+
+    /// Offline: the message whose stamp is nearest, at most `reach` away; of two the earlier one.
+    pub fn nearest(&mut self, stamp: Nanos, reach: Nanos, departed: &mut Vec<Departed>) -> Option<Message> {
+        let distance = |held: &Held| held.message.header.stamp.abs_diff(stamp);
+        // The first of least distance is the earlier one, and of one stamp the one that came first.
+        let nearest = self
+            .held
+            .iter()
+            .enumerate()
+            .min_by_key(|(_, held)| distance(held))
+            .map(|(at, _)| at);
+        let nearest = nearest.filter(|at| distance(&self.held[*at]) <= reach.unsigned_abs());
+        for (at, held) in self.held.iter_mut().enumerate() {
+            let within = distance(held) <= reach.unsigned_abs();
+            held.selected |= nearest == Some(at);
+            held.passed_over |= within && nearest != Some(at);
+            held.stale |= !within && held.message.header.stamp < stamp && !held.passed_over;
+        }
+        let selected = nearest.map(|at| self.held[at].message.clone());
+        self.held.retain(|held| {
+            let keep = held.message.header.stamp >= stamp.saturating_sub(reach);
+            if !keep {
+                departed.push(held.departed(Fate::Stale));
+            }
+            keep
+        });
+        selected
+    }
+
+    /// Gives up everything. Online all but the newest message have been superseded, asked for or not.
+    pub fn leave(&mut self, offline: bool, departed: &mut Vec<Departed>) {
+        let last = self.held.len().saturating_sub(1);
+        for (at, held) in self.held.drain(..).enumerate() {
+            let unasked = if at == last || offline {
+                Fate::InFlight
+            } else {
+                Fate::Superseded
+            };
+            departed.push(held.departed(unasked));
+        }
+    }
+}

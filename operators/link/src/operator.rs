@@ -1,0 +1,283 @@
+use std::collections::{BTreeMap, BTreeSet};
+
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::report::{Channel, LinkReport, to_report};
+use realo_schemas::{EgoState, Header, Kind, Message, Name, Nanos, Packet, PayloadType};
+use serde::{Deserialize, Serialize};
+
+use crate::{Arrivals, Model, Profile, StreamKey, transmit};
+
+const EGO_STATE: PortId = PortId(0);
+const STATES: PortId = PortId(1);
+const EGO: PortId = PortId(2);
+const OTHERS: PortId = PortId(3);
+const TO_EGO: PortId = PortId(0);
+const TO_OTHERS: PortId = PortId(1);
+const REPORT: PortId = PortId(2);
+
+/// Settings of the link.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LinkConfig {
+    /// Name of a built-in profile, or a file.
+    pub profile: String,
+    /// Greatest distance over which packets are sent, m.
+    pub range_m: f64,
+    /// Keeps the gate and the counts, without delay, jitter or loss.
+    pub offline: bool,
+    /// The ego's name; empty: the first agent that says something on `ego` or `ego_state`.
+    pub ego: String,
+    /// Seed of jitter, loss and copies.
+    pub seed: u64,
+}
+
+impl Default for LinkConfig {
+    fn default() -> Self {
+        LinkConfig {
+            profile: "perfect".into(),
+            range_m: 70.0,
+            offline: false,
+            ego: String::new(),
+            seed: 0,
+        }
+    }
+}
+
+/// A position and when it was measured.
+type Fix = (Nanos, [f64; 2]);
+
+#[derive(Default)]
+struct Tally {
+    sent: u64,
+    bytes: u64,
+    lost: u64,
+    duplicated: u64,
+    out_of_range: u64,
+}
+
+/// Carries packets between the ego and the others.
+pub struct Link {
+    profile: Profile,
+    range_m: f64,
+    key: StreamKey,
+    ego: Option<Name>,
+    others: BTreeSet<Name>,
+    fixes: BTreeMap<Name, Fix>,
+    channels: BTreeMap<(Name, Name, Kind), Tally>,
+    /// The header that the report derives from.
+    last: Option<Header>,
+}
+
+impl Describe for Link {
+    type Config = LinkConfig;
+    const NAME: &'static str = "link";
+    const ABOUT: &'static str = "Carries packets between the ego and the others: range, delay, jitter, loss";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "profile",
+            about: "channel model: perfect, paper, or a .toml or .yml file",
+        },
+        Argument {
+            name: "range_m",
+            about: "greatest distance in (x, y) over which packets are sent, m; inclusive",
+        },
+        Argument {
+            name: "offline",
+            about: "keep the range gate and the counts, without delay, jitter, loss or copies",
+        },
+        Argument {
+            name: "ego",
+            about: "the ego; empty: the first agent on `ego` or `ego_state`",
+        },
+        Argument {
+            name: "seed",
+            about: "seed of jitter, loss and copies",
+        },
+    ];
+    const INPUTS: &'static [Port] = &[
+        Port::new("ego_state", &[PayloadType::EgoState], "where the ego is")
+            .state()
+            .optional(),
+        Port::new("states", &[PayloadType::EgoState], "where the others are")
+            .state()
+            .optional(),
+        Port::new("ego", &[PayloadType::Packet], "what the ego sends").optional(),
+        Port::new("others", &[PayloadType::Packet], "what the others send").optional(),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new(
+            "to_ego",
+            &[PayloadType::Packet],
+            "the others' packets, delivered to the ego",
+        ),
+        Port::new(
+            "to_others",
+            &[PayloadType::Packet],
+            "the ego's packets, a copy for each other agent that is known",
+        ),
+        Port::new(
+            "report",
+            &[PayloadType::Report],
+            "topic `link`: what crossed each channel, at the end",
+        ),
+    ];
+}
+
+impl Link {
+    /// The ego's name, learned from its lane unless an argument names it.
+    fn ego_lane(&mut self, agent: &Name) -> Result<(), Error> {
+        let ego = self.ego.get_or_insert_with(|| agent.clone());
+        if ego != agent {
+            return Err(format!("the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the argument `ego` of the link").into());
+        }
+        Ok(())
+    }
+
+    fn others_lane(&mut self, agent: &Name) -> Result<(), Error> {
+        if self.ego.as_ref() == Some(agent) {
+            return Err(format!("the others' lane carries a message of the ego, {agent}; mend the wiring").into());
+        }
+        if !self.others.contains(agent) {
+            self.others.insert(agent.clone());
+        }
+        Ok(())
+    }
+
+    fn state(&mut self, header: Header, state: &EgoState) -> Result<(), Error> {
+        let t = &state.map_from_body.translation.vector;
+        if !(t.x.is_finite() && t.y.is_finite()) {
+            return Err(format!("position ({}, {}) is not finite", t.x, t.y).into());
+        }
+        let fix = (header.stamp, [t.x, t.y]);
+        let known = self.fixes.entry(header.agent).or_insert(fix);
+        if fix.0 >= known.0 {
+            *known = fix;
+        }
+        Ok(())
+    }
+
+    /// Whether two agents are in reach of each other; `None` while a position is unknown.
+    fn in_range(&self, from: &Name, to: &Name) -> Option<bool> {
+        let ((_, a), (_, b)) = (self.fixes.get(from)?, self.fixes.get(to)?);
+        let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
+        Some(dx * dx + dy * dy <= self.range_m * self.range_m)
+    }
+
+    fn carry(&mut self, port: PortId, to: &Name, header: &Header, packet: &Packet, out: &mut Outputs) {
+        let from = &header.agent;
+        let in_range = self.in_range(from, to);
+        let tally = self
+            .channels
+            .entry((from.clone(), to.clone(), header.kind))
+            .or_default();
+        if in_range == Some(false) {
+            tally.out_of_range += 1;
+            return;
+        }
+        out.count("ungated", u64::from(in_range.is_none()));
+        tally.sent += 1;
+        tally.bytes += packet.bytes.len() as u64;
+        let draws = self.key.draws(from, to, header.kind, header.seq);
+        let Arrivals { first, second } = transmit(self.profile.model(header.kind), packet.bytes.len(), draws);
+        tally.lost += u64::from(first.is_none());
+        tally.duplicated += u64::from(second.is_some());
+        for delay in [first, second].into_iter().flatten() {
+            let ready = out.now().saturating_add(delay);
+            let header = Header {
+                to: Some(to.clone()),
+                ready,
+                ..header.clone()
+            };
+            out.send(port, Message::new(header, packet.clone()));
+        }
+    }
+
+    fn report(&self) -> LinkReport {
+        let channels = self.channels.iter().map(|((from, to, kind), tally)| Channel {
+            from: from.to_string(),
+            to: to.to_string(),
+            kind: *kind,
+            sent: tally.sent,
+            bytes: tally.bytes,
+            lost: tally.lost,
+            duplicated: tally.duplicated,
+            out_of_range: tally.out_of_range,
+        });
+        LinkReport {
+            channels: channels.collect(),
+        }
+    }
+}
+
+impl Operator for Link {
+    fn new(config: LinkConfig) -> Result<Self, Error> {
+        if !(config.range_m.is_finite() && config.range_m >= 0.0) {
+            return Err(format!(
+                "argument `range_m`: expected metres, at least 0, found {}",
+                config.range_m
+            )
+            .into());
+        }
+        let mut profile = Profile::load(&config.profile)?;
+        if config.offline {
+            profile = Profile {
+                about: profile.about,
+                default: Model::default(),
+                kinds: BTreeMap::new(),
+            };
+        }
+        Ok(Link {
+            profile,
+            range_m: config.range_m,
+            key: StreamKey::new(config.seed, "link"),
+            ego: (!config.ego.is_empty()).then(|| config.ego.into()),
+            others: BTreeSet::new(),
+            fixes: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            last: None,
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            EGO_STATE | EGO => self.ego_lane(&message.header.agent)?,
+            STATES | OTHERS => self.others_lane(&message.header.agent)?,
+            _ => return Err(wrong_port(Self::INPUTS, port)),
+        }
+        if matches!(port, EGO_STATE | STATES) {
+            let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+            return self.state(header, &state);
+        }
+        let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
+        self.last = Some(header.clone());
+        if port == EGO {
+            for other in self.others.clone() {
+                self.carry(TO_OTHERS, &other, &header, &packet, out);
+            }
+            return Ok(());
+        }
+        let Some(ego) = self.ego.clone() else {
+            out.count("no_receiver", 1);
+            return Ok(());
+        };
+        self.carry(TO_EGO, &ego, &header, &packet, out);
+        Ok(())
+    }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        if let Some(last) = &self.last {
+            let agent = self.ego.clone().unwrap_or_else(|| last.agent.clone());
+            let header = Header {
+                kind: Kind::Report,
+                agent,
+                ready: out.now(),
+                ..last.clone()
+            };
+            out.send(REPORT, Message::new(header, to_report("link", &self.report())));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

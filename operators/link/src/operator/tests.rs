@@ -1,0 +1,251 @@
+use arrow::buffer::Buffer;
+use nalgebra::Isometry3;
+use realo_schemas::report::from_report;
+use realo_schemas::{PoseStatus, Report};
+
+use super::*;
+
+const MS: Nanos = 1_000_000;
+
+fn header(agent: &str, kind: Kind, seq: u64, at: Nanos) -> Header {
+    Header::origin(&"run".into(), &agent.into(), kind, seq, at, at)
+}
+
+fn packet(agent: &str, kind: Kind, seq: u64, at: Nanos, bytes: usize) -> Message {
+    let packet = Packet {
+        codec: vec!["plain".into()],
+        bytes: Buffer::from(vec![0u8; bytes]),
+    };
+    Message::new(header(agent, kind, seq, at), packet)
+}
+
+fn state(agent: &str, at: Nanos, x: f64, y: f64) -> Message {
+    let state = EgoState {
+        map_from_body: Isometry3::translation(x, y, 900.0),
+        covariance: None,
+        velocity: None,
+        angular_rate: None,
+        status: PoseStatus::Recorded,
+    };
+    Message::new(header(agent, Kind::EgoState, 0, at), state)
+}
+
+fn link(profile: &str) -> Link {
+    Link::new(LinkConfig {
+        profile: profile.into(),
+        ego: "cav1".into(),
+        ..LinkConfig::default()
+    })
+    .unwrap()
+}
+
+fn report(link: &mut Link) -> Vec<Channel> {
+    let mut out = Outputs::at(99 * MS);
+    link.on_end(&mut out).unwrap();
+    let (port, message) = out.take_sent().remove(0);
+    let (header, report): (Header, Report) = message.into_parts().unwrap();
+    assert_eq!(
+        (port, header.kind, &*header.agent, &*report.topic),
+        (REPORT, Kind::Report, "cav1", "link")
+    );
+    from_report::<LinkReport>(&report).unwrap().channels
+}
+
+#[test]
+fn paper_delays_by_kind_from_the_time_of_sending() {
+    let mut link = link("paper");
+    let kinds = [
+        (Kind::Boxes, 10_000_000),
+        (Kind::Points, 144_200_000),
+        (Kind::Features, 41_700_000),
+        (Kind::EgoState, 10_000_000),
+    ];
+    for (kind, delay) in kinds {
+        let mut out = Outputs::at(17);
+        link.on_input(OTHERS, packet("rsu1", kind, 3, 12, 100), &mut out)
+            .unwrap();
+        let sent = out.take_sent();
+        assert_eq!(sent.len(), 1);
+        let (port, message) = &sent[0];
+        assert_eq!((*port, message.header.to.as_deref()), (TO_EGO, Some("cav1")));
+        assert_eq!(
+            (message.header.ready, message.header.stamp, message.header.seq),
+            (17 + delay, 12, 3)
+        );
+    }
+    let channels = report(&mut link);
+    assert_eq!(
+        channels.iter().map(|c| c.kind).collect::<Vec<_>>(),
+        [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState]
+    );
+    assert!(channels.iter().all(|c| (c.sent, c.bytes, c.lost) == (1, 100, 0)));
+}
+
+#[test]
+fn range_gate_is_inclusive_and_uses_the_newest_positions() {
+    let mut link = link("perfect");
+    let mut out = Outputs::at(MS);
+    let mut delivered = |link: &mut Link, states: &[(&str, Nanos, f64, f64)]| {
+        for (agent, at, x, y) in states {
+            let port = if *agent == "cav1" { EGO_STATE } else { STATES };
+            link.on_input(port, state(agent, *at, *x, *y), &mut out).unwrap();
+        }
+        link.on_input(OTHERS, packet("rsu1", Kind::Boxes, 0, MS, 10), &mut out)
+            .unwrap();
+        out.take_sent().len()
+    };
+    assert_eq!(delivered(&mut link, &[]), 1, "no gate without positions");
+    assert_eq!(
+        delivered(&mut link, &[("cav1", 0, 1e6, 1e6)]),
+        1,
+        "nor with one of them"
+    );
+    assert_eq!(delivered(&mut link, &[("rsu1", 0, 1e6 + 42.0, 1e6 + 56.0)]), 1, "70 m");
+    assert_eq!(delivered(&mut link, &[("rsu1", 5, 1e6 + 42.1, 1e6 + 56.0)]), 0);
+    assert_eq!(
+        delivered(&mut link, &[("rsu1", 4, 1e6, 1e6)]),
+        0,
+        "an older state does not count"
+    );
+    assert_eq!(delivered(&mut link, &[("cav1", 6, 1e6 + 10.0, 1e6)]), 1);
+    assert_eq!(out.counted("ungated"), 2);
+    let channels = report(&mut link);
+    assert_eq!(
+        (channels[0].sent, channels[0].out_of_range, channels[0].bytes),
+        (4, 2, 40)
+    );
+}
+
+#[test]
+fn the_egos_packets_go_to_every_other_agent() {
+    let mut link = link("paper");
+    let mut out = Outputs::at(0);
+    link.on_input(STATES, state("rsu2", 0, 10.0, 0.0), &mut out).unwrap();
+    link.on_input(OTHERS, packet("cav2", Kind::EgoState, 0, 0, 10), &mut out)
+        .unwrap();
+    out.take_sent();
+    link.on_input(EGO, packet("cav1", Kind::EgoState, 0, 0, 20), &mut out)
+        .unwrap();
+    let sent: Vec<_> = out
+        .take_sent()
+        .into_iter()
+        .map(|(port, m)| (port, m.header.to.unwrap().to_string()))
+        .collect();
+    assert_eq!(sent, [(TO_OTHERS, "cav2".to_string()), (TO_OTHERS, "rsu2".to_string())]);
+    let channels: Vec<_> = report(&mut link).into_iter().map(|c| (c.from, c.to, c.bytes)).collect();
+    let expected = [("cav1", "cav2", 20), ("cav1", "rsu2", 20), ("cav2", "cav1", 10)];
+    assert_eq!(
+        channels,
+        expected.map(|(from, to, bytes)| (from.to_string(), to.to_string(), bytes))
+    );
+}
+
+fn lossy(folder: &tempfile::TempDir) -> String {
+    let path = folder.path().join("lossy.toml");
+    std::fs::write(
+        &path,
+        "[default]\nfixed_ms = 5\nloss = 0.3\nduplicate = 0.2\njitter = { gaussian_ms = 3 }",
+    )
+    .unwrap();
+    path.to_str().unwrap().to_string()
+}
+
+/// (seq, ready) of what 200 packets, sent in the given order, become.
+fn delivered(link: &mut Link, order: impl Iterator<Item = u64>) -> BTreeSet<(u64, Nanos)> {
+    let mut all = BTreeSet::new();
+    for seq in order {
+        let mut out = Outputs::at(100 * MS * seq as Nanos);
+        link.on_input(OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
+            .unwrap();
+        all.extend(
+            out.take_sent()
+                .into_iter()
+                .map(|(_, message)| (message.header.seq, message.header.ready)),
+        );
+    }
+    all
+}
+
+#[test]
+fn draws_do_not_depend_on_the_order_of_events() {
+    let folder = tempfile::tempdir().unwrap();
+    let profile = lossy(&folder);
+    let (mut forth, mut back) = (link(&profile), link(&profile));
+    let all = delivered(&mut forth, 0..200);
+    assert_eq!(all, delivered(&mut back, (0..200).rev()));
+    let channel = report(&mut forth).remove(0);
+    assert_eq!(all.len() as u64, channel.sent - channel.lost + channel.duplicated);
+    assert!(channel.lost > 30 && channel.duplicated > 10);
+    let other = LinkConfig {
+        profile,
+        ego: "cav1".into(),
+        seed: 1,
+        ..LinkConfig::default()
+    };
+    assert_ne!(all, delivered(&mut Link::new(other).unwrap(), 0..200));
+}
+
+#[test]
+fn offline_keeps_the_gate_and_the_counts_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = LinkConfig {
+        profile: lossy(&folder),
+        ego: "cav1".into(),
+        offline: true,
+        ..LinkConfig::default()
+    };
+    let mut link = Link::new(config).unwrap();
+    let all = delivered(&mut link, 0..200);
+    assert_eq!(all, (0..200).map(|seq| (seq, 100 * MS * seq as Nanos)).collect());
+    let mut out = Outputs::at(0);
+    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
+    link.on_input(STATES, state("rsu1", 0, 71.0, 0.0), &mut out).unwrap();
+    assert_eq!(delivered(&mut link, 200..210), BTreeSet::new());
+    let channel = report(&mut link).remove(0);
+    assert_eq!(
+        (channel.sent, channel.bytes, channel.lost, channel.out_of_range),
+        (200, 2000, 0, 10)
+    );
+}
+
+#[test]
+fn learns_the_ego_and_refuses_what_is_wired_wrongly() {
+    let mut link = Link::new(LinkConfig::default()).unwrap();
+    let mut out = Outputs::at(0);
+    link.on_input(OTHERS, packet("rsu1", Kind::Boxes, 0, 0, 1), &mut out)
+        .unwrap();
+    assert_eq!((out.take_sent().len(), out.counted("no_receiver")), (0, 1));
+    let mut refuse = |link: &mut Link, port, message| link.on_input(port, message, &mut out).unwrap_err().to_string();
+    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut Outputs::at(0))
+        .unwrap();
+    assert!(refuse(&mut link, OTHERS, packet("cav1", Kind::Boxes, 0, 0, 1)).contains("others' lane"));
+    assert!(refuse(&mut link, EGO, packet("cav2", Kind::Boxes, 0, 0, 1)).contains("ego's lane"));
+    assert!(refuse(&mut link, STATES, state("rsu1", 0, f64::NAN, 0.0)).contains("not finite"));
+    let refuse = |config| Link::new(config).err().expect("refused").to_string();
+    assert!(
+        refuse(LinkConfig {
+            range_m: -1.0,
+            ..LinkConfig::default()
+        })
+        .contains("`range_m`")
+    );
+    assert!(
+        refuse(LinkConfig {
+            profile: "pape".into(),
+            ..LinkConfig::default()
+        })
+        .contains("`paper`")
+    );
+}
+
+#[test]
+fn arguments_are_the_keys_of_the_configuration() {
+    let keys: Vec<String> = realo_runtime::config::defaults::<LinkConfig>()
+        .keys()
+        .cloned()
+        .collect();
+    assert_eq!(
+        keys,
+        Link::ARGUMENTS.iter().map(|argument| argument.name).collect::<Vec<_>>()
+    );
+}

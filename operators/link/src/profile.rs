@@ -1,0 +1,300 @@
+//! Channel models from files.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use realo_runtime::config::nearest_name;
+use realo_schemas::Kind;
+use serde::Deserialize;
+
+/// Profiles that need no file: name and text.
+pub const BUILT_IN: &[(&str, &str)] = &[
+    ("perfect", include_str!("../profiles/perfect.toml")),
+    ("paper", include_str!("../profiles/paper.toml")),
+];
+
+/// No delay in a profile may be greater, ms.
+const LONGEST_MS: f64 = 3_600_000.0;
+
+/// Kinds that a link carries.
+const CARRIED: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState];
+
+/// What a channel does, by kind of content.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Profile {
+    /// One line.
+    pub about: String,
+    /// For kinds without a model of their own.
+    pub default: Model,
+    /// By kind.
+    pub kinds: BTreeMap<Kind, Model>,
+}
+
+/// What a channel does to packets of one kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Model {
+    /// Delay of a packet without bytes, ms.
+    pub fixed_ms: f64,
+    /// Rate at which bytes cross; `None` takes no time.
+    pub bits_per_second: Option<u64>,
+    /// Random part of the delay.
+    pub jitter: Jitter,
+    /// Probability that a packet is lost.
+    pub loss: f64,
+    /// Probability that one more copy of a packet arrives.
+    pub duplicate: f64,
+}
+
+/// Random part of a delay, the sum of both; the delay as a whole is never below 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Jitter {
+    /// Width w of a uniform part in [-w, w], ms.
+    pub uniform_ms: f64,
+    /// Standard deviation of a Gaussian part of mean 0, ms.
+    pub gaussian_ms: f64,
+}
+
+/// Why a profile cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ProfileError {
+    /// Neither a built-in name nor a file's.
+    #[error(
+        "unknown link profile `{name}`{hint}; built in: {}; or a file that ends in .toml, .yml or .yaml",
+        names()
+    )]
+    Unknown {
+        /// The name.
+        name: String,
+        /// The nearest name.
+        hint: String,
+    },
+    /// A file that cannot be read.
+    #[error("link profile {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file that is no profile.
+    #[error("link profile {path}: {reason}")]
+    Syntax {
+        /// The file.
+        path: String,
+        /// What is wrong and where.
+        reason: String,
+    },
+    /// A number that cannot be.
+    #[error("link profile {path}: `{field}` of {of}: expected {expected}, found {found}")]
+    Value {
+        /// The file.
+        path: String,
+        /// The field.
+        field: &'static str,
+        /// Kind, or the default.
+        of: String,
+        /// What it may be.
+        expected: &'static str,
+        /// What it is.
+        found: f64,
+    },
+}
+
+fn names() -> String {
+    BUILT_IN.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")
+}
+
+impl Profile {
+    /// A built-in profile, or one from a TOML or YAML file.
+    ///
+    /// # Errors
+    /// [`ProfileError`] names the file, the field and what was expected.
+    pub fn load(name: &str) -> Result<Self, ProfileError> {
+        if let Some((_, text)) = BUILT_IN.iter().find(|(known, _)| *known == name) {
+            return Profile::from_toml(name, text);
+        }
+        let parse = match Path::new(name).extension().and_then(|extension| extension.to_str()) {
+            Some("toml") => Profile::from_toml,
+            Some("yml" | "yaml") => Profile::from_yaml,
+            _ => {
+                let nearest = nearest_name(name, BUILT_IN.iter().map(|(known, _)| *known));
+                let hint = nearest
+                    .map(|known| format!(" (did you mean `{known}`?)"))
+                    .unwrap_or_default();
+                return Err(ProfileError::Unknown {
+                    name: name.into(),
+                    hint,
+                });
+            }
+        };
+        let read = std::fs::read_to_string(name);
+        parse(
+            name,
+            &read.map_err(|source| ProfileError::Read {
+                path: name.into(),
+                source,
+            })?,
+        )
+    }
+
+    fn from_toml(path: &str, text: &str) -> Result<Self, ProfileError> {
+        let profile = toml::from_str(text).map_err(|error| error.to_string());
+        Profile::checked(path, profile)
+    }
+
+    fn from_yaml(path: &str, text: &str) -> Result<Self, ProfileError> {
+        let profile = serde_yaml::from_str(text).map_err(|error| error.to_string());
+        Profile::checked(path, profile)
+    }
+
+    fn checked(path: &str, profile: Result<Profile, String>) -> Result<Self, ProfileError> {
+        let profile = profile.map_err(|reason| ProfileError::Syntax {
+            path: path.into(),
+            reason,
+        })?;
+        if let Some(kind) = profile.kinds.keys().find(|kind| !CARRIED.contains(kind)) {
+            let reason = format!("`kinds.{kind}`: no link carries it; expected points, features, boxes or ego_state");
+            return Err(ProfileError::Syntax {
+                path: path.into(),
+                reason,
+            });
+        }
+        profile.default.check(path, "default")?;
+        for (kind, model) in &profile.kinds {
+            model.check(path, kind.as_str())?;
+        }
+        Ok(profile)
+    }
+
+    /// What the channel does to packets of a kind.
+    pub fn model(&self, kind: Kind) -> &Model {
+        self.kinds.get(&kind).unwrap_or(&self.default)
+    }
+}
+
+impl Model {
+    fn check(&self, path: &str, of: &str) -> Result<(), ProfileError> {
+        let (path, of) = (path.to_string(), of.to_string());
+        let millis = [
+            ("fixed_ms", self.fixed_ms),
+            ("jitter.uniform_ms", self.jitter.uniform_ms),
+            ("jitter.gaussian_ms", self.jitter.gaussian_ms),
+        ];
+        for (field, found) in millis {
+            if !(0.0..=LONGEST_MS).contains(&found) {
+                return Err(ProfileError::Value {
+                    path,
+                    field,
+                    of,
+                    expected: "0 to 3600000 ms",
+                    found,
+                });
+            }
+        }
+        for (field, found) in [("loss", self.loss), ("duplicate", self.duplicate)] {
+            if !(0.0..=1.0).contains(&found) {
+                return Err(ProfileError::Value {
+                    path,
+                    field,
+                    of,
+                    expected: "a probability, 0 to 1",
+                    found,
+                });
+            }
+        }
+        if self.bits_per_second == Some(0) {
+            let (field, expected) = ("bits_per_second", "at least 1; leave it out where bytes take no time");
+            return Err(ProfileError::Value {
+                path,
+                field,
+                of,
+                expected,
+                found: 0.0,
+            });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn built_in_profiles_are_as_published() {
+        assert_eq!(Profile::load("perfect").unwrap().model(Kind::Points), &Model::default());
+        let paper = Profile::load("paper").unwrap();
+        let fixed: Vec<f64> = CARRIED.iter().map(|kind| paper.model(*kind).fixed_ms).collect();
+        assert_eq!(fixed, [144.2, 41.7, 10.0, 10.0]);
+        assert!(
+            BUILT_IN
+                .iter()
+                .all(|(name, _)| !Profile::load(name).unwrap().about.is_empty())
+        );
+    }
+
+    #[test]
+    fn reads_both_syntaxes() {
+        let toml = "[default]\nfixed_ms = 2.0\nbits_per_second = 20_000_000\njitter = { gaussian_ms = 1.5 }\nloss = 0.02\n\
+                    [kinds.boxes]\njitter = { uniform_ms = 3 }\nduplicate = 1.0";
+        let yaml = "default: { fixed_ms: 2, bits_per_second: 20000000, jitter: { gaussian_ms: 1.5 }, loss: 0.02 }\n\
+                    kinds: { boxes: { jitter: { uniform_ms: 3 }, duplicate: 1 } }";
+        let folder = tempfile::tempdir().unwrap();
+        let load = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            Profile::load(path.to_str().unwrap()).unwrap()
+        };
+        let profile = load("radio.toml", toml);
+        assert_eq!(profile, load("radio.yml", yaml));
+        assert_eq!(profile.model(Kind::Features).bits_per_second, Some(20_000_000));
+        assert_eq!(
+            profile.model(Kind::Boxes).jitter,
+            Jitter {
+                uniform_ms: 3.0,
+                gaussian_ms: 0.0
+            }
+        );
+        assert_eq!(profile.model(Kind::Boxes).fixed_ms, 0.0);
+    }
+
+    #[test]
+    fn refuses_with_file_field_and_what_was_expected() {
+        let cases = [
+            ("[default]\nfixd_ms = 1", "fixd_ms"),
+            (
+                "[default]\nfixed_ms = -1",
+                "`fixed_ms` of default: expected 0 to 3600000 ms, found -1",
+            ),
+            ("[default]\nfixed_ms = nan", "found NaN"),
+            (
+                "[kinds.boxes]\nloss = 1.5",
+                "`loss` of boxes: expected a probability, 0 to 1, found 1.5",
+            ),
+            ("[kinds.boxes]\nbits_per_second = 0", "`bits_per_second` of boxes"),
+            (
+                "[kinds.boxes]\njitter = { uniform_ms = inf }",
+                "`jitter.uniform_ms` of boxes",
+            ),
+            ("[kinds.cars]\nloss = 0", "cars"),
+            ("[kinds.report]\nloss = 0", "`kinds.report`: no link carries it"),
+        ];
+        for (text, expected) in cases {
+            let error = Profile::from_toml("radio.toml", text).unwrap_err().to_string();
+            assert!(
+                error.contains("radio.toml") && error.contains(expected),
+                "{text}: {error}"
+            );
+        }
+        let error = Profile::load("papr").unwrap_err().to_string();
+        assert!(
+            error.contains("did you mean `paper`") && error.contains("perfect, paper"),
+            "{error}"
+        );
+        let error = Profile::load("no/such.toml").unwrap_err().to_string();
+        assert!(error.contains("no/such.toml"), "{error}");
+    }
+}

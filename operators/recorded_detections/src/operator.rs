@@ -1,0 +1,197 @@
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::{Box3, Boxes, Header, Kind, Message, PayloadType, geometry};
+use serde::{Deserialize, Serialize};
+
+const CLOUDS: PortId = PortId(0);
+const RECORDED: PortId = PortId(1);
+const BOXES: PortId = PortId(0);
+
+/// Recorded detections have no settings.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordedDetectionsConfig {}
+
+/// The boxes that a detector could have found, in their order: with extents above 0, a score in [0, 1] and finite
+/// numbers.
+pub fn sound(boxes: Boxes) -> Boxes {
+    let finite = |object: &Box3| {
+        let motion = object
+            .velocity
+            .iter()
+            .flatten()
+            .chain(object.covariance.iter().flatten());
+        motion.copied().all(f64::is_finite)
+    };
+    Boxes(
+        boxes
+            .0
+            .into_iter()
+            .filter(|object| geometry::is_valid(object) && finite(object))
+            .collect(),
+    )
+}
+
+/// Replays the detections that a log recorded.
+pub struct RecordedDetections {
+    /// Header of the sweep whose boxes come next.
+    sweep: Option<Header>,
+}
+
+impl Describe for RecordedDetections {
+    type Config = RecordedDetectionsConfig;
+    const NAME: &'static str = "recorded-detections";
+    const ABOUT: &'static str = "Replays the detections that the log recorded for each sweep, in place of a detector";
+    const ARGUMENTS: &'static [Argument] = &[];
+    const INPUTS: &'static [Port] = &[
+        Port::new("clouds", &[PayloadType::PointCloud], "localised sweeps")
+            .latest()
+            .joined("sweep"),
+        Port::new("recorded", &[PayloadType::Boxes], "what the log says was detected")
+            .latest()
+            .joined("sweep"),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::new(
+        "boxes",
+        &[PayloadType::Boxes],
+        "the recorded boxes with the sweep's header and pose",
+    )];
+}
+
+impl Operator for RecordedDetections {
+    fn new(_config: RecordedDetectionsConfig) -> Result<Self, Error> {
+        Ok(RecordedDetections { sweep: None })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            CLOUDS => self.sweep = Some(message.header),
+            RECORDED => {
+                let (recorded, boxes): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
+                let sweep = self.sweep.take();
+                let same = |sweep: &Header| (&sweep.agent, sweep.seq) == (&recorded.agent, recorded.seq);
+                let sweep = sweep
+                    .filter(same)
+                    .ok_or("recorded boxes whose sweep did not come before them")?;
+                if (recorded.stamp, &recorded.frame) != (sweep.stamp, &sweep.frame) {
+                    let expected = format!("stamp {} ns and frame {}", sweep.stamp, sweep.frame);
+                    let found = format!("stamp {} ns and frame {}", recorded.stamp, recorded.frame);
+                    return Err(format!("recorded boxes: expected the sweep's {expected}, found {found}").into());
+                }
+                let before = boxes.0.len();
+                let boxes = sound(boxes);
+                out.count("invalid_boxes", (before - boxes.0.len()) as u64);
+                out.send(
+                    BOXES,
+                    Message::new(
+                        Header {
+                            kind: Kind::Boxes,
+                            ..sweep
+                        },
+                        boxes,
+                    ),
+                );
+            }
+            _ => return Err(wrong_port(Self::INPUTS, port)),
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_schemas::{PointCloud, Pose};
+
+    use super::*;
+
+    fn header(kind: Kind, seq: u64, stamp: i64) -> Header {
+        Header::origin(&"run".into(), &"cav1".into(), kind, seq, stamp, stamp + 50)
+    }
+
+    fn object(x: f64) -> Box3 {
+        Box3 {
+            center: [x, 0.0, 0.0],
+            length: 4.0,
+            width: 2.0,
+            height: 1.5,
+            yaw: 0.1,
+            velocity: None,
+            class: "Car".into(),
+            score: 1.0,
+            track: None,
+            covariance: None,
+        }
+    }
+
+    fn sweep() -> Message {
+        let pose = Pose::from_parts([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0]);
+        Message::new(
+            Header {
+                pose,
+                ..header(Kind::Points, 4, 100)
+            },
+            PointCloud::empty(),
+        )
+    }
+
+    #[test]
+    fn recorded_boxes_get_the_sweeps_header_and_bad_ones_are_dropped() {
+        let flat = Box3 {
+            height: 0.0,
+            ..object(1.0)
+        };
+        let nan = Box3 {
+            yaw: f64::NAN,
+            ..object(1.0)
+        };
+        let fast = Box3 {
+            velocity: Some([f64::NAN; 3]),
+            ..object(1.0)
+        };
+        let certain = Box3 {
+            score: f32::NAN,
+            ..object(1.0)
+        };
+        let recorded = Boxes(vec![flat, object(2.0), nan, fast, certain, object(3.0)]);
+        let mut operator = RecordedDetections::new(RecordedDetectionsConfig {}).unwrap();
+        let mut out = Outputs::at(150);
+        operator.on_input(CLOUDS, sweep(), &mut out).unwrap();
+        operator
+            .on_input(RECORDED, Message::new(header(Kind::Boxes, 4, 100), recorded), &mut out)
+            .unwrap();
+        let expected = Header {
+            kind: Kind::Boxes,
+            ..sweep().header
+        };
+        assert_eq!(
+            out.take_sent(),
+            [(BOXES, Message::new(expected, Boxes(vec![object(2.0), object(3.0)])))]
+        );
+        assert_eq!(out.counted("invalid_boxes"), 4);
+    }
+
+    #[test]
+    fn refuses_boxes_of_another_sweep() {
+        let mut operator = RecordedDetections::new(RecordedDetectionsConfig {}).unwrap();
+        let mut out = Outputs::at(150);
+        let boxes = |seq, stamp| Message::new(header(Kind::Boxes, seq, stamp), Boxes::default());
+        assert!(operator.on_input(RECORDED, boxes(4, 100), &mut out).is_err());
+        operator.on_input(CLOUDS, sweep(), &mut out).unwrap();
+        assert!(operator.on_input(RECORDED, boxes(5, 100), &mut out).is_err());
+        operator.on_input(CLOUDS, sweep(), &mut out).unwrap();
+        let error = operator
+            .on_input(RECORDED, boxes(4, 101), &mut out)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("stamp 100 ns") && error.contains("stamp 101 ns"),
+            "{error}"
+        );
+        assert_eq!(out.take_sent(), []);
+    }
+
+    #[test]
+    fn it_has_no_arguments() {
+        assert!(realo_runtime::config::defaults::<RecordedDetectionsConfig>().is_empty());
+        assert!(RecordedDetections::ARGUMENTS.is_empty());
+    }
+}

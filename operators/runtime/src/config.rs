@@ -1,0 +1,173 @@
+//! `key=value` arguments to typed configurations.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+/// Why an operator's arguments were refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// Not of the form `key=value`.
+    #[error("argument `{0}` is not of the form key=value")]
+    Form(String),
+    /// A key that the operator does not have.
+    #[error("unknown argument `{key}`{}; it takes: {}", did_you_mean(.nearest), .known.join(", "))]
+    Unknown {
+        /// The key.
+        key: String,
+        /// The most similar key that exists.
+        nearest: Option<String>,
+        /// All keys.
+        known: Vec<String>,
+    },
+    /// The same key twice.
+    #[error("argument `{0}` is given twice")]
+    Twice(String),
+    /// A value that does not fit.
+    #[error("argument `{key}`: `{value}` does not fit: {reason}")]
+    Value {
+        /// The key.
+        key: String,
+        /// The value as written.
+        value: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+fn did_you_mean(name: &Option<String>) -> String {
+    name.as_ref()
+        .map(|name| format!(" (did you mean `{name}`?)"))
+        .unwrap_or_default()
+}
+
+/// The known name that is most like `name`, if one is near enough to be a slip.
+pub fn nearest_name<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+    known
+        .into_iter()
+        .map(|candidate| (strsim::damerau_levenshtein(name, candidate), candidate))
+        .filter(|(distance, candidate)| *distance <= 1 + candidate.len().max(name.len()) / 3)
+        .min()
+        .map(|(_, candidate)| candidate.to_string())
+}
+
+/// The keys of a configuration with their defaults.
+pub fn defaults<C: Serialize + Default>() -> serde_json::Map<String, Value> {
+    match serde_json::to_value(C::default()) {
+        Ok(Value::Object(map)) => map,
+        _ => serde_json::Map::new(),
+    }
+}
+
+/// Builds a configuration from `key=value` arguments over its defaults.
+///
+/// A value is read as YAML; where the default is a text the value is taken as it stands, where it is a list
+/// `a,b` means `[a, b]`.
+///
+/// # Errors
+/// [`ConfigError`] names the key, what was expected and what was found.
+pub fn parse<C: DeserializeOwned + Serialize + Default>(args: &[String]) -> Result<C, ConfigError> {
+    let mut values = defaults::<C>();
+    let mut seen = Vec::new();
+    for arg in args {
+        let (key, text) = arg.split_once('=').ok_or_else(|| ConfigError::Form(arg.clone()))?;
+        if seen.contains(&key) {
+            return Err(ConfigError::Twice(key.into()));
+        }
+        seen.push(key);
+        let Some(default) = values.get(key) else {
+            return Err(ConfigError::Unknown {
+                key: key.into(),
+                nearest: nearest_name(key, values.keys().map(String::as_str)),
+                known: values.keys().cloned().collect(),
+            });
+        };
+        let bad = |reason: String| ConfigError::Value {
+            key: key.into(),
+            value: text.into(),
+            reason,
+        };
+        let value = read_value(default, text).map_err(bad)?;
+        // One key at a time, so that an error names the key it belongs to.
+        let mut one = defaults::<C>();
+        one.insert(key.into(), value.clone());
+        serde_json::from_value::<C>(Value::Object(one)).map_err(|error| bad(error.to_string()))?;
+        values.insert(key.into(), value);
+    }
+    serde_json::from_value(Value::Object(values)).map_err(|error| ConfigError::Value {
+        key: seen.join(" "),
+        value: args.join(" "),
+        reason: error.to_string(),
+    })
+}
+
+fn read_value(default: &Value, text: &str) -> Result<Value, String> {
+    match default {
+        Value::String(_) => Ok(Value::String(text.into())),
+        Value::Array(_) if !text.trim_start().starts_with('[') => {
+            let items = text.split(',').map(str::trim).filter(|item| !item.is_empty());
+            Ok(Value::Array(items.map(read_yaml).collect::<Result<_, _>>()?))
+        }
+        _ => read_yaml(text),
+    }
+}
+
+fn read_yaml(text: &str) -> Result<Value, String> {
+    serde_yaml::from_str(text).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Settings {
+        threshold: f64,
+        ego: String,
+        agents: Vec<String>,
+        window_ms: Option<u32>,
+    }
+
+    impl Default for Settings {
+        fn default() -> Self {
+            Settings {
+                threshold: 0.15,
+                ego: "cav1".into(),
+                agents: vec![],
+                window_ms: None,
+            }
+        }
+    }
+
+    fn read(args: &[&str]) -> Result<Settings, ConfigError> {
+        parse(&args.iter().map(|arg| arg.to_string()).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn reads_values_over_defaults() {
+        let settings = read(&["threshold=0.3", "ego=7", "agents=a, b", "window_ms=5"]).unwrap();
+        let expected = Settings {
+            threshold: 0.3,
+            ego: "7".into(),
+            agents: vec!["a".into(), "b".into()],
+            window_ms: Some(5),
+        };
+        assert_eq!(settings, expected);
+        assert_eq!(read(&[]).unwrap(), Settings::default());
+    }
+
+    #[test]
+    fn refuses_with_the_nearest_name() {
+        let error = read(&["treshold=1"]).unwrap_err().to_string();
+        assert!(
+            error.contains("`treshold`") && error.contains("did you mean `threshold`"),
+            "{error}"
+        );
+        let error = read(&["threshold=many"]).unwrap_err().to_string();
+        assert!(error.contains("`threshold`") && error.contains("`many`"), "{error}");
+        assert_eq!(read(&["ego=a", "ego=b"]), Err(ConfigError::Twice("ego".into())));
+        assert_eq!(read(&["ego"]), Err(ConfigError::Form("ego".into())));
+    }
+}

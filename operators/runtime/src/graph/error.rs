@@ -1,0 +1,140 @@
+use std::path::{Path, PathBuf};
+
+/// Why a graph could not be read or changed.
+#[derive(Debug, thiserror::Error)]
+pub enum GraphError {
+    /// A file that cannot be read.
+    #[error("{}: {source}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Not YAML.
+    #[error("{}: not a YAML document: {reason}", file.display())]
+    Yaml {
+        /// The file.
+        file: PathBuf,
+        /// What the parser says, with line and column.
+        reason: String,
+    },
+    /// A value of the wrong form.
+    #[error("{}: {at}: expected {expected}, found {found}", file.display())]
+    Value {
+        /// The file.
+        file: PathBuf,
+        /// Node and key.
+        at: String,
+        /// What belongs there.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
+    /// A key that dora does not have there.
+    #[error("{}: {at}: unknown key `{key}`{}; there may be: {known}", file.display(), hint(.nearest))]
+    Key {
+        /// The file.
+        file: PathBuf,
+        /// The node, or the part of the file.
+        at: String,
+        /// The key.
+        key: String,
+        /// The most similar key that exists.
+        nearest: Option<String>,
+        /// All keys that may stand there.
+        known: String,
+    },
+    /// A module that does not fit.
+    #[error("{}: module node `{node}`: {reason}", file.display())]
+    Module {
+        /// The file that uses the module.
+        file: PathBuf,
+        /// The node that stands for the module, by its full id.
+        node: String,
+        /// What does not fit, and what to do.
+        reason: String,
+    },
+    /// Two nodes of one name.
+    #[error("{}: two nodes have the id `{id}`; give one another name", file.display())]
+    Duplicate {
+        /// The graph.
+        file: PathBuf,
+        /// The id.
+        id: String,
+    },
+    /// A cycle.
+    #[error("{}: the graph has a cycle: {}; remove one of these edges", file.display(), nodes.join(" > "))]
+    Cycle {
+        /// The graph.
+        file: PathBuf,
+        /// The nodes along it, the first one again at the end.
+        nodes: Vec<String>,
+    },
+    /// An input from a node that does not exist.
+    #[error("{}: node `{node}`, input `{port}`: no node `{source_id}`{}", file.display(), hint(.nearest))]
+    Source {
+        /// The graph.
+        file: PathBuf,
+        /// The node that has the input.
+        node: String,
+        /// The input.
+        port: String,
+        /// The node that it names.
+        source_id: String,
+        /// The most similar id that exists.
+        nearest: Option<String>,
+    },
+    /// A node that a setting names and the graph does not have.
+    #[error("{}: no node `{id}`{}; the graph has: {known}", file.display(), hint(.nearest))]
+    UnknownNode {
+        /// The graph.
+        file: PathBuf,
+        /// The id.
+        id: String,
+        /// The most similar id that exists.
+        nearest: Option<String>,
+        /// All ids.
+        known: String,
+    },
+    /// A setting that is not of the form `node.key=value`.
+    #[error("setting `{0}` is not of the form node.key=value")]
+    Setting(String),
+    /// `--recorded-detections` for a graph that does not detect.
+    #[error(
+        "{}: no module `detect.*.yml` whose detections could be replaced by recorded ones; \
+         run the graph without --recorded-detections",
+        file.display()
+    )]
+    NoDetectModule {
+        /// The graph.
+        file: PathBuf,
+    },
+    /// A node whose program or arguments cannot be written or split.
+    #[error("{}: node `{node}`: {reason}", file.display())]
+    Node {
+        /// The graph.
+        file: PathBuf,
+        /// The node.
+        node: String,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl GraphError {
+    pub(super) fn read(file: &Path) -> impl FnOnce(std::io::Error) -> GraphError + '_ {
+        move |source| GraphError::Read {
+            file: file.into(),
+            source,
+        }
+    }
+}
+
+/// ` (did you mean …?)`, or nothing.
+pub(super) fn hint(nearest: &Option<String>) -> String {
+    nearest
+        .as_ref()
+        .map(|name| format!(" (did you mean `{name}`?)"))
+        .unwrap_or_default()
+}

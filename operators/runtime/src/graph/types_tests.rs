@@ -1,0 +1,111 @@
+//! `dataflows/types/realo/v1.yml` says what the wire says.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use arrow::datatypes::DataType;
+use realo_schemas::wire::to_arrow;
+use realo_schemas::{
+    Boxes, DType, EgoState, FeatureMap, GroundTruth, Header, Kind, Message, Packet, Payload, PayloadType, PointCloud,
+    Pose, PoseStatus, Report, Selection,
+};
+
+fn example(payload: PayloadType) -> Payload {
+    match payload {
+        PayloadType::PointCloud => PointCloud::empty().into(),
+        PayloadType::EgoState => EgoState {
+            map_from_body: Pose::from_parts([0.0; 3], [0.0, 0.0, 0.0, 1.0]).unwrap().map_from_frame,
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Truth,
+        }
+        .into(),
+        PayloadType::FeatureMap => FeatureMap {
+            rows: 0,
+            columns: 0,
+            channels: 0,
+            cell: 0.4,
+            origin: [0.0; 2],
+            dtype: DType::F32,
+            data: Vec::<u8>::new().into(),
+            model: "".into(),
+        }
+        .into(),
+        PayloadType::Packet => Packet {
+            codec: Vec::new(),
+            bytes: Vec::<u8>::new().into(),
+        }
+        .into(),
+        PayloadType::Selection => Selection {
+            query: 0,
+            entries: Vec::new(),
+        }
+        .into(),
+        PayloadType::Report => Report {
+            topic: "".into(),
+            json: String::new(),
+        }
+        .into(),
+        PayloadType::Boxes => Boxes::default().into(),
+        PayloadType::GroundTruth => GroundTruth::default().into(),
+    }
+}
+
+fn name(data_type: &DataType) -> String {
+    match data_type {
+        DataType::List(item) => format!("List<{}>", name(item.data_type())),
+        DataType::FixedSizeList(item, size) => format!("FixedSizeList<{}, {size}>", name(item.data_type())),
+        other => other.to_string(),
+    }
+}
+
+fn about(payload: PayloadType) -> &'static str {
+    match payload {
+        PayloadType::PointCloud => "Points of one sweep: metres in the header's frame, time in ns from its stamp",
+        PayloadType::EgoState => "Where an agent is and how it moves: x y z qx qy qz qw, m/s, rad/s; empty if unknown",
+        PayloadType::FeatureMap => "A BEV feature map, [rows (y), columns (x), channels]; cell and origin in metres",
+        PayloadType::Packet => "What crosses a link: codecs, first applied first, and bytes",
+        PayloadType::Selection => {
+            "The bank's answer to one query; entries follow as entry_0, entry_1, ...: whole messages"
+        }
+        PayloadType::Report => "Counters, timings or scores as a JSON document",
+        PayloadType::Boxes => "Detections in the header's frame: metres, radians, score in [0, 1]",
+        PayloadType::GroundTruth => "What is there around the ego, in its true body frame; points is [objects, agents]",
+    }
+}
+
+/// The whole file, as the wire has it.
+fn types_file() -> String {
+    let mut text = String::from(
+        "# Types of the messages, for `dora validate --strict-types`; graphs name them realo/v1/NAME.\n\
+         # A message is one row: the header's fields, then the payload's. A test keeps this file equal to the wire.\n\
+         types:\n",
+    );
+    let header = Header::origin(&"".into(), &"".into(), Kind::Points, 0, 0, 0);
+    for payload in PayloadType::ALL {
+        let row = to_arrow(&Message {
+            header: header.clone(),
+            payload: example(payload),
+        });
+        writeln!(
+            text,
+            "  {payload}:\n    arrow: Struct\n    description: \"{}\"\n    fields:",
+            about(payload)
+        )
+        .unwrap();
+        for field in row.fields() {
+            let data_type = name(field.data_type());
+            writeln!(text, "      - {{ name: \"{}\", type: \"{data_type}\" }}", field.name()).unwrap();
+        }
+    }
+    text
+}
+
+#[test]
+fn types_file_says_what_the_wire_says() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows/types/realo/v1.yml");
+    let written = std::fs::read_to_string(&file).unwrap_or_default();
+    let expected = types_file();
+    assert!(written == expected, "{} should be:\n{expected}", file.display());
+}

@@ -1,0 +1,28 @@
+//! The operator trait, graphs, and the two drivers that run them.
+//!
+//! - [`Operator`], [`Source`], [`Sink`]: what a stage implements; [`Port`] its contract.
+//! - [`graph`]: reads, expands and checks YAML dataflows.
+//! - [`virtual_time`]: a discrete-event simulation in one process, bit-identical on every run.
+//! - [`realtime`]: hosts one stage as a dora process.
+
+mod books;
+pub mod config;
+pub mod graph;
+mod intake;
+mod operator;
+mod port;
+mod profile;
+pub mod realtime;
+mod registry;
+mod reorder;
+mod stage;
+pub mod virtual_time;
+mod wiring;
+
+pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
+pub use intake::Overflow;
+pub use operator::{Argument, Describe, Error, Operator, Outputs, Sink, Source, unexpected, wrong_port};
+pub use port::{Class, Port, PortId, Queue};
+pub use profile::ComputeProfile;
+pub use registry::{AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
+pub use wiring::{Node, Wiring};

@@ -1,0 +1,55 @@
+use realo_schemas::{Clock, Nanos};
+
+use crate::stage::Stage;
+use crate::{AnySource, Books};
+
+use super::inbox::{Heard, Inbox};
+use super::{DoraLink, HostError, end, wall_now};
+
+/// Time for dora's routes to settle before the first message.
+const LEAD: Nanos = 500_000_000;
+/// How often a waiting source looks whether it is to stop.
+const LOOK: Nanos = 50_000_000;
+
+/// Releases a source's messages by the wall clock.
+pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, inbox: Inbox) -> Result<(), HostError> {
+    let mut stage = Stage::new(link.id.as_str().into(), link.registration);
+    let mut clock: Option<Clock> = None;
+    let failed = |id: &str, error: crate::Error| HostError::Stage {
+        id: id.into(),
+        reason: error.to_string(),
+    };
+    while let Some((time, port, mut message)) = source.next().map_err(|error| failed(&link.id, error))? {
+        let clock = *clock.get_or_insert(Clock {
+            wall_origin: wall_now() + LEAD,
+            log_origin: time,
+            rate: source.rate(),
+        });
+        wait_until(clock.wall_at(time), &link.id, &inbox)?;
+        let now = clock.log_at(wall_now());
+        stage.books.compute.record(((now - time) as f64 / clock.rate) as Nanos);
+        message.header.clock = Some(clock);
+        // A source that could not keep up says so: what it releases late is ready late.
+        message.header.ready = message.header.ready.max(now);
+        let done = now.max(time);
+        stage.stamp(port, &mut message, time, done, done);
+        link.send(port, &message)?;
+    }
+    stage.books.counters = source.counters();
+    let mut books = Books::default();
+    books.nodes.insert(link.id.clone(), stage.books.clone());
+    end::send(&mut link, &stage.hops, &books, clock)
+}
+
+fn wait_until(wall: Nanos, id: &str, inbox: &Inbox) -> Result<(), HostError> {
+    loop {
+        let now = wall_now();
+        match inbox.wait(wall.min(now + LOOK)) {
+            Some(Heard::Stopped) => return Err(HostError::Stopped { id: id.into() }),
+            Some(Heard::Trouble(trouble)) => eprintln!("realo: {id}: dora: {trouble}"),
+            Some(_) => {}
+            None if wall_now() >= wall => return Ok(()),
+            None => {}
+        }
+    }
+}

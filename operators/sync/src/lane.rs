@@ -1,0 +1,125 @@
+//! What is known of one agent: its recent poses, and the sweeps that wait for theirs.
+
+use std::collections::VecDeque;
+
+use nalgebra::Vector3;
+use realo_schemas::geometry::PoseTrack;
+use realo_schemas::{EgoState, Header, Nanos, PointCloud, PoseStatus};
+
+use crate::Motion;
+
+/// Poses behind the newest one are kept for so long, ns.
+const KEEP: Nanos = 2_000_000_000;
+
+/// Sweeps that may wait at the same time.
+const WAITING: usize = 8;
+
+type Covariance = Option<Box<[f64; 36]>>;
+
+/// A sweep's pose and the motion during it.
+#[derive(Clone, Debug)]
+pub struct Pairing {
+    /// Pose and motion at the sweep's stamp.
+    pub state: EgoState,
+    /// The motion during the sweep, where it is known.
+    pub motion: Option<Motion>,
+}
+
+/// What accompanies a pose.
+#[derive(Clone, Debug)]
+pub struct PosePoint {
+    stamp: Nanos,
+    covariance: Covariance,
+    status: PoseStatus,
+}
+
+/// One agent.
+pub struct Lane {
+    track: PoseTrack,
+    points: VecDeque<PosePoint>,
+    /// Stamp of the newest sweep that was taken.
+    pub newest: Option<Nanos>,
+    /// Sweeps that wait, with the time at which they give up; oldest first.
+    pub waiting: VecDeque<(Nanos, Header, PointCloud)>,
+}
+
+impl Lane {
+    /// Nothing known yet; gaps of at most `max_gap` ns are bridged.
+    pub fn new(max_gap: Nanos) -> Self {
+        let (points, waiting) = (VecDeque::new(), VecDeque::new());
+        Lane {
+            track: PoseTrack::new(KEEP, max_gap),
+            points,
+            newest: None,
+            waiting,
+        }
+    }
+
+    /// Takes a pose.
+    pub fn insert(&mut self, stamp: Nanos, state: EgoState) {
+        self.track.insert(stamp, state.map_from_body);
+        let at = self.points.partition_point(|point| point.stamp < stamp);
+        let point = PosePoint {
+            stamp,
+            covariance: state.covariance,
+            status: state.status,
+        };
+        match self.points.get_mut(at) {
+            Some(known) if known.stamp == stamp => *known = point,
+            _ => self.points.insert(at, point),
+        }
+        let newest = self.track.newest().unwrap_or(stamp);
+        while self
+            .points
+            .front()
+            .is_some_and(|point| newest.saturating_sub(point.stamp) > KEEP)
+        {
+            self.points.pop_front();
+        }
+    }
+
+    /// Pose and motion for a sweep; `None` while it should wait. One that gives up waiting takes the pose at its stamp
+    /// without the motion.
+    pub fn pair(&self, stamp: Nanos, span: Option<[i32; 2]>, deskew: bool, gives_up: bool) -> Option<Pairing> {
+        let map_from_body = self.track.at(stamp)?;
+        let [first, last] = span.unwrap_or_default().map(Nanos::from);
+        let motion = if deskew {
+            Motion::new(&self.track, stamp, first, last)
+        } else {
+            None
+        };
+        let rates = self.track.motion_at(stamp);
+        if deskew && motion.is_none() && rates.is_some() && !gives_up {
+            return None;
+        }
+        let (velocity, angular_rate): (Option<Vector3<f64>>, _) = rates.unzip();
+        let near = self.near(stamp)?;
+        let beyond = self.track.newest().is_some_and(|newest| stamp > newest);
+        let status = if beyond { PoseStatus::Extrapolated } else { near.status };
+        let covariance = near.covariance.clone();
+        Some(Pairing {
+            state: EgoState {
+                map_from_body,
+                covariance,
+                velocity,
+                angular_rate,
+                status,
+            },
+            motion,
+        })
+    }
+
+    /// What accompanies the pose nearest to a stamp; of two the earlier one.
+    fn near(&self, stamp: Nanos) -> Option<&PosePoint> {
+        self.points.iter().min_by_key(|point| point.stamp.abs_diff(stamp))
+    }
+
+    /// Lets a sweep wait; returns one that must give up for it.
+    pub fn wait(&mut self, until: Nanos, header: Header, cloud: PointCloud) -> Option<(Header, PointCloud)> {
+        self.waiting.push_back((until, header, cloud));
+        if self.waiting.len() <= WAITING {
+            return None;
+        }
+        self.waiting.pop_front().map(|(_, header, cloud)| (header, cloud))
+    }
+}

@@ -1,0 +1,271 @@
+use std::collections::BTreeMap;
+
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::{EgoState, Header, Kind, Message, Name, Nanos, PayloadType, PointCloud, Pose};
+use serde::{Deserialize, Serialize};
+
+use crate::{Cleaned, Lane, OwnBody, Pairing, clean};
+
+const POSES: PortId = PortId(0);
+const CLOUDS: PortId = PortId(1);
+const OUT_CLOUDS: PortId = PortId(0);
+const OUT_STATES: PortId = PortId(1);
+
+const NANOS_PER_MILLI: Nanos = 1_000_000;
+
+/// A stamp may lie so far after its message's arrival, ns; more would block the agent's stream until then.
+const AHEAD: Nanos = 1_000_000_000;
+
+/// Settings of sync.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SyncConfig {
+    /// Own body as [x min, x max, y min, y max] in the body frame, m; empty: none.
+    pub own_body: Vec<f32>,
+    /// Whether the agent's motion within a sweep is removed.
+    pub deskew: bool,
+    /// How long a sweep waits for its pose, ms.
+    pub patience_ms: u32,
+    /// Longest time between poses, and beyond the newest one, that is bridged, ms.
+    pub max_gap_ms: u32,
+}
+
+impl Default for SyncConfig {
+    fn default() -> Self {
+        SyncConfig {
+            own_body: vec![-1.95, 2.95, -1.1, 1.1],
+            deskew: true,
+            patience_ms: 100,
+            max_gap_ms: 150,
+        }
+    }
+}
+
+/// Orders and stamps each agent's streams.
+pub struct Sync {
+    settings: Settings,
+    lanes: BTreeMap<Name, Lane>,
+}
+
+#[derive(Clone, Copy)]
+struct Settings {
+    own_body: Option<OwnBody>,
+    deskew: bool,
+    patience: Nanos,
+    max_gap: Nanos,
+}
+
+impl Describe for Sync {
+    type Config = SyncConfig;
+    const NAME: &'static str = "sync";
+    const ABOUT: &'static str =
+        "Orders sweeps, pairs them with poses, removes the agent's own motion and body from them";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "own_body",
+            about: "own body as x min, x max, y min, y max in the body frame, m; [] for none",
+        },
+        Argument {
+            name: "deskew",
+            about: "whether the agent's motion within a sweep is removed",
+        },
+        Argument {
+            name: "patience_ms",
+            about: "how long a sweep waits for its pose, ms",
+        },
+        Argument {
+            name: "max_gap_ms",
+            about: "longest time between or beyond poses that is bridged, ms",
+        },
+    ];
+    const INPUTS: &'static [Port] = &[
+        Port::new("poses", &[PayloadType::EgoState], "poses of the agents, at any rate").state(),
+        Port::new("clouds", &[PayloadType::PointCloud], "raw sweeps").latest(),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new(
+            "clouds",
+            &[PayloadType::PointCloud],
+            "sweeps in the body frame at their stamp, with its pose",
+        ),
+        Port::new(
+            "states",
+            &[PayloadType::EgoState],
+            "pose and motion at each sweep's stamp",
+        ),
+    ];
+}
+
+impl Sync {
+    fn pose(&mut self, header: &Header, state: EgoState, out: &mut Outputs) -> Result<(), Error> {
+        let t = &state.map_from_body.translation.vector;
+        let q = state.map_from_body.rotation.quaternion();
+        if !(t.iter().all(|v| v.is_finite()) && (q.norm() - 1.0).abs() < 1e-6) {
+            return Err(format!("expected a finite pose with a quaternion of length 1, found {t:?} and {q:?}").into());
+        }
+        not_ahead(header, out.now())?;
+        let max_gap = self.settings.max_gap;
+        let lane = self
+            .lanes
+            .entry(header.agent.clone())
+            .or_insert_with(|| Lane::new(max_gap));
+        lane.insert(header.stamp, state);
+        self.settings.release(lane, out, false);
+        Ok(())
+    }
+
+    fn cloud(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs) -> Result<(), Error> {
+        not_ahead(&header, out.now())?;
+        let max_gap = self.settings.max_gap;
+        let lane = self
+            .lanes
+            .entry(header.agent.clone())
+            .or_insert_with(|| Lane::new(max_gap));
+        if let Some(newest) = lane.newest.filter(|newest| header.stamp <= *newest) {
+            out.count(
+                if header.stamp == newest {
+                    "duplicate"
+                } else {
+                    "out_of_order"
+                },
+                1,
+            );
+            return Ok(());
+        }
+        lane.newest = Some(header.stamp);
+        let until = out.now().saturating_add(self.settings.patience);
+        let overflow = lane.wait(until, header, cloud);
+        out.count("no_pose", u64::from(overflow.is_some()));
+        self.settings.release(lane, out, false);
+        if !lane.waiting.is_empty() {
+            out.wake_at(until);
+        }
+        Ok(())
+    }
+}
+
+impl Settings {
+    /// Sends an agent's sweeps that can go on, oldest first; none overtakes another.
+    fn release(self, lane: &mut Lane, out: &mut Outputs, at_end: bool) {
+        while let Some((until, header, cloud)) = lane.waiting.front() {
+            let gives_up = at_end || *until <= out.now();
+            let pairing = lane.pair(header.stamp, span(cloud), self.deskew, gives_up);
+            if pairing.is_none() && !gives_up {
+                break;
+            }
+            let Some((_, header, cloud)) = lane.waiting.pop_front() else {
+                break;
+            };
+            match pairing {
+                Some(pairing) => self.send(header, &cloud, pairing, out),
+                None => out.count("no_pose", 1),
+            }
+        }
+    }
+
+    fn send(self, header: Header, cloud: &PointCloud, pairing: Pairing, out: &mut Outputs) {
+        let Pairing { state, motion } = pairing;
+        out.count("not_deskewed", u64::from(self.deskew && motion.is_none()));
+        let Cleaned { cloud, nan, own_body } = clean(cloud, self.own_body, motion.as_ref());
+        out.count("nan_points", nan);
+        out.count("own_body_points", own_body);
+        let pose = Pose {
+            map_from_frame: state.map_from_body,
+            covariance: state.covariance.clone(),
+        };
+        let header = Header {
+            pose: Some(pose),
+            ..header
+        };
+        out.send(
+            OUT_STATES,
+            Message::new(
+                Header {
+                    kind: Kind::EgoState,
+                    ..header.clone()
+                },
+                state,
+            ),
+        );
+        out.send(OUT_CLOUDS, Message::new(header, cloud));
+    }
+}
+
+fn not_ahead(header: &Header, now: Nanos) -> Result<(), Error> {
+    let ahead = header.stamp.saturating_sub(now);
+    if ahead > AHEAD {
+        let seconds = realo_schemas::to_seconds(ahead);
+        return Err(format!(
+            "the stamp lies {seconds:.3} s after the arrival, at most 1 s is allowed; the agent's clock is wrong"
+        )
+        .into());
+    }
+    Ok(())
+}
+
+/// Least and greatest time of a sweep's points, ns from its stamp.
+fn span(cloud: &PointCloud) -> Option<[i32; 2]> {
+    Some([*cloud.time.iter().min()?, *cloud.time.iter().max()?])
+}
+
+impl Operator for Sync {
+    fn new(config: SyncConfig) -> Result<Self, Error> {
+        let own_body = match config.own_body[..] {
+            [] => None,
+            [x0, x1, y0, y1] if x0 <= x1 && y0 <= y1 => Some(OwnBody {
+                x: [x0, x1],
+                y: [y0, y1],
+            }),
+            _ => {
+                let found = &config.own_body;
+                return Err(format!(
+                    "argument `own_body`: expected x min, x max, y min, y max in metres, or [], found {found:?}"
+                )
+                .into());
+            }
+        };
+        let nanos = |millis: u32| Nanos::from(millis) * NANOS_PER_MILLI;
+        let (patience, max_gap) = (nanos(config.patience_ms), nanos(config.max_gap_ms));
+        let settings = Settings {
+            own_body,
+            deskew: config.deskew,
+            patience,
+            max_gap,
+        };
+        Ok(Sync {
+            settings,
+            lanes: BTreeMap::new(),
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            POSES => {
+                let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+                self.pose(&header, state, out)
+            }
+            CLOUDS => {
+                let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
+                self.cloud(header, cloud, out)
+            }
+            _ => Err(wrong_port(Self::INPUTS, port)),
+        }
+    }
+
+    fn on_wake(&mut self, _now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+        self.lanes
+            .values_mut()
+            .for_each(|lane| self.settings.release(lane, out, false));
+        Ok(())
+    }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        self.lanes
+            .values_mut()
+            .for_each(|lane| self.settings.release(lane, out, true));
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,273 @@
+use nalgebra::{Isometry3, Point3, Vector3};
+use realo_schemas::PoseStatus;
+
+use super::*;
+
+const MS: Nanos = 1_000_000;
+
+fn header(agent: &str, kind: Kind, seq: u64, stamp: Nanos, ready: Nanos) -> Header {
+    Header::origin(&"run".into(), &agent.into(), kind, seq, stamp * MS, ready * MS)
+}
+
+/// An agent that drives at 20 m/s along y of the map.
+fn pose_at(time: Nanos) -> Isometry3<f64> {
+    Isometry3::new(
+        Vector3::new(1e5, 0.02 * time as f64, 1.0),
+        Vector3::z() * std::f64::consts::FRAC_PI_2,
+    )
+}
+
+fn state(time: Nanos) -> EgoState {
+    let mut covariance = Box::new([0.0; 36]);
+    covariance[0] = time as f64;
+    EgoState {
+        map_from_body: pose_at(time),
+        covariance: Some(covariance),
+        velocity: None,
+        angular_rate: None,
+        status: PoseStatus::Recorded,
+    }
+}
+
+fn pose(agent: &str, time: Nanos) -> Message {
+    Message::new(header(agent, Kind::EgoState, time as u64, time, time), state(time))
+}
+
+/// A sweep of 100 ms around its stamp of a thing that stands at (1e5 - 3, 40, 2) in the map.
+fn sweep(agent: &str, seq: u64, stamp: Nanos) -> Message {
+    let times: Vec<i32> = (-50..=50).map(|ms| ms * 1_000_000).collect();
+    let seen = times.iter().map(|time| {
+        let at = pose_at(0).translation.vector.y + 0.02e-6 * (stamp * MS + Nanos::from(*time)) as f64;
+        Point3::new(40.0 - at, 3.0, 1.0)
+    });
+    let seen: Vec<Point3<f64>> = seen.collect();
+    let column = |i: usize| seen.iter().map(|p| p[i] as f32).collect::<Vec<f32>>();
+    let n = times.len();
+    let cloud = PointCloud::new(column(0), column(1), column(2), vec![9u8; n], times, vec![1u16; n]).unwrap();
+    Message::new(header(agent, Kind::Points, seq, stamp, stamp + 50), cloud)
+}
+
+fn sync(config: SyncConfig) -> Sync {
+    Sync::new(config).unwrap()
+}
+
+fn run(sync: &mut Sync, inputs: impl IntoIterator<Item = Message>) -> (Vec<Message>, Outputs) {
+    let mut all = Vec::new();
+    let mut last = Outputs::at(0);
+    for message in inputs {
+        let port = if matches!(message.payload, realo_schemas::Payload::EgoState(_)) {
+            POSES
+        } else {
+            CLOUDS
+        };
+        last = Outputs::at(message.header.ready);
+        sync.on_input(port, message, &mut last).unwrap();
+        all.extend(last.take_sent().into_iter().map(|(_, message)| message));
+    }
+    (all, last)
+}
+
+fn parts(sent: &[Message]) -> (Header, EgoState, Header, PointCloud) {
+    let [state, cloud] = sent else {
+        panic!("expected a state and a cloud, found {}", sent.len())
+    };
+    let (state_header, state) = state.clone().into_parts().unwrap();
+    let (cloud_header, cloud) = cloud.clone().into_parts().unwrap();
+    (state_header, state, cloud_header, cloud)
+}
+
+#[test]
+fn removes_the_motion_and_says_where_the_agent_is() {
+    let mut sync = sync(SyncConfig::default());
+    let poses = (0..=25).map(|i| pose("cav1", 10 * i));
+    let (sent, out) = run(&mut sync, poses.chain([sweep("cav1", 7, 204)]));
+    let (state_header, state, cloud_header, cloud) = parts(&sent);
+    assert_eq!(
+        (state_header.kind, state_header.seq, state_header.stamp),
+        (Kind::EgoState, 7, 204 * MS)
+    );
+    assert_eq!((state_header.ready, cloud_header.ready), (254 * MS, 254 * MS));
+    assert_eq!(cloud_header.kind, Kind::Points);
+    let pose = cloud_header.pose.unwrap();
+    assert_eq!(state_header.pose.as_ref(), Some(&pose));
+    assert!((pose.map_from_frame.translation.vector - pose_at(204).translation.vector).norm() < 1e-9);
+    assert_eq!(pose.covariance.unwrap()[0], 200.0, "of the nearest pose");
+    assert!((state.velocity.unwrap() - Vector3::new(0.0, 20.0, 0.0)).norm() < 1e-6);
+    assert!(state.angular_rate.unwrap().norm() < 1e-9);
+    assert_eq!(state.status, PoseStatus::Recorded);
+    // The sweep spreads the thing over 2 m along x; it stands at 40 m - 4.08 m.
+    assert!(cloud.x.iter().all(|x| (x - 35.92).abs() < 1e-4), "{:?}", cloud.x);
+    assert!(cloud.y.iter().all(|y| (y - 3.0).abs() < 1e-5));
+    assert_eq!(out.counted("not_deskewed"), 0);
+}
+
+#[test]
+fn a_sweep_goes_on_at_once_over_a_gap_and_waits_beyond_it() {
+    let mut early = sync(SyncConfig::default());
+    let (sent, mut out) = run(
+        &mut early,
+        (0..=10).map(|i| pose("cav1", 10 * i)).chain([sweep("cav1", 0, 200)]),
+    );
+    let (.., state, _, cloud) = (parts(&sent).0, parts(&sent).1, parts(&sent).2, parts(&sent).3);
+    assert_eq!(state.status, PoseStatus::Extrapolated);
+    assert!(cloud.x.iter().all(|x| (x - 36.0).abs() < 1e-4));
+    assert!(out.take_wakes().is_empty());
+
+    let mut late = sync(SyncConfig::default());
+    let (sent, mut out) = run(
+        &mut late,
+        (0..=9).map(|i| pose("cav1", 10 * i)).chain([sweep("cav1", 0, 200)]),
+    );
+    assert_eq!(sent, []);
+    assert_eq!(out.take_wakes().into_iter().collect::<Vec<_>>(), [350 * MS]);
+    let mut out = Outputs::at(260 * MS);
+    late.on_input(POSES, pose("cav1", 100), &mut out).unwrap();
+    let sent: Vec<Message> = out.take_sent().into_iter().map(|(_, message)| message).collect();
+    assert_eq!(parts(&sent).2.ready, 260 * MS, "as soon as the pose is known");
+}
+
+#[test]
+fn a_sweep_without_a_pose_is_dropped_when_patience_ends() {
+    let mut sync = sync(SyncConfig::default());
+    let (sent, mut out) = run(&mut sync, [sweep("cav1", 0, 200)]);
+    assert_eq!((sent.len(), out.take_wakes().len()), (0, 1));
+    let mut out = Outputs::at(349 * MS);
+    sync.on_wake(349 * MS, &mut out).unwrap();
+    assert_eq!(out.counted("no_pose"), 0);
+    let mut out = Outputs::at(350 * MS);
+    sync.on_wake(350 * MS, &mut out).unwrap();
+    assert_eq!((out.take_sent().len(), out.counted("no_pose")), (0, 1));
+    run(&mut sync, [sweep("cav1", 1, 400)]);
+    let mut out = Outputs::at(460 * MS);
+    sync.on_end(&mut out).unwrap();
+    assert_eq!(out.counted("no_pose"), 1);
+}
+
+#[test]
+fn one_pose_at_the_stamp_is_enough_to_pass_as_it_is() {
+    let mut sync = sync(SyncConfig::default());
+    let (sent, mut out) = run(&mut sync, [pose("cav1", 200), sweep("cav1", 0, 200)]);
+    let (_, state, header, cloud) = parts(&sent);
+    assert_eq!((state.velocity, state.angular_rate), (None, None));
+    assert_eq!(header.pose.unwrap().map_from_frame, pose_at(200));
+    assert!((cloud.x[0] - 37.0).abs() < 1e-4 && (cloud.x[100] - 35.0).abs() < 1e-4);
+    assert_eq!((out.counted("not_deskewed"), out.take_wakes().len()), (1, 0));
+    let (sent, out) = run(&mut sync, [pose("cav1", 9000), sweep("cav1", 1, 9000)]);
+    assert_eq!(
+        (sent.len(), out.counted("not_deskewed")),
+        (2, 1),
+        "nor does a pose long ago say how it moved"
+    );
+}
+
+#[test]
+fn sweeps_are_passed_as_they_are_if_asked_for() {
+    let mut sync = sync(SyncConfig {
+        deskew: false,
+        ..SyncConfig::default()
+    });
+    let (sent, out) = run(
+        &mut sync,
+        (0..=25).map(|i| pose("cav1", 10 * i)).chain([sweep("cav1", 0, 200)]),
+    );
+    let (_, state, _, cloud) = parts(&sent);
+    assert!((cloud.x[0] - 37.0).abs() < 1e-4 && state.velocity.is_some());
+    assert_eq!(out.counted("not_deskewed"), 0);
+}
+
+#[test]
+fn repeated_and_older_sweeps_are_dropped_and_agents_are_kept_apart() {
+    let mut sync = sync(SyncConfig::default());
+    let poses = (0..=60).flat_map(|i| [pose("cav1", 10 * i), pose("cav2", 10 * i)]);
+    run(&mut sync, poses);
+    assert_eq!(run(&mut sync, [sweep("cav1", 3, 300)]).0.len(), 2);
+    let (sent, out) = run(&mut sync, [sweep("cav1", 3, 300)]);
+    assert_eq!((sent.len(), out.counted("duplicate")), (0, 1));
+    let (sent, out) = run(&mut sync, [sweep("cav1", 2, 200)]);
+    assert_eq!((sent.len(), out.counted("out_of_order")), (0, 1));
+    assert_eq!(run(&mut sync, [sweep("cav2", 2, 200)]).0.len(), 2);
+    assert_eq!(
+        run(&mut sync, [sweep("cav1", 0, 400)]).0.len(),
+        2,
+        "a restarted sensor is welcome"
+    );
+}
+
+#[test]
+fn an_empty_cloud_and_one_without_sound_points_pass() {
+    let mut sync = sync(SyncConfig::default());
+    run(&mut sync, (0..=60).map(|i| pose("cav1", 10 * i)));
+    let empty = Message::new(header("cav1", Kind::Points, 0, 200, 250), PointCloud::empty());
+    assert!(parts(&run(&mut sync, [empty]).0).3.is_empty());
+    let nan = vec![f32::NAN, 0.0];
+    let cloud = PointCloud::new(nan.clone(), nan.clone(), nan, vec![0u8; 2], vec![0; 2], vec![0u16; 2]).unwrap();
+    let (sent, out) = run(
+        &mut sync,
+        [Message::new(header("cav1", Kind::Points, 1, 300, 350), cloud)],
+    );
+    assert!(parts(&sent).3.is_empty());
+    assert_eq!((out.counted("nan_points"), out.counted("own_body_points")), (1, 1));
+}
+
+#[test]
+fn refuses_stamps_from_the_future_and_poses_that_are_none() {
+    let mut sync = sync(SyncConfig::default());
+    let mut refuse = |port, message| {
+        sync.on_input(port, message, &mut Outputs::at(0))
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(refuse(CLOUDS, sweep("cav1", 0, 1001)).contains("1.001 s"));
+    assert!(refuse(POSES, pose("cav1", 1001)).contains("1.001 s"));
+    let mut bad = state(0);
+    bad.map_from_body.translation.x = f64::NAN;
+    assert!(refuse(POSES, Message::new(header("cav1", Kind::EgoState, 0, 0, 0), bad)).contains("finite"));
+    assert!(refuse(POSES, sweep("cav1", 0, 0)).contains("EgoState"));
+    let refuse = |own_body: &[f32]| {
+        let config = SyncConfig {
+            own_body: own_body.to_vec(),
+            ..SyncConfig::default()
+        };
+        Sync::new(config).err().expect("refused").to_string()
+    };
+    assert!(refuse(&[1.0]).contains("`own_body`"));
+    assert!(refuse(&[1.0, -1.0, 0.0, 1.0]).contains("`own_body`"));
+    assert!(
+        Sync::new(SyncConfig {
+            own_body: vec![],
+            ..SyncConfig::default()
+        })
+        .is_ok()
+    );
+}
+
+#[test]
+fn waiting_sweeps_are_bounded() {
+    let mut sync = sync(SyncConfig {
+        patience_ms: 10_000,
+        ..SyncConfig::default()
+    });
+    let dropped: u64 = (0..30)
+        .map(|i| {
+            run(&mut sync, [sweep("cav1", i, 100 * i as Nanos)])
+                .1
+                .counted("no_pose")
+        })
+        .sum();
+    assert_eq!(dropped, 22);
+}
+
+#[test]
+fn arguments_are_the_keys_of_the_configuration() {
+    let keys: Vec<String> = realo_runtime::config::defaults::<SyncConfig>()
+        .keys()
+        .cloned()
+        .collect();
+    assert_eq!(
+        keys,
+        Sync::ARGUMENTS.iter().map(|argument| argument.name).collect::<Vec<_>>()
+    );
+    let args = ["own_body=-2,3,-1,1".to_string()];
+    let config: SyncConfig = realo_runtime::config::parse(&args).unwrap();
+    assert_eq!(config.own_body, [-2.0, 3.0, -1.0, 1.0]);
+}

@@ -1,0 +1,72 @@
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::{Header, Message, Packet, PayloadType};
+use serde::{Deserialize, Serialize};
+
+use crate::encoder::CARRIED;
+use crate::{CODEC, DecodeError, decode};
+
+/// Settings of the decoder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DecoderConfig {
+    /// Greatest packet that is taken, bytes.
+    pub max_bytes: usize,
+}
+
+impl Default for DecoderConfig {
+    fn default() -> Self {
+        DecoderConfig { max_bytes: 64 << 20 }
+    }
+}
+
+/// Gets what an agent said out of its bytes.
+pub struct TransmissionDecoder {
+    max_bytes: usize,
+}
+
+impl Describe for TransmissionDecoder {
+    type Config = DecoderConfig;
+    const NAME: &'static str = "transmission-decoder";
+    const ABOUT: &'static str = "Gets points, features, boxes or states out of the bytes that crossed a link";
+    const ARGUMENTS: &'static [Argument] = &[Argument {
+        name: "max_bytes",
+        about: "greatest packet that is taken, bytes; a greater one is rejected",
+    }];
+    const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
+    const OUTPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what the sender said")];
+}
+
+impl TransmissionDecoder {
+    fn message(&self, header: Header, packet: &Packet) -> Result<Message, DecodeError> {
+        if packet.codec != [CODEC] {
+            return Err(DecodeError::Codec(packet.codec.join(", ")));
+        }
+        if packet.bytes.len() > self.max_bytes {
+            return Err(DecodeError::Oversized {
+                bytes: packet.bytes.len(),
+                limit: self.max_bytes,
+            });
+        }
+        decode(&packet.bytes)?.into_message(header)
+    }
+}
+
+impl Operator for TransmissionDecoder {
+    fn new(config: DecoderConfig) -> Result<Self, Error> {
+        if config.max_bytes == 0 {
+            return Err("argument `max_bytes`: expected at least 1, found 0; every packet would be rejected".into());
+        }
+        Ok(TransmissionDecoder {
+            max_bytes: config.max_bytes,
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        if port != PortId(0) {
+            return Err(wrong_port(Self::INPUTS, port));
+        }
+        let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
+        out.send(PortId(0), self.message(header, &packet)?);
+        Ok(())
+    }
+}

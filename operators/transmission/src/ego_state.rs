@@ -1,0 +1,65 @@
+//! An agent's pose and motion as bytes.
+
+use realo_schemas::{EgoState, PoseStatus};
+
+use crate::bytes::{DecodeError, EncodeError, Reader, put_covariance6, put_f64s, put_pose};
+
+const COVARIANCE: u8 = 1;
+const VELOCITY: u8 = 2;
+const RATE: u8 = 4;
+
+const STATUSES: [PoseStatus; 3] = [PoseStatus::Truth, PoseStatus::Recorded, PoseStatus::Extrapolated];
+
+pub(crate) fn write(out: &mut Vec<u8>, state: &EgoState) -> Result<(), EncodeError> {
+    let flag = |set: bool, flag: u8| if set { flag } else { 0 };
+    let status = match state.status {
+        PoseStatus::Truth => 0,
+        PoseStatus::Recorded => 1,
+        PoseStatus::Extrapolated => 2,
+    };
+    let flags = flag(state.covariance.is_some(), COVARIANCE)
+        | flag(state.velocity.is_some(), VELOCITY)
+        | flag(state.angular_rate.is_some(), RATE);
+    out.extend([flags, status]);
+    put_pose(out, &state.map_from_body, "map_from_body")?;
+    if let Some(covariance) = &state.covariance {
+        put_covariance6(out, covariance, "covariance")?;
+    }
+    if let Some(velocity) = &state.velocity {
+        put_f64s(out, velocity.as_slice(), "velocity")?;
+    }
+    if let Some(rate) = &state.angular_rate {
+        put_f64s(out, rate.as_slice(), "angular rate")?;
+    }
+    Ok(())
+}
+
+pub(crate) fn read(bytes: &mut Reader) -> Result<EgoState, DecodeError> {
+    let flags = bytes.flags(COVARIANCE | VELOCITY | RATE, "flags of the state")?;
+    let code = bytes.u8("status")?;
+    let unknown = || DecodeError::Value {
+        field: "status",
+        expected: "0 to 2",
+        found: code.to_string(),
+    };
+    let status = *STATUSES.get(usize::from(code)).ok_or_else(unknown)?;
+    Ok(EgoState {
+        map_from_body: bytes.pose("map_from_body")?,
+        covariance: if flags & COVARIANCE == 0 {
+            None
+        } else {
+            Some(bytes.covariance6("covariance")?)
+        },
+        velocity: if flags & VELOCITY == 0 {
+            None
+        } else {
+            Some(bytes.f64s::<3>("velocity")?.into())
+        },
+        angular_rate: if flags & RATE == 0 {
+            None
+        } else {
+            Some(bytes.f64s::<3>("angular rate")?.into())
+        },
+        status,
+    })
+}

@@ -1,0 +1,139 @@
+//! What of a header crosses a link.
+
+use realo_schemas::{Header, Kind, Name, Nanos, Pose};
+
+use crate::bytes::{DecodeError, EncodeError, Reader, put_covariance6, put_pose, put_text};
+
+const MAGIC: &[u8] = b"rl";
+const VERSION: u8 = 1;
+const POSE: u8 = 1;
+const COVARIANCE: u8 = 2;
+const FRAME: u8 = 4;
+
+/// The part of a header that the sender says.
+pub(crate) struct Envelope {
+    pub kind: Kind,
+    pub seq: u64,
+    pub stamp: Nanos,
+    pub agent: Name,
+    pub frame: Name,
+    pub pose: Option<Pose>,
+}
+
+fn body_frame(agent: &str) -> String {
+    format!("{agent}/body")
+}
+
+fn code_of(kind: Kind) -> Option<u8> {
+    match kind {
+        Kind::Points => Some(1),
+        Kind::Features => Some(2),
+        Kind::Boxes => Some(3),
+        Kind::EgoState => Some(4),
+        Kind::Truth | Kind::Report => None,
+    }
+}
+
+pub(crate) fn write(out: &mut Vec<u8>, header: &Header) -> Result<(), EncodeError> {
+    let no_code = EncodeError::Content {
+        payload: "message",
+        kind: header.kind.as_str(),
+    };
+    let code = code_of(header.kind).ok_or(no_code)?;
+    let covariance = header.pose.as_ref().and_then(|pose| pose.covariance.as_deref());
+    let other_frame = *header.frame != *body_frame(&header.agent);
+    let flag = |set: bool, flag: u8| if set { flag } else { 0 };
+    out.extend(MAGIC);
+    out.extend([VERSION, code]);
+    out.push(flag(header.pose.is_some(), POSE) | flag(covariance.is_some(), COVARIANCE) | flag(other_frame, FRAME));
+    out.extend(header.seq.to_le_bytes());
+    out.extend(header.stamp.to_le_bytes());
+    put_text(out, &header.agent, "length of agent")?;
+    if other_frame {
+        put_text(out, &header.frame, "length of frame")?;
+    }
+    if let Some(pose) = &header.pose {
+        put_pose(out, &pose.map_from_frame, "pose")?;
+    }
+    if let Some(covariance) = covariance {
+        put_covariance6(out, covariance, "covariance of the pose")?;
+    }
+    Ok(())
+}
+
+pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
+    let magic = bytes.take(MAGIC.len(), 1, "magic")?;
+    if magic != MAGIC {
+        return Err(DecodeError::Value {
+            field: "magic",
+            expected: "the bytes `rl`",
+            found: format!("{magic:?}"),
+        });
+    }
+    let version = bytes.u8("version")?;
+    if version != VERSION {
+        return Err(DecodeError::Value {
+            field: "version",
+            expected: "1",
+            found: version.to_string(),
+        });
+    }
+    let code = bytes.u8("content")?;
+    let unknown = || DecodeError::Value {
+        field: "content",
+        expected: "1 to 4",
+        found: code.to_string(),
+    };
+    let kind = Kind::ALL
+        .into_iter()
+        .find(|kind| code_of(*kind) == Some(code))
+        .ok_or_else(unknown)?;
+    let flags = bytes.flags(POSE | COVARIANCE | FRAME, "flags of the envelope")?;
+    if flags & POSE == 0 && flags & COVARIANCE != 0 {
+        let found = "a covariance without a pose".into();
+        return Err(DecodeError::Value {
+            field: "flags of the envelope",
+            expected: "a pose",
+            found,
+        });
+    }
+    let (seq, stamp) = (bytes.u64("seq")?, bytes.i64("stamp")?);
+    let agent: Name = named(bytes.text("agent")?, "agent")?;
+    let frame: Name = match flags & FRAME {
+        0 => body_frame(&agent).into(),
+        _ => named(bytes.text("frame")?, "frame")?,
+    };
+    let pose = if flags & POSE == 0 {
+        None
+    } else {
+        let map_from_frame = bytes.pose("pose")?;
+        let covariance = if flags & COVARIANCE == 0 {
+            None
+        } else {
+            Some(bytes.covariance6("covariance of the pose")?)
+        };
+        Some(Pose {
+            map_from_frame,
+            covariance,
+        })
+    };
+    Ok(Envelope {
+        kind,
+        seq,
+        stamp,
+        agent,
+        frame,
+        pose,
+    })
+}
+
+fn named(text: &str, field: &'static str) -> Result<Name, DecodeError> {
+    if text.is_empty() {
+        return Err(DecodeError::Value {
+            field,
+            expected: "a name",
+            found: "none".into(),
+        });
+    }
+    Ok(text.into())
+}

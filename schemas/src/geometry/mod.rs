@@ -1,0 +1,13 @@
+//! Geometry of frames and boxes: poses in f64, x forward, y left, z up, yaw from +x towards +y.
+
+mod boxes;
+mod corners;
+mod motion;
+mod region;
+mod rotated;
+
+pub use boxes::{bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, transform_box, yaw_of};
+pub use corners::{Corners, Cuboid, corner_hull, corners_inside, pose_from_carla, transform_corners};
+pub use motion::{PoseTrack, interpolate};
+pub use region::Region;
+pub use rotated::{Footprint, intersection_area, iou, iou_exceeds};

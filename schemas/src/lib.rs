@@ -1,0 +1,19 @@
+//! The vocabulary of realo: what the parts of a graph say to each other.
+//!
+//! A [`Message`] is a [`Header`] and a [`Payload`]; on the wire it is one row of an Arrow struct array ([`wire`]).
+//! [`geometry`] holds what follows from frames and boxes alone. No I/O, no dora, no networks.
+
+pub mod geometry;
+mod header;
+mod message;
+mod payload;
+pub mod report;
+mod time;
+pub mod wire;
+
+pub use header::{Clock, Header, Kind, Name, Pose, TraceEntry};
+pub use message::{Message, Payload, PayloadType, UnexpectedPayload};
+pub use payload::{
+    Box3, Boxes, DType, EgoState, FeatureMap, GroundTruth, Packet, PointCloud, PoseStatus, Report, Selection,
+};
+pub use time::{Nanos, from_seconds, to_millis, to_seconds};

@@ -1,0 +1,178 @@
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Boxes, EgoState, FeatureMap, GroundTruth, Header, Packet, PointCloud, Report, Selection};
+
+/// A header and what it speaks of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Message {
+    /// What the message says of itself.
+    pub header: Header,
+    /// What it carries.
+    pub payload: Payload,
+}
+
+/// The content of a message. Columns are shared, so that a clone of a cloud or map copies no data.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Payload {
+    /// Points of a sweep.
+    PointCloud(PointCloud),
+    /// An agent's pose and motion.
+    EgoState(EgoState),
+    /// A BEV feature map.
+    FeatureMap(FeatureMap),
+    /// Bytes on a link.
+    Packet(Packet),
+    /// The bank's answer to a query.
+    Selection(Selection),
+    /// Counters, timings, scores.
+    Report(Report),
+    /// Detections.
+    Boxes(Boxes),
+    /// What is really there.
+    GroundTruth(GroundTruth),
+}
+
+/// The type of a payload, as ports declare it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub enum PayloadType {
+    PointCloud,
+    EgoState,
+    FeatureMap,
+    Packet,
+    Selection,
+    Report,
+    Boxes,
+    GroundTruth,
+}
+
+impl PayloadType {
+    /// Every type.
+    pub const ALL: [PayloadType; 8] = [
+        PayloadType::PointCloud,
+        PayloadType::EgoState,
+        PayloadType::FeatureMap,
+        PayloadType::Packet,
+        PayloadType::Selection,
+        PayloadType::Report,
+        PayloadType::Boxes,
+        PayloadType::GroundTruth,
+    ];
+
+    /// The type's name, also in graphs after `realo/v1/`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            PayloadType::PointCloud => "PointCloud",
+            PayloadType::EgoState => "EgoState",
+            PayloadType::FeatureMap => "FeatureMap",
+            PayloadType::Packet => "Packet",
+            PayloadType::Selection => "Selection",
+            PayloadType::Report => "Report",
+            PayloadType::Boxes => "Boxes",
+            PayloadType::GroundTruth => "GroundTruth",
+        }
+    }
+}
+
+impl fmt::Display for PayloadType {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl std::str::FromStr for PayloadType {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        PayloadType::ALL
+            .into_iter()
+            .find(|t| t.as_str() == text)
+            .ok_or_else(|| format!("unknown payload type `{text}`"))
+    }
+}
+
+impl Payload {
+    /// The payload's type.
+    pub fn payload_type(&self) -> PayloadType {
+        match self {
+            Payload::PointCloud(_) => PayloadType::PointCloud,
+            Payload::EgoState(_) => PayloadType::EgoState,
+            Payload::FeatureMap(_) => PayloadType::FeatureMap,
+            Payload::Packet(_) => PayloadType::Packet,
+            Payload::Selection(_) => PayloadType::Selection,
+            Payload::Report(_) => PayloadType::Report,
+            Payload::Boxes(_) => PayloadType::Boxes,
+            Payload::GroundTruth(_) => PayloadType::GroundTruth,
+        }
+    }
+}
+
+macro_rules! conversions {
+    ($($variant:ident),*) => {$(
+        impl From<$variant> for Payload {
+            fn from(payload: $variant) -> Self {
+                Payload::$variant(payload)
+            }
+        }
+
+        impl TryFrom<Message> for (Header, $variant) {
+            type Error = UnexpectedPayload;
+
+            fn try_from(message: Message) -> Result<Self, UnexpectedPayload> {
+                match message.payload {
+                    Payload::$variant(payload) => Ok((message.header, payload)),
+                    other => Err(UnexpectedPayload {
+                        expected: PayloadType::$variant,
+                        found: other.payload_type(),
+                        message: message.header.to_string(),
+                    }),
+                }
+            }
+        }
+    )*};
+}
+conversions!(
+    PointCloud,
+    EgoState,
+    FeatureMap,
+    Packet,
+    Selection,
+    Report,
+    Boxes,
+    GroundTruth
+);
+
+/// A message of another type than the port's.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("expected a {expected}, found a {found} ({message})")]
+pub struct UnexpectedPayload {
+    /// What the port takes.
+    pub expected: PayloadType,
+    /// What came.
+    pub found: PayloadType,
+    /// The header of what came.
+    pub message: String,
+}
+
+impl Message {
+    /// A message.
+    pub fn new(header: Header, payload: impl Into<Payload>) -> Self {
+        Message {
+            header,
+            payload: payload.into(),
+        }
+    }
+
+    /// Takes the message apart as one type: `let (header, boxes): (Header, Boxes) = message.into_parts()?`.
+    ///
+    /// # Errors
+    /// [`UnexpectedPayload`] if it carries another type.
+    pub fn into_parts<P>(self) -> Result<(Header, P), UnexpectedPayload>
+    where
+        (Header, P): TryFrom<Message, Error = UnexpectedPayload>,
+    {
+        self.try_into()
+    }
+}

@@ -1,0 +1,110 @@
+//! What the end-to-end tests share: the binary, small logs made once, results read back.
+#![allow(dead_code)]
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// The program under test.
+pub const REALO: &str = env!("CARGO_BIN_EXE_realo");
+
+/// The repository.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().expect("the repository is there")
+}
+
+/// A shipped graph.
+pub fn graph(name: &str) -> String {
+    root().join(format!("dataflows/{name}.yml")).to_string_lossy().into_owned()
+}
+
+/// Runs `realo` and returns what it said, whatever its exit code.
+pub fn realo<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> Output {
+    Command::new(REALO).args(args).current_dir(root()).output().expect("realo can be started")
+}
+
+/// Runs `realo`, which must succeed, and returns its standard output.
+pub fn realo_ok<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> String {
+    let output = realo(args);
+    let (out, err) = (text(&output.stdout), text(&output.stderr));
+    assert!(output.status.success(), "{:?}\n{out}\n{err}", output.status);
+    out
+}
+
+/// Bytes as text.
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A file under the tests' own folder that `make` writes once; other test processes wait for it.
+pub fn once(name: &str, make: impl FnOnce(&Path)) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let path = folder.join(name);
+    let lock = File::create(folder.join(format!("{name}.lock"))).expect("the folder can be written");
+    lock.lock().expect("locks work");
+    if !newer(&path, Path::new(REALO)) {
+        make(&path);
+    }
+    path
+}
+
+fn newer(path: &Path, than: &Path) -> bool {
+    let modified = |path: &Path| fs::metadata(path).and_then(|meta| meta.modified());
+    matches!((modified(path), modified(than)), (Ok(a), Ok(b)) if a > b)
+}
+
+/// A simulated log, made once per build of the program.
+pub fn simulated(name: &str, args: &[&str]) -> PathBuf {
+    once(&format!("{name}.mcap"), |path| {
+        let mut all = vec!["simulate"];
+        all.extend(args);
+        let path = path.to_string_lossy().into_owned();
+        all.extend(["-o", &path]);
+        realo_ok(all);
+    })
+}
+
+/// An empty folder of the test's own.
+pub fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = fs::remove_dir_all(&path);
+    fs::create_dir_all(&path).expect("the folder can be made");
+    path
+}
+
+/// A JSON file.
+pub fn json(path: &Path) -> Value {
+    let text = fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// Runs graphs in virtual time into an own folder and returns `result.json` of it.
+pub fn run_virtual(out: &str, graph_name: &str, log: &Path, args: &[&str]) -> Value {
+    let out = folder(out);
+    let mut all = vec!["run".into(), graph(graph_name), "--log".into(), log.to_string_lossy().into_owned()];
+    all.extend(["--out".to_string(), out.to_string_lossy().into_owned()]);
+    if !args.contains(&"--offline") {
+        all.extend(["--mode".to_string(), "virtual".into()]);
+    }
+    all.extend(args.iter().map(|arg| arg.to_string()));
+    realo_ok(all);
+    json(&out.join("result.json"))
+}
+
+/// The folder of shared test data, if `REALO_SHARED` names one; says loudly that a test is skipped without it.
+pub fn shared(test: &str) -> Option<PathBuf> {
+    let shared = std::env::var_os("REALO_SHARED").map(PathBuf::from);
+    if shared.is_none() {
+        eprintln!("SKIPPED {test}: set REALO_SHARED to the folder with the DAIR sample and the conformance vectors");
+    }
+    shared
+}
+
+/// (true, false, total) of a class at an IoU in `accuracy.sorted`.
+pub fn counts(result: &Value, class: &str, iou: &str) -> (u64, u64, u64) {
+    let counts = &result["accuracy"]["sorted"]["counts"][class][iou];
+    let get = |key: &str| counts[key].as_u64().unwrap_or_else(|| panic!("counts.{class}.{iou}.{key} in {counts}"));
+    (get("true"), get("false"), get("total"))
+}

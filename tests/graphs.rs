@@ -1,0 +1,106 @@
+//! Every shipped graph, by our checks and by dora's, and started the plain dora way.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use common::{folder, graph, json, realo, realo_ok, root, text};
+use realo::REGISTRY;
+use realo_runtime::graph::{FlatGraph, audit, validate};
+
+fn graphs() -> Vec<PathBuf> {
+    let mut graphs: Vec<PathBuf> = std::fs::read_dir(root().join("dataflows"))
+        .expect("dataflows can be listed")
+        .map(|entry| entry.expect("an entry").path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "yml"))
+        .collect();
+    graphs.sort();
+    assert!(graphs.len() >= 2);
+    graphs
+}
+
+/// The dora CLI; installed as `realo run` does it.
+fn dora() -> PathBuf {
+    realo::run::find_dora().expect("dora is there or can be installed")
+}
+
+fn dora_ok(args: &[&str], graph: &Path) -> String {
+    let output = Command::new(dora()).args(args).arg(graph).current_dir(root()).output().expect("dora can be started");
+    let said = format!("{}\n{}", text(&output.stdout), text(&output.stderr));
+    assert!(output.status.success(), "dora {args:?} {}: {said}", graph.display());
+    said
+}
+
+#[test]
+fn graphs_are_fine_by_our_checks_and_doras() {
+    for graph in graphs() {
+        let findings = validate(&FlatGraph::load(&graph).expect("it can be read"), &REGISTRY);
+        assert!(findings.is_empty(), "{}: {findings:#?}", graph.display());
+        dora_ok(&["validate", "--strict-types"], &graph);
+    }
+}
+
+#[test]
+fn types_ports_and_graphs_say_the_same() {
+    let differences = audit(&REGISTRY, &root().join("dataflows"));
+    assert!(differences.is_empty(), "{differences:#?}");
+}
+
+#[test]
+fn dora_run_and_dora_start_give_results() {
+    realo_ok(["run", &graph("no_fusion"), "--offline", "--out", &folder("demo_made").to_string_lossy()]);
+    let result = root().join("target/realo/late_fusion/result.json");
+    for start in ["run", "start"] {
+        let _ = std::fs::remove_file(&result);
+        if start == "run" {
+            dora_ok(&["run"], Path::new(&graph("late_fusion")));
+        } else {
+            let up = Command::new(dora()).arg("up").current_dir(root()).output().expect("dora can be started");
+            assert!(up.status.success(), "dora up: {}", text(&up.stderr));
+            let started = std::panic::catch_unwind(|| dora_ok(&["start", "--attach"], Path::new(&graph("late_fusion"))));
+            let _ = Command::new(dora()).arg("destroy").current_dir(root()).output();
+            if let Err(panic) = started {
+                std::panic::resume_unwind(panic);
+            }
+        }
+        let result = json(&result);
+        assert_eq!(result["complete"], true);
+        assert!(result["frames"]["processed"].as_u64().expect("frames.processed") > 50, "{}", result["frames"]);
+    }
+}
+
+#[test]
+fn a_broken_graph_is_refused_with_what_mends_it() {
+    let dir = folder("broken_graph");
+    let text_of = std::fs::read_to_string(graph("late_fusion")).expect("the graph can be read");
+    let modules = root().join("dataflows");
+    for name in ["modules", "types", "bin"] {
+        std::os::unix::fs::symlink(modules.join(name), dir.join(name)).expect("links can be made");
+    }
+    let cases = [
+        ("threshold=0.15", "treshold=0.15", "threshold"),
+        ("operator fusion-boxes", "operator fusion-boxen", "fusion-boxes"),
+        ("source: decoder/data, queue_size: 200", "source: decoder/data, queue_size: 5", "queue_size"),
+        ("ego: { source: ego-nms/boxes", "ego: { source: nms/boxes", "ego"),
+    ];
+    for (from, to, named) in cases {
+        assert!(text_of.contains(from), "{from}");
+        let path = dir.join("late_fusion.yml");
+        std::fs::write(&path, text_of.replace(from, to)).expect("the graph can be written");
+        let output = realo(["validate", &path.to_string_lossy()]);
+        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(output.status.code(), Some(1), "{to}: {said}");
+        assert!(said.contains(named), "{to}: {said}");
+    }
+}
+
+#[test]
+fn a_graph_without_a_detect_module_takes_no_recorded_detections() {
+    let dir = folder("no_module");
+    let flat = FlatGraph::load(Path::new(&graph("no_fusion"))).expect("it can be read");
+    std::fs::write(dir.join("flat.yml"), flat.to_yaml().expect("it can be written")).expect("the graph can be written");
+    let output = realo(["run", &dir.join("flat.yml").to_string_lossy(), "--recorded-detections", "--offline"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stderr).contains("detect"), "{}", text(&output.stderr));
+}

@@ -1,0 +1,129 @@
+//! Runs whose answer is known: the DAIR sample, and simulated geometry that cannot hide an error.
+
+mod common;
+
+use std::path::PathBuf;
+
+use common::{counts, realo_ok, run_virtual, shared, simulated};
+
+fn dair(test: &str) -> Option<PathBuf> {
+    let data = shared(test)?.join("data/dair");
+    Some(common::once("dair.mcap", |path| {
+        realo_ok(["import".as_ref(), "dair".as_ref(), data.as_os_str(), "-o".as_ref(), path.as_os_str()]);
+    }))
+}
+
+const DAIR_OFFLINE: [&str; 4] = ["--recorded-detections", "--offline", "--coop", "v2i"];
+
+#[test]
+fn dair_late_fusion_gives_the_known_counts() {
+    let Some(log) = dair("dair_late_fusion_gives_the_known_counts") else { return };
+    let result = run_virtual("dair_late", "late_fusion", &log, &DAIR_OFFLINE);
+    assert_eq!(result["protocol"], "dair", "an imported log names its protocol");
+    assert_eq!(counts(&result, "vehicle", "0.5"), (170, 0, 171));
+}
+
+#[test]
+fn dair_vehicle_alone_gives_the_known_counts() {
+    let Some(log) = dair("dair_vehicle_alone_gives_the_known_counts") else { return };
+    let result = run_virtual("dair_alone", "no_fusion", &log, &DAIR_OFFLINE);
+    assert_eq!(counts(&result, "vehicle", "0.5"), (92, 0, 171));
+}
+
+#[test]
+fn dair_roadside_alone_gives_the_known_counts() {
+    let Some(log) = dair("dair_roadside_alone_gives_the_known_counts") else { return };
+    let args = [&DAIR_OFFLINE[..], &["--set", "fusion.ego_boxes=false"]].concat();
+    let result = run_virtual("dair_roadside", "late_fusion", &log, &args);
+    assert_eq!(counts(&result, "vehicle", "0.5"), (89, 7, 171));
+}
+
+/// Four agents, rotated against each other, 100 km from the map's origin, who report exactly what they have points on.
+fn exact(name: &str, scenario: &str) -> PathBuf {
+    let args = ["--scenario", scenario, "--seed", "901", "--seconds", "2", "--key-hz", "5", "--no-clouds"];
+    let args = [&args[..], &["--noise-free-detections", "--map-offset", "70000,-71000"]].concat();
+    simulated(name, &args)
+}
+
+const CLASSES: [&str; 3] = ["vehicle", "pedestrian", "truck"];
+
+#[test]
+fn late_fusion_of_exact_boxes_finds_the_whole_truth_and_nothing_else() {
+    for scenario in ["intersection", "corridor"] {
+        let log = exact(&format!("exact_{scenario}"), scenario);
+        for (mode, args) in [("all", vec![]), ("v2v", vec!["--coop", "v2v"]), ("v2i", vec!["--coop", "v2i"]), ("i2i", vec!["--coop", "i2i"])] {
+            let args = [&["--offline", "--set", "link.range_m=1000"][..], &args].concat();
+            let result = run_virtual(&format!("exact_{scenario}_{mode}"), "late_fusion", &log, &args);
+            let mut objects = 0;
+            for class in CLASSES {
+                let (found, wrong, total) = counts(&result, class, "0.5");
+                assert_eq!((found, wrong), (total, 0), "{scenario} {mode} {class}");
+                objects += total;
+            }
+            assert!(objects > 50, "{scenario} {mode}: only {objects} objects");
+        }
+    }
+}
+
+#[test]
+fn no_fusion_of_exact_boxes_is_what_the_ego_has_points_on() {
+    let log = exact("exact_intersection", "intersection");
+    let args = ["--offline", "--set", "link.range_m=1000"];
+    let alone = run_virtual("exact_alone", "no_fusion", &log, &args);
+    let together = run_virtual("exact_together", "late_fusion", &log, &args);
+    let (mut found_alone, mut total_alone) = (0, 0);
+    for class in CLASSES {
+        let (found, wrong, total) = counts(&alone, class, "0.5");
+        assert_eq!(wrong, 0, "{class}");
+        assert_eq!(total, counts(&together, class, "0.5").2, "one truth for all methods");
+        let seen = &alone["accuracy_seen"]["sorted"]["counts"][class]["0.5"];
+        assert_eq!(seen["true"], seen["total"], "everything that the ego sees is reported: {class}");
+        found_alone += found;
+        total_alone += total;
+    }
+    assert!(found_alone < total_alone, "cooperation has something to add");
+}
+
+#[test]
+fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
+    let args = ["--seed", "902", "--seconds", "3", "--no-clouds", "--phase", "spread"];
+    let log = simulated("bytes", &args);
+    let compute = common::folder("bytes_compute").join("slow.toml");
+    // Stages that take longer than a sweep, so that they pass messages over.
+    let nodes = "[nodes]\n\"ego-detect.recorded\" = 130_000_000\nfusion = 120_000_000\nnms = 30_000_000\n";
+    std::fs::write(&compute, nodes).expect("the profile can be written");
+    let lossy = common::folder("bytes_link").join("lossy.toml");
+    let profile = "[default]\nfixed_ms = 20.0\njitter = { gaussian_ms = 15.0 }\nloss = 0.1\nduplicate = 0.05\n";
+    std::fs::write(&lossy, profile).expect("the profile can be written");
+    let mut results = Vec::new();
+    for (round, threads) in ["1", "2", "2"].into_iter().enumerate() {
+        for link in ["paper", lossy.to_str().expect("the path is text")] {
+            let out = common::folder(&format!("bytes_{round}"));
+            let output = std::process::Command::new(common::REALO)
+                .args(["run", &common::graph("late_fusion"), "--mode", "virtual", "--link", link, "--log"])
+                .arg(&log)
+                .arg("--compute")
+                .arg(&compute)
+                .arg("--out")
+                .arg(&out)
+                .env("RAYON_NUM_THREADS", threads)
+                .output()
+                .expect("realo can be started");
+            assert!(output.status.success(), "{}", common::text(&output.stderr));
+            results.push((link, std::fs::read(out.join("result.json")).expect("there are results")));
+        }
+    }
+    for (link, bytes) in &results {
+        let (_, first) = results.iter().find(|(other, _)| other == link).expect("it is there itself");
+        assert!(first == bytes, "result.json differs between runs with {link}");
+    }
+    let result: serde_json::Value = serde_json::from_slice(&results[1].1).expect("JSON");
+    let skipped = result["frames"]["skipped"].as_u64().expect("frames.skipped");
+    assert!(skipped > 0, "the profile makes stages pass frames over");
+    let channel = &result["links"]["cav2-cav1"]["boxes"];
+    let term = |name: &str| channel[name].as_u64().unwrap_or_else(|| panic!("{name} in {channel}"));
+    let sum: u64 =
+        ["used", "skipped", "over_limit", "stale", "superseded", "lost", "rejected", "in_flight"].into_iter().map(term).sum();
+    assert_eq!(term("sent"), sum, "{channel}");
+    assert!(term("lost") > 0 && term("skipped") > 0 && term("duplicated") > 0, "{channel}");
+}

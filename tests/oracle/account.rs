@@ -1,0 +1,107 @@
+//! What both sides must agree on.
+
+use std::collections::BTreeMap;
+
+use realo_schemas::Nanos;
+
+/// A message of an agent.
+pub type Id = (String, u64);
+
+/// A Selection.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer {
+    /// The ego's message that asked.
+    pub query: u64,
+    /// When the Selection was there.
+    pub ready: Nanos,
+    /// What it holds, and how old that was for the query.
+    pub entries: Vec<(Id, Nanos)>,
+}
+
+/// A fusion that took place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fusion {
+    /// The ego's message.
+    pub query: u64,
+    /// When its boxes were there.
+    pub ready: Nanos,
+    /// How many boxes.
+    pub boxes: usize,
+    /// Beyond the number that it takes.
+    pub over_limit: Vec<Id>,
+    /// Without a pose.
+    pub rejected: Vec<Id>,
+}
+
+/// The books of one channel to the ego.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[allow(missing_docs)]
+pub struct Line {
+    pub out_of_range: u64,
+    pub sent: u64,
+    pub bytes: u64,
+    pub duplicated: u64,
+    pub used: u64,
+    pub skipped: u64,
+    pub over_limit: u64,
+    pub stale: u64,
+    pub superseded: u64,
+    pub lost: u64,
+    pub rejected: u64,
+    pub in_flight: u64,
+}
+
+impl Line {
+    /// The terms of which each message has one.
+    pub fn terms(&self) -> [(&'static str, u64); 8] {
+        [
+            ("used", self.used),
+            ("skipped", self.skipped),
+            ("over_limit", self.over_limit),
+            ("stale", self.stale),
+            ("superseded", self.superseded),
+            ("lost", self.lost),
+            ("rejected", self.rejected),
+            ("in_flight", self.in_flight),
+        ]
+    }
+}
+
+/// One run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Account {
+    /// In the order in which they were given.
+    pub selections: Vec<Answer>,
+    /// In the order in which they took place.
+    pub fusions: Vec<Fusion>,
+    /// By sender.
+    pub channels: BTreeMap<String, Line>,
+    /// Messages that a stage passed over because it was busy, and parts of sets that were discarded.
+    pub passed_over: BTreeMap<String, u64>,
+}
+
+impl Account {
+    /// The first difference to what the oracle says.
+    pub fn difference(&self, oracle: &Account) -> Option<String> {
+        first("Selection", &self.selections, &oracle.selections)
+            .or_else(|| first("fusion", &self.fusions, &oracle.fusions))
+            .or_else(|| differing("stage", &self.passed_over, &oracle.passed_over))
+            .or_else(|| differing("channel", &self.channels, &oracle.channels))
+    }
+}
+
+fn first<T: std::fmt::Debug + PartialEq>(what: &str, driver: &[T], oracle: &[T]) -> Option<String> {
+    let at = (0..driver.len().max(oracle.len())).find(|at| driver.get(*at) != oracle.get(*at))?;
+    let (driver, oracle) = (driver.get(at), oracle.get(at));
+    Some(format!("{what} number {at}:\n  driver {driver:?}\n  oracle {oracle:?}"))
+}
+
+fn differing<T: std::fmt::Debug + PartialEq>(
+    what: &str,
+    driver: &BTreeMap<String, T>,
+    oracle: &BTreeMap<String, T>,
+) -> Option<String> {
+    let name = driver.keys().chain(oracle.keys()).find(|name| driver.get(*name) != oracle.get(*name))?;
+    let (driver, oracle) = (driver.get(name), oracle.get(name));
+    Some(format!("{what} {name}:\n  driver {driver:?}\n  oracle {oracle:?}"))
+}

@@ -1,0 +1,38 @@
+//! A dora node that passes messages on, but drops, repeats and swaps some of them; for tests of what receivers notice.
+//!
+//! Of ten messages it drops the 4th, sends the 6th twice and the 8th behind the 9th. Writes what it did to the file
+//! that its argument names.
+
+use dora_node_api::dora_core::config::DataId;
+use dora_node_api::{DoraArray, DoraNode, Event};
+
+fn main() -> eyre::Result<()> {
+    let report = std::env::args().nth(1).ok_or_else(|| eyre::eyre!("usage: tamper REPORT"))?;
+    let (mut node, mut events) = DoraNode::init_from_env()?;
+    let output = DataId::from("out".to_string());
+    let (mut n, mut dropped, mut repeated, mut swapped) = (0u64, 0u64, 0u64, 0u64);
+    let mut held: Option<DoraArray> = None;
+    while let Some(event) = events.recv() {
+        let Event::Input { data, .. } = event else { continue };
+        n += 1;
+        let behind = held.take();
+        match n % 10 {
+            4 => dropped += 1,
+            6 => {
+                repeated += 1;
+                node.send_output(output.clone(), Default::default(), data.clone())?;
+                node.send_output(output.clone(), Default::default(), data)?;
+            }
+            8 => {
+                swapped += 1;
+                held = Some(data);
+            }
+            _ => node.send_output(output.clone(), Default::default(), data)?,
+        }
+        if let Some(behind) = behind {
+            node.send_output(output.clone(), Default::default(), behind)?;
+        }
+        std::fs::write(&report, format!("{{\"dropped\":{dropped},\"repeated\":{repeated},\"swapped\":{swapped}}}"))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,72 @@
+//! `realo bench`: measurements that a README may quote, each with the command that makes it.
+
+mod framework;
+mod memory;
+pub mod nms;
+mod simulate;
+
+use clap::ValueEnum;
+use eyre::Result;
+use serde::Serialize;
+
+use crate::Outcome;
+
+/// Measures: minima, medians and paired ratios; says on which CPU
+#[derive(clap::Args)]
+pub struct Args {
+    /// What to measure
+    #[arg(value_enum)]
+    name: Name,
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+    /// Log seconds that the replays take (framework: of each size; memory: in all)
+    #[arg(long)]
+    seconds: Option<f64>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Name {
+    /// Rotated NMS against powerboxesrs
+    Nms,
+    /// Finished points per second and core of the simulator
+    Simulate,
+    /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
+    Framework,
+    /// Growth of resident memory over a looped realtime replay
+    Memory,
+}
+
+/// Runs one bench and prints what it found.
+pub fn main(args: &Args) -> Result<Outcome> {
+    match args.name {
+        Name::Nms => print(&nms::bench()?, args.json),
+        Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(20.0))?, args.json),
+        Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
+        Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
+    }
+}
+
+fn print<B: Serialize + std::fmt::Display>(bench: &B, json: bool) -> Result<Outcome> {
+    if json {
+        println!("{}", serde_json::to_string_pretty(&Named { cpu: cpu(), bench })?);
+    } else {
+        println!("{bench}\nCPU: {}", cpu());
+    }
+    Ok(Outcome::Complete)
+}
+
+#[derive(Serialize)]
+struct Named<'a, B> {
+    cpu: String,
+    #[serde(flatten)]
+    bench: &'a B,
+}
+
+/// The CPU's name and the number of threads it gives us.
+pub fn cpu() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let name = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
+    format!("{}, {threads} threads", name.map_or("unknown", |(_, name)| name.trim()))
+}

@@ -1,0 +1,51 @@
+//! The demo log: made once, under a lock, when a graph needs it.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use eyre::{Result, WrapErr};
+use realo_simulator::Options;
+
+/// Where the demo log lies below the folder of a target.
+pub const FILE: &str = "realo/demo.mcap";
+
+/// What is simulated for the demo log: two vehicles and a roadside unit at an intersection.
+pub fn options() -> Options {
+    Options {
+        seed: 900,
+        seconds: 10.0,
+        agents: ["cav1", "cav2", "rsu1"].map(String::from).to_vec(),
+        ..Options::default()
+    }
+}
+
+/// Makes the demo log at `path` unless it is there; of several processes one makes it and the others wait.
+///
+/// # Errors
+/// Why it could not be written.
+pub fn make(path: &Path) -> Result<()> {
+    if path.exists() {
+        return Ok(());
+    }
+    let folder = path.parent().unwrap_or(Path::new("."));
+    fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))?;
+    let lock_path = path.with_extension("lock");
+    let lock = File::create(&lock_path).wrap_err_with(|| format!("{}", lock_path.display()))?;
+    lock.lock().wrap_err_with(|| format!("{}: lock", lock_path.display()))?;
+    if !path.exists() {
+        eprintln!("realo: making the demo log {} (once)", path.display());
+        crate::simulate::write(&options(), path)?;
+    }
+    Ok(())
+}
+
+/// For a player about to start from these arguments: makes the log if it is the demo log and missing.
+///
+/// # Errors
+/// As [`make`].
+pub fn make_if_missing(player_args: &[String]) -> Result<()> {
+    let given = player_args.iter().find_map(|arg| arg.strip_prefix("log=")).map(PathBuf::from);
+    let default = realo_player::Config::default().log;
+    let path = given.unwrap_or_else(|| default.into());
+    if path.ends_with(FILE) { make(&path) } else { Ok(()) }
+}

@@ -1,0 +1,84 @@
+//! `realo evaluate`: a recording scored after the fact, with the code that scores in the graph.
+
+use std::path::PathBuf;
+
+use eyre::{Result, bail, eyre};
+use realo_evaluator::Protocol;
+use realo_player::{Coop, Player};
+use realo_results::{Run, Settings};
+use realo_runtime::Source;
+use realo_schemas::{Boxes, GroundTruth, Header, Kind};
+
+use crate::Outcome;
+
+/// Scores a recording's boxes against a log's ground truth: the table of the run, without model or graph
+#[derive(clap::Args)]
+pub struct Args {
+    /// The log that was played
+    log: PathBuf,
+    /// The recording of the run
+    #[arg(long)]
+    detections: PathBuf,
+    /// Protocol: a name or a file [default: the log's]
+    #[arg(long)]
+    protocol: Option<String>,
+    /// Agents of the run, whose points make truth [default: those of the recorded run]
+    #[arg(long, value_delimiter = ',')]
+    agents: Vec<String>,
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints the table.
+pub fn main(args: &Args) -> Result<Outcome> {
+    let log = realo_logs::Log::open(&args.log)?;
+    let protocol = Protocol::load(args.protocol.as_deref().unwrap_or(&log.info().protocol))?;
+    let recorded = realo_recorder::read_boxes(&args.detections)?;
+    let Some(first) = recorded.first() else {
+        bail!("{}: no final boxes in this recording: was it of a graph with a recorder on its last boxes?", args.detections.display());
+    };
+    let ego = first.header.agent.to_string();
+    let agents = if args.agents.is_empty() { recorded_agents(args)? } else { args.agents.clone() };
+    let truths = truths(args, &ego, &agents)?;
+    let boxes = recorded.into_iter().map(|message| message.into_parts::<Boxes>()).collect::<Result<Vec<_>, _>>()?;
+    let mut evaluation = realo_evaluator::evaluate(truths, boxes, &protocol)?;
+    for scene in &mut evaluation.scenes {
+        scene.name = args.log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    }
+    let settings = Settings { graph: "recording".into(), ego, ..Settings::default() };
+    let run = Run::of_evaluation(settings, evaluation);
+    let named = [("recording", &run)];
+    if args.json {
+        println!("{}", realo_report::json(&named));
+    } else {
+        print!("{}", realo_report::table(&named));
+    }
+    Ok(Outcome::Complete)
+}
+
+/// The agents of the mode, as the truth in the recording has them.
+fn recorded_agents(args: &Args) -> Result<Vec<String>> {
+    let agents = realo_recorder::read_agents(&args.detections)?;
+    agents.ok_or_else(|| eyre!("{}: it has no truth that names the agents of the run: add --agents", args.detections.display()))
+}
+
+/// What the player tells the evaluator of a run of these agents.
+fn truths(args: &Args, ego: &str, agents: &[String]) -> Result<Vec<(Header, GroundTruth)>> {
+    let config = realo_player::Config {
+        log: args.log.clone(),
+        ego: ego.into(),
+        agents: agents.to_vec(),
+        coop: Coop::All,
+        points: false,
+        ..realo_player::Config::default()
+    };
+    let mut player = Player::new(config).map_err(|error| eyre!(error))?;
+    let mut truths = Vec::new();
+    while let Some((_, _, message)) = Source::next(&mut player).map_err(|error| eyre!(error))? {
+        if message.header.kind == Kind::Truth {
+            truths.push(message.into_parts::<GroundTruth>()?);
+        }
+    }
+    Ok(truths)
+}

@@ -1,0 +1,41 @@
+//! The one binary of realo: it hosts every shipped operator and node, and prepares, starts and checks runs.
+//!
+//! One file for each subcommand. Perception happens in the graph's stages, never here.
+
+pub mod bench;
+pub mod compare;
+pub mod conformance;
+pub mod demo;
+pub mod evaluate;
+pub mod host;
+pub mod import;
+pub mod info;
+pub mod operators;
+mod registry;
+pub mod run;
+pub mod simulate;
+pub mod validate;
+
+pub use registry::REGISTRY;
+
+/// How a command ended, beyond success and failure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All is well.
+    Complete,
+    /// Something failed, and was reported.
+    Failed,
+    /// Done as far as possible; the rest was reported.
+    Partial,
+}
+
+impl Outcome {
+    /// 0, 1 or 3.
+    pub fn exit_code(self) -> u8 {
+        match self {
+            Outcome::Complete => 0,
+            Outcome::Failed => 1,
+            Outcome::Partial => 3,
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! `realo`: see `realo --help`.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use realo::{Outcome, bench, compare, conformance, evaluate, host, import, info, operators, run, simulate, validate};
+
+/// Online cooperative perception for vehicles and roadside units, on dora
+#[derive(Parser)]
+#[command(name = "realo", version, disable_help_subcommand = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Run(run::Args),
+    Compare(compare::Args),
+    Evaluate(evaluate::Args),
+    Simulate(simulate::Args),
+    Import(import::Args),
+    Info(info::Args),
+    Validate(validate::Args),
+    Operators(operators::Args),
+    Conformance(conformance::Args),
+    Bench(bench::Args),
+    Operator(host::OperatorArgs),
+    Node(host::NodeArgs),
+}
+
+fn main() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Run(args) => run::main(&args),
+        Command::Compare(args) => compare::main(&args),
+        Command::Evaluate(args) => evaluate::main(&args),
+        Command::Simulate(args) => simulate::main(&args),
+        Command::Import(args) => import::main(&args),
+        Command::Info(args) => info::main(&args),
+        Command::Validate(args) => validate::main(&args),
+        Command::Operators(args) => operators::main(&args),
+        Command::Conformance(args) => conformance::main(&args),
+        Command::Bench(args) => bench::main(&args),
+        Command::Operator(args) => host::operator(&args),
+        Command::Node(args) => host::node(&args),
+    };
+    let code = outcome.map(Outcome::exit_code).unwrap_or_else(|error| {
+        eprintln!("realo: {error:#}");
+        Outcome::Failed.exit_code()
+    });
+    ExitCode::from(code)
+}

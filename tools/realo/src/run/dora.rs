@@ -1,0 +1,74 @@
+//! Finding the dora CLI, or installing the released one under `target/`.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use eyre::{Result, WrapErr, bail, eyre};
+
+/// The release that the nodes are built for.
+const VERSION: &str = "1.1.0";
+/// What `dora --version` begins with for a release that fits.
+const SERIES: &str = "dora-cli 1.1.";
+
+/// A dora CLI of the right series: `REALO_DORA`, then one installed under `target/`, then PATH; else installs one.
+///
+/// # Errors
+/// A `REALO_DORA` that does not fit; an installation that failed, with what to do by hand.
+pub fn find() -> Result<PathBuf> {
+    if let Some(named) = std::env::var_os("REALO_DORA") {
+        let named = PathBuf::from(named);
+        return match version(&named) {
+            Some(text) if text.starts_with(SERIES) => Ok(named),
+            Some(text) => bail!("REALO_DORA={}: expected {SERIES}x, found `{text}`", named.display()),
+            None => bail!("REALO_DORA={}: it does not answer `--version`", named.display()),
+        };
+    }
+    let installed = home()?.join("bin/dora");
+    for candidate in [installed.clone(), PathBuf::from("dora")] {
+        if version(&candidate).is_some_and(|text| text.starts_with(SERIES)) {
+            return Ok(candidate);
+        }
+    }
+    install(&home()?)?;
+    Ok(installed)
+}
+
+fn version(dora: &Path) -> Option<String> {
+    let output = Command::new(dora).arg("--version").output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_string())
+}
+
+/// `target/dora-cli`, beside the profile's folder that this program runs from.
+fn home() -> Result<PathBuf> {
+    let program = std::env::current_exe()?;
+    let target = program.ancestors().find(|folder| folder.file_name().is_some_and(|name| name == "target"));
+    Ok(target.map_or_else(|| PathBuf::from("target"), Path::to_path_buf).join("dora-cli"))
+}
+
+fn install(home: &Path) -> Result<()> {
+    eprintln!("realo: installing dora-rs-cli {VERSION} into {} (once)", home.display());
+    if let Some(folder) = home.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let lock_path = home.with_extension("lock");
+    let lock = std::fs::File::create(&lock_path).wrap_err_with(|| format!("{}", lock_path.display()))?;
+    lock.lock()?;
+    if version(&home.join("bin/dora")).is_some() {
+        return Ok(());
+    }
+    let by_hand = format!(
+        "install it by hand (`pip install --no-deps dora-rs-cli=={VERSION}`) and put `dora` on PATH or name it in REALO_DORA"
+    );
+    step(Command::new("python3").args(["-m", "venv"]).arg(home)).wrap_err_with(|| by_hand.clone())?;
+    let package = format!("dora-rs-cli=={VERSION}");
+    let mut pip = Command::new(home.join("bin/python"));
+    step(pip.args(["-m", "pip", "install", "--quiet", "--no-deps", &package])).wrap_err(by_hand)
+}
+
+fn step(command: &mut Command) -> Result<()> {
+    let output = command.output().map_err(|error| eyre!("{command:?}: {error}"))?;
+    if !output.status.success() {
+        bail!("{command:?} failed: {}", String::from_utf8_lossy(&output.stderr).trim());
+    }
+    Ok(())
+}

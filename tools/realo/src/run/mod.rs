@@ -1,0 +1,199 @@
+//! `realo run`: prepares graphs, has them run, and checks that the runs are complete.
+
+mod compute;
+mod dora;
+mod prepare;
+mod realtime;
+mod replay;
+
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use eyre::{Result, WrapErr, bail, eyre};
+use realo_results::Run;
+
+use crate::Outcome;
+use prepare::Cell;
+
+pub use dora::find as find_dora;
+pub use replay::replay;
+
+/// Runs graphs over logs and prints what came out, side by side
+#[derive(clap::Args, Clone)]
+pub struct Args {
+    /// Dataflow files
+    #[arg(required = true)]
+    pub graphs: Vec<PathBuf>,
+    /// Logs to play, each in a run of its own [default: the demo log, made on first use]
+    #[arg(long)]
+    pub log: Vec<PathBuf>,
+    /// realtime: every stage a process on dora; virtual: exact and repeatable, in one process
+    #[arg(long, value_enum)]
+    pub mode: Option<Mode>,
+    /// No delays and exact poses, pairs by stamp; implies virtual
+    #[arg(long)]
+    pub offline: bool,
+    /// Seconds of log time per second (realtime)
+    #[arg(long)]
+    pub rate: Option<f64>,
+    /// Who cooperates [default: every vehicle is ego in turn, all others collaborate]
+    #[arg(long, value_enum)]
+    pub coop: Option<Coop>,
+    /// The ego [default: each that the mode allows, in turn]
+    #[arg(long)]
+    pub ego: Option<String>,
+    /// Only these agents take part
+    #[arg(long, value_delimiter = ',')]
+    pub agents: Vec<String>,
+    /// Channel model of the links: a name or a file
+    #[arg(long)]
+    pub link: Option<String>,
+    /// How long stages take in virtual time: a TOML file of node id = ns
+    #[arg(long)]
+    pub compute: Option<PathBuf>,
+    /// Evaluation protocol: a name or a file [default: the log's]
+    #[arg(long)]
+    pub protocol: Option<String>,
+    /// Agents report the detections that the log recorded
+    #[arg(long)]
+    pub recorded_detections: bool,
+    /// Seed of the links' jitter and loss
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// node.key=value: changes an argument of a node
+    #[arg(long)]
+    pub set: Vec<String>,
+    /// Where results go
+    #[arg(long, default_value = "out")]
+    pub out: PathBuf,
+    /// Print JSON instead of the table
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Which driver runs the graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Mode {
+    /// On dora, by the wall clock.
+    Realtime,
+    /// As a discrete-event simulation.
+    Virtual,
+}
+
+impl Mode {
+    /// The mode's name in results.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Mode::Realtime => "realtime",
+            Mode::Virtual => "virtual",
+        }
+    }
+}
+
+/// Who cooperates with whom.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Coop {
+    /// Vehicle ego, vehicles.
+    V2v,
+    /// Vehicle ego, roadside units.
+    V2i,
+    /// Roadside ego, roadside units.
+    I2i,
+}
+
+impl Coop {
+    /// The player's mode.
+    pub fn for_player(self) -> realo_player::Coop {
+        match self {
+            Coop::V2v => realo_player::Coop::V2v,
+            Coop::V2i => realo_player::Coop::V2i,
+            Coop::I2i => realo_player::Coop::I2i,
+        }
+    }
+}
+
+impl Args {
+    /// The driver that the options ask for.
+    ///
+    /// # Errors
+    /// Options that exclude each other.
+    pub fn driver(&self) -> Result<Mode> {
+        let mode = match (self.mode, self.offline) {
+            (Some(Mode::Realtime), true) => bail!("--offline has no delays and runs in virtual time: drop --mode realtime"),
+            (Some(mode), _) => mode,
+            (None, true) => Mode::Virtual,
+            (None, false) => Mode::Realtime,
+        };
+        if self.offline && (self.link.is_some() || self.compute.is_some()) {
+            bail!("--offline has neither delays nor loss: drop --link and --compute, or --offline");
+        }
+        if mode == Mode::Realtime && self.compute.is_some() {
+            bail!("--compute is for virtual time; in realtime stages take what they take: add --mode virtual");
+        }
+        if mode == Mode::Virtual && self.rate.is_some() {
+            bail!("--rate is for realtime; virtual time runs as fast as it can");
+        }
+        if let Some(rate) = self.rate
+            && !(rate.is_finite() && rate > 0.0)
+        {
+            bail!("--rate: expected a positive number, found {rate}");
+        }
+        Ok(mode)
+    }
+}
+
+/// Runs every graph over every log and ego, pools, and prints.
+pub fn main(args: &Args) -> Result<Outcome> {
+    let mode = args.driver()?;
+    let names = names(&args.graphs)?;
+    let cells: Vec<Vec<Cell>> = args
+        .graphs
+        .iter()
+        .zip(&names)
+        .map(|(graph, name)| prepare::cells(args, mode, graph, name))
+        .collect::<Result<_>>()?;
+    let mut truncated = false;
+    let mut runs: Vec<(String, Run)> = Vec::new();
+    for (name, cells) in names.iter().zip(&cells) {
+        match mode {
+            Mode::Virtual => replay::all(cells)?,
+            Mode::Realtime => cells.iter().try_for_each(|cell| realtime::run(cell, args.rate.unwrap_or(1.0)))?,
+        }
+        let done: Vec<Run> = cells.iter().map(|cell| realo_results::read_run(&cell.out)).collect::<Result<_, _>>()?;
+        truncated |= cells.iter().any(|cell| cell.truncated);
+        let pooled = realo_report::pool(&done)?;
+        let dir = dir_of(args, name);
+        realo_report::write_run(&dir, &pooled)?;
+        if mode == Mode::Realtime {
+            compute::write(&dir, &pooled).wrap_err_with(|| format!("{}", dir.display()))?;
+        }
+        runs.push((name.clone(), pooled));
+    }
+    let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (name.as_str(), run)).collect();
+    if args.json {
+        println!("{}", realo_report::json(&named));
+    } else {
+        print!("{}", realo_report::table(&named));
+        names.iter().for_each(|name| println!("results in {}", dir_of(args, name).display()));
+    }
+    Ok(if truncated { Outcome::Partial } else { Outcome::Complete })
+}
+
+/// Where a graph's results go.
+fn dir_of(args: &Args, graph: &str) -> PathBuf {
+    if args.graphs.len() > 1 || args.out == Path::new("out") { args.out.join(graph) } else { args.out.clone() }
+}
+
+/// The graphs' names: their file stems.
+fn names(graphs: &[PathBuf]) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    for graph in graphs {
+        let name = graph.file_stem().ok_or_else(|| eyre!("{}: not a file name", graph.display()))?;
+        let name = name.to_string_lossy().into_owned();
+        if names.contains(&name) {
+            bail!("two graphs are named `{name}`: rename one, so that their results can be told apart");
+        }
+        names.push(name);
+    }
+    Ok(names)
+}

@@ -1,0 +1,118 @@
+//! Runs on dora.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use eyre::{Result, WrapErr, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::prepare::Cell;
+use super::{dora, replay};
+use crate::REGISTRY;
+
+/// Lets dora's publishers wait for room instead of dropping at once; big messages get more time.
+const ZENOH_OVERLAY: &str = "{ transport: { link: { tx: { queue: { congestion_control: \
+    { drop: { wait_before_drop: 500000, max_wait_before_drop_fragments: 2000000 } } } } } } }\n";
+
+/// Has dora run a cell and checks that the run is complete.
+///
+/// # Errors
+/// Which node failed, or what is missing; dora's own words are in `dora.log`.
+pub fn run(cell: &Cell, rate: f64) -> Result<()> {
+    let dora = dora::find()?;
+    replay::clear(cell)?;
+    let graph = write_graph(cell)?;
+    let overlay = graph.with_file_name("zenoh.json5");
+    fs::write(&overlay, ZENOH_OVERLAY)?;
+    let log_path = cell.out.join("dora.log");
+    let log = File::create(&log_path).wrap_err_with(|| format!("{}", log_path.display()))?;
+    let child = Command::new(&dora)
+        .arg("run")
+        .arg(&graph)
+        .env("DORA_ZENOH_CONFIG_OVERLAY", &overlay)
+        .stdin(Stdio::null())
+        .stdout(log.try_clone()?)
+        .stderr(log)
+        .spawn()
+        .wrap_err_with(|| format!("{}", dora.display()))?;
+    let status = watch(child, cell, rate)?;
+    check(cell, status, &log_path)
+}
+
+/// Writes the expanded graph with this very program behind every stage, and its types beside it.
+fn write_graph(cell: &Cell) -> Result<PathBuf> {
+    let folder = std::path::absolute(cell.out.join("graph"))?;
+    let program = std::env::current_exe()?;
+    let mut graph = cell.graph.clone();
+    for node in &mut graph.nodes {
+        if node.registration(&REGISTRY).is_some() {
+            node.path.clone_from(&program);
+        }
+    }
+    copy_folder(&graph.types(), &folder.join("types"))?;
+    let path = folder.join("graph.yml");
+    fs::write(&path, graph.to_yaml()?).wrap_err_with(|| format!("{}", path.display()))?;
+    Ok(path)
+}
+
+fn copy_folder(from: &Path, to: &Path) -> Result<()> {
+    fs::create_dir_all(to).wrap_err_with(|| format!("{}", to.display()))?;
+    if !from.is_dir() {
+        return Ok(());
+    }
+    for entry in fs::read_dir(from).wrap_err_with(|| format!("{}", from.display()))? {
+        let entry = entry?;
+        let target = to.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            copy_folder(&entry.path(), &target)?;
+        } else {
+            fs::copy(entry.path(), &target).wrap_err_with(|| format!("{}", target.display()))?;
+        }
+    }
+    Ok(())
+}
+
+fn watch(mut child: Child, cell: &Cell, rate: f64) -> Result<ExitStatus> {
+    let style = ProgressStyle::with_template("{msg:>24} [{bar:32}] {pos}/{len} s").expect("the template is a constant");
+    let bar = ProgressBar::new((cell.seconds / rate).ceil() as u64).with_style(style.progress_chars("=> "));
+    bar.set_message(cell.name.clone());
+    let begun = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        bar.set_position(begun.elapsed().as_secs().min(bar.length().unwrap_or(u64::MAX)));
+        std::thread::sleep(Duration::from_millis(50));
+    };
+    bar.finish_and_clear();
+    Ok(status)
+}
+
+fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
+    let text = fs::read_to_string(log).unwrap_or_default();
+    if !status.success() {
+        let culprits = culprits(&text);
+        let who = if culprits.is_empty() { format!("dora ended with {status}") } else { culprits.join("\n  ") };
+        bail!("{}: the run failed:\n  {who}\n  see {}", cell.name, log.display());
+    }
+    if !cell.out.join("result.json").exists() {
+        bail!("{}: the run ended without results (was it stopped?); see {}", cell.name, log.display());
+    }
+    Ok(())
+}
+
+/// What dora and the nodes said of failures, each thing once.
+fn culprits(log: &str) -> Vec<String> {
+    let mut found: Vec<String> = Vec::new();
+    for line in log.lines() {
+        let line = line.trim();
+        let told = line.contains("realo: ") || (line.contains("ode `") && line.contains("failed"));
+        if told && !found.iter().any(|known| known == line) {
+            found.push(line.to_string());
+        }
+    }
+    found.truncate(8);
+    found
+}

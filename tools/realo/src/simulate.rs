@@ -1,0 +1,184 @@
+//! `realo simulate`: a simulated world to a log.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use eyre::{Result, WrapErr};
+use indicatif::{ProgressBar, ProgressStyle};
+use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
+use realo_schemas::Nanos;
+use realo_simulator::{Options, Phase, PoseSample, Scenario, Simulation, Sweep};
+
+use crate::Outcome;
+
+/// Simulates a place, its traffic and the agents that record it
+#[derive(clap::Args)]
+pub struct Args {
+    /// Which place
+    #[arg(long, value_enum, default_value = "intersection")]
+    scenario: ScenarioArg,
+    /// Heavy traffic: at least 120 road users
+    #[arg(long)]
+    dense: bool,
+    /// Fixes roads and buildings [default: from the seed]
+    #[arg(long)]
+    place: Option<u64>,
+    /// Sweeps start together (locked) or at least 15 ms apart (spread)
+    #[arg(long, value_enum, default_value = "locked")]
+    phase: PhaseArg,
+    /// Fixes traffic and noise; 0–799 train, 800–899 validate, 900–999 test
+    #[arg(long)]
+    seed: u64,
+    /// Length of the log
+    #[arg(long)]
+    seconds: f64,
+    /// Agents that record
+    #[arg(long, value_delimiter = ',', default_values_t = realo_simulator::AGENTS.map(String::from))]
+    agents: Vec<String>,
+    /// Scored frames per second
+    #[arg(long, default_value_t = 1.0)]
+    key_hz: f64,
+    /// Recorded detections without noise: the truth of what the agent has points on
+    #[arg(long)]
+    noise_free_detections: bool,
+    /// Leaves the points out; poses, truth and recorded detections are the same
+    #[arg(long)]
+    no_clouds: bool,
+    /// Where the place lies in the map: east,north in metres
+    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 0.0], allow_negative_numbers = true)]
+    map_offset: Vec<f64>,
+    /// The log to write
+    #[arg(short = 'o', long = "output")]
+    output: PathBuf,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ScenarioArg {
+    Intersection,
+    Corridor,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PhaseArg {
+    Locked,
+    Spread,
+}
+
+impl Args {
+    fn options(&self) -> Result<Options> {
+        let map_offset_m = <[f64; 2]>::try_from(&self.map_offset[..])
+            .map_err(|_| eyre::eyre!("--map-offset: expected east,north, found {} numbers", self.map_offset.len()))?;
+        Ok(Options {
+            scenario: match self.scenario {
+                ScenarioArg::Intersection => Scenario::Intersection,
+                ScenarioArg::Corridor => Scenario::Corridor,
+            },
+            phase: match self.phase {
+                PhaseArg::Locked => Phase::Locked,
+                PhaseArg::Spread => Phase::Spread,
+            },
+            dense: self.dense,
+            place: self.place,
+            seed: self.seed,
+            seconds: self.seconds,
+            key_hz: self.key_hz,
+            map_offset_m,
+            noise_free_detections: self.noise_free_detections,
+            agents: self.agents.clone(),
+            clouds: !self.no_clouds,
+            ..Options::default()
+        })
+    }
+}
+
+/// Writes the log; nothing is left at its place unless it is complete.
+pub fn main(args: &Args) -> Result<Outcome> {
+    write(&args.options()?, &args.output)?;
+    println!("{}", realo_logs::describe(&args.output)?);
+    Ok(Outcome::Complete)
+}
+
+/// Simulates to a log, with a progress bar.
+///
+/// # Errors
+/// Options that cannot be met; why writing failed.
+pub fn write(options: &Options, output: &Path) -> Result<()> {
+    if let Some(folder) = output.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))?;
+    }
+    let simulation = Simulation::new(options)?;
+    let mut writer = LogWriter::create_atomic(output, &log_info(&simulation))?;
+    let bar = progress(simulation.sweep_count() as u64, "simulating");
+    let mut poses: Vec<(String, VecDeque<PoseSample>)> = simulation
+        .agents()
+        .map(|agent| (agent.name.to_string(), simulation.poses(&agent.name).unwrap_or_default().into()))
+        .collect();
+    for sweep in simulation.sweeps() {
+        write_poses(&mut writer, &mut poses, sweep.ready)?;
+        write_sweep(&mut writer, &sweep, options.clouds)?;
+        bar.inc(1);
+    }
+    write_poses(&mut writer, &mut poses, Nanos::MAX)?;
+    writer.finish()?;
+    bar.finish_and_clear();
+    Ok(())
+}
+
+fn write_poses(writer: &mut LogWriter, poses: &mut [(String, VecDeque<PoseSample>)], until: Nanos) -> Result<()> {
+    loop {
+        let earliest = poses.iter_mut().filter(|(_, queue)| queue.front().is_some_and(|pose| pose.stamp <= until));
+        let Some((agent, queue)) = earliest.min_by_key(|(_, queue)| queue.front().map(|pose| pose.stamp)) else {
+            return Ok(());
+        };
+        let Some(pose) = queue.pop_front() else { return Ok(()) };
+        writer.pose(agent, pose.stamp, pose.stamp, &pose.believed)?;
+        writer.pose_truth(agent, pose.stamp, pose.stamp, &pose.truth)?;
+    }
+}
+
+fn write_sweep(writer: &mut LogWriter, sweep: &Sweep, clouds: bool) -> Result<()> {
+    let (agent, stamp, ready) = (&*sweep.agent, sweep.stamp, sweep.ready);
+    if clouds {
+        writer.cloud(agent, stamp, ready, &sweep.cloud)?;
+    } else {
+        writer.sweep(agent, stamp, ready)?;
+    }
+    writer.truth(agent, stamp, ready, &sweep.truth, Some(&sweep.points), sweep.key)?;
+    writer.detections(agent, stamp, ready, &sweep.detections)?;
+    Ok(())
+}
+
+fn log_info(simulation: &Simulation) -> LogInfo {
+    let options = simulation.options();
+    let agents = simulation.agents().map(|agent| AgentInfo {
+        name: agent.name.to_string(),
+        kind: match agent.kind {
+            realo_simulator::AgentKind::Vehicle => AgentKind::Vehicle,
+            realo_simulator::AgentKind::Roadside => AgentKind::Roadside,
+        },
+        footprint: agent.footprint,
+        sensor: agent.sensor.into(),
+        sensor_position: Some([0.0, 0.0, agent.sensor_height]),
+    });
+    let source = format!(
+        "realo simulate: {:?}{}, place {}, seed {}, {} s, phase {:?}",
+        options.scenario,
+        if options.dense { ", dense" } else { "" },
+        simulation.place(),
+        options.seed,
+        options.seconds,
+        options.phase,
+    );
+    let mut info = LogInfo::new(source.to_lowercase(), agents.collect());
+    info.key_frames = format!("{} a second", options.key_hz);
+    info
+}
+
+/// A progress bar over `count` steps.
+pub fn progress(count: u64, what: &'static str) -> ProgressBar {
+    let style = ProgressStyle::with_template("{msg:>12} [{bar:40}] {pos}/{len}, {eta} left")
+        .expect("the template is a constant")
+        .progress_chars("=> ");
+    ProgressBar::new(count).with_style(style).with_message(what)
+}

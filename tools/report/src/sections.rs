@@ -1,0 +1,335 @@
+//! What a table shows, section by section.
+
+use std::collections::BTreeSet;
+
+use realo_evaluator::{Accuracy, Counts, Orders, RangeBin, Table};
+use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult};
+
+use crate::cells::{NONE, count, fraction, share, spread, values};
+
+/// Rows under a title.
+pub struct Section {
+    pub title: String,
+    pub rows: Vec<Row>,
+}
+
+/// A label and a cell for each run; a row without any cell is not shown.
+pub struct Row {
+    pub label: String,
+    pub cells: Vec<Option<String>>,
+}
+
+/// Rows of one section, filled run by run.
+struct Rows<'a> {
+    runs: &'a [&'a Run],
+    rows: Vec<Row>,
+}
+
+impl Rows<'_> {
+    fn add(&mut self, label: impl Into<String>, cell: impl Fn(&Run) -> Option<String>) {
+        self.rows.push(Row {
+            label: label.into(),
+            cells: self.runs.iter().map(|run| cell(run)).collect(),
+        });
+    }
+
+    /// Rows that matter only where some run has more than none.
+    fn add_counts(&mut self, label: &str, get: impl Fn(&Run) -> Option<u64>) {
+        if self.runs.iter().any(|run| get(run).is_some_and(|n| n > 0)) {
+            self.add(label, |run| get(run).map(count));
+        }
+    }
+}
+
+/// All sections, headline first.
+pub fn sections(runs: &[&Run]) -> Vec<Section> {
+    let ious = names(
+        runs.iter()
+            .filter_map(|run| run.result.accuracy.as_ref())
+            .flat_map(|a| a.sorted.mean_ap.keys()),
+    );
+    let strict = ious.last().cloned().unwrap_or_default();
+    let section = |title: String, fill: &dyn Fn(&mut Rows)| {
+        let mut rows = Rows { runs, rows: Vec::new() };
+        fill(&mut rows);
+        let rows = rows.rows;
+        Section { title, rows }
+    };
+    let at = |name: &str| format!("{name}, IoU {}", ious.join(" / "));
+    let skipping = runs.iter().any(|run| run.result.frames.key_skipped > 0);
+    let mut sections = vec![
+        section("run".into(), &settings),
+        section(at("AP (sorted)"), &|rows| {
+            accuracy(rows, &ious, |result| Some(&result.accuracy.as_ref()?.sorted));
+            intervals(rows, &ious);
+            disturbances(rows);
+        }),
+        section(at("AP (v2x-real)"), &|rows| {
+            accuracy(rows, &ious, |result| Some(&result.accuracy.as_ref()?.v2x_real));
+        }),
+        section(at("AP (sorted), objects that the ego itself sees"), &|rows| {
+            accuracy(rows, &ious, |result| seen(result.accuracy_seen.as_ref()?));
+        }),
+    ];
+    if skipping {
+        sections.push(section(at("AP (sorted), processed frames only"), &|rows| {
+            accuracy(rows, &ious, |result| Some(&result.accuracy_processed.as_ref()?.sorted));
+        }));
+    }
+    sections.extend([
+        section(format!("recall / precision, IoU {strict}"), &|rows| {
+            recall(rows, &strict)
+        }),
+        section(format!("true / false / objects, IoU {strict}"), &|rows| {
+            detections(rows, &strict)
+        }),
+        section("frames".into(), &frames),
+        section("latency, ms: p50 / p95 / p99".into(), &latency),
+        section("age of the data used, ms: p50 / p95 / p99".into(), &ages),
+        section("sent per frame: messages / KB".into(), &volume),
+    ]);
+    for kind in kinds(runs) {
+        sections.push(section(format!("messages to the ego: {kind}"), &|rows| {
+            accounting(rows, &kind)
+        }));
+    }
+    sections
+}
+
+fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
+    names.cloned().collect::<BTreeSet<_>>().into_iter().collect()
+}
+
+fn settings(rows: &mut Rows) {
+    let text = |text: &String| (!text.is_empty()).then(|| text.clone());
+    rows.add("mode", |run| text(&run.result.settings.mode));
+    rows.add("ego", |run| text(&run.result.settings.ego));
+    rows.add("cooperation", |run| text(&run.result.settings.coop));
+    rows.add("link", |run| text(&run.result.settings.link));
+    rows.add("compute", |run| text(&run.result.settings.compute));
+    rows.add("protocol", |run| run.result.protocol.clone());
+    if rows.runs.iter().any(|run| run.result.runs > 1) {
+        rows.add("pooled runs / logs", |run| {
+            Some(format!("{} / {}", run.result.runs, run.result.logs.len()))
+        });
+    }
+}
+
+/// The classes of all runs: those that everybody looks for first.
+fn classes<'a, T: 'a>(tables: impl Iterator<Item = &'a Table<T>>) -> Vec<String> {
+    let mut classes = names(tables.flat_map(|table| table.keys()));
+    let place = |class: &String| {
+        ["vehicle", "pedestrian", "truck"]
+            .iter()
+            .position(|known| known == class)
+    };
+    classes.sort_by_key(|class| (place(class).unwrap_or(usize::MAX), class.clone()));
+    classes
+}
+
+/// Nothing where no object counts, e.g. because the log does not say what the ego sees.
+fn seen(accuracy: &Orders<Accuracy>) -> Option<&Accuracy> {
+    let sorted = &accuracy.sorted;
+    let known = sorted
+        .ap
+        .values()
+        .flat_map(|per_iou| per_iou.values())
+        .any(Option::is_some);
+    known.then_some(sorted)
+}
+
+fn accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option<&Accuracy>) {
+    let classes = classes(
+        rows.runs
+            .iter()
+            .filter_map(|run| get(&run.result))
+            .map(|accuracy| &accuracy.ap),
+    );
+    for class in classes {
+        rows.add(class.clone(), |run| {
+            let per_iou = get(&run.result)?.ap.get(&class)?;
+            Some(values(
+                ious.iter().map(|iou| fraction(per_iou.get(iou).copied().flatten())),
+            ))
+        });
+    }
+    rows.add("mAP, mean of all classes", |run| {
+        let mean = &get(&run.result)?.mean_ap;
+        Some(values(
+            ious.iter().map(|iou| fraction(mean.get(iou).copied().flatten())),
+        ))
+    });
+}
+
+fn intervals(rows: &mut Rows, ious: &[String]) {
+    let bound = |bound: Option<&Option<[f64; 2]>>| match bound {
+        Some(Some([low, high])) => format!("{low:.3}–{high:.3}"),
+        _ => NONE.into(),
+    };
+    rows.add("mAP, 95 % interval over logs", |run| {
+        let bounds = &run.result.intervals.as_ref()?.accuracy.sorted.mean_ap;
+        Some(values(ious.iter().map(|iou| bound(bounds.get(iou)))))
+    });
+}
+
+/// What makes a score that of a disturbed run stands beside it.
+fn disturbances(rows: &mut Rows) {
+    rows.add_counts("! messages that dora lost", |run| Some(run.result.transport.total_lost));
+    rows.add_counts("! frames that were skipped", |run| Some(run.result.frames.key_skipped));
+}
+
+fn counts<'a>(run: &'a Run, class: &str, iou: &str) -> Option<&'a Counts> {
+    run.result.accuracy.as_ref()?.sorted.counts.get(class)?.get(iou)
+}
+
+fn count_classes(rows: &Rows) -> Vec<String> {
+    classes(
+        rows.runs
+            .iter()
+            .filter_map(|run| Some(&run.result.accuracy.as_ref()?.sorted.counts)),
+    )
+}
+
+fn recall(rows: &mut Rows, iou: &str) {
+    let both = |c: &Counts| values([share(c.hits, c.total), share(c.hits, c.hits + c.misses)]);
+    for class in count_classes(rows) {
+        rows.add(class.clone(), |run| counts(run, &class, iou).map(both));
+        let bins = |run: &Run| -> Option<Vec<RangeBin>> {
+            let by_range = run.result.precision_recall_by_range.as_ref()?;
+            by_range.get(&class)?.get(iou).cloned()
+        };
+        let mut edges: Vec<(f64, Option<f64>)> = Vec::new();
+        for bin in rows.runs.iter().filter_map(|run| bins(run)).flatten() {
+            if !edges.contains(&(bin.from, bin.to)) {
+                edges.push((bin.from, bin.to));
+            }
+        }
+        for (from, to) in edges {
+            let label = to.map_or(format!("  from {from} m"), |to| format!("  {from} to {to} m"));
+            rows.add(label, |run| {
+                let bins = bins(run)?;
+                let bin = bins.iter().find(|bin| (bin.from, bin.to) == (from, to))?;
+                (bin.counts != Counts::default()).then(|| both(&bin.counts))
+            });
+        }
+    }
+}
+
+fn detections(rows: &mut Rows, iou: &str) {
+    for class in count_classes(rows) {
+        rows.add(class.clone(), |run| {
+            let Counts { hits, misses, total } = counts(run, &class, iou)?;
+            Some(values([hits, misses, total].map(|n| count(*n))))
+        });
+    }
+}
+
+fn frames(rows: &mut Rows) {
+    rows.add("sweeps of the ego", |run| Some(count(run.result.frames.total)));
+    rows.add("scored", |run| Some(count(run.result.frames.key)));
+    rows.add("without boxes", |run| Some(count(run.result.frames.skipped)));
+    rows.add("rate, Hz of log time", |run| {
+        run.timing.rate_hz.map(|rate| format!("{rate:.2}"))
+    });
+}
+
+fn latency(rows: &mut Rows) {
+    let stages = names(rows.runs.iter().flat_map(|run| run.timing.latency_ms.keys()));
+    rows.add("end to end", |run| spread(run.timing.latency_ms.get(END_TO_END)));
+    rows.add("without modelled link delay", |run| {
+        let framework = run.timing.latency_ms.get(FRAMEWORK);
+        spread(framework.filter(|framework| Some(*framework) != run.timing.latency_ms.get(END_TO_END)))
+    });
+    for stage in stages
+        .iter()
+        .filter(|stage| ![END_TO_END, FRAMEWORK].contains(&stage.as_str()))
+    {
+        rows.add(stage.clone(), |run| {
+            spread(run.timing.latency_ms.get(stage).filter(|spread| spread.max > Some(0.0)))
+        });
+    }
+    let sources = names(rows.runs.iter().flat_map(|run| run.timing.late_ms.keys()));
+    for source in sources {
+        rows.add(format!("{source}, late by"), |run| {
+            spread(run.timing.late_ms.get(&source))
+        });
+    }
+}
+
+fn ages(rows: &mut Rows) {
+    let kinds = names(rows.runs.iter().flat_map(|run| run.result.age_ms.by_kind.keys()));
+    for kind in kinds {
+        rows.add(kind.clone(), |run| spread(run.result.age_ms.by_kind.get(&kind)));
+    }
+}
+
+fn kinds(runs: &[&Run]) -> Vec<String> {
+    names(
+        runs.iter()
+            .flat_map(|run| run.result.links.values())
+            .flat_map(|kinds| kinds.keys()),
+    )
+}
+
+/// What all channels of a kind carried together; `None` without any.
+fn sum<'a>(channels: impl Iterator<Item = &'a LinkBooks>) -> Option<LinkBooks> {
+    channels.cloned().reduce(|mut sum, books| {
+        sum.add(&books);
+        sum
+    })
+}
+
+fn volume(rows: &mut Rows) {
+    for kind in kinds(rows.runs) {
+        rows.add(kind.clone(), |run| {
+            let books = sum(run
+                .result
+                .channels()
+                .filter(|(_, k, _)| *k == kind)
+                .map(|(.., books)| books))?;
+            let frames = run.result.frames.total;
+            let per_frame = |n: f64| (frames > 0).then(|| n / frames as f64);
+            let places = |value: Option<f64>| value.map_or(NONE.into(), |value| format!("{value:.2}"));
+            Some(values([
+                places(per_frame(books.sent as f64)),
+                places(per_frame(books.bytes as f64 / 1000.0)),
+            ]))
+        });
+    }
+}
+
+fn accounting(rows: &mut Rows, kind: &str) {
+    let books = |run: &Run| {
+        let channels = run
+            .result
+            .channels()
+            .filter(|(_, k, _)| *k == kind)
+            .map(|(.., books)| books);
+        sum(channels.filter(|books| books.accounted.is_some()))
+    };
+    let fate = |get: fn(&Fates) -> u64| move |run: &Run| books(run)?.accounted.map(|accounted| get(&accounted.fates));
+    if !rows.runs.iter().any(|run| books(run).is_some()) {
+        return;
+    }
+    rows.add("sent", |run| Some(count(books(run)?.sent)));
+    rows.add("used", |run| fate(|fates| fates.used)(run).map(count));
+    rows.add_counts("skipped", fate(|fates| fates.skipped));
+    rows.add_counts("over limit", fate(|fates| fates.over_limit));
+    rows.add_counts("stale", fate(|fates| fates.stale));
+    rows.add_counts("superseded", fate(|fates| fates.superseded));
+    rows.add_counts("lost", |run| Some(books(run)?.lost));
+    rows.add_counts("rejected", fate(|fates| fates.rejected));
+    rows.add_counts("in flight", fate(|fates| fates.in_flight));
+    if rows
+        .runs
+        .iter()
+        .filter_map(|run| books(run)?.accounted)
+        .any(|accounted| accounted.unaccounted != 0)
+    {
+        rows.add("! unaccounted", |run| {
+            Some(books(run)?.accounted?.unaccounted.to_string())
+        });
+    }
+    rows.add_counts("out of range, not sent", |run| Some(books(run)?.out_of_range));
+    rows.add_counts("duplicated, not counted", |run| Some(books(run)?.duplicated));
+}

@@ -1,0 +1,254 @@
+use realo_evaluator::{Evaluation, Protocol, evaluate, score};
+use realo_results::{Accounted, Ages, Fates, LinkBooks, NodeSummary, Run, Settings, Timing, TimingSamples};
+use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Nanos};
+
+use super::*;
+
+const MS: Nanos = 1_000_000;
+
+fn car(x: f64, score: f32) -> Box3 {
+    Box3 {
+        center: [x, 0.0, 0.8],
+        length: 4.0,
+        width: 2.0,
+        height: 1.6,
+        yaw: 0.0,
+        velocity: None,
+        class: "Car".into(),
+        score,
+        track: None,
+        covariance: None,
+    }
+}
+
+/// Frames in which two of three cars are found, and which differ with `luck`.
+fn evaluation(log: &str, ego: &str, luck: u64) -> Evaluation {
+    let header = |seq: u64, kind| Header::origin(&"r".into(), &ego.into(), kind, seq, seq as Nanos * 100 * MS, 0);
+    let truth = || GroundTruth {
+        boxes: vec![car(10.0, 1.0), car(40.0, 1.0), car(70.0, 1.0)],
+        agents: vec![ego.into(), "rsu1".into()],
+        points: vec![30, 0, 20, 9, 0, 50],
+        key: true,
+        ..GroundTruth::default()
+    };
+    let found = |seq: u64| {
+        let noise = |i: u64| ((seq * 7 + i * 3 + luck) % 11) as f32 / 11.0;
+        let at = if (seq + luck) % 3 == 0 { 60.0 } else { 70.0 };
+        Boxes(vec![car(10.1, noise(0)), car(at, noise(1))])
+    };
+    let truths = (0..6).map(|seq| (header(seq, Kind::Truth), truth()));
+    let boxes = (0..6)
+        .filter(|seq| *seq != luck)
+        .map(|seq| (header(seq, Kind::Boxes), found(seq)));
+    let mut evaluation = evaluate(truths, boxes, &Protocol::load("default").unwrap()).unwrap();
+    evaluation.scenes[0].name = log.into();
+    evaluation
+}
+
+fn run(log: &str, ego: &str, luck: u64) -> Run {
+    let settings = Settings {
+        graph: "late_fusion".into(),
+        mode: "virtual".into(),
+        ego: ego.into(),
+        seed: "7".into(),
+        ..Settings::default()
+    };
+    let mut run = Run::of_evaluation(settings, evaluation(log, ego, luck));
+    let fates = Fates {
+        used: 4 + luck,
+        stale: 2,
+        ..Fates::default()
+    };
+    let books = LinkBooks {
+        sent: 7 + luck,
+        bytes: 2000,
+        lost: 1,
+        accounted: Some(Accounted { fates, unaccounted: 0 }),
+        ..LinkBooks::default()
+    };
+    let state = LinkBooks {
+        sent: 60,
+        bytes: 6000,
+        ..LinkBooks::default()
+    };
+    let kinds = [("boxes".to_string(), books), ("ego_state".to_string(), state)];
+    run.result.links.insert(format!("rsu1-{ego}"), kinds.into());
+    let node = NodeSummary {
+        operator: "nms".into(),
+        skipped: luck,
+        counters: [("invalid_boxes".to_string(), 2)].into(),
+        ..NodeSummary::default()
+    };
+    run.result.nodes.insert("joint-nms".into(), node);
+    let mut ages = Ages::default();
+    let mut timing = TimingSamples {
+        processed: 5,
+        duration_ns: 600 * MS,
+        ..TimingSamples::default()
+    };
+    for i in 0..5 {
+        ages.record((30 + 7 * luck as Nanos + i) * MS);
+        timing.end_to_end.record((5 + luck as Nanos + i) * MS);
+        timing
+            .stages
+            .entry("fusion".into())
+            .or_default()
+            .latency
+            .record((1 + i) * MS);
+    }
+    run.samples.ages_ns.insert(Kind::Boxes, ages);
+    run.timing = Timing::of(timing);
+    let samples = run.samples.clone();
+    run.result.conclude(&samples);
+    run
+}
+
+#[test]
+fn pooling_is_scoring_all_frames_at_once() {
+    let runs = [run("b", "cav1", 1), run("a", "cav1", 2), run("a", "cav2", 3)];
+    let pooled = pool(&runs).unwrap();
+    let mut joined = evaluation("a", "cav1", 2);
+    joined.scenes.extend(evaluation("a", "cav2", 3).scenes);
+    joined.scenes.extend(evaluation("b", "cav1", 1).scenes);
+    let scores = score(&joined);
+    assert_eq!(pooled.result.accuracy, Some(scores.accuracy));
+    assert_eq!(pooled.result.accuracy_seen, Some(scores.accuracy_seen));
+    assert_eq!(pooled.result.intervals, scores.intervals);
+    assert!(pooled.result.intervals.is_some(), "two logs");
+    let mean = runs.iter().map(|run| ap(run)).sum::<f64>() / 3.0;
+    assert!(
+        (ap(&pooled) - mean).abs() > 1e-3,
+        "pooled scores are no means of scores"
+    );
+}
+
+fn ap(run: &Run) -> f64 {
+    run.result.accuracy.as_ref().unwrap().sorted.ap["vehicle"]["0.5"].unwrap()
+}
+
+#[test]
+fn pooling_adds_what_was_counted_whatever_the_order() {
+    let (one, other, third) = (run("b", "cav1", 1), run("a", "cav1", 2), run("a", "cav2", 3));
+    let pooled = pool(&[one.clone(), other.clone(), third.clone()]).unwrap();
+    assert_eq!(pooled, pool(&[third.clone(), one.clone(), other.clone()]).unwrap());
+    let result = &pooled.result;
+    assert_eq!(
+        (result.runs, &*result.settings.ego, &*result.settings.seed),
+        (3, "cav1, cav2", "7")
+    );
+    assert_eq!(
+        (result.frames.total, result.frames.skipped, result.frames.key_skipped),
+        (18, 3, 3)
+    );
+    let books = &result.links["rsu1-cav1"]["boxes"];
+    let fates = books.accounted.unwrap().fates;
+    assert_eq!((books.sent, books.lost, fates.used, fates.stale), (17, 2, 11, 4));
+    assert_eq!(result.links["rsu1-cav2"]["boxes"].sent, 10);
+    let node = &result.nodes["joint-nms"];
+    assert_eq!((node.skipped, node.counters["invalid_boxes"]), (6, 6));
+    assert_eq!(result.age_ms.by_kind["boxes"].count, 15);
+    assert_eq!(
+        (pooled.timing.latency_ms["end_to_end"].count, pooled.timing.rate_hz),
+        (15, Some(15.0 / 1.8))
+    );
+    // Pooling in two steps is pooling in one.
+    let steps = pool(&[pool(&[other, third]).unwrap(), one]).unwrap();
+    assert_eq!(steps, pooled);
+}
+
+#[test]
+fn a_single_run_stays_what_it_is_through_files_and_pool() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = run("a", "cav1", 1);
+    write_run(folder.path(), &one).unwrap();
+    let read = read_run(folder.path()).unwrap();
+    assert_eq!(read, one);
+    assert_eq!(pool(&[read]).unwrap(), one);
+}
+
+#[test]
+fn refuses_what_does_not_belong_together() {
+    assert!(matches!(pool(&[]), Err(PoolError::Empty)));
+    let one = run("a", "cav1", 1);
+    let mut other = run("b", "cav1", 1);
+    other.result.settings.graph = "no_fusion".into();
+    let error = pool(&[one.clone(), other]).unwrap_err().to_string();
+    assert!(
+        error.contains("graph `late_fusion` and `no_fusion`") && error.contains("realo compare"),
+        "{error}"
+    );
+    let error = pool(&[one.clone(), one.clone()]).unwrap_err().to_string();
+    assert!(error.contains("log `a` with ego `cav1` is there twice"), "{error}");
+    let mut other = run("b", "cav1", 1);
+    other.samples.evaluation.as_mut().unwrap().protocol = Protocol::load("dair").unwrap();
+    let error = pool(&[one.clone(), other]).unwrap_err().to_string();
+    assert!(error.contains("protocols"), "{error}");
+    let mut silent = run("b", "cav1", 1);
+    silent.samples.evaluation = None;
+    let pooled = pool(&[one, silent]).unwrap();
+    assert!(
+        pooled
+            .result
+            .notes
+            .iter()
+            .any(|note| note.contains("1 of 2 runs have no evaluation"))
+    );
+}
+
+fn line<'a>(table: &'a str, label: &str) -> &'a str {
+    let found = table.lines().find(|line| line.trim_start().starts_with(label));
+    found.unwrap_or_else(|| panic!("no line `{label}` in\n{table}"))
+}
+
+#[test]
+fn the_table_says_what_was_measured() {
+    let mut alone = run("a", "cav1", 1);
+    alone.result.links.clear();
+    let mut fused = run("a", "cav1", 2);
+    fused.result.transport.total_lost = 3;
+    let text = table(&[("no_fusion", &alone), ("late_fusion", &fused)]);
+    assert!(
+        text.lines().next().unwrap().trim_start().starts_with("no_fusion   "),
+        "{text}"
+    );
+    assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+    for title in [
+        "AP (sorted), IoU 0.3 / 0.5",
+        "AP (v2x-real), IoU 0.3 / 0.5",
+        "AP (sorted), processed frames only",
+    ] {
+        assert!(text.contains(title), "{title} in\n{text}");
+    }
+    // Nobody may read a number as "AP" without the name of its order.
+    assert_eq!(
+        text.matches("AP").count(),
+        text.matches("AP (").count() + text.matches("mAP,").count() + text.matches("its AP and mAP").count() * 2
+    );
+    assert!(line(&text, "! messages that dora lost").ends_with('3'));
+    assert!(line(&text, "boxes").contains("32.0") || text.contains("age of the data used"));
+    assert!(line(&text, "used").ends_with("–               6") || line(&text, "used").trim_end().ends_with('6'));
+    assert!(line(&text, "sent per frame").contains("KB"));
+    assert!(line(&text, "end to end").contains(" / "));
+    assert!(text.contains("note (late_fusion): "), "{text}");
+}
+
+#[test]
+fn many_runs_follow_in_further_tables() {
+    let one = run("a", "cav1", 1);
+    let names: Vec<String> = (0..9).map(|i| format!("strategy_number_{i}")).collect();
+    let runs: Vec<_> = names.iter().map(|name| (name.as_str(), &one)).collect();
+    let text = table(&runs);
+    assert!(names.iter().all(|name| text.contains(name)));
+    assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+    assert!(text.matches("AP (v2x-real)").count() > 1);
+}
+
+#[test]
+fn json_gives_the_files_without_samples() {
+    let one = run("a", "cav1", 1);
+    let document: Value = serde_json::from_str(&json(&[("late_fusion", &one)])).unwrap();
+    let entry = &document["runs"][0];
+    assert_eq!(entry["name"], "late_fusion");
+    assert_eq!(entry["result"]["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"], ap(&one));
+    assert!(entry["timing"]["latency_ms"]["end_to_end"]["p50"].is_number() && entry["timing"].get("samples").is_none());
+}

@@ -1,0 +1,210 @@
+//! A sweep: rays against the moving world as the sensor turns, and what comes back of them.
+
+mod instances;
+
+use std::f64::consts::{PI, TAU};
+
+use crate::agents::{Agent, since_epoch};
+use crate::place::Place;
+use crate::random::{mix, normal_of, unit_of};
+use crate::sensor::{DROPOUT, Optics};
+use crate::solid::Hit;
+use crate::traffic::Traffic;
+use instances::Instances;
+use realo_schemas::{Nanos, PointCloud};
+
+/// Coordinates are multiples of this, m, so that they compress; finer than any range step.
+const GRID: f64 = 1.0 / 1024.0;
+
+/// What there is to be seen.
+#[derive(Clone, Copy)]
+pub(crate) struct World<'a> {
+    pub place: &'a Place,
+    pub traffic: &'a Traffic,
+}
+
+/// How a sweep is cast.
+#[derive(Clone, Copy)]
+pub(crate) struct Casting {
+    /// Key of the sweep's noise.
+    pub key: u64,
+    /// Time at which the sweep starts, and its reference time.
+    pub start: Nanos,
+    pub stamp: Nanos,
+    pub clouds: bool,
+    pub labels: bool,
+    pub column_stride: usize,
+}
+
+/// What a sweep gives.
+pub(crate) struct Cast {
+    pub cloud: PointCloud,
+    /// Points on each road user.
+    pub points: Vec<u32>,
+    /// For each point, the road user's index plus one; 0 for everything else.
+    pub labels: Vec<u32>,
+    /// Finished points, whether or not they are kept.
+    pub finished: usize,
+}
+
+#[derive(Default)]
+struct Columns {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    intensity: Vec<u8>,
+    time: Vec<i32>,
+    ring: Vec<u16>,
+    labels: Vec<u32>,
+}
+
+/// A rotation, by rows.
+type Rotation = [[f64; 3]; 3];
+
+#[inline(always)]
+fn rotate(m: &Rotation, v: &[f64; 3]) -> [f64; 3] {
+    let row = |r: &[f64; 3]| r[0] * v[0] + r[1] * v[1] + r[2] * v[2];
+    [row(&m[0]), row(&m[1]), row(&m[2])]
+}
+
+fn times(a: &Rotation, b: &Rotation) -> Rotation {
+    [0, 1, 2].map(|r| [0, 1, 2].map(|c| a[r][0] * b[0][c] + a[r][1] * b[1][c] + a[r][2] * b[2][c]))
+}
+
+fn about_z(angle: f64) -> Rotation {
+    let (sin, cos) = libm::sincos(angle);
+    [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]
+}
+
+/// From the carrier's leaning frame to the gravity-aligned one, for slopes along and across.
+fn tilt([along, across]: [f64; 2]) -> Rotation {
+    let length = (1.0 + along * along + across * across).sqrt();
+    let up = [-along / length, -across / length, 1.0 / length];
+    let level = (1.0 + along * along).sqrt();
+    let ahead = [1.0 / level, 0.0, along / level];
+    let left = [
+        up[1] * ahead[2] - up[2] * ahead[1],
+        up[2] * ahead[0] - up[0] * ahead[2],
+        up[0] * ahead[1] - up[1] * ahead[0],
+    ];
+    [0, 1, 2].map(|r| [ahead[r], left[r], up[r]])
+}
+
+/// Casts one sweep of an agent. Points are in the agent's body frame of the instant at which each was measured.
+pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
+    let sensor = agent.sensor;
+    let start = since_epoch(casting.start);
+    let instances = Instances::new(world, agent, start);
+    let mut points = vec![0; world.traffic.users.len()];
+    let mut columns = Columns::with_capacity(if casting.clouds { sensor.columns * sensor.beams.len() } else { 0 });
+    let mut finished = 0;
+    let period = 0.1 / sensor.columns as f64;
+    let to_start = (casting.start - casting.stamp) as f64;
+    for column in (0..sensor.columns).step_by(casting.column_stride) {
+        let azimuth = TAU * column as f64 / sensor.columns as f64;
+        let fires = column as f64 * period;
+        let body = agent.body(world.place, world.traffic, start + fires + 0.5 * period);
+        let body_from_sensor = times(&tilt(body.slope), &about_z(PI - azimuth));
+        let place_from_sensor = times(&about_z(body.heading), &body_from_sensor);
+        for (number, beam) in sensor.beams.iter().enumerate() {
+            let ray = rotate(&place_from_sensor, &beam.direction);
+            // The body's position holds for the middle of the column.
+            let aside = beam.fires - 0.5 * period;
+            let origin = [
+                body.position[0] + body.velocity[0] * aside,
+                body.position[1] + body.velocity[1] * aside,
+                body.position[2] + body.velocity[2] * aside + agent.info.sensor_height,
+            ];
+            let hash = mix(casting.key.wrapping_add(((column * 256 + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+            let level = (ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
+            let t = start + fires + beam.fires;
+            let limit = sensor.optics.farthest;
+            let met = instances.cast(azimuth + beam.azimuth, level, &origin, &ray, t, limit, hash);
+            let limit = met.map_or(limit, |(hit, _)| hit.t);
+            let (hit, user) = match world.place.cast_ground(origin, ray, limit) {
+                Some(ground) => (ground, None),
+                None => match met {
+                    Some(met) => met,
+                    None => continue,
+                },
+            };
+            let Some((range, intensity)) = receive(&sensor.optics, &hit, hash) else { continue };
+            finished += 1;
+            let label = user.map_or(0, |user| user + 1);
+            if let Some(user) = user {
+                points[user as usize] += 1;
+            }
+            if casting.clouds {
+                let d = rotate(&body_from_sensor, &beam.direction);
+                let time = to_start + (fires + beam.fires) * 1e9;
+                columns.push([d[0] * range, d[1] * range, d[2] * range + agent.info.sensor_height]);
+                columns.intensity.push(intensity);
+                columns.time.push(round(time) as i32);
+                columns.ring.push(beam.ring);
+                if casting.labels {
+                    columns.labels.push(label);
+                }
+            }
+        }
+    }
+    let (cloud, labels) = columns.finish();
+    Cast { cloud, points, labels, finished }
+}
+
+/// To the nearest integer, ties to even, for magnitudes below 2⁵¹: the sum has no room for a fraction. Without a call
+/// to the C library.
+#[inline(always)]
+fn round(v: f64) -> f64 {
+    const ROOM: f64 = 6_755_399_441_055_744.0;
+    (v + ROOM) - ROOM
+}
+
+impl Columns {
+    fn with_capacity(points: usize) -> Self {
+        Columns {
+            x: Vec::with_capacity(points),
+            y: Vec::with_capacity(points),
+            z: Vec::with_capacity(points),
+            intensity: Vec::with_capacity(points),
+            time: Vec::with_capacity(points),
+            ring: Vec::with_capacity(points),
+            labels: Vec::new(),
+        }
+    }
+
+    #[inline]
+    fn push(&mut self, [x, y, z]: [f64; 3]) {
+        let snap = |v: f64| (round(v * (1.0 / GRID)) * GRID) as f32;
+        self.x.push(snap(x));
+        self.y.push(snap(y));
+        self.z.push(snap(z));
+    }
+
+    fn finish(mut self) -> (PointCloud, Vec<u32>) {
+        self.x.shrink_to_fit();
+        self.y.shrink_to_fit();
+        self.z.shrink_to_fit();
+        let cloud = PointCloud::new(self.x, self.y, self.z, self.intensity, self.time, self.ring);
+        (cloud.expect("every column got every point"), self.labels)
+    }
+}
+
+/// Range and intensity of what comes back; `None` if nothing is seen.
+#[inline]
+fn receive(optics: &Optics, hit: &Hit, hash: u64) -> Option<(f64, u8)> {
+    let ratio = optics.reference_range / hit.t;
+    let q = optics.strength * hit.rho * hit.cos * ratio * ratio;
+    let q4 = q * q * q * q;
+    if unit_of(hash) * (q4 + 1.0) >= q4 * (1.0 - DROPOUT) {
+        return None;
+    }
+    let scatter = (optics.noise_floor + optics.noise_slope / q.sqrt()).min(optics.noise_ceiling);
+    let range = hit.t + scatter * normal_of(mix(hash));
+    let range = round(range * optics.steps_per_metre) * optics.step;
+    if range < optics.nearest || range > optics.farthest {
+        return None;
+    }
+    // Calibrated for range: 100 stands for a white wall met squarely, more for retro-reflectors.
+    let shimmer = (hash & 0x3ff) as f64 * (0.06 / 1024.0);
+    Some((range, (100.0 * hit.rho * hit.cos * (0.97 + shimmer)).min(255.0) as u8))
+}

@@ -1,0 +1,53 @@
+//! A simulated world of vehicles and roadside units, and the LiDARs that see it.
+//!
+//! ```no_run
+//! use realo_simulator::{Options, Simulation};
+//!
+//! let simulation = Simulation::new(&Options { seed: 7, seconds: 2.0, ..Options::default() })?;
+//! for sweep in simulation.sweeps() {
+//!     println!("{} {}: {} points on {} objects", sweep.agent, sweep.seq, sweep.cloud.len(), sweep.truth.len());
+//! }
+//! # Ok::<(), realo_simulator::Error>(())
+//! ```
+//!
+//! **The world.** A signalised intersection or a straight road with a signalised crossing; lanes, cycle lanes, parking
+//! bays, kerbs, buildings, poles, trees; ground that is not quite flat. Vehicles follow each other (Intelligent Driver
+//! Model), obey the lights and each other's right of way; walkers keep to pavements and crossings. `cav1` and `cav2`
+//! are cars of that traffic, on two arms, near each other and `rsu1` for most of the first ten seconds; `rsu1` and
+//! `rsu2` stand on 5 m poles at opposite corners, level. A vehicle that stays for longer turns round at the end of the
+//! road if it is a cav, and else leaves the place. Every road user is an object of truth, named by V2X-Real's raw
+//! classes: Car, Van, Truck, Bus, MotorcyleRider (sic), BicycleRider, ScooterRider, Pedestrian, Child.
+//!
+//! **Sensors.** `cav1`, `cav2`: 128 beams by the Ruby Plus table, 1,800 columns, 1.9 m over the ground, tilted with
+//! the car; the own roof and bonnet are in the cloud. `rsu1`: OS1-128, `rsu2`: OS1-64, 1,024 columns. All turn at
+//! 10 Hz, clockwise from the rear. Each ray is cast at its own firing time against the world of that instant. Beams
+//! have no width: there are no mixed returns at edges. Rings are numbered from the lowest beam up.
+//!
+//! **Frames and time.** Body frames are gravity-aligned with z = 0 on the ground below the sensor; x is forward, for
+//! roadside units along the main road. The place is turned in `map` by an angle of its own. Logs start at [`EPOCH`];
+//! a stamp is the middle of its sweep.
+//!
+//! **Seeds.** 0–799 are for training, 800–899 for validation, 900–999 for tests; 1,000,000 and more are reserved for
+//! release checks. All draws come from named streams of one seed and per-ray hashes: the same options give the same
+//! bits on any number of threads.
+
+mod agents;
+mod bench;
+mod bodies;
+mod cast;
+mod detections;
+mod options;
+mod path;
+mod place;
+mod poses;
+mod random;
+mod sensor;
+mod simulation;
+mod solid;
+mod traffic;
+
+pub use agents::{AgentInfo, AgentKind};
+pub use bench::{Bench, bench};
+pub use options::{AGENTS, EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario};
+pub use poses::PoseSample;
+pub use simulation::{Simulation, Sweep, Sweeps};

@@ -1,0 +1,284 @@
+//! What can be asked of a simulation, and what is refused.
+
+use realo_schemas::Nanos;
+
+/// Log time at which every simulation starts: 2026-01-01T00:00:00Z.
+pub const EPOCH: Nanos = 1_767_225_600_000_000_000;
+
+/// Time from one sweep's start to the next, ns.
+pub const SWEEP_PERIOD: Nanos = 100_000_000;
+
+/// Time from one pose to the next, ns.
+pub const POSE_PERIOD: Nanos = 10_000_000;
+
+/// The agents that a place can have, in order.
+pub const AGENTS: [&str; 4] = ["cav1", "cav2", "rsu1", "rsu2"];
+
+/// Which place is built.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scenario {
+    /// Two roads that cross under traffic lights.
+    #[default]
+    Intersection,
+    /// A straight road with a signalised crossing for pedestrians.
+    Corridor,
+}
+
+/// How the agents' sweeps lie to each other in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Phase {
+    /// All sweeps start within 1 ms, as GPS-locked sensors do.
+    #[default]
+    Locked,
+    /// Each agent's sweep starts at least 15 ms from every other's.
+    Spread,
+}
+
+/// What a simulation is asked for; everything is derived from it, bit for bit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Which place is built.
+    pub scenario: Scenario,
+    /// Whether there is heavy traffic: at least 120 road users at all times.
+    pub dense: bool,
+    /// Fixes roads and buildings; `None` takes `seed`.
+    pub place: Option<u64>,
+    /// How the agents' sweeps lie to each other.
+    pub phase: Phase,
+    /// Fixes the traffic, the noise and, without `place`, the place.
+    pub seed: u64,
+    /// Length of the log, s; a multiple of 0.1 within [0.1, 3600] (rounded to sweeps).
+    pub seconds: f64,
+    /// Scored frames per second; a divisor of 10, at most 10.
+    pub key_hz: f64,
+    /// Where the place's centre lies in `map`, (east, north), m.
+    pub map_offset_m: [f64; 2],
+    /// Recorded detections are the truth of what the agent has `detection_min_points` points on.
+    pub noise_free_detections: bool,
+    /// Own points from which an object can be in the recorded detections.
+    pub detection_min_points: u32,
+    /// The agents that record, of [`AGENTS`]; the others are still there.
+    pub agents: Vec<String>,
+    /// Whether sweeps carry their points; without them, counts are the same.
+    pub clouds: bool,
+    /// Whether sweeps say which object each point lies on.
+    pub labels: bool,
+    /// Only each n-th column fires; 1 for what the sensor really does, more for previews and tests.
+    pub column_stride: usize,
+    /// How the agents' own poses err.
+    pub pose_noise: PoseNoise,
+}
+
+impl Default for Options {
+    /// 10 s at the intersection with every agent, seed 0.
+    fn default() -> Self {
+        Options {
+            scenario: Scenario::Intersection,
+            dense: false,
+            place: None,
+            phase: Phase::Locked,
+            seed: 0,
+            seconds: 10.0,
+            key_hz: 1.0,
+            map_offset_m: [0.0; 2],
+            noise_free_detections: false,
+            detection_min_points: 5,
+            agents: AGENTS.map(String::from).to_vec(),
+            clouds: true,
+            labels: false,
+            column_stride: 1,
+            pose_noise: PoseNoise::default(),
+        }
+    }
+}
+
+/// The error model `gnss-ins-rtk-like` of the poses that agents believe.
+///
+/// A vehicle's error is a first-order Gauss-Markov walk (bias) plus white noise at each pose. A roadside unit was
+/// surveyed once: one draw of the bias, no white noise. Covariances are the sums of both variances.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseNoise {
+    /// Standard deviation of the bias (east, north, up), m. RTK receivers: 0.015, 0.015, 0.03.
+    pub position_bias_m: [f64; 3],
+    /// Time in which the bias of the position loses 63 % of itself, s (a modelling choice: 60).
+    pub position_correlation_s: f64,
+    /// White noise of the position on each axis, m (a modelling choice: 0.005).
+    pub position_white_m: f64,
+    /// Standard deviation of the heading's bias, degrees. Two antennas 2 m apart: 0.08.
+    pub heading_bias_deg: f64,
+    /// Standard deviation of the bias of roll and pitch, degrees (a modelling choice: 0.02).
+    pub tilt_bias_deg: f64,
+    /// Time in which the biases of the angles lose 63 % of themselves, s (a modelling choice: 30).
+    pub angle_correlation_s: f64,
+    /// White noise of each angle, degrees (a modelling choice: 0.01).
+    pub angle_white_deg: f64,
+    /// White noise of the velocity on each axis, m/s. CPT7: 0.03.
+    pub velocity_white_m_s: f64,
+    /// White noise of the angular rate on each axis, degrees/s (a modelling choice: 0.05).
+    pub rate_white_deg_s: f64,
+}
+
+impl PoseNoise {
+    /// The model's name, for a log's metadata.
+    pub const NAME: &'static str = "gnss-ins-rtk-like";
+
+    /// Poses without error.
+    pub fn none() -> Self {
+        PoseNoise {
+            position_bias_m: [0.0; 3],
+            position_correlation_s: 60.0,
+            position_white_m: 0.0,
+            heading_bias_deg: 0.0,
+            tilt_bias_deg: 0.0,
+            angle_correlation_s: 30.0,
+            angle_white_deg: 0.0,
+            velocity_white_m_s: 0.0,
+            rate_white_deg_s: 0.0,
+        }
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        let [x, y, z] = self.position_bias_m;
+        let deviations = [
+            ("position_bias_m", x),
+            ("position_bias_m", y),
+            ("position_bias_m", z),
+            ("position_white_m", self.position_white_m),
+            ("heading_bias_deg", self.heading_bias_deg),
+            ("tilt_bias_deg", self.tilt_bias_deg),
+            ("angle_white_deg", self.angle_white_deg),
+            ("velocity_white_m_s", self.velocity_white_m_s),
+            ("rate_white_deg_s", self.rate_white_deg_s),
+        ];
+        for (field, value) in deviations {
+            require(value >= 0.0 && value.is_finite(), field, value, "a finite number, 0 or more")?;
+        }
+        for (field, value) in [
+            ("position_correlation_s", self.position_correlation_s),
+            ("angle_correlation_s", self.angle_correlation_s),
+        ] {
+            require(value > 0.0 && value.is_finite(), field, value, "a finite number greater than 0")?;
+        }
+        Ok(())
+    }
+}
+
+impl Default for PoseNoise {
+    fn default() -> Self {
+        PoseNoise {
+            position_bias_m: [0.015, 0.015, 0.03],
+            position_correlation_s: 60.0,
+            position_white_m: 0.005,
+            heading_bias_deg: 0.08,
+            tilt_bias_deg: 0.02,
+            angle_correlation_s: 30.0,
+            angle_white_deg: 0.01,
+            velocity_white_m_s: 0.03,
+            rate_white_deg_s: 0.05,
+        }
+    }
+}
+
+/// Options that no simulation can meet.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// A number out of its range.
+    #[error("simulation option `{field}`: expected {expected}, found {found}")]
+    Range {
+        /// The option.
+        field: &'static str,
+        /// What it takes.
+        expected: &'static str,
+        /// What came.
+        found: String,
+    },
+    /// An agent that no place has.
+    #[error("simulation option `agents`: no agent `{found}`; a place has cav1, cav2, rsu1 and rsu2")]
+    UnknownAgent {
+        /// The name that came.
+        found: String,
+    },
+    /// The same agent twice.
+    #[error("simulation option `agents`: `{found}` is named twice; name each agent once")]
+    AgentTwice {
+        /// The name that came twice.
+        found: String,
+    },
+    /// Nobody records.
+    #[error("simulation option `agents`: nobody records; name at least one of cav1, cav2, rsu1 and rsu2")]
+    NoAgent,
+}
+
+fn require(holds: bool, field: &'static str, value: f64, expected: &'static str) -> Result<(), Error> {
+    if holds { Ok(()) } else { Err(Error::Range { field, expected, found: value.to_string() }) }
+}
+
+impl Options {
+    /// Sweeps of each agent.
+    pub fn sweeps_per_agent(&self) -> u64 {
+        (self.seconds * 10.0).round() as u64
+    }
+
+    /// Sweeps from one key frame to the next.
+    pub(crate) fn key_period(&self) -> u64 {
+        (10.0 / self.key_hz).round() as u64
+    }
+
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        let seconds = self.seconds;
+        require((0.1..=3600.0).contains(&seconds), "seconds", seconds, "a number within [0.1, 3600]")?;
+        let period = 10.0 / self.key_hz;
+        let divides = self.key_hz > 0.0 && self.key_hz <= 10.0 && (period - period.round()).abs() < 1e-6;
+        require(divides, "key_hz", self.key_hz, "a rate in (0, 10] that divides 10")?;
+        for value in self.map_offset_m {
+            require(value.abs() <= 1e8, "map_offset_m", value, "metres within ±1e8")?;
+        }
+        let stride = self.column_stride as f64;
+        require((1..=1000).contains(&self.column_stride), "column_stride", stride, "a number within [1, 1000]")?;
+        self.pose_noise.check()?;
+        self.check_agents()
+    }
+
+    fn check_agents(&self) -> Result<(), Error> {
+        if self.agents.is_empty() {
+            return Err(Error::NoAgent);
+        }
+        for (i, found) in self.agents.iter().enumerate() {
+            let found = found.clone();
+            if !AGENTS.contains(&found.as_str()) {
+                return Err(Error::UnknownAgent { found });
+            }
+            if self.agents[..i].contains(&found) {
+                return Err(Error::AgentTwice { found });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refuses_by_name_what_it_cannot_do() {
+        let cases: [(fn(&mut Options), &str); 9] = [
+            (|o| o.seconds = f64::NAN, "seconds"),
+            (|o| o.seconds = 0.0, "seconds"),
+            (|o| o.key_hz = 3.0, "key_hz"),
+            (|o| o.key_hz = 0.0, "key_hz"),
+            (|o| o.map_offset_m = [f64::INFINITY, 0.0], "map_offset_m"),
+            (|o| o.column_stride = 0, "column_stride"),
+            (|o| o.agents = vec!["cav9".into()], "cav9"),
+            (|o| o.agents = vec!["cav1".into(), "cav1".into()], "twice"),
+            (|o| o.pose_noise.heading_bias_deg = -1.0, "heading_bias_deg"),
+        ];
+        for (spoil, named) in cases {
+            let mut options = Options::default();
+            spoil(&mut options);
+            let error = options.check().unwrap_err().to_string();
+            assert!(error.contains(named), "{error} does not name {named}");
+        }
+        assert_eq!(Options::default().check(), Ok(()));
+    }
+}

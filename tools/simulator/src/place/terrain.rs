@@ -1,0 +1,193 @@
+//! The smooth ground: a height field in bilinear cells.
+
+use crate::random::Stream;
+
+/// Nodes along a side, and metres between them.
+const NODES: usize = 257;
+const CELL: f64 = 2.0;
+const HALF: f64 = CELL * (NODES - 1) as f64 / 2.0;
+
+/// Heights over the place's plane, m; nowhere steeper than about 1 %.
+pub(crate) struct Terrain {
+    heights: Vec<f32>,
+    lowest: f64,
+    highest: f64,
+    /// Steepest slope of a cell's edge, with a margin.
+    steepest: f64,
+}
+
+impl Terrain {
+    /// The ground of a place: a sum of long waves.
+    pub fn new(place: u64) -> Self {
+        let mut draws = Stream::new(place, "terrain", 0);
+        let waves: Vec<[f64; 4]> = (0..6)
+            .map(|_| {
+                let (sin, cos) = libm::sincos(draws.between(0.0, std::f64::consts::TAU));
+                let length = draws.between(60.0, 160.0);
+                let k = std::f64::consts::TAU / length;
+                [k * cos, k * sin, draws.between(0.0, std::f64::consts::TAU), length * draws.between(2e-4, 6e-4)]
+            })
+            .collect();
+        let height = |x: f64, y: f64| -> f64 {
+            waves.iter().map(|[kx, ky, phase, amplitude]| amplitude * libm::sin(kx * x + ky * y + phase)).sum()
+        };
+        let node = |i: usize| i as f64 * CELL - HALF;
+        let heights: Vec<f32> =
+            (0..NODES * NODES).map(|i| height(node(i % NODES), node(i / NODES)) as f32).collect();
+        let (lowest, highest) =
+            heights.iter().fold((f32::MAX, f32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
+        let rise = |i: usize, step: usize| heights.get(i + step).map_or(0.0, |h| (h - heights[i]).abs());
+        let along = (0..NODES * NODES).filter(|i| i % NODES != NODES - 1).map(|i| rise(i, 1));
+        let steepest = along.chain((0..NODES * NODES).map(|i| rise(i, NODES))).fold(0.0, f32::max);
+        let steepest = 1.5 * f64::from(steepest) / CELL;
+        Terrain { heights, lowest: f64::from(lowest), highest: f64::from(highest), steepest }
+    }
+
+    /// Height at a point, m; beyond the field, that of its border.
+    pub fn height(&self, x: f64, y: f64) -> f64 {
+        let limit = HALF - 1e-6;
+        let (u, v) = ((x.clamp(-limit, limit) + HALF) / CELL, (y.clamp(-limit, limit) + HALF) / CELL);
+        self.in_cell(u as i32, v as i32, u, v)
+    }
+
+    #[inline(always)]
+    fn in_cell(&self, i: i32, j: i32, u: f64, v: f64) -> f64 {
+        let corners = &self.heights[j as usize * NODES + i as usize..][..NODES + 2];
+        let (a, b) = (f64::from(corners[0]), f64::from(corners[1]));
+        let (c, d) = (f64::from(corners[NODES]), f64::from(corners[NODES + 1]));
+        let (u, v) = (u - f64::from(i), v - f64::from(j));
+        let (low, high) = (a + (b - a) * u, c + (d - c) * u);
+        low + (high - low) * v
+    }
+
+    /// Where a ray first comes down to `lift` above the ground, at a parameter in [`from`, `limit`].
+    #[inline]
+    pub fn cast(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
+        if ray[2] >= 0.0 || (self.highest + lift - origin[2]) / ray[2] > limit {
+            return None;
+        }
+        let steep = 4.0 * self.steepest;
+        if ray[2] * ray[2] > steep * steep * (ray[0] * ray[0] + ray[1] * ray[1]) {
+            self.drop(origin, ray, lift, [from, limit])
+        } else {
+            self.walk(origin, ray, lift, [from, limit])
+        }
+    }
+
+    /// For rays much steeper than the ground, which it meets once: the height over it shrinks to nothing in steps.
+    #[inline]
+    fn drop(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
+        let down = 1.0 / ray[2];
+        let mut t = ((0.5 * (self.lowest + self.highest) + lift - origin[2]) * down).max(from);
+        for _ in 0..8 {
+            let over = origin[2] + ray[2] * t - lift - self.height(origin[0] + ray[0] * t, origin[1] + ray[1] * t);
+            t -= over * down;
+            if over.abs() < 1e-5 {
+                break;
+            }
+        }
+        (t <= limit).then(|| t.max(from))
+    }
+
+    /// For flat rays: walks the cells where the ray is between the field's highest and lowest point.
+    fn walk(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
+        let down = 1.0 / ray[2];
+        let mut t = ((self.highest + lift - origin[2]) * down).max(from);
+        let end = ((self.lowest + lift - origin[2]) * down + 1e-6).min(limit);
+        if t >= end {
+            return None;
+        }
+        let (u0, v0) = ((origin[0] + HALF) / CELL, (origin[1] + HALF) / CELL);
+        let (du, dv) = (ray[0] / CELL, ray[1] / CELL);
+        let (u, v) = (u0 + du * t, v0 + dv * t);
+        let last = (NODES - 2) as f64;
+        if !(0.0..=last).contains(&u) || !(0.0..=last).contains(&v) {
+            return None;
+        }
+        let (mut i, mut j) = (u as i32, v as i32);
+        let (step_u, step_v) = (if du < 0.0 { -1 } else { 1 }, if dv < 0.0 { -1 } else { 1 });
+        let border = |cell: i32, step: i32| f64::from(if step > 0 { cell + 1 } else { cell });
+        let (inv_u, inv_v) = (1.0 / du, 1.0 / dv);
+        let mut next_u = if du == 0.0 { f64::INFINITY } else { (border(i, step_u) - u0) * inv_u };
+        let mut next_v = if dv == 0.0 { f64::INFINITY } else { (border(j, step_v) - v0) * inv_v };
+        let over = |i: i32, j: i32, t: f64| {
+            origin[2] + ray[2] * t - lift - self.in_cell(i, j, u0 + du * t, v0 + dv * t)
+        };
+        let mut above = over(i, j, t);
+        if above <= 0.0 {
+            return Some(t);
+        }
+        loop {
+            let out = next_u.min(next_v).min(end).max(t);
+            let above_out = over(i, j, out);
+            if above_out <= 0.0 {
+                return Some(root(t, above, out, above_out, |t| over(i, j, t)));
+            }
+            if out >= end {
+                return None;
+            }
+            (t, above) = (out, above_out);
+            if next_u < next_v {
+                i += step_u;
+                next_u = (border(i, step_u) - u0) * inv_u;
+            } else {
+                j += step_v;
+                next_v = (border(j, step_v) - v0) * inv_v;
+            }
+            if i < 0 || j < 0 || i > NODES as i32 - 2 || j > NODES as i32 - 2 {
+                return None;
+            }
+        }
+    }
+}
+
+/// The zero between `a` (value `fa` > 0) and `b` (value `fb` ≤ 0) of a nearly straight function.
+#[inline]
+fn root(a: f64, fa: f64, b: f64, fb: f64, f: impl Fn(f64) -> f64) -> f64 {
+    let slope = (fb - fa) / (b - a);
+    if slope >= 0.0 || slope.is_nan() {
+        return b;
+    }
+    let guess = a - fa / slope;
+    (guess - f(guess) / slope).clamp(a, b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ray_ends_on_the_ground() {
+        let terrain = Terrain::new(3);
+        let mut draws = Stream::new(1, "test", 0);
+        let mut hits = 0;
+        for _ in 0..2000 {
+            let origin = [draws.between(-100.0, 100.0), draws.between(-100.0, 100.0), draws.between(1.5, 6.0)];
+            let (sin, cos) = libm::sincos(draws.between(0.0, 6.28));
+            let ray = [cos, sin, -draws.between(0.015, 0.5)];
+            let lift = draws.between(0.0, 0.2);
+            let Some(t) = terrain.cast(origin, ray, lift, [0.0, 200.0]) else { continue };
+            hits += 1;
+            let [x, y, z] = [0, 1, 2].map(|i| origin[i] + ray[i] * t);
+            assert!((z - lift - terrain.height(x, y)).abs() < 1e-5);
+            for share in [0.2, 0.5, 0.9, 0.99] {
+                let [x, y, z] = [0, 1, 2].map(|i| origin[i] + ray[i] * t * share);
+                assert!(z - lift > terrain.height(x, y) - 1e-5, "the ray was under ground before it hit");
+            }
+        }
+        assert!(hits > 1500, "{hits} hits");
+    }
+
+    #[test]
+    fn ground_is_neither_flat_nor_steep() {
+        for place in 0..20 {
+            let terrain = Terrain::new(place);
+            assert!(terrain.highest - terrain.lowest > 0.05, "flat: {} to {}", terrain.lowest, terrain.highest);
+            for i in 0..400 {
+                let (x, y) = (f64::from(i % 20) * 18.0 - 180.0, f64::from(i / 20) * 18.0 - 180.0);
+                let slope = (terrain.height(x + 2.0, y) - terrain.height(x, y)) / 2.0;
+                assert!(slope.abs() < 0.02, "slope {slope}");
+            }
+        }
+    }
+}

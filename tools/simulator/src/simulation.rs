@@ -1,0 +1,216 @@
+//! The simulation as its users see it: agents, poses, sweeps.
+
+use realo_schemas::{Box3, Boxes, Name, Nanos, PointCloud};
+use rayon::prelude::*;
+
+use crate::agents::{Agent, AgentInfo, BodyState, since_epoch};
+use crate::cast::{Cast, Casting, World, cast};
+use crate::detections::detect;
+use crate::options::{Error, Options, SWEEP_PERIOD};
+use crate::place::Place;
+use crate::poses::{PoseSample, poses};
+use crate::random::Stream;
+use crate::traffic::{Demand, Traffic, User};
+
+/// A place, its traffic, and the agents that record it.
+pub struct Simulation {
+    options: Options,
+    place: Place,
+    traffic: Traffic,
+    agents: Vec<Agent>,
+    /// Class names, shared by all boxes.
+    classes: Vec<Name>,
+}
+
+/// One turn of an agent's sensor, and what was really there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sweep {
+    /// The agent.
+    pub agent: Name,
+    /// Number of the sweep, per agent.
+    pub seq: u64,
+    /// Reference time: the middle of the sweep.
+    pub stamp: Nanos,
+    /// The end of the sweep.
+    pub ready: Nanos,
+    /// The points, in order of time. Each is in the agent's true body frame of the instant at which it was measured
+    /// (`stamp` + its time): motion within the sweep is still in them. Coordinates are multiples of 2⁻¹⁰ m. Empty if
+    /// `Options::clouds` is off.
+    pub cloud: PointCloud,
+    /// For each point, the index in `truth` plus one of the object that it lies on, 0 for anything else; empty unless
+    /// `Options::labels` and `Options::clouds` are on.
+    pub labels: Vec<u32>,
+    /// Every road user in the place but the agent's own vehicle, in the agent's true body frame at `stamp`; score 1.
+    pub truth: Vec<Box3>,
+    /// The agent's own points on each object of `truth`.
+    pub points: Vec<u32>,
+    /// The simulated recorded detections, in the body frame at `stamp`.
+    pub detections: Boxes,
+    /// Whether the frame is scored.
+    pub key: bool,
+}
+
+impl Simulation {
+    /// Builds the place and lets the traffic run; sweeps are cast when asked for.
+    ///
+    /// # Errors
+    /// [`Error`] names the option that cannot be met.
+    pub fn new(options: &Options) -> Result<Self, Error> {
+        options.check()?;
+        let options = options.clone();
+        let place = Place::new(options.scenario, options.place.unwrap_or(options.seed));
+        let demand = Demand { place: &place, seed: options.seed, dense: options.dense, seconds: options.seconds };
+        let traffic = Traffic::new(&demand);
+        let agents = Agent::all(&options, &place, &traffic);
+        let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
+        Ok(Simulation { options, place, traffic, agents, classes })
+    }
+
+    /// What was asked for.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// Number of the place: its roads and buildings.
+    pub fn place(&self) -> u64 {
+        self.options.place.unwrap_or(self.options.seed)
+    }
+
+    /// The agents that record, in a fixed order.
+    pub fn agents(&self) -> impl Iterator<Item = &AgentInfo> {
+        self.agents.iter().map(|agent| &agent.info)
+    }
+
+    /// Number of sweeps of all agents together.
+    pub fn sweep_count(&self) -> usize {
+        self.agents.len() * self.options.sweeps_per_agent() as usize
+    }
+
+    /// An agent's poses, 100 a second, from a sweep's period before its first sweep until one after its last; one
+    /// falls on the start, the middle and the end of each sweep. `None` if the agent does not record.
+    pub fn poses(&self, agent: &str) -> Option<Vec<PoseSample>> {
+        let agent = self.agents.iter().find(|a| &*a.info.name == agent)?;
+        Some(poses(&self.world(), agent, &self.options))
+    }
+
+    /// All sweeps, by time of their end, then by agent. Casts a few at a time on rayon's current pool; what comes out
+    /// does not depend on the number of threads.
+    pub fn sweeps(&self) -> Sweeps<'_> {
+        let mut jobs: Vec<Job> = (0..self.options.sweeps_per_agent())
+            .flat_map(|seq| (0..self.agents.len()).map(move |agent| (agent, seq)))
+            .map(|(agent, seq)| Job { ready: self.agents[agent].sweep_start(seq) + SWEEP_PERIOD, agent, seq })
+            .collect();
+        jobs.sort_by_key(|job| (job.ready, job.agent));
+        Sweeps { simulation: self, jobs: jobs.into_iter(), cast: Vec::new().into_iter() }
+    }
+
+    /// One sweep of the agent with the given index in [`Simulation::agents`].
+    pub(crate) fn sweep(&self, agent: usize, seq: u64) -> (Sweep, usize) {
+        let agent = &self.agents[agent];
+        let start = agent.sweep_start(seq);
+        let stamp = start + SWEEP_PERIOD / 2;
+        let options = &self.options;
+        let stream = agent.number << 32 | seq;
+        let casting = Casting {
+            key: Stream::new(options.seed, "rays", stream).bits(),
+            start,
+            stamp,
+            clouds: options.clouds,
+            labels: options.labels,
+            column_stride: options.column_stride,
+        };
+        let Cast { cloud, points: on_user, labels: user_labels, finished } = cast(&self.world(), agent, &casting);
+        let body = agent.body(&self.place, &self.traffic, since_epoch(stamp));
+        let mut index_of = vec![0; self.traffic.users.len() + 1];
+        let (mut truth, mut points) = (Vec::new(), Vec::new());
+        for (index, user) in self.traffic.users.iter().enumerate() {
+            if agent.user == Some(index) {
+                continue;
+            }
+            if let Some(object) = self.object(user, index, &body, since_epoch(stamp)) {
+                truth.push(object);
+                points.push(on_user[index]);
+                index_of[index + 1] = truth.len() as u32;
+            }
+        }
+        let draws = Stream::new(options.seed, "detections", stream);
+        let sweep = Sweep {
+            agent: agent.info.name.clone(),
+            seq,
+            stamp,
+            ready: start + SWEEP_PERIOD,
+            cloud,
+            labels: user_labels.into_iter().map(|user| index_of[user as usize]).collect(),
+            detections: detect(options, &truth, &points, draws),
+            truth,
+            points,
+            // In the middle of each key period, so that everybody has been heard before the first scored frame.
+            key: seq % options.key_period() == options.key_period() / 2,
+        };
+        (sweep, finished)
+    }
+
+    /// A road user as an object in a body frame.
+    fn object(&self, user: &User, index: usize, body: &BodyState, t: f64) -> Option<Box3> {
+        let state = user.course.at(t)?;
+        let footing = user.footing(&self.place, &state);
+        let (sin, cos) = libm::sincos(body.heading);
+        let into_body = |x: f64, y: f64| (x * cos + y * sin, y * cos - x * sin);
+        let (x, y) = into_body(state.pose.x - body.position[0], state.pose.y - body.position[1]);
+        let yaw = state.pose.heading - body.heading;
+        let (yaw_sin, yaw_cos) = libm::sincos(yaw);
+        let climb = state.speed * footing.slope[0];
+        let [length, width, height] = user.size;
+        Some(Box3 {
+            center: [x, y, footing.z + height / 2.0 - body.position[2]],
+            length,
+            width,
+            height,
+            yaw: realo_schemas::geometry::normalize_yaw(yaw),
+            velocity: Some([state.speed * yaw_cos, state.speed * yaw_sin, climb]),
+            class: self.classes[index].clone(),
+            score: 1.0,
+            track: Some(user.track),
+            covariance: None,
+        })
+    }
+
+    fn world(&self) -> World<'_> {
+        World { place: &self.place, traffic: &self.traffic }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Job {
+    ready: Nanos,
+    agent: usize,
+    seq: u64,
+}
+
+/// The sweeps of a simulation; see [`Simulation::sweeps`].
+pub struct Sweeps<'a> {
+    simulation: &'a Simulation,
+    jobs: std::vec::IntoIter<Job>,
+    cast: std::vec::IntoIter<Sweep>,
+}
+
+impl Iterator for Sweeps<'_> {
+    type Item = Sweep;
+
+    fn next(&mut self) -> Option<Sweep> {
+        if self.cast.len() == 0 {
+            let batch: Vec<Job> = self.jobs.by_ref().take(4 * rayon::current_num_threads()).collect();
+            let cast: Vec<Sweep> =
+                batch.into_par_iter().map(|job| self.simulation.sweep(job.agent, job.seq).0).collect();
+            self.cast = cast.into_iter();
+        }
+        self.cast.next()
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let left = self.jobs.len() + self.cast.len();
+        (left, Some(left))
+    }
+}
+
+impl ExactSizeIterator for Sweeps<'_> {}
