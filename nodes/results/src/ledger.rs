@@ -120,10 +120,12 @@ impl Ledger {
     /// Takes what the fusion reports.
     pub fn fusion(&mut self, report: FusionReport) {
         let queries = self.queries.entry(report.agent.clone()).or_default();
-        match queries.asked.iter().any(|asked| asked.query == report.query) {
-            true => self.decide(&report),
-            false => queries.fused.push_back(report),
+        if !queries.asked.iter().any(|asked| asked.query == report.query) {
+            return queries.fused.push_back(report);
         }
+        // The bank's reports of fusions before this one would have come by now.
+        queries.fused.clear();
+        self.decide(&report);
     }
 
     /// Closes the books: queries that no fusion answered were passed over.
@@ -407,6 +409,7 @@ mod tests {
         ledger.fusion(fusion(1, &[], &[]));
         ledger.bank(bank(Some(2), &[2], &[(0, Fate::Unused), (1, Fate::Unused)]));
         ledger.fusion(fusion(2, &[], &[]));
+        assert_eq!(ledger.open(), 1, "message 2, which has not departed");
         assert_eq!(close(ledger).0.total(), 2, "message 1 is not accounted for");
     }
 

@@ -144,7 +144,7 @@ impl Timing {
             latency_ms.insert(key.into(), Spread::of(durations));
         }
         let median = |(id, durations): (&String, &Durations)| Some((id.clone(), durations.quantile(0.5)?));
-        let seconds = realo_schemas::to_seconds(samples.duration_ns);
+        let seconds = samples.duration_ns as f64 / 1e9;
         Timing {
             schema: TIMING.into(),
             version: VERSION,

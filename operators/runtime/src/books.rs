@@ -84,6 +84,9 @@ impl Tally {
 #[serde(from = "Vec<(u64, u64)>", into = "Vec<(u64, u64)>")]
 pub struct Durations(Histogram<u64>);
 
+/// A histogram without bounds takes every number.
+const RESIZES: &str = "the histogram grows with what it records";
+
 impl Default for Durations {
     fn default() -> Self {
         Durations(Histogram::new(3).expect("3 is a number of digits that the histogram knows"))
@@ -94,7 +97,7 @@ impl From<Vec<(u64, u64)>> for Durations {
     fn from(counts: Vec<(u64, u64)>) -> Self {
         let mut durations = Durations::default();
         for (nanos, count) in counts {
-            durations.0.saturating_record_n(nanos, count);
+            durations.0.record_n(nanos, count).expect(RESIZES);
         }
         durations
     }
@@ -113,7 +116,7 @@ impl From<Durations> for Vec<(u64, u64)> {
 impl Durations {
     /// Adds a duration; a negative one counts as 0.
     pub fn record(&mut self, duration: Nanos) {
-        self.0.saturating_record(duration.max(0) as u64);
+        self.0.record(duration.max(0) as u64).expect(RESIZES);
     }
 
     /// Number of durations.
@@ -134,5 +137,27 @@ impl Durations {
     /// Adds all durations of another distribution.
     pub fn merge(&mut self, other: &Durations) {
         self.0 += &other.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_keep_three_digits_and_survive_their_sparse_form() {
+        let mut durations = Durations::default();
+        for nanos in [0, 1, 41_700_000, 97_000_000, 3_600_000_000_000, -5] {
+            durations.record(nanos);
+        }
+        let close = |a: Nanos, b: f64| (a as f64 / b - 1.0).abs() < 1e-3;
+        assert!(close(durations.quantile(0.6).unwrap(), 41_700_000.0));
+        assert!(close(durations.max().unwrap(), 3.6e12));
+        let back = Durations::from(Vec::from(durations.clone()));
+        assert_eq!(back.quantile(0.6), durations.quantile(0.6));
+        assert_eq!((back.count(), back.max()), (6, durations.max()));
+        let mut sum = Durations::default();
+        sum.merge(&durations);
+        assert_eq!(sum.count(), 6);
     }
 }
