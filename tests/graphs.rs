@@ -81,7 +81,7 @@ fn a_broken_graph_is_refused_with_what_mends_it() {
     let cases = [
         ("threshold=0.15", "treshold=0.15", "threshold"),
         ("operator fusion-boxes", "operator fusion-boxen", "fusion-boxes"),
-        ("source: decoder/data, queue_size: 200", "source: decoder/data, queue_size: 5", "queue_size"),
+        ("source: decoder/messages, queue_size: 200", "source: decoder/messages, queue_size: 5", "queue_size"),
         ("ego: { source: ego-nms/boxes", "ego: { source: nms/boxes", "ego"),
     ];
     for (from, to, named) in cases {

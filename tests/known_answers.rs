@@ -41,18 +41,28 @@ fn dair_roadside_alone_gives_the_known_counts() {
 /// Four agents, rotated against each other, 100 km from the map's origin, who report exactly what they have points on.
 fn exact(name: &str, scenario: &str) -> PathBuf {
     let args = ["--scenario", scenario, "--seed", "901", "--seconds", "2", "--key-hz", "5", "--no-clouds"];
-    let args = [&args[..], &["--noise-free-detections", "--map-offset", "70000,-71000"]].concat();
-    simulated(name, &args)
+    let args = [&args[..], &["--noise-free-detections", "--detection-min-points", "1"]].concat();
+    simulated(name, &[&args[..], &["--map-offset", "70000,-71000"]].concat())
+}
+
+/// The default protocol, but one point is enough to be there and to be seen.
+fn one_point() -> String {
+    let path = common::folder(&format!("protocol_{:?}", std::thread::current().id())).join("one_point.yml");
+    let text = std::fs::read_to_string(common::root().join("operators/evaluator/protocols/default.yml"));
+    let text = text.expect("the protocol can be read").replace("min_points: 5", "min_points: 1");
+    std::fs::write(&path, text.replace("seen_points: 10", "seen_points: 1")).expect("the protocol can be written");
+    path.to_string_lossy().into_owned()
 }
 
 const CLASSES: [&str; 3] = ["vehicle", "pedestrian", "truck"];
 
 #[test]
 fn late_fusion_of_exact_boxes_finds_the_whole_truth_and_nothing_else() {
+    let protocol = one_point();
     for scenario in ["intersection", "corridor"] {
         let log = exact(&format!("exact_{scenario}"), scenario);
         for (mode, args) in [("all", vec![]), ("v2v", vec!["--coop", "v2v"]), ("v2i", vec!["--coop", "v2i"]), ("i2i", vec!["--coop", "i2i"])] {
-            let args = [&["--offline", "--set", "link.range_m=1000"][..], &args].concat();
+            let args = [&["--offline", "--set", "link.range_m=1000", "--protocol", &protocol][..], &args].concat();
             let result = run_virtual(&format!("exact_{scenario}_{mode}"), "late_fusion", &log, &args);
             let mut objects = 0;
             for class in CLASSES {
@@ -68,7 +78,8 @@ fn late_fusion_of_exact_boxes_finds_the_whole_truth_and_nothing_else() {
 #[test]
 fn no_fusion_of_exact_boxes_is_what_the_ego_has_points_on() {
     let log = exact("exact_intersection", "intersection");
-    let args = ["--offline", "--set", "link.range_m=1000"];
+    let protocol = one_point();
+    let args = ["--offline", "--protocol", &protocol];
     let alone = run_virtual("exact_alone", "no_fusion", &log, &args);
     let together = run_virtual("exact_together", "late_fusion", &log, &args);
     let (mut found_alone, mut total_alone) = (0, 0);
@@ -90,7 +101,7 @@ fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
     let log = simulated("bytes", &args);
     let compute = common::folder("bytes_compute").join("slow.toml");
     // Stages that take longer than a sweep, so that they pass messages over.
-    let nodes = "[nodes]\n\"ego-detect.recorded\" = 130_000_000\nfusion = 120_000_000\nnms = 30_000_000\n";
+    let nodes = "[nodes]\n\"ego-detect.recorded\" = 30_000_000\nfusion = 150_000_000\nnms = 30_000_000\n";
     std::fs::write(&compute, nodes).expect("the profile can be written");
     let lossy = common::folder("bytes_link").join("lossy.toml");
     let profile = "[default]\nfixed_ms = 20.0\njitter = { gaussian_ms = 15.0 }\nloss = 0.1\nduplicate = 0.05\n";

@@ -62,8 +62,15 @@ fn realised_age_follows_the_link() {
     // All sweeps end together; boxes take 10 ms, so a query finds those of the sweep before, whose stamp (mid-sweep) lies
     // 150 ms before the end of its own.
     let age = |share: &str| result["age_ms"][share].as_f64().unwrap_or_else(|| panic!("{}", result["age_ms"]));
-    println!("age of the data used: p50 {:.2} ms, p99 {:.2} ms; expected 150 ms and the ego's computing", age("p50"), age("p99"));
-    assert!((age("p50") - 150.0).abs() < 5.0, "{}", result["age_ms"]);
+    let timing = json(&out.join("timing.json"));
+    let graph_ms = timing["latency_ms"]["end_to_end"]["p50"].as_f64().expect("a latency");
+    println!(
+        "age of the data used: p50 {:.2} ms, p99 {:.2} ms; 150 ms and the ego's way to its query, at most {graph_ms:.2} ms",
+        age("p50"),
+        age("p99")
+    );
+    let late = age("p50") - 150.0;
+    assert!((0.0..graph_ms + 1.0).contains(&late), "{} {graph_ms}", result["age_ms"]);
 }
 
 fn tampered_graph(dir: &Path, report: &Path) -> PathBuf {
@@ -80,7 +87,7 @@ fn tampered_graph(dir: &Path, report: &Path) -> PathBuf {
     let tamper = tamper.expect("the node is a graph").nodes.remove(0);
     flat.nodes.push(tamper);
     let encoder = flat.nodes.iter_mut().find(|node| node.id == "encoder").expect("the graph has an encoder");
-    let input = encoder.inputs.get_mut("data").expect("it has an input");
+    let input = encoder.inputs.get_mut("messages").expect("it has an input");
     input.source = realo_runtime::graph::InputSource::Output { node: "tamper".into(), output: "out".into() };
     std::os::unix::fs::symlink(flat.types(), dir.join("types")).expect("links can be made");
     let path = dir.join("tampered.yml");
@@ -98,7 +105,7 @@ fn what_the_transport_does_to_messages_is_seen_and_counted() {
     let log = locked();
     realo_ok(["run", &path.to_string_lossy(), "--ego", "cav1", "--log", &log.to_string_lossy(), "--out", &out.to_string_lossy()]);
     let (did, result) = (json(&report), json(&out.join("result.json")));
-    let edge = &result["transport"]["edges"]["encoder.data"];
+    let edge = &result["transport"]["edges"]["encoder.messages"];
     let get = |value: &Value, key: &str| value[key].as_u64().unwrap_or_else(|| panic!("{key} in {value}"));
     // The end of the stream passes the tampering too and may be among what it counts.
     for (done, seen) in [("dropped", "lost"), ("repeated", "repeated"), ("swapped", "reordered")] {
@@ -161,7 +168,8 @@ fn find_process(root: u32, words: &str) -> Option<u32> {
     let mut family = vec![root];
     let mut at = 0;
     while at < family.len() {
-        family.extend(parents.iter().filter(|(_, parent, _)| *parent == family[at]).map(|(pid, ..)| *pid));
+        let of = family[at];
+        family.extend(parents.iter().filter(|(_, parent, _)| *parent == of).map(|(pid, ..)| *pid));
         at += 1;
     }
     parents.iter().find(|(pid, _, line)| family.contains(pid) && *pid != root && line.contains(words)).map(|(pid, ..)| *pid)
@@ -195,8 +203,6 @@ fn a_node_killed_in_mid_run_fails_the_run_by_name_and_the_recording_can_be_read(
     assert!(text(&output.stderr).contains("bank"), "{}", text(&output.stderr));
     assert!(walk(&out).iter().all(|path| !path.ends_with("result.json")), "no results of a run that failed");
     let recording = walk(&out).into_iter().find(|path| path.ends_with("recording.mcap")).expect("there is a recording");
-    let output = common::realo(["info", "--json", &recording.to_string_lossy()]);
-    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", text(&output.stderr));
     let messages = realo_recorder::read_boxes(&recording).expect("the recording can be read");
     assert!(!messages.is_empty());
 }

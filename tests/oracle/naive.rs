@@ -254,17 +254,18 @@ struct History {
     stale: BTreeSet<Id>,
     superseded: BTreeSet<Id>,
     held: BTreeSet<Id>,
+    refused: BTreeSet<Id>,
     passed_over: BTreeSet<Id>,
 }
 
 impl History {
-    /// Adds the message to the first term that fits.
+    /// Adds the message to the first term that fits. Of several copies the one that came furthest is the message.
     fn count(&self, sent: &Sent, line: &mut Line) {
         let id = id(sent.sweep);
         let only_passed_over = if self.held.contains(&id) {
             self.selected.contains(&id) && !self.in_fusion.contains(&id)
         } else {
-            self.passed_over.contains(&id)
+            self.passed_over.contains(&id) && !self.refused.contains(&id)
         };
         let term = if self.used.contains(&id) {
             &mut line.used
@@ -323,13 +324,14 @@ pub fn account(world: &World) -> Account {
     });
     let (decoded, undecoded) = serve_latest(&copies.collect::<Vec<_>>(), compute(world, "decoder"));
     let fitting: Vec<At> = decoded.into_iter().filter(|at| bytes(at.sweep) <= world.max_bytes).collect();
-    let (held, _, asked) = bank(world, &fitting, &queries);
+    let (held, refused, asked) = bank(world, &fitting, &queries);
     let (fused, not_fused) = fuse(world, &asked);
 
     let ids = |list: &[&Sweep]| list.iter().map(|sweep| id(sweep)).collect::<Vec<_>>();
     let mut history = History {
         selected: asked.iter().flat_map(|asked| ids(&asked.entries)).collect(),
         held: held.iter().map(|held| id(held.at.sweep)).collect(),
+        refused: refused.iter().map(|at| id(at.sweep)).collect(),
         passed_over: undecoded.iter().map(|at| id(at.sweep)).collect(),
         ..History::default()
     };

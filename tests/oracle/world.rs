@@ -153,11 +153,8 @@ impl World {
     pub fn profile(&self) -> String {
         let Model { fixed_ms, bits_per_second, jitter, loss, duplicate } = self.channel;
         let rate = bits_per_second.map_or(String::new(), |rate| format!("bits_per_second = {rate}\n"));
-        let jitter = match jitter {
-            None => String::new(),
-            Some(Jitter::UniformMs(width)) => format!("jitter = {{ uniform_ms = {width:?} }}\n"),
-            Some(Jitter::GaussianMs(sigma)) => format!("jitter = {{ gaussian_ms = {sigma:?} }}\n"),
-        };
+        let Jitter { uniform_ms, gaussian_ms } = jitter;
+        let jitter = format!("jitter = {{ uniform_ms = {uniform_ms:?}, gaussian_ms = {gaussian_ms:?} }}\n");
         format!("[default]\nfixed_ms = {fixed_ms:?}\nloss = {loss:?}\nduplicate = {duplicate:?}\n{rate}{jitter}")
     }
 }
@@ -223,7 +220,10 @@ fn channel(random: &mut Random, grid: Nanos) -> Model {
     Model {
         fixed_ms: multiple(fixed, grid) as f64 / MS as f64,
         bits_per_second: random.pick(&[None, None, None, Some(27_000_000), Some(40_000), Some(100)]),
-        jitter: random.pick(&[None, None, Some(Jitter::UniformMs(80.0)), Some(Jitter::GaussianMs(40.0))]),
+        jitter: Jitter {
+            uniform_ms: random.pick(&[0.0, 0.0, 80.0]),
+            gaussian_ms: random.pick(&[0.0, 0.0, 40.0]),
+        },
         loss: random.pick(&[0.0, 0.0, 0.1, 0.5]),
         duplicate: random.pick(&[0.0, 0.0, 0.1, 0.5]),
     }

@@ -142,7 +142,7 @@ impl<'a> Points<'a> {
         row_step: usize,
         big_endian: bool,
     ) -> Result<Self, CdrError> {
-        let count = height.checked_mul(width).unwrap_or(usize::MAX);
+        let count = height.saturating_mul(width);
         if count == 0 {
             return Ok(Points {
                 rows: Vec::new(),

@@ -22,7 +22,7 @@ use realo_runtime::{Argument, Books, Describe, Error, Port, PortId, Sink};
 use realo_schemas::{Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
-pub use read::{read_agents, read_boxes, read_reports};
+pub use read::{read_boxes, read_reports, read_truth};
 use recording::Recording;
 
 /// Settings of the recorder.

@@ -115,35 +115,6 @@ pub fn read_reports(recording: impl AsRef<Path>) -> Result<Vec<Value>, LogError>
     Ok(found)
 }
 
-/// The agents of the run, ego first, as the recorded truth names them; `None` in a recording without truth.
-///
-/// # Errors
-/// As [`read_boxes`].
-pub fn read_agents(recording: impl AsRef<Path>) -> Result<Option<Vec<String>>, LogError> {
-    let file = open(recording.as_ref())?;
-    let topics = topics(&file, |topic| {
-        topic.ends_with("/ground_truth") || topic.ends_with("/ground_truth_info")
-    });
-    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
-    let mut truth = None;
-    while let Some(raw) = messages.next()? {
-        let topic = &topics[&raw.channel];
-        let bad = |reason: String| LogError::Content {
-            topic: topic.clone(),
-            log_time: raw.log_time as Nanos,
-            reason,
-        };
-        match truth.take() {
-            Some(mut boxes) if topic.ends_with("_info") => {
-                let (_, info) = boxes::decode_info(raw.data(), &mut boxes).map_err(bad)?;
-                return Ok(Some(info.agents.iter().map(|agent| agent.to_string()).collect()));
-            }
-            _ => truth = Some(boxes::decode(raw.data()).map_err(bad)?.1),
-        }
-    }
-    Ok(None)
-}
-
 fn open(path: &Path) -> Result<McapFile, LogError> {
     let file = McapFile::open(path)?;
     if file.metadata().contains_key(RECORDING_RECORD) {

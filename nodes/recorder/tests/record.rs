@@ -89,12 +89,7 @@ fn record(recorder: &mut Recorder, seq: u64) -> Result<(), realo_runtime::Error>
             },
         ),
     )?;
-    let truth = GroundTruth {
-        agents: vec!["cav1".into()],
-        key: true,
-        ..GroundTruth::default()
-    };
-    send("truth", Message::new(header("cav1", Kind::Truth, seq), truth))?;
+    send("truth", truth(seq))?;
     let mut detections = boxes(seq);
     detections.header.agent = Name::from("rsu1");
     send("other_boxes", detections)?;
@@ -206,7 +201,12 @@ fn a_killed_run_leaves_what_was_recorded() {
     }
     // As if the process were gone: nothing is closed.
     std::mem::forget(recorder);
-    std::thread::sleep(std::time::Duration::from_millis(400));
+    for _ in 0..100 {
+        if read_boxes(&path).is_ok_and(|left| left.len() >= 20) {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
     let left = read_boxes(&path).unwrap();
     assert!(left.len() >= 20, "{}", left.len());
     assert!(

@@ -10,7 +10,7 @@ use crate::{Evaluation, Protocol, average_precision};
 
 /// Samples of the logs.
 const SAMPLES: usize = 1000;
-const SEED: u64 = 0x5265_616c_6f;
+const SEED: u64 = 0x0052_6561_6c6f;
 
 /// 95 % intervals of the accuracies, by drawing as many logs as there are, with replacement, 1,000 times.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -123,7 +123,7 @@ impl Bank {
         if !sender.is_new(header) {
             return Ok(Taken::Repeated);
         }
-        sender.hold(message, self.held, &mut self.departed);
+        sender.hold(message, self.held, self.offline, &mut self.departed);
         Ok(Taken::Held)
     }
 

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use realo_schemas::report::{Departed, Fate, MessageId};
-use realo_schemas::{Header, Kind, Message, Nanos};
+use realo_schemas::{Boxes, Header, Kind, Message, Nanos};
 
 /// Ids that are remembered of a sender, to know copies by.
 const REMEMBERED: usize = 64;
@@ -39,6 +39,8 @@ impl Held {
 pub(crate) struct Sender {
     /// By stamp; of one stamp the latest arrival last.
     held: Vec<Held>,
+    /// Offline: beyond the limit, without their content; the next query or the end decides their fate.
+    dropped: Vec<Held>,
     seen: VecDeque<(Kind, u64, Nanos)>,
     /// When it was last heard of.
     pub last: Nanos,
@@ -48,6 +50,7 @@ impl Sender {
     pub fn new() -> Self {
         Sender {
             held: Vec::new(),
+            dropped: Vec::new(),
             seen: VecDeque::new(),
             last: Nanos::MIN,
         }
@@ -68,7 +71,7 @@ impl Sender {
 
     /// Holds a message. Which one a query takes is decided when it asks, because a query that has waited for its turn
     /// must not see what became ready after it.
-    pub fn hold(&mut self, message: Message, limit: usize, departed: &mut Vec<Departed>) {
+    pub fn hold(&mut self, message: Message, limit: usize, offline: bool, departed: &mut Vec<Departed>) {
         let at = self
             .held
             .partition_point(|held| held.message.header.stamp <= message.header.stamp);
@@ -82,7 +85,14 @@ impl Sender {
             },
         );
         if self.held.len() > limit {
-            departed.push(self.held.remove(0).departed(Fate::Superseded));
+            let mut oldest = self.held.remove(0);
+            if offline {
+                let Message { header, payload } = &mut oldest.message;
+                (header.pose, header.trace, *payload) = (None, Vec::new(), Boxes::default().into());
+                self.dropped.push(oldest);
+            } else {
+                departed.push(oldest.departed(Fate::Superseded));
+            }
         }
     }
 
@@ -116,25 +126,28 @@ impl Sender {
             .min_by_key(|(_, held)| distance(held))
             .map(|(at, _)| at);
         let nearest = nearest.filter(|at| distance(&self.held[*at]) <= reach.unsigned_abs());
-        for (at, held) in self.held.iter_mut().enumerate() {
+        for (at, held) in self.held.iter_mut().chain(&mut self.dropped).enumerate() {
             let within = distance(held) <= reach.unsigned_abs();
             held.selected |= nearest == Some(at);
             held.passed_over |= within && nearest != Some(at);
             held.stale |= !within && held.message.header.stamp < stamp && !held.passed_over;
         }
         let selected = nearest.map(|at| self.held[at].message.clone());
-        self.held.retain(|held| {
+        let mut keep = |held: &Held| {
             let keep = held.message.header.stamp >= stamp.saturating_sub(reach);
             if !keep {
                 departed.push(held.departed(Fate::Stale));
             }
             keep
-        });
+        };
+        self.dropped.retain(&mut keep);
+        self.held.retain(keep);
         selected
     }
 
     /// Gives up everything. Online all but the newest message have been superseded, asked for or not.
     pub fn leave(&mut self, offline: bool, departed: &mut Vec<Departed>) {
+        departed.extend(self.dropped.drain(..).map(|held| held.departed(Fate::InFlight)));
         let last = self.held.len().saturating_sub(1);
         for (at, held) in self.held.drain(..).enumerate() {
             let unasked = if at == last || offline {

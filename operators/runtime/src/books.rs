@@ -44,9 +44,9 @@ pub struct InputBooks {
     pub received: Tally,
     /// Messages passed over because the stage was busy.
     pub skipped: Tally,
-    /// Of `skipped`, those that a link had delivered.
+    /// Of `skipped`, those that a link had delivered; a message of which the stage took a copy is none of them.
     pub delivered_skipped: Tally,
-    /// Messages that a link had delivered and the stage could not take.
+    /// Messages that a link had delivered and of which the stage was given a copy, passed over none and took none.
     pub delivered_rejected: Tally,
     /// Parts of incomplete sets that were discarded.
     pub unjoined: Tally,
@@ -71,6 +71,14 @@ impl Tally {
             None => self.0.entry(message.header.agent.to_string()).or_default(),
         };
         *kinds.entry(message.header.kind).or_default() += 1;
+    }
+
+    /// Counts a message no longer.
+    pub(crate) fn take_back(&mut self, message: &Message) {
+        let kinds = self.0.get_mut(&*message.header.agent);
+        if let Some(count) = kinds.and_then(|kinds| kinds.get_mut(&message.header.kind)) {
+            *count = count.saturating_sub(1);
+        }
     }
 
     /// Messages in all.

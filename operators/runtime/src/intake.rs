@@ -1,10 +1,13 @@
 //! What waits in front of a stage: queues, slots and joins. Both drivers use it; it knows no clock.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
-use realo_schemas::{Message, Name, Nanos};
+use realo_schemas::{Kind, Message, Name, Nanos};
 
-use crate::{Class, InputBooks, Port, PortId, Queue};
+use crate::{Class, InputBooks, Port, PortId, Queue, Tally};
+
+/// Deliveries that are remembered of an agent and port, to know the copies that a channel makes.
+const REMEMBERED: usize = 64;
 
 /// Messages that a stage takes in one go: one, or a complete set of a join group in declared order.
 #[derive(Debug)]
@@ -38,6 +41,25 @@ struct Partial {
     last: Option<Nanos>,
 }
 
+/// What became of a message that a link delivered, and of its copies.
+struct Delivery {
+    message: (Kind, u64, Nanos),
+    taken: u32,
+    skipped: bool,
+    rejected: u32,
+}
+
+impl Delivery {
+    /// Where it counts: nowhere once a copy got through, else as skipped if one was.
+    fn tally<'b>(&self, books: &'b mut InputBooks) -> Option<&'b mut Tally> {
+        match (self.taken > self.rejected, self.skipped, self.rejected) {
+            (true, _, _) | (_, false, 0) => None,
+            (_, true, _) => Some(&mut books.delivered_skipped),
+            _ => Some(&mut books.delivered_rejected),
+        }
+    }
+}
+
 /// The waiting room of one stage.
 pub(crate) struct Intake {
     inputs: &'static [Port],
@@ -48,6 +70,8 @@ pub(crate) struct Intake {
     waiting: BTreeMap<Name, BTreeMap<Place, Work>>,
     held: Vec<usize>,
     arrivals: u64,
+    /// By port and agent; the last ones.
+    deliveries: BTreeMap<(PortId, Name), VecDeque<Delivery>>,
 }
 
 impl Intake {
@@ -66,6 +90,7 @@ impl Intake {
             partial: BTreeMap::new(),
             waiting: BTreeMap::new(),
             arrivals: 0,
+            deliveries: BTreeMap::new(),
         }
     }
 
@@ -113,7 +138,15 @@ impl Intake {
     pub fn next(&mut self, server: &str) -> Option<Work> {
         let (_, work) = self.waiting.get_mut(server)?.pop_first()?;
         self.release(&work);
+        for (port, message) in &work.calls {
+            self.delivery(*port, message, |delivery| delivery.taken += 1);
+        }
         Some(work)
+    }
+
+    /// Counts a message that the stage was given and could not take.
+    pub fn reject(&mut self, port: PortId, message: &Message) {
+        self.delivery(port, message, |delivery| delivery.rejected += 1);
     }
 
     /// Place in line of the next work of a server: its time and class.
@@ -194,9 +227,13 @@ impl Intake {
     fn enqueue(&mut self, server: &Name, port: PortId, work: Work) -> Result<(), Overflow> {
         let declared = &self.inputs[port.0];
         let agent = work.calls[0].1.header.agent.clone();
-        if declared.queue == Queue::Latest {
-            self.replace_waiting(server, port, &agent);
-        }
+        let work = match declared.queue {
+            Queue::All => Some(work),
+            Queue::Latest => self.replace_waiting(server, port, work),
+        };
+        let Some(work) = work else {
+            return Ok(());
+        };
         self.held[port.0] += 1;
         if self.held[port.0] > Queue::CAPACITY {
             return Err(Overflow { port: declared.name });
@@ -223,21 +260,61 @@ impl Intake {
         Ok(())
     }
 
-    /// Empties the slot of a `latest` port and agent.
-    fn replace_waiting(&mut self, server: &str, port: PortId, agent: &Name) {
-        let Some(line) = self.waiting.get_mut(server) else {
-            return;
+    /// Empties the slot of a `latest` port and agent for newer work; what is older than the waiting one is passed over
+    /// itself.
+    fn replace_waiting(&mut self, server: &str, port: PortId, work: Work) -> Option<Work> {
+        let (agent, stamp) = (&work.calls[0].1.header.agent, work.calls[0].1.header.stamp);
+        let line = self.waiting.get_mut(server);
+        let slot = line.and_then(|line| line.extract_if(.., |place, _| place.2 == port && place.3 == *agent).next());
+        let Some((place, waiting)) = slot else {
+            return Some(work);
         };
-        let slot = line.extract_if(.., |place, _| place.2 == port && place.3 == *agent);
-        for (_, work) in slot.collect::<Vec<_>>() {
-            self.release(&work);
-            for (port, message) in work.calls {
-                let books = self.books_of(port);
-                books.skipped.add(&message);
-                if message.header.to.is_some() {
-                    books.delivered_skipped.add(&message);
-                }
+        if waiting.calls[0].1.header.stamp > stamp {
+            self.skip(work);
+            self.waiting.entry(server.into()).or_default().insert(place, waiting);
+            return None;
+        }
+        self.release(&waiting);
+        self.skip(waiting);
+        Some(work)
+    }
+
+    fn skip(&mut self, work: Work) {
+        for (port, message) in work.calls {
+            self.books_of(port).skipped.add(&message);
+            self.delivery(port, &message, |delivery| delivery.skipped = true);
+        }
+    }
+
+    /// Notes what became of a message if a link delivered it, and counts it anew.
+    fn delivery(&mut self, port: PortId, message: &Message, note: impl FnOnce(&mut Delivery)) {
+        let header = &message.header;
+        if header.to.is_none() {
+            return;
+        }
+        let id = (header.kind, header.seq, header.stamp);
+        let deliveries = self.deliveries.entry((port, header.agent.clone())).or_default();
+        let at = deliveries.iter().rposition(|delivery| delivery.message == id);
+        let at = at.unwrap_or_else(|| {
+            if deliveries.len() == REMEMBERED {
+                deliveries.pop_front();
             }
+            deliveries.push_back(Delivery {
+                message: id,
+                taken: 0,
+                skipped: false,
+                rejected: 0,
+            });
+            deliveries.len() - 1
+        });
+        let delivery = &mut deliveries[at];
+        let books = self.books.entry(self.inputs[port.0].name).or_default();
+        if let Some(tally) = delivery.tally(books) {
+            tally.take_back(message);
+        }
+        note(delivery);
+        if let Some(tally) = delivery.tally(books) {
+            tally.add(message);
         }
     }
 
@@ -313,6 +390,57 @@ mod tests {
         assert_eq!(seqs(intake.next("").unwrap()), [(3, 2)]);
         assert!(intake.next("").is_none() && intake.is_idle());
         assert_eq!(intake.books()["latest"].skipped.total(), 2);
+    }
+
+    #[test]
+    fn latest_passes_over_what_comes_older_than_what_waits() {
+        let (mut intake, x) = (intake(), Name::from("x"));
+        for seq in [1, 3, 2] {
+            intake.offer(&x, PortId(3), message("x", seq)).unwrap();
+        }
+        assert_eq!(seqs(intake.next("x").unwrap()), [(3, 3)]);
+        assert!(intake.next("x").is_none() && intake.is_idle());
+        assert_eq!(intake.books()["latest"].skipped.total(), 2);
+    }
+
+    #[test]
+    fn a_delivered_message_counts_once_by_the_copy_that_came_furthest() {
+        /// What becomes of the copies: `t` taken, `r` given and rejected, `s` skipped.
+        fn counted(copies: &str) -> (u64, u64) {
+            let mut intake = intake();
+            let x = Name::from("x");
+            let delivered = |seq: u64| {
+                let mut message = message("x", seq);
+                message.header.to = Some("ego".into());
+                message
+            };
+            for (newer, copy) in (10..).zip(copies.chars()) {
+                intake.offer(&x, PortId(3), delivered(1)).unwrap();
+                if copy == 's' {
+                    intake.offer(&x, PortId(3), message("x", newer)).unwrap();
+                }
+                let work = intake.next("x").unwrap();
+                if copy == 'r' {
+                    intake.reject(PortId(3), &work.calls[0].1);
+                }
+            }
+            let books = &intake.books()["latest"];
+            (books.delivered_skipped.total(), books.delivered_rejected.total())
+        }
+        for (copies, expected) in [
+            ("t", (0, 0)),
+            ("s", (1, 0)),
+            ("r", (0, 1)),
+            ("st", (0, 0)),
+            ("ts", (0, 0)),
+            ("rt", (0, 0)),
+            ("ss", (1, 0)),
+            ("rr", (0, 1)),
+            ("rs", (1, 0)),
+            ("sr", (1, 0)),
+        ] {
+            assert_eq!(counted(copies), expected, "{copies}");
+        }
     }
 
     #[test]

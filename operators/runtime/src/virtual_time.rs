@@ -376,9 +376,7 @@ impl<'a> Simulation<'a> {
     fn follow(&mut self, rank: usize, server: &Name, called: Called, input: Nanos, start: Nanos, done: Nanos) {
         let node = &mut self.nodes[rank];
         for (port, message) in &called.failed {
-            if message.header.to.is_some() {
-                node.intake.books_of(*port).delivered_rejected.add(message);
-            }
+            node.intake.reject(*port, message);
         }
         for time in called.wakes {
             if self.nodes[rank].wakes.insert((time, server.clone())) {

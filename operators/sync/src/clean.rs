@@ -1,5 +1,7 @@
 //! What of a sweep goes on.
 
+use std::ops::Range;
+
 use realo_schemas::PointCloud;
 
 use crate::Motion;
@@ -33,46 +35,69 @@ pub struct Cleaned {
 /// Drops points that are not finite or on the agent's own body, and moves the others to the body frame at the stamp.
 ///
 /// The own body is looked for before points are moved: it keeps its place in the body frame at each point's own time.
+/// Columns that stay as they are are shared, not copied.
 pub fn clean(cloud: &PointCloud, own_body: Option<OwnBody>, motion: Option<&Motion>) -> Cleaned {
-    let n = cloud.len();
-    let (mut x, mut y, mut z) = (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
-    let (mut intensity, mut time, mut ring) = (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
-    let (mut nan, mut own) = (0, 0);
-    let points = cloud.x.iter().zip(cloud.y.iter()).zip(cloud.z.iter());
-    let rest = cloud.intensity.iter().zip(cloud.time.iter()).zip(cloud.ring.iter());
-    for (((px, py), pz), ((pi, pt), pr)) in points.zip(rest) {
-        // Not finite if any of them is not.
-        if !(px.is_finite() & py.is_finite() & pz.is_finite()) {
-            nan += 1;
-            continue;
-        }
-        if own_body.is_some_and(|body| body.contains(*px, *py)) {
-            own += 1;
-            continue;
-        }
-        let point = [*px, *py, *pz];
-        let [mx, my, mz] = motion.map_or(point, |motion| motion.at_stamp(point, *pt));
-        x.push(mx);
-        y.push(my);
-        z.push(mz);
-        intensity.push(*pi);
-        time.push(*pt);
-        ring.push(*pr);
-    }
-    let (x, y, z) = (x.into(), y.into(), z.into());
-    let cloud = PointCloud {
-        x,
-        y,
-        z,
-        intensity: intensity.into(),
-        time: time.into(),
-        ring: ring.into(),
+    let Kept { runs, nan, own_body } = keep(cloud, own_body);
+    let cloud = match runs[..] {
+        [ref all] if all.len() == cloud.len() => cloud.clone(),
+        _ => PointCloud {
+            x: pick(&cloud.x, &runs).into(),
+            y: pick(&cloud.y, &runs).into(),
+            z: pick(&cloud.z, &runs).into(),
+            intensity: pick(&cloud.intensity, &runs).into(),
+            time: pick(&cloud.time, &runs).into(),
+            ring: pick(&cloud.ring, &runs).into(),
+        },
     };
-    Cleaned {
-        cloud,
-        nan,
-        own_body: own,
+    let cloud = match motion {
+        None => cloud,
+        Some(motion) => {
+            let [x, y, z] = motion.at_stamp([&cloud.x, &cloud.y, &cloud.z], &cloud.time);
+            PointCloud {
+                x: x.into(),
+                y: y.into(),
+                z: z.into(),
+                ..cloud
+            }
+        }
+    };
+    Cleaned { cloud, nan, own_body }
+}
+
+/// Which points stay, as runs of indices.
+struct Kept {
+    runs: Vec<Range<usize>>,
+    nan: u64,
+    own_body: u64,
+}
+
+fn keep(cloud: &PointCloud, body: Option<OwnBody>) -> Kept {
+    let (mut runs, mut nan, mut own_body, mut start) = (Vec::new(), 0, 0, 0);
+    for (at, ((x, y), z)) in cloud.x.iter().zip(cloud.y.iter()).zip(cloud.z.iter()).enumerate() {
+        let finite = x.is_finite() & y.is_finite() & z.is_finite();
+        let own = body.is_some_and(|body| body.contains(*x, *y));
+        if finite & !own {
+            continue;
+        }
+        // A point that is no number is none of the body's either.
+        nan += u64::from(!finite);
+        own_body += u64::from(finite);
+        if start < at {
+            runs.push(start..at);
+        }
+        start = at + 1;
     }
+    if start < cloud.len() {
+        runs.push(start..cloud.len());
+    }
+    Kept { runs, nan, own_body }
+}
+
+fn pick<T: Copy>(column: &[T], runs: &[Range<usize>]) -> Vec<T> {
+    let mut picked = Vec::with_capacity(runs.iter().map(Range::len).sum());
+    runs.iter()
+        .for_each(|run| picked.extend_from_slice(&column[run.clone()]));
+    picked
 }
 
 #[cfg(test)]
@@ -108,6 +133,14 @@ mod tests {
         assert_eq!(cleaned.cloud.intensity.to_vec(), [0, 6, 7]);
         assert_eq!(cleaned.cloud.x.to_vec(), [10.0, 2.951, 0.0]);
         assert_eq!(clean(&cloud(&points), None, None).own_body, 0);
+    }
+
+    #[test]
+    fn columns_of_a_clean_cloud_are_shared() {
+        let cloud = cloud(&[[10.0, 0.0, 0.0], [11.0, 0.0, 0.0]]);
+        let cleaned = clean(&cloud, Some(BODY), None);
+        assert_eq!(cleaned.cloud, cloud);
+        assert_eq!(cleaned.cloud.time.inner().as_ptr(), cloud.time.inner().as_ptr());
     }
 
     #[test]

@@ -205,7 +205,11 @@ fn not_ahead(header: &Header, now: Nanos) -> Result<(), Error> {
 
 /// Least and greatest time of a sweep's points, ns from its stamp.
 fn span(cloud: &PointCloud) -> Option<[i32; 2]> {
-    Some([*cloud.time.iter().min()?, *cloud.time.iter().max()?])
+    let [first, last] = cloud
+        .time
+        .iter()
+        .fold([i32::MAX, i32::MIN], |[lo, hi], t| [lo.min(*t), hi.max(*t)]);
+    (first <= last).then_some([first, last])
 }
 
 impl Operator for Sync {

@@ -169,8 +169,9 @@ pub(crate) fn compare(what: &str, found: &[f64], expected: &[f64], t: f64) -> Re
         ));
     }
     for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
-        // Also refuses NaN.
-        if !((found - expected).abs() <= t + t * expected.abs()) {
+        // NaN is never near.
+        let near = (found - expected).abs() <= t + t * expected.abs();
+        if !near {
             return Err(format!(
                 "{what}[{index}]: expected {expected}, found {found} (tolerance {t})"
             ));

@@ -309,7 +309,7 @@ fn sweeps_have_their_times_and_stand_on_the_ground() {
         match &*entry.agent {
             VEHICLE => {
                 assert!(
-                    first.abs() < 1_000 && (99_000_000..101_000_000).contains(last),
+                    first.abs() < 1_000 && (97_000_000..101_000_000).contains(last),
                     "{first} {last}"
                 );
                 assert_eq!(entry.ready() - entry.stamp(), 100_000_000);

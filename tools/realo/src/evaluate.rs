@@ -59,8 +59,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
 
 /// The agents of the mode, as the truth in the recording has them.
 fn recorded_agents(args: &Args) -> Result<Vec<String>> {
-    let agents = realo_recorder::read_agents(&args.detections)?;
-    agents.ok_or_else(|| eyre!("{}: it has no truth that names the agents of the run: add --agents", args.detections.display()))
+    let truth = realo_recorder::read_truth(&args.detections)?.into_iter().next();
+    let truth = truth.map(|message| message.into_parts::<GroundTruth>()).transpose()?;
+    let truth = truth.ok_or_else(|| {
+        eyre!("{}: it has no truth that names the agents of the run: add --agents", args.detections.display())
+    })?;
+    Ok(truth.1.agents.iter().map(|agent| agent.to_string()).collect())
 }
 
 /// What the player tells the evaluator of a run of these agents.

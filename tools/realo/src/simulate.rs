@@ -42,6 +42,9 @@ pub struct Args {
     /// Recorded detections without noise: the truth of what the agent has points on
     #[arg(long)]
     noise_free_detections: bool,
+    /// Own points from which an object can be in the recorded detections
+    #[arg(long, default_value_t = 5)]
+    detection_min_points: u32,
     /// Leaves the points out; poses, truth and recorded detections are the same
     #[arg(long)]
     no_clouds: bool,
@@ -85,6 +88,7 @@ impl Args {
             key_hz: self.key_hz,
             map_offset_m,
             noise_free_detections: self.noise_free_detections,
+            detection_min_points: self.detection_min_points,
             agents: self.agents.clone(),
             clouds: !self.no_clouds,
             ..Options::default()

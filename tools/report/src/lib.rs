@@ -16,16 +16,16 @@ pub use pool::{PoolError, pool};
 pub use realo_results::{FilesError, Run, read_run, write_run};
 pub use table::table;
 
-use serde_json::{Map, Value, json as value};
+use serde_json::{Value, json as value};
 
 /// Runs with their names as a JSON document: `{"runs": [{"name", "result", "timing"}]}`, the last two as in
 /// `result.json` and `timing.json`, without the samples.
 pub fn json(runs: &[(&str, &Run)]) -> String {
     let run = |(name, run): &(&str, &Run)| {
         let mut timing = serde_json::to_value(&run.timing).unwrap_or_default();
-        timing
-            .as_object_mut()
-            .map(|timing: &mut Map<String, Value>| timing.shift_remove("samples"));
+        if let Some(fields) = timing.as_object_mut() {
+            fields.shift_remove("samples");
+        }
         value!({"name": name, "result": run.result, "timing": timing})
     };
     let runs: Vec<Value> = runs.iter().map(run).collect();

@@ -1,7 +1,7 @@
 //! The agents: what carries a sensor, where it is, when it measures.
 
-use realo_schemas::{EgoState, Name, Nanos, PoseStatus, from_seconds, to_seconds};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use realo_schemas::{EgoState, Name, Nanos, PoseStatus, from_seconds, to_seconds};
 
 use crate::options::{AGENTS, EPOCH, Options, Phase, SWEEP_PERIOD};
 use crate::path::Pose2;
@@ -88,17 +88,33 @@ impl Agent {
         };
         let footprint = user.map(|user| {
             let [length, width, _] = traffic.users[user].size;
-            [MIDDLE_AHEAD - length / 2.0, MIDDLE_AHEAD + length / 2.0, -width / 2.0, width / 2.0]
+            [
+                MIDDLE_AHEAD - length / 2.0,
+                MIDDLE_AHEAD + length / 2.0,
+                -width / 2.0,
+                width / 2.0,
+            ]
         });
         let info = AgentInfo {
             name: AGENTS[number].into(),
-            kind: if vehicle { AgentKind::Vehicle } else { AgentKind::Roadside },
+            kind: if vehicle {
+                AgentKind::Vehicle
+            } else {
+                AgentKind::Roadside
+            },
             footprint,
             sensor_height: if vehicle { VEHICLE_SENSOR } else { ROADSIDE_SENSOR },
             sensor: sensor.model,
             track: user.map(|user| traffic.users[user].track),
         };
-        Agent { info, number: number as u64, sensor, user, stands: place.roadside(number == 3), phase }
+        Agent {
+            info,
+            number: number as u64,
+            sensor,
+            user,
+            stands: place.roadside(number == 3),
+            phase,
+        }
     }
 
     /// Start of a sweep, ns since the epoch.
@@ -111,7 +127,13 @@ impl Agent {
         let Some(user) = self.user.map(|user| &traffic.users[user]) else {
             let (pose, z) = self.stands;
             let position = [pose.x, pose.y, z];
-            return BodyState { position, heading: pose.heading, velocity: [0.0; 3], turn_rate: 0.0, slope: [0.0; 2] };
+            return BodyState {
+                position,
+                heading: pose.heading,
+                velocity: [0.0; 3],
+                turn_rate: 0.0,
+                slope: [0.0; 2],
+            };
         };
         let state = user.course.at(t).expect("vehicles that carry agents stay in the place");
         let Pose2 { x, y, heading } = state.pose;
@@ -182,4 +204,3 @@ fn phases(options: &Options) -> [Nanos; 4] {
 pub(crate) fn since_epoch(stamp: Nanos) -> f64 {
     to_seconds(stamp - EPOCH)
 }
-

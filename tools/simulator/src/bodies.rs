@@ -46,15 +46,47 @@ impl Class {
     pub fn size(self, draws: &mut Stream) -> [f64; 3] {
         let mut draw = |mean, deviation, low, high| draws.normal_in(mean, deviation, low, high);
         match self {
-            Class::Car => [draw(4.38, 0.25, 3.7, 4.7), draw(1.85, 0.05, 1.72, 1.95), draw(1.53, 0.08, 1.4, 1.72)],
-            Class::Van => [draw(4.9, 0.25, 4.5, 5.5), draw(2.0, 0.06, 1.88, 2.1), draw(2.05, 0.13, 1.85, 2.4)],
-            Class::Truck => [draw(8.6, 0.8, 6.8, 10.2), draw(2.45, 0.05, 2.3, 2.55), draw(3.2, 0.25, 2.8, 3.7)],
+            Class::Car => [
+                draw(4.38, 0.25, 3.7, 4.7),
+                draw(1.85, 0.05, 1.72, 1.95),
+                draw(1.53, 0.08, 1.4, 1.72),
+            ],
+            Class::Van => [
+                draw(4.9, 0.25, 4.5, 5.5),
+                draw(2.0, 0.06, 1.88, 2.1),
+                draw(2.05, 0.13, 1.85, 2.4),
+            ],
+            Class::Truck => [
+                draw(8.6, 0.8, 6.8, 10.2),
+                draw(2.45, 0.05, 2.3, 2.55),
+                draw(3.2, 0.25, 2.8, 3.7),
+            ],
             Class::Bus => [draw(11.6, 0.4, 10.6, 12.2), 2.55, draw(3.2, 0.12, 3.0, 3.5)],
-            Class::Motorcycle => [draw(2.1, 0.08, 1.95, 2.25), draw(0.8, 0.04, 0.72, 0.9), draw(1.5, 0.06, 1.4, 1.65)],
-            Class::Bicycle => [draw(1.76, 0.06, 1.62, 1.9), draw(0.6, 0.04, 0.52, 0.7), draw(1.72, 0.08, 1.5, 1.9)],
-            Class::Scooter => [draw(1.8, 0.06, 1.66, 1.95), draw(0.75, 0.04, 0.66, 0.84), draw(1.5, 0.07, 1.35, 1.65)],
-            Class::Pedestrian => [draw(0.66, 0.05, 0.54, 0.78), draw(0.56, 0.04, 0.48, 0.66), draw(1.71, 0.09, 1.5, 1.95)],
-            Class::Child => [draw(0.5, 0.04, 0.42, 0.58), draw(0.42, 0.03, 0.36, 0.48), draw(1.2, 0.12, 0.95, 1.45)],
+            Class::Motorcycle => [
+                draw(2.1, 0.08, 1.95, 2.25),
+                draw(0.8, 0.04, 0.72, 0.9),
+                draw(1.5, 0.06, 1.4, 1.65),
+            ],
+            Class::Bicycle => [
+                draw(1.76, 0.06, 1.62, 1.9),
+                draw(0.6, 0.04, 0.52, 0.7),
+                draw(1.72, 0.08, 1.5, 1.9),
+            ],
+            Class::Scooter => [
+                draw(1.8, 0.06, 1.66, 1.95),
+                draw(0.75, 0.04, 0.66, 0.84),
+                draw(1.5, 0.07, 1.35, 1.65),
+            ],
+            Class::Pedestrian => [
+                draw(0.66, 0.05, 0.54, 0.78),
+                draw(0.56, 0.04, 0.48, 0.66),
+                draw(1.71, 0.09, 1.5, 1.95),
+            ],
+            Class::Child => [
+                draw(0.5, 0.04, 0.42, 0.58),
+                draw(0.42, 0.03, 0.36, 0.48),
+                draw(1.2, 0.12, 0.95, 1.45),
+            ],
         }
     }
 
@@ -83,7 +115,11 @@ fn solid(shape: Shape, rho: f64) -> Part {
 }
 
 fn glass(shape: Shape) -> Part {
-    Part { shape, rho: GLASS, pass: SEEN_THROUGH }
+    Part {
+        shape,
+        rho: GLASS,
+        pass: SEEN_THROUGH,
+    }
 }
 
 fn block(low: [f64; 3], high: [f64; 3]) -> Shape {
@@ -93,15 +129,38 @@ fn block(low: [f64; 3], high: [f64; 3]) -> Shape {
 /// Pairs of wheels at `axles`, flush with the sides.
 fn wheels(axles: &[f64], radius: f64, half_width: f64, tread: f64) -> Vec<Part> {
     let sides = [(-half_width, -half_width + tread), (half_width - tread, half_width)];
-    let at = |x: f64, (low, high)| solid(Shape::Wheel { x, z: radius, radius, low, high }, TYRE);
+    let at = |x: f64, (low, high)| {
+        solid(
+            Shape::Wheel {
+                x,
+                z: radius,
+                radius,
+                low,
+                high,
+            },
+            TYRE,
+        )
+    };
     axles.iter().flat_map(|x| sides.map(|side| at(*x, side))).collect()
 }
 
 fn car([length, width, height]: [f64; 3], paint: f64) -> Solid {
     let (l, h, w) = (length / 2.0, height, width / 2.0);
     let belt = 0.59 * h;
-    let hull = [[-l, 0.18], [0.96 * l, 0.18], [l, 0.30], [l, 0.42 * h], [0.42 * l, belt], [-l, belt]];
-    let cabin = [[-0.9 * l, belt], [0.46 * l, belt], [0.06 * l, 0.96 * h], [-0.64 * l, 0.96 * h]];
+    let hull = [
+        [-l, 0.18],
+        [0.96 * l, 0.18],
+        [l, 0.30],
+        [l, 0.42 * h],
+        [0.42 * l, belt],
+        [-l, belt],
+    ];
+    let cabin = [
+        [-0.9 * l, belt],
+        [0.46 * l, belt],
+        [0.06 * l, 0.96 * h],
+        [-0.64 * l, 0.96 * h],
+    ];
     let roof = w - 0.17;
     let mut parts = vec![
         solid(prism(&hull, w, w), paint),
@@ -118,10 +177,18 @@ fn van([length, width, height]: [f64; 3], paint: f64) -> Solid {
     let (l, h, w) = (length / 2.0, height, width / 2.0);
     let belt = 0.52 * h;
     let hull = [[-l, 0.2], [l, 0.2], [l, 0.4 * h], [0.6 * l, belt], [-l, belt]];
-    let cabin = [[0.12 * l, belt], [0.66 * l, belt], [0.36 * l, 0.96 * h], [0.12 * l, 0.96 * h]];
+    let cabin = [
+        [0.12 * l, belt],
+        [0.66 * l, belt],
+        [0.36 * l, 0.96 * h],
+        [0.12 * l, 0.96 * h],
+    ];
     let mut parts = vec![
         solid(prism(&hull, w, w), paint),
-        solid(prism(&[[-l, belt], [0.1 * l, belt], [0.1 * l, h], [-l, h]], w, w - 0.06), paint),
+        solid(
+            prism(&[[-l, belt], [0.1 * l, belt], [0.1 * l, h], [-l, h]], w, w - 0.06),
+            paint,
+        ),
         glass(prism(&cabin, w - 0.02, w - 0.12)),
         solid(block([0.1 * l, -w + 0.12, 0.95 * h], [0.36 * l, w - 0.12, h]), paint),
         solid(block([0.14 * l, -w + 0.2, 0.4 * h], [0.26 * l, w - 0.2, 0.8 * h]), 0.2),
@@ -136,9 +203,15 @@ fn truck([length, width, height]: [f64; 3], paint: f64) -> Solid {
     let cab_top = (0.88 * h).min(2.8);
     let mut parts = vec![
         solid(block([cab, -w, 0.45], [l, w, 1.35]), paint),
-        glass(block([cab + 0.25, -w + 0.02, 1.35], [l - 0.05, w - 0.02, 0.8 * cab_top])),
+        glass(block(
+            [cab + 0.25, -w + 0.02, 1.35],
+            [l - 0.05, w - 0.02, 0.8 * cab_top],
+        )),
         solid(block([cab, -w + 0.02, 1.35], [cab + 0.25, w - 0.02, cab_top]), paint),
-        solid(block([cab, -w + 0.02, 0.8 * cab_top], [l - 0.1, w - 0.02, cab_top]), paint),
+        solid(
+            block([cab, -w + 0.02, 0.8 * cab_top], [l - 0.1, w - 0.02, cab_top]),
+            paint,
+        ),
         solid(block([-l, -w, 1.05], [cab - 0.35, w, h]), 0.6),
         solid(block([-l + 0.2, -0.45, 0.6], [cab, 0.45, 1.05]), 0.15),
     ];
@@ -155,11 +228,20 @@ fn bus([length, width, height]: [f64; 3], paint: f64) -> Solid {
         solid(block([-l, -w, lintel], [l, w, h]), paint),
     ];
     for pillar in [-0.995, -0.6, -0.2, 0.2, 0.6, 0.97] {
-        parts.push(solid(block([pillar * l, -w, sill], [pillar * l + 0.12, w, lintel]), paint));
+        parts.push(solid(
+            block([pillar * l, -w, sill], [pillar * l + 0.12, w, lintel]),
+            paint,
+        ));
     }
     for seat in [-0.75, -0.4, 0.05, 0.4] {
-        parts.push(solid(block([seat * l, -w + 0.15, sill], [seat * l + 0.15, -0.3, sill + 0.55]), 0.25));
-        parts.push(solid(block([seat * l, 0.3, sill], [seat * l + 0.15, w - 0.15, sill + 0.55]), 0.25));
+        parts.push(solid(
+            block([seat * l, -w + 0.15, sill], [seat * l + 0.15, -0.3, sill + 0.55]),
+            0.25,
+        ));
+        parts.push(solid(
+            block([seat * l, 0.3, sill], [seat * l + 0.15, w - 0.15, sill + 0.55]),
+            0.25,
+        ));
     }
     parts.extend(wheels(&[-0.5 * l, 0.55 * l], 0.48, w, 0.3));
     Solid::new(parts)
@@ -170,20 +252,61 @@ fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -> Solid {
     let (l, h, w) = (length / 2.0, height, width / 2.0);
     let radius: f64 = if frame > 0.05 { 0.26 } else { 0.34 };
     let tread = frame.max(0.03);
-    let wheel = |x: f64| solid(Shape::Wheel { x, z: radius, radius, low: -tread, high: tread }, TYRE);
+    let wheel = |x: f64| {
+        solid(
+            Shape::Wheel {
+                x,
+                z: radius,
+                radius,
+                low: -tread,
+                high: tread,
+            },
+            TYRE,
+        )
+    };
     let (hip, shoulder) = (0.5 * h, 0.84 * h);
-    let leg = |y: f64| solid(Shape::Post { x: 0.0, y, radius: 0.075, low: 0.2, high: hip + 0.05, swing: 0.08 }, 0.25);
+    let leg = |y: f64| {
+        solid(
+            Shape::Post {
+                x: 0.0,
+                y,
+                radius: 0.075,
+                low: 0.2,
+                high: hip + 0.05,
+                swing: 0.08,
+            },
+            0.25,
+        )
+    };
     let bar = 0.58 * h;
     Solid::new(vec![
         wheel(-l + radius),
         wheel(l - radius),
-        solid(block([-l + radius, -frame, 0.3], [l - radius, frame, 0.46 * h]), 0.3 * paint + 0.05),
+        solid(
+            block([-l + radius, -frame, 0.3], [l - radius, frame, 0.46 * h]),
+            0.3 * paint + 0.05,
+        ),
         solid(block([0.42 * l, -w, bar], [0.42 * l + 0.06, w, bar + 0.06]), 0.2),
         leg(-0.13),
         leg(0.13),
-        solid(Shape::Ball { center: [-0.02, 0.0, (hip + shoulder) / 2.0], radii: [0.2, 0.22, 0.24 * h] }, 0.15 + 0.5 * paint),
-        solid(block([0.0, -w + 0.08, 0.7 * h], [0.44 * l, w - 0.08, 0.7 * h + 0.1]), 0.15 + 0.5 * paint),
-        solid(Shape::Ball { center: [0.08, 0.0, h - 0.13], radii: [0.11, 0.1, 0.13] }, 0.3),
+        solid(
+            Shape::Ball {
+                center: [-0.02, 0.0, (hip + shoulder) / 2.0],
+                radii: [0.2, 0.22, 0.24 * h],
+            },
+            0.15 + 0.5 * paint,
+        ),
+        solid(
+            block([0.0, -w + 0.08, 0.7 * h], [0.44 * l, w - 0.08, 0.7 * h + 0.1]),
+            0.15 + 0.5 * paint,
+        ),
+        solid(
+            Shape::Ball {
+                center: [0.08, 0.0, h - 0.13],
+                radii: [0.11, 0.1, 0.13],
+            },
+            0.3,
+        ),
     ])
 }
 
@@ -193,7 +316,17 @@ fn walker([length, width, height]: [f64; 3], cloth: f64) -> Solid {
     let leg = 0.045 * h;
     let arm = 0.03 * h;
     let limb = |y: f64, radius: f64, low: f64, high: f64, swing: f64| {
-        solid(Shape::Post { x: 0.0, y, radius, low, high, swing }, cloth)
+        solid(
+            Shape::Post {
+                x: 0.0,
+                y,
+                radius,
+                low,
+                high,
+                swing,
+            },
+            cloth,
+        )
     };
     let head = 0.07 * h;
     Solid::new(vec![
@@ -201,8 +334,20 @@ fn walker([length, width, height]: [f64; 3], cloth: f64) -> Solid {
         limb(0.3 * w, leg, 0.0, hip, -(l - leg)),
         limb(-w + arm, arm, 0.45 * h, shoulder, -(l - arm) * 0.7),
         limb(w - arm, arm, 0.45 * h, shoulder, (l - arm) * 0.7),
-        solid(Shape::Ball { center: [0.0, 0.0, 0.66 * h], radii: [0.075 * h, w - 1.6 * arm, 0.21 * h] }, cloth),
-        solid(Shape::Ball { center: [0.02, 0.0, h - 0.085 * h], radii: [head, 0.9 * head, 0.085 * h] }, 0.4),
+        solid(
+            Shape::Ball {
+                center: [0.0, 0.0, 0.66 * h],
+                radii: [0.075 * h, w - 1.6 * arm, 0.21 * h],
+            },
+            cloth,
+        ),
+        solid(
+            Shape::Ball {
+                center: [0.02, 0.0, h - 0.085 * h],
+                radii: [head, 0.9 * head, 0.085 * h],
+            },
+            0.4,
+        ),
     ])
 }
 
@@ -221,8 +366,18 @@ mod tests {
                 let low = [-size[0] / 2.0, -size[1] / 2.0, 0.0];
                 let high = [size[0] / 2.0, size[1] / 2.0, size[2]];
                 for k in 0..3 {
-                    assert!((body.low[k] - low[k]).abs() < 1e-6, "{class:?} axis {k}: {} for {}", body.low[k], low[k]);
-                    assert!((body.high[k] - high[k]).abs() < 1e-6, "{class:?} axis {k}: {} for {}", body.high[k], high[k]);
+                    assert!(
+                        (body.low[k] - low[k]).abs() < 1e-6,
+                        "{class:?} axis {k}: {} for {}",
+                        body.low[k],
+                        low[k]
+                    );
+                    assert!(
+                        (body.high[k] - high[k]).abs() < 1e-6,
+                        "{class:?} axis {k}: {} for {}",
+                        body.high[k],
+                        high[k]
+                    );
                 }
             }
         }

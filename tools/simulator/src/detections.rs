@@ -23,11 +23,22 @@ const FALSE_ALARMS: f64 = 1.2;
 
 /// The recorded detections of a sweep, from the truth in the agent's body frame and the own points on each object.
 pub(crate) fn detect(options: &Options, truth: &[Box3], points: &[u32], mut draws: Stream) -> Boxes {
-    let seen = truth.iter().zip(points).filter(|(_, n)| **n >= options.detection_min_points.max(1));
+    let seen = truth
+        .iter()
+        .zip(points)
+        .filter(|(_, n)| **n >= options.detection_min_points.max(1));
     if options.noise_free_detections {
-        return Boxes(seen.map(|(object, _)| Box3 { track: None, ..object.clone() }).collect());
+        return Boxes(
+            seen.map(|(object, _)| Box3 {
+                track: None,
+                ..object.clone()
+            })
+            .collect(),
+        );
     }
-    let mut boxes: Vec<Box3> = seen.filter_map(|(object, n)| perceive(object, f64::from(*n), &mut draws)).collect();
+    let mut boxes: Vec<Box3> = seen
+        .filter_map(|(object, n)| perceive(object, f64::from(*n), &mut draws))
+        .collect();
     for _ in 0..poisson(FALSE_ALARMS, &mut draws) {
         boxes.push(imagine(&mut draws));
     }
@@ -43,7 +54,11 @@ fn perceive(object: &Box3, n: f64, draws: &mut Stream) -> Option<Box3> {
     let (found, turned) = (draws.chance(1.0 - libm::exp(-n / 8.0)), draws.chance(0.025));
     let place = 0.05 + 0.001 * range + 0.25 * few;
     let scale = |k: usize| (1.0 + (0.02 + 0.15 * few) * noise[k]).clamp(0.5, 1.6);
-    let half_turn = if turned && object.length > 2.5 { std::f64::consts::PI } else { 0.0 };
+    let half_turn = if turned && object.length > 2.5 {
+        std::f64::consts::PI
+    } else {
+        0.0
+    };
     let yaw = object.yaw + (1.0 + 15.0 * few).to_radians() * noise[6] + half_turn;
     let strength = 0.9 * libm::log(n) - 1.6 + 0.6 * noise[7];
     found.then(|| Box3 {
@@ -52,7 +67,9 @@ fn perceive(object: &Box3, n: f64, draws: &mut Stream) -> Option<Box3> {
         width: object.width * scale(4),
         height: object.height * scale(5),
         yaw: realo_schemas::geometry::normalize_yaw(yaw),
-        velocity: object.velocity.map(|[vx, vy, _]| [vx + 0.3 * noise[8], vy + 0.3 * noise[9], 0.0]),
+        velocity: object
+            .velocity
+            .map(|[vx, vy, _]| [vx + 0.3 * noise[8], vy + 0.3 * noise[9], 0.0]),
         class: object.class.clone(),
         score: (1.0 / (1.0 + libm::exp(-strength))) as f32,
         track: None,

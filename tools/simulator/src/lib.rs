@@ -47,7 +47,7 @@ mod solid;
 mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
-pub use bench::{Bench, bench};
+pub use bench::{Bench, SensorBench, bench};
 pub use options::{AGENTS, EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario};
 pub use poses::PoseSample;
 pub use simulation::{Simulation, Sweep, Sweeps};

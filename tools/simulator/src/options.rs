@@ -151,13 +151,23 @@ impl PoseNoise {
             ("rate_white_deg_s", self.rate_white_deg_s),
         ];
         for (field, value) in deviations {
-            require(value >= 0.0 && value.is_finite(), field, value, "a finite number, 0 or more")?;
+            require(
+                value >= 0.0 && value.is_finite(),
+                field,
+                value,
+                "a finite number, 0 or more",
+            )?;
         }
         for (field, value) in [
             ("position_correlation_s", self.position_correlation_s),
             ("angle_correlation_s", self.angle_correlation_s),
         ] {
-            require(value > 0.0 && value.is_finite(), field, value, "a finite number greater than 0")?;
+            require(
+                value > 0.0 && value.is_finite(),
+                field,
+                value,
+                "a finite number greater than 0",
+            )?;
         }
         Ok(())
     }
@@ -210,7 +220,15 @@ pub enum Error {
 }
 
 fn require(holds: bool, field: &'static str, value: f64, expected: &'static str) -> Result<(), Error> {
-    if holds { Ok(()) } else { Err(Error::Range { field, expected, found: value.to_string() }) }
+    if holds {
+        Ok(())
+    } else {
+        Err(Error::Range {
+            field,
+            expected,
+            found: value.to_string(),
+        })
+    }
 }
 
 impl Options {
@@ -226,7 +244,12 @@ impl Options {
 
     pub(crate) fn check(&self) -> Result<(), Error> {
         let seconds = self.seconds;
-        require((0.1..=3600.0).contains(&seconds), "seconds", seconds, "a number within [0.1, 3600]")?;
+        require(
+            (0.1..=3600.0).contains(&seconds),
+            "seconds",
+            seconds,
+            "a number within [0.1, 3600]",
+        )?;
         let period = 10.0 / self.key_hz;
         let divides = self.key_hz > 0.0 && self.key_hz <= 10.0 && (period - period.round()).abs() < 1e-6;
         require(divides, "key_hz", self.key_hz, "a rate in (0, 10] that divides 10")?;
@@ -234,7 +257,12 @@ impl Options {
             require(value.abs() <= 1e8, "map_offset_m", value, "metres within ±1e8")?;
         }
         let stride = self.column_stride as f64;
-        require((1..=1000).contains(&self.column_stride), "column_stride", stride, "a number within [1, 1000]")?;
+        require(
+            (1..=1000).contains(&self.column_stride),
+            "column_stride",
+            stride,
+            "a number within [1, 1000]",
+        )?;
         self.pose_noise.check()?;
         self.check_agents()
     }

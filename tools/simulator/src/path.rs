@@ -33,18 +33,33 @@ impl Stretch {
         let d = s - self.start;
         let (sin, cos) = libm::sincos(heading);
         if self.curvature == 0.0 {
-            return Pose2 { x: x + d * cos, y: y + d * sin, heading };
+            return Pose2 {
+                x: x + d * cos,
+                y: y + d * sin,
+                heading,
+            };
         }
         let turned = heading + self.curvature * d;
         let (sin1, cos1) = libm::sincos(turned);
-        Pose2 { x: x + (sin1 - sin) / self.curvature, y: y - (cos1 - cos) / self.curvature, heading: turned }
+        Pose2 {
+            x: x + (sin1 - sin) / self.curvature,
+            y: y - (cos1 - cos) / self.curvature,
+            heading: turned,
+        }
     }
 }
 
 impl Path {
     pub fn from(x: f64, y: f64, heading: f64) -> Self {
-        let start = Stretch { start: 0.0, pose: Pose2 { x, y, heading }, curvature: 0.0 };
-        Path { stretches: vec![start], length: 0.0 }
+        let start = Stretch {
+            start: 0.0,
+            pose: Pose2 { x, y, heading },
+            curvature: 0.0,
+        };
+        Path {
+            stretches: vec![start],
+            length: 0.0,
+        }
     }
 
     pub fn length(&self) -> f64 {
@@ -57,7 +72,10 @@ impl Path {
 
     /// Turns by `angle` (left positive) on a circle of `radius`.
     pub fn arc(&mut self, radius: f64, angle: f64) -> &mut Self {
-        self.stretch(radius * angle.abs(), if angle < 0.0 { -1.0 / radius } else { 1.0 / radius })
+        self.stretch(
+            radius * angle.abs(),
+            if angle < 0.0 { -1.0 / radius } else { 1.0 / radius },
+        )
     }
 
     fn stretch(&mut self, length: f64, curvature: f64) -> &mut Self {
@@ -66,7 +84,11 @@ impl Path {
         }
         let mut pose = self.at(self.length).0;
         pose.heading -= TAU * (pose.heading / TAU).round();
-        self.stretches.push(Stretch { start: self.length, pose, curvature });
+        self.stretches.push(Stretch {
+            start: self.length,
+            pose,
+            curvature,
+        });
         self.length += length;
         self
     }
@@ -74,7 +96,10 @@ impl Path {
     /// Goes on with a path that begins where this one ends.
     pub fn append(&mut self, other: &Path) {
         let start = self.length;
-        self.stretches.extend(other.stretches.iter().map(|s| Stretch { start: s.start + start, ..*s }));
+        self.stretches.extend(other.stretches.iter().map(|s| Stretch {
+            start: s.start + start,
+            ..*s
+        }));
         self.length += other.length;
     }
 
@@ -88,7 +113,9 @@ impl Path {
     /// The arcs from `s` on: (start, radius).
     pub fn arcs_from(&self, s: f64) -> impl Iterator<Item = (f64, f64)> + '_ {
         let first = self.stretches.partition_point(|stretch| stretch.start <= s).max(1) - 1;
-        let arcs = self.stretches[first..].iter().filter(|stretch| stretch.curvature != 0.0);
+        let arcs = self.stretches[first..]
+            .iter()
+            .filter(|stretch| stretch.curvature != 0.0);
         arcs.map(|stretch| (stretch.start, 1.0 / stretch.curvature.abs()))
     }
 }
@@ -137,7 +164,12 @@ impl Motion {
             _ => self.ticks[0],
         };
         let (pose, curvature) = self.path.at(s);
-        State { pose, speed: v, turn_rate: v * curvature, gone: s }
+        State {
+            pose,
+            speed: v,
+            turn_rate: v * curvature,
+            gone: s,
+        }
     }
 }
 
@@ -146,14 +178,22 @@ fn hermite((s0, v0): (f64, f64), (s1, v1): (f64, f64), u: f64) -> (f64, f64) {
     let d = s1 - s0;
     let (a, b) = (v0 * TICK, v1 * TICK);
     let (c2, c3) = (3.0 * d - 2.0 * a - b, a + b - 2.0 * d);
-    (s0 + u * (a + u * (c2 + u * c3)), (a + u * (2.0 * c2 + 3.0 * u * c3)) / TICK)
+    (
+        s0 + u * (a + u * (c2 + u * c3)),
+        (a + u * (2.0 * c2 + 3.0 * u * c3)) / TICK,
+    )
 }
 
 impl Course {
     /// The state at `t` seconds; `None` before he comes and after he has left.
     pub fn at(&self, t: f64) -> Option<State> {
         match self {
-            Course::Fixed(pose) => Some(State { pose: *pose, speed: 0.0, turn_rate: 0.0, gone: 0.0 }),
+            Course::Fixed(pose) => Some(State {
+                pose: *pose,
+                speed: 0.0,
+                turn_rate: 0.0,
+                gone: 0.0,
+            }),
             Course::Moving(motion) => {
                 let there = t >= motion.first - 1e-9 && t <= motion.last() + 1e-9;
                 there.then(|| motion.state(t))
@@ -172,7 +212,10 @@ mod tests {
         let mut path = Path::from(-10.0, 0.0, 0.0);
         path.line(10.0).arc(5.0, -FRAC_PI_2).line(2.0);
         let (end, curvature) = path.at(path.length());
-        assert!((end.x - 5.0).abs() < 1e-12 && (end.y + 7.0).abs() < 1e-12 && curvature == 0.0, "{end:?}");
+        assert!(
+            (end.x - 5.0).abs() < 1e-12 && (end.y + 7.0).abs() < 1e-12 && curvature == 0.0,
+            "{end:?}"
+        );
         assert_eq!(path.arcs_from(0.0).collect::<Vec<_>>(), [(10.0, 5.0)]);
     }
 
@@ -181,11 +224,18 @@ mod tests {
         let mut path = Path::from(0.0, 0.0, 1.0);
         path.line(3.0).arc(4.0, PI).line(50.0);
         let ticks: Vec<_> = (0..40).map(|k| f64::from(k) * TICK).map(|t| (t * t, 2.0 * t)).collect();
-        let course = Course::Moving(Motion { path, first: 1.0, ticks });
+        let course = Course::Moving(Motion {
+            path,
+            first: 1.0,
+            ticks,
+        });
         assert_eq!(course.at(0.9), None);
         for t in [1.05, 2.33, 3.71, 4.2] {
             let [before, now, after] = [t - 1e-5, t, t + 1e-5].map(|t| course.at(t).unwrap());
-            let moved = ((after.pose.x - before.pose.x) / 2e-5, (after.pose.y - before.pose.y) / 2e-5);
+            let moved = (
+                (after.pose.x - before.pose.x) / 2e-5,
+                (after.pose.y - before.pose.y) / 2e-5,
+            );
             assert!((moved.0 - now.speed * libm::cos(now.pose.heading)).abs() < 1e-6);
             assert!((moved.1 - now.speed * libm::sin(now.pose.heading)).abs() < 1e-6);
             let turned = (after.pose.heading - before.pose.heading) / 2e-5;

@@ -63,7 +63,10 @@ impl Errors {
         let keep = |time: f64| if drives { libm::exp(-period / time) } else { 1.0 };
         let (position, angle) = (keep(noise.position_correlation_s), keep(noise.angle_correlation_s));
         let share = if drives { 1.0 } else { 0.0 };
-        let (place, turn) = (share * noise.position_white_m, share * noise.angle_white_deg.to_radians());
+        let (place, turn) = (
+            share * noise.position_white_m,
+            share * noise.angle_white_deg.to_radians(),
+        );
         Errors {
             draws,
             bias,

@@ -56,7 +56,9 @@ impl Stream {
 
 /// FNV-1a, which names streams.
 pub(crate) fn fnv(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3))
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
 }
 
 /// A bijection of u64 that spreads counters over all bits (the finaliser of SplitMix64).
@@ -90,7 +92,10 @@ mod tests {
         let draws: Vec<f64> = (0..n).map(|i| normal_of(mix(i))).collect();
         let mean = draws.iter().sum::<f64>() / n as f64;
         let variance = draws.iter().map(|d| d * d).sum::<f64>() / n as f64;
-        assert!(mean.abs() < 0.01 && (variance - 1.0).abs() < 0.01, "mean {mean}, variance {variance}");
+        assert!(
+            mean.abs() < 0.01 && (variance - 1.0).abs() < 0.01,
+            "mean {mean}, variance {variance}"
+        );
     }
 
     #[test]

@@ -102,8 +102,16 @@ impl Sensor {
 
     /// Columns: number, elevation (degrees), azimuth offset (degrees); with five columns also the firing offset (µs).
     fn from_table(model: &'static str, columns: usize, table: &str, optics: Optics) -> Sensor {
-        let number = |text: &str| text.trim().parse::<f64>().expect("an embedded beam table holds numbers");
-        let rows: Vec<Vec<f64>> = table.lines().skip(1).map(|line| line.split(',').map(number).collect()).collect();
+        let number = |text: &str| {
+            text.trim()
+                .parse::<f64>()
+                .expect("an embedded beam table holds numbers")
+        };
+        let rows: Vec<Vec<f64>> = table
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').map(number).collect())
+            .collect();
         let below = |elevation: f64| rows.iter().filter(|row| row[1] < elevation).count() as u16;
         let beams: Vec<Beam> = rows
             .iter()
@@ -112,11 +120,22 @@ impl Sensor {
                 let azimuth = row[2].to_radians();
                 let (sin, cos) = libm::sincos(-azimuth);
                 let fires = row.get(4).copied().unwrap_or(0.0) * 1e-6;
-                Beam { direction: [cos_el * cos, cos_el * sin, sin_el], azimuth, fires, ring: below(row[1]) }
+                Beam {
+                    direction: [cos_el * cos, cos_el * sin, sin_el],
+                    azimuth,
+                    fires,
+                    ring: below(row[1]),
+                }
             })
             .collect();
         let steepest = beams.iter().map(|beam| beam.direction[2].abs()).fold(0.0, f64::max);
-        Sensor { model, columns, beams, steepest, optics }
+        Sensor {
+            model,
+            columns,
+            beams,
+            steepest,
+            optics,
+        }
     }
 }
 
@@ -134,7 +153,10 @@ mod tests {
             assert_eq!(sensor.beams.len(), beams);
             let mut rings: Vec<u16> = sensor.beams.iter().map(|beam| beam.ring).collect();
             rings.sort_unstable();
-            assert!(rings.iter().enumerate().all(|(i, ring)| i == usize::from(*ring)), "{rings:?}");
+            assert!(
+                rings.iter().enumerate().all(|(i, ring)| i == usize::from(*ring)),
+                "{rings:?}"
+            );
             let up = |ring: u16| sensor.beams.iter().find(|b| b.ring == ring).unwrap().direction[2];
             assert!((up(0) - libm::sin(f64::to_radians(lowest))).abs() < 1e-9);
             assert!((up(beams as u16 - 1) - libm::sin(f64::to_radians(highest))).abs() < 1e-9);

@@ -1,7 +1,7 @@
 //! The simulation as its users see it: agents, poses, sweeps.
 
-use realo_schemas::{Box3, Boxes, Name, Nanos, PointCloud};
 use rayon::prelude::*;
+use realo_schemas::{Box3, Boxes, Name, Nanos, PointCloud};
 
 use crate::agents::{Agent, AgentInfo, BodyState, since_epoch};
 use crate::cast::{Cast, Casting, World, cast};
@@ -59,11 +59,22 @@ impl Simulation {
         options.check()?;
         let options = options.clone();
         let place = Place::new(options.scenario, options.place.unwrap_or(options.seed));
-        let demand = Demand { place: &place, seed: options.seed, dense: options.dense, seconds: options.seconds };
+        let demand = Demand {
+            place: &place,
+            seed: options.seed,
+            dense: options.dense,
+            seconds: options.seconds,
+        };
         let traffic = Traffic::new(&demand);
         let agents = Agent::all(&options, &place, &traffic);
         let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
-        Ok(Simulation { options, place, traffic, agents, classes })
+        Ok(Simulation {
+            options,
+            place,
+            traffic,
+            agents,
+            classes,
+        })
     }
 
     /// What was asked for.
@@ -98,10 +109,18 @@ impl Simulation {
     pub fn sweeps(&self) -> Sweeps<'_> {
         let mut jobs: Vec<Job> = (0..self.options.sweeps_per_agent())
             .flat_map(|seq| (0..self.agents.len()).map(move |agent| (agent, seq)))
-            .map(|(agent, seq)| Job { ready: self.agents[agent].sweep_start(seq) + SWEEP_PERIOD, agent, seq })
+            .map(|(agent, seq)| Job {
+                ready: self.agents[agent].sweep_start(seq) + SWEEP_PERIOD,
+                agent,
+                seq,
+            })
             .collect();
         jobs.sort_by_key(|job| (job.ready, job.agent));
-        Sweeps { simulation: self, jobs: jobs.into_iter(), cast: Vec::new().into_iter() }
+        Sweeps {
+            simulation: self,
+            jobs: jobs.into_iter(),
+            cast: Vec::new().into_iter(),
+        }
     }
 
     /// One sweep of the agent with the given index in [`Simulation::agents`].
@@ -119,7 +138,12 @@ impl Simulation {
             labels: options.labels,
             column_stride: options.column_stride,
         };
-        let Cast { cloud, points: on_user, labels: user_labels, finished } = cast(&self.world(), agent, &casting);
+        let Cast {
+            cloud,
+            points: on_user,
+            labels: user_labels,
+            finished,
+        } = cast(&self.world(), agent, &casting);
         let body = agent.body(&self.place, &self.traffic, since_epoch(stamp));
         let mut index_of = vec![0; self.traffic.users.len() + 1];
         let (mut truth, mut points) = (Vec::new(), Vec::new());
@@ -176,7 +200,10 @@ impl Simulation {
     }
 
     fn world(&self) -> World<'_> {
-        World { place: &self.place, traffic: &self.traffic }
+        World {
+            place: &self.place,
+            traffic: &self.traffic,
+        }
     }
 }
 
@@ -200,8 +227,10 @@ impl Iterator for Sweeps<'_> {
     fn next(&mut self) -> Option<Sweep> {
         if self.cast.len() == 0 {
             let batch: Vec<Job> = self.jobs.by_ref().take(4 * rayon::current_num_threads()).collect();
-            let cast: Vec<Sweep> =
-                batch.into_par_iter().map(|job| self.simulation.sweep(job.agent, job.seq).0).collect();
+            let cast: Vec<Sweep> = batch
+                .into_par_iter()
+                .map(|job| self.simulation.sweep(job.agent, job.seq).0)
+                .collect();
             self.cast = cast.into_iter();
         }
         self.cast.next()

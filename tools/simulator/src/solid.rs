@@ -24,18 +24,44 @@ pub(crate) struct Part {
 
 #[derive(Clone, Debug)]
 pub(crate) enum Shape {
-    Block { low: [f64; 3], high: [f64; 3] },
+    Block {
+        low: [f64; 3],
+        high: [f64; 3],
+    },
     /// Within all planes `n·p <= d`, given as [nx, ny, nz, d] with unit normals.
     Hull(Vec<[f64; 4]>),
     /// A vertical cylinder; its axis moves forward by `swing` times the body's stride.
-    Post { x: f64, y: f64, radius: f64, low: f64, high: f64, swing: f64 },
+    Post {
+        x: f64,
+        y: f64,
+        radius: f64,
+        low: f64,
+        high: f64,
+        swing: f64,
+    },
     /// A cylinder across the body.
-    Wheel { x: f64, z: f64, radius: f64, low: f64, high: f64 },
-    Ball { center: [f64; 3], radii: [f64; 3] },
+    Wheel {
+        x: f64,
+        z: f64,
+        radius: f64,
+        low: f64,
+        high: f64,
+    },
+    Ball {
+        center: [f64; 3],
+        radii: [f64; 3],
+    },
     /// A ball of leaves: a ray gets `depth` metres into it on average.
-    Crown { center: [f64; 3], radii: [f64; 3], depth: f64 },
+    Crown {
+        center: [f64; 3],
+        radii: [f64; 3],
+        depth: f64,
+    },
     /// A block whose sides have rows of windows.
-    Facade { low: [f64; 3], high: [f64; 3] },
+    Facade {
+        low: [f64; 3],
+        high: [f64; 3],
+    },
 }
 
 /// A body: its parts, and the box around them.
@@ -68,13 +94,22 @@ impl Solid {
             }
         }
         let bounds = parts.iter().map(bounds_of).collect();
-        Solid { low, high, parts, bounds }
+        Solid {
+            low,
+            high,
+            parts,
+            bounds,
+        }
     }
 
     /// [x min, x max, y min, y max] of the parts that begin below a height.
     #[cfg(test)]
     pub fn footprint_below(&self, height: f64) -> [f64; 4] {
-        let bounds = self.parts.iter().map(|part| part.shape.bounds()).filter(|(low, _)| low[2] < height);
+        let bounds = self
+            .parts
+            .iter()
+            .map(|part| part.shape.bounds())
+            .filter(|(low, _)| low[2] < height);
         bounds.fold([f64::MAX, f64::MIN, f64::MAX, f64::MIN], |f, (low, high)| {
             [f[0].min(low[0]), f[1].max(high[0]), f[2].min(low[1]), f[3].max(high[1])]
         })
@@ -96,7 +131,9 @@ impl Solid {
             let index = left.trailing_zeros();
             left &= left - 1;
             let part = &self.parts[index as usize];
-            let Some((t, cos)) = part.shape.cast(&origin, &ray, &inverse, limit, chance, stride) else { continue };
+            let Some((t, cos)) = part.shape.cast(&origin, &ray, &inverse, limit, chance, stride) else {
+                continue;
+            };
             let draw = || unit_of(mix(chance ^ u64::from(index + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
             if part.pass > 0.0 && draw() < part.pass {
                 continue;
@@ -104,7 +141,16 @@ impl Solid {
             limit = t;
             best = Some(Hit { t, cos, rho: part.rho });
         }
-        if let (Some(hit), [Part { shape: Shape::Facade { .. }, .. }]) = (&mut best, self.parts.as_slice()) {
+        if let (
+            Some(hit),
+            [
+                Part {
+                    shape: Shape::Facade { .. },
+                    ..
+                },
+            ],
+        ) = (&mut best, self.parts.as_slice())
+        {
             let at = [0, 1, 2].map(|k| origin[k] + ray[k] * hit.t);
             hit.rho *= window(at);
         }
@@ -127,10 +173,8 @@ impl Solid {
         let swept = [x1, -x0, z1, -z0];
         let mut mask = 0;
         for (index, bounds) in self.bounds.iter().enumerate() {
-            let meets = (bounds[0] <= swept[0])
-                & (bounds[1] <= swept[1])
-                & (bounds[2] <= swept[2])
-                & (bounds[3] <= swept[3]);
+            let meets =
+                (bounds[0] <= swept[0]) & (bounds[1] <= swept[1]) & (bounds[2] <= swept[2]) & (bounds[3] <= swept[3]);
             mask |= u32::from(meets) << index;
         }
         mask
@@ -174,16 +218,28 @@ impl Shape {
         match self {
             Shape::Block { low, high } | Shape::Facade { low, high } => (*low, *high),
             Shape::Hull(planes) => hull_bounds(planes),
-            Shape::Post { x, y, radius, low, high, swing } => {
+            Shape::Post {
+                x,
+                y,
+                radius,
+                low,
+                high,
+                swing,
+            } => {
                 let reach = radius + swing.abs();
                 ([x - reach, y - radius, *low], [x + reach, y + radius, *high])
             }
-            Shape::Wheel { x, z, radius, low, high } => {
-                ([x - radius, *low, z - radius], [x + radius, *high, z + radius])
-            }
-            Shape::Ball { center, radii } | Shape::Crown { center, radii, .. } => {
-                ([0, 1, 2].map(|k| center[k] - radii[k]), [0, 1, 2].map(|k| center[k] + radii[k]))
-            }
+            Shape::Wheel {
+                x,
+                z,
+                radius,
+                low,
+                high,
+            } => ([x - radius, *low, z - radius], [x + radius, *high, z + radius]),
+            Shape::Ball { center, radii } | Shape::Crown { center, radii, .. } => (
+                [0, 1, 2].map(|k| center[k] - radii[k]),
+                [0, 1, 2].map(|k| center[k] + radii[k]),
+            ),
         }
     }
 
@@ -204,12 +260,25 @@ impl Shape {
                 (enter <= leave && enter > 0.0 && enter < limit).then(|| (enter, ray[axis].abs()))
             }
             Shape::Hull(planes) => cast_hull(planes, origin, ray, limit),
-            Shape::Post { x, y, radius, low, high, swing } => {
+            Shape::Post {
+                x,
+                y,
+                radius,
+                low,
+                high,
+                swing,
+            } => {
                 let center = [x + swing * stride, *y];
                 let along = [[origin[0], origin[1]], [ray[0], ray[1]]];
                 cast_cylinder(center, *radius, (*low, *high), along, (origin[2], ray[2]), limit)
             }
-            Shape::Wheel { x, z, radius, low, high } => {
+            Shape::Wheel {
+                x,
+                z,
+                radius,
+                low,
+                high,
+            } => {
                 let along = [[origin[0], origin[2]], [ray[0], ray[2]]];
                 cast_cylinder([*x, *z], *radius, (*low, *high), along, (origin[1], ray[1]), limit)
             }
@@ -282,7 +351,11 @@ fn cast_cylinder(
     let (cap_a, cap_b) = ((caps.0 - axial.0) / axial.1, (caps.1 - axial.0) / axial.1);
     let (cap_in, cap_out) = if cap_a < cap_b { (cap_a, cap_b) } else { (cap_b, cap_a) };
     let outside = axial.1 == 0.0 && !(caps.0..=caps.1).contains(&axial.0);
-    let (cap_in, cap_out) = if axial.1 == 0.0 { (f64::NEG_INFINITY, f64::INFINITY) } else { (cap_in, cap_out) };
+    let (cap_in, cap_out) = if axial.1 == 0.0 {
+        (f64::NEG_INFINITY, f64::INFINITY)
+    } else {
+        (cap_in, cap_out)
+    };
     let enter = side_in.max(cap_in);
     if outside || enter > side_out.min(cap_out) || enter <= 0.0 || enter >= limit {
         return None;
@@ -321,8 +394,7 @@ fn hull_bounds(planes: &[[f64; 4]]) -> ([f64; 3], [f64; 3]) {
                 let right = nalgebra::Vector3::from_fn(|r, _| rows[r][3]);
                 let Some(inverse) = matrix.try_inverse() else { continue };
                 let corner = inverse * right;
-                let slack =
-                    |p: &[f64; 4]| p[0] * corner[0] + p[1] * corner[1] + p[2] * corner[2] - p[3];
+                let slack = |p: &[f64; 4]| p[0] * corner[0] + p[1] * corner[1] + p[2] * corner[2] - p[3];
                 if !corner.iter().all(|c| c.is_finite() && c.abs() < 1e3) || planes.iter().any(|p| slack(p) > 1e-6) {
                     continue;
                 }
@@ -367,11 +439,30 @@ mod tests {
 
     #[test]
     fn each_shape_is_met_where_geometry_says() {
-        let block = Shape::Block { low: [1.0, -1.0, 0.0], high: [3.0, 1.0, 2.0] };
+        let block = Shape::Block {
+            low: [1.0, -1.0, 0.0],
+            high: [3.0, 1.0, 2.0],
+        };
         let hull = prism(&[[1.0, 0.0], [3.0, 0.0], [3.0, 2.0], [1.0, 2.0]], 1.0, 1.0);
-        let post = Shape::Post { x: 2.0, y: 0.0, radius: 1.0, low: 0.0, high: 2.0, swing: 0.0 };
-        let wheel = Shape::Wheel { x: 2.0, z: 1.0, radius: 1.0, low: -1.0, high: 1.0 };
-        let ball = Shape::Ball { center: [2.0, 0.0, 1.0], radii: [1.0, 1.0, 1.0] };
+        let post = Shape::Post {
+            x: 2.0,
+            y: 0.0,
+            radius: 1.0,
+            low: 0.0,
+            high: 2.0,
+            swing: 0.0,
+        };
+        let wheel = Shape::Wheel {
+            x: 2.0,
+            z: 1.0,
+            radius: 1.0,
+            low: -1.0,
+            high: 1.0,
+        };
+        let ball = Shape::Ball {
+            center: [2.0, 0.0, 1.0],
+            radii: [1.0, 1.0, 1.0],
+        };
         let cases: [(&Shape, [f64; 3], [f64; 3], Option<(f64, f64)>); 10] = [
             (&block, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], Some((1.0, 1.0))),
             (&hull, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], Some((1.0, 1.0))),
@@ -391,19 +482,35 @@ mod tests {
         let slanted = unit([2.0, 0.3, -1.0]);
         for shape in [&block, &hull, &post, &wheel, &ball] {
             let origin = [0.0, 0.0, 2.0];
-            let (t, cos) = shape.cast(&origin, &slanted, &slanted.map(|r| 1.0 / r), 100.0, 0, 0.0).unwrap();
+            let (t, cos) = shape
+                .cast(&origin, &slanted, &slanted.map(|r| 1.0 / r), 100.0, 0, 0.0)
+                .unwrap();
             let at = [0, 1, 2].map(|k| origin[k] + slanted[k] * t);
             let (low, high) = shape.bounds();
-            assert!((0..3).all(|k| at[k] > low[k] - 1e-9 && at[k] < high[k] + 1e-9), "{shape:?}");
+            assert!(
+                (0..3).all(|k| at[k] > low[k] - 1e-9 && at[k] < high[k] + 1e-9),
+                "{shape:?}"
+            );
             assert!(cos > 0.0 && cos <= 1.0);
         }
     }
 
     #[test]
     fn glass_lets_its_share_through() {
-        let glass = Part { shape: Shape::Block { low: [1.0; 3].map(|_| -1.0), high: [1.0; 3] }, rho: 0.1, pass: 0.7 };
+        let glass = Part {
+            shape: Shape::Block {
+                low: [1.0; 3].map(|_| -1.0),
+                high: [1.0; 3],
+            },
+            rho: 0.1,
+            pass: 0.7,
+        };
         let solid = Solid::new(vec![glass]);
-        let hits = (0..10_000).filter(|i| solid.cast([-5.0, 0.1, 0.2], [1.0, 0.0, 0.0], 50.0, mix(*i), 0.0).is_some());
+        let hits = (0..10_000).filter(|i| {
+            solid
+                .cast([-5.0, 0.1, 0.2], [1.0, 0.0, 0.0], 50.0, mix(*i), 0.0)
+                .is_some()
+        });
         let share = hits.count() as f64 / 10_000.0;
         assert!((share - 0.3).abs() < 0.02, "{share}");
     }

@@ -2,10 +2,18 @@
 
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, from_seconds};
-use realo_simulator::{EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Simulation, Sweep};
+use realo_simulator::{
+    EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Simulation, Sweep,
+};
 
 fn simulate(change: impl FnOnce(&mut Options)) -> Simulation {
-    let mut options = Options { seconds: 0.2, column_stride: 4, labels: true, seed: 903, ..Options::default() };
+    let mut options = Options {
+        seconds: 0.2,
+        column_stride: 4,
+        labels: true,
+        seed: 903,
+        ..Options::default()
+    };
     change(&mut options);
     Simulation::new(&options).unwrap()
 }
@@ -26,8 +34,17 @@ fn digest(sweeps: &[Sweep]) -> u64 {
         sweep.cloud.time.iter().for_each(|t| eat(&t.to_le_bytes()));
         eat(&sweep.cloud.intensity);
         for object in sweep.truth.iter().chain(&sweep.detections.0) {
-            let Box3 { center: [x, y, z], length, width, height, yaw, .. } = *object;
-            [x, y, z, length, width, height, yaw].iter().for_each(|v| eat(&v.to_bits().to_le_bytes()));
+            let Box3 {
+                center: [x, y, z],
+                length,
+                width,
+                height,
+                yaw,
+                ..
+            } = *object;
+            [x, y, z, length, width, height, yaw]
+                .iter()
+                .for_each(|v| eat(&v.to_bits().to_le_bytes()));
             eat(object.class.as_bytes());
             eat(&object.score.to_bits().to_le_bytes());
         }
@@ -51,7 +68,11 @@ fn same_bits_on_any_number_of_threads() {
 #[test]
 fn same_bits_on_every_machine() {
     let sweeps: Vec<_> = simulate(|options| options.column_stride = 40).sweeps().collect();
-    assert_eq!(format!("{:016x}", digest(&sweeps)), "0", "the world has changed: say so in the change log");
+    assert_eq!(
+        format!("{:016x}", digest(&sweeps)),
+        "0",
+        "the world has changed: say so in the change log"
+    );
 }
 
 #[test]
@@ -59,7 +80,10 @@ fn counts_do_not_depend_on_whether_clouds_are_kept() {
     let with: Vec<_> = simulate(|_| ()).sweeps().collect();
     let without: Vec<_> = simulate(|options| options.clouds = false).sweeps().collect();
     for (with, without) in with.iter().zip(&without) {
-        assert_eq!((&with.truth, &with.points, &with.detections), (&without.truth, &without.points, &without.detections));
+        assert_eq!(
+            (&with.truth, &with.points, &with.detections),
+            (&without.truth, &without.points, &without.detections)
+        );
         assert!(without.cloud.is_empty() && with.cloud.len() > 5000);
         assert!(with.points.iter().sum::<u32>() > 200);
     }
@@ -73,7 +97,11 @@ fn seed_changes_traffic_and_place_changes_roads() {
     };
     assert_ne!(boxes(1, Some(5)).truth, boxes(2, Some(5)).truth);
     assert_eq!(boxes(5, None), boxes(5, Some(5)));
-    let pose = |place| simulate(|o| o.place = Some(place)).poses("rsu1").unwrap()[0].truth.map_from_body;
+    let pose = |place| {
+        simulate(|o| o.place = Some(place)).poses("rsu1").unwrap()[0]
+            .truth
+            .map_from_body
+    };
     assert_eq!(pose(5), pose(5));
     assert_ne!(pose(5), pose(6));
 }
@@ -93,7 +121,9 @@ fn points_lie_in_their_boxes_at_their_own_times() {
             };
             let map_from_body = at(sweep.stamp);
             for (point, label) in sweep.labels.iter().enumerate() {
-                let Some(object) = label.checked_sub(1).map(|i| &sweep.truth[i as usize]) else { continue };
+                let Some(object) = label.checked_sub(1).map(|i| &sweep.truth[i as usize]) else {
+                    continue;
+                };
                 let time = i64::from(sweep.cloud.time[point]);
                 let seconds = time as f64 * 1e-9;
                 let [vx, vy, _] = object.velocity.unwrap();
@@ -105,7 +135,12 @@ fn points_lie_in_their_boxes_at_their_own_times() {
                 let measured = [cloud.x[point], cloud.y[point], cloud.z[point]].map(f64::from);
                 let out = distance_outside(&transform_box(&to_then, &moved), measured);
                 // Range noise (at most 3.5 times 0.1 m), turning and braking within half a sweep, slopes.
-                assert!(out < 0.45, "{} on {}: {out} m outside at {measured:?}", sweep.agent, object.class);
+                assert!(
+                    out < 0.45,
+                    "{} on {}: {out} m outside at {measured:?}",
+                    sweep.agent,
+                    object.class
+                );
                 checked += 1;
                 if vx * vx + vy * vy > 36.0 && time.abs() > 20_000_000 {
                     moving += 1;
@@ -113,8 +148,14 @@ fn points_lie_in_their_boxes_at_their_own_times() {
                 }
             }
         }
-        assert!(checked > 20_000 && moving > 200, "{checked} points, {moving} on moving objects");
-        assert!(blurred / f64::from(moving) > 0.02, "boxes that stay behind must fit worse: {blurred} over {moving}");
+        assert!(
+            checked > 20_000 && moving > 200,
+            "{checked} points, {moving} on moving objects"
+        );
+        assert!(
+            blurred / f64::from(moving) > 0.02,
+            "boxes that stay behind must fit worse: {blurred} over {moving}"
+        );
     }
 }
 
@@ -124,7 +165,9 @@ fn most_points_are_close_to_their_boxes() {
     let (mut inside, mut all) = (0, 0);
     for sweep in simulation.sweeps() {
         for (point, label) in sweep.labels.iter().enumerate() {
-            let Some(object) = label.checked_sub(1).map(|i| &sweep.truth[i as usize]) else { continue };
+            let Some(object) = label.checked_sub(1).map(|i| &sweep.truth[i as usize]) else {
+                continue;
+            };
             if object.velocity.is_some_and(|[x, y, _]| x * x + y * y < 0.01) {
                 let cloud = &sweep.cloud;
                 let measured = [cloud.x[point], cloud.y[point], cloud.z[point]].map(f64::from);
@@ -141,7 +184,10 @@ fn distance_outside(object: &Box3, [x, y, z]: [f64; 3]) -> f64 {
     let (sin, cos) = object.yaw.sin_cos();
     let (x, y) = (x - object.center[0], y - object.center[1]);
     let over = |v: f64, extent: f64| (v.abs() - extent / 2.0).max(0.0);
-    let (u, v) = (over(x * cos + y * sin, object.length), over(y * cos - x * sin, object.width));
+    let (u, v) = (
+        over(x * cos + y * sin, object.length),
+        over(y * cos - x * sin, object.width),
+    );
     let w = over(z - object.center[2], object.height);
     (u * u + v * v + w * w).sqrt()
 }
@@ -162,7 +208,12 @@ fn nothing_is_seen_through_a_wall_of_bodies() {
                 if broadside && behind && (a.1 - b.1).abs() + object.length / b.0 < narrow {
                     hidden += 1;
                     // Glass lets some rays through.
-                    assert!(*points < 400, "{} has {points} points behind a {}", object.class, wall.class);
+                    assert!(
+                        *points < 400,
+                        "{} has {points} points behind a {}",
+                        object.class,
+                        wall.class
+                    );
                 }
             }
         }
@@ -177,13 +228,20 @@ fn sweeps_come_in_order_with_their_times() {
             simulate(|o| (o.phase, o.seconds, o.column_stride, o.key_hz, o.clouds) = (phase, 1.0, 1000, 5.0, false));
         let sweeps: Vec<_> = simulation.sweeps().collect();
         assert_eq!(sweeps.len(), 40);
-        assert!(sweeps.windows(2).all(|s| (s[0].ready, &s[0].agent) < (s[1].ready, &s[1].agent)));
+        assert!(
+            sweeps
+                .windows(2)
+                .all(|s| (s[0].ready, &s[0].agent) < (s[1].ready, &s[1].agent))
+        );
         let starts: Vec<i64> = ["cav1", "cav2", "rsu1", "rsu2"]
             .iter()
             .map(|agent| {
                 let own: Vec<_> = sweeps.iter().filter(|sweep| &*sweep.agent == *agent).collect();
                 assert!(own.iter().enumerate().all(|(i, sweep)| sweep.seq == i as u64));
-                assert!(own.iter().all(|s| s.ready - s.stamp == SWEEP_PERIOD / 2 && s.key == (s.seq % 2 == 1)));
+                assert!(
+                    own.iter()
+                        .all(|s| s.ready - s.stamp == SWEEP_PERIOD / 2 && s.key == (s.seq % 2 == 1))
+                );
                 assert!(own.windows(2).all(|s| s[1].stamp - s[0].stamp == SWEEP_PERIOD));
                 own[0].ready - SWEEP_PERIOD - EPOCH
             })
@@ -192,7 +250,11 @@ fn sweeps_come_in_order_with_their_times() {
             assert!((0..SWEEP_PERIOD).contains(a));
             for b in &starts[..i] {
                 let apart = (a - b).rem_euclid(SWEEP_PERIOD).min((b - a).rem_euclid(SWEEP_PERIOD));
-                let fits = if phase == Phase::Locked { apart < 1_000_000 } else { apart >= 15_000_000 };
+                let fits = if phase == Phase::Locked {
+                    apart < 1_000_000
+                } else {
+                    apart >= 15_000_000
+                };
                 assert!(fits, "{phase:?}: {apart} ns apart");
             }
         }
@@ -204,7 +266,10 @@ fn points_carry_the_times_of_their_firings() {
     let simulation = simulate(|o| (o.seconds, o.column_stride) = (0.1, 1));
     for sweep in simulation.sweeps() {
         let time = &sweep.cloud.time;
-        assert!(time.windows(2).all(|t| t[0] <= t[1]), "points are in the order of their firing");
+        assert!(
+            time.windows(2).all(|t| t[0] <= t[1]),
+            "points are in the order of their firing"
+        );
         assert!(time.iter().all(|t| i64::from(t.abs()) <= SWEEP_PERIOD / 2 + 100_000));
         assert!(time[0] < -45_000_000 && time[time.len() - 1] > 45_000_000);
         let exact = |v: &f32| (v * 1024.0).fract() == 0.0;
@@ -256,7 +321,11 @@ fn agents_believe_what_their_receivers_tell_them() {
         assert!(errors.iter().all(|e| *e < 0.2) && errors.iter().sum::<f64>() > 0.0);
         let covariance = poses[0].believed.covariance.as_ref().unwrap();
         assert!((0..6).all(|k| covariance[7 * k] > 0.0) && covariance[1] == 0.0);
-        assert_eq!(errors.windows(2).all(|e| e[0] == e[1]), agent == "rsu1", "a survey errs once");
+        assert_eq!(
+            errors.windows(2).all(|e| e[0] == e[1]),
+            agent == "rsu1",
+            "a survey errs once"
+        );
     }
     let exact = simulate(|o| (o.pose_noise, o.seconds) = (PoseNoise::none(), 0.1));
     for pose in exact.poses("cav1").unwrap() {
@@ -282,13 +351,26 @@ fn truths_of_two_agents_agree_in_map() {
     let simulation = simulate(|o| (o.seconds, o.column_stride, o.map_offset_m) = (0.1, 50, [100_000.0, 0.0]));
     let sweeps: Vec<_> = simulation.sweeps().collect();
     let in_map = |sweep: &Sweep| -> Vec<Box3> {
-        let pose = simulation.poses(&sweep.agent).unwrap().into_iter().find(|p| p.stamp == sweep.stamp).unwrap();
-        sweep.truth.iter().map(|object| transform_box(&pose.truth.map_from_body, object)).collect()
+        let pose = simulation
+            .poses(&sweep.agent)
+            .unwrap()
+            .into_iter()
+            .find(|p| p.stamp == sweep.stamp)
+            .unwrap();
+        sweep
+            .truth
+            .iter()
+            .map(|object| transform_box(&pose.truth.map_from_body, object))
+            .collect()
     };
     let all: Vec<Vec<Box3>> = sweeps.iter().map(in_map).collect();
     let own = |agent: &str| simulation.agents().find(|a| &*a.name == agent).unwrap().track;
     for (i, sweep) in sweeps.iter().enumerate() {
-        assert!(all[i].iter().all(|object| object.track != own(&sweep.agent) || object.track.is_none()));
+        assert!(
+            all[i]
+                .iter()
+                .all(|object| object.track != own(&sweep.agent) || object.track.is_none())
+        );
         for object in &all[i] {
             for other in all.iter().flatten().filter(|other| other.track == object.track) {
                 let apart = |k: usize| (object.center[k] - other.center[k]).abs();
@@ -298,7 +380,12 @@ fn truths_of_two_agents_agree_in_map() {
         }
     }
     let cav2 = own("cav2");
-    assert!(all.iter().filter(|boxes| boxes.iter().any(|object| object.track == cav2)).count() == 3);
+    assert!(
+        all.iter()
+            .filter(|boxes| boxes.iter().any(|object| object.track == cav2))
+            .count()
+            == 3
+    );
 }
 
 #[test]
@@ -306,7 +393,12 @@ fn noise_free_detections_are_the_truth_with_enough_points() {
     let simulation = simulate(|o| (o.noise_free_detections, o.column_stride) = (true, 1));
     for sweep in simulation.sweeps() {
         let seen = sweep.truth.iter().zip(&sweep.points).filter(|(_, n)| **n >= 5);
-        let expected: Vec<Box3> = seen.map(|(object, _)| Box3 { track: None, ..object.clone() }).collect();
+        let expected: Vec<Box3> = seen
+            .map(|(object, _)| Box3 {
+                track: None,
+                ..object.clone()
+            })
+            .collect();
         assert!(!expected.is_empty() && sweep.detections.0 == expected);
     }
 }
@@ -323,10 +415,17 @@ fn noisy_detections_are_near_what_was_seen() {
                 (object.center[0] - found.center[0]).hypot(object.center[1] - found.center[1]) < 1.5
                     && object.class == found.class
             };
-            if sweep.truth.iter().any(|object| close(&object)) { near += 1 } else { far += 1 }
+            if sweep.truth.iter().any(|object| close(&object)) {
+                near += 1
+            } else {
+                far += 1
+            }
         }
     }
-    assert!(near > seen / 2 && near <= seen + far, "{near} near, {far} far, {seen} seen");
+    assert!(
+        near > seen / 2 && near <= seen + far,
+        "{near} near, {far} far, {seen} seen"
+    );
     assert!(far > 2 && far < near / 3, "{near} near, {far} far");
 }
 
@@ -334,7 +433,9 @@ fn noisy_detections_are_near_what_was_seen() {
 fn own_car_is_in_its_cloud_and_within_the_usual_cut() {
     let simulation = simulate(|o| (o.seconds, o.column_stride) = (0.1, 1));
     for agent in simulation.agents() {
-        let Some([x0, x1, y0, y1]) = agent.footprint else { continue };
+        let Some([x0, x1, y0, y1]) = agent.footprint else {
+            continue;
+        };
         assert!(x0 >= -1.95 && x1 <= 2.95 && y0 >= -1.1 && y1 <= 1.1);
         let sweep = simulation.sweeps().find(|sweep| sweep.agent == agent.name).unwrap();
         let own = (0..sweep.cloud.len())
@@ -350,11 +451,21 @@ fn own_car_is_in_its_cloud_and_within_the_usual_cut() {
 #[test]
 fn agents_that_do_not_record_are_still_there() {
     let simulation = simulate(|o| (o.agents, o.column_stride) = (vec!["rsu1".into(), "cav1".into()], 40));
-    assert_eq!(simulation.agents().map(|a| a.name.to_string()).collect::<Vec<_>>(), ["cav1", "rsu1"]);
-    let all: Vec<_> = simulate(|o| o.column_stride = 40).sweeps().filter(|s| &*s.agent == "cav1").collect();
+    assert_eq!(
+        simulation.agents().map(|a| a.name.to_string()).collect::<Vec<_>>(),
+        ["cav1", "rsu1"]
+    );
+    let all: Vec<_> = simulate(|o| o.column_stride = 40)
+        .sweeps()
+        .filter(|s| &*s.agent == "cav1")
+        .collect();
     let few: Vec<_> = simulation.sweeps().filter(|s| &*s.agent == "cav1").collect();
     assert_eq!(all, few);
-    let error = Simulation::new(&Options { agents: vec!["cav3".into()], ..Options::default() }).err();
+    let error = Simulation::new(&Options {
+        agents: vec!["cav3".into()],
+        ..Options::default()
+    })
+    .err();
     assert_eq!(error, Some(Error::UnknownAgent { found: "cav3".into() }));
 }
 

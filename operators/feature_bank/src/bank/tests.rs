@@ -191,7 +191,7 @@ fn a_sender_that_nobody_asks_takes_bounded_memory() {
         let report = bank.close();
         assert_eq!(report.departed.len(), 10_000);
         let in_flight = report.departed.iter().filter(|d| d.fate == Fate::InFlight).count();
-        assert_eq!(in_flight, if bank.offline { 16 } else { 1 });
+        assert_eq!(in_flight, if bank.offline { 10_000 } else { 1 }, "offline no query superseded any");
     }
 }
 
@@ -250,6 +250,20 @@ fn offline_takes_the_nearest_stamp_within_fifty_milliseconds() {
                 .is_none_or(|entry| entry.header.seq == 0 || case.stamps[0] == 960)
         );
     }
+}
+
+#[test]
+fn offline_what_came_while_nobody_asked_is_stale_for_the_next_query() {
+    let mut bank = offline();
+    for seq in 0..40 {
+        bank.insert(message("a", seq, 100 * seq as Nanos, 100 * seq as Nanos))
+            .unwrap();
+    }
+    let answer = bank.answer(&header("ego", 0, 2000, 2050));
+    assert_eq!(answer.entries.len(), 0, "only the last 16 are held");
+    assert_eq!(fates(&answer.report).len(), 20);
+    assert!(fates(&answer.report).iter().all(|(.., fate)| *fate == Fate::Stale));
+    assert_eq!(seqs(&bank.answer(&header("ego", 1, 3900, 3950)).entries), [("a", 39)]);
 }
 
 #[test]

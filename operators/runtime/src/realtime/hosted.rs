@@ -7,14 +7,17 @@ use crate::reorder::Reorder;
 use crate::stage::{Called, Stage};
 use crate::{AnyOperator, AnySink, Books, Class, PortId};
 
-use super::end::{self, End};
 use super::inbox::{Heard, Inbox};
+use super::marks::{self, Mark};
 use super::{DoraLink, HostError, wall_now};
 
 /// How long an input that dora has closed may still deliver its `end` on the direct path, ns.
 const GRACE: Nanos = 2_000_000_000;
 /// How long a node waits at most without looking around, ns.
 const IDLE: Nanos = 200_000_000;
+
+/// Between two hellos that are passed on, ns.
+const HELLO: Nanos = 40_000_000;
 
 /// What a node runs.
 pub(super) enum Body {
@@ -49,6 +52,7 @@ struct Host {
     clock: Option<Clock>,
     run: Name,
     above: Books,
+    last_hello: Nanos,
 }
 
 pub(super) fn run(body: Body, link: DoraLink, inbox: Inbox) -> Result<(), HostError> {
@@ -74,6 +78,7 @@ pub(super) fn run(body: Body, link: DoraLink, inbox: Inbox) -> Result<(), HostEr
         clock: None,
         run: Name::default(),
         above: Books::default(),
+        last_hello: 0,
         link,
         inbox,
         body,
@@ -167,14 +172,15 @@ impl Host {
             reason: format!("input `{id}` from {}: not a realo message: {error}", edge.from),
         })?;
         self.clock = self.clock.or(message.header.clock);
-        if let Some(end) = End::of(&message) {
-            let end = end.map_err(|reason| HostError::Stage {
-                id: self.link.id.clone(),
-                reason,
-            })?;
-            edge.end = Some(end.hops);
-            self.above.merge(&end.books);
-            return Ok(());
+        let mark = Mark::of(&message).map_err(|reason| HostError::Stage { id: self.link.id.clone(), reason })?;
+        match mark {
+            None => {}
+            Some(Mark::Hello) => return self.pass_hello(),
+            Some(Mark::End(end)) => {
+                edge.end = Some(end.hops);
+                self.above.merge(&end.books);
+                return Ok(());
+            }
         }
         let found = message.payload.payload_type();
         if !declared.types.contains(&found) {
@@ -196,6 +202,16 @@ impl Host {
             .offer(hop, message, arrived, self.intake.books_of(port), &mut ready);
         self.hold(port, ready);
         Ok(())
+    }
+
+    /// Passes a hello on, however many inputs bring one.
+    fn pass_hello(&mut self) -> Result<(), HostError> {
+        let now = wall_now();
+        if now - self.last_hello < HELLO {
+            return Ok(());
+        }
+        self.last_hello = now;
+        marks::send_hello(&mut self.link)
     }
 
     fn hold(&mut self, port: PortId, messages: Vec<Message>) {
@@ -341,7 +357,7 @@ impl Host {
             sink.finish(&books)
                 .map_err(|error| stage_failed(&self.link.id, &error))?;
         }
-        end::send(&mut self.link, &self.stage.hops, &books, self.clock)
+        marks::send_end(&mut self.link, &self.stage.hops, &books, self.clock)
     }
 }
 

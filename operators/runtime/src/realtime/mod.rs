@@ -4,9 +4,9 @@
 //! `ready` on the replay's clock, and queued as their ports say; computing takes what it takes. A stage ends when every
 //! input has sent its `end`; an input that closes without one means that a node died, and this one fails too.
 
-mod end;
 mod hosted;
 mod inbox;
+mod marks;
 mod source;
 
 use dora_node_api::DoraNode;

@@ -4,10 +4,13 @@ use crate::stage::Stage;
 use crate::{AnySource, Books};
 
 use super::inbox::{Heard, Inbox};
-use super::{DoraLink, HostError, end, wall_now};
+use super::{DoraLink, HostError, marks, wall_now};
 
-/// Time for dora's routes to settle before the first message.
-const LEAD: Nanos = 500_000_000;
+/// Time in which hellos open dora's routes before the first message. dora sends the first messages of an output a
+/// longer way, and on a busy machine the nodes of a graph need seconds to find each other.
+const LEAD: Nanos = 3_000_000_000;
+/// Between two hellos.
+const HELLO: Nanos = 50_000_000;
 /// How often a waiting source looks whether it is to stop.
 const LOOK: Nanos = 50_000_000;
 
@@ -38,7 +41,16 @@ pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, inbox: Inb
     stage.books.counters = source.counters();
     let mut books = Books::default();
     books.nodes.insert(link.id.clone(), stage.books.clone());
-    end::send(&mut link, &stage.hops, &books, clock)
+    marks::send_end(&mut link, &stage.hops, &books, clock)
+}
+
+fn open_routes(link: &mut DoraLink, inbox: &Inbox) -> Result<(), HostError> {
+    let begun = wall_now();
+    for n in 0..LEAD / HELLO {
+        marks::send_hello(link)?;
+        wait_until(begun + (n + 1) * HELLO, &link.id, inbox)?;
+    }
+    Ok(())
 }
 
 fn wait_until(wall: Nanos, id: &str, inbox: &Inbox) -> Result<(), HostError> {

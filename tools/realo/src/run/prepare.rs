@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
-use realo_logs::Log;
+use realo_logs::{Log, Stream};
 use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
 
 use super::{Args, Mode, dir_of};
@@ -138,6 +138,11 @@ fn set_arguments(
         ("results", "coop", coop),
         ("results", "ego", ego),
     ];
+    let has = |stream| log.info().agents.iter().any(|agent| log.has(&agent.name, stream));
+    if has(Stream::Sweeps) && !has(Stream::Points) {
+        eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
+        settings.push(("player", "points", "false"));
+    }
     if args.offline {
         settings.extend(["player", "link", "feature-bank"].map(|stage| (stage, "offline", "true")));
     }

@@ -106,15 +106,32 @@ impl<'a> Instances<'a> {
             .collect();
         let mut found = Vec::new();
         for fixture in &world.place.fixtures {
-            let footing = Footing { z: fixture.z, slope: [0.0; 2] };
-            let candidate = Candidate { solid: &fixture.solid, user: None, own: false };
+            let footing = Footing {
+                z: fixture.z,
+                slope: [0.0; 2],
+            };
+            let candidate = Candidate {
+                solid: &fixture.solid,
+                user: None,
+                own: false,
+            };
             add(&mut found, &sectors, agent, candidate, |_| {
-                Some(Stance { pose: fixture.pose, footing, velocity: [0.0; 2], turn_rate: 0.0, stride: 0.0 })
+                Some(Stance {
+                    pose: fixture.pose,
+                    footing,
+                    velocity: [0.0; 2],
+                    turn_rate: 0.0,
+                    stride: 0.0,
+                })
             });
         }
         for (index, user) in world.traffic.users.iter().enumerate() {
             let own = agent.user == Some(index);
-            let candidate = Candidate { solid: &user.solid, user: Some(index as u32), own };
+            let candidate = Candidate {
+                solid: &user.solid,
+                user: Some(index as u32),
+                own,
+            };
             add(&mut found, &sectors, agent, candidate, |t| {
                 let state = user.course.at(t)?;
                 let (sin, cos) = libm::sincos(state.pose.heading);
@@ -123,7 +140,11 @@ impl<'a> Instances<'a> {
                     footing: user.footing(world.place, &state),
                     velocity: [state.speed * cos, state.speed * sin],
                     turn_rate: state.turn_rate,
-                    stride: if user.class.walks() { libm::sin(state.gone * 4.2) } else { 0.3 },
+                    stride: if user.class.walks() {
+                        libm::sin(state.gone * 4.2)
+                    } else {
+                        0.3
+                    },
                 })
             });
         }
@@ -147,13 +168,22 @@ impl<'a> Instances<'a> {
             let [low, high] = instance.slopes.map(|slope| slope as f32);
             let margin = |slope: f32| 1e-6 + 1e-6 * slope.abs();
             let (low, high) = (low - margin(low), high + margin(high));
-            let entry = Entry { near: instance.near as f32 * 0.999_999, low, high, index: index as u32 };
+            let entry = Entry {
+                near: instance.near as f32 * 0.999_999,
+                low,
+                high,
+                index: index as u32,
+            };
             for next in &mut fill[*from..=*to] {
                 entries[*next as usize] = entry;
                 *next += 1;
             }
         }
-        Instances { all: found.into_iter().map(|(instance, _)| instance).collect(), starts, entries }
+        Instances {
+            all: found.into_iter().map(|(instance, _)| instance).collect(),
+            starts,
+            entries,
+        }
     }
 
     /// The first body that a ray meets before `limit`. `azimuth` is clockwise from the sweep's start; `level` the
@@ -204,7 +234,9 @@ fn add<'a>(
 ) {
     let half = 0.5 * SPAN / SECTORS as f64;
     let (t, sensor) = &sectors[SECTORS / 2];
-    let Some(reach) = stance_at(*t).and_then(|stance| rough(agent, sensor, &candidate, &stance)) else { return };
+    let Some(reach) = stance_at(*t).and_then(|stance| rough(agent, sensor, &candidate, &stance)) else {
+        return;
+    };
     for (k, (t, sensor)) in sectors.iter().enumerate() {
         let middle = (k as f64 + 0.5) * 2.0 * half - LEAD;
         if away(middle - reach[0]) > half + reach[1] {
@@ -212,7 +244,9 @@ fn add<'a>(
         }
         let Some(stance) = stance_at(*t) else { continue };
         let view = View::new(agent, sensor, &candidate, &stance);
-        let Some([from, to]) = view.azimuths(sensor) else { continue };
+        let Some([from, to]) = view.azimuths(sensor) else {
+            continue;
+        };
         let margin = view.margin(agent, sensor, &stance, half);
         // Azimuths repeat after a turn; the sectors overlap the turn at both ends.
         let shift = TAU * ((middle - 0.5 * (from + to)) / TAU).round();
@@ -236,7 +270,10 @@ fn rough(agent: &Agent, sensor: &BodyState, candidate: &Candidate, stance: &Stan
     let distance = (x * x + y * y).sqrt();
     let Solid { low, high, .. } = candidate.solid;
     let (u, v) = (high[0].max(-low[0]), high[1].max(-low[1]));
-    let (dx, dy) = (sensor.velocity[0] - stance.velocity[0], sensor.velocity[1] - stance.velocity[1]);
+    let (dx, dy) = (
+        sensor.velocity[0] - stance.velocity[0],
+        sensor.velocity[1] - stance.velocity[1],
+    );
     let radius = (u * u + v * v).sqrt() + 0.07 * (dx.abs() + dy.abs()) + 0.3;
     if distance - radius > FARTHEST {
         return None;
@@ -245,7 +282,10 @@ fn rough(agent: &Agent, sensor: &BodyState, candidate: &Candidate, stance: &Stan
     if candidate.own || distance <= radius + 0.5 {
         return Some([azimuth, PI]);
     }
-    Some([azimuth, libm::asin(radius / distance) + 0.07 * sensor.turn_rate.abs() + tilt_margin(agent, sensor)])
+    Some([
+        azimuth,
+        libm::asin(radius / distance) + 0.07 * sensor.turn_rate.abs() + tilt_margin(agent, sensor),
+    ])
 }
 
 /// The least turn that makes an angle, either way, rad.
@@ -275,18 +315,31 @@ impl View {
         let (sin, cos) = libm::sincos(stance.pose.heading);
         let (x, y) = (stance.pose.x - sensor.position[0], stance.pose.y - sensor.position[1]);
         let corner = |u: f64, v: f64| [x + u * cos - v * sin, y + u * sin + v * cos];
-        let corners =
-            [corner(low[0], low[1]), corner(high[0], low[1]), corner(high[0], high[1]), corner(low[0], high[1])];
+        let corners = [
+            corner(low[0], low[1]),
+            corner(high[0], low[1]),
+            corner(high[0], high[1]),
+            corner(low[0], high[1]),
+        ];
         // The sensor in the body's frame: the nearest point of the footprint follows by clamping.
         let (u, v) = (-(x * cos + y * sin), -(y * cos - x * sin));
         let (du, dv) = (u - u.clamp(low[0], high[0]), v - v.clamp(low[1], high[1]));
         let near = (du * du + dv * dv).sqrt();
-        let far = corners.iter().map(|c| (c[0] * c[0] + c[1] * c[1]).sqrt()).fold(0.0, f64::max);
+        let far = corners
+            .iter()
+            .map(|c| (c[0] * c[0] + c[1] * c[1]).sqrt())
+            .fold(0.0, f64::max);
         let eye = sensor.position[2] + agent.info.sensor_height;
-        let lean = stance.footing.slope[0].abs() * high[0].max(-low[0])
-            + stance.footing.slope[1].abs() * high[1].max(-low[1]);
+        let lean =
+            stance.footing.slope[0].abs() * high[0].max(-low[0]) + stance.footing.slope[1].abs() * high[1].max(-low[1]);
         let foot = stance.footing.z - eye;
-        View { corners, near, far, heights: [foot + low[2] - lean - 0.02, foot + high[2] + lean + 0.02], own: candidate.own }
+        View {
+            corners,
+            near,
+            far,
+            heights: [foot + low[2] - lean - 0.02, foot + high[2] + lean + 0.02],
+            own: candidate.own,
+        }
     }
 
     /// Clockwise azimuths from the sensor's rear that the footprint takes up; `None` if it is far out of reach.
@@ -313,7 +366,10 @@ impl View {
     /// How far the azimuths may be off: motion within the sector, and the tilt of the sensor.
     fn margin(&self, agent: &Agent, sensor: &BodyState, stance: &Stance, half_sector: f64) -> f64 {
         let time = half_sector / TAU * TURN + 1e-4;
-        let (dx, dy) = (sensor.velocity[0] - stance.velocity[0], sensor.velocity[1] - stance.velocity[1]);
+        let (dx, dy) = (
+            sensor.velocity[0] - stance.velocity[0],
+            sensor.velocity[1] - stance.velocity[1],
+        );
         let radius = 0.5 * (self.far - self.near);
         let moved = (dx.abs() + dy.abs() + stance.turn_rate.abs() * radius) * time;
         (moved / self.near.max(0.5)).min(FRAC_PI_2) + sensor.turn_rate.abs() * time + tilt_margin(agent, sensor)

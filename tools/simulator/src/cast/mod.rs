@@ -96,7 +96,11 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
     let start = since_epoch(casting.start);
     let instances = Instances::new(world, agent, start);
     let mut points = vec![0; world.traffic.users.len()];
-    let mut columns = Columns::with_capacity(if casting.clouds { sensor.columns * sensor.beams.len() } else { 0 });
+    let mut columns = Columns::with_capacity(if casting.clouds {
+        sensor.columns * sensor.beams.len()
+    } else {
+        0
+    });
     let mut finished = 0;
     let period = 0.1 / sensor.columns as f64;
     let to_start = (casting.start - casting.stamp) as f64;
@@ -115,7 +119,9 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
                 body.position[1] + body.velocity[1] * aside,
                 body.position[2] + body.velocity[2] * aside + agent.info.sensor_height,
             ];
-            let hash = mix(casting.key.wrapping_add(((column * 256 + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+            let hash = mix(casting
+                .key
+                .wrapping_add(((column * 256 + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
             let level = (ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
             let t = start + fires + beam.fires;
             let limit = sensor.optics.farthest;
@@ -128,7 +134,9 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
                     None => continue,
                 },
             };
-            let Some((range, intensity)) = receive(&sensor.optics, &hit, hash) else { continue };
+            let Some((range, intensity)) = receive(&sensor.optics, &hit, hash) else {
+                continue;
+            };
             finished += 1;
             let label = user.map_or(0, |user| user + 1);
             if let Some(user) = user {
@@ -148,7 +156,12 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
         }
     }
     let (cloud, labels) = columns.finish();
-    Cast { cloud, points, labels, finished }
+    Cast {
+        cloud,
+        points,
+        labels,
+        finished,
+    }
 }
 
 /// To the nearest integer, ties to even, for magnitudes below 2⁵¹: the sum has no room for a fraction. Without a call

@@ -10,7 +10,11 @@ use crate::solid::{Part, Shape, Solid};
 const ROW: f64 = 2.9;
 
 pub(super) fn build(roads: &Roads, terrain: &Terrain, number: u64) -> Vec<Fixture> {
-    let mut site = Site { roads, terrain, fixtures: Vec::new() };
+    let mut site = Site {
+        roads,
+        terrain,
+        fixtures: Vec::new(),
+    };
     for (index, arm) in roads.arms().iter().enumerate() {
         for side in [-1.0, 1.0] {
             let stream = 2 * index as u64 + u64::from(side > 0.0);
@@ -54,7 +58,11 @@ impl Site<'_> {
         let heading = arm as f64 * std::f64::consts::FRAC_PI_2 + turn;
         // Feet go a little into the ground, so that no ray slips under them.
         let z = self.terrain.height(x, y) - 0.1;
-        self.fixtures.push(Fixture { pose: Pose2 { x, y, heading }, z, solid: Solid::new(parts) });
+        self.fixtures.push(Fixture {
+            pose: Pose2 { x, y, heading },
+            z,
+            solid: Solid::new(parts),
+        });
     }
 
     fn buildings(&mut self, verge: Verge, draws: &mut Stream) {
@@ -71,18 +79,30 @@ impl Site<'_> {
             let front = draws.between(9.0, 26.0);
             let depth = draws.between(9.0, 17.0);
             let height = draws.between(6.0, 24.0);
-            let setback = if draws.chance(0.3) { draws.between(0.8, 3.0) } else { 0.0 };
+            let setback = if draws.chance(0.3) {
+                draws.between(0.8, 3.0)
+            } else {
+                0.0
+            };
             let turn = if setback > 0.9 { draws.between(-0.02, 0.02) } else { 0.0 };
             let rho = draws.between(0.15, 0.6);
             let kind = draws.unit();
-            let gap = if draws.chance(0.35) { draws.between(1.5, 7.0) } else { 0.0 };
+            let gap = if draws.chance(0.35) {
+                draws.between(1.5, 7.0)
+            } else {
+                0.0
+            };
             let middle = along + front / 2.0;
             let garden = kind < 0.12 && along > 40.0;
             let high = if garden { draws.between(1.0, 1.9) } else { height };
             let thick = if garden { 0.5 } else { depth };
             let low = [-front / 2.0, -thick / 2.0, 0.0];
             let high = [front / 2.0, thick / 2.0, high];
-            let shape = if garden { Shape::Block { low, high } } else { Shape::Facade { low, high } };
+            let shape = if garden {
+                Shape::Block { low, high }
+            } else {
+                Shape::Facade { low, high }
+            };
             let across = verge.side * (line + setback + thick / 2.0);
             self.add(verge.arm, middle, across, turn, vec![Part { shape, rho, pass: 0.0 }]);
             if garden {
@@ -117,24 +137,67 @@ impl Site<'_> {
         let radius = draws.between(1.3, 2.3);
         let foot = draws.between(3.7, 4.3);
         let up = draws.between(1.2, 2.2);
-        let crown = Shape::Crown { center: [0.0, 0.0, foot + up], radii: [radius, radius, up], depth: 0.9 };
+        let crown = Shape::Crown {
+            center: [0.0, 0.0, foot + up],
+            radii: [radius, radius, up],
+            depth: 0.9,
+        };
         let trunk = post(draws.between(0.1, 0.24), 0.0, foot + 0.5, 0.25);
-        self.add(arm, along, across, 0.0, vec![trunk, Part { shape: crown, rho: 0.45, pass: 0.0 }]);
+        self.add(
+            arm,
+            along,
+            across,
+            0.0,
+            vec![
+                trunk,
+                Part {
+                    shape: crown,
+                    rho: 0.45,
+                    pass: 0.0,
+                },
+            ],
+        );
     }
 
     fn sign(&mut self, arm: usize, along: f64, across: f64, draws: &mut Stream) {
         let half = draws.between(0.25, 0.4);
         let low = [-0.02, -half, 2.2];
-        let plate = Shape::Block { low, high: [0.02, half, 2.2 + 2.0 * half] };
-        self.add(arm, along, across, 0.0, vec![post(0.04, 0.0, 2.3, 0.4), Part { shape: plate, rho: 2.5, pass: 0.0 }]);
+        let plate = Shape::Block {
+            low,
+            high: [0.02, half, 2.2 + 2.0 * half],
+        };
+        self.add(
+            arm,
+            along,
+            across,
+            0.0,
+            vec![
+                post(0.04, 0.0, 2.3, 0.4),
+                Part {
+                    shape: plate,
+                    rho: 2.5,
+                    pass: 0.0,
+                },
+            ],
+        );
     }
 
     /// The signal post beside an arm's stop line, and the one over the crossing's other end.
     fn signals(&mut self, arm: usize) {
         let axis = arm % 2;
-        let head = Shape::Block { low: [-0.15, -0.18, 2.4], high: [0.15, 0.18, 3.3] };
+        let head = Shape::Block {
+            low: [-0.15, -0.18, 2.4],
+            high: [0.15, 0.18, 3.3],
+        };
         for side in [-1.0, 1.0] {
-            let parts = vec![post(0.07, 0.0, 3.4, 0.4), Part { shape: head.clone(), rho: 0.1, pass: 0.0 }];
+            let parts = vec![
+                post(0.07, 0.0, 3.4, 0.4),
+                Part {
+                    shape: head.clone(),
+                    rho: 0.1,
+                    pass: 0.0,
+                },
+            ];
             let along = self.roads.stop(axis) + 0.4;
             self.add(arm, along, side * (self.roads.half[axis] + 0.6), 0.0, parts);
         }
@@ -143,12 +206,36 @@ impl Site<'_> {
     /// What closes the view at an arm's end.
     fn terminal(&mut self, arm: usize, draws: &mut Stream) {
         let (half, height) = (draws.between(25.0, 40.0), draws.between(8.0, 20.0));
-        let facade = Shape::Facade { low: [-6.0, -half, 0.0], high: [6.0, half, height] };
+        let facade = Shape::Facade {
+            low: [-6.0, -half, 0.0],
+            high: [6.0, half, height],
+        };
         let along = REACH + draws.between(32.0, 45.0);
-        self.add(arm, along, 0.0, 0.0, vec![Part { shape: facade, rho: draws.between(0.2, 0.5), pass: 0.0 }]);
+        self.add(
+            arm,
+            along,
+            0.0,
+            0.0,
+            vec![Part {
+                shape: facade,
+                rho: draws.between(0.2, 0.5),
+                pass: 0.0,
+            }],
+        );
     }
 }
 
 fn post(radius: f64, low: f64, high: f64, rho: f64) -> Part {
-    Part { shape: Shape::Post { x: 0.0, y: 0.0, radius, low, high, swing: 0.0 }, rho, pass: 0.0 }
+    Part {
+        shape: Shape::Post {
+            x: 0.0,
+            y: 0.0,
+            radius,
+            low,
+            high,
+            swing: 0.0,
+        },
+        rho,
+        pass: 0.0,
+    }
 }

@@ -35,7 +35,12 @@ impl Place {
         let terrain = Terrain::new(number);
         let heading = Stream::new(number, "heading", 0).between(-std::f64::consts::PI, std::f64::consts::PI);
         let fixtures = fixtures::build(&roads, &terrain, number);
-        Place { roads, terrain, fixtures, heading }
+        Place {
+            roads,
+            terrain,
+            fixtures,
+            heading,
+        }
     }
 
     /// Height of the roads' surface, m.
@@ -56,7 +61,11 @@ impl Place {
             Scenario::Intersection => (side * (cross + 1.5), side * (main + 1.5)),
             Scenario::Corridor => (side * 28.0, side * (main + 1.5)),
         };
-        let pose = Pose2 { x, y, heading: if second { std::f64::consts::PI } else { 0.0 } };
+        let pose = Pose2 {
+            x,
+            y,
+            heading: if second { std::f64::consts::PI } else { 0.0 },
+        };
         (pose, self.terrain.height(x, y) + KERB)
     }
 
@@ -67,20 +76,36 @@ impl Place {
         let upper = self.terrain.cast(origin, ray, KERB, [0.0, limit])?;
         let (x, y) = point(upper);
         if self.roads.raised(x, y) {
-            return Some(Hit { t: upper, cos: -ray[2], rho: self.roads.reflectivity(x, y, true) });
+            return Some(Hit {
+                t: upper,
+                cos: -ray[2],
+                rho: self.roads.reflectivity(x, y, true),
+            });
         }
         let lower = self.terrain.cast(origin, ray, 0.0, [upper, limit]);
         let (x, y) = point(lower.unwrap_or(limit));
         if !self.roads.raised(x, y) {
-            return lower.map(|t| Hit { t, cos: -ray[2], rho: self.roads.reflectivity(x, y, false) });
+            return lower.map(|t| Hit {
+                t,
+                cos: -ray[2],
+                rho: self.roads.reflectivity(x, y, false),
+            });
         }
         // Between the two surfaces the ray went through a kerb's face.
         let (mut before, mut behind) = (upper, lower.unwrap_or(limit));
         for _ in 0..12 {
             let middle = 0.5 * (before + behind);
             let (x, y) = point(middle);
-            if self.roads.raised(x, y) { behind = middle } else { before = middle }
+            if self.roads.raised(x, y) {
+                behind = middle
+            } else {
+                before = middle
+            }
         }
-        Some(Hit { t: behind, cos: 0.7, rho: 0.3 })
+        Some(Hit {
+            t: behind,
+            cos: 0.7,
+            rho: 0.3,
+        })
     }
 }

@@ -45,7 +45,12 @@ impl Roads {
             Scenario::Corridor => [2, 0],
         };
         let half = lanes.map(|n| if n == 0 { 0.0 } else { n as f64 * LANE + CYCLE_LANE });
-        Roads { scenario, lanes, half, bays: [true, side_bays && lanes[1] > 0] }
+        Roads {
+            scenario,
+            lanes,
+            half,
+            bays: [true, side_bays && lanes[1] > 0],
+        }
     }
 
     /// The arms that have a road.
@@ -143,7 +148,8 @@ impl Roads {
     /// Whether there is paint: lane lines, stop lines, the bars of a crossing.
     fn painted(&self, x: f64, y: f64) -> bool {
         let (ax, ay) = (x.abs(), y.abs());
-        (ay < self.half[0] && self.painted_on(0, x, y, ax, ay)) || (ax < self.half[1] && self.painted_on(1, y, x, ay, ax))
+        (ay < self.half[0] && self.painted_on(0, x, y, ax, ay))
+            || (ax < self.half[1] && self.painted_on(1, y, x, ay, ax))
     }
 
     fn painted_on(&self, axis: usize, along: f64, across: f64, distance: f64, side: f64) -> bool {

@@ -25,28 +25,50 @@ impl Terrain {
                 let (sin, cos) = libm::sincos(draws.between(0.0, std::f64::consts::TAU));
                 let length = draws.between(60.0, 160.0);
                 let k = std::f64::consts::TAU / length;
-                [k * cos, k * sin, draws.between(0.0, std::f64::consts::TAU), length * draws.between(2e-4, 6e-4)]
+                [
+                    k * cos,
+                    k * sin,
+                    draws.between(0.0, std::f64::consts::TAU),
+                    length * draws.between(2e-4, 6e-4),
+                ]
             })
             .collect();
         let height = |x: f64, y: f64| -> f64 {
-            waves.iter().map(|[kx, ky, phase, amplitude]| amplitude * libm::sin(kx * x + ky * y + phase)).sum()
+            waves
+                .iter()
+                .map(|[kx, ky, phase, amplitude]| amplitude * libm::sin(kx * x + ky * y + phase))
+                .sum()
         };
         let node = |i: usize| i as f64 * CELL - HALF;
-        let heights: Vec<f32> =
-            (0..NODES * NODES).map(|i| height(node(i % NODES), node(i / NODES)) as f32).collect();
-        let (lowest, highest) =
-            heights.iter().fold((f32::MAX, f32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
+        let heights: Vec<f32> = (0..NODES * NODES)
+            .map(|i| height(node(i % NODES), node(i / NODES)) as f32)
+            .collect();
+        let (lowest, highest) = heights
+            .iter()
+            .fold((f32::MAX, f32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
         let rise = |i: usize, step: usize| heights.get(i + step).map_or(0.0, |h| (h - heights[i]).abs());
-        let along = (0..NODES * NODES).filter(|i| i % NODES != NODES - 1).map(|i| rise(i, 1));
-        let steepest = along.chain((0..NODES * NODES).map(|i| rise(i, NODES))).fold(0.0, f32::max);
+        let along = (0..NODES * NODES)
+            .filter(|i| i % NODES != NODES - 1)
+            .map(|i| rise(i, 1));
+        let steepest = along
+            .chain((0..NODES * NODES).map(|i| rise(i, NODES)))
+            .fold(0.0, f32::max);
         let steepest = 1.5 * f64::from(steepest) / CELL;
-        Terrain { heights, lowest: f64::from(lowest), highest: f64::from(highest), steepest }
+        Terrain {
+            heights,
+            lowest: f64::from(lowest),
+            highest: f64::from(highest),
+            steepest,
+        }
     }
 
     /// Height at a point, m; beyond the field, that of its border.
     pub fn height(&self, x: f64, y: f64) -> f64 {
         let limit = HALF - 1e-6;
-        let (u, v) = ((x.clamp(-limit, limit) + HALF) / CELL, (y.clamp(-limit, limit) + HALF) / CELL);
+        let (u, v) = (
+            (x.clamp(-limit, limit) + HALF) / CELL,
+            (y.clamp(-limit, limit) + HALF) / CELL,
+        );
         self.in_cell(u as i32, v as i32, u, v)
     }
 
@@ -108,11 +130,18 @@ impl Terrain {
         let (step_u, step_v) = (if du < 0.0 { -1 } else { 1 }, if dv < 0.0 { -1 } else { 1 });
         let border = |cell: i32, step: i32| f64::from(if step > 0 { cell + 1 } else { cell });
         let (inv_u, inv_v) = (1.0 / du, 1.0 / dv);
-        let mut next_u = if du == 0.0 { f64::INFINITY } else { (border(i, step_u) - u0) * inv_u };
-        let mut next_v = if dv == 0.0 { f64::INFINITY } else { (border(j, step_v) - v0) * inv_v };
-        let over = |i: i32, j: i32, t: f64| {
-            origin[2] + ray[2] * t - lift - self.in_cell(i, j, u0 + du * t, v0 + dv * t)
+        let mut next_u = if du == 0.0 {
+            f64::INFINITY
+        } else {
+            (border(i, step_u) - u0) * inv_u
         };
+        let mut next_v = if dv == 0.0 {
+            f64::INFINITY
+        } else {
+            (border(j, step_v) - v0) * inv_v
+        };
+        let over =
+            |i: i32, j: i32, t: f64| origin[2] + ray[2] * t - lift - self.in_cell(i, j, u0 + du * t, v0 + dv * t);
         let mut above = over(i, j, t);
         if above <= 0.0 {
             return Some(t);
@@ -162,17 +191,26 @@ mod tests {
         let mut draws = Stream::new(1, "test", 0);
         let mut hits = 0;
         for _ in 0..2000 {
-            let origin = [draws.between(-100.0, 100.0), draws.between(-100.0, 100.0), draws.between(1.5, 6.0)];
+            let origin = [
+                draws.between(-100.0, 100.0),
+                draws.between(-100.0, 100.0),
+                draws.between(1.5, 6.0),
+            ];
             let (sin, cos) = libm::sincos(draws.between(0.0, 6.28));
             let ray = [cos, sin, -draws.between(0.015, 0.5)];
             let lift = draws.between(0.0, 0.2);
-            let Some(t) = terrain.cast(origin, ray, lift, [0.0, 200.0]) else { continue };
+            let Some(t) = terrain.cast(origin, ray, lift, [0.0, 200.0]) else {
+                continue;
+            };
             hits += 1;
             let [x, y, z] = [0, 1, 2].map(|i| origin[i] + ray[i] * t);
             assert!((z - lift - terrain.height(x, y)).abs() < 1e-5);
             for share in [0.2, 0.5, 0.9, 0.99] {
                 let [x, y, z] = [0, 1, 2].map(|i| origin[i] + ray[i] * t * share);
-                assert!(z - lift > terrain.height(x, y) - 1e-5, "the ray was under ground before it hit");
+                assert!(
+                    z - lift > terrain.height(x, y) - 1e-5,
+                    "the ray was under ground before it hit"
+                );
             }
         }
         assert!(hits > 1500, "{hits} hits");
@@ -182,7 +220,12 @@ mod tests {
     fn ground_is_neither_flat_nor_steep() {
         for place in 0..20 {
             let terrain = Terrain::new(place);
-            assert!(terrain.highest - terrain.lowest > 0.05, "flat: {} to {}", terrain.lowest, terrain.highest);
+            assert!(
+                terrain.highest - terrain.lowest > 0.05,
+                "flat: {} to {}",
+                terrain.lowest,
+                terrain.highest
+            );
             for i in 0..400 {
                 let (x, y) = (f64::from(i % 20) * 18.0 - 180.0, f64::from(i / 20) * 18.0 - 180.0);
                 let slope = (terrain.height(x + 2.0, y) - terrain.height(x, y)) / 2.0;

@@ -35,7 +35,11 @@ impl Lights {
             Scenario::Intersection => ([18.0, 16.0], 6.0),
             Scenario::Corridor => ([24.0, 18.0], 0.0),
         };
-        let mut lights = Lights { green, arrow, offset: 0.0 };
+        let mut lights = Lights {
+            green,
+            arrow,
+            offset: 0.0,
+        };
         lights.offset = Stream::new(seed, "lights", 0).between(0.0, lights.cycle());
         lights
     }
@@ -46,7 +50,11 @@ impl Lights {
 
     /// What an axis takes of the cycle, until the other's green.
     fn share(&self, axis: usize) -> f64 {
-        let arrow = if self.arrow > 0.0 { self.arrow + ARROW_YELLOW } else { 0.0 };
+        let arrow = if self.arrow > 0.0 {
+            self.arrow + ARROW_YELLOW
+        } else {
+            0.0
+        };
         self.green[axis] + YELLOW + arrow + ALL_RED
     }
 

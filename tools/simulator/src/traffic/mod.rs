@@ -51,14 +51,20 @@ impl User {
 pub(crate) fn footing(place: &Place, class: Class, size: [f64; 3], pose: Pose2) -> Footing {
     let Pose2 { x, y, heading } = pose;
     if class.walks() {
-        return Footing { z: place.walk_height(x, y), slope: [0.0; 2] };
+        return Footing {
+            z: place.walk_height(x, y),
+            slope: [0.0; 2],
+        };
     }
     let (sin, cos) = libm::sincos(heading);
     let (base, track) = (0.3 * size[0], 0.4 * size[1]);
     let at = |u: f64, v: f64| place.road_height(x + u * cos - v * sin, y + u * sin + v * cos);
     let along = (at(base, 0.0) - at(-base, 0.0)) / (2.0 * base);
     let across = (at(0.0, track) - at(0.0, -track)) / (2.0 * track);
-    Footing { z: at(0.0, 0.0), slope: [along, across] }
+    Footing {
+        z: at(0.0, 0.0),
+        slope: [along, across],
+    }
 }
 
 /// What the traffic of a simulation depends on.
@@ -73,14 +79,25 @@ pub(crate) struct Demand<'a> {
 impl Traffic {
     /// Lets everybody go about until past the log's end.
     pub fn new(demand: &Demand) -> Self {
-        let Demand { place, seed, dense, seconds } = *demand;
+        let Demand {
+            place,
+            seed,
+            dense,
+            seconds,
+        } = *demand;
         let roads = &place.roads;
         let lights = Lights::new(roads.scenario, seed);
         let network = network::Network::new(roads);
         let until = seconds + 0.5;
         let (walkers, crossings) = walkers::walk(roads, &lights, seed, dense, until);
-        let plan = |seed: u64, until: f64, stay| {
-            Plan { network: &network, lights: &lights, crossings: &crossings, seed, dense, until, stay }
+        let plan = |seed: u64, until: f64, stay| Plan {
+            network: &network,
+            lights: &lights,
+            crossings: &crossings,
+            seed,
+            dense,
+            until,
+            stay,
         };
         let (traffic_seed, cavs) = choose_traffic(place, seed, seconds, |s, until| drive(&plan(s, until, &[])));
         let driven = drive(&plan(traffic_seed, until, &cavs));
@@ -90,9 +107,11 @@ impl Traffic {
             crowd.push((cav, vehicle.class, vehicle.size, Course::Moving(vehicle.motion)));
         }
         crowd.extend(walkers.into_iter().map(|w| (None, w.class, w.size, w.course)));
-        crowd.extend(parked(place, seed, dense).into_iter().map(|(class, size, pose)| {
-            (None, class, size, Course::Fixed(pose))
-        }));
+        crowd.extend(
+            parked(place, seed, dense)
+                .into_iter()
+                .map(|(class, size, pose)| (None, class, size, Course::Fixed(pose))),
+        );
         crowd.retain(|(_, _, _, course)| !over_before(course, -0.5));
         Self::assemble(crowd, seed, until)
     }
@@ -106,7 +125,13 @@ impl Traffic {
                 cavs[cav] = index;
             }
             let solid = class.body(size, &mut Stream::new(seed, "body", index as u64));
-            users.push(User { track: index as u64 + 1, class, size, solid, course });
+            users.push(User {
+                track: index as u64 + 1,
+                class,
+                size,
+                solid,
+                course,
+            });
         }
         Traffic { users, cavs }
     }
@@ -149,7 +174,10 @@ fn best_pair(place: &Place, driven: &[Driven], horizon: f64) -> Option<(f64, [u6
     let times: Vec<f64> = (0..=20).map(|k| horizon * f64::from(k) / 20.0).collect();
     let track = |vehicle: &Driven| -> Option<Vec<[f64; 2]>> {
         let course = Course::Moving(vehicle.motion.clone());
-        times.iter().map(|t| course.at(*t).map(|state| [state.pose.x, state.pose.y])).collect()
+        times
+            .iter()
+            .map(|t| course.at(*t).map(|state| [state.pose.x, state.pose.y]))
+            .collect()
     };
     let candidates: Vec<(&Driven, Vec<[f64; 2]>)> = driven
         .iter()
@@ -158,12 +186,18 @@ fn best_pair(place: &Place, driven: &[Driven], horizon: f64) -> Option<(f64, [u6
         .collect();
     let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) < 65.0 * 65.0;
     let gone = |places: &[[f64; 2]]| {
-        let steps = places.windows(2).map(|p| ((p[1][0] - p[0][0]).abs() + (p[1][1] - p[0][1]).abs()).min(20.0));
+        let steps = places
+            .windows(2)
+            .map(|p| ((p[1][0] - p[0][0]).abs() + (p[1][1] - p[0][1]).abs()).min(20.0));
         steps.sum::<f64>() / horizon
     };
     let stop_distance = |vehicle: &Driven| place.roads.stop(vehicle.arm % 2);
     let approaching = |vehicle: &Driven, places: &[[f64; 2]]| {
-        let along = if vehicle.arm % 2 == 0 { places[0][0].abs() } else { places[0][1].abs() };
+        let along = if vehicle.arm % 2 == 0 {
+            places[0][0].abs()
+        } else {
+            places[0][1].abs()
+        };
         let before = along > stop_distance(vehicle);
         let inward = match vehicle.arm {
             0 => places[0][0] > 0.0,
@@ -174,7 +208,10 @@ fn best_pair(place: &Place, driven: &[Driven], horizon: f64) -> Option<(f64, [u6
         before && inward
     };
     let mut best: Option<(f64, [u64; 2])> = None;
-    for (first, a) in candidates.iter().filter(|(vehicle, places)| approaching(vehicle, places)) {
+    for (first, a) in candidates
+        .iter()
+        .filter(|(vehicle, places)| approaching(vehicle, places))
+    {
         for (second, b) in candidates.iter().filter(|(vehicle, _)| vehicle.arm != first.arm) {
             let together = (0..times.len())
                 .filter(|k| near(a[*k], b[*k]) && near(a[*k], [rsu.x, rsu.y]) && near(b[*k], [rsu.x, rsu.y]))

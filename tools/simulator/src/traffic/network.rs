@@ -51,7 +51,10 @@ pub(crate) struct Network {
 
 impl Network {
     pub fn new(roads: &Roads) -> Self {
-        let mut network = Network { lanes: Vec::new(), ways: Vec::new() };
+        let mut network = Network {
+            lanes: Vec::new(),
+            ways: Vec::new(),
+        };
         for arm in roads.arms() {
             let axis = arm % 2;
             for index in 0..roads.lanes[axis] {
@@ -68,7 +71,13 @@ impl Network {
         let offset = index.map_or(roads.half[axis] - 0.5 * CYCLE_LANE, |i| (i as f64 + 0.5) * LANE);
         let lane = self.lanes.len();
         let stop = REACH - roads.stop(axis);
-        self.lanes.push(Lane { arm, offset, cycles: index.is_none(), ways: Vec::new(), stop });
+        self.lanes.push(Lane {
+            arm,
+            offset,
+            cycles: index.is_none(),
+            ways: Vec::new(),
+            stop,
+        });
         let mut turns = vec![Turn::Straight];
         if let Some(index) = index.filter(|_| roads.lanes[1] > 0) {
             if index == 0 {
@@ -112,12 +121,16 @@ fn way(roads: &Roads, lane: usize, arm: usize, index: Option<usize>, offset: f64
         Turn::Straight => path.line(2.0 * REACH),
         Turn::Right => {
             let radius = (roads.half[cross] + 5.5 - exit_offset).clamp(4.0, 8.0);
-            path.line(REACH - exit_offset - radius).arc(radius, -FRAC_PI_2).line(REACH - offset - radius)
+            path.line(REACH - exit_offset - radius)
+                .arc(radius, -FRAC_PI_2)
+                .line(REACH - offset - radius)
         }
         Turn::Left => {
             let room = (roads.half[cross] + 4.0 + exit_offset).min(roads.half[axis] + 4.0 + offset);
             let radius = room.clamp(8.0, 13.0);
-            path.line(REACH + exit_offset - radius).arc(radius, FRAC_PI_2).line(REACH + offset - radius)
+            path.line(REACH + exit_offset - radius)
+                .arc(radius, FRAC_PI_2)
+                .line(REACH + offset - radius)
         }
     };
     let exit_axis = exit_arm % 2;
@@ -125,7 +138,16 @@ fn way(roads: &Roads, lane: usize, arm: usize, index: Option<usize>, offset: f64
     let reach = if index.is_none() { 0.5 } else { 1.45 };
     let from = REACH - roads.stop(axis);
     let zone = Zone::along(&path, from, clear, reach);
-    Way { lane, turn, exit: exit_number(exit_arm, exit_index), exit_arm, exit_offset, path, clear, zone }
+    Way {
+        lane,
+        turn,
+        exit: exit_number(exit_arm, exit_index),
+        exit_arm,
+        exit_offset,
+        path,
+        clear,
+        zone,
+    }
 }
 
 #[cfg(test)]
@@ -143,7 +165,10 @@ mod tests {
                 let outward = way.exit_arm as f64 * FRAC_PI_2;
                 let (sin, cos) = libm::sincos(outward);
                 let (along, across) = (end.x * cos + end.y * sin, -end.x * sin + end.y * cos);
-                assert!((along - REACH).abs() < 1e-9 && (across + way.exit_offset).abs() < 1e-9, "{along} {across}");
+                assert!(
+                    (along - REACH).abs() < 1e-9 && (across + way.exit_offset).abs() < 1e-9,
+                    "{along} {across}"
+                );
                 assert!(curvature == 0.0 && libm::cos(end.heading - outward) > 0.999_999);
             }
         }
@@ -155,7 +180,8 @@ mod tests {
         let network = Network::new(&roads);
         let (lanes, ways) = (&network.lanes, &network.ways);
         let find = |arm: usize, turn| {
-            ways.iter().filter(move |way| lanes[way.lane].arm == arm && way.turn == turn)
+            ways.iter()
+                .filter(move |way| lanes[way.lane].arm == arm && way.turn == turn)
         };
         for a in find(0, Turn::Straight) {
             for b in find(2, Turn::Straight) {
@@ -169,6 +195,9 @@ mod tests {
             }
         }
         let left = find(0, Turn::Left).next().unwrap();
-        assert!(find(2, Turn::Straight).any(|b| left.zone.meets(&b.zone)), "a left turn crosses oncoming traffic");
+        assert!(
+            find(2, Turn::Straight).any(|b| left.zone.meets(&b.zone)),
+            "a left turn crosses oncoming traffic"
+        );
     }
 }

@@ -104,8 +104,18 @@ pub(crate) fn drive(plan: &Plan) -> Vec<Driven> {
 }
 
 fn finish(vehicle: Vehicle) -> Driven {
-    let motion = Motion { path: vehicle.path, first: vehicle.first, ticks: vehicle.ticks };
-    Driven { number: vehicle.number, class: vehicle.class, size: vehicle.size, motion, arm: vehicle.first_arm }
+    let motion = Motion {
+        path: vehicle.path,
+        first: vehicle.first,
+        ticks: vehicle.ticks,
+    };
+    Driven {
+        number: vehicle.number,
+        class: vehicle.class,
+        size: vehicle.size,
+        motion,
+        arm: vehicle.first_arm,
+    }
 }
 
 struct Traffic<'a> {
@@ -119,7 +129,13 @@ struct Traffic<'a> {
 
 impl<'a> Traffic<'a> {
     fn new(plan: &'a Plan) -> Self {
-        let mut traffic = Traffic { plan, vehicles: Vec::new(), left: Vec::new(), arrivals: Vec::new(), next_number: 0 };
+        let mut traffic = Traffic {
+            plan,
+            vehicles: Vec::new(),
+            left: Vec::new(),
+            arrivals: Vec::new(),
+            next_number: 0,
+        };
         for (index, lane) in plan.network.lanes.iter().enumerate() {
             let mut draws = Stream::new(plan.seed, "arrivals", index as u64);
             let gap = traffic.gap(lane);
@@ -261,7 +277,9 @@ impl<'a> Traffic<'a> {
 
     fn give_grants(&mut self, t: f64) {
         let waiting = |v: &Vehicle| !v.granted && v.front() <= self.lane(v).stop + 0.01;
-        let mut order: Vec<usize> = (0..self.vehicles.len()).filter(|i| waiting(&self.vehicles[*i])).collect();
+        let mut order: Vec<usize> = (0..self.vehicles.len())
+            .filter(|i| waiting(&self.vehicles[*i]))
+            .collect();
         // The nearest of each lane asks first; at equal distance the older one.
         order.sort_by(|a, b| {
             let left = |i: usize| self.lane(&self.vehicles[i]).stop - self.vehicles[i].front();
@@ -318,13 +336,21 @@ impl<'a> Traffic<'a> {
             let theirs = self.way(other);
             let beyond = other.rear() - theirs.clear;
             let merges = theirs.exit == way.exit && (other.way != own.way || other.at() > own.at());
-            j == i || !merges || !(-30.0..own.length + 4.0).contains(&beyond) || other.v > 3.0 || other.at() < self.lane(other).stop
+            j == i
+                || !merges
+                || !(-30.0..own.length + 4.0).contains(&beyond)
+                || other.v > 3.0
+                || other.at() < self.lane(other).stop
         })
     }
 
     fn walkers_in(&self, way: &Way, t: f64, seconds: f64) -> bool {
         let meets = |c: &&Crossing| c.until + 0.3 > t && c.from - 0.5 < t + seconds;
-        self.plan.crossings.iter().filter(meets).any(|crossing| crossing.zone.meets(&way.zone))
+        self.plan
+            .crossings
+            .iter()
+            .filter(meets)
+            .any(|crossing| crossing.zone.meets(&way.zone))
     }
 
     /// Whether a left turn would cut off oncoming traffic that has green.
@@ -353,7 +379,8 @@ impl<'a> Traffic<'a> {
             let ahead = (start - own.s - 1.0).max(0.0);
             desired = desired.min((ASIDE * radius + 2.0 * 1.5 * ahead).sqrt());
         }
-        let free = own.accelerate * (1.0 - (own.v / desired) * (own.v / desired) * (own.v / desired) * (own.v / desired));
+        let free =
+            own.accelerate * (1.0 - (own.v / desired) * (own.v / desired) * (own.v / desired) * (own.v / desired));
         let mut least = if own.v > desired { free.max(-BRAKE) } else { free };
         for (j, other) in self.vehicles.iter().enumerate() {
             if let Some(gap) = (j != i).then(|| self.gap_to(own, other)).flatten() {
@@ -432,13 +459,18 @@ impl<'a> Traffic<'a> {
         let aside = way.exit_offset + self.plan.network.lanes[back].offset;
         let angle = libm::acos(((aside / RADIUS + 2.0) / 4.0).min(1.0));
         let path = &mut self.vehicles[i].path;
-        path.arc(RADIUS, -angle).arc(RADIUS, PI + 2.0 * angle).arc(RADIUS, -angle);
+        path.arc(RADIUS, -angle)
+            .arc(RADIUS, PI + 2.0 * angle)
+            .arc(RADIUS, -angle);
     }
 
     /// The outermost driving lane that comes in by an arm.
     fn lane_back(&self, arm: usize) -> usize {
         let lanes = &self.plan.network.lanes;
-        (0..lanes.len()).rev().find(|i| lanes[*i].arm == arm && !lanes[*i].cycles).expect("an arm with an exit has lanes")
+        (0..lanes.len())
+            .rev()
+            .find(|i| lanes[*i].arm == arm && !lanes[*i].cycles)
+            .expect("an arm with an exit has lanes")
     }
 
     fn begin_leg(&mut self, i: usize) {
@@ -455,7 +487,10 @@ impl<'a> Traffic<'a> {
 /// Whether lanes lie between this one and the road's middle.
 fn lane_has_middle(network: &Network, lane: usize) -> bool {
     let own = &network.lanes[lane];
-    network.lanes.iter().any(|other| other.arm == own.arm && other.offset < own.offset)
+    network
+        .lanes
+        .iter()
+        .any(|other| other.arm == own.arm && other.offset < own.offset)
 }
 
 fn class_for(lane: &Lane, outer: bool, draws: &mut Stream) -> Class {
@@ -480,7 +515,9 @@ fn choose_way(network: &Network, lane: usize, class: Class, draws: &mut Stream) 
         d if d < 0.36 => Turn::Right,
         _ => Turn::Straight,
     };
-    let chosen = ways.iter().find(|way| network.ways[**way].turn == turn && !class.long());
+    let chosen = ways
+        .iter()
+        .find(|way| network.ways[**way].turn == turn && !class.long());
     *chosen.unwrap_or(&ways[0])
 }
 

@@ -27,7 +27,13 @@ pub(crate) struct Walker {
 
 /// Walkers, and when they take up which part of the junction.
 pub(crate) fn walk(roads: &Roads, lights: &Lights, seed: u64, dense: bool, until: f64) -> (Vec<Walker>, Vec<Crossing>) {
-    let mut crowd = Crowd { roads, lights, until, walkers: Vec::new(), crossings: Vec::new() };
+    let mut crowd = Crowd {
+        roads,
+        lights,
+        until,
+        walkers: Vec::new(),
+        crossings: Vec::new(),
+    };
     let count = if dense { 54 } else { 18 };
     for index in 0..count {
         crowd.admit(&mut Stream::new(seed, "walker", index), -WARM_UP);
@@ -72,13 +78,23 @@ struct Over {
 impl Crowd<'_> {
     /// Finds a way for one more that keeps clear of all before; gives up after some tries.
     fn admit(&mut self, draws: &mut Stream, t: f64) {
-        let class = if draws.chance(0.1) { Class::Child } else { Class::Pedestrian };
+        let class = if draws.chance(0.1) {
+            Class::Child
+        } else {
+            Class::Pedestrian
+        };
         let size = class.size(draws);
         let speed = draws.normal_in(1.32, 0.18, 1.05, 1.8);
         for _ in 0..12 {
             let route = self.route(draws);
-            let start = if t > -WARM_UP { 0.0 } else { route.middle + draws.between(-100.0, 45.0) };
-            let inside = route.crossing.is_some_and(|over| (over.wait - 0.5..over.far + 0.5).contains(&start));
+            let start = if t > -WARM_UP {
+                0.0
+            } else {
+                route.middle + draws.between(-100.0, 45.0)
+            };
+            let inside = route
+                .crossing
+                .is_some_and(|over| (over.wait - 0.5..over.far + 0.5).contains(&start));
             if start < 0.0 || start > route.path.length() - 5.0 || inside {
                 continue;
             }
@@ -98,10 +114,13 @@ impl Crowd<'_> {
         let steps = ((self.until - from) / 0.2).ceil() as usize;
         (0..=steps).map(|k| from + k as f64 * 0.2).all(|t| {
             let Some(own) = course.at(t) else { return true };
-            self.walkers.iter().filter_map(|walker| walker.course.at(t)).all(|other| {
-                let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
-                dx * dx + dy * dy > APART * APART
-            })
+            self.walkers
+                .iter()
+                .filter_map(|walker| walker.course.at(t))
+                .all(|other| {
+                    let (dx, dy) = (other.pose.x - own.pose.x, other.pose.y - own.pose.y);
+                    dx * dx + dy * dy > APART * APART
+                })
         })
     }
 
@@ -152,7 +171,13 @@ impl Crowd<'_> {
         let action = draws.unit();
         let half = self.roads.half;
         // (u, v): along and across the road of `axis`, both positive in the quadrant where the way begins.
-        let place = |u: f64, v: f64| if axis == 0 { [ahead * u, aside * v] } else { [aside * v, ahead * u] };
+        let place = |u: f64, v: f64| {
+            if axis == 0 {
+                [ahead * u, aside * v]
+            } else {
+                [aside * v, ahead * u]
+            }
+        };
         let track = half[axis] + draws.between(BAND[0], BAND[1]);
         let other = half[1 - axis] + draws.between(BAND[0], BAND[1]);
         let end = REACH - 4.0;
@@ -164,7 +189,12 @@ impl Crowd<'_> {
             // Over the road that one walks along, on the right-hand half of the crossing, then straight on or out.
             let u = self.roads.crossing(axis).0 + shift;
             let kerb = half[axis];
-            let mut points = vec![place(end, track), place(u, track), place(u, kerb + WAIT), place(u, -kerb - 0.4)];
+            let mut points = vec![
+                place(end, track),
+                place(u, track),
+                place(u, kerb + WAIT),
+                place(u, -kerb - 0.4),
+            ];
             if draws.chance(0.5) {
                 points.push(place(u, -end));
             } else {
@@ -176,7 +206,12 @@ impl Crowd<'_> {
         // Straight on, over the other road.
         let v = self.roads.crossing(1 - axis).0 + shift.max(-0.3);
         let kerb = half[1 - axis];
-        let points = [place(end, v), place(kerb + WAIT, v), place(-kerb - 0.4, v), place(-end, v)];
+        let points = [
+            place(end, v),
+            place(kerb + WAIT, v),
+            place(-kerb - 0.4, v),
+            place(-end, v),
+        ];
         rounded(&points, 1, Some(1 - axis))
     }
 
@@ -195,7 +230,14 @@ impl Crowd<'_> {
         let back = kerb + draws.between(BAND[0], BAND[1]);
         let out = if draws.chance(0.5) { end } else { -end };
         let over = [place(u, kerb + WAIT), place(u, -kerb - 0.4)];
-        let points = [place(end, track), place(u, track), over[0], over[1], place(u, -back), place(out, -back)];
+        let points = [
+            place(end, track),
+            place(u, track),
+            over[0],
+            over[1],
+            place(u, -back),
+            place(out, -back),
+        ];
         rounded(&points, 2, Some(0))
     }
 }
@@ -213,9 +255,17 @@ fn rounded(points: &[[f64; 2]], middle: usize, axis: Option<usize>) -> Route {
     let mut at = vec![0.0];
     let mut cut = 0.0;
     for i in 0..points.len() - 1 {
-        let turn = if i + 2 < points.len() { heading(i + 1) - heading(i) } else { 0.0 };
+        let turn = if i + 2 < points.len() {
+            heading(i + 1) - heading(i)
+        } else {
+            0.0
+        };
         let turn = turn - std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
-        let next_cut = if turn.abs() < 1e-9 { 0.0 } else { RADIUS * libm::tan(turn.abs() / 2.0) };
+        let next_cut = if turn.abs() < 1e-9 {
+            0.0
+        } else {
+            RADIUS * libm::tan(turn.abs() / 2.0)
+        };
         path.line(distance(i) - cut - next_cut);
         if next_cut > 0.0 {
             path.arc(RADIUS, turn);
@@ -223,8 +273,16 @@ fn rounded(points: &[[f64; 2]], middle: usize, axis: Option<usize>) -> Route {
         at.push(path.length());
         cut = next_cut;
     }
-    let crossing = axis.map(|axis| Over { axis, wait: at[middle], far: at[middle + 1] });
-    Route { path, middle: at[middle], crossing }
+    let crossing = axis.map(|axis| Over {
+        axis,
+        wait: at[middle],
+        far: at[middle + 1],
+    });
+    Route {
+        path,
+        middle: at[middle],
+        crossing,
+    }
 }
 
 /// When a walker takes up which quarter of his crossing.
@@ -233,13 +291,18 @@ fn crossings(motion: &Motion, over: Over) -> Vec<Crossing> {
         let k = motion.ticks.partition_point(|(at, _)| *at < s);
         motion.first + k as f64 * TICK
     };
-    // He is at the kerb from the tick on which he leaves the waiting point.
+    // Who still waits takes up nothing.
+    let leaves = over.wait + 0.15;
     (0..4)
         .map(|quarter| {
             let cut = |q: i32| over.wait + 0.3 + f64::from(q) * 0.25 * (over.far - over.wait - 0.3);
             let (from, to) = (cut(quarter), cut(quarter + 1));
             let zone = Zone::along(&motion.path, from, to, 0.9);
-            Crossing { zone, from: time_at(from - 0.9), until: time_at(to + 0.9) }
+            Crossing {
+                zone,
+                from: time_at((from - 0.9).max(leaves)),
+                until: time_at(to + 0.9),
+            }
         })
         .filter(|crossing| crossing.from < crossing.until)
         .collect()
