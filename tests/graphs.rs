@@ -26,7 +26,12 @@ fn dora() -> PathBuf {
 }
 
 fn dora_ok(args: &[&str], graph: &Path) -> String {
-    let output = Command::new(dora()).args(args).arg(graph).current_dir(root()).output().expect("dora can be started");
+    let output = Command::new(dora())
+        .args(args)
+        .arg(graph)
+        .current_dir(root())
+        .output()
+        .expect("dora can be started");
     let said = format!("{}\n{}", text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "dora {args:?} {}: {said}", graph.display());
     said
@@ -49,16 +54,27 @@ fn types_ports_and_graphs_say_the_same() {
 
 #[test]
 fn dora_run_and_dora_start_give_results() {
-    realo_ok(["run", &graph("no_fusion"), "--offline", "--out", &folder("demo_made").to_string_lossy()]);
+    realo_ok([
+        "run",
+        &graph("no_fusion"),
+        "--offline",
+        "--out",
+        &folder("demo_made").to_string_lossy(),
+    ]);
     let result = root().join("target/realo/late_fusion/result.json");
     for start in ["run", "start"] {
         let _ = std::fs::remove_file(&result);
         if start == "run" {
             dora_ok(&["run"], Path::new(&graph("late_fusion")));
         } else {
-            let up = Command::new(dora()).arg("up").current_dir(root()).output().expect("dora can be started");
+            let up = Command::new(dora())
+                .arg("up")
+                .current_dir(root())
+                .output()
+                .expect("dora can be started");
             assert!(up.status.success(), "dora up: {}", text(&up.stderr));
-            let started = std::panic::catch_unwind(|| dora_ok(&["start", "--attach"], Path::new(&graph("late_fusion"))));
+            let started =
+                std::panic::catch_unwind(|| dora_ok(&["start", "--attach"], Path::new(&graph("late_fusion"))));
             let _ = Command::new(dora()).arg("destroy").current_dir(root()).output();
             if let Err(panic) = started {
                 std::panic::resume_unwind(panic);
@@ -66,7 +82,11 @@ fn dora_run_and_dora_start_give_results() {
         }
         let result = json(&result);
         assert_eq!(result["complete"], true);
-        assert!(result["frames"]["processed"].as_u64().expect("frames.processed") > 50, "{}", result["frames"]);
+        assert!(
+            result["frames"]["processed"].as_u64().expect("frames.processed") > 50,
+            "{}",
+            result["frames"]
+        );
     }
 }
 
@@ -79,18 +99,24 @@ fn a_broken_graph_is_refused_with_what_mends_it() {
         std::os::unix::fs::symlink(modules.join(name), dir.join(name)).expect("links can be made");
     }
     let cases = [
-        ("threshold=0.15", "treshold=0.15", "threshold"),
-        ("operator fusion-boxes", "operator fusion-boxen", "fusion-boxes"),
-        ("source: decoder/messages, queue_size: 200", "source: decoder/messages, queue_size: 5", "queue_size"),
-        ("ego: { source: ego-nms/boxes", "ego: { source: nms/boxes", "ego"),
+        ("threshold=0.15", "treshold=0.15", "threshold", 1),
+        ("operator fusion-boxes", "operator fusion-boxen", "fusion-boxes", 1),
+        // A short queue loses messages only on a busy machine: a warning.
+        (
+            "source: decoder/messages, queue_size: 200",
+            "source: decoder/messages, queue_size: 5",
+            "queue_size",
+            0,
+        ),
+        ("ego: { source: ego-nms/boxes", "ego: { source: nms/boxes", "ego", 1),
     ];
-    for (from, to, named) in cases {
+    for (from, to, named, code) in cases {
         assert!(text_of.contains(from), "{from}");
         let path = dir.join("late_fusion.yml");
         std::fs::write(&path, text_of.replace(from, to)).expect("the graph can be written");
         let output = realo(["validate", &path.to_string_lossy()]);
         let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(1), "{to}: {said}");
+        assert_eq!(output.status.code(), Some(code), "{to}: {said}");
         assert!(said.contains(named), "{to}: {said}");
     }
 }
@@ -100,7 +126,12 @@ fn a_graph_without_a_detect_module_takes_no_recorded_detections() {
     let dir = folder("no_module");
     let flat = FlatGraph::load(Path::new(&graph("no_fusion"))).expect("it can be read");
     std::fs::write(dir.join("flat.yml"), flat.to_yaml().expect("it can be written")).expect("the graph can be written");
-    let output = realo(["run", &dir.join("flat.yml").to_string_lossy(), "--recorded-detections", "--offline"]);
+    let output = realo([
+        "run",
+        &dir.join("flat.yml").to_string_lossy(),
+        "--recorded-detections",
+        "--offline",
+    ]);
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stderr).contains("detect"), "{}", text(&output.stderr));
 }

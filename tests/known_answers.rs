@@ -9,7 +9,13 @@ use common::{counts, realo_ok, run_virtual, shared, simulated};
 fn dair(test: &str) -> Option<PathBuf> {
     let data = shared(test)?.join("data/dair");
     Some(common::once("dair.mcap", |path| {
-        realo_ok(["import".as_ref(), "dair".as_ref(), data.as_os_str(), "-o".as_ref(), path.as_os_str()]);
+        realo_ok([
+            "import".as_ref(),
+            "dair".as_ref(),
+            data.as_os_str(),
+            "-o".as_ref(),
+            path.as_os_str(),
+        ]);
     }))
 }
 
@@ -17,7 +23,9 @@ const DAIR_OFFLINE: [&str; 4] = ["--recorded-detections", "--offline", "--coop",
 
 #[test]
 fn dair_late_fusion_gives_the_known_counts() {
-    let Some(log) = dair("dair_late_fusion_gives_the_known_counts") else { return };
+    let Some(log) = dair("dair_late_fusion_gives_the_known_counts") else {
+        return;
+    };
     let result = run_virtual("dair_late", "late_fusion", &log, &DAIR_OFFLINE);
     assert_eq!(result["protocol"], "dair", "an imported log names its protocol");
     assert_eq!(counts(&result, "vehicle", "0.5"), (170, 0, 171));
@@ -25,14 +33,18 @@ fn dair_late_fusion_gives_the_known_counts() {
 
 #[test]
 fn dair_vehicle_alone_gives_the_known_counts() {
-    let Some(log) = dair("dair_vehicle_alone_gives_the_known_counts") else { return };
+    let Some(log) = dair("dair_vehicle_alone_gives_the_known_counts") else {
+        return;
+    };
     let result = run_virtual("dair_alone", "no_fusion", &log, &DAIR_OFFLINE);
     assert_eq!(counts(&result, "vehicle", "0.5"), (92, 0, 171));
 }
 
 #[test]
 fn dair_roadside_alone_gives_the_known_counts() {
-    let Some(log) = dair("dair_roadside_alone_gives_the_known_counts") else { return };
+    let Some(log) = dair("dair_roadside_alone_gives_the_known_counts") else {
+        return;
+    };
     let args = [&DAIR_OFFLINE[..], &["--set", "fusion.ego_boxes=false"]].concat();
     let result = run_virtual("dair_roadside", "late_fusion", &log, &args);
     assert_eq!(counts(&result, "vehicle", "0.5"), (89, 7, 171));
@@ -40,7 +52,17 @@ fn dair_roadside_alone_gives_the_known_counts() {
 
 /// Four agents, rotated against each other, 100 km from the map's origin, who report exactly what they have points on.
 fn exact(name: &str, scenario: &str) -> PathBuf {
-    let args = ["--scenario", scenario, "--seed", "901", "--seconds", "2", "--key-hz", "5", "--no-clouds"];
+    let args = [
+        "--scenario",
+        scenario,
+        "--seed",
+        "901",
+        "--seconds",
+        "2",
+        "--key-hz",
+        "5",
+        "--no-clouds",
+    ];
     let args = [&args[..], &["--noise-free-detections", "--detection-min-points", "1"]].concat();
     simulated(name, &[&args[..], &["--map-offset", "70000,-71000"]].concat())
 }
@@ -49,7 +71,9 @@ fn exact(name: &str, scenario: &str) -> PathBuf {
 fn one_point() -> String {
     let path = common::folder(&format!("protocol_{:?}", std::thread::current().id())).join("one_point.yml");
     let text = std::fs::read_to_string(common::root().join("operators/evaluator/protocols/default.yml"));
-    let text = text.expect("the protocol can be read").replace("min_points: 5", "min_points: 1");
+    let text = text
+        .expect("the protocol can be read")
+        .replace("min_points: 5", "min_points: 1");
     std::fs::write(&path, text.replace("seen_points: 10", "seen_points: 1")).expect("the protocol can be written");
     path.to_string_lossy().into_owned()
 }
@@ -61,8 +85,17 @@ fn late_fusion_of_exact_boxes_finds_the_whole_truth_and_nothing_else() {
     let protocol = one_point();
     for scenario in ["intersection", "corridor"] {
         let log = exact(&format!("exact_{scenario}"), scenario);
-        for (mode, args) in [("all", vec![]), ("v2v", vec!["--coop", "v2v"]), ("v2i", vec!["--coop", "v2i"]), ("i2i", vec!["--coop", "i2i"])] {
-            let args = [&["--offline", "--set", "link.range_m=1000", "--protocol", &protocol][..], &args].concat();
+        for (mode, args) in [
+            ("all", vec![]),
+            ("v2v", vec!["--coop", "v2v"]),
+            ("v2i", vec!["--coop", "v2i"]),
+            ("i2i", vec!["--coop", "i2i"]),
+        ] {
+            let args = [
+                &["--offline", "--set", "link.range_m=1000", "--protocol", &protocol][..],
+                &args,
+            ]
+            .concat();
             let result = run_virtual(&format!("exact_{scenario}_{mode}"), "late_fusion", &log, &args);
             let mut objects = 0;
             for class in CLASSES {
@@ -88,7 +121,10 @@ fn no_fusion_of_exact_boxes_is_what_the_ego_has_points_on() {
         assert_eq!(wrong, 0, "{class}");
         assert_eq!(total, counts(&together, class, "0.5").2, "one truth for all methods");
         let seen = &alone["accuracy_seen"]["sorted"]["counts"][class]["0.5"];
-        assert_eq!(seen["true"], seen["total"], "everything that the ego sees is reported: {class}");
+        assert_eq!(
+            seen["true"], seen["total"],
+            "everything that the ego sees is reported: {class}"
+        );
         found_alone += found;
         total_alone += total;
     }
@@ -111,7 +147,15 @@ fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
         for link in ["paper", lossy.to_str().expect("the path is text")] {
             let out = common::folder(&format!("bytes_{round}"));
             let output = std::process::Command::new(common::REALO)
-                .args(["run", &common::graph("late_fusion"), "--mode", "virtual", "--link", link, "--log"])
+                .args([
+                    "run",
+                    &common::graph("late_fusion"),
+                    "--mode",
+                    "virtual",
+                    "--link",
+                    link,
+                    "--log",
+                ])
                 .arg(&log)
                 .arg("--compute")
                 .arg(&compute)
@@ -125,7 +169,10 @@ fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
         }
     }
     for (link, bytes) in &results {
-        let (_, first) = results.iter().find(|(other, _)| other == link).expect("it is there itself");
+        let (_, first) = results
+            .iter()
+            .find(|(other, _)| other == link)
+            .expect("it is there itself");
         assert!(first == bytes, "result.json differs between runs with {link}");
     }
     let result: serde_json::Value = serde_json::from_slice(&results[1].1).expect("JSON");
@@ -133,8 +180,22 @@ fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
     assert!(skipped > 0, "the profile makes stages pass frames over");
     let channel = &result["links"]["cav2-cav1"]["boxes"];
     let term = |name: &str| channel[name].as_u64().unwrap_or_else(|| panic!("{name} in {channel}"));
-    let sum: u64 =
-        ["used", "skipped", "over_limit", "stale", "superseded", "lost", "rejected", "in_flight"].into_iter().map(term).sum();
+    let sum: u64 = [
+        "used",
+        "skipped",
+        "over_limit",
+        "stale",
+        "superseded",
+        "lost",
+        "rejected",
+        "in_flight",
+    ]
+    .into_iter()
+    .map(term)
+    .sum();
     assert_eq!(term("sent"), sum, "{channel}");
-    assert!(term("lost") > 0 && term("skipped") > 0 && term("duplicated") > 0, "{channel}");
+    assert!(
+        term("lost") > 0 && term("skipped") > 0 && term("duplicated") > 0,
+        "{channel}"
+    );
 }

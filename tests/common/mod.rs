@@ -12,17 +12,27 @@ pub const REALO: &str = env!("CARGO_BIN_EXE_realo");
 
 /// The repository.
 pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().expect("the repository is there")
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .canonicalize()
+        .expect("the repository is there")
 }
 
 /// A shipped graph.
 pub fn graph(name: &str) -> String {
-    root().join(format!("dataflows/{name}.yml")).to_string_lossy().into_owned()
+    root()
+        .join(format!("dataflows/{name}.yml"))
+        .to_string_lossy()
+        .into_owned()
 }
 
 /// Runs `realo` and returns what it said, whatever its exit code.
 pub fn realo<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> Output {
-    Command::new(REALO).args(args).current_dir(root()).output().expect("realo can be started")
+    Command::new(REALO)
+        .args(args)
+        .current_dir(root())
+        .output()
+        .expect("realo can be started")
 }
 
 /// Runs `realo`, which must succeed, and returns its standard output.
@@ -83,7 +93,12 @@ pub fn json(path: &Path) -> Value {
 /// Runs graphs in virtual time into an own folder and returns `result.json` of it.
 pub fn run_virtual(out: &str, graph_name: &str, log: &Path, args: &[&str]) -> Value {
     let out = folder(out);
-    let mut all = vec!["run".into(), graph(graph_name), "--log".into(), log.to_string_lossy().into_owned()];
+    let mut all = vec![
+        "run".into(),
+        graph(graph_name),
+        "--log".into(),
+        log.to_string_lossy().into_owned(),
+    ];
     all.extend(["--out".to_string(), out.to_string_lossy().into_owned()]);
     if !args.contains(&"--offline") {
         all.extend(["--mode".to_string(), "virtual".into()]);
@@ -105,6 +120,10 @@ pub fn shared(test: &str) -> Option<PathBuf> {
 /// (true, false, total) of a class at an IoU in `accuracy.sorted`.
 pub fn counts(result: &Value, class: &str, iou: &str) -> (u64, u64, u64) {
     let counts = &result["accuracy"]["sorted"]["counts"][class][iou];
-    let get = |key: &str| counts[key].as_u64().unwrap_or_else(|| panic!("counts.{class}.{iou}.{key} in {counts}"));
+    let get = |key: &str| {
+        counts[key]
+            .as_u64()
+            .unwrap_or_else(|| panic!("counts.{class}.{iou}.{key} in {counts}"))
+    };
     (get("true"), get("false"), get("total"))
 }

@@ -101,7 +101,10 @@ fn differing<T: std::fmt::Debug + PartialEq>(
     driver: &BTreeMap<String, T>,
     oracle: &BTreeMap<String, T>,
 ) -> Option<String> {
-    let name = driver.keys().chain(oracle.keys()).find(|name| driver.get(*name) != oracle.get(*name))?;
+    let name = driver
+        .keys()
+        .chain(oracle.keys())
+        .find(|name| driver.get(*name) != oracle.get(*name))?;
     let (driver, oracle) = (driver.get(name), oracle.get(name));
     Some(format!("{what} {name}:\n  driver {driver:?}\n  oracle {oracle:?}"))
 }

@@ -36,7 +36,10 @@ impl Describe for Log {
     type Config = LogConfig;
     const NAME: &'static str = "log";
     const ABOUT: &'static str = "plays the log of a world";
-    const ARGUMENTS: &'static [Argument] = &[Argument { name: "seed", about: "seed of the world" }];
+    const ARGUMENTS: &'static [Argument] = &[Argument {
+        name: "seed",
+        about: "seed of the world",
+    }];
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::new("ego_boxes", BOXES, ""),
@@ -50,8 +53,14 @@ impl Source for Log {
     fn new(config: LogConfig) -> Result<Self, Error> {
         let world = World::of(config.seed);
         let port = |agent: &str, ego: usize| PortId(if agent == EGO { ego } else { ego + 1 });
-        let sweeps = world.sweeps.iter().map(|sweep| (sweep.ready, port(&sweep.agent, 0), detections(sweep)));
-        let fixes = world.fixes.iter().map(|fix| (fix.ready, port(&fix.agent, 2), state(fix)));
+        let sweeps = world
+            .sweeps
+            .iter()
+            .map(|sweep| (sweep.ready, port(&sweep.agent, 0), detections(sweep)));
+        let fixes = world
+            .fixes
+            .iter()
+            .map(|fix| (fix.ready, port(&fix.agent, 2), state(fix)));
         let mut all: Vec<_> = sweeps.chain(fixes).collect();
         all.sort_by_key(|(ready, ..)| *ready);
         Ok(Log(all.into_iter()))
@@ -67,8 +76,23 @@ fn pose(at: [f64; 2]) -> Pose {
 }
 
 fn detections(sweep: &Sweep) -> Message {
-    let Sweep { agent, seq, stamp, ready, boxes, tracked, posed } = sweep;
-    let mut header = Header::origin(&"oracle".into(), &agent.as_str().into(), Kind::Boxes, *seq, *stamp, *ready);
+    let Sweep {
+        agent,
+        seq,
+        stamp,
+        ready,
+        boxes,
+        tracked,
+        posed,
+    } = sweep;
+    let mut header = Header::origin(
+        &"oracle".into(),
+        &agent.as_str().into(),
+        Kind::Boxes,
+        *seq,
+        *stamp,
+        *ready,
+    );
     header.pose = posed.then(|| pose([1.0, 2.0]));
     let boxes = (0..*boxes).map(|place| Box3 {
         // Far enough apart that none suppresses another.
@@ -152,7 +176,11 @@ fn document<T: DeserializeOwned>(message: &Message) -> T {
     let Payload::Report(Report { json, .. }) = &message.payload else {
         panic!("a report port sends reports, found {}", message.header);
     };
-    from_report(&Report { topic: "".into(), json: json.clone() }).expect("reports can be read")
+    from_report(&Report {
+        topic: "".into(),
+        json: json.clone(),
+    })
+    .expect("reports can be read")
 }
 
 static LOG: Registration = Registration::source::<Log>();
@@ -181,24 +209,52 @@ fn wiring(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Wiri
         format!("offline={}", world.offline),
         format!("ahead_ms={}", world.ahead_ms),
     ];
-    let limit = world.max_collaborators.map_or("null".to_string(), |limit| limit.to_string());
+    let limit = world
+        .max_collaborators
+        .map_or("null".to_string(), |limit| limit.to_string());
     let mut wiring = Wiring::default();
     let mut add = |id: &str, node, args: Vec<String>, inputs: &[_]| wiring.add(id, node, args, inputs);
     add("log", &LOG, vec![format!("seed={seed}")], &[])?;
     add("ego-nms", &NMS, vec![], &[("boxes", "log", "ego_boxes")])?;
     add("nms", &NMS, vec![], &[("boxes", "log", "boxes")])?;
     add("encoder", &ENCODER, vec![], &[("messages", "nms", "boxes")])?;
-    let inputs = [("others", "encoder", "packets"), ("ego_state", "log", "ego_states"), ("states", "log", "states")];
+    let inputs = [
+        ("others", "encoder", "packets"),
+        ("ego_state", "log", "ego_states"),
+        ("states", "log", "states"),
+    ];
     add("link", &LINK, link, &inputs)?;
-    add("decoder", &DECODER, vec![format!("max_bytes={}", world.max_bytes)], &[("packets", "link", "to_ego")])?;
-    add("bank", &BANK, bank, &[("ego", "ego-nms", "boxes"), ("others", "decoder", "messages")])?;
+    add(
+        "decoder",
+        &DECODER,
+        vec![format!("max_bytes={}", world.max_bytes)],
+        &[("packets", "link", "to_ego")],
+    )?;
+    add(
+        "bank",
+        &BANK,
+        bank,
+        &[("ego", "ego-nms", "boxes"), ("others", "decoder", "messages")],
+    )?;
     let inputs = [("ego", "ego-nms", "boxes"), ("selections", "bank", "selections")];
     add("fusion", &FUSION, vec![format!("max_collaborators={limit}")], &inputs)?;
-    let reports = [("bank", "bank", "report"), ("fusion", "fusion", "report"), ("link", "link", "report")];
+    let reports = [
+        ("bank", "bank", "report"),
+        ("fusion", "fusion", "report"),
+        ("link", "link", "report"),
+    ];
     add("closing", &CLOSING, vec![], &reports)?;
     if results {
-        let args = vec![format!("out={}", folder.join("results").display()), format!("ego={EGO}")];
-        add("results", &RESULTS, args, &[&reports[..], &[("boxes", "fusion", "boxes")]].concat())?;
+        let args = vec![
+            format!("out={}", folder.join("results").display()),
+            format!("ego={EGO}"),
+        ];
+        add(
+            "results",
+            &RESULTS,
+            args,
+            &[&reports[..], &[("boxes", "fusion", "boxes")]].concat(),
+        )?;
     }
     Ok(wiring)
 }
@@ -211,7 +267,9 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
     let wiring = wiring(seed, world, folder, results)?;
     let mut account = Account::default();
     let mut boxes = BTreeMap::new();
-    let compute = ComputeProfile { nodes: world.compute.clone() };
+    let compute = ComputeProfile {
+        nodes: world.compute.clone(),
+    };
     let books = virtual_time::run(&wiring, &compute, &mut |node, output, message| match (node, output) {
         ("bank", "report") => {
             let report: BankReport = document(message);
@@ -220,14 +278,18 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
         ("bank", "selections") => check_selection(message, account.selections.last()),
         ("fusion", "report") => account.fusions.push(fusion(document(message), message.header.ready)),
         ("fusion", "boxes") => {
-            let Payload::Boxes(Boxes(list)) = &message.payload else { panic!("no boxes: {}", message.header) };
+            let Payload::Boxes(Boxes(list)) = &message.payload else {
+                panic!("no boxes: {}", message.header)
+            };
             boxes.insert(message.header.seq, list.len());
         }
         _ => {}
     })
     .map_err(|error| error.to_string())?;
     for fusion in &mut account.fusions {
-        fusion.boxes = boxes.remove(&fusion.query).ok_or_else(|| format!("fusion {} gave no boxes", fusion.query))?;
+        fusion.boxes = boxes
+            .remove(&fusion.query)
+            .ok_or_else(|| format!("fusion {} gave no boxes", fusion.query))?;
     }
     let closed = CLOSED.take();
     if results {
@@ -237,7 +299,9 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
         }
     }
     for (name, kinds) in closed {
-        let from = name.strip_suffix(&format!("-{EGO}")).ok_or_else(|| format!("channel {name}"))?;
+        let from = name
+            .strip_suffix(&format!("-{EGO}"))
+            .ok_or_else(|| format!("channel {name}"))?;
         for (kind, books) in kinds {
             if kind != Kind::Boxes.as_str() {
                 return Err(format!("channel {name} carries {kind}"));
@@ -258,8 +322,15 @@ fn id(message: &MessageId) -> Id {
 }
 
 fn answer(report: &BankReport, ready: Nanos) -> Option<Answer> {
-    let entries = report.selected.iter().map(|selected| (id(&selected.message), selected.age_ns));
-    Some(Answer { query: report.query?, ready, entries: entries.collect() })
+    let entries = report
+        .selected
+        .iter()
+        .map(|selected| (id(&selected.message), selected.age_ns));
+    Some(Answer {
+        query: report.query?,
+        ready,
+        entries: entries.collect(),
+    })
 }
 
 /// The report comes before its Selection; both must hold the same.
@@ -267,10 +338,16 @@ fn check_selection(message: &Message, reported: Option<&Answer>) {
     let Payload::Selection(Selection { query, entries }) = &message.payload else {
         panic!("no Selection: {}", message.header);
     };
-    let entries: Vec<Id> = entries.iter().map(|entry| (entry.header.agent.to_string(), entry.header.seq)).collect();
+    let entries: Vec<Id> = entries
+        .iter()
+        .map(|entry| (entry.header.agent.to_string(), entry.header.seq))
+        .collect();
     let reported = reported.expect("the report comes before the Selection");
     let ids: Vec<Id> = reported.entries.iter().map(|(id, _)| id.clone()).collect();
-    assert_eq!((*query, message.header.ready, entries), (reported.query, reported.ready, ids));
+    assert_eq!(
+        (*query, message.header.ready, entries),
+        (reported.query, reported.ready, ids)
+    );
 }
 
 fn fusion(report: FusionReport, ready: Nanos) -> Fusion {

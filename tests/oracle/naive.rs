@@ -107,13 +107,22 @@ fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sw
     }
     let packet = |at: &At<'w>| {
         let sweep = at.sweep;
-        ((at.ready, Class::Data, 3, &*sweep.agent, sweep.seq), What::Packet(sweep))
+        (
+            (at.ready, Class::Data, 3, &*sweep.agent, sweep.seq),
+            What::Packet(sweep),
+        )
     };
     let positions = world.fixes.iter().map(|fix| {
         let port = if fix.agent == EGO { 0 } else { 1 };
-        ((fix.ready, Class::State, port, &*fix.agent, fix.seq), What::Position(fix.stamp, fix.at))
+        (
+            (fix.ready, Class::State, port, &*fix.agent, fix.seq),
+            What::Position(fix.stamp, fix.at),
+        )
     });
-    let calls = serve_all(packets.iter().map(packet).chain(positions).collect(), compute(world, "link"));
+    let calls = serve_all(
+        packets.iter().map(packet).chain(positions).collect(),
+        compute(world, "link"),
+    );
     let position = |agent: &str, calls: &[(Place, What)]| {
         let of_agent = calls.iter().filter_map(|((.., name, _), what)| match what {
             What::Position(stamp, at) if *name == agent => Some((*stamp, *at)),
@@ -135,9 +144,20 @@ fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sw
             continue;
         }
         let draws = key.draws(&sweep.agent, EGO, Kind::Boxes, sweep.seq);
-        let at_once = Arrivals { first: Some(0), second: None };
-        let arrivals = if world.offline { at_once } else { transmit(&world.channel, bytes(sweep), draws) };
-        sent.push(Sent { sweep, arrivals, start: place.0 });
+        let at_once = Arrivals {
+            first: Some(0),
+            second: None,
+        };
+        let arrivals = if world.offline {
+            at_once
+        } else {
+            transmit(&world.channel, bytes(sweep), draws)
+        };
+        sent.push(Sent {
+            sweep,
+            arrivals,
+            start: place.0,
+        });
     }
     (sent, out_of_range)
 }
@@ -183,30 +203,45 @@ fn bank<'w>(world: &World, decoded: &[At<'w>], queries: &[At<'w>]) -> (Vec<Held<
         if world.offline {
             let wake = (query.sweep.stamp + REACH, Class::Wake, 0, EGO, 0);
             let entries = of_each_sender(&held, |held| nearest(held, wake, query));
-            return Asked { query, ready: wake.0, entries, stale: Vec::new() };
+            return Asked {
+                query,
+                ready: wake.0,
+                entries,
+                stale: Vec::new(),
+            };
         }
         let newest = of_each_sender(&held, |held| newest(held, place, query));
         let window = Nanos::from(world.window_ms) * MS;
-        let (entries, stale) = newest.into_iter().partition(|sweep| query.ready - sweep.stamp <= window);
-        Asked { query, ready: place.0 + compute, entries, stale }
+        let (entries, stale) = newest
+            .into_iter()
+            .partition(|sweep| query.ready - sweep.stamp <= window);
+        Asked {
+            query,
+            ready: place.0 + compute,
+            entries,
+            stale,
+        }
     };
     let asked = asking.into_iter().map(answer).collect();
     (held, rejected, asked)
 }
 
 /// One message at most of each sender, by name.
-fn of_each_sender<'w>(
-    held: &[Held<'w>],
-    choose: impl Fn(&[&Held<'w>]) -> Option<&'w Sweep>,
-) -> Vec<&'w Sweep> {
+fn of_each_sender<'w>(held: &[Held<'w>], choose: impl Fn(&[&Held<'w>]) -> Option<&'w Sweep>) -> Vec<&'w Sweep> {
     let agents: BTreeSet<&str> = held.iter().map(|held| &*held.at.sweep.agent).collect();
-    let of = |agent: &str| held.iter().filter(|held| held.at.sweep.agent == agent).collect::<Vec<_>>();
+    let of = |agent: &str| {
+        held.iter()
+            .filter(|held| held.at.sweep.agent == agent)
+            .collect::<Vec<_>>()
+    };
     agents.into_iter().filter_map(|agent| choose(&of(agent))).collect()
 }
 
 /// Online: the newest stamp with ready ≤ the query's ready, of what has entered the bank.
 fn newest<'w>(held: &[&Held<'w>], now: Place, query: At) -> Option<&'w Sweep> {
-    let there = held.iter().filter(|held| held.place < now && held.at.ready <= query.ready);
+    let there = held
+        .iter()
+        .filter(|held| held.place < now && held.at.ready <= query.ready);
     there.max_by_key(|held| held.at.sweep.stamp).map(|held| held.at.sweep)
 }
 
@@ -214,17 +249,32 @@ fn newest<'w>(held: &[&Held<'w>], now: Place, query: At) -> Option<&'w Sweep> {
 fn nearest<'w>(held: &[&Held<'w>], now: Place, query: At) -> Option<&'w Sweep> {
     let away = |held: &&&Held| (held.at.sweep.stamp.abs_diff(query.sweep.stamp), held.at.sweep.stamp);
     let there = held.iter().filter(|held| held.place < now);
-    let near = there.min_by_key(away).filter(|held| away(held).0 <= REACH.unsigned_abs());
+    let near = there
+        .min_by_key(away)
+        .filter(|held| away(held).0 <= REACH.unsigned_abs());
     near.map(|held| held.at.sweep)
 }
 
 /// Sets of the ego's message and its Selection: the fusions that took place, and how many sets did not come to one.
 fn fuse<'w>(world: &World, asked: &[Asked<'w>]) -> (Vec<At<'w>>, u64) {
-    let mut sets: Vec<At> = asked.iter().map(|asked| At { ready: asked.ready, ..asked.query }).collect();
+    let mut sets: Vec<At> = asked
+        .iter()
+        .map(|asked| At {
+            ready: asked.ready,
+            ..asked.query
+        })
+        .collect();
     sets.sort_by_key(|set| (set.ready, set.sweep.seq));
     // A set that is older than one that was complete before it is discarded.
-    let in_order = |number: usize| sets[..number].iter().all(|before| before.sweep.stamp < sets[number].sweep.stamp);
-    let complete: Vec<At> = (0..sets.len()).filter(|number| in_order(*number)).map(|number| sets[number]).collect();
+    let in_order = |number: usize| {
+        sets[..number]
+            .iter()
+            .all(|before| before.sweep.stamp < sets[number].sweep.stamp)
+    };
+    let complete: Vec<At> = (0..sets.len())
+        .filter(|number| in_order(*number))
+        .map(|number| sets[number])
+        .collect();
     let (fused, skipped) = serve_latest(&complete, compute(world, "fusion"));
     (fused, (sets.len() - complete.len() + skipped.len()) as u64)
 }
@@ -291,15 +341,22 @@ impl History {
 
 /// Online: the ones that were asked for when they were too old, and the ones that had a newer one beside them.
 fn online(asked: &[Asked], held: &[Held], history: &mut History) {
-    history.stale.extend(asked.iter().flat_map(|asked| asked.stale.iter().map(|sweep| id(sweep))));
+    history
+        .stale
+        .extend(asked.iter().flat_map(|asked| asked.stale.iter().map(|sweep| id(sweep))));
     let newer = |a: &Sweep, b: &Sweep| a.agent == b.agent && a.stamp > b.stamp;
-    let superseded = held.iter().filter(|old| held.iter().any(|new| newer(new.at.sweep, old.at.sweep)));
+    let superseded = held
+        .iter()
+        .filter(|old| held.iter().any(|new| newer(new.at.sweep, old.at.sweep)));
     history.superseded.extend(superseded.map(|held| id(held.at.sweep)));
 }
 
 /// Offline: the ones in reach of a query that took a nearer one, and of the others those that are behind a query.
 fn offline(asked: &[Asked], held: &[Held], history: &mut History) {
-    for Held { at: At { sweep, .. }, .. } in held {
+    for Held {
+        at: At { sweep, .. }, ..
+    } in held
+    {
         let queries = || asked.iter().map(|asked| asked.query.sweep.stamp);
         if queries().any(|query| query.abs_diff(sweep.stamp) <= REACH.unsigned_abs()) {
             history.superseded.insert(id(sweep));
@@ -311,7 +368,10 @@ fn offline(asked: &[Asked], held: &[Held], history: &mut History) {
 
 /// What a run of the world must give.
 pub fn account(world: &World) -> Account {
-    let at = |sweep| At { sweep, ready: sweep.ready };
+    let at = |sweep| At {
+        sweep,
+        ready: sweep.ready,
+    };
     let (own, others): (Vec<At>, Vec<At>) = world.sweeps.iter().map(at).partition(|at| at.sweep.agent == EGO);
     let (queries, ego_missed) = serve_latest(&own, compute(world, "ego-nms"));
     let (detected, missed) = serve_latest(&others, compute(world, "nms"));
@@ -320,10 +380,16 @@ pub fn account(world: &World) -> Account {
     let done = compute(world, "link");
     let copies = sent.iter().flat_map(|Sent { sweep, arrivals, start }| {
         let delays = [arrivals.first, arrivals.second].into_iter().flatten();
-        delays.map(move |delay| At { sweep, ready: start + done + delay })
+        delays.map(move |delay| At {
+            sweep,
+            ready: start + done + delay,
+        })
     });
     let (decoded, undecoded) = serve_latest(&copies.collect::<Vec<_>>(), compute(world, "decoder"));
-    let fitting: Vec<At> = decoded.into_iter().filter(|at| bytes(at.sweep) <= world.max_bytes).collect();
+    let fitting: Vec<At> = decoded
+        .into_iter()
+        .filter(|at| bytes(at.sweep) <= world.max_bytes)
+        .collect();
     let (held, refused, asked) = bank(world, &fitting, &queries);
     let (fused, not_fused) = fuse(world, &asked);
 
@@ -365,7 +431,11 @@ pub fn account(world: &World) -> Account {
     let answers = asked.iter().map(|asked| Answer {
         query: asked.query.sweep.seq,
         ready: asked.ready,
-        entries: asked.entries.iter().map(|sweep| (id(sweep), asked.query.ready - sweep.stamp)).collect(),
+        entries: asked
+            .entries
+            .iter()
+            .map(|sweep| (id(sweep), asked.query.ready - sweep.stamp))
+            .collect(),
     });
     let count = |list: &[At]| list.len() as u64;
     let passed_over = [

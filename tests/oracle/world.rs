@@ -132,12 +132,16 @@ impl World {
             fixes: fixes(random, EGO, style),
             channel: channel(random, style.grid),
             channel_seed: random.next(),
-            range_m: random.pick(&[70.0, 70.0, 30.0, 1000.0]),
+            range_m: random.pick(&[70.0, 70.0, 30.0, 1000.0, 1000.0]),
             max_bytes: random.pick(&[64 << 20, 64 << 20, 400, 250]),
-            window_ms: random.pick(&[400, 400, 100, 150, 0]),
+            window_ms: random.pick(&[400, 400, 400, 150, 0]),
             ahead_ms: random.pick(&[1000, 1000, 30, 0]),
             max_collaborators: random.pick(&[None, None, Some(1), Some(2), Some(0)]),
-            compute: if offline { BTreeMap::new() } else { compute(random, style.grid) },
+            compute: if offline {
+                BTreeMap::new()
+            } else {
+                compute(random, style.grid)
+            },
         };
         for other in others {
             world.sweeps.extend(sweeps(random, other, style));
@@ -151,9 +155,18 @@ impl World {
 
     /// The channel as a profile.
     pub fn profile(&self) -> String {
-        let Model { fixed_ms, bits_per_second, jitter, loss, duplicate } = self.channel;
+        let Model {
+            fixed_ms,
+            bits_per_second,
+            jitter,
+            loss,
+            duplicate,
+        } = self.channel;
         let rate = bits_per_second.map_or(String::new(), |rate| format!("bits_per_second = {rate}\n"));
-        let Jitter { uniform_ms, gaussian_ms } = jitter;
+        let Jitter {
+            uniform_ms,
+            gaussian_ms,
+        } = jitter;
         let jitter = format!("jitter = {{ uniform_ms = {uniform_ms:?}, gaussian_ms = {gaussian_ms:?} }}\n");
         format!("[default]\nfixed_ms = {fixed_ms:?}\nloss = {loss:?}\nduplicate = {duplicate:?}\n{rate}{jitter}")
     }
@@ -164,7 +177,12 @@ fn multiple(time: Nanos, grid: Nanos) -> Nanos {
 }
 
 fn sweeps(random: &mut Random, agent: &str, style: Style) -> Vec<Sweep> {
-    let Style { offline, grid, duration, unposed } = style;
+    let Style {
+        offline,
+        grid,
+        duration,
+        unposed,
+    } = style;
     let period = multiple(random.within(50 * MS, 250 * MS), grid);
     let phase = multiple(random.within(0, period), grid);
     let late = multiple(random.pick(&[0, 40, 100, 300, -20]) * MS, grid);
@@ -232,8 +250,13 @@ fn channel(random: &mut Random, grid: Nanos) -> Model {
 fn compute(random: &mut Random, grid: Nanos) -> BTreeMap<String, Nanos> {
     let mut nodes = BTreeMap::new();
     for stage in STAGES {
-        // A link or bank that cannot keep up would only make its queue run over.
-        let most = if matches!(stage, "link" | "bank") { 40 } else { 220 };
+        let most = match stage {
+            // A link that cannot keep up makes its queue run over.
+            "link" => 40,
+            // Queries wait, but not so long that the bank holds no more of what they may ask for: 16 of each sender.
+            "bank" => 70,
+            _ => 220,
+        };
         if random.chance(45) {
             nodes.insert(stage.to_string(), multiple(random.within(0, most * MS), grid));
         }

@@ -347,11 +347,11 @@ mod tests {
             &[("x", 0, FLOAT32), ("y", 4, FLOAT32)],
             false,
             12,
-            &[row.clone()],
+            std::slice::from_ref(&row),
         ))
         .unwrap_err();
         assert!(error.contains("no field `z`; it has: x y"), "{error}");
-        let error = decode(&foreign(&[("x", 9, FLOAT32)], false, 12, &[row.clone()])).unwrap_err();
+        let error = decode(&foreign(&[("x", 9, FLOAT32)], false, 12, std::slice::from_ref(&row))).unwrap_err();
         assert!(error.contains("field `x` at byte 9"), "{error}");
         let error = decode(&foreign(&[("x", 0, 42)], false, 12, &[row])).unwrap_err();
         assert!(error.contains("unknown datatype 42"), "{error}");

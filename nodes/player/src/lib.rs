@@ -134,11 +134,6 @@ pub struct Player {
 }
 
 impl Player {
-    /// Seconds of log time per second, for the realtime driver.
-    pub fn rate(&self) -> f64 {
-        self.rate
-    }
-
     /// Who takes part.
     pub fn cast(&self) -> &PlannedRun {
         &self.cast
@@ -278,6 +273,10 @@ impl Source for Player {
             .map_err(|_| "player: the reading thread stopped")??;
         self.ended = next.is_none();
         Ok(next)
+    }
+
+    fn rate(&self) -> f64 {
+        self.rate
     }
 
     fn counters(&self) -> BTreeMap<String, u64> {

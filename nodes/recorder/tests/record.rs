@@ -30,7 +30,7 @@ fn boxes(seq: u64) -> Message {
         width: 1.0 + 1.0 / (i + 1) as f64,
         height: 1.5,
         yaw: -3.1 + i as f64 / 11.0,
-        velocity: (i % 2 == 0).then_some([0.1, -0.2, f64::from(i as u32) / 3.0]),
+        velocity: i.is_multiple_of(2).then_some([0.1, -0.2, f64::from(i as u32) / 3.0]),
         class: ["car", "pedestrian"][i as usize % 2].into(),
         score: 1.0 / (i + 3) as f32,
         track: (i == 1).then_some(77),

@@ -333,13 +333,13 @@ mod tests {
                     let report = outcome.map(|(over, rejected)| {
                         fusion(query, if over { &[5] } else { &[] }, if rejected { &[5] } else { &[] })
                     });
-                    let mut steps: Vec<Box<dyn FnOnce(&mut Ledger)>> = vec![Box::new(|ledger| ledger.bank(asked))];
-                    steps
-                        .extend(report.map(|r| Box::new(|l: &mut Ledger| l.fusion(r)) as Box<dyn FnOnce(&mut Ledger)>));
                     if fusion_first {
-                        steps.reverse();
+                        report.iter().for_each(|report| ledger.fusion(report.clone()));
                     }
-                    steps.into_iter().for_each(|step| step(&mut ledger));
+                    ledger.bank(asked);
+                    if !fusion_first {
+                        report.into_iter().for_each(|report| ledger.fusion(report));
+                    }
                 }
                 ledger.bank(bank(None, &[], &[(5, Fate::Unused)]));
                 assert_eq!(close(ledger).0, expected, "case {number}, fusion first: {fusion_first}");

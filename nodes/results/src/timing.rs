@@ -257,11 +257,11 @@ mod tests {
     #[test]
     fn tells_lateness_of_sources_from_computing() {
         let node = |inputs: &[&str], nanos: Nanos| {
-            let mut node = NodeBooks::default();
-            node.inputs = inputs
-                .iter()
-                .map(|port| (port.to_string(), InputBooks::default()))
-                .collect();
+            let ports = inputs.iter().map(|port| (port.to_string(), InputBooks::default()));
+            let mut node = NodeBooks {
+                inputs: ports.collect(),
+                ..NodeBooks::default()
+            };
             node.compute.record(nanos);
             node
         };

@@ -385,7 +385,11 @@ fn evaluation(name: &str, luck: u64) -> Evaluation {
             .map(|i| car(10.0 * f64::from(i) + 7.123456789 / 3.0, 1.0))
             .collect();
         let detections = (0..4u64).map(|i| {
-            let off = if (seq + i).is_multiple_of(luck) { 3.0 } else { 0.1 * (1.0 / 3.0) };
+            let off = if (seq + i).is_multiple_of(luck) {
+                3.0
+            } else {
+                0.1 * (1.0 / 3.0)
+            };
             car(
                 objects[i as usize].center[0] + off,
                 ((seq * 7 + i * 3 + luck) % 11) as f32 / 11.0,

@@ -3,25 +3,32 @@ use realo_schemas::geometry::{Footprint, iou_exceeds};
 const NONE: u32 = u32::MAX;
 
 /// The kept footprints by the cell of their centre; cells are so large that overlapping hulls lie in neighbouring ones.
-struct Grid {
+struct Grid<'a> {
+    footprints: &'a [Footprint],
     least: [f64; 2],
     per_metre: f64,
     columns: usize,
     rows: usize,
     /// Newest footprint of each cell; a border of empty cells surrounds the others.
     heads: Vec<u32>,
-    /// Each with the one kept before it in its cell.
-    kept: Vec<(Footprint, u32)>,
+    /// Indices of the kept footprints, each with the place here of the one kept before it in its cell.
+    kept: Vec<(u32, u32)>,
 }
 
-impl Grid {
-    fn new(footprints: &[Footprint], order: &[u32]) -> Self {
+impl<'a> Grid<'a> {
+    fn new(footprints: &'a [Footprint], order: &[u32]) -> Self {
         let (mut least, mut greatest, mut reach) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], 0.0f64);
-        for object in order.iter().map(|i| &footprints[*i as usize]) {
+        // In order of memory; a few more than `order` names do no harm. Comparisons with NaN leave it out.
+        for object in footprints {
             for axis in 0..2 {
-                least[axis] = least[axis].min(object.center[axis]);
-                greatest[axis] = greatest[axis].max(object.center[axis]);
-                reach = reach.max(object.hull[axis]);
+                let (center, hull) = (object.center[axis], object.hull[axis]);
+                least[axis] = if center < least[axis] { center } else { least[axis] };
+                greatest[axis] = if center > greatest[axis] {
+                    center
+                } else {
+                    greatest[axis]
+                };
+                reach = if hull > reach { hull } else { reach };
             }
         }
         // About four cells a box at most, and a little more than twice the reach, for the rounding of cell indices.
@@ -40,6 +47,7 @@ impl Grid {
         );
         let heads = vec![NONE; (columns + 2) * (rows + 2)];
         Grid {
+            footprints,
             least,
             per_metre,
             columns,
@@ -51,33 +59,35 @@ impl Grid {
 
     fn cell(&self, object: &Footprint) -> usize {
         // A cast takes NaN to 0 and what is too large to the last cell.
-        let index = |axis: usize| ((object.center[axis] - self.least[axis]) * self.per_metre) as usize;
+        let index = |axis: usize| ((object.center[axis] - self.least[axis]) * self.per_metre) as u32 as usize;
         let (column, row) = (index(0).min(self.columns - 1), index(1).min(self.rows - 1));
         (row + 1) * (self.columns + 2) + column + 1
     }
 
     fn overlaps_any(&self, cell: usize, object: &Footprint, threshold: f64) -> bool {
         let row = self.columns + 2;
-        // Its own cell first, where the overlap is most likely.
-        let near = [cell, cell - 1, cell + 1, cell - row, cell + row];
-        let far = [cell - row - 1, cell - row + 1, cell + row - 1, cell + row + 1];
-        near.into_iter().chain(far).any(|cell| {
+        let overlaps_one_of = |cell: usize| {
             let mut at = self.heads[cell];
             while at != NONE {
-                let (kept, before) = &self.kept[at as usize];
-                if iou_exceeds(kept, object, threshold) {
+                let (kept, before) = self.kept[at as usize];
+                if iou_exceeds(&self.footprints[kept as usize], object, threshold) {
                     return true;
                 }
-                at = *before;
+                at = before;
             }
             false
-        })
+        };
+        // Its own cell first, where an overlap is most likely.
+        overlaps_one_of(cell)
+            || [cell - 1, cell + 1].into_iter().any(overlaps_one_of)
+            || (cell - row - 1..=cell - row + 1).any(overlaps_one_of)
+            || (cell + row - 1..=cell + row + 1).any(overlaps_one_of)
     }
 
-    fn insert(&mut self, cell: usize, object: Footprint) {
+    fn insert(&mut self, cell: usize, index: u32) {
         let head = &mut self.heads[cell];
         let before = std::mem::replace(head, self.kept.len() as u32);
-        self.kept.push((object, before));
+        self.kept.push((index, before));
     }
 }
 
@@ -88,7 +98,7 @@ pub(crate) fn suppress(footprints: &[Footprint], order: &[u32], threshold: f64) 
         let object = &footprints[candidate as usize];
         let cell = grid.cell(object);
         if !grid.overlaps_any(cell, object, threshold) {
-            grid.insert(cell, *object);
+            grid.insert(cell, candidate);
             kept.push(candidate);
         }
     }

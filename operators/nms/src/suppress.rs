@@ -29,13 +29,21 @@ pub enum Ties {
 
 /// Indices of scores, greatest first; NaN has no place among them and must not occur.
 pub fn order(scores: &[f32], ties: Ties) -> Vec<u32> {
-    let mut order: Vec<u32> = (0..scores.len() as u32).collect();
-    if ties == Ties::Last {
-        order.reverse();
-    }
-    // Stable, so that equal scores keep their order.
-    order.sort_by(|a, b| scores[*b as usize].total_cmp(&scores[*a as usize]));
-    order
+    // One number each, whose order is that of (score descending, index): sorts several times as fast as pairs.
+    let flip = match ties {
+        Ties::First => 0,
+        Ties::Last => u32::MAX,
+    };
+    let key = |(score, index): (&f32, u32)| u64::from(descending(*score)) << 32 | u64::from(index ^ flip);
+    let mut keys: Vec<u64> = scores.iter().zip(0u32..).map(key).collect();
+    keys.sort_unstable();
+    keys.into_iter().map(|key| key as u32 ^ flip).collect()
+}
+
+/// A number that is the smaller the greater the score, in the order of `f32::total_cmp`.
+fn descending(score: f32) -> u32 {
+    let bits = score.to_bits();
+    if bits >> 31 == 0 { !(bits | 1 << 31) } else { bits }
 }
 
 /// Greedy suppression: goes through `order` and keeps a footprint unless one that it kept before overlaps it by an IoU
@@ -131,6 +139,15 @@ mod tests {
             let expected = suppress(&scene.footprints, &order, threshold, Index::Brute);
             prop_assert_eq!(&suppress(&scene.footprints, &order, threshold, Index::Grid), &expected);
             prop_assert_eq!(&suppress(&scene.footprints, &order, threshold, Index::Rtree), &expected);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn orders_by_score_then_index(scores in prop::collection::vec(prop_oneof![-2.0..2.0f32, Just(0.0), Just(-0.0), Just(0.5)], 0..50)) {
+            let mut expected: Vec<u32> = (0..scores.len() as u32).collect();
+            expected.sort_by(|a, b| scores[*b as usize].total_cmp(&scores[*a as usize]));
+            prop_assert_eq!(order(&scores, Ties::First), expected);
         }
     }
 

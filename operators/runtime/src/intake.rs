@@ -265,7 +265,10 @@ impl Intake {
     fn replace_waiting(&mut self, server: &str, port: PortId, work: Work) -> Option<Work> {
         let (agent, stamp) = (&work.calls[0].1.header.agent, work.calls[0].1.header.stamp);
         let line = self.waiting.get_mut(server);
-        let slot = line.and_then(|line| line.extract_if(.., |place, _| place.2 == port && place.3 == *agent).next());
+        let slot = line.and_then(|line| {
+            line.extract_if(.., |place, _| place.2 == port && place.3 == *agent)
+                .next()
+        });
         let Some((place, waiting)) = slot else {
             return Some(work);
         };

@@ -77,7 +77,10 @@ impl Wiring {
             let mut inputs = Vec::new();
             for (port, input) in &node.inputs {
                 let (source, output) = input.output().ok_or_else(|| {
-                    format!("node `{}`: input `{port}` comes from {}, which only dora sends", node.id, input.source)
+                    format!(
+                        "node `{}`: input `{port}` comes from {}, which only dora sends",
+                        node.id, input.source
+                    )
                 })?;
                 inputs.push((port.as_str(), source, output));
             }

@@ -122,68 +122,10 @@ pub fn iou_exceeds(a: &Footprint, b: &Footprint, threshold: f64) -> bool {
     bound > 0.0 && exceeds(bound * (1.0 + 1e-9)) && exceeds(intersection_area(a, b))
 }
 
-/// More than the 8 vertices of two rectangles' intersection: rounding can add some.
-const SLOTS: usize = 16;
-
-#[derive(Clone, Copy)]
-struct Polygon {
-    vertices: [[f64; 2]; SLOTS],
-    len: usize,
-}
-
-impl Polygon {
-    const EMPTY: Polygon = Polygon {
-        vertices: [[0.0; 2]; SLOTS],
-        len: 0,
-    };
-
-    #[inline(always)]
-    fn push(&mut self, vertex: [f64; 2]) {
-        if let Some(slot) = self.vertices.get_mut(self.len) {
-            *slot = vertex;
-            self.len += 1;
-        }
-    }
-
-    /// The part where `side × coordinate ≤ limit`, on one axis (Sutherland-Hodgman).
-    #[inline(always)]
-    fn clip<const AXIS: usize>(&self, side: f64, limit: f64) -> Polygon {
-        let mut kept = Polygon::EMPTY;
-        let vertices = &self.vertices[..self.len.min(SLOTS)];
-        let Some(mut from) = vertices.last().copied() else {
-            return kept;
-        };
-        let mut before = side * from[AXIS] - limit;
-        for &to in vertices {
-            let after = side * to[AXIS] - limit;
-            if (before <= 0.0) != (after <= 0.0) {
-                let share = before / (before - after);
-                let mut crossing = [0.0; 2];
-                crossing[AXIS] = side * limit;
-                crossing[1 - AXIS] = from[1 - AXIS] + share * (to[1 - AXIS] - from[1 - AXIS]);
-                kept.push(crossing);
-            }
-            if after <= 0.0 {
-                kept.push(to);
-            }
-            (from, before) = (to, after);
-        }
-        kept
-    }
-
-    fn area(&self) -> f64 {
-        let vertices = &self.vertices[..self.len.min(SLOTS)];
-        let Some(&[x0, y0]) = vertices.first() else { return 0.0 };
-        let mut twice = 0.0;
-        for pair in vertices.windows(2) {
-            let ([ax, ay], [bx, by]) = (pair[0], pair[1]);
-            twice += (ax - x0) * (by - y0) - (bx - x0) * (ay - y0);
-        }
-        twice.abs() / 2.0
-    }
-}
-
-/// Area of `b` inside `a`: `b` is brought to the frame of `a`, where `a` is four half-planes.
+/// Area of `b` inside `a`.
+///
+/// In the frame of `a`, whose sides are x = ±length and y = ±width there: the integral, around `b`, of y clamped to
+/// ±width over x clamped to ±length. Each of the four edges adds its part; there is no polygon to grow or to degenerate.
 fn clipped_area(a: &Footprint, b: &Footprint) -> f64 {
     let [cos_a, sin_a] = a.heading;
     let [cos_b, sin_b] = b.heading;
@@ -192,26 +134,45 @@ fn clipped_area(a: &Footprint, b: &Footprint) -> f64 {
     let (cos, sin) = (cos_b * cos_a + sin_b * sin_a, sin_b * cos_a - cos_b * sin_a);
     let (lx, ly) = (b.half[0] * cos, b.half[0] * sin);
     let (wx, wy) = (-b.half[1] * sin, b.half[1] * cos);
-    let [length, width] = a.half;
+    let sides = a.half;
     // What cannot reach one of the sides of `a` shares nothing with it.
-    if x.abs() - lx.abs() - wx.abs() >= length || y.abs() - ly.abs() - wy.abs() >= width {
+    if x.abs() - lx.abs() - wx.abs() >= sides[0] || y.abs() - ly.abs() - wy.abs() >= sides[1] {
         return 0.0;
     }
-    let mut polygon = Polygon::EMPTY;
-    for vertex in [
-        [x + lx + wx, y + ly + wy],
-        [x + lx - wx, y + ly - wy],
-        [x - lx - wx, y - ly - wy],
-        [x - lx + wx, y - ly + wy],
-    ] {
-        polygon.push(vertex);
+    let front_left = [x + lx + wx, y + ly + wy];
+    let rear_left = [x - lx + wx, y - ly + wy];
+    let rear_right = [x - lx - wx, y - ly - wy];
+    let front_right = [x + lx - wx, y + ly - wy];
+    let (lengthwise, across) = (ly / lx, wy / wx);
+    // Against the sense of yaw, so that the upper edges add and the lower ones subtract.
+    clamped_integral(rear_left, front_left, lengthwise, sides)
+        + clamped_integral(front_left, front_right, across, sides)
+        + clamped_integral(front_right, rear_right, lengthwise, sides)
+        + clamped_integral(rear_right, rear_left, across, sides)
+}
+
+/// Integral of y over x along an edge of known slope, x clamped to ± the first and y to ± the second side.
+#[inline(always)]
+#[allow(clippy::manual_clamp)] // NaN must become a side, see below
+fn clamped_integral(from: [f64; 2], to: [f64; 2], slope: f64, [length, width]: [f64; 2]) -> f64 {
+    // `max` and `min` rather than `clamp`: they take NaN, the quotient of an edge along an axis, to a side.
+    let within = |value: f64, side: f64| value.max(-side).min(side);
+    let (start, end) = (within(from[0], length), within(to[0], length));
+    if start == end {
+        return 0.0;
     }
-    polygon
-        .clip::<0>(1.0, length)
-        .clip::<0>(-1.0, length)
-        .clip::<1>(1.0, width)
-        .clip::<1>(-1.0, width)
-        .area()
+    let at = |x: f64| from[1] + (x - from[0]) * slope;
+    let (low, high) = (at(start), at(end));
+    // The shares of the way at which y meets -width and width.
+    let rise = 1.0 / (high - low);
+    let (one, other) = ((-width - low) * rise, (width - low) * rise);
+    let share = |value: f64| value.max(0.0).min(1.0);
+    let (enters, leaves) = (share(one.min(other)), share(one.max(other)));
+    let y = |share: f64| within(low + share * (high - low), width);
+    let mean = enters * within(low, width)
+        + (leaves - enters) * 0.5 * (y(enters) + y(leaves))
+        + (1.0 - leaves) * within(high, width);
+    (end - start) * mean
 }
 
 #[cfg(test)]

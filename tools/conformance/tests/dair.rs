@@ -2,6 +2,7 @@
 //! Reads `$REALO_SHARED/data/dair`, which is in the layout of the original dataset.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
@@ -228,7 +229,11 @@ fn counts(evaluation: &Evaluation, pairs: &[Pair]) -> BTreeMap<String, (u64, u64
 #[test]
 fn late_fusion_of_dair_gives_the_known_counts() {
     let Some(shared) = std::env::var_os("REALO_SHARED") else {
-        eprintln!("SKIPPED: set REALO_SHARED to the folder that holds `data/dair` to run this test");
+        // Past the capture of test output, so that nobody misses it.
+        let _ = writeln!(
+            std::io::stderr(),
+            "SKIPPED: set REALO_SHARED to the folder that holds `data/dair` to run this test"
+        );
         return;
     };
     let pairs = pairs(&PathBuf::from(shared).join("data/dair"));

@@ -1,5 +1,6 @@
 //! The vectors of `$REALO_SHARED/conformance`, where they are at hand.
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use realo_conformance::{CaseResult, Status, exit_code, run};
@@ -8,7 +9,11 @@ use realo_conformance::{CaseResult, Status, exit_code, run};
 fn shared(folder: &str) -> Option<PathBuf> {
     let shared = std::env::var_os("REALO_SHARED").map(|shared| PathBuf::from(shared).join(folder));
     if shared.is_none() {
-        eprintln!("SKIPPED: set REALO_SHARED to the folder that holds `{folder}` to run this test");
+        // Past the capture of test output, so that nobody misses it.
+        let _ = writeln!(
+            std::io::stderr(),
+            "SKIPPED: set REALO_SHARED to the folder that holds `{folder}` to run this test"
+        );
     }
     shared
 }

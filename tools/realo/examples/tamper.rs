@@ -7,7 +7,9 @@ use dora_node_api::dora_core::config::DataId;
 use dora_node_api::{DoraArray, DoraNode, Event};
 
 fn main() -> eyre::Result<()> {
-    let report = std::env::args().nth(1).ok_or_else(|| eyre::eyre!("usage: tamper REPORT"))?;
+    let report = std::env::args()
+        .nth(1)
+        .ok_or_else(|| eyre::eyre!("usage: tamper REPORT"))?;
     let (mut node, mut events) = DoraNode::init_from_env()?;
     let output = DataId::from("out".to_string());
     let (mut n, mut dropped, mut repeated, mut swapped) = (0u64, 0u64, 0u64, 0u64);
@@ -32,7 +34,10 @@ fn main() -> eyre::Result<()> {
         if let Some(behind) = behind {
             node.send_output(output.clone(), Default::default(), behind)?;
         }
-        std::fs::write(&report, format!("{{\"dropped\":{dropped},\"repeated\":{repeated},\"swapped\":{swapped}}}"))?;
+        std::fs::write(
+            &report,
+            format!("{{\"dropped\":{dropped},\"repeated\":{repeated},\"swapped\":{swapped}}}"),
+        )?;
     }
     Ok(())
 }

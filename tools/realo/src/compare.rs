@@ -21,7 +21,9 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut runs = Vec::new();
     for dir in &args.dirs {
-        let name = dir.file_name().map_or_else(|| dir.display().to_string(), |name| name.to_string_lossy().into());
+        let name = dir
+            .file_name()
+            .map_or_else(|| dir.display().to_string(), |name| name.to_string_lossy().into());
         runs.push((name, realo_results::read_run(dir)?));
     }
     let named: Vec<(&str, &realo_results::Run)> = runs.iter().map(|(name, run)| (name.as_str(), run)).collect();

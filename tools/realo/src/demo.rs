@@ -44,8 +44,11 @@ pub fn make(path: &Path) -> Result<()> {
 /// # Errors
 /// As [`make`].
 pub fn make_if_missing(player_args: &[String]) -> Result<()> {
-    let given = player_args.iter().find_map(|arg| arg.strip_prefix("log=")).map(PathBuf::from);
+    let given = player_args
+        .iter()
+        .find_map(|arg| arg.strip_prefix("log="))
+        .map(PathBuf::from);
     let default = realo_player::Config::default().log;
-    let path = given.unwrap_or_else(|| default.into());
+    let path = given.unwrap_or(default);
     if path.ends_with(FILE) { make(&path) } else { Ok(()) }
 }

@@ -36,17 +36,31 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let protocol = Protocol::load(args.protocol.as_deref().unwrap_or(&log.info().protocol))?;
     let recorded = realo_recorder::read_boxes(&args.detections)?;
     let Some(first) = recorded.first() else {
-        bail!("{}: no final boxes in this recording: was it of a graph with a recorder on its last boxes?", args.detections.display());
+        bail!(
+            "{}: no final boxes in this recording: was it of a graph with a recorder on its last boxes?",
+            args.detections.display()
+        );
     };
     let ego = first.header.agent.to_string();
-    let agents = if args.agents.is_empty() { recorded_agents(args)? } else { args.agents.clone() };
+    let agents = if args.agents.is_empty() {
+        recorded_agents(args)?
+    } else {
+        args.agents.clone()
+    };
     let truths = truths(args, &ego, &agents)?;
-    let boxes = recorded.into_iter().map(|message| message.into_parts::<Boxes>()).collect::<Result<Vec<_>, _>>()?;
+    let boxes = recorded
+        .into_iter()
+        .map(|message| message.into_parts::<Boxes>())
+        .collect::<Result<Vec<_>, _>>()?;
     let mut evaluation = realo_evaluator::evaluate(truths, boxes, &protocol)?;
     for scene in &mut evaluation.scenes {
         scene.name = args.log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     }
-    let settings = Settings { graph: "recording".into(), ego, ..Settings::default() };
+    let settings = Settings {
+        graph: "recording".into(),
+        ego,
+        ..Settings::default()
+    };
     let run = Run::of_evaluation(settings, evaluation);
     let named = [("recording", &run)];
     if args.json {
@@ -62,7 +76,10 @@ fn recorded_agents(args: &Args) -> Result<Vec<String>> {
     let truth = realo_recorder::read_truth(&args.detections)?.into_iter().next();
     let truth = truth.map(|message| message.into_parts::<GroundTruth>()).transpose()?;
     let truth = truth.ok_or_else(|| {
-        eyre!("{}: it has no truth that names the agents of the run: add --agents", args.detections.display())
+        eyre!(
+            "{}: it has no truth that names the agents of the run: add --agents",
+            args.detections.display()
+        )
     })?;
     Ok(truth.1.agents.iter().map(|agent| agent.to_string()).collect())
 }

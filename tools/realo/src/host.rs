@@ -25,7 +25,10 @@ pub struct NodeArgs {
 
 /// Hosts an operator until its streams end.
 pub fn operator(args: &OperatorArgs) -> Result<Outcome> {
-    host(REGISTRY.find("operator", &args.name).map_err(|error| eyre!(error))?, &args.args)
+    host(
+        REGISTRY.find("operator", &args.name).map_err(|error| eyre!(error))?,
+        &args.args,
+    )
 }
 
 /// Hosts a source or sink until its streams end.

@@ -37,7 +37,11 @@ enum Stamp {
 
 /// Writes the log and says what was taken and what was left out.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let Source::Dair { dir, output, roadside_stamp } = &args.source;
+    let Source::Dair {
+        dir,
+        output,
+        roadside_stamp,
+    } = &args.source;
     let stamp = match roadside_stamp {
         Stamp::Start => realo_importer::RoadsideStamp::Start,
         Stamp::End => realo_importer::RoadsideStamp::End,

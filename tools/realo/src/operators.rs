@@ -22,10 +22,16 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let entries: Vec<&Registration> = REGISTRY.0.iter().filter(wanted).collect();
     if let (Some(name), true) = (&args.name, entries.is_empty()) {
         let known: Vec<_> = REGISTRY.0.iter().map(|entry| entry.name).collect();
-        return Err(eyre::eyre!("no operator or node `{name}`; there are: {}", known.join(", ")));
+        return Err(eyre::eyre!(
+            "no operator or node `{name}`; there are: {}",
+            known.join(", ")
+        ));
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&entries.iter().map(|e| document(e)).collect::<Vec<_>>())?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&entries.iter().map(|e| document(e)).collect::<Vec<_>>())?
+        );
     } else {
         entries.iter().for_each(|entry| print(entry));
     }
@@ -35,7 +41,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
 fn print(entry: &Registration) {
     println!("{} {}\n  {}", entry.word(), entry.name, entry.about);
     for port in entry.inputs {
-        println!("  in   {:<14} {:<30} {}{}", port.name, types(port), port.about, traits(port));
+        println!(
+            "  in   {:<14} {:<30} {}{}",
+            port.name,
+            types(port),
+            port.about,
+            traits(port)
+        );
     }
     for port in entry.outputs {
         println!("  out  {:<14} {:<30} {}", port.name, types(port), port.about);
@@ -43,7 +55,11 @@ fn print(entry: &Registration) {
     let defaults = (entry.defaults)();
     for argument in entry.arguments {
         let default = defaults.get(argument.name).map(Value::to_string).unwrap_or_default();
-        println!("  arg  {:<30} {}", format!("{}={default}", argument.name), argument.about);
+        println!(
+            "  arg  {:<30} {}",
+            format!("{}={default}", argument.name),
+            argument.about
+        );
     }
     println!();
 }
@@ -63,7 +79,11 @@ fn traits(port: &Port) -> String {
     if !port.required {
         traits.push("optional".into());
     }
-    if traits.is_empty() { String::new() } else { format!(" ({})", traits.join(", ")) }
+    if traits.is_empty() {
+        String::new()
+    } else {
+        format!(" ({})", traits.join(", "))
+    }
 }
 
 fn document(entry: &Registration) -> Value {
@@ -78,7 +98,8 @@ fn document(entry: &Registration) -> Value {
         })
     };
     let defaults = (entry.defaults)();
-    let argument = |a: &realo_runtime::Argument| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about});
+    let argument =
+        |a: &realo_runtime::Argument| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about});
     json!({
         "kind": entry.word(),
         "name": entry.name,

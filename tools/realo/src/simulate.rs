@@ -70,8 +70,12 @@ enum PhaseArg {
 
 impl Args {
     fn options(&self) -> Result<Options> {
-        let map_offset_m = <[f64; 2]>::try_from(&self.map_offset[..])
-            .map_err(|_| eyre::eyre!("--map-offset: expected east,north, found {} numbers", self.map_offset.len()))?;
+        let map_offset_m = <[f64; 2]>::try_from(&self.map_offset[..]).map_err(|_| {
+            eyre::eyre!(
+                "--map-offset: expected east,north, found {} numbers",
+                self.map_offset.len()
+            )
+        })?;
         Ok(Options {
             scenario: match self.scenario {
                 ScenarioArg::Intersection => Scenario::Intersection,
@@ -116,7 +120,12 @@ pub fn write(options: &Options, output: &Path) -> Result<()> {
     let bar = progress(simulation.sweep_count() as u64, "simulating");
     let mut poses: Vec<(String, VecDeque<PoseSample>)> = simulation
         .agents()
-        .map(|agent| (agent.name.to_string(), simulation.poses(&agent.name).unwrap_or_default().into()))
+        .map(|agent| {
+            (
+                agent.name.to_string(),
+                simulation.poses(&agent.name).unwrap_or_default().into(),
+            )
+        })
         .collect();
     for sweep in simulation.sweeps() {
         write_poses(&mut writer, &mut poses, sweep.ready)?;
@@ -131,7 +140,9 @@ pub fn write(options: &Options, output: &Path) -> Result<()> {
 
 fn write_poses(writer: &mut LogWriter, poses: &mut [(String, VecDeque<PoseSample>)], until: Nanos) -> Result<()> {
     loop {
-        let earliest = poses.iter_mut().filter(|(_, queue)| queue.front().is_some_and(|pose| pose.stamp <= until));
+        let earliest = poses
+            .iter_mut()
+            .filter(|(_, queue)| queue.front().is_some_and(|pose| pose.stamp <= until));
         let Some((agent, queue)) = earliest.min_by_key(|(_, queue)| queue.front().map(|pose| pose.stamp)) else {
             return Ok(());
         };

@@ -25,8 +25,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         if findings.iter().any(|finding| finding.severity == Severity::Error) {
             outcome = Outcome::Failed;
-        } else {
+        } else if findings.is_empty() {
             println!("{}: fine", path.display());
+        } else {
+            println!("{}: can run, see above", path.display());
         }
     }
     Ok(outcome)

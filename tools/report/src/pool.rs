@@ -69,8 +69,11 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
     })
 }
 
+/// A setting that pooled runs share: its name and its value.
+type Setting = (&'static str, fn(&Settings) -> &String);
+
 fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
-    let settings: [(_, fn(&Settings) -> &String); 6] = [
+    let settings: [Setting; 6] = [
         ("graph", |s| &s.graph),
         ("mode", |s| &s.mode),
         ("coop", |s| &s.coop),

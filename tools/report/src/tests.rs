@@ -33,7 +33,7 @@ fn evaluation(log: &str, ego: &str, luck: u64) -> Evaluation {
     };
     let found = |seq: u64| {
         let noise = |i: u64| ((seq * 7 + i * 3 + luck) % 11) as f32 / 11.0;
-        let at = if (seq + luck) % 3 == 0 { 60.0 } else { 70.0 };
+        let at = if (seq + luck).is_multiple_of(3) { 60.0 } else { 70.0 };
         Boxes(vec![car(10.1, noise(0)), car(at, noise(1))])
     };
     let truths = (0..6).map(|seq| (header(seq, Kind::Truth), truth()));
@@ -115,7 +115,7 @@ fn pooling_is_scoring_all_frames_at_once() {
     assert_eq!(pooled.result.accuracy_seen, Some(scores.accuracy_seen));
     assert_eq!(pooled.result.intervals, scores.intervals);
     assert!(pooled.result.intervals.is_some(), "two logs");
-    let mean = runs.iter().map(|run| ap(run)).sum::<f64>() / 3.0;
+    let mean = runs.iter().map(ap).sum::<f64>() / 3.0;
     assert!(
         (ap(&pooled) - mean).abs() > 1e-3,
         "pooled scores are no means of scores"
@@ -225,7 +225,6 @@ fn the_table_says_what_was_measured() {
     ] {
         assert!(text.contains(title), "{title} in\n{text}");
     }
-    println!("{text}");
     // Nobody may read a number as "AP" without the name of its order: every part with such numbers names it.
     let titles: Vec<&str> = text.lines().filter(|line| line.starts_with("AP")).collect();
     assert!(

@@ -290,7 +290,8 @@ mod tests {
 
     #[test]
     fn refuses_by_name_what_it_cannot_do() {
-        let cases: [(fn(&mut Options), &str); 9] = [
+        type Case = (fn(&mut Options), &'static str);
+        let cases: [Case; 9] = [
             (|o| o.seconds = f64::NAN, "seconds"),
             (|o| o.seconds = 0.0, "seconds"),
             (|o| o.key_hz = 3.0, "key_hz"),

@@ -191,7 +191,11 @@ fn a_sender_that_nobody_asks_takes_bounded_memory() {
         let report = bank.close();
         assert_eq!(report.departed.len(), 10_000);
         let in_flight = report.departed.iter().filter(|d| d.fate == Fate::InFlight).count();
-        assert_eq!(in_flight, if bank.offline { 10_000 } else { 1 }, "offline no query superseded any");
+        assert_eq!(
+            in_flight,
+            if bank.offline { 10_000 } else { 1 },
+            "offline no query superseded any"
+        );
     }
 }
 

@@ -172,7 +172,10 @@ impl Host {
             reason: format!("input `{id}` from {}: not a realo message: {error}", edge.from),
         })?;
         self.clock = self.clock.or(message.header.clock);
-        let mark = Mark::of(&message).map_err(|reason| HostError::Stage { id: self.link.id.clone(), reason })?;
+        let mark = Mark::of(&message).map_err(|reason| HostError::Stage {
+            id: self.link.id.clone(),
+            reason,
+        })?;
         match mark {
             None => {}
             Some(Mark::Hello) => return self.pass_hello(),

@@ -50,11 +50,22 @@ pub(super) fn send_hello(link: &mut DoraLink) -> Result<(), HostError> {
 fn mark(topic: &str, json: String, clock: Option<Clock>) -> Message {
     let mut header = Header::origin(&Name::default(), &Name::default(), Kind::Report, 0, 0, 0);
     header.clock = clock;
-    Message::new(header, Report { topic: topic.into(), json })
+    Message::new(
+        header,
+        Report {
+            topic: topic.into(),
+            json,
+        },
+    )
 }
 
 /// Ends every output: three times, so that one lost message does not fail the run.
-pub(super) fn send_end(link: &mut DoraLink, hops: &[u64], books: &Books, clock: Option<Clock>) -> Result<(), HostError> {
+pub(super) fn send_end(
+    link: &mut DoraLink,
+    hops: &[u64],
+    books: &Books,
+    clock: Option<Clock>,
+) -> Result<(), HostError> {
     for round in 0..TIMES {
         if round > 0 {
             std::thread::sleep(APART);

@@ -23,11 +23,17 @@ pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, inbox: Inb
         reason: error.to_string(),
     };
     while let Some((time, port, mut message)) = source.next().map_err(|error| failed(&link.id, error))? {
-        let clock = *clock.get_or_insert(Clock {
-            wall_origin: wall_now() + LEAD,
-            log_origin: time,
-            rate: source.rate(),
-        });
+        let clock = match clock {
+            Some(clock) => clock,
+            None => {
+                open_routes(&mut link, &inbox)?;
+                *clock.insert(Clock {
+                    wall_origin: wall_now(),
+                    log_origin: time,
+                    rate: source.rate(),
+                })
+            }
+        };
         wait_until(clock.wall_at(time), &link.id, &inbox)?;
         let now = clock.log_at(wall_now());
         stage.books.compute.record(((now - time) as f64 / clock.rate) as Nanos);

@@ -42,19 +42,31 @@ pub fn bench(seconds: f64) -> Result<Framework> {
         clone_agents(&demo, &log, agents, seconds)?;
         let out = folder.join(format!("agents_{agents}"));
         let output = Command::new(std::env::current_exe()?)
-            .args(["run", "dataflows/late_fusion.yml", "--recorded-detections", "--ego", "cav1", "--log"])
+            .args([
+                "run",
+                "dataflows/late_fusion.yml",
+                "--recorded-detections",
+                "--ego",
+                "cav1",
+                "--log",
+            ])
             .arg(&log)
             .arg("--out")
             .arg(&out)
             .stdin(Stdio::null())
             .output()?;
         if !output.status.success() {
-            bail!("the run with {agents} agents failed: {}", String::from_utf8_lossy(&output.stderr));
+            bail!(
+                "the run with {agents} agents failed: {}",
+                String::from_utf8_lossy(&output.stderr)
+            );
         }
         let run = realo_results::read_run(&out)?;
         let framework = run.timing.latency_ms.get("framework");
         let of = |pick: fn(&realo_results::Spread) -> Option<f64>| {
-            framework.and_then(pick).ok_or_else(|| eyre!("the run with {agents} agents has no latency"))
+            framework
+                .and_then(pick)
+                .ok_or_else(|| eyre!("the run with {agents} agents has no latency"))
         };
         runs.push(Measured {
             agents,
@@ -96,12 +108,19 @@ fn clone_agents(from: &Path, to: &Path, agents: usize, seconds: f64) -> Result<(
     }
     let copies = |name: &str| -> Vec<String> {
         let of = |agent: &str| agent == name || (name == last.name && agent.starts_with(&format!("{name}copy")));
-        info.agents.iter().map(|agent| agent.name.clone()).filter(|agent| of(agent)).collect()
+        info.agents
+            .iter()
+            .map(|agent| agent.name.clone())
+            .filter(|agent| of(agent))
+            .collect()
     };
     let mut writer = LogWriter::create_atomic(to, &info)?;
     let streams = [Stream::Pose, Stream::Points, Stream::Detections, Stream::DetectionsInfo];
-    let wanted: Vec<(&str, Stream)> =
-        known.iter().take(agents).flat_map(|agent| streams.map(|stream| (agent.name.as_str(), stream))).collect();
+    let wanted: Vec<(&str, Stream)> = known
+        .iter()
+        .take(agents)
+        .flat_map(|agent| streams.map(|stream| (agent.name.as_str(), stream)))
+        .collect();
     let (first, _) = log.span().ok_or_else(|| eyre!("{}: empty", from.display()))?;
     let until: Nanos = first + from_seconds(seconds);
     let mut reader = log.read(&wanted, first, until)?;
@@ -129,11 +148,24 @@ fn clone_agents(from: &Path, to: &Path, agents: usize, seconds: f64) -> Result<(
 
 impl fmt::Display for Framework {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        writeln!(f, "from the last point to fused boxes, realtime on dora, late fusion at 10 Hz (goal: p50 below 10 ms)")?;
+        writeln!(
+            f,
+            "from the last point to fused boxes, realtime on dora, late fusion at 10 Hz (goal: p50 below 10 ms)"
+        )?;
         write!(f, "  agents   p50 ms   p95 ms   p99 ms   rate Hz   lost by dora")?;
         for run in &self.runs {
-            let Measured { agents, p50, p95, p99, rate_hz, transport_lost } = run;
-            write!(f, "\n  {agents:>6} {p50:>8.2} {p95:>8.2} {p99:>8.2} {rate_hz:>9.2} {transport_lost:>14}")?;
+            let Measured {
+                agents,
+                p50,
+                p95,
+                p99,
+                rate_hz,
+                transport_lost,
+            } = run;
+            write!(
+                f,
+                "\n  {agents:>6} {p50:>8.2} {p95:>8.2} {p99:>8.2} {rate_hz:>9.2} {transport_lost:>14}"
+            )?;
         }
         Ok(())
     }

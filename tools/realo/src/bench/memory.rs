@@ -34,14 +34,35 @@ pub fn bench(seconds: f64) -> Result<Memory> {
     let log = super::framework::demo_log()?;
     let passes = (seconds / 10.0).ceil();
     let mut run = Command::new(std::env::current_exe()?);
-    run.args(["run", "dataflows/late_fusion.yml", "--recorded-detections", "--ego", "cav1"]);
-    run.arg("--log").arg(&log).arg("--out").arg(&out).args(["--set", &format!("player.repeat={passes}")]);
-    let mut child = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn().wrap_err("realo run")?;
+    run.args([
+        "run",
+        "dataflows/late_fusion.yml",
+        "--recorded-detections",
+        "--ego",
+        "cav1",
+    ]);
+    run.arg("--log")
+        .arg(&log)
+        .arg("--out")
+        .arg(&out)
+        .args(["--set", &format!("player.repeat={passes}")]);
+    let mut child = run
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .wrap_err("realo run")?;
     let samples = watch(&mut child, seconds)?;
-    let settled: Vec<f64> = samples.iter().filter(|(at, _)| *at >= SETTLE).map(|(_, mb)| *mb).collect();
+    let settled: Vec<f64> = samples
+        .iter()
+        .filter(|(at, _)| *at >= SETTLE)
+        .map(|(_, mb)| *mb)
+        .collect();
     let tenth = (settled.len() / 10).max(1);
     if settled.len() < 2 * tenth {
-        bail!("the run ended after {} looks; run `realo run` by hand to see why", samples.len());
+        bail!(
+            "the run ended after {} looks; run `realo run` by hand to see why",
+            samples.len()
+        );
     }
     let (early, late) = (median(&settled[..tenth]), median(&settled[settled.len() - tenth..]));
     Ok(Memory {
@@ -77,7 +98,9 @@ fn median(values: &[f64]) -> f64 {
 fn resident_mb(root: u32) -> Result<f64> {
     let mut children: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     for entry in fs::read_dir("/proc").wrap_err("/proc")?.flatten() {
-        let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else { continue };
+        let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else {
+            continue;
+        };
         if let Some(parent) = parent_of(&entry.path()) {
             children.entry(parent).or_default().push(pid);
         }
@@ -98,12 +121,17 @@ fn parent_of(process: &Path) -> Option<u32> {
 fn proportional_kb(rollup: &Path) -> u64 {
     let text = fs::read_to_string(rollup).unwrap_or_default();
     let line = text.lines().find_map(|line| line.strip_prefix("Pss:"));
-    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+    line.and_then(|line| line.split_whitespace().next()?.parse().ok())
+        .unwrap_or(0)
 }
 
 impl fmt::Display for Memory {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        writeln!(f, "resident memory of a looped realtime replay, {:.0} s, {} looks", self.seconds, self.samples)?;
+        writeln!(
+            f,
+            "resident memory of a looped realtime replay, {:.0} s, {} looks",
+            self.seconds, self.samples
+        )?;
         write!(
             f,
             "  early {:.1} MB, late {:.1} MB: {:+.2} % (goal: below 2 %)",

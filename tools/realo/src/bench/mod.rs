@@ -2,7 +2,7 @@
 
 mod framework;
 mod memory;
-pub mod nms;
+mod nms;
 mod simulate;
 
 use clap::ValueEnum;
@@ -66,7 +66,9 @@ struct Named<'a, B> {
 /// The CPU's name and the number of threads it gives us.
 pub fn cpu() -> String {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let name = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    let name = info
+        .lines()
+        .find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     format!("{}, {threads} threads", name.map_or("unknown", |(_, name)| name.trim()))
 }

@@ -8,7 +8,9 @@ use serde::Serialize;
 pub struct Simulate {
     /// Finished points per second of one core, all sensors together.
     points_per_second: f64,
-    /// By sensor model: the best sweep.
+    /// The same from all sweeps, on a machine that may do other things.
+    mean_points_per_second: f64,
+    /// By sensor: the fastest group of sweeps.
     sensors: Vec<(String, f64)>,
     points: usize,
     cpu_seconds: f64,
@@ -19,7 +21,12 @@ pub fn bench(seconds: f64) -> Result<Simulate> {
     let bench = realo_simulator::bench(seconds)?;
     Ok(Simulate {
         points_per_second: bench.points_per_second,
-        sensors: bench.sensors,
+        mean_points_per_second: bench.mean_points_per_second,
+        sensors: bench
+            .sensors
+            .iter()
+            .map(|s| (format!("{} ({})", s.model, s.agent), s.points_per_second))
+            .collect(),
         points: bench.points,
         cpu_seconds: bench.cpu_seconds,
     })
@@ -29,9 +36,19 @@ impl fmt::Display for Simulate {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         writeln!(f, "finished points per second and core (goal: 5.0 million)")?;
         for (sensor, rate) in &self.sensors {
-            writeln!(f, "  {sensor:<20} {:6.2} million (best sweep)", rate / 1e6)?;
+            writeln!(f, "  {sensor:<24} {:6.2} million", rate / 1e6)?;
         }
         let all = self.points_per_second / 1e6;
-        write!(f, "  {:<20} {all:6.2} million ({} points in {:.1} s of CPU)", "all", self.points, self.cpu_seconds)
+        let mean = self.mean_points_per_second / 1e6;
+        writeln!(
+            f,
+            "  {:<24} {all:6.2} million (from each sensor's fastest sweeps)",
+            "all"
+        )?;
+        write!(
+            f,
+            "  {:<24} {mean:6.2} million ({} points in {:.1} s of CPU)",
+            "all sweeps", self.points, self.cpu_seconds
+        )
     }
 }

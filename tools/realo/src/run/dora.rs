@@ -35,14 +35,21 @@ pub fn find() -> Result<PathBuf> {
 
 fn version(dora: &Path) -> Option<String> {
     let output = Command::new(dora).arg("--version").output().ok()?;
-    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_string())
+    output
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&output.stdout).trim().to_string())
 }
 
 /// `target/dora-cli`, beside the profile's folder that this program runs from.
 fn home() -> Result<PathBuf> {
     let program = std::env::current_exe()?;
-    let target = program.ancestors().find(|folder| folder.file_name().is_some_and(|name| name == "target"));
-    Ok(target.map_or_else(|| PathBuf::from("target"), Path::to_path_buf).join("dora-cli"))
+    let target = program
+        .ancestors()
+        .find(|folder| folder.file_name().is_some_and(|name| name == "target"));
+    Ok(target
+        .map_or_else(|| PathBuf::from("target"), Path::to_path_buf)
+        .join("dora-cli"))
 }
 
 fn install(home: &Path) -> Result<()> {

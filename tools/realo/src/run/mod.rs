@@ -119,7 +119,9 @@ impl Args {
     /// Options that exclude each other.
     pub fn driver(&self) -> Result<Mode> {
         let mode = match (self.mode, self.offline) {
-            (Some(Mode::Realtime), true) => bail!("--offline has no delays and runs in virtual time: drop --mode realtime"),
+            (Some(Mode::Realtime), true) => {
+                bail!("--offline has no delays and runs in virtual time: drop --mode realtime")
+            }
             (Some(mode), _) => mode,
             (None, true) => Mode::Virtual,
             (None, false) => Mode::Realtime,
@@ -157,9 +159,14 @@ pub fn main(args: &Args) -> Result<Outcome> {
     for (name, cells) in names.iter().zip(&cells) {
         match mode {
             Mode::Virtual => replay::all(cells)?,
-            Mode::Realtime => cells.iter().try_for_each(|cell| realtime::run(cell, args.rate.unwrap_or(1.0)))?,
+            Mode::Realtime => cells
+                .iter()
+                .try_for_each(|cell| realtime::run(cell, args.rate.unwrap_or(1.0)))?,
         }
-        let done: Vec<Run> = cells.iter().map(|cell| realo_results::read_run(&cell.out)).collect::<Result<_, _>>()?;
+        let done: Vec<Run> = cells
+            .iter()
+            .map(|cell| realo_results::read_run(&cell.out))
+            .collect::<Result<_, _>>()?;
         truncated |= cells.iter().any(|cell| cell.truncated);
         let pooled = realo_report::pool(&done)?;
         let dir = dir_of(args, name);
@@ -174,21 +181,29 @@ pub fn main(args: &Args) -> Result<Outcome> {
         println!("{}", realo_report::json(&named));
     } else {
         print!("{}", realo_report::table(&named));
-        names.iter().for_each(|name| println!("results in {}", dir_of(args, name).display()));
+        names
+            .iter()
+            .for_each(|name| println!("results in {}", dir_of(args, name).display()));
     }
     Ok(if truncated { Outcome::Partial } else { Outcome::Complete })
 }
 
 /// Where a graph's results go.
 fn dir_of(args: &Args, graph: &str) -> PathBuf {
-    if args.graphs.len() > 1 || args.out == Path::new("out") { args.out.join(graph) } else { args.out.clone() }
+    if args.graphs.len() > 1 || args.out == Path::new("out") {
+        args.out.join(graph)
+    } else {
+        args.out.clone()
+    }
 }
 
 /// The graphs' names: their file stems.
 fn names(graphs: &[PathBuf]) -> Result<Vec<String>> {
     let mut names = Vec::new();
     for graph in graphs {
-        let name = graph.file_stem().ok_or_else(|| eyre!("{}: not a file name", graph.display()))?;
+        let name = graph
+            .file_stem()
+            .ok_or_else(|| eyre!("{}: not a file name", graph.display()))?;
         let name = name.to_string_lossy().into_owned();
         if names.contains(&name) {
             bail!("two graphs are named `{name}`: rename one, so that their results can be told apart");

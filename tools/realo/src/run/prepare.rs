@@ -52,7 +52,9 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
             let mut cell = Cell {
                 name: format!("{name}, {stem}, {ego}"),
                 graph: graph.clone(),
-                seconds: log.span().map_or(0.0, |(first, last)| realo_schemas::to_seconds(last - first)),
+                seconds: log
+                    .span()
+                    .map_or(0.0, |(first, last)| realo_schemas::to_seconds(last - first)),
                 truncated: log.truncation().is_some(),
                 compute: args.compute.clone(),
                 out,
@@ -67,7 +69,11 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
 
 fn base_graph(args: &Args, path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
-    let graph = if args.recorded_detections { graph.with_recorded_detections() } else { graph };
+    let graph = if args.recorded_detections {
+        graph.with_recorded_detections()
+    } else {
+        graph
+    };
     let mut flat = graph.expand()?;
     for text in &args.set {
         let setting: Setting = text.parse()?;
@@ -79,12 +85,23 @@ fn base_graph(args: &Args, path: &Path) -> Result<FlatGraph> {
 /// The logs that are asked for, absolute; without any the graph's own, made first if it is the demo log.
 fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
     if !args.log.is_empty() {
-        return args.log.iter().map(|log| std::path::absolute(log).wrap_err_with(|| format!("{}", log.display()))).collect();
+        return args
+            .log
+            .iter()
+            .map(|log| std::path::absolute(log).wrap_err_with(|| format!("{}", log.display())))
+            .collect();
     }
-    let player = graph.nodes.iter().find(|node| node.registration(&REGISTRY).is_some_and(|r| r.name == "player"));
+    let player = graph
+        .nodes
+        .iter()
+        .find(|node| node.registration(&REGISTRY).is_some_and(|r| r.name == "player"));
     let player = player.ok_or_else(|| eyre!("{}: no node `player` to play a log", graph.file.display()))?;
-    let written = player.settings().iter().find_map(|arg| arg.strip_prefix("log=")).map(PathBuf::from);
-    let log = written.unwrap_or_else(|| realo_player::Config::default().log.into());
+    let written = player
+        .settings()
+        .iter()
+        .find_map(|arg| arg.strip_prefix("log="))
+        .map(PathBuf::from);
+    let log = written.unwrap_or_else(|| realo_player::Config::default().log);
     let log = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")).join(log))?;
     let log = lexically_normal(&log);
     if log.ends_with(demo::FILE) {
@@ -137,6 +154,7 @@ fn set_arguments(
         ("results", "mode", mode_name),
         ("results", "coop", coop),
         ("results", "ego", ego),
+        ("link", "ego", ego),
     ];
     let has = |stream| log.info().agents.iter().any(|agent| log.has(&agent.name, stream));
     if has(Stream::Sweeps) && !has(Stream::Points) {
@@ -156,12 +174,20 @@ fn set_arguments(
     for stage in ["link", "results"] {
         settings.extend(seed.as_deref().map(|seed| (stage, "seed", seed)));
     }
-    let compute = args.compute.as_ref().and_then(|path| path.file_stem()).map(|stem| stem.to_string_lossy());
+    let compute = args
+        .compute
+        .as_ref()
+        .and_then(|path| path.file_stem())
+        .map(|stem| stem.to_string_lossy());
     settings.extend(compute.as_deref().map(|compute| ("results", "compute", compute)));
     let graph = &mut cell.graph;
     for (stage, key, value) in settings {
         let of_stage = |node: &&mut FlatNode| node.registration(&REGISTRY).is_some_and(|known| known.name == stage);
-        graph.nodes.iter_mut().filter(of_stage).for_each(|node| node.set(key, value));
+        graph
+            .nodes
+            .iter_mut()
+            .filter(of_stage)
+            .for_each(|node| node.set(key, value));
     }
     // What the user set by hand stands above what the options imply.
     for text in &args.set {
@@ -174,8 +200,11 @@ fn set_arguments(
 /// Refuses a graph with errors and prints its warnings.
 fn check(graph: &FlatGraph) -> Result<()> {
     let findings = graph::validate(graph, &REGISTRY);
-    let errors: Vec<String> =
-        findings.iter().filter(|f| f.severity == Severity::Error).map(|finding| finding.to_string()).collect();
+    let errors: Vec<String> = findings
+        .iter()
+        .filter(|f| f.severity == Severity::Error)
+        .map(|finding| finding.to_string())
+        .collect();
     if errors.is_empty() {
         return Ok(());
     }

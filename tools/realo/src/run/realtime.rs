@@ -94,11 +94,19 @@ fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
     let text = fs::read_to_string(log).unwrap_or_default();
     if !status.success() {
         let culprits = culprits(&text);
-        let who = if culprits.is_empty() { format!("dora ended with {status}") } else { culprits.join("\n  ") };
+        let who = if culprits.is_empty() {
+            format!("dora ended with {status}")
+        } else {
+            culprits.join("\n  ")
+        };
         bail!("{}: the run failed:\n  {who}\n  see {}", cell.name, log.display());
     }
     if !cell.out.join("result.json").exists() {
-        bail!("{}: the run ended without results (was it stopped?); see {}", cell.name, log.display());
+        bail!(
+            "{}: the run ended without results (was it stopped?); see {}",
+            cell.name,
+            log.display()
+        );
     }
     Ok(())
 }

@@ -1,9 +1,9 @@
 //! Runs in virtual time.
 
 use eyre::{Result, WrapErr, eyre};
+use rayon::prelude::*;
 use realo_runtime::graph::FlatGraph;
 use realo_runtime::{Books, ComputeProfile, Wiring, virtual_time};
-use rayon::prelude::*;
 
 use super::prepare::Cell;
 use crate::REGISTRY;
@@ -36,7 +36,10 @@ pub fn all(cells: &[Cell]) -> Result<()> {
 pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: virtual_time::Observer) -> Result<Books> {
     let wiring = Wiring::of(graph, &REGISTRY).map_err(|error| eyre!(error))?;
     if let Some(node) = compute.nodes.keys().find(|id| graph.node(id).is_none()) {
-        return Err(eyre!("the compute profile names node `{node}`, which {} does not have", graph.file.display()));
+        return Err(eyre!(
+            "the compute profile names node `{node}`, which {} does not have",
+            graph.file.display()
+        ));
     }
     Ok(virtual_time::run(&wiring, compute, observer)?)
 }

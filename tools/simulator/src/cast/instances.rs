@@ -189,6 +189,7 @@ impl<'a> Instances<'a> {
     /// The first body that a ray meets before `limit`. `azimuth` is clockwise from the sweep's start; `level` the
     /// ray's length over ground.
     #[inline]
+    #[allow(clippy::too_many_arguments)] // a ray in its parts; one place calls it, once for each ray
     pub fn cast(
         &self,
         azimuth: f64,

@@ -196,7 +196,7 @@ mod tests {
                 draws.between(-100.0, 100.0),
                 draws.between(1.5, 6.0),
             ];
-            let (sin, cos) = libm::sincos(draws.between(0.0, 6.28));
+            let (sin, cos) = libm::sincos(draws.between(0.0, std::f64::consts::TAU));
             let ray = [cos, sin, -draws.between(0.015, 0.5)];
             let lift = draws.between(0.0, 0.2);
             let Some(t) = terrain.cast(origin, ray, lift, [0.0, 200.0]) else {

@@ -9,6 +9,7 @@ mod zones;
 use lights::Lights;
 use vehicles::{Driven, Plan, drive};
 
+use crate::Scenario;
 use crate::bodies::Class;
 use crate::path::{Course, Pose2, State};
 use crate::place::{BAY, BAYS, Place};
@@ -89,13 +90,14 @@ impl Traffic {
         let lights = Lights::new(roads.scenario, seed);
         let network = network::Network::new(roads);
         let until = seconds + 0.5;
+        let gap = gap(roads.scenario, dense);
         let (walkers, crossings) = walkers::walk(roads, &lights, seed, dense, until);
         let plan = |seed: u64, until: f64, stay| Plan {
             network: &network,
             lights: &lights,
             crossings: &crossings,
             seed,
-            dense,
+            gap,
             until,
             stay,
         };
@@ -137,6 +139,16 @@ impl Traffic {
     }
 }
 
+/// Mean distance from one car to the next in a lane, m.
+fn gap(scenario: Scenario, dense: bool) -> f64 {
+    match (scenario, dense) {
+        (Scenario::Intersection, false) => 80.0,
+        (Scenario::Intersection, true) => 38.0,
+        (Scenario::Corridor, false) => 70.0,
+        (Scenario::Corridor, true) => 27.0,
+    }
+}
+
 /// Somebody before he is admitted: which cav he is, class, size, course.
 type Arrival = (Option<usize>, Class, [f64; 3], Course);
 
@@ -150,8 +162,8 @@ fn over_before(course: &Course, t: f64) -> bool {
 /// Draws traffic until two of its cars make good cavs: both near the junction, in sight of each other and of the
 /// first roadside unit for most of the first ten seconds. Returns the traffic's own seed and the cars' numbers.
 fn choose_traffic(place: &Place, seed: u64, seconds: f64, run: impl Fn(u64, f64) -> Vec<Driven>) -> (u64, [u64; 2]) {
-    const GOOD: f64 = 0.9;
-    const ATTEMPTS: u64 = 24;
+    const GOOD: f64 = 1.05;
+    const ATTEMPTS: u64 = 10;
     let horizon = seconds.min(10.0);
     let mut best = (f64::NEG_INFINITY, 0, [0; 2]);
     for attempt in 0..ATTEMPTS {
@@ -193,7 +205,7 @@ fn best_pair(place: &Place, driven: &[Driven], horizon: f64) -> Option<(f64, [u6
     };
     let stop_distance = |vehicle: &Driven| place.roads.stop(vehicle.arm % 2);
     let approaching = |vehicle: &Driven, places: &[[f64; 2]]| {
-        let along = if vehicle.arm % 2 == 0 {
+        let along = if vehicle.arm.is_multiple_of(2) {
             places[0][0].abs()
         } else {
             places[0][1].abs()
@@ -230,7 +242,11 @@ fn best_pair(place: &Place, driven: &[Driven], horizon: f64) -> Option<(f64, [u6
 /// Cars and vans in the bays.
 fn parked(place: &Place, seed: u64, dense: bool) -> Vec<(Class, [f64; 3], Pose2)> {
     let mut all = Vec::new();
-    let share = if dense { 0.62 } else { 0.25 };
+    let share = match (place.roads.scenario, dense) {
+        (_, false) => 0.25,
+        (Scenario::Intersection, true) => 0.45,
+        (Scenario::Corridor, true) => 0.62,
+    };
     for arm in place.roads.arms() {
         let axis = arm % 2;
         if !place.roads.bays[axis] {

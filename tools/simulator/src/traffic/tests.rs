@@ -1,6 +1,5 @@
 use super::lights::Light;
 use super::*;
-use crate::Scenario;
 
 const SCENARIOS: [Scenario; 2] = [Scenario::Intersection, Scenario::Corridor];
 
@@ -82,7 +81,7 @@ fn hardly_anybody_has_to_be_left_out_for_that() {
             lights: &lights,
             crossings: &crossings,
             seed: Stream::new(seed, "traffic", 0).bits(),
-            dense,
+            gap: gap(place.roads.scenario, dense),
             until: 10.5,
             stay: &[],
         };
@@ -281,7 +280,6 @@ fn cavs_turn_round_and_stay_for_minutes() {
             assert!(state.speed > -1e-6 && state.speed < 15.0);
             gone = state.gone;
         }
-        println!("{gone} m");
         assert!(gone > 300.0, "a cav got only {gone} m far in 150 s");
     }
 }

@@ -35,7 +35,8 @@ pub(crate) struct Plan<'a> {
     pub lights: &'a Lights,
     pub crossings: &'a [Crossing],
     pub seed: u64,
-    pub dense: bool,
+    /// Mean distance from one car to the next, m.
+    pub gap: f64,
     pub until: f64,
     /// Vehicles (by number) that turn round at the ends of the roads.
     pub stay: &'a [u64],
@@ -150,11 +151,10 @@ impl<'a> Traffic<'a> {
 
     /// Mean distance from one vehicle to the next, m.
     fn gap(&self, lane: &Lane) -> f64 {
-        match (lane.cycles, self.plan.dense) {
-            (true, false) => 190.0,
-            (true, true) => 60.0,
-            (false, false) => 80.0,
-            (false, true) => 27.0,
+        if lane.cycles {
+            2.2 * self.plan.gap
+        } else {
+            self.plan.gap
         }
     }
 
@@ -289,11 +289,10 @@ impl<'a> Traffic<'a> {
         for i in order {
             let lane = self.way(&self.vehicles[i]).lane;
             // Nobody overtakes the first of his lane.
-            if !std::mem::replace(&mut asked[lane], true) || self.granted_ahead(i) {
-                if self.may_enter(i, t) {
-                    self.vehicles[i].granted = true;
-                    asked[lane] = false;
-                }
+            let first = !std::mem::replace(&mut asked[lane], true) || self.granted_ahead(i);
+            if first && self.may_enter(i, t) {
+                self.vehicles[i].granted = true;
+                asked[lane] = false;
             }
         }
     }
