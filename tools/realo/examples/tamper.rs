@@ -5,6 +5,7 @@
 
 use dora_node_api::dora_core::config::DataId;
 use dora_node_api::{DoraArray, DoraNode, Event};
+use realo_schemas::{Payload, wire};
 
 fn main() -> eyre::Result<()> {
     let report = std::env::args()
@@ -16,6 +17,11 @@ fn main() -> eyre::Result<()> {
     let mut held: Option<DoraArray> = None;
     while let Some(event) = events.recv() {
         let Event::Input { data, .. } = event else { continue };
+        if !is_boxes(&data) {
+            // Marks of the driver, which are no messages of the stream.
+            node.send_output(output.clone(), Default::default(), data)?;
+            continue;
+        }
         n += 1;
         let behind = held.take();
         match n % 10 {
@@ -40,4 +46,8 @@ fn main() -> eyre::Result<()> {
         )?;
     }
     Ok(())
+}
+
+fn is_boxes(data: &DoraArray) -> bool {
+    wire::from_arrow(data.as_array().as_ref()).is_ok_and(|message| matches!(message.payload, Payload::Boxes(_)))
 }
