@@ -324,9 +324,7 @@ impl Host {
     fn follow(&mut self, called: Called, input: Nanos, start: Nanos) -> Result<(), HostError> {
         let done = self.log_now().max(start);
         for (port, message) in &called.failed {
-            if message.header.to.is_some() {
-                self.intake.books_of(*port).delivered_rejected.add(message);
-            }
+            self.intake.reject(*port, message);
         }
         self.wakes.extend(called.wakes);
         for (port, mut message) in called.sent {
