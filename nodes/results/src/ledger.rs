@@ -43,22 +43,6 @@ impl Fates {
         self.rejected += other.rejected;
         self.in_flight += other.in_flight;
     }
-
-    /// Takes out up to `copies` second copies that were counted as if they were messages. Where they are is known by
-    /// elimination only: the bank knows copies by their ids, the stages in front of it do not.
-    pub(crate) fn remove_copies(&mut self, mut copies: u64) {
-        for count in [
-            &mut self.skipped,
-            &mut self.rejected,
-            &mut self.superseded,
-            &mut self.stale,
-            &mut self.in_flight,
-        ] {
-            let taken = copies.min(*count);
-            *count -= taken;
-            copies -= taken;
-        }
-    }
 }
 
 /// What is known of a message that a Selection had, until it has left the bank and all its queries are decided.
@@ -411,23 +395,5 @@ mod tests {
         ledger.fusion(fusion(2, &[], &[]));
         assert_eq!(ledger.open(), 1, "message 2, which has not departed");
         assert_eq!(close(ledger).0.total(), 2, "message 1 is not accounted for");
-    }
-
-    #[test]
-    fn copies_are_taken_out_where_they_can_be() {
-        let mut fates = Fates {
-            used: 5,
-            skipped: 1,
-            rejected: 1,
-            superseded: 1,
-            ..Fates::default()
-        };
-        fates.remove_copies(2);
-        assert_eq!(
-            (fates.used, fates.skipped, fates.rejected, fates.superseded),
-            (5, 0, 0, 1)
-        );
-        fates.remove_copies(9);
-        assert_eq!(fates.total(), 5);
     }
 }

@@ -54,8 +54,6 @@ fn account(channel: &Channel, mut fates: Fates, books: &Books) -> Accounted {
         fates.skipped += of(&input.delivered_skipped);
         fates.rejected += of(&input.delivered_rejected);
     }
-    let surplus = (channel.lost + fates.total()).saturating_sub(channel.sent);
-    fates.remove_copies(surplus.min(channel.duplicated));
     Accounted {
         fates,
         unaccounted: channel.sent as i64 - channel.lost as i64 - fates.total() as i64,
@@ -134,21 +132,6 @@ mod tests {
             let books = link_books(&sent, "cav1", Some(&fates(used, 0, 0)), &Books::default());
             assert_eq!(books["rsu1-cav1"]["boxes"].accounted.unwrap().unaccounted, expected);
         }
-    }
-
-    #[test]
-    fn copies_that_a_stage_passed_over_are_no_messages() {
-        // Ten messages, all used; of the four copies the bank knew one, three waited in vain.
-        let sent = [channel("cav1", Kind::Boxes, 10, 0, 4)];
-        let books = link_books(&sent, "cav1", Some(&fates(10, 0, 0)), &decoder(3, 0));
-        let accounted = books["rsu1-cav1"]["boxes"].accounted.unwrap();
-        assert_eq!(
-            (accounted.fates.used, accounted.fates.skipped, accounted.unaccounted),
-            (10, 0, 0)
-        );
-        // Copies never excuse more than there are.
-        let books = link_books(&sent, "cav1", Some(&fates(10, 0, 0)), &decoder(6, 0));
-        assert_eq!(books["rsu1-cav1"]["boxes"].accounted.unwrap().unaccounted, -2);
     }
 
     #[test]

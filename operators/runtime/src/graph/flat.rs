@@ -326,15 +326,6 @@ impl FlatGraph {
         }
     }
 
-    /// Ids of the nodes whose operator or node takes an argument, e.g. all that need to know the `ego`.
-    pub fn taking(&self, registry: &Registry, key: &str) -> Vec<String> {
-        let takes = |node: &&FlatNode| {
-            node.registration(registry)
-                .is_some_and(|stage| stage.arguments.iter().any(|argument| argument.name == key))
-        };
-        self.nodes.iter().filter(takes).map(|node| node.id.clone()).collect()
-    }
-
     /// The graph as a dataflow file for dora, paths from the root; its types stay in [`FlatGraph::types`].
     ///
     /// # Errors

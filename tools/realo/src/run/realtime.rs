@@ -10,7 +10,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::prepare::Cell;
 use super::{dora, replay};
-use crate::REGISTRY;
 
 /// Lets dora's publishers wait for room instead of dropping at once; big messages get more time.
 const ZENOH_OVERLAY: &str = "{ transport: { link: { tx: { queue: { congestion_control: \
@@ -44,13 +43,8 @@ pub fn run(cell: &Cell, rate: f64) -> Result<()> {
 /// Writes the expanded graph with this very program behind every stage, and its types beside it.
 fn write_graph(cell: &Cell) -> Result<PathBuf> {
     let folder = std::path::absolute(cell.out.join("graph"))?;
-    let program = std::env::current_exe()?;
     let mut graph = cell.graph.clone();
-    for node in &mut graph.nodes {
-        if node.registration(&REGISTRY).is_some() {
-            node.path.clone_from(&program);
-        }
-    }
+    graph.host_in(&std::env::current_exe()?);
     copy_folder(&graph.types(), &folder.join("types"))?;
     let path = folder.join("graph.yml");
     fs::write(&path, graph.to_yaml()?).wrap_err_with(|| format!("{}", path.display()))?;
