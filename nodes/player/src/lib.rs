@@ -34,6 +34,9 @@ pub use plan::{Coop, Plan, PlanError, PlannedRun, plan};
 /// Messages that are read ahead.
 const AHEAD: usize = 256;
 
+/// Priority (`nice`) of the thread that reads ahead.
+const LOW_PRIORITY: i32 = 5;
+
 mod ports {
     use realo_runtime::PortId;
 
@@ -360,6 +363,8 @@ fn window(log: &Log, config: &Config) -> Result<(Nanos, Nanos), Error> {
 fn read_ahead(mut feed: Feed) -> Result<Receiver<Result<Option<Release>, LogError>>, Error> {
     let (sender, releases) = sync_channel(AHEAD);
     let read = move || {
+        // Reading may wait, the graph may not. Where the system refuses, it only reads as eagerly as the rest runs.
+        let _ = rustix::process::setpriority_process(None, LOW_PRIORITY);
         loop {
             let next = feed.next();
             let last = !matches!(next, Ok(Some(_)));

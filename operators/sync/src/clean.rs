@@ -3,8 +3,7 @@
 use std::ops::Range;
 
 use realo_schemas::PointCloud;
-
-use crate::Motion;
+use realo_schemas::geometry::Motion;
 
 /// The part of the ground plane that an agent's own body covers, in its body frame, m; bounds inclusive, any height.
 #[derive(Clone, Copy, Debug, PartialEq)]

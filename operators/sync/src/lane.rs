@@ -3,10 +3,8 @@
 use std::collections::VecDeque;
 
 use nalgebra::Vector3;
-use realo_schemas::geometry::PoseTrack;
+use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{EgoState, Header, Nanos, PointCloud, PoseStatus};
-
-use crate::Motion;
 
 /// Poses behind the newest one are kept for so long, ns.
 const KEEP: Nanos = 2_000_000_000;

@@ -23,11 +23,9 @@
 //! | `not_deskewed` | sweeps that passed although the motion during them is not known |
 
 mod clean;
-mod deskew;
 mod lane;
 mod operator;
 
 pub use clean::{Cleaned, OwnBody, clean};
-pub use deskew::Motion;
 pub use lane::{Lane, Pairing, PosePoint};
 pub use operator::{Sync, SyncConfig};

@@ -2,12 +2,14 @@
 
 mod boxes;
 mod corners;
+mod deskew;
 mod motion;
 mod region;
 mod rotated;
 
 pub use boxes::{bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, transform_box, yaw_of};
 pub use corners::{Corners, Cuboid, corner_hull, corners_inside, pose_from_carla, transform_corners};
+pub use deskew::Motion;
 pub use motion::{PoseTrack, interpolate};
 pub use region::Region;
 pub use rotated::{Footprint, intersection_area, iou, iou_exceeds};

@@ -123,8 +123,8 @@ impl Simulation {
         }
     }
 
-    /// One sweep of the agent with the given index in [`Simulation::agents`].
-    pub(crate) fn sweep(&self, agent: usize, seq: u64) -> (Sweep, usize) {
+    /// One sweep of the agent with the given index in [`Simulation::agents`], and the number of rays that it cast.
+    pub fn sweep(&self, agent: usize, seq: u64) -> (Sweep, usize) {
         let agent = &self.agents[agent];
         let start = agent.sweep_start(seq);
         let stamp = start + SWEEP_PERIOD / 2;

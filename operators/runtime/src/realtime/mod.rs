@@ -7,6 +7,7 @@
 mod hosted;
 mod inbox;
 mod marks;
+mod memory;
 mod source;
 
 use dora_node_api::DoraNode;
@@ -74,6 +75,7 @@ pub enum HostError {
 /// # Errors
 /// [`HostError`]; the caller ends the process with a code other than 0, so that the run fails.
 pub fn run(registration: &'static Registration, args: &[String]) -> Result<(), HostError> {
+    memory::keep_freed_pages();
     let built = (registration.build)(args).map_err(|error| HostError::Build {
         name: registration.name,
         reason: error.to_string(),

@@ -1,8 +1,8 @@
 //! The motion of an agent during one sweep.
 
+use crate::Nanos;
+use crate::geometry::{PoseTrack, relative};
 use nalgebra::Isometry3;
-use realo_schemas::Nanos;
-use realo_schemas::geometry::{PoseTrack, relative};
 
 /// Longest stretch of a sweep over which the motion is taken as straight, ns.
 const STEP: Nanos = 1_000_000;
