@@ -3,10 +3,13 @@
 mod common;
 
 use std::fs;
+use std::path::{Path, PathBuf};
 
 use common::{folder, graph, json, realo, simulated, text};
+use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
+use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 
-fn small() -> std::path::PathBuf {
+fn small() -> PathBuf {
     simulated(
         "small",
         &[
@@ -97,4 +100,183 @@ fn options_that_exclude_each_other_are_refused() {
             "{args:?}"
         );
     }
+}
+
+/// Sweeps of the odd log.
+const SWEEPS: Nanos = 5;
+
+fn standing() -> EgoState {
+    EgoState {
+        map_from_body: Default::default(),
+        covariance: None,
+        velocity: None,
+        angular_rate: None,
+        status: PoseStatus::Recorded,
+    }
+}
+
+/// A log of one vehicle, a point cloud and its detections a sweep.
+fn odd(name: &str, cloud: &PointCloud, detections: Option<&[Box3]>) -> PathBuf {
+    let path = folder(name).join("odd.mcap");
+    let agent = AgentInfo {
+        name: "cav1".into(),
+        kind: AgentKind::Vehicle,
+        footprint: None,
+        sensor: String::new(),
+        sensor_position: None,
+    };
+    let mut writer = LogWriter::create(&path, &LogInfo::new("odd", vec![agent])).expect("the log can be made");
+    let truth = [car([10.0, 0.0, 0.8], [4.0, 2.0, 1.6])];
+    let write = |writer: &mut LogWriter, sweep: Nanos| {
+        let (stamp, ready) = (1_000_000_000 + sweep * 100_000_000, 1_050_000_000 + sweep * 100_000_000);
+        writer.pose("cav1", stamp, stamp, &standing())?;
+        writer.cloud("cav1", stamp, ready, cloud)?;
+        if let Some(detections) = detections {
+            writer.detections("cav1", stamp, ready, &Boxes(detections.to_vec()))?;
+        }
+        writer.truth("cav1", stamp, ready, &truth, Some(&[9]), true)
+    };
+    for sweep in 0..SWEEPS {
+        write(&mut writer, sweep).expect("a sweep can be written");
+    }
+    writer.finish().expect("the log can be finished");
+    path
+}
+
+fn car(center: [f64; 3], [length, width, height]: [f64; 3]) -> Box3 {
+    Box3 {
+        center,
+        length,
+        width,
+        height,
+        class: "Car".into(),
+        score: 0.9,
+        yaw: 0.0,
+        velocity: None,
+        track: None,
+        covariance: None,
+    }
+}
+
+fn cloud(points: &[[f32; 3]]) -> PointCloud {
+    let column = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<_>>();
+    let n = points.len();
+    PointCloud::new(column(0), column(1), column(2), vec![0; n], vec![0; n], vec![0u16; n])
+        .expect("columns of one length")
+}
+
+/// Runs no fusion on a log and returns what it said and `result.json`.
+fn run_odd(log: &Path) -> (String, serde_json::Value) {
+    let out = log.with_file_name("out");
+    let args = [
+        "--mode",
+        "virtual",
+        "--log",
+        &log.to_string_lossy(),
+        "--out",
+        &out.to_string_lossy(),
+    ]
+    .map(String::from);
+    let output = realo(["run".to_string(), graph("no_fusion")].into_iter().chain(args));
+    let said = text(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    (said, json(&out.join("result.json")))
+}
+
+#[test]
+fn points_that_are_no_numbers_are_dropped_and_counted() {
+    let points = [
+        [10.0, 0.0, 1.0],
+        [f32::NAN, 0.0, 0.0],
+        [5.0, f32::INFINITY, 0.0],
+        [5.0, 5.0, f32::NEG_INFINITY],
+    ];
+    let (_, result) = run_odd(&odd("odd_points", &cloud(&points), Some(&[])));
+    assert_eq!(result["nodes"]["ego.sync"]["counters"]["nan_points"], 3 * SWEEPS);
+    assert_eq!(result["frames"]["processed"], SWEEPS);
+}
+
+#[test]
+fn an_empty_cloud_is_a_frame_like_any_other() {
+    let (_, result) = run_odd(&odd("odd_empty", &PointCloud::empty(), Some(&[])));
+    assert_eq!(result["frames"]["processed"], SWEEPS);
+    assert_eq!(common::counts(&result, "vehicle", "0.5"), (0, 0, SWEEPS as u64));
+}
+
+#[test]
+fn boxes_without_extent_or_with_nan_are_dropped_and_counted() {
+    let good = car([10.0, 0.0, 0.8], [4.0, 2.0, 1.6]);
+    let boxes = [
+        car([20.0, 0.0, 0.8], [0.0, 2.0, 1.6]),
+        car([f64::NAN, 0.0, 0.8], [4.0, 2.0, 1.6]),
+        car([30.0, 0.0, 0.8], [4.0, f64::INFINITY, 1.6]),
+        good,
+    ];
+    let (_, result) = run_odd(&odd("odd_boxes", &cloud(&[[10.0, 0.0, 1.0]]), Some(&boxes)));
+    assert_eq!(
+        result["nodes"]["ego-detect.recorded"]["counters"]["invalid_boxes"],
+        3 * SWEEPS
+    );
+    assert_eq!(
+        common::counts(&result, "vehicle", "0.5"),
+        (SWEEPS as u64, 0, SWEEPS as u64)
+    );
+}
+
+#[test]
+fn a_missing_topic_is_named_with_what_the_log_has() {
+    let log = odd("odd_topic", &cloud(&[[10.0, 0.0, 1.0]]), None);
+    let (code, said) = run(&[
+        "--log",
+        &log.to_string_lossy(),
+        "--out",
+        &log.with_file_name("out").to_string_lossy(),
+    ]);
+    assert_eq!(code, Some(1), "{said}");
+    for named in ["odd.mcap", "/cav1/detections", "points", "pose"] {
+        assert!(said.contains(named), "`{named}` in: {said}");
+    }
+}
+
+#[test]
+fn two_agents_with_one_name_are_refused() {
+    let bytes = fs::read(small()).expect("the log can be read");
+    let (name, twin) = (br#""name":"rsu1""#, br#""name":"cav1""#);
+    let mut twins = bytes.clone();
+    let found: Vec<usize> = (0..bytes.len() - name.len())
+        .filter(|at| bytes[*at..].starts_with(name))
+        .collect();
+    assert!(!found.is_empty(), "the log names its agents");
+    found
+        .iter()
+        .for_each(|at| twins[*at..at + twin.len()].copy_from_slice(twin));
+    let log = folder("twins").join("twins.mcap");
+    fs::write(&log, twins).expect("the log can be written");
+    let (code, said) = run(&[
+        "--log",
+        &log.to_string_lossy(),
+        "--out",
+        &log.with_file_name("out").to_string_lossy(),
+    ]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("twins.mcap") && said.contains("cav1"), "{said}");
+}
+
+#[test]
+fn a_full_disk_while_recording_fails_the_run_by_name() {
+    let out = folder("full");
+    let out = out.to_string_lossy();
+    let (code, said) = run(&[
+        "--log",
+        &small().to_string_lossy(),
+        "--out",
+        &out,
+        "--set",
+        "recorder.path=/dev/full",
+    ]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("recorder") && said.contains("No space left on device"),
+        "{said}"
+    );
 }
