@@ -2,7 +2,7 @@
 
 mod common;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use common::{counts, realo_ok, run_virtual, shared, simulated};
 
@@ -29,6 +29,27 @@ fn dair_late_fusion_gives_the_known_counts() {
     let result = run_virtual("dair_late", "late_fusion", &log, &DAIR_OFFLINE);
     assert_eq!(result["protocol"], "dair", "an imported log names its protocol");
     assert_eq!(counts(&result, "vehicle", "0.5"), (170, 0, 171));
+    let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dair_late/dair/vehicle/recording.mcap");
+    let table = realo_ok([
+        "evaluate".as_ref(),
+        log.as_os_str(),
+        "--detections".as_ref(),
+        recording.as_os_str(),
+        "--frames".as_ref(),
+    ]);
+    let last: Vec<&str> = table
+        .lines()
+        .map(|line| line.rsplit(' ').next().unwrap_or_default())
+        .collect();
+    let objects: u64 = last[1..]
+        .iter()
+        .map(|count| count.parse::<u64>().expect("a count"))
+        .sum();
+    assert_eq!(
+        (last.len(), objects),
+        (12, 171),
+        "a head and a line for each pair:\n{table}"
+    );
 }
 
 #[test]

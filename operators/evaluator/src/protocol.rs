@@ -192,7 +192,7 @@ impl Protocol {
     }
 
     /// An IoU as results name it.
-    pub(crate) fn iou_key(iou: f64) -> String {
+    pub fn iou_key(iou: f64) -> String {
         iou.to_string()
     }
 }

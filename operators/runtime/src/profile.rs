@@ -19,7 +19,10 @@ impl ComputeProfile {
     /// # Errors
     /// Names the file and what does not fit.
     pub fn read(path: &Path) -> Result<Self, String> {
-        let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        let text = std::fs::read_to_string(path).map_err(|error| {
+            let path = path.display();
+            format!("{path}: {error}; a compute profile is a TOML file of `node id = ns`, as a realtime run leaves one in its folder (compute.toml)")
+        })?;
         let profile: ComputeProfile = toml::from_str(&text).map_err(|error| format!("{}: {error}", path.display()))?;
         match profile.nodes.iter().find(|(_, nanos)| **nanos < 0) {
             Some((node, nanos)) => Err(format!(

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use eyre::{Result, bail, eyre};
-use realo_evaluator::Protocol;
+use realo_evaluator::{Evaluation, Protocol, frame_scores};
 use realo_player::{Coop, Player};
 use realo_results::{Run, Settings};
 use realo_runtime::Source;
@@ -25,6 +25,9 @@ pub struct Args {
     /// Agents of the run, whose points make truth [default: those of the recorded run]
     #[arg(long, value_delimiter = ',')]
     agents: Vec<String>,
+    /// A line for each scored frame and class: true, false and all objects at each IoU
+    #[arg(long, conflicts_with = "json")]
+    frames: bool,
     /// As JSON
     #[arg(long)]
     json: bool,
@@ -56,6 +59,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
     for scene in &mut evaluation.scenes {
         scene.name = args.log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     }
+    if args.frames {
+        print!("{}", frames_table(&evaluation));
+        return Ok(Outcome::Complete);
+    }
     let settings = Settings {
         graph: "recording".into(),
         ego,
@@ -69,6 +76,34 @@ pub fn main(args: &Args) -> Result<Outcome> {
         print!("{}", realo_report::table(&named));
     }
     Ok(Outcome::Complete)
+}
+
+/// A line for each scored frame and class.
+fn frames_table(evaluation: &Evaluation) -> String {
+    let ious: Vec<String> = evaluation
+        .protocol
+        .ious
+        .iter()
+        .map(|iou| Protocol::iou_key(*iou))
+        .collect();
+    let mut table = format!("{:>8} {:>20}  {:<12}", "sweep", "stamp ns", "class");
+    let heads = ious.iter().map(|iou| format!("  true / false / objects, IoU {iou}"));
+    table.extend(heads);
+    table.push('\n');
+    for frame in frame_scores(evaluation) {
+        for (class, counts) in &frame.counts {
+            table.push_str(&format!("{:>8} {:>20}  {class:<12}", frame.seq, frame.stamp));
+            for iou in &ious {
+                let counts = &counts[iou];
+                table.push_str(&format!(
+                    "  {:>10} / {:>5} / {:>13}",
+                    counts.hits, counts.misses, counts.total
+                ));
+            }
+            table.push('\n');
+        }
+    }
+    table
 }
 
 /// The agents of the mode, as the truth in the recording has them.
