@@ -11,11 +11,10 @@
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers. The motion of objects between the
 //! stamps is not removed.
 
-use nalgebra::Isometry3;
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::geometry::{relative, transform_box};
-use realo_schemas::report::{FusionReport, MessageId, to_report};
-use realo_schemas::{Box3, Boxes, Header, Kind, Message, Payload, PayloadType, Selection};
+use realo_fusion::{EGO, Pairing, SELECTIONS, Set};
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::geometry::transform_box;
+use realo_schemas::{Box3, Boxes, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionBoxes`].
@@ -40,73 +39,21 @@ impl Default for Config {
     }
 }
 
-/// What a fusion made.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Fused {
-    /// The ego's boxes, then the collaborators', in the ego's frame.
-    pub boxes: Vec<Box3>,
-    /// Collaborators beyond the greatest number.
-    pub over_limit: Vec<MessageId>,
-    /// Entries without a pose, or that are no boxes.
-    pub rejected: Vec<MessageId>,
-    /// Boxes below the least score.
-    pub low_score: u64,
-}
-
-/// Brings the entries' boxes to the ego's frame.
-///
-/// `map_from_ego`: where the ego's frame lies in `map` at its stamp; without it no entry can be placed.
-pub fn fuse(
-    ego_boxes: Vec<Box3>,
-    map_from_ego: Option<&Isometry3<f64>>,
-    mut entries: Vec<Message>,
-    config: &Config,
-) -> Fused {
-    entries.sort_by(|a, b| a.header.agent.cmp(&b.header.agent));
-    let mut fused = Fused {
-        boxes: if config.ego_boxes { ego_boxes } else { Vec::new() },
-        ..Fused::default()
-    };
-    let mut taken = 0;
-    for entry in entries {
-        let id = MessageId::of(&entry.header);
-        let pose = entry.header.pose.as_ref().map(|pose| &pose.map_from_frame);
-        let (Payload::Boxes(Boxes(boxes)), Some(map_from_ego), Some(map_from_sender)) =
-            (&entry.payload, map_from_ego, pose)
-        else {
-            fused.rejected.push(id);
-            continue;
-        };
-        if config.max_collaborators.is_some_and(|limit| taken >= limit) {
-            fused.over_limit.push(id);
-            continue;
-        }
-        taken += 1;
-        let ego_from_sender = relative(map_from_ego, map_from_sender);
-        fused
-            .boxes
-            .extend(boxes.iter().map(|object| transform_box(&ego_from_sender, object)));
-    }
-    let before = fused.boxes.len();
-    // A score that is NaN is left to `nms`, which counts it as invalid.
-    fused
-        .boxes
-        .retain(|object| object.score.is_nan() || object.score >= config.min_score);
-    fused.low_score = (before - fused.boxes.len()) as u64;
-    fused
+/// The ego's boxes, then the collaborators', in the ego's frame.
+pub fn fuse(set: &Set<Boxes>, ego_boxes: bool) -> Vec<Box3> {
+    let own = if ego_boxes { &set.ego.0[..] } else { &[] };
+    let theirs = set.collaborators.iter().flat_map(|collaborator| {
+        let boxes = collaborator.payload.0.iter();
+        boxes.map(|object| transform_box(&collaborator.ego_from_sender, object))
+    });
+    own.iter().cloned().chain(theirs).collect()
 }
 
 /// The operator `fusion-boxes`.
 pub struct FusionBoxes {
     config: Config,
-    /// The ego's part of a set, until its selection comes.
-    ego: Option<(Header, Boxes)>,
+    pairing: Pairing,
 }
-
-const EGO: PortId = PortId(0);
-const SELECTIONS: PortId = PortId(1);
-const BOXES: PortId = PortId(0);
-const REPORT: PortId = PortId(1);
 
 impl Describe for FusionBoxes {
     type Config = Config;
@@ -158,61 +105,36 @@ impl Operator for FusionBoxes {
         if config.min_score.is_nan() {
             return Err("argument `min_score`: expected a number, found NaN".into());
         }
-        Ok(FusionBoxes { config, ego: None })
+        Ok(FusionBoxes {
+            config,
+            pairing: Pairing::default(),
+        })
     }
 
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         match port {
-            EGO => {
-                self.ego = Some(message.into_parts().map_err(unexpected)?);
-                Ok(())
+            EGO => self.pairing.ego(message),
+            SELECTIONS => {
+                let set: Set<Boxes> = self.pairing.selection(message, self.config.max_collaborators)?;
+                let mut boxes = fuse(&set, self.config.ego_boxes);
+                let before = boxes.len();
+                // A score that is NaN is left to `nms`, which counts it as invalid.
+                boxes.retain(|object| object.score.is_nan() || object.score >= self.config.min_score);
+                out.count("low_score_boxes", (before - boxes.len()) as u64);
+                realo_fusion::send(set.header, Boxes(boxes), &set.report, out);
             }
-            SELECTIONS => self.fuse(message, out),
-            _ => Err(wrong_port(Self::INPUTS, port)),
+            _ => return Err(wrong_port(Self::INPUTS, port)),
         }
-    }
-}
-
-impl FusionBoxes {
-    fn fuse(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        let ego = self.ego.take();
-        let (asked, Selection { query, entries }): (Header, Selection) = message.into_parts().map_err(unexpected)?;
-        let Some((header, Boxes(ego_boxes))) = ego else {
-            return Err(format!("a selection without the ego's boxes of the same set ({asked})").into());
-        };
-        if (&header.agent, header.seq) != (&asked.agent, query) {
-            return Err(format!(
-                "a selection for query {query} of {}, but the ego's message is {header}",
-                asked.agent
-            )
-            .into());
-        }
-        let map_from_ego = header.pose.as_ref().map(|pose| &pose.map_from_frame);
-        let fused = fuse(ego_boxes, map_from_ego, entries, &self.config);
-        out.count("over_limit_messages", fused.over_limit.len() as u64);
-        out.count("rejected_messages", fused.rejected.len() as u64);
-        out.count("low_score_boxes", fused.low_score);
-        let report = FusionReport {
-            query,
-            agent: header.agent.to_string(),
-            over_limit: fused.over_limit,
-            rejected: fused.rejected,
-        };
-        let report_header = Header {
-            kind: Kind::Report,
-            ..header.clone()
-        };
-        out.send(BOXES, Message::new(header, Boxes(fused.boxes)));
-        out.send(REPORT, Message::new(report_header, to_report("fusion", &report)));
         Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Point3;
-    use realo_schemas::report::from_report;
-    use realo_schemas::{PointCloud, Pose, Report};
+    use nalgebra::{Isometry3, Point3};
+    use realo_fusion::{FUSED, REPORT};
+    use realo_schemas::report::{FusionReport, from_report};
+    use realo_schemas::{Header, Kind, PointCloud, Pose, Report, Selection};
 
     use super::*;
 
@@ -260,7 +182,7 @@ mod tests {
         assert_eq!(sent.len(), 2);
         let (report_port, report) = sent.pop().unwrap();
         let (boxes_port, fused) = sent.pop().unwrap();
-        assert_eq!((boxes_port, report_port), (BOXES, REPORT));
+        assert_eq!((boxes_port, report_port), (FUSED, REPORT));
         let (fused_header, Boxes(fused)) = fused.into_parts().unwrap();
         assert_eq!(
             (fused_header.agent, fused_header.seq, fused_header.pose),
@@ -368,9 +290,24 @@ mod tests {
 
     #[test]
     fn places_nothing_without_a_pose_of_the_ego() {
+        let mut operator = FusionBoxes::new(Config::default()).unwrap();
+        let mut out = Outputs::at(100);
         let entry = boxes("cav2", Some(pose(0.0, 0.0, 0.0)), vec![object([0.0; 3], 0.0, 0.5)]);
-        let fused = fuse(vec![object([0.0; 3], 0.0, 0.1)], None, vec![entry], &Config::default());
-        assert_eq!((fused.boxes.len(), fused.rejected.len()), (1, 1));
+        let selection = Selection {
+            query: 7,
+            entries: vec![entry],
+        };
+        let ego = header("cav1", 7, None);
+        let own = Boxes(vec![object([0.0; 3], 0.0, 0.1)]);
+        operator
+            .on_input(EGO, Message::new(ego.clone(), own), &mut out)
+            .unwrap();
+        operator
+            .on_input(SELECTIONS, Message::new(ego, selection), &mut out)
+            .unwrap();
+        let (_, fused) = out.take_sent().swap_remove(0);
+        assert_eq!(fused.into_parts::<Boxes>().unwrap().1.0.len(), 1);
+        assert_eq!(out.counted("rejected_messages"), 1);
     }
 
     #[test]
@@ -401,7 +338,7 @@ mod tests {
             .on_input(SELECTIONS, selection(7), &mut out)
             .unwrap_err()
             .to_string();
-        assert!(error.contains("without the ego's boxes"), "{error}");
+        assert!(error.contains("without the ego's message"), "{error}");
         operator
             .on_input(EGO, Message::new(header("cav1", 6, None), Boxes(vec![])), &mut out)
             .unwrap();

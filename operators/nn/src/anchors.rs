@@ -2,43 +2,86 @@
 //!
 //! A box here is seven numbers: x, y, z of the centre, height, width, length (m), yaw (rad).
 
+use crate::model::{ClassAnchor, Model};
+
 /// x, y, z, height, width, length, yaw.
 pub type Hwl<T> = [T; 7];
 
-/// The anchors of one class: one box in several headings at every cell.
+/// The anchors of a head: at every cell of its map, for every class, one box in several headings.
 #[derive(Clone, Debug, PartialEq)]
-pub struct AnchorClass {
-    /// Super-class.
-    pub name: &'static str,
-    /// Length, width, height, m.
-    pub extent: [f64; 3],
-    /// Height of the centre in the network's frame, m.
-    pub z: f64,
+pub struct Anchors {
+    /// The head's map.
+    pub cells: Cells,
+    /// Classes in the order of the head's channels.
+    pub classes: Vec<ClassAnchor>,
     /// Headings, rad.
-    pub yaws: [f64; 2],
+    pub rotations: Vec<f64>,
 }
 
-/// The classes of V2X-Real. Its second heading is 1.57, not π/2; weights depend on it.
-pub const V2X_REAL: [AnchorClass; 3] = [
-    AnchorClass {
-        name: "vehicle",
-        extent: [3.9, 1.6, 1.56],
-        z: -1.78,
-        yaws: [0.0, 1.57],
-    },
-    AnchorClass {
-        name: "pedestrian",
-        extent: [0.8, 0.6, 1.73],
-        z: -0.6,
-        yaws: [0.0, 1.57],
-    },
-    AnchorClass {
-        name: "truck",
-        extent: [8.0, 3.0, 3.0],
-        z: -1.78,
-        yaws: [0.0, 1.57],
-    },
-];
+impl Anchors {
+    /// The anchors of a model's heads.
+    pub fn of(model: &Model) -> Self {
+        let [rows, columns] = model.map_size();
+        Anchors {
+            cells: Cells::divided(model.grid.x, model.grid.y, rows, columns),
+            classes: model.classes.clone(),
+            rotations: model.rotations.clone(),
+        }
+    }
+
+    /// The anchors of V2X-Real over a map. Their second heading is 1.57, not π/2; weights depend on it.
+    pub fn v2x_real(cells: Cells) -> Self {
+        let class = |name: &str, [length, width, height]: [f64; 3], z, [unmatched, matched]: [f64; 2]| ClassAnchor {
+            name: name.into(),
+            length,
+            width,
+            height,
+            z,
+            matched,
+            unmatched,
+        };
+        Anchors {
+            cells,
+            classes: vec![
+                class("vehicle", [3.9, 1.6, 1.56], -1.78, [0.45, 0.6]),
+                class("pedestrian", [0.8, 0.6, 1.73], -0.6, [0.35, 0.5]),
+                class("truck", [8.0, 3.0, 3.0], -1.78, [0.45, 0.6]),
+            ],
+            rotations: vec![0.0, 1.57],
+        }
+    }
+
+    /// Anchors at one cell.
+    pub fn per_cell(&self) -> usize {
+        self.classes.len() * self.rotations.len()
+    }
+
+    /// All anchors.
+    pub fn count(&self) -> usize {
+        self.cells.rows * self.cells.columns * self.per_cell()
+    }
+
+    /// The anchor of a class at a cell, in one of the headings; centres lie in the middle of cells.
+    pub fn at(&self, row: usize, column: usize, class: usize, rotation: usize) -> Hwl<f64> {
+        let [x, y] = self.cells.center(row, column);
+        let class = &self.classes[class];
+        let yaw = self.rotations[rotation];
+        [x, y, class.z, class.height, class.width, class.length, yaw]
+    }
+
+    /// Anchor `index` in the order of the head's channels: (row, column, class, heading).
+    pub fn get(&self, index: usize) -> Hwl<f64> {
+        let (cell, anchor) = (index / self.per_cell(), index % self.per_cell());
+        let (row, column) = (cell / self.cells.columns, cell % self.cells.columns);
+        let headings = self.rotations.len();
+        self.at(row, column, anchor / headings, anchor % headings)
+    }
+
+    /// All anchors in the order of the head's channels.
+    pub fn iter(&self) -> impl Iterator<Item = Hwl<f64>> + '_ {
+        (0..self.count()).map(|index| self.get(index))
+    }
+}
 
 /// The cells of a BEV map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,36 +100,26 @@ impl Cells {
     /// The map that `stride` voxels of side `voxel` (m) make one cell of, over x and y ranges; cells cover it all.
     pub fn new(x: [f64; 2], y: [f64; 2], voxel: f64, stride: usize) -> Self {
         let count = |[from, to]: [f64; 2]| (((to - from) / voxel).round() / stride as f64).ceil() as usize;
-        let (columns, rows) = (count(x), count(y));
-        let size = [(x[1] - x[0]) / columns as f64, (y[1] - y[0]) / rows as f64];
+        Self::divided(x, y, count(y), count(x))
+    }
+
+    /// The map of so many rows and columns over x and y ranges.
+    pub fn divided(x: [f64; 2], y: [f64; 2], rows: usize, columns: usize) -> Self {
         Cells {
             rows,
             columns,
             origin: [x[0], y[0]],
-            size,
+            size: [(x[1] - x[0]) / columns as f64, (y[1] - y[0]) / rows as f64],
         }
     }
-}
 
-/// The anchor of a class at a cell, in one of its headings; centres lie in the middle of cells.
-pub fn anchor(class: &AnchorClass, cells: &Cells, row: usize, column: usize, heading: usize) -> Hwl<f64> {
-    let x = cells.origin[0] + (column as f64 + 0.5) * cells.size[0];
-    let y = cells.origin[1] + (row as f64 + 0.5) * cells.size[1];
-    let [length, width, height] = class.extent;
-    [x, y, class.z, height, width, length, class.yaws[heading]]
-}
-
-/// All anchors in the order of the head's channels: (row, column, class, heading).
-pub fn anchors(classes: &[AnchorClass], cells: &Cells) -> Vec<Hwl<f64>> {
-    let mut all = Vec::with_capacity(cells.rows * cells.columns * classes.len() * 2);
-    for row in 0..cells.rows {
-        for column in 0..cells.columns {
-            for class in classes {
-                all.extend((0..2).map(|heading| anchor(class, cells, row, column, heading)));
-            }
-        }
+    /// (x, y) of a cell's centre, m.
+    pub fn center(&self, row: usize, column: usize) -> [f64; 2] {
+        [
+            self.origin[0] + (column as f64 + 0.5) * self.size[0],
+            self.origin[1] + (row as f64 + 0.5) * self.size[1],
+        ]
     }
-    all
 }
 
 /// A box as deltas to an anchor: centre in units of the anchor's diagonal and height, logarithms of the extents' ratios,
@@ -126,18 +159,22 @@ mod tests {
     fn the_map_of_the_full_size_network_has_its_shape() {
         let cells = Cells::new([-102.4, 102.4], [-40.0, 40.0], 0.4, 2);
         assert_eq!((cells.rows, cells.columns), (100, 256));
-        let first = anchor(&V2X_REAL[0], &cells, 0, 0, 0);
+        let anchors = Anchors::v2x_real(cells);
+        let first = anchors.at(0, 0, 0, 0);
         assert!((first[0] + 102.0).abs() < 1e-12 && (first[1] + 39.6).abs() < 1e-12);
-        assert_eq!(anchors(&V2X_REAL, &cells).len(), 100 * 256 * 6);
+        assert_eq!(
+            (anchors.count(), anchors.iter().count()),
+            (100 * 256 * 6, 100 * 256 * 6)
+        );
     }
 
     #[test]
     fn anchors_run_by_row_column_class_heading() {
-        let cells = Cells::new([0.0, 4.0], [0.0, 2.0], 1.0, 1);
-        let all = anchors(&V2X_REAL, &cells);
-        let at = |row: usize, column: usize, class: usize, yaw: usize| all[((row * 4 + column) * 3 + class) * 2 + yaw];
-        assert_eq!(at(1, 2, 0, 1), anchor(&V2X_REAL[0], &cells, 1, 2, 1));
-        assert_eq!(at(0, 3, 2, 0)[..3], [3.5, 0.5, -1.78]);
+        let anchors = Anchors::v2x_real(Cells::new([0.0, 4.0], [0.0, 2.0], 1.0, 1));
+        let index = |row: usize, column: usize, class: usize, yaw: usize| ((row * 4 + column) * 3 + class) * 2 + yaw;
+        assert_eq!(anchors.get(index(1, 2, 0, 1)), anchors.at(1, 2, 0, 1));
+        assert_eq!(anchors.get(index(0, 3, 2, 0)), [3.5, 0.5, -1.78, 3.0, 3.0, 8.0, 0.0]);
+        assert_eq!(anchors.iter().nth(index(0, 3, 1, 1)), Some(anchors.at(0, 3, 1, 1)));
     }
 
     #[test]

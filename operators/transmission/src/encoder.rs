@@ -1,6 +1,7 @@
 use arrow::buffer::Buffer;
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{Header, Message, Packet, PayloadType};
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::geometry::{relative, transform_cloud};
+use realo_schemas::{EgoState, Header, Message, Packet, Payload, PayloadType, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::{CODEC, Columns, encode};
@@ -21,12 +22,32 @@ pub struct EncoderConfig {
     pub time: bool,
     /// Whether the beams of points cross.
     pub ring: bool,
+    /// Who brings points to the ego's frame.
+    pub project: Project,
+}
+
+/// Who brings points to the ego's frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Project {
+    /// Whoever receives them.
+    #[default]
+    Receiver,
+    /// This encoder, with the newest state of the ego that has arrived; nothing is sent before the first.
+    Sender,
 }
 
 /// Puts what an agent says into bytes.
 pub struct TransmissionEncoder {
     columns: Columns,
+    project: Project,
+    /// The ego's newest state, and its header.
+    ego: Option<(Header, EgoState)>,
 }
+
+const MESSAGES: PortId = PortId(0);
+const STATE: PortId = PortId(1);
+const PACKETS: PortId = PortId(0);
 
 impl Describe for TransmissionEncoder {
     type Config = EncoderConfig;
@@ -41,8 +62,17 @@ impl Describe for TransmissionEncoder {
             name: "ring",
             about: "whether the beam of each point crosses (2 bytes a point)",
         },
+        Argument {
+            name: "project",
+            about: "who brings points to the ego's frame: receiver, or sender (with the ego's newest known state)",
+        },
     ];
-    const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];
+    const INPUTS: &'static [Port] = &[
+        Port::new("messages", CARRIED, "what an agent says").latest(),
+        Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
+            .state()
+            .optional(),
+    ];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
 }
 
@@ -53,13 +83,38 @@ impl Operator for TransmissionEncoder {
                 time: config.time,
                 ring: config.ring,
             },
+            project: config.project,
+            ego: None,
         })
     }
 
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        if port != PortId(0) {
-            return Err(wrong_port(Self::INPUTS, port));
+        match port {
+            MESSAGES => self.encode(message, out),
+            STATE => {
+                let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+                if self.ego.as_ref().is_none_or(|(known, _)| known.stamp < header.stamp) {
+                    self.ego = Some((header, state));
+                }
+                Ok(())
+            }
+            _ => Err(wrong_port(Self::INPUTS, port)),
         }
+    }
+}
+
+impl TransmissionEncoder {
+    fn encode(&self, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        let message = match (self.project, &message.payload) {
+            (Project::Sender, Payload::PointCloud(_)) => {
+                let Some(ego) = &self.ego else {
+                    out.count("no_ego_state", 1);
+                    return Ok(());
+                };
+                projected(message, ego)?
+            }
+            _ => message,
+        };
         let (bytes, dropped) = encode(&message, self.columns)?;
         out.count("nan_points", dropped.points);
         out.count("invalid_boxes", dropped.boxes);
@@ -73,7 +128,28 @@ impl Operator for TransmissionEncoder {
             codec: vec![CODEC.into()],
             bytes: Buffer::from_vec(bytes),
         };
-        out.send(PortId(0), Message::new(header, packet));
+        out.send(PACKETS, Message::new(header, packet));
         Ok(())
     }
+}
+
+/// A sweep in the ego's body frame at the state's stamp; the header's frame and pose are then the ego's.
+fn projected(message: Message, (ego, state): &(Header, EgoState)) -> Result<Message, Error> {
+    let Message { header, payload } = message;
+    let Payload::PointCloud(cloud) = payload else {
+        return Err(format!(
+            "expected a sweep to project, found {} ({header})",
+            payload.payload_type()
+        )
+        .into());
+    };
+    let pose = header.pose.as_ref();
+    let pose = pose.ok_or_else(|| format!("a sweep without a pose cannot be projected ({header})"))?;
+    let ego_from_sender = relative(&state.map_from_body, &pose.map_from_frame);
+    let header = Header {
+        frame: ego.frame.clone(),
+        pose: Some(Pose::exact(state.map_from_body)),
+        ..header
+    };
+    Ok(Message::new(header, transform_cloud(&ego_from_sender, &cloud)))
 }

@@ -1,25 +1,11 @@
 //! The motion of an agent during one sweep.
 
 use crate::Nanos;
+use crate::geometry::cloud::Affine;
 use crate::geometry::{PoseTrack, relative};
-use nalgebra::Isometry3;
 
 /// Longest stretch of a sweep over which the motion is taken as straight, ns.
 const STEP: Nanos = 1_000_000;
-
-/// A transform of points, `rotation * p + translation`, by rows.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Affine([[f32; 4]; 3]);
-
-impl Affine {
-    fn new(transform: &Isometry3<f64>) -> Self {
-        let rotation = transform.rotation.to_rotation_matrix();
-        let (r, t) = (rotation.matrix(), &transform.translation.vector);
-        Affine(std::array::from_fn(|i| {
-            [r[(i, 0)], r[(i, 1)], r[(i, 2)], t[i]].map(|v| v as f32)
-        }))
-    }
-}
 
 /// The body frame at the sweep's stamp, seen from the body frame during the sweep.
 ///
@@ -119,7 +105,7 @@ impl Row {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, UnitQuaternion, Vector3};
+    use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
     use super::*;
 

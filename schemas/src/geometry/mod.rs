@@ -1,6 +1,7 @@
 //! Geometry of frames and boxes: poses in f64, x forward, y left, z up, yaw from +x towards +y.
 
 mod boxes;
+mod cloud;
 mod corners;
 mod deskew;
 mod motion;
@@ -8,6 +9,7 @@ mod region;
 mod rotated;
 
 pub use boxes::{bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, transform_box, yaw_of};
+pub use cloud::transform_cloud;
 pub use corners::{Corners, Cuboid, corner_hull, corners_inside, pose_from_carla, transform_corners};
 pub use deskew::Motion;
 pub use motion::{PoseTrack, interpolate};

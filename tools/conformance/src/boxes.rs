@@ -3,7 +3,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use realo_evaluator::Protocol;
-use realo_nn::anchors::{AnchorClass, Cells, V2X_REAL, anchor, anchors, decode, encode};
+use realo_nn::anchors::{Anchors, Cells, decode, encode};
 use realo_nn::points::{in_range, on_own_body};
 use realo_schemas::Box3;
 use realo_schemas::geometry::{
@@ -28,7 +28,7 @@ pub(crate) fn check(name: &str) -> Option<Check> {
     }
 }
 
-fn flat<const N: usize>(rows: &[[f64; N]]) -> Vec<f64> {
+pub(crate) fn flat<const N: usize>(rows: &[[f64; N]]) -> Vec<f64> {
     rows.iter().flatten().copied().collect()
 }
 
@@ -54,7 +54,7 @@ fn pose_matrices(vector: &Vector) -> Result<(), String> {
     compare("pose1_to_pose2", &relative, &tensors.numbers("out.pose1_to_pose2")?, t)
 }
 
-fn cuboid([x, y, z, height, width, length, yaw]: &[f64; 7]) -> Cuboid {
+pub(crate) fn cuboid([x, y, z, height, width, length, yaw]: &[f64; 7]) -> Cuboid {
     Cuboid {
         center: [*x, *y, *z],
         extent: [*length, *width, *height],
@@ -83,7 +83,7 @@ fn hwl(cuboid: &Cuboid, expected_yaw: f64) -> [f64; 7] {
     [x, y, z, height, width, length, turned_to(expected_yaw, cuboid.yaw)]
 }
 
-fn isometry(matrix: &[f64]) -> Result<Isometry3<f64>, String> {
+pub(crate) fn isometry(matrix: &[f64]) -> Result<Isometry3<f64>, String> {
     let [a, b, c, x, d, e, f, y, g, h, i, z, ..] = *matrix else {
         return Err("a matrix is not 4×4".into());
     };
@@ -248,23 +248,21 @@ fn world_objects(vector: &Vector) -> Result<(), String> {
 const VOXEL: f64 = 0.4;
 const STRIDE: usize = 2;
 
-fn cells_of(range: [f64; 6]) -> Cells {
+pub(crate) fn cells_of(range: [f64; 6]) -> Cells {
     Cells::new([range[0], range[3]], [range[1], range[4]], VOXEL, STRIDE)
 }
 
 /// Anchors in the order (class, row, column, heading).
-fn by_class<'a>(classes: &'a [AnchorClass], cells: &'a Cells) -> impl Iterator<Item = [f64; 7]> + 'a {
-    let places = move || (0..cells.rows).flat_map(move |row| (0..cells.columns).map(move |column| (row, column)));
-    let at =
-        move |class: &'a AnchorClass, (row, column)| [0, 1].map(|heading| anchor(class, cells, row, column, heading));
-    classes
-        .iter()
-        .flat_map(move |class| places().flat_map(move |place| at(class, place)))
+fn by_class(anchors: &Anchors) -> impl Iterator<Item = [f64; 7]> + '_ {
+    let Cells { rows, columns, .. } = anchors.cells;
+    let places = move || (0..rows).flat_map(move |row| (0..columns).map(move |column| (row, column)));
+    let at = move |class, (row, column)| [0, 1].map(|heading| anchors.at(row, column, class, heading));
+    (0..anchors.classes.len()).flat_map(move |class| places().flat_map(move |place| at(class, place)))
 }
 
 fn anchors_small(vector: &Vector) -> Result<(), String> {
-    let cells = cells_of(vector.setting("range")?);
-    let found: Vec<[f64; 7]> = by_class(&V2X_REAL, &cells).collect();
+    let anchors = Anchors::v2x_real(cells_of(vector.setting("range")?));
+    let found: Vec<[f64; 7]> = by_class(&anchors).collect();
     let expected = vector.tensors()?.numbers("out.anchors_chwr7")?;
     compare("anchors", &flat(&found), &expected, vector.tolerance()?)
 }
@@ -290,10 +288,11 @@ fn anchors_full_size(vector: &Vector) -> Result<(), String> {
             "point_pillar_v2xvit" => (102.4, 38.4),
             _ => (102.4, 40.0),
         };
-        let cells = cells_of([-x, -y, -15.0, x, y, 15.0]);
+        let anchors = Anchors::v2x_real(cells_of([-x, -y, -15.0, x, y, 15.0]));
+        let Cells { rows, columns, .. } = anchors.cells;
         equal(
             &format!("{network} shape"),
-            &[V2X_REAL.len(), cells.rows, cells.columns, 2, 7],
+            &[anchors.classes.len(), rows, columns, 2, 7],
             &expected.shape,
         )?;
         for sample in &expected.samples {
@@ -303,9 +302,10 @@ fn anchors_full_size(vector: &Vector) -> Result<(), String> {
                 .iter()
                 .zip(&expected.shape)
                 .all(|(index, size)| index < size);
-            let class = V2X_REAL.get(class).filter(|_| in_shape);
-            let class = class.ok_or_else(|| format!("{network}: sample {:?} lies outside its shape", sample.index))?;
-            let found = anchor(class, &cells, row, column, heading);
+            if !in_shape {
+                return Err(format!("{network}: sample {:?} lies outside its shape", sample.index));
+            }
+            let found = anchors.at(row, column, class, heading);
             compare(
                 &format!("{network} anchor {:?}", sample.index),
                 &found,
@@ -315,7 +315,7 @@ fn anchors_full_size(vector: &Vector) -> Result<(), String> {
         }
         let mut sums = [0.0; 7];
         let mut count = 0.0;
-        for anchor in by_class(&V2X_REAL, &cells) {
+        for anchor in by_class(&anchors) {
             sums.iter_mut().zip(anchor).for_each(|(sum, value)| *sum += value);
             count += 1.0;
         }
@@ -333,7 +333,8 @@ fn anchors_full_size(vector: &Vector) -> Result<(), String> {
 
 fn decode_deltas(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
-    let anchors = anchors(&V2X_REAL, &cells_of([-12.8, -6.4, -15.0, 12.8, 6.4, 15.0]));
+    let cells = cells_of([-12.8, -6.4, -15.0, 12.8, 6.4, 15.0]);
+    let anchors: Vec<[f64; 7]> = Anchors::v2x_real(cells).iter().collect();
     let deltas = tensors.rows::<7>("in.deltas")?;
     if deltas.len() != anchors.len() {
         return Err(format!(

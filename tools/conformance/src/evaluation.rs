@@ -225,7 +225,7 @@ fn frames(vector: &Vector) -> Result<(), String> {
     };
     let (outlines_found, scores, found) = (
         outlines("in.det_corners")?,
-        tensors.scores("in.det_scores")?,
+        tensors.singles("in.det_scores")?,
         classes("in.det_labels")?,
     );
     let (outlines_there, there) = (outlines("in.gt_corners")?, classes("in.gt_labels")?);

@@ -14,7 +14,7 @@ pub(crate) fn check(name: &str) -> Option<Check> {
     }
 }
 
-fn footprints(corners: &[Corners]) -> Vec<Footprint> {
+pub(crate) fn footprints(corners: &[Corners]) -> Vec<Footprint> {
     corners
         .iter()
         .map(|corners| Footprint::from_corners([0, 1, 2, 3].map(|i| [corners[i][0], corners[i][1]])))
@@ -42,7 +42,7 @@ fn pairs_and_keep(vector: &Vector) -> Result<(), String> {
 
 /// Every list `out.keep_<threshold>`, by each index.
 fn check_keep(tensors: &Tensors, footprints: &[Footprint], ties: Ties) -> Result<(), String> {
-    let scores = tensors.scores("in.scores")?;
+    let scores = tensors.singles("in.scores")?;
     let lists = tensors.names("out.keep_")?;
     if lists.is_empty() {
         return Err("the vector has no list `out.keep_…`".into());
@@ -87,7 +87,7 @@ fn ties(vector: &Vector) -> Result<(), String> {
         .into_iter()
         .map(|index| index as u32)
         .collect();
-    equal("order", &order(&tensors.scores("in.scores")?, Ties::Last), &expected)?;
+    equal("order", &order(&tensors.singles("in.scores")?, Ties::Last), &expected)?;
     check_keep(&tensors, &footprints(&tensors.corners("in.corners")?), Ties::Last)
 }
 

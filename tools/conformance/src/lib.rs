@@ -6,6 +6,10 @@
 mod boxes;
 mod evaluation;
 mod iou_nms;
+mod loss;
+mod pillars;
+mod postprocess;
+mod targets;
 mod vector;
 
 use std::fmt;
@@ -107,6 +111,10 @@ fn check_of(file: &str) -> Result<Check, String> {
         "boxes" => boxes::check(name),
         "iou_nms" => iou_nms::check(name),
         "evaluation" => evaluation::check(name),
+        "pillars" => pillars::check(name),
+        "targets" => targets::check(name),
+        "loss" => loss::check(name),
+        "postprocess" => postprocess::check(name),
         _ => return Err(format!("no part of this version computes `{folder}`")),
     };
     check.ok_or_else(|| format!("there is no check for `{name}` of `{folder}`"))

@@ -53,6 +53,14 @@ impl Vector<'_> {
             .map_err(|list: Vec<f64>| format!("config `{key}`: expected {N} numbers, found {}", list.len()))
     }
 
+    /// A number of the case's configuration.
+    pub fn number(&self, key: &str) -> Result<f64, String> {
+        let value = &self.entry.config[key];
+        value
+            .as_f64()
+            .ok_or_else(|| format!("config `{key}`: expected a number, found {value}"))
+    }
+
     /// The tensors of the file.
     pub fn tensors(&self) -> Result<Tensors, String> {
         Tensors::read(&self.dir.join(&self.entry.file))
@@ -114,6 +122,7 @@ impl Tensors {
             Dtype::F32 => each(data, |bytes| f64::from(f32::from_le_bytes(bytes))),
             Dtype::I64 => each(data, |bytes| i64::from_le_bytes(bytes) as f64),
             Dtype::I32 => each(data, |bytes| f64::from(i32::from_le_bytes(bytes))),
+            Dtype::I8 => each(data, |bytes| f64::from(i8::from_le_bytes(bytes))),
             Dtype::U8 => each(data, |[byte]: [u8; 1]| f64::from(byte)),
             other => {
                 return Err(format!(
@@ -140,6 +149,39 @@ impl Tensors {
         }
     }
 
+    /// A tensor's numbers in single precision.
+    pub fn singles(&self, name: &str) -> Result<Vec<f32>, String> {
+        Ok(self.numbers(name)?.into_iter().map(|number| number as f32).collect())
+    }
+
+    /// A `[samples, channels, rows, columns]` tensor, channels last, in single precision; and its shape as it is stored.
+    pub fn channels_last(&self, name: &str) -> Result<(Vec<f32>, [usize; 4]), String> {
+        let shape = self.shape(name)?;
+        let [samples, channels, rows, columns] = shape[..] else {
+            return Err(format!(
+                "{}: tensor `{name}` has shape {shape:?}, not four sizes",
+                self.file
+            ));
+        };
+        let (numbers, cells) = (self.singles(name)?, rows * columns);
+        let mut last = Vec::with_capacity(numbers.len());
+        for sample in 0..samples {
+            for cell in 0..cells {
+                last.extend((0..channels).map(|channel| numbers[(sample * channels + channel) * cells + cell]));
+            }
+        }
+        Ok((last, [samples, channels, rows, columns]))
+    }
+
+    /// A tensor's shape.
+    pub fn shape(&self, name: &str) -> Result<Vec<usize>, String> {
+        let parsed = self.parsed()?;
+        let tensor = parsed
+            .tensor(name)
+            .map_err(|error| format!("{}: tensor `{name}`: {error}", self.file))?;
+        Ok(tensor.shape().to_vec())
+    }
+
     /// A `[boxes, 8, 3]` tensor.
     pub fn corners(&self, name: &str) -> Result<Vec<Corners>, String> {
         let rows = self.rows::<24>(name)?;
@@ -147,11 +189,6 @@ impl Tensors {
             .iter()
             .map(|row| std::array::from_fn(|i| [row[3 * i], row[3 * i + 1], row[3 * i + 2]]))
             .collect())
-    }
-
-    /// Scores, in single precision.
-    pub fn scores(&self, name: &str) -> Result<Vec<f32>, String> {
-        Ok(self.numbers(name)?.into_iter().map(|score| score as f32).collect())
     }
 }
 

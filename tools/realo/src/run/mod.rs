@@ -57,6 +57,12 @@ pub struct Args {
     /// Agents report the detections that the log recorded
     #[arg(long)]
     pub recorded_detections: bool,
+    /// Model file of every detector [default: each node's own]
+    #[arg(long)]
+    pub model: Option<PathBuf>,
+    /// Who brings what crosses the link to the ego's frame: its receiver, or its sender with the ego's newest known state
+    #[arg(long, value_enum)]
+    pub project: Option<Project>,
     /// Seed of the links' jitter and loss
     #[arg(long)]
     pub seed: Option<u64>,
@@ -69,6 +75,25 @@ pub struct Args {
     /// Print JSON instead of the table
     #[arg(long)]
     pub json: bool,
+}
+
+/// Who brings what crosses the link to the ego's frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Project {
+    /// Whoever receives it, by the poses of the two stamps.
+    Receiver,
+    /// Whoever sends it, with the newest state of the ego that has arrived.
+    Sender,
+}
+
+impl Project {
+    /// As nodes' arguments name it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Project::Receiver => "receiver",
+            Project::Sender => "sender",
+        }
+    }
 }
 
 /// Which driver runs the graph.

@@ -25,6 +25,9 @@ pub struct Cell {
     pub compute: Option<PathBuf>,
 }
 
+/// The operator that can project.
+const ENCODER: &str = "transmission-encoder";
+
 /// The runs of one graph.
 pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cell>> {
     let graph = base_graph(args, path)?;
@@ -75,11 +78,40 @@ fn base_graph(args: &Args, path: &Path) -> Result<FlatGraph> {
         graph
     };
     let mut flat = graph.expand()?;
+    anchor_paths(&mut flat)?;
+    let takes_states = |node: &FlatNode| {
+        let encoder = node.registration(&REGISTRY).is_some_and(|known| known.name == ENCODER);
+        encoder && node.inputs.contains_key("state")
+    };
+    if args.project.is_some() && !flat.nodes.iter().any(takes_states) {
+        bail!(
+            "--project: {} has no {ENCODER} whose input `state` gets the ego's states, so no sender can project",
+            flat.file.display()
+        );
+    }
     for text in &args.set {
         let setting: Setting = text.parse()?;
         flat.set(&setting.node, &setting.key, &setting.value)?;
     }
     Ok(flat)
+}
+
+/// Makes the paths that a graph gives in its arguments absolute. A value that begins with `./` or `../` is one, seen from
+/// the graph's folder, where dora starts the nodes.
+fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
+    let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
+    for node in &mut graph.nodes {
+        let relative = |setting: &String| {
+            let (key, value) = setting.split_once('=')?;
+            let is_path = value.starts_with("./") || value.starts_with("../");
+            is_path.then(|| (key.to_string(), lexically_normal(&folder.join(value))))
+        };
+        let found: Vec<(String, PathBuf)> = node.settings().iter().filter_map(relative).collect();
+        for (key, path) in found {
+            node.set(&key, &path.to_string_lossy());
+        }
+    }
+    Ok(())
 }
 
 /// The logs that are asked for, absolute; without any the graph's own, made first if it is the demo log.
@@ -102,8 +134,9 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
         .find_map(|arg| arg.strip_prefix("log="))
         .map(PathBuf::from);
     let log = written.unwrap_or_else(|| realo_player::Config::default().log);
-    let log = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")).join(log))?;
-    let log = lexically_normal(&log);
+    let log = lexically_normal(&std::path::absolute(
+        graph.file.parent().unwrap_or(Path::new(".")).join(log),
+    )?);
     if log.ends_with(demo::FILE) {
         demo::make(&log)?;
     }
@@ -161,6 +194,17 @@ fn set_arguments(
         eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
         settings.push(("player", "points", "false"));
     }
+    let model = args.model.as_ref().map(std::path::absolute).transpose()?;
+    let model = model.as_deref().map(Path::to_string_lossy);
+    for stage in ["pillar-encoder", "detection-head"] {
+        settings.extend(model.as_deref().map(|model| (stage, "model", model)));
+    }
+    if args.recorded_detections {
+        settings.push(("player", "detections", "required"));
+    }
+    if let Some(project) = args.project {
+        settings.push((ENCODER, "project", project.as_str()));
+    }
     if args.offline {
         settings.extend(["player", "link", "feature-bank"].map(|stage| (stage, "offline", "true")));
     }
@@ -182,7 +226,10 @@ fn set_arguments(
     settings.extend(compute.as_deref().map(|compute| ("results", "compute", compute)));
     let graph = &mut cell.graph;
     for (stage, key, value) in settings {
-        let of_stage = |node: &&mut FlatNode| node.registration(&REGISTRY).is_some_and(|known| known.name == stage);
+        let of_stage = |node: &&mut FlatNode| {
+            let known = node.registration(&REGISTRY).is_some_and(|known| known.name == stage);
+            known && (key != "project" || node.inputs.contains_key("state"))
+        };
         graph
             .nodes
             .iter_mut()

@@ -98,6 +98,9 @@ const RULES: &[Rule] = &[
     },
 ];
 
+/// Inputs that tell a stage of another lane than the one it works for: stage, port, lane.
+const ASIDE: &[(&str, &str, Lane)] = &[("transmission-encoder", "state", EgoReceived)];
+
 /// Pairs of inputs that must hang on the same wire: (stage, input) and (stage, input), and why.
 const SAME_WIRE: &[(&str, &str, &str, &str, &str)] = &[
     (
@@ -132,7 +135,8 @@ pub(super) fn check(
             .inputs
             .iter()
             .filter_map(|(port, input)| Some((port.as_str(), *lanes.get(&input.output()?)?)));
-        let taken: BTreeMap<&str, Lane> = taken.collect();
+        let mut taken: BTreeMap<&str, Lane> = taken.collect();
+        aside(node, stages[index], &mut taken, findings);
         match rule_of(stages[index]) {
             Some(rule) => {
                 demanded(node, rule, &taken, findings);
@@ -169,9 +173,31 @@ fn rule_of(stage: Option<&'static Registration>) -> Option<&'static Rule> {
 
 fn demanded(node: &FlatNode, rule: &Rule, taken: &BTreeMap<&str, Lane>, findings: &mut Findings) {
     for (port, demanded) in rule.inputs {
-        let Some(found) = taken.get(port).filter(|found| *found != demanded) else {
-            continue;
-        };
+        if let Some(found) = taken.get(port) {
+            wrong_lane(node, port, *demanded, *found, findings);
+        }
+    }
+}
+
+/// Takes the ports beside a stage's lane out of `taken`, checked.
+fn aside(
+    node: &FlatNode,
+    stage: Option<&'static Registration>,
+    taken: &mut BTreeMap<&str, Lane>,
+    findings: &mut Findings,
+) {
+    let of_stage = ASIDE
+        .iter()
+        .filter(|(name, ..)| stage.is_some_and(|stage| stage.name == *name));
+    for (_, port, demanded) in of_stage {
+        if let Some(found) = taken.remove(port) {
+            wrong_lane(node, port, *demanded, found, findings);
+        }
+    }
+}
+
+fn wrong_lane(node: &FlatNode, port: &str, demanded: Lane, found: Lane, findings: &mut Findings) {
+    if found != demanded {
         let mend = match (demanded, found) {
             (OthersReceived, Others) => "what the others send must cross a link: wire the output `to_ego` of one",
             (OthersReceived, _) => "wire what a link's `to_ego` delivers",
@@ -179,7 +205,7 @@ fn demanded(node: &FlatNode, rule: &Rule, taken: &BTreeMap<&str, Lane>, findings
             (Others, _) => "wire the others' lane, which begins at the player's outputs without `ego_`",
             (EgoReceived, _) => "wire what a link's `to_others` delivers",
         };
-        let found = format!("{found}, from `{}`", node.inputs[*port].source);
+        let found = format!("{found}, from `{}`", node.inputs[port].source);
         findings.port(Severity::Error, node, port, demanded.to_string(), found, mend);
     }
 }
@@ -259,6 +285,15 @@ fn same_wires(graph: &FlatGraph, stages: &[Option<&'static Registration>], findi
 /// Ports that the tables name and the registry does not have; a table that speaks of nothing would check nothing.
 pub(in crate::graph) fn check_tables(registry: &Registry) -> Vec<String> {
     let mut missing = Vec::new();
+    for (name, port, _) in ASIDE {
+        if !registry
+            .0
+            .iter()
+            .any(|stage| stage.name == *name && stage.input(port).is_some())
+        {
+            missing.push(format!("lanes: no stage `{name}` with an input `{port}`"));
+        }
+    }
     for rule in RULES {
         let stages: Vec<&Registration> = registry
             .0

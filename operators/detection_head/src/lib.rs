@@ -1,0 +1,180 @@
+//! From BEV maps to boxes: the heads of a PointPillars model, decoded.
+//!
+//! | port | direction | types | meaning |
+//! |---|---|---|---|
+//! | `features` | in, latest | FeatureMap | BEV maps of the same model, f32 |
+//! | `boxes` | out | Boxes | what scores more than the threshold, best first, in the map's frame; duplicates stay for `nms` |
+//!
+//! | counter | meaning |
+//! |---|---|
+//! | `over_limit_boxes` | boxes above the threshold beyond the 1,000 best |
+//! | `invalid_boxes` | decoded boxes with numbers that are not finite |
+
+use std::path::PathBuf;
+
+use realo_nn::anchors::Anchors;
+use realo_nn::decode::{Detection, candidates};
+use realo_nn::network::{BevMap, Network};
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::geometry::is_valid;
+use realo_schemas::{Box3, Boxes, DType, FeatureMap, Header, Kind, Message, Name, PayloadType};
+use serde::{Deserialize, Serialize};
+
+/// Boxes that a frame gives at most.
+const MOST: usize = 1000;
+
+/// Settings of [`DetectionHead`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The model file; its weights lie beside it.
+    pub model: PathBuf,
+    /// Least score; `None`: the model's.
+    pub score_threshold: Option<f32>,
+    /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
+    pub isa: String,
+    /// Threads of the convolutions; 0: one for each processor.
+    pub threads: usize,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            model: "../models/lite.toml".into(),
+            score_threshold: None,
+            isa: "auto".into(),
+            threads: 0,
+        }
+    }
+}
+
+/// The operator `detection-head`.
+pub struct DetectionHead {
+    network: Network,
+    anchors: Anchors,
+    classes: Vec<Name>,
+    threshold: f32,
+    identity: String,
+}
+
+const FEATURES: PortId = PortId(0);
+const BOXES: PortId = PortId(0);
+
+impl Describe for DetectionHead {
+    type Config = Config;
+    const NAME: &'static str = "detection-head";
+    const ABOUT: &'static str = "From BEV maps to boxes: the heads of a PointPillars model, decoded";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "model",
+            about: "the model file; its weights lie beside it",
+        },
+        Argument {
+            name: "score_threshold",
+            about: "least score of a box; null: the model's",
+        },
+        Argument {
+            name: "isa",
+            about: "kernels: auto, portable, avx2, avx512 or avx512bf16",
+        },
+        Argument {
+            name: "threads",
+            about: "threads of the convolutions; 0: one for each processor",
+        },
+    ];
+    const INPUTS: &'static [Port] =
+        &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps of the model").latest()];
+    const OUTPUTS: &'static [Port] = &[Port::new("boxes", &[PayloadType::Boxes], "detections, best first")];
+}
+
+impl Operator for DetectionHead {
+    fn new(config: Config) -> Result<Self, Error> {
+        let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
+        let threshold = config.score_threshold.unwrap_or(loaded.model.score_threshold);
+        if !(0.0..1.0).contains(&threshold) {
+            return Err(format!("argument `score_threshold`: expected 0 to 1, found {threshold}").into());
+        }
+        Ok(DetectionHead {
+            anchors: Anchors::of(&loaded.model),
+            classes: loaded
+                .model
+                .classes
+                .iter()
+                .map(|class| class.name.as_str().into())
+                .collect(),
+            network: loaded.network,
+            threshold,
+            identity: loaded.identity,
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        if port != FEATURES {
+            return Err(wrong_port(Self::INPUTS, port));
+        }
+        let (header, map): (Header, FeatureMap) = message.into_parts().map_err(unexpected)?;
+        let heads = self.network.heads(&self.bev(&map)?)?;
+        let found = candidates(&self.anchors, &heads.scores, &heads.deltas, self.threshold, MOST);
+        out.count("over_limit_boxes", found.over_limit);
+        let decoded = found.detections.len();
+        let boxes: Vec<Box3> = found
+            .detections
+            .iter()
+            .map(|detection| self.boxed(detection))
+            .filter(is_valid)
+            .collect();
+        out.count("invalid_boxes", (decoded - boxes.len()) as u64);
+        let header = Header {
+            kind: Kind::Boxes,
+            ..header
+        };
+        out.send(BOXES, Message::new(header, Boxes(boxes)));
+        Ok(())
+    }
+}
+
+impl DetectionHead {
+    fn bev(&self, map: &FeatureMap) -> Result<BevMap, Error> {
+        if *map.model != *self.identity {
+            let (found, expected) = (&map.model, &self.identity);
+            return Err(format!(
+                "expected a map of model {expected}, found one of {found}: name one model file in both"
+            )
+            .into());
+        }
+        let data = match map.dtype {
+            DType::F32 => map
+                .data
+                .as_chunks::<4>()
+                .0
+                .iter()
+                .copied()
+                .map(f32::from_le_bytes)
+                .collect(),
+            other => return Err(format!("expected a map of f32, found {other:?}").into()),
+        };
+        let [rows, columns, channels] = [map.rows, map.columns, map.channels].map(|n| n as usize);
+        Ok(BevMap {
+            rows,
+            columns,
+            channels,
+            data,
+        })
+    }
+
+    fn boxed(&self, detection: &Detection) -> Box3 {
+        let [x, y, z, height, width, length, yaw] = detection.hwl.map(f64::from);
+        Box3 {
+            center: [x, y, z],
+            length,
+            width,
+            height,
+            yaw: realo_schemas::geometry::normalize_yaw(yaw),
+            velocity: None,
+            class: self.classes[detection.class].clone(),
+            score: detection.score,
+            track: None,
+            covariance: None,
+        }
+    }
+}

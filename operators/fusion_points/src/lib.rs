@@ -1,0 +1,262 @@
+//! Early fusion: brings the points of selected collaborators to the ego's body frame and puts them behind the ego's own.
+//!
+//! | port | type | content |
+//! |---|---|---|
+//! | in `ego` | PointCloud | the ego's sweep; joined with `selections` by (agent, seq) |
+//! | in `selections` | Selection | what the bank chose for the ego's sweep of that seq |
+//! | out `clouds` | PointCloud | the ego's points, then those of the collaborators by agent name, in the ego's frame |
+//! | out `report` | Report | topic `fusion`: one for each fusion that took place |
+//!
+//! The transform is `ego_from_sender` of the two stamps, from the poses in the headers; times are offsets from the ego's
+//! stamp. The motion of objects between the stamps is not removed.
+
+use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::geometry::transform_cloud;
+use realo_schemas::{Message, Nanos, PayloadType, PointCloud};
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`FusionPoints`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Collaborators that a fusion takes, the first by agent name; `None`: all.
+    pub max_collaborators: Option<usize>,
+    /// Whether collaborators' points keep their frame: they were brought to the ego's where they were sent, and what the
+    /// ego moved since is not removed.
+    pub as_sent: bool,
+}
+
+/// One cloud of the ego's points and, behind them, the collaborators' in the ego's frame.
+///
+/// `stamp`: the ego's, ns. With `as_sent` their points stay where they are.
+pub fn merge(ego: &PointCloud, stamp: Nanos, collaborators: &[Collaborator<PointCloud>], as_sent: bool) -> PointCloud {
+    if collaborators.is_empty() {
+        return ego.clone();
+    }
+    let placed: Vec<PointCloud> = collaborators
+        .iter()
+        .map(|collaborator| {
+            let cloud = if as_sent {
+                collaborator.payload.clone()
+            } else {
+                transform_cloud(&collaborator.ego_from_sender, &collaborator.payload)
+            };
+            later(cloud, collaborator.header.stamp - stamp)
+        })
+        .collect();
+    let all = || std::iter::once(ego).chain(&placed);
+    PointCloud {
+        x: joined(all().map(|cloud| &cloud.x[..])).into(),
+        y: joined(all().map(|cloud| &cloud.y[..])).into(),
+        z: joined(all().map(|cloud| &cloud.z[..])).into(),
+        intensity: joined(all().map(|cloud| &cloud.intensity[..])).into(),
+        time: joined(all().map(|cloud| &cloud.time[..])).into(),
+        ring: joined(all().map(|cloud| &cloud.ring[..])).into(),
+    }
+}
+
+fn joined<'a, T: Copy + 'a>(columns: impl Iterator<Item = &'a [T]>) -> Vec<T> {
+    columns.collect::<Vec<_>>().concat()
+}
+
+/// The cloud with times that count from `by` ns earlier.
+fn later(cloud: PointCloud, by: Nanos) -> PointCloud {
+    let clamp = |time: Nanos| time.clamp(i32::MIN.into(), i32::MAX.into()) as i32;
+    let time: Vec<i32> = cloud.time.iter().map(|time| clamp(Nanos::from(*time) + by)).collect();
+    PointCloud {
+        time: time.into(),
+        ..cloud
+    }
+}
+
+/// The operator `fusion-points`.
+pub struct FusionPoints {
+    config: Config,
+    pairing: Pairing,
+}
+
+impl Describe for FusionPoints {
+    type Config = Config;
+    const NAME: &'static str = "fusion-points";
+    const ABOUT: &'static str = "early fusion: brings collaborators' points to the ego's frame, behind its own";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "max_collaborators",
+            about: "collaborators that a fusion takes, the first by agent name; null = all",
+        },
+        Argument {
+            name: "as_sent",
+            about: "points that the sender projected stay where it put them; the ego's motion since is not removed",
+        },
+    ];
+    const INPUTS: &'static [Port] = &[
+        Port::new("ego", &[PayloadType::PointCloud], "the ego's sweep")
+            .latest()
+            .joined("frame"),
+        Port::new(
+            "selections",
+            &[PayloadType::Selection],
+            "what the bank chose for that sweep",
+        )
+        .latest()
+        .joined("frame"),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new(
+            "clouds",
+            &[PayloadType::PointCloud],
+            "the ego's points, then the collaborators', in the ego's frame",
+        ),
+        Port::new(
+            "report",
+            &[PayloadType::Report],
+            "topic `fusion`: one for each fusion that took place",
+        ),
+    ];
+}
+
+impl Operator for FusionPoints {
+    fn new(config: Config) -> Result<Self, Error> {
+        Ok(FusionPoints {
+            config,
+            pairing: Pairing::default(),
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            EGO => self.pairing.ego(message),
+            SELECTIONS => {
+                let set: Set<PointCloud> = self.pairing.selection(message, self.config.max_collaborators)?;
+                let merged = merge(&set.ego, set.header.stamp, &set.collaborators, self.config.as_sent);
+                realo_fusion::send(set.header, merged, &set.report, out);
+            }
+            _ => return Err(wrong_port(Self::INPUTS, port)),
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
+    use realo_fusion::{FUSED, REPORT};
+    use realo_schemas::report::{FusionReport, from_report};
+    use realo_schemas::{Boxes, Header, Kind, Pose, Report, Selection};
+
+    use super::*;
+
+    const MS: Nanos = 1_000_000;
+
+    fn pose(x: f64, y: f64, yaw: f64) -> Isometry3<f64> {
+        Isometry3::from_parts(
+            Translation3::new(x, y, 12.0),
+            UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+        )
+    }
+
+    fn cloud(points: &[[f32; 3]]) -> PointCloud {
+        let column = |axis: usize| points.iter().map(|p| p[axis]).collect::<Vec<f32>>();
+        let n = points.len();
+        PointCloud::new(column(0), column(1), column(2), vec![9; n], vec![100; n], vec![1u16; n]).unwrap()
+    }
+
+    fn header(agent: &str, seq: u64, stamp: Nanos, map_from_body: Option<Isometry3<f64>>) -> Header {
+        let mut header = Header::origin(&"run".into(), &agent.into(), Kind::Points, seq, stamp, stamp + 50 * MS);
+        header.pose = map_from_body.map(Pose::exact);
+        header
+    }
+
+    /// Feeds one set of an ego 100 km from the map's origin.
+    fn fuse(config: Config, entries: Vec<Message>) -> (PointCloud, FusionReport) {
+        let mut operator = FusionPoints::new(config).unwrap();
+        let mut out = Outputs::at(200 * MS);
+        let ego = header("cav1", 7, 100 * MS, Some(pose(1e5, -1e5, 0.4)));
+        let sweep = Message::new(ego.clone(), cloud(&[[1.0, 2.0, 3.0]]));
+        let selection = Message::new(ego, Selection { query: 7, entries });
+        operator.on_input(EGO, sweep, &mut out).unwrap();
+        operator.on_input(SELECTIONS, selection, &mut out).unwrap();
+        let mut sent = out.take_sent().into_iter();
+        let (port, merged) = sent.next().unwrap();
+        assert_eq!((port, merged.header.kind, merged.header.seq), (FUSED, Kind::Points, 7));
+        let (port, report) = sent.next().unwrap();
+        assert_eq!(port, REPORT);
+        let (_, report): (_, Report) = report.into_parts().unwrap();
+        (merged.into_parts().unwrap().1, from_report(&report).unwrap())
+    }
+
+    #[test]
+    fn points_of_collaborators_follow_in_the_egos_frame_by_name() {
+        let map_from_ego = pose(1e5, -1e5, 0.4);
+        let still = Point3::new(1e5 + 20.0, -1e5 + 5.0, 13.0);
+        let seen_from = |map_from_body: Isometry3<f64>| {
+            let point = map_from_body.inverse() * still;
+            cloud(&[[point.x as f32, point.y as f32, point.z as f32]])
+        };
+        let (near, far) = (pose(1e5 + 10.0, -1e5, 2.0), pose(1e5 + 40.0, -1e5 + 30.0, -1.0));
+        let entries = vec![
+            Message::new(header("rsu1", 3, 60 * MS, Some(far)), seen_from(far)),
+            Message::new(header("cav2", 3, 101 * MS, Some(near)), seen_from(near)),
+        ];
+        let (merged, report) = fuse(Config::default(), entries);
+        assert_eq!(
+            (merged.len(), report.over_limit.len(), report.rejected.len()),
+            (3, 0, 0)
+        );
+        assert_eq!([merged.x[0], merged.y[0], merged.z[0]], [1.0, 2.0, 3.0]);
+        let expected = map_from_ego.inverse() * still;
+        for i in [1, 2] {
+            let off = (Point3::new(merged.x[i], merged.y[i], merged.z[i]).cast::<f64>() - expected).norm();
+            assert!(off < 1e-4, "{off} m");
+        }
+        assert_eq!(merged.time.to_vec(), [100, 100 + 1_000_000, 100 - 40_000_000]);
+    }
+
+    #[test]
+    fn projected_points_stay_where_the_sender_put_them() {
+        let far = pose(1e5 + 40.0, -1e5 + 30.0, -1.0);
+        let entries = vec![Message::new(
+            header("rsu1", 3, 60 * MS, Some(far)),
+            cloud(&[[5.0, 6.0, 7.0]]),
+        )];
+        let config = Config {
+            as_sent: true,
+            ..Config::default()
+        };
+        let (merged, _) = fuse(config, entries);
+        assert_eq!([merged.x[1], merged.y[1], merged.z[1]], [5.0, 6.0, 7.0]);
+    }
+
+    #[test]
+    fn the_ego_alone_is_its_own_cloud() {
+        let (merged, _) = fuse(Config::default(), Vec::new());
+        assert_eq!(merged, cloud(&[[1.0, 2.0, 3.0]]));
+    }
+
+    #[test]
+    fn who_is_over_the_limit_or_cannot_be_placed_is_reported() {
+        let entries = vec![
+            Message::new(header("cav2", 3, 60 * MS, None), cloud(&[[0.0; 3]])),
+            Message::new(header("rsu1", 3, 60 * MS, Some(pose(0.0, 0.0, 0.0))), Boxes(Vec::new())),
+            Message::new(
+                header("rsu2", 3, 60 * MS, Some(pose(1e5, -1e5, 0.0))),
+                cloud(&[[0.0; 3]]),
+            ),
+            Message::new(
+                header("rsu3", 3, 60 * MS, Some(pose(1e5, -1e5, 0.0))),
+                cloud(&[[0.0; 3]]),
+            ),
+        ];
+        let config = Config {
+            max_collaborators: Some(1),
+            ..Config::default()
+        };
+        let (merged, report) = fuse(config, entries);
+        assert_eq!(merged.len(), 2);
+        let names =
+            |ids: &[realo_schemas::report::MessageId]| ids.iter().map(|id| id.agent.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&report.rejected), ["cav2", "rsu1"]);
+        assert_eq!(names(&report.over_limit), ["rsu3"]);
+    }
+}

@@ -1,0 +1,121 @@
+//! The bird's-eye map that the pillar net writes and the first convolution reads.
+
+/// A map of `rows` (along y) × `columns` (along x) cells with `channels` f32 each, channels last, with a border of one
+/// cell of zeros for 3×3 convolutions.
+///
+/// Cell (row, column) begins at `((row + 1) * (columns + 2) + column + 1) * channels` of [`Canvas::data`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Canvas {
+    pub(crate) rows: usize,
+    pub(crate) columns: usize,
+    pub(crate) channels: usize,
+    pub(crate) data: Vec<f32>,
+    /// Where cells begin that are not known to be zero.
+    written: Vec<usize>,
+}
+
+impl Canvas {
+    /// A map of zeros.
+    pub fn new(rows: usize, columns: usize, channels: usize) -> Self {
+        Canvas {
+            rows,
+            columns,
+            channels,
+            data: vec![0.0; (rows + 2) * (columns + 2) * channels],
+            written: Vec::new(),
+        }
+    }
+
+    /// Cells along y, without the border.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Cells along x, without the border.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Numbers per cell.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// All numbers, `[rows + 2, columns + 2, channels]`; the border is zero.
+    pub fn data(&self) -> &[f32] {
+        &self.data
+    }
+
+    /// The channels of a cell.
+    ///
+    /// # Panics
+    /// If the cell does not exist.
+    pub fn cell(&self, row: usize, column: usize) -> &[f32] {
+        let start = self.start(row, column);
+        &self.data[start..start + self.channels]
+    }
+
+    /// The channels of a cell, to be written.
+    ///
+    /// # Panics
+    /// If the cell does not exist.
+    pub fn cell_mut(&mut self, row: usize, column: usize) -> &mut [f32] {
+        let start = self.start(row, column);
+        self.written.push(start);
+        &mut self.data[start..start + self.channels]
+    }
+
+    /// Makes all cells zero; only those that were written are touched.
+    pub fn clear(&mut self) {
+        for start in self.written.drain(..) {
+            self.data[start..start + self.channels].fill(0.0);
+        }
+    }
+
+    fn start(&self, row: usize, column: usize) -> usize {
+        assert!(
+            row < self.rows && column < self.columns,
+            "cell ({row}, {column}) lies outside a map of {}×{} cells",
+            self.rows,
+            self.columns
+        );
+        ((row + 1) * (self.columns + 2) + column + 1) * self.channels
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_lie_inside_a_border_of_zeros() {
+        let mut canvas = Canvas::new(2, 3, 2);
+        for row in 0..2 {
+            for column in 0..3 {
+                canvas.cell_mut(row, column).fill(1.0);
+            }
+        }
+        assert_eq!(canvas.data().len(), 4 * 5 * 2);
+        let ones: Vec<usize> = (0..20)
+            .filter(|cell| canvas.data()[cell * 2..][..2] == [1.0, 1.0])
+            .collect();
+        assert_eq!(ones, [6, 7, 8, 11, 12, 13]);
+        assert_eq!(canvas.data().iter().filter(|value| **value != 0.0).count(), 12);
+    }
+
+    #[test]
+    fn clearing_leaves_zeros() {
+        let mut canvas = Canvas::new(4, 4, 3);
+        canvas.cell_mut(3, 3)[2] = 5.0;
+        canvas.cell_mut(0, 1)[0] = 7.0;
+        assert_eq!(canvas.cell(3, 3), [0.0, 0.0, 5.0]);
+        canvas.clear();
+        assert_eq!(canvas, Canvas::new(4, 4, 3));
+    }
+
+    #[test]
+    #[should_panic(expected = "cell (0, 3) lies outside a map of 2×3 cells")]
+    fn a_cell_of_the_next_row_is_not_a_column_too_many() {
+        Canvas::new(2, 3, 1).cell_mut(0, 3);
+    }
+}

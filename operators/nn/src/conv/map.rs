@@ -1,0 +1,176 @@
+use std::ops::Range;
+
+use super::{Element, Pool};
+
+/// A map of `rows` x `columns` cells with a border of one cell of zeros, channels last.
+#[derive(Clone, Debug)]
+pub(crate) struct Map<E> {
+    pub rows: usize,
+    pub columns: usize,
+    pub channels: usize,
+    /// Numbers of a cell: the channels, filled up with zeros to whole units.
+    pub stored: usize,
+    data: Vec<E>,
+}
+
+/// A [`Map`] to read.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View<'a, E> {
+    pub rows: usize,
+    pub columns: usize,
+    pub stored: usize,
+    /// `[rows + 2, columns + 2, stored]`.
+    pub data: &'a [E],
+}
+
+/// Whole rows of a map, border columns included.
+pub(crate) struct Rows<'a, E> {
+    pub range: Range<usize>,
+    pub data: &'a mut [E],
+}
+
+impl<E: Element> Map<E> {
+    pub fn new(rows: usize, columns: usize, channels: usize) -> Self {
+        let stored = channels.next_multiple_of(E::PER_UNIT);
+        Map {
+            rows,
+            columns,
+            channels,
+            stored,
+            data: vec![E::default(); (rows + 2) * (columns + 2) * stored],
+        }
+    }
+
+    pub fn view(&self) -> View<'_, E> {
+        View {
+            rows: self.rows,
+            columns: self.columns,
+            stored: self.stored,
+            data: &self.data,
+        }
+    }
+
+    pub fn row_length(&self) -> usize {
+        (self.columns + 2) * self.stored
+    }
+
+    /// The rows without the border, cut for workers; `scale` rows stay together.
+    pub fn shares(&mut self, workers: usize, scale: usize) -> Vec<Rows<'_, E>> {
+        let (rows, length) = (self.rows, self.row_length());
+        split(
+            &mut self.data[length..length * (rows + 1)],
+            length,
+            rows,
+            workers,
+            scale,
+        )
+    }
+
+    /// The channels of the cells of a row.
+    pub fn row(&self, row: usize) -> impl Iterator<Item = &[E]> {
+        let start = (row + 1) * self.row_length() + self.stored;
+        let cells = &self.data[start..start + self.columns * self.stored];
+        cells.chunks_exact(self.stored).map(|cell| &cell[..self.channels])
+    }
+
+    /// Takes all cells from `[rows, columns, channels]`.
+    pub fn fill_from(&mut self, cells: &[f32]) {
+        self.fill_with(&mut Pool::new(1), cells);
+    }
+
+    pub fn fill_with(&mut self, pool: &mut Pool, cells: &[f32]) {
+        let (columns, channels, stored, length) = (self.columns, self.channels, self.stored, self.row_length());
+        assert_eq!(cells.len(), self.rows * columns * channels, "numbers of the map");
+        pool.each(self.shares(pool.threads(), 1), |share| {
+            for (row, to) in share.range.zip(share.data.chunks_exact_mut(length)) {
+                let from = cells[row * columns * channels..].chunks_exact(channels);
+                for (from, to) in from.zip(to[stored..].chunks_exact_mut(stored)).take(columns) {
+                    from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
+                }
+            }
+        });
+    }
+
+    /// Takes all cells, border included, from a map of the same size.
+    pub fn fill_from_view(&mut self, pool: &mut Pool, from: View<f32>) {
+        let (rows, length, channels, stored) = (self.rows + 2, self.row_length(), self.channels, self.stored);
+        assert_eq!(
+            (from.rows, from.columns, from.stored),
+            (self.rows, self.columns, channels),
+            "size of a map"
+        );
+        let shares = split(&mut self.data, length, rows, pool.threads(), 1);
+        pool.each(shares, |share| {
+            let cells = share.range.start * (length / stored) * channels;
+            let from = from.data[cells..].chunks_exact(channels);
+            for (from, to) in from.zip(share.data.chunks_exact_mut(stored)) {
+                from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
+            }
+        });
+    }
+
+    /// All cells as `[rows, columns, channels]`.
+    pub fn to_f32(&self) -> Vec<f32> {
+        let cells = (0..self.rows).flat_map(|row| self.row(row));
+        cells.flatten().map(|value| value.to_f32()).collect()
+    }
+}
+
+/// Rows of `length` numbers cut into one share for each worker; `scale` rows stay together.
+pub(crate) fn split<T>(
+    mut data: &mut [T],
+    length: usize,
+    rows: usize,
+    workers: usize,
+    scale: usize,
+) -> Vec<Rows<'_, T>> {
+    let groups = rows / scale;
+    let mut shares = Vec::with_capacity(workers);
+    for worker in 0..workers {
+        let range = groups * worker / workers * scale..groups * (worker + 1) / workers * scale;
+        let (share, rest) = data.split_at_mut(range.len() * length);
+        data = rest;
+        shares.push(Rows { range, data: share });
+    }
+    shares
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conv::Bf16;
+
+    #[test]
+    fn shares_are_all_rows_in_order() {
+        let mut map = Map::<f32>::new(12, 3, 2);
+        let ranges: Vec<_> = map
+            .shares(5, 2)
+            .into_iter()
+            .map(|share| (share.range, share.data.len()))
+            .collect();
+        let row = (3 + 2) * 2;
+        assert_eq!(
+            ranges,
+            [
+                (0..2, 2 * row),
+                (2..4, 2 * row),
+                (4..6, 2 * row),
+                (6..8, 2 * row),
+                (8..12, 4 * row)
+            ]
+        );
+        assert_eq!(
+            map.shares(40, 1).iter().filter(|share| !share.range.is_empty()).count(),
+            12
+        );
+    }
+
+    #[test]
+    fn the_border_and_the_rest_of_a_unit_stay_zero() {
+        let mut map = Map::<Bf16>::new(2, 3, 3);
+        let cells: Vec<f32> = (1..=18).map(|value| value as f32).collect();
+        map.fill_from(&cells);
+        assert_eq!((map.stored, map.to_f32()), (4, cells));
+        assert_eq!(map.data.iter().filter(|value| value.0 != 0).count(), 18);
+    }
+}

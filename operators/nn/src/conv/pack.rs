@@ -1,0 +1,143 @@
+use super::map::{Map, Rows, View};
+use super::tile::{Run, Share};
+use super::{Convolution, Element, Isa, Pool};
+
+/// A number type with its kernels, which read maps of it and write maps of `O`.
+pub(crate) trait Kernel<O>: Element {
+    /// The kernel for so many outputs in these instructions, and the outputs that it computes side by side.
+    fn kernel(isa: Isa, outputs: usize) -> (Run<Self, O>, usize);
+}
+
+/// A convolution made ready for a kernel.
+pub(crate) struct Packed<E, O = E> {
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    pub(super) kernel: usize,
+    pub(super) stride: usize,
+    /// Factor of enlargement; 1 if not transposed.
+    pub(super) up: usize,
+    /// Least result.
+    pub(super) floor: f32,
+    /// Outputs side by side.
+    pub(super) block: usize,
+    /// `[up, up, blocks, kernel, kernel, units, block, numbers of a unit]`.
+    pub(super) weights: Vec<E>,
+    /// `[blocks, block]`.
+    pub(super) bias: Vec<f32>,
+    run: Run<E, O>,
+}
+
+impl<E: Kernel<O>, O: Element> Packed<E, O> {
+    /// # Panics
+    /// If the CPU lacks `isa`, or the convolution's sizes do not fit together.
+    pub fn new(layer: &Convolution, isa: Isa) -> Self {
+        assert!(isa.is_available(), "this CPU has no {isa}");
+        let Convolution {
+            inputs,
+            outputs,
+            kernel,
+            stride,
+            ..
+        } = *layer;
+        assert!(inputs > 0 && outputs > 0 && stride > 0, "a convolution of nothing");
+        assert_eq!(
+            layer.weights.len(),
+            inputs * outputs * kernel * kernel,
+            "weights of a convolution"
+        );
+        assert_eq!(layer.bias.len(), outputs, "biases of a convolution");
+        let up = if layer.transposed { stride } else { 1 };
+        match layer.transposed {
+            true => assert_eq!(kernel, stride, "kernel of a transposed convolution"),
+            false => assert!(
+                kernel == 1 || kernel == 3,
+                "kernel of a convolution: 1 or 3, found {kernel}"
+            ),
+        }
+        let (run, block) = E::kernel(isa, outputs);
+        let mut bias = layer.bias.clone();
+        bias.resize(outputs.next_multiple_of(block), 0.0);
+        Packed {
+            inputs,
+            outputs,
+            // A transposed convolution is one of 1x1 for each cell that an input cell becomes.
+            kernel: if layer.transposed { 1 } else { kernel },
+            stride: if layer.transposed { 1 } else { stride },
+            up,
+            floor: if layer.relu { 0.0 } else { f32::NEG_INFINITY },
+            block,
+            weights: pack(layer, up, block),
+            bias,
+            run,
+        }
+    }
+
+    /// Numbers of an input cell.
+    pub(super) fn stored(&self) -> usize {
+        self.inputs.next_multiple_of(E::PER_UNIT)
+    }
+
+    pub(super) fn windows(&self, input: usize) -> usize {
+        input.div_ceil(self.stride)
+    }
+
+    /// Writes channels `first..first + outputs` of `output`.
+    ///
+    /// # Panics
+    /// If a map has another size or too few channels.
+    pub fn run(&self, pool: &mut Pool, input: View<E>, output: &mut Map<O>, first: usize) {
+        let size = [
+            self.windows(input.rows) * self.up,
+            self.windows(input.columns) * self.up,
+        ];
+        assert_eq!([output.rows, output.columns], size, "size of an output map");
+        assert!(first + self.outputs <= output.channels, "channels of an output map");
+        assert_eq!(input.stored, self.stored(), "channels of an input map");
+        let cells = (input.rows + 2) * (input.columns + 2);
+        assert_eq!(input.data.len(), cells * input.stored, "numbers of an input map");
+        let (row, cell) = (output.row_length(), output.stored);
+        let shares = output.shares(pool.threads(), self.up);
+        pool.each(shares, |Rows { range, data }| {
+            let share = Share {
+                input,
+                rows: range.start / self.up..range.end / self.up,
+                columns: size[1] / self.up,
+                output: data,
+                row,
+                cell,
+                first,
+            };
+            // SAFETY: `new` has chosen the kernel for instructions that the CPU has.
+            #[allow(unsafe_code)]
+            unsafe {
+                (self.run)(self, share)
+            };
+        });
+    }
+}
+
+fn pack<E: Element>(layer: &Convolution, up: usize, block: usize) -> Vec<E> {
+    let kernel = if layer.transposed { 1 } else { layer.kernel };
+    let (blocks, units) = (layer.outputs.div_ceil(block), layer.inputs.div_ceil(E::PER_UNIT));
+    let mut weights = Vec::with_capacity(up * up * blocks * kernel * kernel * units * block * E::PER_UNIT);
+    let weight =
+        |output: usize, input: usize, row: usize, column: usize| match output < layer.outputs && input < layer.inputs {
+            true => E::from_f32(layer.weight(output, input, row, column)),
+            false => E::default(),
+        };
+    for (cell, first) in (0..up * up).flat_map(|cell| (0..blocks).map(move |index| (cell, index * block))) {
+        for tap in 0..kernel * kernel {
+            let (row, column) = match layer.transposed {
+                true => (cell / up, cell % up),
+                false => (tap / kernel, tap % kernel),
+            };
+            for unit in 0..units {
+                for output in first..first + block {
+                    let inputs = unit * E::PER_UNIT..(unit + 1) * E::PER_UNIT;
+                    weights.extend(inputs.map(|input| weight(output, input, row, column)));
+                }
+            }
+        }
+    }
+    weights
+}

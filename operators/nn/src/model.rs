@@ -1,0 +1,517 @@
+//! The typed model file: everything about a network that is not a weight.
+//!
+//! A model is `<name>.toml` beside `<name>.safetensors` (see [`crate::weights`]).
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+/// A PointPillars detector (Lang et al. 2019) as V2X-Real builds it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Model {
+    /// Name, also the stem of the file of weights: lower-case letters, digits, `-`, `_`.
+    pub name: String,
+    /// Frame of the points, the anchors and the boxes.
+    pub frame: Frame,
+    /// Arithmetic of inference, where the CPU has it.
+    pub precision: Precision,
+    /// Headings of the anchors, rad.
+    pub rotations: Vec<f64>,
+    /// Detections score more than this, 0 to 1.
+    pub score_threshold: f32,
+    /// Classes in the order of the head's scores, each with its anchor.
+    pub classes: Vec<ClassAnchor>,
+    /// The pillars' grid.
+    pub grid: Grid,
+    /// From points to pillars.
+    pub pillars: PillarSettings,
+    /// The convolutions from the canvas to the BEV map.
+    pub backbone: Backbone,
+    /// Convolutions with bias and ReLU after the backbone; none if empty.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shrink: Vec<Shrink>,
+}
+
+/// Where the origin of a model's frame lies; x points forward, y left, z up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Frame {
+    /// The agent's body: the ground at z = 0.
+    Body,
+    /// Its LiDAR.
+    Lidar,
+}
+
+/// Number type of maps and weights in the convolutions; sums are f32 in both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// bfloat16.
+    Bf16,
+    /// Single precision.
+    F32,
+}
+
+/// A class with its anchor and the overlaps that assign it to objects in training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClassAnchor {
+    /// Super-class.
+    pub name: String,
+    /// Length, m.
+    pub length: f64,
+    /// Width, m.
+    pub width: f64,
+    /// Height, m.
+    pub height: f64,
+    /// Height of the centre in the model's frame, m.
+    pub z: f64,
+    /// An anchor with more IoU than this is positive.
+    pub matched: f64,
+    /// An anchor with less IoU than this with every object is negative.
+    pub unmatched: f64,
+}
+
+/// The volume that the network sees, cut into pillars.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Grid {
+    /// Range along x, m.
+    pub x: [f64; 2],
+    /// Range along y, m.
+    pub y: [f64; 2],
+    /// Range along z, m.
+    pub z: [f64; 2],
+    /// Side of a pillar, m.
+    pub cell: f64,
+}
+
+impl Grid {
+    /// Pillars along y.
+    pub fn rows(&self) -> usize {
+        self.count(self.y)
+    }
+
+    /// Pillars along x.
+    pub fn columns(&self) -> usize {
+        self.count(self.x)
+    }
+
+    fn count(&self, [from, to]: [f64; 2]) -> usize {
+        ((to - from) / self.cell).round() as usize
+    }
+}
+
+/// How points become pillars.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PillarSettings {
+    /// Features of a pillar.
+    pub channels: usize,
+    /// Points that a pillar takes at most.
+    pub points: usize,
+    /// Pillars of a sweep at most.
+    pub pillars: usize,
+    /// Whether slots without a point take part in the maximum, as in V2X-Real.
+    pub empty_slots: bool,
+    /// Whether the points' intensity is seen; else it counts as 0. The layer has a weight for it in both cases.
+    pub intensity: bool,
+}
+
+/// Blocks of 3x3 convolutions, each brought to one size and concatenated. All lists have an entry for each block.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Backbone {
+    /// Convolutions of a block after its first.
+    pub layers: Vec<usize>,
+    /// Stride of a block's first convolution: 1 or 2.
+    pub strides: Vec<usize>,
+    /// Channels of a block.
+    pub channels: Vec<usize>,
+    /// Factor by which a block's map is enlarged.
+    pub up_strides: Vec<usize>,
+    /// Channels of the enlarged map.
+    pub up_channels: Vec<usize>,
+}
+
+/// A convolution of stride 1 with bias and ReLU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shrink {
+    /// Side of the kernel: 1 or 3.
+    pub kernel: usize,
+    /// Channels that it gives.
+    pub channels: usize,
+}
+
+/// Why there is no model.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The file cannot be read.
+    #[error("{}: {error}", path.display())]
+    Read {
+        /// The model file.
+        path: PathBuf,
+        /// What failed.
+        error: std::io::Error,
+    },
+    /// It is not a model file.
+    #[error("{}: {error}", path.display())]
+    Syntax {
+        /// The model file.
+        path: PathBuf,
+        /// Where and why.
+        error: Box<toml::de::Error>,
+    },
+    /// It describes no network that can be built.
+    #[error("model `{name}` does not fit together: {}", problems.join("; "))]
+    Invalid {
+        /// The model's name.
+        name: String,
+        /// Everything that was found.
+        problems: Vec<String>,
+    },
+}
+
+impl Model {
+    /// Reads and checks a model file.
+    ///
+    /// # Errors
+    /// [`ModelError::Read`], [`ModelError::Syntax`], and [`ModelError::Invalid`] as for [`Model::validate`].
+    pub fn read(path: &Path) -> Result<Model, ModelError> {
+        let text = std::fs::read_to_string(path).map_err(|error| ModelError::Read {
+            path: path.into(),
+            error,
+        })?;
+        let model: Model = toml::from_str(&text).map_err(|error| ModelError::Syntax {
+            path: path.into(),
+            error: Box::new(error),
+        })?;
+        model.validate()?;
+        Ok(model)
+    }
+
+    /// The file of weights that lies beside a model file.
+    pub fn weights_beside(&self, model_file: &Path) -> PathBuf {
+        model_file.with_file_name(format!("{}.safetensors", self.name))
+    }
+
+    /// Anchors at a cell of the output map: (class, rotation).
+    pub fn anchors(&self) -> usize {
+        self.classes.len() * self.rotations.len()
+    }
+
+    /// Pillars along each side of a cell of the output map.
+    pub fn stride(&self) -> usize {
+        self.backbone.strides[0] / self.backbone.up_strides[0]
+    }
+
+    /// Rows (along y) and columns (along x) of the BEV map and the heads.
+    pub fn map_size(&self) -> [usize; 2] {
+        [self.grid.rows(), self.grid.columns()]
+            .map(|pillars| pillars.div_ceil(self.backbone.strides[0]) * self.backbone.up_strides[0])
+    }
+
+    /// Channels of the BEV map, after the backbone and the shrink layers.
+    pub fn map_channels(&self) -> usize {
+        match self.shrink.last() {
+            Some(last) => last.channels,
+            None => self.backbone.up_channels.iter().sum(),
+        }
+    }
+
+    /// Whether the parts fit together.
+    ///
+    /// # Errors
+    /// [`ModelError::Invalid`] with everything that does not.
+    pub fn validate(&self) -> Result<(), ModelError> {
+        let mut problems = Problems(Vec::new());
+        self.check_names(&mut problems);
+        self.check_anchors(&mut problems);
+        self.check_pillars(&mut problems);
+        let grid_fits = self.check_grid(&mut problems);
+        if self.check_backbone(&mut problems) && grid_fits {
+            self.check_sizes(&mut problems);
+        }
+        if problems.0.is_empty() {
+            return Ok(());
+        }
+        Err(ModelError::Invalid {
+            name: self.name.clone(),
+            problems: problems.0,
+        })
+    }
+
+    fn check_names(&self, problems: &mut Problems) {
+        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+        problems.require(!self.name.is_empty() && self.name.chars().all(plain), || {
+            format!(
+                "name: expected lower-case letters, digits, `-`, `_`, found `{}`",
+                self.name
+            )
+        });
+        for (index, class) in self.classes.iter().enumerate() {
+            problems.require(!class.name.is_empty(), || format!("classes[{index}] has no name"));
+            let first = self.classes.iter().position(|other| other.name == class.name);
+            problems.require(first == Some(index), || {
+                format!("class `{}` is listed twice", class.name)
+            });
+        }
+    }
+
+    fn check_anchors(&self, problems: &mut Problems) {
+        problems.within("number of classes", self.classes.len(), 1, 64);
+        problems.within("number of rotations", self.rotations.len(), 1, 16);
+        problems.require(self.rotations.iter().all(|yaw| yaw.is_finite()), || {
+            format!("rotations: expected finite angles, found {:?}", self.rotations)
+        });
+        problems.require((0.0..=1.0).contains(&self.score_threshold), || {
+            format!("score_threshold: expected 0 to 1, found {}", self.score_threshold)
+        });
+        for class in &self.classes {
+            let extent = [class.length, class.width, class.height];
+            problems.require(extent.iter().all(|side| side.is_finite() && *side > 0.0), || {
+                format!("class `{}`: expected positive extents, found {extent:?}", class.name)
+            });
+            problems.require(class.z.is_finite(), || {
+                format!("class `{}`: z is {}", class.name, class.z)
+            });
+            let (unmatched, matched) = (class.unmatched, class.matched);
+            problems.require(0.0 <= unmatched && unmatched <= matched && matched <= 1.0, || {
+                format!(
+                    "class `{}`: expected 0 <= unmatched <= matched <= 1, found {unmatched}, {matched}",
+                    class.name
+                )
+            });
+        }
+    }
+
+    fn check_pillars(&self, problems: &mut Problems) {
+        problems.within("pillars.channels", self.pillars.channels, 1, MOST_CHANNELS);
+        problems.within("pillars.points", self.pillars.points, 1, 65_536);
+        problems.within("pillars.pillars", self.pillars.pillars, 1, MOST_CELLS);
+    }
+
+    fn check_grid(&self, problems: &mut Problems) -> bool {
+        let before = problems.0.len();
+        let Grid { x, y, z, cell } = self.grid;
+        for (axis, [from, to]) in [("x", x), ("y", y), ("z", z)] {
+            problems.require(from.is_finite() && to.is_finite() && from < to, || {
+                format!("grid.{axis}: expected a range of metres, found [{from}, {to}]")
+            });
+        }
+        problems.require(cell.is_finite() && cell > 0.0, || {
+            format!("grid.cell: expected metres, found {cell}")
+        });
+        if problems.0.len() > before {
+            return false;
+        }
+        for (axis, [from, to]) in [("x", x), ("y", y)] {
+            let count = (to - from) / cell;
+            problems.require((count - count.round()).abs() < 1e-3 && count.round() >= 1.0, || {
+                format!("grid.{axis}: expected a whole number of cells of {cell} m, found {count}")
+            });
+            problems.require(count <= MOST_CELLS as f64, || {
+                format!("grid.{axis}: {count} cells are more than {MOST_CELLS}")
+            });
+        }
+        let cells = ((x[1] - x[0]) / cell) * ((y[1] - y[0]) / cell);
+        problems.require(cells <= MOST_CELLS as f64, || {
+            format!("grid: {cells:.0} cells are more than {MOST_CELLS}")
+        });
+        problems.0.len() == before
+    }
+
+    fn check_backbone(&self, problems: &mut Problems) -> bool {
+        let before = problems.0.len();
+        let Backbone {
+            layers,
+            strides,
+            channels,
+            up_strides,
+            up_channels,
+        } = &self.backbone;
+        problems.within("number of backbone blocks", layers.len(), 1, 8);
+        for (key, list) in [
+            ("strides", strides),
+            ("channels", channels),
+            ("up_strides", up_strides),
+            ("up_channels", up_channels),
+        ] {
+            problems.require(list.len() == layers.len(), || {
+                format!(
+                    "backbone.{key}: expected {} entries as in layers, found {}",
+                    layers.len(),
+                    list.len()
+                )
+            });
+        }
+        problems.each_within("backbone.layers", layers, 0, 64);
+        problems.each_within("backbone.strides", strides, 1, 2);
+        problems.each_within("backbone.channels", channels, 1, MOST_CHANNELS);
+        problems.each_within("backbone.up_strides", up_strides, 1, 16);
+        problems.each_within("backbone.up_channels", up_channels, 1, MOST_CHANNELS);
+        problems.within("number of shrink layers", self.shrink.len(), 0, 8);
+        for (index, shrink) in self.shrink.iter().enumerate() {
+            problems.within(&format!("shrink[{index}].channels"), shrink.channels, 1, MOST_CHANNELS);
+            problems.require([1, 3].contains(&shrink.kernel), || {
+                format!("shrink[{index}].kernel: expected 1 or 3, found {}", shrink.kernel)
+            });
+        }
+        problems.0.len() == before
+    }
+
+    /// Every block's enlarged map has the size of the first's.
+    fn check_sizes(&self, problems: &mut Problems) {
+        let Backbone {
+            strides, up_strides, ..
+        } = &self.backbone;
+        problems.require(strides[0] % up_strides[0] == 0, || {
+            format!(
+                "backbone: expected strides[0] to be a multiple of up_strides[0], found {} and {}",
+                strides[0], up_strides[0]
+            )
+        });
+        let mut size = [self.grid.rows(), self.grid.columns()];
+        for (block, (stride, up)) in strides.iter().zip(up_strides).enumerate() {
+            size = size.map(|cells| cells.div_ceil(*stride));
+            let (found, expected) = (size.map(|cells| cells * up), self.map_size());
+            problems.require(found == expected, || {
+                format!(
+                    "backbone block {block}: expected a map of {}x{} after enlarging, found {}x{}",
+                    expected[0], expected[1], found[0], found[1]
+                )
+            });
+        }
+    }
+}
+
+// Bounds that keep a damaged file from asking for all memory; real networks stay far below.
+const MOST_CHANNELS: usize = 4096;
+const MOST_CELLS: usize = 1 << 24;
+
+struct Problems(Vec<String>);
+
+impl Problems {
+    fn require(&mut self, holds: bool, problem: impl FnOnce() -> String) {
+        if !holds {
+            self.0.push(problem());
+        }
+    }
+
+    fn within(&mut self, what: &str, found: usize, least: usize, most: usize) {
+        self.require((least..=most).contains(&found), || {
+            format!("{what}: expected {least} to {most}, found {found}")
+        });
+    }
+
+    fn each_within(&mut self, what: &str, found: &[usize], least: usize, most: usize) {
+        for (index, found) in found.iter().enumerate() {
+            self.within(&format!("{what}[{index}]"), *found, least, most);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LITE: &str = include_str!("../../../models/lite.toml");
+
+    fn lite() -> Model {
+        toml::from_str(LITE).unwrap()
+    }
+
+    #[test]
+    fn the_model_that_ships_is_valid_and_has_its_sizes() {
+        let model = lite();
+        model.validate().unwrap();
+        assert_eq!((model.grid.rows(), model.grid.columns()), (200, 512));
+        assert_eq!((model.map_size(), model.stride()), ([100, 256], 2));
+        assert_eq!((model.map_channels(), model.anchors()), (64, 6));
+        for class in &model.classes {
+            assert_eq!(class.z, class.height / 2.0, "{}", class.name);
+        }
+    }
+
+    #[test]
+    fn a_model_survives_writing_and_reading() {
+        let text = toml::to_string(&lite()).unwrap();
+        assert_eq!(toml::from_str::<Model>(&text).unwrap(), lite());
+    }
+
+    #[test]
+    fn finds_the_weights_beside_the_model_file() {
+        let path = lite().weights_beside(Path::new("models/lite.toml"));
+        assert_eq!(path, Path::new("models/lite.safetensors"));
+    }
+
+    #[test]
+    fn says_everything_that_does_not_fit() {
+        type Change = fn(&mut Model);
+        let cases: [(Change, &str); 13] = [
+            (|m| m.name = "../lite".into(), "name: expected lower-case"),
+            (|m| m.classes.clear(), "number of classes: expected 1 to 64, found 0"),
+            (|m| m.classes[1].name = "truck".into(), "class `truck` is listed twice"),
+            (
+                |m| m.classes[0].width = f64::NAN,
+                "class `vehicle`: expected positive extents",
+            ),
+            (
+                |m| m.classes[2].unmatched = 0.7,
+                "class `truck`: expected 0 <= unmatched",
+            ),
+            (|m| m.score_threshold = f32::NAN, "score_threshold"),
+            (|m| m.grid.cell = 0.3, "grid.x: expected a whole number of cells"),
+            (|m| m.grid.cell = 1e-300, "cells are more than"),
+            (|m| m.grid.x = [5.0, -5.0], "grid.x: expected a range"),
+            (|m| m.pillars.points = 0, "pillars.points: expected 1 to 65536, found 0"),
+            (
+                |m| m.backbone.strides = vec![2, 2],
+                "backbone.strides: expected 3 entries",
+            ),
+            (
+                |m| m.backbone.up_strides[2] = 2,
+                "block 2: expected a map of 100x256 after enlarging, found 50x128",
+            ),
+            (|m| m.shrink[0].kernel = 5, "shrink[0].kernel: expected 1 or 3, found 5"),
+        ];
+        for (change, expected) in cases {
+            let mut model = lite();
+            change(&mut model);
+            let error = model.validate().unwrap_err().to_string();
+            assert!(error.contains(expected), "expected `{expected}` in: {error}");
+        }
+        let mut model = lite();
+        model.pillars.points = 0;
+        model.rotations.clear();
+        let error = model.validate().unwrap_err().to_string();
+        assert!(
+            error.contains("pillars.points") && error.contains("rotations"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn refuses_files_that_are_no_models() {
+        let dir = tempfile::tempdir().unwrap();
+        let read = |text: String| {
+            let path = dir.path().join("m.toml");
+            std::fs::write(&path, text).unwrap();
+            Model::read(&path).unwrap_err().to_string()
+        };
+        assert!(
+            Model::read(&dir.path().join("none.toml"))
+                .unwrap_err()
+                .to_string()
+                .contains("none.toml")
+        );
+        assert!(read("name = 3".into()).contains("m.toml"));
+        assert!(read(LITE.replace("cell =", "cel =")).contains("unknown field `cel`"));
+        assert!(read(LITE.replace("\"body\"", "\"map\"")).contains("unknown variant `map`"));
+        assert!(read(LITE.replace("points = 32\n", "")).contains("missing field `points`"));
+        assert!(read(LITE.replace("points = 32\n", "points = -1\n")).contains("invalid value"));
+        assert!(read(LITE.replace("kernel = 1", "kernel = 2")).contains("expected 1 or 3, found 2"));
+    }
+}

@@ -1,0 +1,423 @@
+use super::*;
+use crate::model::{Backbone, Frame, Grid, Shrink};
+use crate::pillar_net::PillarNet;
+use crate::pillars::{Pillariser, Points};
+use crate::testing::{Numbers, lite, random_tensors, small};
+use crate::vectors::{Vector, assert_near, nhwc};
+use crate::weights::Tensor;
+
+fn options(isa: Isa, precision: Option<Precision>, threads: usize) -> NetworkOptions {
+    NetworkOptions {
+        isa,
+        precision,
+        threads,
+    }
+}
+
+fn weights(model: &Model, seed: u64) -> Weights {
+    Weights::new(model, random_tensors(model, seed)).unwrap()
+}
+
+fn canvas(model: &Model, cells: &[f32]) -> Canvas {
+    let (rows, columns, channels) = (model.grid.rows(), model.grid.columns(), model.pillars.channels);
+    let mut canvas = Canvas::new(rows, columns, channels);
+    for (index, cell) in cells.chunks_exact(channels).enumerate() {
+        canvas.cell_mut(index / columns, index % columns).copy_from_slice(cell);
+    }
+    canvas
+}
+
+fn random_canvas(model: &Model, seed: u64) -> Canvas {
+    let count = model.grid.rows() * model.grid.columns() * model.pillars.channels;
+    canvas(model, &Numbers::new(seed).list(count))
+}
+
+/// The whole network by the definition of its layers, in f64.
+fn plain(model: &Model, weights: &Weights, canvas: &Canvas) -> Vec<f64> {
+    let size = [canvas.rows(), canvas.columns()];
+    let cells = (0..size[0]).flat_map(|row| (0..size[1]).map(move |column| (row, column)));
+    let cells = cells
+        .flat_map(|(row, column)| canvas.cell(row, column))
+        .map(|value| f64::from(*value))
+        .collect();
+    let mut map = (size, cells);
+    let mut joined: Option<([usize; 2], Vec<Vec<f64>>)> = None;
+    for (block, deblock) in blocks(model, weights).iter().zip(deblocks(model, weights)) {
+        map = block.iter().fold(map, |map, layer| plain_layer(layer, &map));
+        let (size, up) = plain_layer(&deblock, &map);
+        let up = up.chunks_exact(deblock.outputs).map(<[f64]>::to_vec).collect();
+        joined = Some(match joined {
+            None => (size, up),
+            Some((_, cells)) => (size, cells.into_iter().zip(up).map(|(a, b)| [a, b].concat()).collect()),
+        });
+    }
+    let (size, cells) = joined.unwrap();
+    let layers = shrink_layers(model, weights)
+        .into_iter()
+        .chain([head_layer(model, weights)]);
+    layers
+        .fold((size, cells.concat()), |map, layer| plain_layer(&layer, &map))
+        .1
+}
+
+type PlainMap = ([usize; 2], Vec<f64>);
+
+fn plain_layer(layer: &Convolution, ([rows, columns], cells): &PlainMap) -> PlainMap {
+    let size = [layer.size(*rows), layer.size(*columns)];
+    let mut out: Vec<f64> = (0..size[0] * size[1])
+        .flat_map(|_| layer.bias.iter().map(|b| f64::from(*b)))
+        .collect();
+    let (windows, pad) = match layer.transposed {
+        true => ([*rows, *columns], 0),
+        false => (size, layer.kernel / 2),
+    };
+    for row in 0..windows[0] {
+        for column in 0..windows[1] {
+            for tap in 0..layer.kernel * layer.kernel {
+                let (y, x) = (tap / layer.kernel, tap % layer.kernel);
+                let moved = (row * layer.stride + y, column * layer.stride + x);
+                let (to, from) = match layer.transposed {
+                    true => (moved, Some((row, column))),
+                    false => ((row, column), moved.0.checked_sub(pad).zip(moved.1.checked_sub(pad))),
+                };
+                let Some((from_row, from_column)) = from.filter(|at| at.0 < *rows && at.1 < *columns) else {
+                    continue;
+                };
+                let cell = &cells[(from_row * columns + from_column) * layer.inputs..][..layer.inputs];
+                let out = &mut out[(to.0 * size[1] + to.1) * layer.outputs..][..layer.outputs];
+                for (output, out) in out.iter_mut().enumerate() {
+                    for (input, value) in cell.iter().enumerate() {
+                        *out += value * f64::from(layer.weight(output, input, y, x));
+                    }
+                }
+            }
+        }
+    }
+    if layer.relu {
+        out.iter_mut().for_each(|value| *value = value.max(0.0));
+    }
+    (size, out)
+}
+
+fn available() -> impl Iterator<Item = Isa> {
+    Isa::ALL.into_iter().filter(|isa| isa.is_available())
+}
+
+#[test]
+fn networks_agree_with_the_definition_of_their_layers() {
+    for (rows, columns, odd) in [(8, 12, false), (20, 4, true), (4, 52, true)] {
+        let model = small(rows, columns, odd);
+        let (weights, canvas) = (weights(&model, 7), random_canvas(&model, 8));
+        let expected = plain(&model, &weights, &canvas);
+        let size = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
+        for isa in available() {
+            for (precision, tolerance) in [(Precision::F32, 1e-5), (Precision::Bf16, 0.03)] {
+                let mut network = Network::new(&model, &weights, options(isa, Some(precision), 2)).unwrap();
+                let heads = network.forward(&canvas).unwrap();
+                assert_eq!([heads.rows, heads.columns], model.map_size());
+                let cells = heads.scores.chunks_exact(18).zip(heads.deltas.chunks_exact(42));
+                let found: Vec<f32> = cells.flat_map(|(scores, deltas)| [scores, deltas].concat()).collect();
+                assert_eq!(found.len(), expected.len());
+                for (found, expected) in found.iter().zip(&expected) {
+                    let difference = (f64::from(*found) - expected).abs();
+                    assert!(
+                        difference < tolerance * size,
+                        "{isa} {precision:?}: {found}, {expected} of {size}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn bits_do_not_depend_on_threads_on_what_came_before_or_on_the_split() {
+    let model = small(20, 28, true);
+    let (weights, canvas) = (weights(&model, 1), random_canvas(&model, 2));
+    for isa in available() {
+        for precision in [Precision::F32, Precision::Bf16] {
+            let network = |threads| Network::new(&model, &weights, options(isa, Some(precision), threads)).unwrap();
+            let mut first = network(1);
+            let expected = first.forward(&canvas).unwrap();
+            let other = first.forward(&random_canvas(&model, 3)).unwrap();
+            assert_ne!(other, expected);
+            assert_eq!(first.forward(&canvas).unwrap(), expected);
+            for threads in [2, 3, 40] {
+                assert_eq!(
+                    network(threads).forward(&canvas).unwrap(),
+                    expected,
+                    "{threads} threads"
+                );
+            }
+            let map = first.encode(&canvas).unwrap();
+            assert_eq!([map.rows, map.columns], model.map_size());
+            first.forward(&random_canvas(&model, 4)).unwrap();
+            assert_eq!(first.heads(&map).unwrap(), expected);
+        }
+    }
+}
+
+#[test]
+fn an_empty_canvas_gives_finite_heads() {
+    let model = small(8, 8, false);
+    let mut network = Network::new(&model, &weights(&model, 1), NetworkOptions::default()).unwrap();
+    let heads = network.forward(&random_canvas(&model, 2)).unwrap();
+    let empty = network.forward(&Canvas::new(8, 8, 6)).unwrap();
+    assert!(empty.scores.iter().chain(&empty.deltas).all(|value| value.is_finite()));
+    assert_ne!(empty, heads);
+}
+
+#[test]
+fn maps_of_another_size_are_refused() {
+    let model = small(8, 12, false);
+    let mut network = Network::new(&model, &weights(&model, 1), NetworkOptions::default()).unwrap();
+    let error = network.forward(&Canvas::new(8, 13, 6)).unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "the canvas has 8 rows x 13 columns x 6 channels, model `lite` wants 8 x 12 x 6"
+    );
+    assert!(network.encode(&Canvas::new(8, 12, 7)).is_err());
+    let mut map = network.encode(&Canvas::new(8, 12, 6)).unwrap();
+    map.data.pop();
+    let error = network.heads(&map).unwrap_err().to_string();
+    assert_eq!(error, "the BEV map has 815 numbers, its size wants 816");
+    map.rows = 5;
+    assert!(
+        network
+            .heads(&map)
+            .unwrap_err()
+            .to_string()
+            .contains("wants 4 x 6 x 34")
+    );
+}
+
+#[test]
+fn names_what_it_computes_with() {
+    let choice = |isa, precision| {
+        Network::new(&lite(), &weights(&lite(), 1), options(isa, precision, 1))
+            .map(|network| network.choice().to_string())
+    };
+    assert_eq!(
+        choice(Isa::Portable, None).unwrap(),
+        "f32 on portable (the model asks for bf16), 1 thread"
+    );
+    assert_eq!(
+        choice(Isa::Portable, Some(Precision::Bf16)).unwrap(),
+        "bf16 on portable, 1 thread"
+    );
+    for isa in Isa::ALL {
+        match choice(isa, None) {
+            Ok(name) => assert!(isa.is_available() && name.contains(&isa.to_string())),
+            Err(error) => assert!(!isa.is_available() && error.to_string().contains(&format!("no {isa}"))),
+        }
+    }
+}
+
+#[test]
+fn weights_that_do_not_fit_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("lite.safetensors");
+    assert!(matches!(
+        Network::load(&lite(), &path, NetworkOptions::default()),
+        Err(NetworkError::Weights(WeightsError::Read { .. }))
+    ));
+    let mut model = lite();
+    model.shrink[0].kernel = 2;
+    assert!(matches!(
+        Network::load(&model, &path, NetworkOptions::default()),
+        Err(NetworkError::Model(_))
+    ));
+}
+
+// Vectors of the reference implementation.
+
+/// A model with the backbone that a vector describes.
+fn model_of(backbone: &serde_json::Value, size: [usize; 2], channels: usize) -> Model {
+    let list = |key: &str| serde_json::from_value::<Vec<usize>>(backbone[key].clone()).unwrap();
+    let mut model = lite();
+    model.precision = Precision::F32;
+    model.frame = Frame::Lidar;
+    model.grid = Grid {
+        x: [0.0, size[1] as f64],
+        y: [0.0, size[0] as f64],
+        z: [-15.0, 15.0],
+        cell: 1.0,
+    };
+    model.pillars.channels = channels;
+    model.backbone = Backbone {
+        layers: list("layer_nums"),
+        strides: list("layer_strides"),
+        channels: list("num_filters"),
+        up_strides: list("upsample_strides"),
+        up_channels: list("num_upsample_filter"),
+    };
+    model.shrink.clear();
+    model
+}
+
+/// A vector's parameters as weights of the model, where `parameter` makes a key theirs; the others are random.
+fn weights_of(vector: &Vector, model: &Model, parameter: impl Fn(&str) -> Option<&str>) -> Weights {
+    let mut tensors = random_tensors(model, 1);
+    let mut found = 0;
+    for (key, tensor) in &mut tensors {
+        if let Some(rest) = parameter(key) {
+            let name = format!("param.{rest}");
+            *tensor = Tensor {
+                shape: vector.shape(&name),
+                data: vector.f32(&name),
+            };
+            found += 1;
+        }
+    }
+    assert!(found > 0, "no parameter");
+    Weights::new(model, tensors).unwrap()
+}
+
+fn shape4(vector: &Vector, name: &str) -> [usize; 4] {
+    vector.shape(name).try_into().unwrap()
+}
+
+#[test]
+fn the_backbone_matches_the_reference() {
+    for file in [
+        "network/backbone_1_1_1.safetensors",
+        "network/backbone_3_5_8.safetensors",
+    ] {
+        let Some(vector) = Vector::open(file) else { return };
+        let shape = shape4(&vector, "in.canvas");
+        let model = model_of(&vector.config, [shape[2], shape[3]], shape[1]);
+        let weights = weights_of(&vector, &model, |key| key.strip_prefix("backbone."));
+        let inputs = nhwc(&vector.f32("in.canvas"), shape);
+        let expected = nhwc(&vector.f32("out.features"), shape4(&vector, "out.features"));
+        for isa in available() {
+            let mut network = Network::new(&model, &weights, options(isa, None, 2)).unwrap();
+            let samples = inputs.chunks_exact(inputs.len() / shape[0]);
+            let found: Vec<f32> = samples
+                .flat_map(|cells| network.encode(&canvas(&model, cells)).unwrap().data)
+                .collect();
+            assert_near(&format!("{file} {isa}"), &found, &expected, 1e-4);
+        }
+    }
+}
+
+#[test]
+fn the_shrink_layers_match_the_reference() {
+    for (file, kernel) in [
+        ("network/shrink_k1.safetensors", 1),
+        ("network/shrink_k3.safetensors", 3),
+    ] {
+        let Some(vector) = Vector::open(file) else { return };
+        let shape = shape4(&vector, "in.x");
+        let mut model = lite();
+        model.backbone.up_channels = vec![8, 8, 8];
+        model.shrink = vec![
+            Shrink { kernel, channels: 16 },
+            Shrink {
+                kernel: 3,
+                channels: 16,
+            },
+        ];
+        let layers = shrink_layers(
+            &model,
+            &weights_of(&vector, &model, |key| key.strip_prefix("shrink_conv.")),
+        );
+        let inputs = nhwc(&vector.f32("in.x"), shape);
+        let expected = nhwc(&vector.f32("out.y"), shape4(&vector, "out.y"));
+        for isa in available() {
+            let samples = inputs.chunks_exact(inputs.len() / shape[0]);
+            let run = |cells: &[f32]| crate::conv::apply(&layers, isa, 2, [shape[2], shape[3]], cells);
+            let found: Vec<f32> = samples.flat_map(run).collect();
+            assert_near(&format!("{file} {isa}"), &found, &expected, 1e-4);
+        }
+    }
+}
+
+#[test]
+fn the_heads_match_the_reference() {
+    let Some(vector) = Vector::open("network/head.safetensors") else {
+        return;
+    };
+    let shape = shape4(&vector, "in.x");
+    let [_, channels, rows, columns] = shape;
+    let mut model = small(2 * rows, 2 * columns, false);
+    model.backbone = Backbone {
+        layers: vec![0],
+        strides: vec![2],
+        channels: vec![2],
+        up_strides: vec![1],
+        up_channels: vec![channels],
+    };
+    model.shrink.clear();
+    let map = BevMap {
+        rows,
+        columns,
+        channels,
+        data: nhwc(&vector.f32("in.x"), shape),
+    };
+    let weights = weights_of(&vector, &model, |key| key.contains("_head.").then_some(key));
+    for isa in available() {
+        let mut network = Network::new(&model, &weights, options(isa, None, 2)).unwrap();
+        let heads = network.heads(&map).unwrap();
+        let expected = |name: &str| nhwc(&vector.f32(name), shape4(&vector, name));
+        assert_near(&format!("scores {isa}"), &heads.scores, &expected("out.psm"), 1e-4);
+        assert_near(&format!("deltas {isa}"), &heads.deltas, &expected("out.rm"), 1e-4);
+    }
+}
+
+#[test]
+fn scattered_pillars_match_the_reference() {
+    let Some(vector) = Vector::open("network/scatter.safetensors") else {
+        return;
+    };
+    let shape = shape4(&vector, "out.canvas");
+    let [samples, channels, rows, columns] = shape;
+    let mut found = Vec::new();
+    for sample in 0..samples {
+        let mut canvas = Canvas::new(rows, columns, channels);
+        let features = vector.f32("in.pillar_features");
+        for (cell, features) in vector
+            .rows::<4>("in.coords_bzyx")
+            .iter()
+            .zip(features.chunks_exact(channels))
+        {
+            let [of, _, row, column] = cell.map(|index| index as usize);
+            if of == sample {
+                canvas.cell_mut(row, column).copy_from_slice(features);
+            }
+        }
+        found.extend((0..rows * columns).flat_map(|cell| canvas.cell(cell / columns, cell % columns).to_vec()));
+    }
+    assert_eq!(found, nhwc(&vector.f32("out.canvas"), shape));
+}
+
+#[test]
+fn the_single_agent_model_matches_the_reference_from_points_on() {
+    let Some(vector) = Vector::open("model/single.safetensors") else {
+        return;
+    };
+    let grid = vector.grid();
+    let mut model = model_of(&vector.config["backbone"], [grid.rows(), grid.columns()], 64);
+    model.grid = grid;
+    model.pillars.empty_slots = true;
+    model.pillars.intensity = true;
+    let weights = weights_of(&vector, &model, Some);
+    let points = vector.rows::<4>("in.points");
+    let column = |axis: usize| -> Vec<f32> { points.iter().map(|point| point[axis]).collect() };
+    let (x, y, z, i) = (column(0), column(1), column(2), column(3));
+    let points = Points {
+        x: &x,
+        y: &y,
+        z: &z,
+        intensity: Some(&i),
+    };
+    let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
+    let mut canvas = Canvas::new(grid.rows(), grid.columns(), model.pillars.channels);
+    PillarNet::of(&model, &weights).run(pillariser.run(&points), &mut canvas);
+    let expected = |name: &str| nhwc(&vector.f32(name), shape4(&vector, name));
+    for isa in available() {
+        let mut network = Network::new(&model, &weights, options(isa, None, 2)).unwrap();
+        let heads = network.forward(&canvas).unwrap();
+        assert_near(&format!("scores {isa}"), &heads.scores, &expected("out.psm"), 5e-4);
+        assert_near(&format!("deltas {isa}"), &heads.deltas, &expected("out.rm"), 5e-4);
+    }
+}

@@ -1,0 +1,150 @@
+//! From sweeps to BEV maps: pillars, the pillar net and the backbone of a PointPillars model.
+//!
+//! | port | direction | types | meaning |
+//! |---|---|---|---|
+//! | `clouds` | in, latest | PointCloud | sweeps in the model's frame |
+//! | `features` | out | FeatureMap | the BEV map `[rows, columns, channels]`, f32, in the sweep's frame |
+//!
+//! | counter | meaning |
+//! |---|---|
+//! | `nan_points`, `out_of_range_points` | points that are no numbers, or outside the model's volume |
+//! | `over_points`, `over_pillars` | points beyond what a pillar takes, or of pillars beyond what a sweep may have |
+//!
+//! A sweep without points in range gives the map of an empty canvas.
+
+use std::path::PathBuf;
+
+use arrow::buffer::Buffer;
+use realo_nn::canvas::Canvas;
+use realo_nn::network::Network;
+use realo_nn::pillar_net::PillarNet;
+use realo_nn::pillars::{Dropped, Pillariser, Points};
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::{DType, FeatureMap, Header, Kind, Message, Name, PayloadType, PointCloud};
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`PillarEncoder`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The model file; its weights lie beside it.
+    pub model: PathBuf,
+    /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
+    pub isa: String,
+    /// Threads of the convolutions; 0: one for each processor.
+    pub threads: usize,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            model: "../models/lite.toml".into(),
+            isa: "auto".into(),
+            threads: 0,
+        }
+    }
+}
+
+/// The operator `pillar-encoder`.
+pub struct PillarEncoder {
+    pillariser: Pillariser,
+    pillar_net: PillarNet,
+    canvas: Canvas,
+    network: Network,
+    intensity: bool,
+    /// Corner of the maps' first cell in the model's frame, and side of a cell, m.
+    origin: [f64; 2],
+    cell: f64,
+    identity: Name,
+}
+
+const CLOUDS: PortId = PortId(0);
+const FEATURES: PortId = PortId(0);
+
+impl Describe for PillarEncoder {
+    type Config = Config;
+    const NAME: &'static str = "pillar-encoder";
+    const ABOUT: &'static str = "From sweeps to BEV maps: pillars, pillar net and backbone of a PointPillars model";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "model",
+            about: "the model file; its weights lie beside it",
+        },
+        Argument {
+            name: "isa",
+            about: "kernels: auto, portable, avx2, avx512 or avx512bf16",
+        },
+        Argument {
+            name: "threads",
+            about: "threads of the convolutions; 0: one for each processor",
+        },
+    ];
+    const INPUTS: &'static [Port] =
+        &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the model's frame").latest()];
+    const OUTPUTS: &'static [Port] = &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps")];
+}
+
+impl Operator for PillarEncoder {
+    fn new(config: Config) -> Result<Self, Error> {
+        let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
+        let (grid, pillars) = (&loaded.model.grid, &loaded.model.pillars);
+        Ok(PillarEncoder {
+            pillariser: Pillariser::new(grid, pillars.points, pillars.pillars),
+            pillar_net: PillarNet::of(&loaded.model, &loaded.weights),
+            canvas: Canvas::new(grid.rows(), grid.columns(), pillars.channels),
+            origin: [grid.x[0], grid.y[0]],
+            cell: grid.cell * loaded.model.stride() as f64,
+            intensity: pillars.intensity,
+            network: loaded.network,
+            identity: loaded.identity.as_str().into(),
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        if port != CLOUDS {
+            return Err(wrong_port(Self::INPUTS, port));
+        }
+        let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
+        let (map, dropped) = self.encode(&cloud)?;
+        out.count("nan_points", dropped.not_finite);
+        out.count("out_of_range_points", dropped.out_of_range);
+        out.count("over_points", dropped.over_points);
+        out.count("over_pillars", dropped.over_pillars);
+        let header = Header {
+            kind: Kind::Features,
+            ..header
+        };
+        out.send(FEATURES, Message::new(header, map));
+        Ok(())
+    }
+}
+
+impl PillarEncoder {
+    /// The BEV map of a cloud in the model's frame, and which points it leaves out.
+    fn encode(&mut self, cloud: &PointCloud) -> Result<(FeatureMap, Dropped), Error> {
+        let intensity: Option<Vec<f32>> = self
+            .intensity
+            .then(|| cloud.intensity.iter().map(|value| f32::from(*value) / 255.0).collect());
+        let points = Points {
+            x: &cloud.x,
+            y: &cloud.y,
+            z: &cloud.z,
+            intensity: intensity.as_deref(),
+        };
+        let pillars = self.pillariser.run(&points);
+        let dropped = pillars.dropped;
+        self.pillar_net.run(pillars, &mut self.canvas);
+        let map = self.network.encode(&self.canvas)?;
+        let map = FeatureMap {
+            rows: map.rows as u32,
+            columns: map.columns as u32,
+            channels: map.channels as u32,
+            cell: self.cell,
+            origin: self.origin,
+            dtype: DType::F32,
+            data: Buffer::from_vec(map.data),
+            model: self.identity.clone(),
+        };
+        Ok((map, dropped))
+    }
+}
