@@ -28,7 +28,8 @@ fn small() -> PathBuf {
 
 /// What `realo run` of late fusion says: exit code, standard error.
 fn run(args: &[&str]) -> (Option<i32>, String) {
-    let output = realo([&["run", &graph("late_fusion"), "--mode", "virtual"][..], args].concat());
+    let options = ["--mode", "virtual", "--recorded-detections"];
+    let output = realo([&["run", &graph("late_fusion")][..], &options, args].concat());
     (output.status.code(), text(&output.stderr))
 }
 
@@ -177,7 +178,8 @@ fn run_odd(log: &Path) -> (String, serde_json::Value) {
         &out.to_string_lossy(),
     ]
     .map(String::from);
-    let output = realo(["run".to_string(), graph("no_fusion")].into_iter().chain(args));
+    let start = ["run".to_string(), graph("no_fusion"), "--recorded-detections".into()];
+    let output = realo(start.into_iter().chain(args));
     let said = text(&output.stderr);
     assert!(output.status.success(), "{said}");
     (said, json(&out.join("result.json")))
@@ -279,4 +281,77 @@ fn a_full_disk_while_recording_fails_the_run_by_name() {
         said.contains("recorder") && said.contains("No space left on device"),
         "{said}"
     );
+}
+
+#[test]
+fn a_log_that_is_played_is_never_recorded_into() {
+    let dir = folder("spared").join("recording/cav1");
+    fs::create_dir_all(&dir).expect("a folder");
+    let log = dir.join("recording.mcap");
+    fs::copy(small(), &log).expect("a copy");
+    let out = dir.ancestors().nth(2).expect("a folder").to_string_lossy().into_owned();
+    let log_name = log.to_string_lossy();
+    let cases: [&[&str]; 2] = [
+        &["--log", &log_name, "--ego", "cav1", "--out", &out],
+        &[
+            "--log",
+            &log_name,
+            "--out",
+            "unused",
+            "--set",
+            &format!("recorder.path={log_name}"),
+        ],
+    ];
+    for args in cases {
+        let (code, said) = run(args);
+        assert_eq!(code, Some(1), "{said}");
+        assert!(said.contains("which is played"), "{said}");
+        assert_eq!(
+            fs::read(&log).expect("the log is there"),
+            fs::read(small()).expect("the log")
+        );
+    }
+}
+
+#[test]
+fn results_of_others_are_kept_and_a_failed_run_leaves_none_of_its_own() {
+    let dir = folder("claimed");
+    let (log, out) = (small(), dir.join("out"));
+    let (log, out) = (log.to_string_lossy(), out.to_string_lossy());
+    let cell = dir.join("out/small/cav1");
+    fs::create_dir_all(&cell).expect("a folder");
+    fs::write(cell.join("result.json"), "{\"mine\": 1}").expect("a file");
+    let args = ["--log", &log, "--out", &out, "--ego", "cav1"];
+    let (code, said) = run(&args);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("result.json"), "{said}");
+    assert_eq!(
+        fs::read_to_string(cell.join("result.json")).expect("it is there"),
+        "{\"mine\": 1}"
+    );
+    fs::remove_file(cell.join("result.json")).expect("it is ours");
+
+    assert_eq!(run(&args).0, Some(0));
+    let (code, said) = run(&[&args[..], &["--link", "papr"]].concat());
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("papr"), "{said}");
+    assert!(
+        !dir.join("out/result.json").exists(),
+        "the earlier result does not stand for the failed run"
+    );
+}
+
+#[test]
+fn what_an_option_decides_cannot_be_set_beside_it() {
+    let log = small();
+    let log = log.to_string_lossy();
+    for (set, option) in [
+        ("player.ego=rsu1", "--ego"),
+        ("link.ego=rsu1", "--ego"),
+        ("results.out=elsewhere", "--out"),
+    ] {
+        let (code, said) = run(&["--log", &log, "--ego", "cav1", "--set", set]);
+        assert_eq!(code, Some(1), "{set}: {said}");
+        assert!(said.contains(option), "{set}: {said}");
+    }
 }

@@ -113,7 +113,8 @@ fn late_fusion_of_exact_boxes_finds_the_whole_truth_and_nothing_else() {
             ("i2i", vec!["--coop", "i2i"]),
         ] {
             let args = [
-                &["--offline", "--set", "link.range_m=1000", "--protocol", &protocol][..],
+                &["--offline", "--recorded-detections", "--set", "link.range_m=1000"][..],
+                &["--protocol", &protocol],
                 &args,
             ]
             .concat();
@@ -133,7 +134,7 @@ fn late_fusion_of_exact_boxes_finds_the_whole_truth_and_nothing_else() {
 fn no_fusion_of_exact_boxes_is_what_the_ego_has_points_on() {
     let log = exact("exact_intersection", "intersection");
     let protocol = one_point();
-    let args = ["--offline", "--protocol", &protocol];
+    let args = ["--offline", "--recorded-detections", "--protocol", &protocol];
     let alone = run_virtual("exact_alone", "no_fusion", &log, &args);
     let together = run_virtual("exact_together", "late_fusion", &log, &args);
     let (mut found_alone, mut total_alone) = (0, 0);
@@ -158,7 +159,7 @@ fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
     let log = simulated("bytes", &args);
     let compute = common::folder("bytes_compute").join("slow.toml");
     // Stages that take longer than a sweep, so that they pass messages over.
-    let nodes = "[nodes]\n\"ego-detect.recorded\" = 30_000_000\nfusion = 150_000_000\nnms = 30_000_000\n";
+    let nodes = "ego-detect.recorded = 30_000_000\nfusion = 150_000_000\nnms = 30_000_000\n";
     std::fs::write(&compute, nodes).expect("the profile can be written");
     let lossy = common::folder("bytes_link").join("lossy.toml");
     let profile = "[default]\nfixed_ms = 20.0\njitter = { gaussian_ms = 15.0 }\nloss = 0.1\nduplicate = 0.05\n";
@@ -171,6 +172,7 @@ fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
                 .args([
                     "run",
                     &common::graph("late_fusion"),
+                    "--recorded-detections",
                     "--mode",
                     "virtual",
                     "--link",

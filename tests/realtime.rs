@@ -9,7 +9,7 @@ use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use common::{folder, graph, json, realo_ok, run_virtual, simulated, text};
-use realo_runtime::graph::FlatGraph;
+use realo_runtime::graph::{FlatGraph, Graph};
 use serde_json::Value;
 
 /// Realtime runs share the machine's cores with nothing of ours.
@@ -54,6 +54,7 @@ fn run_realtime(out: &Path, log: &Path, args: &[&str]) -> Value {
     let mut all = vec![
         "run".into(),
         graph("late_fusion"),
+        "--recorded-detections".into(),
         "--log".into(),
         log.to_string_lossy().into_owned(),
     ];
@@ -72,7 +73,12 @@ fn run_realtime(out: &Path, log: &Path, args: &[&str]) -> Value {
 fn realtime_without_delays_gives_the_boxes_of_virtual_time() {
     let _alone = alone();
     let log = spread();
-    let expected = run_virtual("held_virtual", "late_fusion", &log, &["--ego", "cav1"]);
+    let expected = run_virtual(
+        "held_virtual",
+        "late_fusion",
+        &log,
+        &["--recorded-detections", "--ego", "cav1"],
+    );
     let out = folder("held_realtime");
     let result = run_realtime(&out, &log, &["--rate", "0.1"]);
     assert_eq!(result["transport"]["total_lost"], 0, "{}", result["transport"]);
@@ -113,7 +119,8 @@ fn realised_age_follows_the_link() {
 }
 
 fn tampered_graph(dir: &Path, report: &Path) -> PathBuf {
-    let mut flat = FlatGraph::load(Path::new(&graph("late_fusion"))).expect("the graph can be read");
+    let late = Graph::load(Path::new(&graph("late_fusion"))).expect("the graph can be read");
+    let mut flat = late.with_recorded_detections().expand().expect("its modules fit");
     let example = Path::new(common::REALO).with_file_name("examples").join("tamper");
     assert!(example.exists(), "{} is built with the tests", example.display());
     let yaml = format!(
@@ -122,7 +129,7 @@ fn tampered_graph(dir: &Path, report: &Path) -> PathBuf {
         example.display(),
         report.display()
     );
-    let tamper = realo_runtime::graph::Graph::parse(&yaml, &dir.join("tamper.yml")).expect("the node is a graph");
+    let tamper = Graph::parse(&yaml, &dir.join("tamper.yml")).expect("the node is a graph");
     let tamper = tamper.expand().expect("it has no modules").nodes.remove(0);
     flat.nodes.push(tamper);
     let encoder = flat
@@ -218,7 +225,14 @@ fn start(out: &Path) -> Child {
         ],
     );
     Command::new(common::REALO)
-        .args(["run", &graph("late_fusion"), "--ego", "cav1", "--log"])
+        .args([
+            "run",
+            &graph("late_fusion"),
+            "--recorded-detections",
+            "--ego",
+            "cav1",
+            "--log",
+        ])
         .arg(log)
         .arg("--out")
         .arg(out)

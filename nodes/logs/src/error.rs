@@ -7,14 +7,14 @@ use realo_schemas::{Nanos, to_seconds};
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file system refused.
-    #[error("cannot {action} `{}`: {source}", .path.display())]
+    #[error("cannot {action} `{}`: {reason}", .path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// What was tried.
         action: &'static str,
         /// What the system said.
-        source: io::Error,
+        reason: io::Error,
     },
     /// Writing failed midway.
     #[error("writing `{}` failed after {written} bytes: {reason}; what was written stays readable", .path.display())]
@@ -116,7 +116,7 @@ pub enum LogError {
 impl LogError {
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> LogError {
         let path = path.to_path_buf();
-        move |source| LogError::Io { path, action, source }
+        move |reason| LogError::Io { path, action, reason }
     }
 
     pub(crate) fn damaged(path: &Path, offset: u64, reason: impl ToString) -> LogError {

@@ -230,15 +230,12 @@ impl Source for Player {
         check(&config)?;
         let log = Log::open(&config.log)?;
         let counters = Counters::default();
-        if let Some(cut) = log.truncation() {
-            eprintln!("warning: log `{}` is {cut}", config.log.display());
+        if log.truncation().is_some() {
             count(&counters, "log_truncated");
         }
         let plan = plan(&log, &config.ego, config.coop, &config.agents)?;
         let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
         if cast.collaborators.is_empty() {
-            let (ego, coop) = (&cast.ego, config.coop);
-            eprintln!("warning: no agent of the log can collaborate with `{ego}` in mode {coop}; it runs alone");
             count(&counters, "runs_alone");
         }
         need_topics(&log, &cast, &config)?;

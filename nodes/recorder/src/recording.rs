@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use realo_logs::cdr::CdrWriter;
 use realo_logs::{
-    BoxesInfo, ChannelId, Lane, LogError, McapWriter, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
+    BoxesInfo, ChannelId, Lane, LogError, McapFile, McapWriter, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
 };
 use realo_runtime::Books;
 use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Header, Nanos, Packet, PointCloud, Report};
@@ -21,14 +21,22 @@ pub struct Recording {
 impl Recording {
     pub fn create(path: &Path) -> Result<Self, LogError> {
         let io = |action| {
-            move |source| LogError::Io {
+            move |reason| LogError::Io {
                 path: path.into(),
                 action,
-                source,
+                reason,
             }
         };
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             fs::create_dir_all(folder).map_err(io("make the folder of"))?;
+        }
+        if McapFile::open(path).is_ok_and(|file| !file.metadata().contains_key(RECORDING_RECORD)) {
+            let reason = "it is no recording, and would be lost; choose another `path`";
+            return Err(LogError::Io {
+                path: path.into(),
+                action: "record into",
+                reason: std::io::Error::other(reason),
+            });
         }
         let file = File::create(path).map_err(io("create"))?;
         let metadata = BTreeMap::from([("format".into(), "1".into()), ("program".into(), program())]);

@@ -72,12 +72,12 @@ pub enum ProfileError {
         hint: String,
     },
     /// A file that cannot be read.
-    #[error("link profile {path}: {source}")]
+    #[error("link profile {path}: {reason}")]
     Read {
         /// The file.
         path: String,
         /// Why.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// A file that is no profile.
     #[error("link profile {path}: {reason}")]
@@ -133,9 +133,9 @@ impl Profile {
         let read = std::fs::read_to_string(name);
         parse(
             name,
-            &read.map_err(|source| ProfileError::Read {
+            &read.map_err(|reason| ProfileError::Read {
                 path: name.into(),
-                source,
+                reason,
             })?,
         )
     }

@@ -55,7 +55,7 @@ fn main() {
         assign(&anchors, &objects);
     });
     let targets = assign(&anchors, &objects);
-    let scores: Vec<f32> = (0..anchors.count() * 3).map(|i| 4.0 * noise(11, i) - 5.2).collect();
+    let scores: Vec<f32> = (0..anchors.count() * 3).map(|i| 4.0 * noise(11, i) - 5.37).collect();
     let deltas: Vec<f32> = (0..anchors.count() * 7).map(|i| noise(12, i)).collect();
     let (mut by_scores, mut by_deltas) = (vec![0.0; scores.len()], vec![0.0; deltas.len()]);
     report("loss and gradient, 153,600 anchors", || {

@@ -7,6 +7,7 @@ mod boxes;
 mod evaluation;
 mod iou_nms;
 mod loss;
+mod network;
 mod pillars;
 mod postprocess;
 mod targets;
@@ -115,6 +116,8 @@ fn check_of(file: &str) -> Result<Check, String> {
         "targets" => targets::check(name),
         "loss" => loss::check(name),
         "postprocess" => postprocess::check(name),
+        "network" => network::check(name),
+        "model" => network::check_model(name),
         _ => return Err(format!("no part of this version computes `{folder}`")),
     };
     check.ok_or_else(|| format!("there is no check for `{name}` of `{folder}`"))
@@ -155,7 +158,12 @@ mod tests {
     fn says_what_it_has_no_check_for() {
         assert!(check_of("boxes/corners.safetensors").is_ok());
         assert!(check_of("boxes/other.json").unwrap_err().contains("`other` of `boxes`"));
-        assert!(check_of("model/attfuse.safetensors").unwrap_err().contains("`model`"));
+        assert!(
+            check_of("model/attfuse.safetensors")
+                .unwrap_err()
+                .contains("`attfuse` of `model`")
+        );
+        assert!(check_of("dataset/other.json").unwrap_err().contains("`dataset`"));
         assert!(check_of("loose.json").is_err());
     }
 

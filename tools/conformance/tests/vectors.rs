@@ -19,7 +19,7 @@ fn shared(folder: &str) -> Option<PathBuf> {
 }
 
 #[test]
-fn boxes_iou_nms_and_evaluation_pass() {
+fn the_vectors_of_every_supported_folder_pass() {
     let Some(dir) = shared("conformance") else { return };
     let results = run(&dir);
     let of_folder = |folder: &str| -> Vec<&CaseResult> {
@@ -29,7 +29,16 @@ fn boxes_iou_nms_and_evaluation_pass() {
             .collect()
     };
     let mut failed = Vec::new();
-    for (folder, count) in [("boxes", 8), ("iou_nms", 6), ("evaluation", 6)] {
+    let folders = [
+        ("boxes", 8),
+        ("iou_nms", 6),
+        ("evaluation", 6),
+        ("pillars", 7),
+        ("targets", 5),
+        ("loss", 2),
+        ("postprocess", 3),
+    ];
+    for (folder, count) in folders {
         let cases = of_folder(folder);
         assert_eq!(cases.len(), count, "{folder}");
         failed.extend(
@@ -44,4 +53,24 @@ fn boxes_iou_nms_and_evaluation_pass() {
         .iter()
         .any(|case| matches!(case.status, Status::NotSupported(_)));
     assert_eq!(exit_code(&results), if unsupported { 3 } else { 0 });
+}
+
+#[test]
+fn the_single_agent_network_passes() {
+    let Some(dir) = shared("conformance") else { return };
+    let results = run(&dir);
+    for name in [
+        "network/scatter",
+        "network/backbone_1_1_1",
+        "network/backbone_3_5_8",
+        "network/shrink_k1",
+        "network/shrink_k3",
+        "network/head",
+        "model/single",
+    ] {
+        let file = format!("{name}.safetensors");
+        let case = results.iter().find(|case| case.file == file);
+        let case = case.unwrap_or_else(|| panic!("no vector {file}"));
+        assert_eq!(case.status, Status::Passed, "{case}");
+    }
 }

@@ -7,12 +7,12 @@ use realo_logs::LogError;
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
     /// A file that is not there or cannot be read.
-    #[error("cannot read `{}`: {source}", .path.display())]
+    #[error("cannot read `{}`: {reason}", .path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// What the system said.
-        source: io::Error,
+        reason: io::Error,
     },
     /// A file that does not say what it must.
     #[error("`{}`: {reason}", .path.display())]
@@ -30,7 +30,7 @@ pub enum ImportError {
 impl ImportError {
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> ImportError {
         let path = path.to_path_buf();
-        move |source| ImportError::Io { path, source }
+        move |reason| ImportError::Io { path, reason }
     }
 
     pub(crate) fn content(path: &Path, reason: impl ToString) -> ImportError {

@@ -6,7 +6,7 @@ use eyre::Result;
 
 use crate::Outcome;
 
-/// Describes a log or a recording
+/// Describes a log
 #[derive(clap::Args)]
 pub struct Args {
     /// MCAP files

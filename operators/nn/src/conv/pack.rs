@@ -1,3 +1,5 @@
+use std::ops::Deref;
+
 use super::map::{Map, Rows, View};
 use super::tile::{Run, Share};
 use super::{Convolution, Element, Isa, Pool};
@@ -21,7 +23,7 @@ pub(crate) struct Packed<E, O = E> {
     /// Outputs side by side.
     pub(super) block: usize,
     /// `[up, up, blocks, kernel, kernel, units, block, numbers of a unit]`.
-    pub(super) weights: Vec<E>,
+    pub(super) weights: Aligned<E>,
     /// `[blocks, block]`.
     pub(super) bias: Vec<f32>,
     run: Run<E, O>,
@@ -116,10 +118,10 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
     }
 }
 
-fn pack<E: Element>(layer: &Convolution, up: usize, block: usize) -> Vec<E> {
+fn pack<E: Element>(layer: &Convolution, up: usize, block: usize) -> Aligned<E> {
     let kernel = if layer.transposed { 1 } else { layer.kernel };
     let (blocks, units) = (layer.outputs.div_ceil(block), layer.inputs.div_ceil(E::PER_UNIT));
-    let mut weights = Vec::with_capacity(up * up * blocks * kernel * kernel * units * block * E::PER_UNIT);
+    let mut weights = Aligned::with_capacity(up * up * blocks * kernel * kernel * units * block * E::PER_UNIT);
     let weight =
         |output: usize, input: usize, row: usize, column: usize| match output < layer.outputs && input < layer.inputs {
             true => E::from_f32(layer.weight(output, input, row, column)),
@@ -134,10 +136,37 @@ fn pack<E: Element>(layer: &Convolution, up: usize, block: usize) -> Vec<E> {
             for unit in 0..units {
                 for output in first..first + block {
                     let inputs = unit * E::PER_UNIT..(unit + 1) * E::PER_UNIT;
-                    weights.extend(inputs.map(|input| weight(output, input, row, column)));
+                    weights
+                        .numbers
+                        .extend(inputs.map(|input| weight(output, input, row, column)));
                 }
             }
         }
     }
     weights
+}
+
+/// Numbers that begin at a line of the cache, so that no register of them lies across two.
+pub(super) struct Aligned<E> {
+    numbers: Vec<E>,
+    start: usize,
+}
+
+impl<E: Element> Aligned<E> {
+    fn with_capacity(count: usize) -> Self {
+        const LINE: usize = 64;
+        let mut numbers: Vec<E> = Vec::with_capacity(count + LINE);
+        // Less than a line; filling up to `count` more does not move the list.
+        let start = numbers.as_ptr().align_offset(LINE).min(LINE);
+        numbers.resize(start, E::default());
+        Aligned { numbers, start }
+    }
+}
+
+impl<E> Deref for Aligned<E> {
+    type Target = [E];
+
+    fn deref(&self) -> &[E] {
+        &self.numbers[self.start..]
+    }
 }

@@ -1,6 +1,7 @@
 //! The loop nest that all instructions share, from the rows of a worker down to a tile of registers.
 #![allow(unsafe_code)]
 
+use std::mem::MaybeUninit;
 use std::ops::Range;
 
 use super::pack::Packed;
@@ -56,11 +57,13 @@ pub(super) trait Store<O>: Simd {
     unsafe fn store(sum: Self::Sum, to: *mut O);
 }
 
-/// Rows that are computed before the next block of weights is read again.
-const ROWS: usize = 4;
+/// Bytes of input that are read for every block of weights before the next ones follow. Windows of 3x3 share what they
+/// read and go by whole rows that stay in a core's second cache; those of 1x1 by cells that stay in its first.
+const ROWS_BYTES: usize = 192 << 10;
+const CELLS_BYTES: usize = 16 << 10;
 
-/// Most lanes of a register.
-const MOST_LANES: usize = 16;
+/// Most results of a tile.
+const MOST_RESULTS: usize = 12 * 2 * 16;
 
 /// A share in tiles of `P` windows x `J` registers.
 ///
@@ -75,23 +78,42 @@ pub(super) unsafe fn share<S, O, const P: usize, const J: usize>(
     S::Element: super::Kernel<O>,
     O: Element,
 {
+    const { assert!(P * J * S::LANES <= MOST_RESULTS) };
     check::<S, O, J>(layer, &share);
     let blocks = layer.bias.len() / layer.block;
     let size = layer.weights.len() / (layer.up * layer.up * blocks);
     let Range { start, end } = share.rows.clone();
-    let mut first = start;
-    while first < end {
-        let last = (first + ROWS).min(end);
-        for part in 0..layer.up * layer.up * blocks {
-            let (cell, block) = (part / blocks, part % blocks);
-            let weights = &layer.weights[part * size..(part + 1) * size];
-            for row in first..last {
-                // SAFETY: `check` has found the share to fit the layer; the CPU has the instructions.
-                unsafe { windows::<S, O, P, J>(layer, &mut share, row, cell, block, weights) };
+    let cell = share.input.stored * layer.stride * size_of::<S::Element>();
+    let (rows, columns) = match layer.kernel {
+        1 => (1, (CELLS_BYTES / cell).next_multiple_of(P).max(P)),
+        _ => ((ROWS_BYTES / (cell * (share.columns + 2))).max(1), share.columns.max(1)),
+    };
+    for first_row in (start..end).step_by(rows) {
+        for first_column in (0..share.columns).step_by(columns) {
+            let columns = first_column..(first_column + columns).min(share.columns);
+            for part in 0..layer.up * layer.up * blocks {
+                let weights = &layer.weights[part * size..(part + 1) * size];
+                for row in first_row..(first_row + rows).min(end) {
+                    let at = Place {
+                        row,
+                        columns: columns.clone(),
+                        cell: part / blocks,
+                        block: part % blocks,
+                    };
+                    // SAFETY: `check` has found the share to fit the layer; the CPU has the instructions.
+                    unsafe { windows::<S, O, P, J>(layer, &mut share, at, weights) };
+                }
             }
         }
-        first = last;
     }
+}
+
+/// Neighbouring windows of one row, for one block of outputs and one of the cells that an input cell becomes.
+struct Place {
+    row: usize,
+    columns: Range<usize>,
+    cell: usize,
+    block: usize,
 }
 
 /// What the pointers of [`windows`] rely on.
@@ -107,7 +129,7 @@ where
         stored,
         data,
     } = share.input;
-    assert!(J * S::LANES == layer.block && S::LANES <= MOST_LANES && layer.bias.len() % layer.block == 0);
+    assert!(J * S::LANES == layer.block && layer.bias.len().is_multiple_of(layer.block));
     assert!(layer.bias.len() - layer.block < layer.outputs && layer.outputs <= layer.bias.len());
     let weights = layer.up * layer.up * layer.kernel * layer.kernel * stored * layer.bias.len();
     assert_eq!(layer.weights.len(), weights, "packed weights");
@@ -132,35 +154,35 @@ where
     assert!(share.first + layer.outputs <= share.cell, "channels of an output map");
 }
 
-/// The windows of one row, for one block of outputs and one of the cells that an input cell becomes.
-///
 /// # Safety
-/// The CPU has the instructions of `S`, and [`check`] has passed with `row` in `share.rows`, `cell` below `up²`, `block`
-/// one of the blocks, `weights` its part.
+/// The CPU has the instructions of `S`, and [`check`] has passed with `row` in `share.rows`, `columns` in
+/// `share.columns`, `cell` below `up²`, `block` one of the blocks, `weights` its part.
 #[inline(always)]
 unsafe fn windows<S, O, const P: usize, const J: usize>(
     layer: &Packed<S::Element, O>,
     share: &mut Share<S::Element, O>,
-    row: usize,
-    cell: usize,
-    block: usize,
+    at: Place,
     weights: &[S::Element],
 ) where
     S: Store<O>,
     O: Element,
 {
-    let View {
-        columns, stored, data, ..
-    } = share.input;
+    let Place {
+        row,
+        columns,
+        cell,
+        block,
+    } = at;
+    let View { stored, data, .. } = share.input;
     let (up, first) = (layer.up, block * layer.block);
     let valid = (layer.outputs - first).min(layer.block);
     // A window of 3x3 begins in the border, one of 1x1 behind it.
     let border = if layer.kernel == 3 { 0 } else { 1 };
-    let line = (columns + 2) * stored;
-    let input = &data[(row * layer.stride + border) * line + border * stored..];
+    let line = (share.input.columns + 2) * stored;
+    let input = &data[(row * layer.stride + border) * line + (columns.start * layer.stride + border) * stored..];
     let output_row = (row - share.rows.start) * up + cell / up;
     let output = &mut share.output[output_row * share.row..(output_row + 1) * share.row];
-    let output = &mut output[(1 + cell % up) * share.cell + share.first + first..];
+    let output = &mut output[(1 + columns.start * up + cell % up) * share.cell + share.first + first..];
     let mut tile = Tile::<S::Element, O> {
         input: input.as_ptr(),
         line,
@@ -174,12 +196,12 @@ unsafe fn windows<S, O, const P: usize, const J: usize>(
         valid,
         run: layer.kernel * stored,
     };
-    let mut left = share.columns;
-    // SAFETY: window `w` of this row reads `kernel` lines from `input + w * window`, `run` numbers each: with
-    // `w < windows(columns)` and the border, the last one ends at or before the end of a line of the map, and the last line
-    // at or before its end, since `row < windows(rows)`. It writes `valid` numbers from `output + w * cell`, which are
-    // channels `first..first + valid` of cell `w * up + cell % up` of this row of the share, exclusively borrowed.
-    // `weights` and `bias` hold whole blocks. All of it is what `check` compared.
+    let mut left = columns.len();
+    // SAFETY: window `w` of these columns reads `kernel` lines from `input + w * window`, `run` numbers each: since
+    // `columns.start + w < windows(columns)` and with the border, the last one ends at or before the end of a line of the
+    // map, and the last line at or before its end, since `row < windows(rows)`. It writes `valid` numbers from
+    // `output + w * cell`, which are channels `first..first + valid` of cell `(columns.start + w) * up + cell % up` of this
+    // row of the share, exclusively borrowed. `weights` and `bias` hold whole blocks. All of it is what `check` compared.
     unsafe {
         while left >= P {
             tile.compute::<S, P, J>();
@@ -255,18 +277,37 @@ impl<E: Element, O: Element> Tile<E, O> {
                     at += E::PER_UNIT;
                 }
             }
-            for (p, sums) in sums.iter().enumerate() {
-                let output = self.output.add(p * self.cell);
-                for (j, sum) in sums.iter().enumerate() {
-                    let first = j * S::LANES;
+            // Nothing but loops of constant length may touch the sums: indexed otherwise they would live in memory.
+            if self.valid == J * S::LANES {
+                self.finish::<S, P, J>(&sums, self.output, self.cell);
+            } else {
+                let mut block = [const { MaybeUninit::<O>::uninit() }; MOST_RESULTS];
+                let block = block.as_mut_ptr().cast::<O>();
+                self.finish::<S, P, J>(&sums, block, J * S::LANES);
+                for p in 0..P {
+                    let from = block.add(p * J * S::LANES);
+                    std::ptr::copy_nonoverlapping(from, self.output.add(p * self.cell), self.valid);
+                }
+            }
+        }
+    }
+
+    /// Writes whole blocks, `step` numbers apart.
+    ///
+    /// # Safety
+    /// There is room for `P` of them, and the CPU has the instructions of `S`.
+    #[inline(always)]
+    unsafe fn finish<S, const P: usize, const J: usize>(&self, sums: &[[S::Sum; J]; P], output: *mut O, step: usize)
+    where
+        S: Store<O, Element = E>,
+    {
+        for (p, sums) in sums.iter().enumerate() {
+            for (j, sum) in sums.iter().enumerate() {
+                let first = j * S::LANES;
+                // SAFETY: the caller's promise; biases fill whole blocks.
+                unsafe {
                     let result = S::finish(*sum, self.bias.add(first), self.floor);
-                    if first + S::LANES <= self.valid {
-                        S::store(result, output.add(first));
-                    } else if first < self.valid {
-                        let mut part = [O::default(); MOST_LANES];
-                        S::store(result, part.as_mut_ptr());
-                        std::ptr::copy_nonoverlapping(part.as_ptr(), output.add(first), self.valid - first);
-                    }
+                    S::store(result, output.add(p * step + first));
                 }
             }
         }

@@ -400,7 +400,7 @@ fn the_single_agent_model_matches_the_reference_from_points_on() {
     model.grid = grid;
     model.pillars.empty_slots = true;
     model.pillars.intensity = true;
-    let weights = weights_of(&vector, &model, Some);
+    let weights = weights_of(&vector, &model, |key| Some(key));
     let points = vector.rows::<4>("in.points");
     let column = |axis: usize| -> Vec<f32> { points.iter().map(|point| point[axis]).collect() };
     let (x, y, z, i) = (column(0), column(1), column(2), column(3));

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum GraphError {
     /// A file that cannot be read.
-    #[error("{}: {source}", file.display())]
+    #[error("{}: {reason}", file.display())]
     Read {
         /// The file.
         file: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// Not YAML.
     #[error("{}: not a YAML document: {reason}", file.display())]
@@ -124,9 +124,9 @@ pub enum GraphError {
 
 impl GraphError {
     pub(super) fn read(file: &Path) -> impl FnOnce(std::io::Error) -> GraphError + '_ {
-        move |source| GraphError::Read {
+        move |reason| GraphError::Read {
             file: file.into(),
-            source,
+            reason,
         }
     }
 }

@@ -69,9 +69,9 @@ pub struct Args {
     /// node.key=value: changes an argument of a node
     #[arg(long)]
     pub set: Vec<String>,
-    /// Where results go
-    #[arg(long, default_value = "out")]
-    pub out: PathBuf,
+    /// Where results go [default: out/GRAPH]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
     /// Print JSON instead of the table
     #[arg(long)]
     pub json: bool,
@@ -179,6 +179,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
         .zip(&names)
         .map(|(graph, name)| prepare::cells(args, mode, graph, name))
         .collect::<Result<_>>()?;
+    for (name, cells) in names.iter().zip(&cells) {
+        realo_results::claim(&dir_of(args, name))?;
+        cells.iter().try_for_each(replay::claim)?;
+    }
     let mut truncated = false;
     let mut runs: Vec<(String, Run)> = Vec::new();
     for (name, cells) in names.iter().zip(&cells) {
@@ -215,10 +219,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
 
 /// Where a graph's results go.
 fn dir_of(args: &Args, graph: &str) -> PathBuf {
-    if args.graphs.len() > 1 || args.out == Path::new("out") {
-        args.out.join(graph)
-    } else {
-        args.out.clone()
+    match &args.out {
+        Some(out) if args.graphs.len() == 1 => out.clone(),
+        Some(out) => out.join(graph),
+        None => Path::new("out").join(graph),
     }
 }
 

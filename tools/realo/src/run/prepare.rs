@@ -1,10 +1,12 @@
 //! From options to runs: which graph, log and ego, with which arguments, and where results go.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_logs::{Log, Stream};
 use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
+use realo_runtime::{ComputeProfile, Describe};
 
 use super::{Args, Mode, dir_of};
 use crate::{REGISTRY, demo};
@@ -22,15 +24,33 @@ pub struct Cell {
     /// Whether the log was cut.
     pub truncated: bool,
     /// How long stages take in virtual time.
-    pub compute: Option<PathBuf>,
+    pub compute: ComputeProfile,
 }
 
 /// The operator that can project.
 const ENCODER: &str = "transmission-encoder";
 
+/// What options of their own decide: node, argument, option.
+const OWNED: &[(&str, &str, &str)] = &[
+    ("player", "log", "--log"),
+    ("player", "ego", "--ego"),
+    ("player", "coop", "--coop"),
+    ("player", "agents", "--agents"),
+    ("player", "offline", "--offline"),
+    ("link", "ego", "--ego"),
+    ("link", "offline", "--offline"),
+    ("feature-bank", "offline", "--offline"),
+    ("results", "", "--out, --link, --seed and the like"),
+];
+
 /// The runs of one graph.
 pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cell>> {
-    let graph = base_graph(args, path)?;
+    let set: Vec<Setting> = args.set.iter().map(|text| setting(text)).collect::<Result<_>>()?;
+    let graph = base_graph(args, &set, path)?;
+    let compute = match &args.compute {
+        Some(path) => ComputeProfile::read(path).map_err(|error| eyre!(error))?,
+        None => ComputeProfile::default(),
+    };
     let logs = logs(args, &graph)?;
     let mut cells = Vec::new();
     let mut names = Vec::new();
@@ -51,26 +71,53 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
             if planned.collaborators.is_empty() {
                 eprintln!("realo: {stem}: no agent can collaborate with {ego} in mode {coop}: it runs alone");
             }
-            let out = dir_of(args, name).join(&stem).join(&ego);
-            let mut cell = Cell {
+            let out = std::path::absolute(dir_of(args, name).join(&stem).join(&ego))?;
+            let told = Told {
+                args,
+                mode,
+                graph: name,
+                log_path,
+                log: &log,
+                ego: &ego,
+                coop: coop.as_str(),
+                out: &out,
+            };
+            let graph = told.to(&graph, &set)?;
+            spare(&graph, &logs)?;
+            check(&graph)?;
+            cells.push(Cell {
                 name: format!("{name}, {stem}, {ego}"),
-                graph: graph.clone(),
+                graph,
                 seconds: log
                     .span()
                     .map_or(0.0, |(first, last)| realo_schemas::to_seconds(last - first)),
                 truncated: log.truncation().is_some(),
-                compute: args.compute.clone(),
+                compute: compute.clone(),
                 out,
-            };
-            set_arguments(&mut cell, args, mode, name, log_path, &log, &ego, coop.as_str())?;
-            check(&cell.graph)?;
-            cells.push(cell);
+            });
         }
     }
     Ok(cells)
 }
 
-fn base_graph(args: &Args, path: &Path) -> Result<FlatGraph> {
+/// A `--set`; a path in it is seen from where the user is.
+fn setting(text: &str) -> Result<Setting> {
+    let mut setting: Setting = text.parse()?;
+    if is_relative_path(&setting.value) {
+        setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
+    }
+    Ok(setting)
+}
+
+fn is_relative_path(value: &str) -> bool {
+    value.starts_with("./") || value.starts_with("../")
+}
+
+fn stage_of(node: &FlatNode) -> Option<&'static str> {
+    node.registration(&REGISTRY).map(|known| known.name)
+}
+
+fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
     let graph = if args.recorded_detections {
         graph.with_recorded_detections()
@@ -79,21 +126,49 @@ fn base_graph(args: &Args, path: &Path) -> Result<FlatGraph> {
     };
     let mut flat = graph.expand()?;
     anchor_paths(&mut flat)?;
-    let takes_states = |node: &FlatNode| {
-        let encoder = node.registration(&REGISTRY).is_some_and(|known| known.name == ENCODER);
-        encoder && node.inputs.contains_key("state")
-    };
+    let takes_states = |node: &FlatNode| stage_of(node) == Some(ENCODER) && node.inputs.contains_key("state");
     if args.project.is_some() && !flat.nodes.iter().any(takes_states) {
         bail!(
             "--project: {} has no {ENCODER} whose input `state` gets the ego's states, so no sender can project",
             flat.file.display()
         );
     }
-    for text in &args.set {
-        let setting: Setting = text.parse()?;
+    for needed in ["player", "results"] {
+        if !flat.nodes.iter().any(|node| stage_of(node) == Some(needed)) {
+            let file = flat.file.display();
+            bail!("{file}: expected a node `{needed}`, found none; without it, start the graph with `dora run`");
+        }
+    }
+    for setting in set {
+        let stage = flat.node(&setting.node).and_then(stage_of);
+        let owner = OWNED
+            .iter()
+            .find(|(name, key, _)| Some(*name) == stage && (key.is_empty() || *key == setting.key));
+        if let Some((_, _, option)) = owner {
+            bail!("--set {}.{}: decided by {option}", setting.node, setting.key);
+        }
         flat.set(&setting.node, &setting.key, &setting.value)?;
     }
     Ok(flat)
+}
+
+/// Refuses a graph that would record into a log that is played.
+fn spare(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
+    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    for node in graph.nodes.iter().filter(|node| stage_of(node) == Some("recorder")) {
+        let path = PathBuf::from(given(node, "path").unwrap_or_default());
+        if let Some(log) = logs.iter().find(|log| same(log, &path)) {
+            let (id, log) = (&node.id, log.display());
+            bail!("node `{id}` would record into {log}, which is played: choose another --out");
+        }
+    }
+    Ok(())
+}
+
+/// An argument of a node as the graph has it.
+fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
+    let value = |arg: &'a String| arg.split_once('=').filter(|(name, _)| *name == key);
+    node.settings().iter().find_map(value).map(|(_, value)| value)
 }
 
 /// Makes the paths that a graph gives in its arguments absolute. A value that begins with `./` or `../` is one, seen from
@@ -103,8 +178,7 @@ fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     for node in &mut graph.nodes {
         let relative = |setting: &String| {
             let (key, value) = setting.split_once('=')?;
-            let is_path = value.starts_with("./") || value.starts_with("../");
-            is_path.then(|| (key.to_string(), lexically_normal(&folder.join(value))))
+            is_relative_path(value).then(|| (key.to_string(), lexically_normal(&folder.join(value))))
         };
         let found: Vec<(String, PathBuf)> = node.settings().iter().filter_map(relative).collect();
         for (key, path) in found {
@@ -123,16 +197,9 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
             .map(|log| std::path::absolute(log).wrap_err_with(|| format!("{}", log.display())))
             .collect();
     }
-    let player = graph
-        .nodes
-        .iter()
-        .find(|node| node.registration(&REGISTRY).is_some_and(|r| r.name == "player"));
+    let player = graph.nodes.iter().find(|node| stage_of(node) == Some("player"));
     let player = player.ok_or_else(|| eyre!("{}: no node `player` to play a log", graph.file.display()))?;
-    let written = player
-        .settings()
-        .iter()
-        .find_map(|arg| arg.strip_prefix("log="))
-        .map(PathBuf::from);
+    let written = given(player, "log").map(PathBuf::from);
     let log = written.unwrap_or_else(|| realo_player::Config::default().log);
     let log = lexically_normal(&std::path::absolute(
         graph.file.parent().unwrap_or(Path::new(".")).join(log),
@@ -155,98 +222,144 @@ fn lexically_normal(path: &Path) -> PathBuf {
     normal
 }
 
-#[allow(clippy::too_many_arguments)]
-fn set_arguments(
-    cell: &mut Cell,
-    args: &Args,
+/// All that decides the arguments of one run.
+struct Told<'a> {
+    args: &'a Args,
     mode: Mode,
-    name: &str,
-    log_path: &Path,
-    log: &Log,
-    ego: &str,
-    coop: &str,
-) -> Result<()> {
-    let out = std::path::absolute(&cell.out)?;
-    let stem = log_path.file_stem().unwrap_or_default().to_string_lossy();
-    let mode_name = if args.offline { "offline" } else { mode.as_str() };
-    let agents = args.agents.join(",");
-    let protocol = args.protocol.as_deref().unwrap_or(&log.info().protocol);
-    let log_path = log_path.to_string_lossy();
-    let folder = out.to_string_lossy();
-    let recording = out.join("recording.mcap");
-    let mut settings = vec![
-        ("player", "log", &*log_path),
-        ("player", "ego", ego),
-        ("player", "coop", coop),
-        ("player", "agents", &agents),
-        ("evaluator", "protocol", protocol),
-        ("recorder", "path", recording.to_str().unwrap_or_default()),
-        ("results", "out", &*folder),
-        ("results", "graph", name),
-        ("results", "log", &*stem),
-        ("results", "mode", mode_name),
-        ("results", "coop", coop),
-        ("results", "ego", ego),
-        ("link", "ego", ego),
-    ];
-    let has = |stream| log.info().agents.iter().any(|agent| log.has(&agent.name, stream));
-    if has(Stream::Sweeps) && !has(Stream::Points) {
-        eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
-        settings.push(("player", "points", "false"));
+    /// Name of the graph.
+    graph: &'a str,
+    log_path: &'a Path,
+    log: &'a Log,
+    ego: &'a str,
+    coop: &'a str,
+    /// Absolute.
+    out: &'a Path,
+}
+
+/// A stage, one of its arguments, a value.
+type Told3 = (&'static str, &'static str, String);
+
+impl Told<'_> {
+    /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
+    fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<FlatGraph> {
+        let mut graph = graph.clone();
+        let told = [self.of_run(), self.of_options()?, self.of_log()?].concat();
+        for (stage, key, value) in told {
+            let of_stage = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some(stage));
+            of_stage.for_each(|node| node.set(key, &value));
+        }
+        if let Some(project) = self.args.project {
+            let takes_states =
+                |node: &&mut FlatNode| stage_of(node) == Some(ENCODER) && node.inputs.contains_key("state");
+            let encoders = graph.nodes.iter_mut().filter(takes_states);
+            encoders.for_each(|node| node.set("project", project.as_str()));
+        }
+        for recorder in graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("recorder")) {
+            let path = PathBuf::from(given(recorder, "path").unwrap_or("recording.mcap"));
+            let name = path.file_name().unwrap_or_default();
+            recorder.set("path", &self.out.join(name).to_string_lossy());
+        }
+        for setting in set {
+            graph.set(&setting.node, &setting.key, &setting.value)?;
+        }
+        let links = [
+            ("link", links_have(&graph, "profile", |value| stem(Path::new(value)))),
+            ("seed", links_have(&graph, "seed", str::to_string)),
+        ];
+        for (key, value) in links {
+            let results = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("results"));
+            results.for_each(|node| node.set(key, &value));
+        }
+        Ok(graph)
     }
-    let model = args.model.as_ref().map(std::path::absolute).transpose()?;
-    let model = model.as_deref().map(Path::to_string_lossy);
-    for stage in ["pillar-encoder", "detection-head"] {
-        settings.extend(model.as_deref().map(|model| (stage, "model", model)));
-    }
-    if args.recorded_detections {
-        settings.push(("player", "detections", "required"));
-    }
-    if let Some(project) = args.project {
-        settings.push((ENCODER, "project", project.as_str()));
-    }
-    if args.offline {
-        settings.extend(["player", "link", "feature-bank"].map(|stage| (stage, "offline", "true")));
-    }
-    let rate = args.rate.map(|rate| rate.to_string());
-    settings.extend(rate.as_deref().map(|rate| ("player", "rate", rate)));
-    for stage in ["link", "results"] {
-        let key = if stage == "link" { "profile" } else { "link" };
-        settings.extend(args.link.as_deref().map(|profile| (stage, key, profile)));
-    }
-    let seed = args.seed.map(|seed| seed.to_string());
-    for stage in ["link", "results"] {
-        settings.extend(seed.as_deref().map(|seed| (stage, "seed", seed)));
-    }
-    let compute = args
-        .compute
-        .as_ref()
-        .and_then(|path| path.file_stem())
-        .map(|stem| stem.to_string_lossy());
-    settings.extend(compute.as_deref().map(|compute| ("results", "compute", compute)));
-    let graph = &mut cell.graph;
-    for (stage, key, value) in settings {
-        let of_stage = |node: &&mut FlatNode| {
-            let known = node.registration(&REGISTRY).is_some_and(|known| known.name == stage);
-            known && (key != "project" || node.inputs.contains_key("state"))
+
+    fn of_run(&self) -> Vec<Told3> {
+        let mode = if self.args.offline {
+            "offline"
+        } else {
+            self.mode.as_str()
         };
-        graph
-            .nodes
-            .iter_mut()
-            .filter(of_stage)
-            .for_each(|node| node.set(key, value));
+        let compute = self.args.compute.as_deref().map(stem).unwrap_or_default();
+        vec![
+            ("player", "log", self.log_path.to_string_lossy().into_owned()),
+            ("player", "ego", self.ego.into()),
+            ("player", "coop", self.coop.into()),
+            ("player", "agents", self.args.agents.join(",")),
+            ("link", "ego", self.ego.into()),
+            ("results", "out", self.out.to_string_lossy().into_owned()),
+            ("results", "graph", self.graph.into()),
+            ("results", "log", stem(self.log_path)),
+            ("results", "mode", mode.into()),
+            ("results", "coop", self.coop.into()),
+            ("results", "ego", self.ego.into()),
+            ("results", "compute", compute),
+        ]
     }
-    // What the user set by hand stands above what the options imply.
-    for text in &args.set {
-        let setting: Setting = text.parse()?;
-        graph.set(&setting.node, &setting.key, &setting.value)?;
+
+    fn of_options(&self) -> Result<Vec<Told3>> {
+        let args = self.args;
+        let mut told: Vec<Told3> = Vec::new();
+        if args.offline {
+            told.extend(["player", "link", "feature-bank"].map(|stage| (stage, "offline", "true".into())));
+        }
+        if args.recorded_detections {
+            told.push(("player", "detections", "required".into()));
+        }
+        if let Some(model) = &args.model {
+            let model = std::path::absolute(model)?.to_string_lossy().into_owned();
+            told.extend(["pillar-encoder", "detection-head"].map(|stage| (stage, "model", model.clone())));
+        }
+        told.extend(args.rate.map(|rate| ("player", "rate", rate.to_string())));
+        told.extend(args.seed.map(|seed| ("link", "seed", seed.to_string())));
+        if let Some(profile) = &args.link {
+            told.push(("link", "profile", name_or_file(profile)?));
+        }
+        Ok(told)
     }
-    Ok(())
+
+    fn of_log(&self) -> Result<Vec<Told3>> {
+        let info = self.log.info();
+        let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
+        let mut told = vec![("evaluator", "protocol", name_or_file(protocol)?)];
+        let has = |stream| info.agents.iter().any(|agent| self.log.has(&agent.name, stream));
+        if has(Stream::Sweeps) && !has(Stream::Points) {
+            let stem = stem(self.log_path);
+            eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
+            told.push(("player", "points", "false".into()));
+        }
+        Ok(told)
+    }
+}
+
+/// The name of something built in as it is, a file absolute: nodes start in another folder than the user.
+fn name_or_file(text: &str) -> Result<String> {
+    if Path::new(text).components().count() == 1 && Path::new(text).extension().is_none() {
+        return Ok(text.into());
+    }
+    Ok(std::path::absolute(text)?.to_string_lossy().into_owned())
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// What the links of a graph have for an argument, each value once.
+fn links_have(graph: &FlatGraph, key: &str, named: impl Fn(&str) -> String) -> String {
+    let defaults = realo_runtime::config::defaults::<<realo_link::Link as Describe>::Config>();
+    let default = defaults
+        .get(key)
+        .map(|value| value.as_str().map_or(value.to_string(), str::to_string));
+    let default = default.unwrap_or_default();
+    let links = graph.nodes.iter().filter(|node| stage_of(node) == Some("link"));
+    let values: BTreeSet<String> = links.map(|link| named(given(link, key).unwrap_or(&default))).collect();
+    values.into_iter().collect::<Vec<_>>().join(", ")
 }
 
 /// Refuses a graph with errors and prints its warnings.
 fn check(graph: &FlatGraph) -> Result<()> {
     let findings = graph::validate(graph, &REGISTRY);
+    let warnings = findings.iter().filter(|f| f.severity == Severity::Warning);
+    warnings.for_each(|finding| eprintln!("realo: {}: {finding}", graph.file.display()));
     let errors: Vec<String> = findings
         .iter()
         .filter(|f| f.severity == Severity::Error)

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use eyre::{Result, WrapErr, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::dora;
 use super::prepare::Cell;
-use super::{dora, replay};
 
 /// Lets dora's publishers wait for room instead of dropping at once; big messages get more time.
 const ZENOH_OVERLAY: &str = "{ transport: { link: { tx: { queue: { congestion_control: \
@@ -21,7 +21,6 @@ const ZENOH_OVERLAY: &str = "{ transport: { link: { tx: { queue: { congestion_co
 /// Which node failed, or what is missing; dora's own words are in `dora.log`.
 pub fn run(cell: &Cell, rate: f64) -> Result<()> {
     let dora = dora::find()?;
-    replay::clear(cell)?;
     let graph = write_graph(cell)?;
     let overlay = graph.with_file_name("zenoh.json5");
     fs::write(&overlay, ZENOH_OVERLAY)?;

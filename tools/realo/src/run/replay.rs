@@ -15,12 +15,7 @@ pub fn all(cells: &[Cell]) -> Result<()> {
     let done: Vec<Result<()>> = cells
         .par_iter()
         .map(|cell| {
-            clear(cell)?;
-            let compute = match &cell.compute {
-                Some(path) => ComputeProfile::read(path).map_err(|error| eyre!(error))?,
-                None => ComputeProfile::default(),
-            };
-            replay(&cell.graph, &compute, &mut |_, _, _| {}).wrap_err_with(|| cell.name.clone())?;
+            replay(&cell.graph, &cell.compute, &mut |_, _, _| {}).wrap_err_with(|| cell.name.clone())?;
             bar.inc(1);
             Ok(())
         })
@@ -44,16 +39,17 @@ pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: virtual_tim
     Ok(virtual_time::run(&wiring, compute, observer)?)
 }
 
-/// Makes the cell's folder and takes away what would look like its result.
-pub(super) fn clear(cell: &Cell) -> Result<()> {
-    std::fs::create_dir_all(&cell.out).wrap_err_with(|| format!("{}", cell.out.display()))?;
-    for file in ["result.json", "timing.json", "evaluation.json", "recording.mcap"] {
-        match std::fs::remove_file(cell.out.join(file)) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(error).wrap_err_with(|| format!("{}", cell.out.join(file).display()));
-            }
-            _ => {}
+/// Makes the cell's folder and takes away an earlier run's results, so that none stands there unless this one succeeds.
+///
+/// # Errors
+/// Files of those names that no run of realo wrote.
+pub(super) fn claim(cell: &Cell) -> Result<()> {
+    realo_results::claim(&cell.out)?;
+    let recording = cell.out.join("recording.mcap");
+    match std::fs::remove_file(&recording) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error).wrap_err_with(|| format!("{}", recording.display()))
         }
+        _ => Ok(()),
     }
-    Ok(())
 }
