@@ -14,6 +14,7 @@ pub mod operators;
 mod registry;
 pub mod run;
 pub mod simulate;
+pub mod train;
 pub mod validate;
 
 pub use registry::REGISTRY;

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use realo::{Outcome, bench, compare, conformance, evaluate, host, import, info, operators, run, simulate, validate};
+use realo::{Outcome, bench, compare, conformance, evaluate, host, import, info, operators, run, simulate, train, validate};
 
 /// Online cooperative perception for vehicles and roadside units, on dora
 #[derive(Parser)]
@@ -19,6 +19,7 @@ enum Command {
     Compare(compare::Args),
     Evaluate(evaluate::Args),
     Simulate(simulate::Args),
+    Train(train::Args),
     Import(import::Args),
     Info(info::Args),
     Validate(validate::Args),
@@ -35,6 +36,7 @@ fn main() -> ExitCode {
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),
         Command::Simulate(args) => simulate::main(&args),
+        Command::Train(args) => train::main(&args),
         Command::Import(args) => import::main(&args),
         Command::Info(args) => info::main(&args),
         Command::Validate(args) => validate::main(&args),

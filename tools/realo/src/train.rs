@@ -1,0 +1,150 @@
+//! `realo train`: the detector, on the CPU.
+
+use std::ops::Range;
+use std::path::PathBuf;
+
+use eyre::{Result, bail, eyre};
+use indicatif::{ProgressBar, ProgressStyle};
+use realo_training::data::Augmentation;
+use realo_training::optimizer::Settings;
+use realo_training::{Data, Progress, TrainOptions, Validation, train};
+
+use crate::Outcome;
+
+/// Trains a model on frames drawn straight from simulator seeds, or from logs with ground truth
+#[derive(clap::Args)]
+pub struct Args {
+    /// The model file
+    #[arg(default_value = "models/lite.toml")]
+    model: PathBuf,
+    /// Folder of the results: checkpoint, weights, curve (CSV and SVG)
+    #[arg(long, default_value = "target/realo/training")]
+    out: PathBuf,
+    /// Folder of the training frames; what is missing is made
+    #[arg(long, default_value = "target/realo/frames")]
+    cache: PathBuf,
+    /// Go on from the checkpoint in the folder of the results
+    #[arg(long)]
+    resume: bool,
+    /// Steps in all; the learning rate falls until then
+    #[arg(long, default_value_t = 20_000)]
+    steps: u64,
+    /// Stop after so many minutes, to be resumed
+    #[arg(long)]
+    minutes: Option<f64>,
+    /// Frames of logs instead of simulator seeds
+    #[arg(long)]
+    log: Vec<PathBuf>,
+    /// Simulator seeds, first..end; 0 to 799 are for training
+    #[arg(long, default_value = "0..800", value_parser = seeds)]
+    seeds: Range<u64>,
+    /// Frames of a seed, at least a second apart
+    #[arg(long, default_value_t = 3)]
+    per_seed: usize,
+    /// Samples of a step
+    #[arg(long, default_value_t = 2)]
+    batch: usize,
+    /// Seed of all draws
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Greatest learning rate
+    #[arg(long, default_value_t = 2e-3)]
+    rate: f64,
+    /// Probability that a step sees half of the range, at half the cost
+    #[arg(long, default_value_t = 0.5)]
+    half_range: f64,
+    /// Steps from one validation (seeds 800 to 811) to the next
+    #[arg(long)]
+    validate_every: Option<u64>,
+    /// Minutes from one checkpoint to the next
+    #[arg(long, default_value_t = 3.0)]
+    checkpoint_minutes: f64,
+    /// Threads [default: all]
+    #[arg(long)]
+    threads: Option<usize>,
+}
+
+/// Trains and says where the results are.
+pub fn main(args: &Args) -> Result<Outcome> {
+    let bar = ProgressBar::new(args.steps);
+    let style = "{wide_bar} {pos}/{len} steps, {msg}";
+    bar.set_style(ProgressStyle::with_template(style).map_err(|error| eyre!(error))?);
+    let trained = train(&args.options(), |progress| show(&bar, progress))?;
+    bar.finish_and_clear();
+    let (steps, weights) = (trained.steps, trained.weights.display());
+    if trained.complete {
+        println!("{steps} steps: weights in {weights}");
+        return Ok(Outcome::Complete);
+    }
+    println!("{steps} of {} steps: weights so far in {weights}; add --resume to go on", args.steps);
+    Ok(Outcome::Partial)
+}
+
+impl Args {
+    fn options(&self) -> TrainOptions {
+        let data = if self.log.is_empty() {
+            Data::Simulated {
+                cache: self.cache.clone(),
+                seeds: self.seeds.clone(),
+                per_seed: self.per_seed,
+            }
+        } else {
+            Data::Logged {
+                cache: self.cache.clone(),
+                logs: self.log.clone(),
+            }
+        };
+        TrainOptions {
+            model: self.model.clone(),
+            output: self.out.clone(),
+            resume: self.resume,
+            data,
+            steps: self.steps,
+            minutes: self.minutes,
+            seed: self.seed,
+            batch: self.batch,
+            half_range: self.half_range,
+            checkpoint_minutes: self.checkpoint_minutes,
+            validate_every: self.validate_every,
+            optimizer: Settings {
+                rate: self.rate,
+                ..Settings::default()
+            },
+            augmentation: Augmentation::default(),
+            threads: self.threads,
+        }
+    }
+}
+
+fn seeds(text: &str) -> Result<Range<u64>> {
+    let parts = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+    match parts {
+        Some(seeds) if !seeds.is_empty() => Ok(seeds),
+        _ => bail!("expected first..end, as 0..800, found `{text}`"),
+    }
+}
+
+fn show(bar: &ProgressBar, progress: &Progress) {
+    let point = progress.point;
+    bar.set_position(point.step + 1);
+    bar.set_message(format!(
+        "loss {:.3} (scores {:.3}, boxes {:.3}), {:.2} s/step, {:.0} min left",
+        point.loss(),
+        point.class,
+        point.regression,
+        progress.seconds_per_step,
+        progress.left.as_secs_f64() / 60.0
+    ));
+    if let Some(validation) = progress.validation {
+        bar.suspend(|| println!("step {}: {}", point.step + 1, scores(validation)));
+    }
+}
+
+fn scores(validation: &Validation) -> String {
+    let percent = |ap: Option<f64>| ap.map_or("none".into(), |ap| format!("{:.3}", ap));
+    let class = validation.classes.iter().map(|class| {
+        let (alone, merged) = (percent(class.alone), percent(class.merged));
+        format!("{} AP@{} alone {alone}, merged {merged}", class.name, class.iou)
+    });
+    class.collect::<Vec<_>>().join("; ")
+}

@@ -1,0 +1,150 @@
+//! The state of a training: one file, replaced as a whole.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use realo_nn::model::Model;
+use realo_nn::weights::expected;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+use crate::TrainError;
+use crate::curve::{Curve, Point};
+use crate::data::write_whole;
+use crate::layers::with_numbers;
+use crate::network::Network;
+use crate::optimizer::AdamW;
+
+/// Everything that the next step depends on, and how it came to this.
+#[derive(Clone, Debug)]
+pub struct Checkpoint {
+    /// The network.
+    pub network: Network,
+    /// The optimizer.
+    pub optimizer: AdamW,
+    /// Loss and learning rate of all steps so far.
+    pub curve: Curve,
+    /// What must not change between the parts of a training.
+    pub plan: Plan,
+}
+
+/// The settings that decide what every step does.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plan {
+    /// Name of the model.
+    pub model: String,
+    /// Of all draws.
+    pub seed: u64,
+    /// Samples of a step.
+    pub batch: usize,
+    /// Steps in all.
+    pub steps: u64,
+    /// Greatest learning rate.
+    pub rate: f64,
+    /// Probability that a step sees half of the range.
+    pub half_range: f64,
+    /// Where frames come from, in words.
+    pub data: String,
+}
+
+impl Checkpoint {
+    /// Writes the state; a kill or a full disk leaves the one before.
+    ///
+    /// # Errors
+    /// [`TrainError::Write`].
+    pub fn write(&self, path: &Path) -> Result<(), TrainError> {
+        let mut tensors = Tensors::default();
+        let parameters = self.network.parameters().iter().enumerate();
+        for (index, parameter) in parameters {
+            let shape = parameter.value.dims();
+            with_numbers(&parameter.value, |values| {
+                tensors.add_f32(parameter.name.clone(), shape, values);
+                Ok(())
+            })?;
+            if parameter.trained {
+                tensors.add_f32(format!("adam.first.{}", parameter.name), shape, &self.optimizer.first[index]);
+                tensors.add_f32(format!("adam.second.{}", parameter.name), shape, &self.optimizer.second[index]);
+            }
+        }
+        let points = self.curve.points.iter().flat_map(Point::to_numbers).flat_map(f64::to_le_bytes).collect();
+        tensors.0.push(("curve".into(), Dtype::F64, vec![self.curve.points.len(), Point::NUMBERS], points));
+        let plan = serde_json::to_string(&self.plan).expect("plans are plain data");
+        let about = HashMap::from([("plan".to_string(), plan), ("steps".to_string(), self.optimizer.steps.to_string())]);
+        write_whole(path, &tensors.serialize(about))
+    }
+
+    /// Reads a state.
+    ///
+    /// # Errors
+    /// [`TrainError::Read`]; [`TrainError::Checkpoint`] if it is none, or one of another model.
+    pub fn read(path: &Path, model: &Model) -> Result<Self, TrainError> {
+        let bytes = std::fs::read(path).map_err(|error| TrainError::Read { path: path.into(), error })?;
+        Checkpoint::parse(&bytes, model).map_err(|reason| TrainError::Checkpoint { path: path.into(), reason })
+    }
+
+    fn parse(bytes: &[u8], model: &Model) -> Result<Self, String> {
+        let (_, about) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
+        let about = about.metadata().clone().unwrap_or_default();
+        let field = |key: &str| about.get(key).ok_or(format!("it has no `{key}`"));
+        let plan: Plan = serde_json::from_str(field("plan")?).map_err(|error| error.to_string())?;
+        let steps = field("steps")?.parse().map_err(|_| "`steps` is no number".to_string())?;
+        let file = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
+        let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
+            let view = file.tensor(name).map_err(|_| format!("expected `{name}` {shape:?}, found none"))?;
+            if view.dtype() != Dtype::F32 || view.shape() != shape {
+                return Err(format!("expected `{name}` F32 {shape:?}, found {:?} {:?}", view.dtype(), view.shape()));
+            }
+            Ok(view.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect())
+        };
+        let mut values = HashMap::new();
+        for (name, shape) in expected(model) {
+            values.insert(name.clone(), read(&name, &shape)?);
+        }
+        let network = Network::with(model, |_, name, _| Ok(values[name].clone())).map_err(|error| error.to_string())?;
+        let mut optimizer = AdamW { steps, ..AdamW::new(&network) };
+        for (index, parameter) in network.parameters().iter().enumerate().filter(|(_, p)| p.trained) {
+            let shape = parameter.value.dims();
+            optimizer.first[index] = read(&format!("adam.first.{}", parameter.name), shape)?;
+            optimizer.second[index] = read(&format!("adam.second.{}", parameter.name), shape)?;
+        }
+        let curve = file.tensor("curve").map_err(|error| error.to_string())?;
+        let numbers: Vec<f64> =
+            curve.data().as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+        let points = numbers.as_chunks::<{ Point::NUMBERS }>().0.iter().map(Point::from_numbers).collect();
+        Ok(Checkpoint { network, optimizer, curve: Curve { points }, plan })
+    }
+}
+
+/// Writes a network as the file of weights that inference reads.
+///
+/// # Errors
+/// [`TrainError::Write`].
+pub fn write_weights(network: &Network, path: &Path) -> Result<(), TrainError> {
+    let mut tensors = Tensors::default();
+    for parameter in network.parameters() {
+        with_numbers(&parameter.value, |values| {
+            tensors.add_f32(parameter.name.clone(), parameter.value.dims(), values);
+            Ok(())
+        })?;
+    }
+    write_whole(path, &tensors.serialize(HashMap::new()))
+}
+
+#[derive(Default)]
+struct Tensors(Vec<(String, Dtype, Vec<usize>, Vec<u8>)>);
+
+impl Tensors {
+    fn add_f32(&mut self, name: String, shape: &[usize], values: &[f32]) {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        self.0.push((name, Dtype::F32, shape.to_vec(), bytes));
+    }
+
+    fn serialize(&self, about: HashMap<String, String>) -> Vec<u8> {
+        let views = self.0.iter().map(|(name, dtype, shape, bytes)| {
+            let view = TensorView::new(*dtype, shape.clone(), bytes).expect("bytes of the tensor's shape");
+            (name.as_str(), view)
+        });
+        safetensors::serialize(views, Some(about)).expect("views that were checked")
+    }
+}

@@ -1,0 +1,208 @@
+//! One instant as training keeps it: every agent's sweep and what is really there.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+use crate::TrainError;
+
+/// Coordinates are kept in units of 1/256 m: 4 mm steps, up to 128 m from the sensor.
+const UNIT: f32 = 1.0 / 256.0;
+
+const MAGIC: &[u8; 8] = b"realofr1";
+
+/// The agents' sweeps of one instant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Frame {
+    /// Names of the super-classes that objects have.
+    pub classes: Vec<String>,
+    /// The agents.
+    pub agents: Vec<AgentSweep>,
+}
+
+/// What one agent measured and what was there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AgentSweep {
+    /// Name.
+    pub name: String,
+    /// Whether it stands beside the road.
+    pub roadside: bool,
+    /// Its true pose at its stamp.
+    #[serde(with = "pose")]
+    pub map_from_body: Isometry3<f64>,
+    /// x, y, z in its body frame at its stamp, in units of 1/256 m; without its own body.
+    #[serde(skip)]
+    pub points: Vec<[i16; 3]>,
+    #[serde(rename = "points")]
+    count: usize,
+    /// The objects around it, in its body frame at its stamp.
+    pub objects: Vec<Seen>,
+}
+
+/// An object as one agent sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Seen {
+    /// The object, the same for all agents.
+    pub track: u64,
+    /// Index in [`Frame::classes`].
+    pub class: usize,
+    /// x, y, z of the centre, length, width, height (m), yaw (rad).
+    pub lwh: [f64; 7],
+    /// The agent's own points on it.
+    pub points: u32,
+}
+
+impl AgentSweep {
+    /// A sweep from columns of points (m); what lies outside of ±128 m is left out.
+    pub fn new(
+        name: &str,
+        roadside: bool,
+        map_from_body: Isometry3<f64>,
+        points: impl Iterator<Item = [f32; 3]>,
+        objects: Vec<Seen>,
+    ) -> Self {
+        let limit = f32::from(i16::MAX);
+        let points: Vec<[i16; 3]> = points
+            .map(|point| point.map(|value| (value / UNIT).round()))
+            .filter(|point| point.iter().all(|value| value.abs() <= limit))
+            .map(|point| point.map(|value| value as i16))
+            .collect();
+        AgentSweep { name: name.into(), roadside, map_from_body, count: points.len(), points, objects }
+    }
+
+    /// x, y, z of all points, m.
+    pub fn metres(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
+        self.points.iter().map(|point| point.map(|value| f32::from(value) * UNIT))
+    }
+}
+
+impl Frame {
+    /// Writes the frame; a reader never finds a part of it.
+    ///
+    /// # Errors
+    /// [`TrainError::Write`], for instance on a full disk.
+    pub fn write(&self, path: &Path) -> Result<(), TrainError> {
+        let header = serde_json::to_vec(self).expect("frames are plain data");
+        let points = self.agents.iter().map(|agent| agent.points.len()).sum::<usize>();
+        let mut bytes = Vec::with_capacity(16 + header.len() + 6 * points);
+        bytes.extend_from_slice(MAGIC);
+        bytes.extend_from_slice(&(header.len() as u64).to_le_bytes());
+        bytes.extend_from_slice(&header);
+        for agent in &self.agents {
+            let values = agent.points.as_flattened();
+            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        }
+        // Several trainings may fill one folder; each has parts of its own.
+        static PARTS: AtomicU64 = AtomicU64::new(0);
+        let number = PARTS.fetch_add(1, Ordering::Relaxed);
+        write_by_way_of(&path.with_extension(format!("{}-{number}.part", std::process::id())), path, &bytes)
+    }
+
+    /// Reads a frame.
+    ///
+    /// # Errors
+    /// [`TrainError::Read`]; [`TrainError::Cache`] for bytes that are no frame.
+    pub fn read(path: &Path) -> Result<Self, TrainError> {
+        let bytes = fs::read(path).map_err(|error| TrainError::Read { path: path.into(), error })?;
+        Frame::parse(&bytes).map_err(|reason| TrainError::Cache { path: path.into(), reason })
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let rest = bytes.strip_prefix(MAGIC).ok_or("it is not a frame of training data")?;
+        let (length, rest) = rest.split_first_chunk::<8>().ok_or("it ends in its header")?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
+        let (header, rest) = rest.split_at_checked(length).ok_or("it ends in its header")?;
+        let mut frame: Frame = serde_json::from_slice(header).map_err(|error| error.to_string())?;
+        let mut values = rest.as_chunks::<2>().0.iter().map(|bytes| i16::from_le_bytes(*bytes));
+        let expected = frame.agents.iter().try_fold(0usize, |sum, agent| sum.checked_add(agent.count));
+        if expected.and_then(|points| points.checked_mul(6)) != Some(rest.len()) {
+            return Err(format!("expected {expected:?} points, found {} bytes", rest.len()));
+        }
+        for agent in &mut frame.agents {
+            let mut next = || values.next().unwrap_or(0);
+            agent.points = (0..agent.count).map(|_| [next(), next(), next()]).collect();
+        }
+        Ok(frame)
+    }
+}
+
+/// A pose as x, y, z (m) and the quaternion's i, j, k, w.
+mod pose {
+    use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub fn serialize<S: Serializer>(pose: &Isometry3<f64>, to: S) -> Result<S::Ok, S::Error> {
+        let (t, q) = (pose.translation.vector, pose.rotation.coords);
+        [t.x, t.y, t.z, q.x, q.y, q.z, q.w].serialize(to)
+    }
+
+    pub fn deserialize<'a, D: Deserializer<'a>>(from: D) -> Result<Isometry3<f64>, D::Error> {
+        let [x, y, z, i, j, k, w] = <[f64; 7]>::deserialize(from)?;
+        let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
+        Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+    }
+}
+
+/// Writes a file beside its place and then puts it there, so that a kill or a full disk leaves the old one.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
+    write_by_way_of(&path.with_extension("part"), path, bytes)
+}
+
+fn write_by_way_of(part: &Path, path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
+    let failed = |error| TrainError::Write { path: path.into(), error };
+    let write = || {
+        let mut file = fs::File::create(part)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(part, path)
+    };
+    write().map_err(|error| {
+        // What could not be finished is of no use; that it cannot be removed either changes nothing.
+        let _ = fs::remove_file(part);
+        failed(error)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame() -> Frame {
+        let object = Seen { track: 7, class: 1, lwh: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.1], points: 9 };
+        let points = [[1.0, -2.5, 0.25], [127.9, 0.0, 0.0], [128.1, 0.0, 0.0], [f32::NAN, 0.0, 0.0]];
+        let agent = AgentSweep::new("cav1", false, Isometry3::translation(1.0, 2.0, 3.0), points.into_iter(), vec![object]);
+        Frame { classes: vec!["vehicle".into(), "pedestrian".into()], agents: vec![agent] }
+    }
+
+    #[test]
+    fn comes_back_from_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.frame");
+        frame().write(&path).unwrap();
+        let back = Frame::read(&path).unwrap();
+        assert_eq!(back, frame());
+        assert_eq!(back.agents[0].metres().next(), Some([1.0, -2.5, 0.25]));
+        assert_eq!(back.agents[0].points.len(), 2);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn damaged_files_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.frame");
+        frame().write(&path).unwrap();
+        let bytes = fs::read(&path).unwrap();
+        let mut cases = vec![Vec::new(), b"something else".to_vec()];
+        cases.extend((8..bytes.len()).step_by(13).map(|end| bytes[..end].to_vec()));
+        for case in cases {
+            fs::write(&path, &case).unwrap();
+            let error = Frame::read(&path).unwrap_err();
+            assert!(matches!(error, TrainError::Cache { .. }), "{} bytes: {error}", case.len());
+        }
+        assert!(matches!(Frame::read(&folder.path().join("b")), Err(TrainError::Read { .. })));
+    }
+}

@@ -1,0 +1,111 @@
+//! Where frames come from: a folder that is filled from simulator seeds as they are needed, or a log.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Condvar, Mutex};
+use std::thread::JoinHandle;
+
+use super::frame::Frame;
+use super::simulated;
+use crate::TrainError;
+
+/// Frames by number.
+pub trait Frames: Send + Sync {
+    /// Number of frames.
+    fn len(&self) -> usize;
+
+    /// Whether there are none.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// A frame.
+    ///
+    /// # Errors
+    /// [`TrainError`] if it can be neither read nor made.
+    fn load(&self, index: usize) -> Result<Frame, TrainError>;
+}
+
+/// Frames of simulator seeds, kept in a folder. What is missing is made when it is asked for, and meanwhile by threads
+/// in the background; every file is whole, so a kill costs the seed in work at most.
+#[derive(Clone)]
+pub struct SimulatedFrames {
+    folder: PathBuf,
+    seeds: Range<u64>,
+    per_seed: usize,
+    busy: Arc<(Mutex<BTreeSet<u64>>, Condvar)>,
+}
+
+impl SimulatedFrames {
+    /// Frames of some seeds in a folder, which is made if need be.
+    ///
+    /// # Errors
+    /// [`TrainError::Write`] if there can be no such folder.
+    pub fn new(folder: &Path, seeds: Range<u64>, per_seed: usize) -> Result<Self, TrainError> {
+        fs::create_dir_all(folder).map_err(|error| TrainError::Write { path: folder.into(), error })?;
+        Ok(SimulatedFrames { folder: folder.into(), seeds, per_seed, busy: Arc::default() })
+    }
+
+    /// Makes what is missing of a seed, unless somebody else is at it; then waits for him.
+    fn make(&self, seed: u64) -> Result<(), TrainError> {
+        let (busy, done) = &*self.busy;
+        let mut at_work = busy.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        while at_work.contains(&seed) {
+            at_work = done.wait(at_work).unwrap_or_else(|poisoned| poisoned.into_inner());
+        }
+        if (0..self.per_seed).all(|number| self.path(seed, number).exists()) {
+            return Ok(());
+        }
+        at_work.insert(seed);
+        drop(at_work);
+        let made = self.write(seed);
+        busy.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).remove(&seed);
+        done.notify_all();
+        made
+    }
+
+    fn write(&self, seed: u64) -> Result<(), TrainError> {
+        let frames = simulated::frames(&simulated::options(seed), self.per_seed)?;
+        frames.iter().enumerate().try_for_each(|(number, frame)| frame.write(&self.path(seed, number)))
+    }
+
+    fn path(&self, seed: u64, number: usize) -> PathBuf {
+        // The number of frames is part of the name: it decides which moments they are.
+        self.folder.join(format!("seed-{seed:06}-{number}-of-{}.frame", self.per_seed))
+    }
+
+    /// Makes what is missing in the background, in the order of `indices`, until all is there or `stop` says so.
+    pub fn fill(&self, indices: Vec<usize>, stop: Arc<std::sync::atomic::AtomicBool>) -> JoinHandle<Result<(), TrainError>> {
+        let frames = self.clone();
+        std::thread::spawn(move || {
+            let mut asked = BTreeSet::new();
+            for index in indices {
+                let seed = frames.seeds.start + (index / frames.per_seed) as u64;
+                if stop.load(std::sync::atomic::Ordering::Relaxed) {
+                    break;
+                }
+                if asked.insert(seed) {
+                    frames.make(seed)?;
+                }
+            }
+            Ok(())
+        })
+    }
+}
+
+impl Frames for SimulatedFrames {
+    fn len(&self) -> usize {
+        (self.seeds.end - self.seeds.start) as usize * self.per_seed
+    }
+
+    fn load(&self, index: usize) -> Result<Frame, TrainError> {
+        let (seed, number) = (self.seeds.start + (index / self.per_seed) as u64, index % self.per_seed);
+        let path = self.path(seed, number);
+        if !path.exists() {
+            self.make(seed)?;
+        }
+        Frame::read(&path)
+    }
+}

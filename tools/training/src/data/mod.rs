@@ -1,0 +1,19 @@
+//! Training data: frames of all agents, from simulator seeds or logs, and the samples that are drawn from them.
+
+mod classes;
+mod frame;
+mod frames;
+mod loader;
+mod logged;
+mod sample;
+mod simulated;
+
+pub use frame::{AgentSweep, Frame, Seen};
+pub use frames::{Frames, SimulatedFrames};
+pub use logged::LoggedFrames;
+pub use loader::{Batch, Recipe};
+pub use sample::{Augmentation, Cast, Sample};
+pub(crate) use frame::write_whole;
+pub(crate) use loader::gather;
+pub(crate) use sample::{Scene, near};
+pub use simulated::options as simulation_of_seed;

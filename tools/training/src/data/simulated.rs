@@ -1,0 +1,165 @@
+//! Frames from simulator seeds.
+
+use realo_nn::points::on_own_body;
+use realo_schemas::geometry::{Motion, PoseTrack};
+use realo_schemas::{Box3, Nanos, from_seconds};
+use realo_simulator::{AgentKind, Options, Phase, Scenario, Simulation, Sweep};
+
+use super::classes::ClassTable;
+use super::frame::{AgentSweep, Frame, Seen};
+use crate::TrainError;
+use crate::random::Stream;
+
+/// What of the agent's own vehicle is in its clouds, [x min, y min, x max, y max], m (V2X-Real).
+pub(crate) const OWN_BODY: [f32; 4] = [-1.95, -1.1, 2.95, 1.1];
+
+/// Length of the simulations, s; frames lie in different seconds.
+const SECONDS: f64 = 10.0;
+
+/// What a training seed simulates: all combinations of place and traffic, and every eighth with sweeps that do not start
+/// together.
+pub fn options(seed: u64) -> Options {
+    Options {
+        scenario: if seed.is_multiple_of(2) { Scenario::Intersection } else { Scenario::Corridor },
+        dense: seed / 2 % 3 == 2,
+        phase: if seed / 6 % 4 == 3 { Phase::Spread } else { Phase::Locked },
+        seed,
+        seconds: SECONDS,
+        ..Options::default()
+    }
+}
+
+/// `count` frames of a simulation, at least a second apart; at most 10.
+///
+/// # Errors
+/// [`TrainError::Simulation`].
+pub fn frames(options: &Options, count: usize) -> Result<Vec<Frame>, TrainError> {
+    let simulation = Simulation::new(options)?;
+    let tracks: Vec<PoseTrack> = simulation.agents().map(|agent| true_track(&simulation, &agent.name)).collect();
+    Ok(numbers(options.seed, count).into_iter().map(|seq| frame(&simulation, &tracks, seq)).collect())
+}
+
+/// Numbers of the sweeps: one moment in each of some seconds.
+fn numbers(seed: u64, count: usize) -> Vec<u64> {
+    let mut draws = Stream::new(seed, "sweeps", 0);
+    let moment = draws.below(10) as u64;
+    let mut seconds: Vec<u64> = (0..SECONDS as u64).collect();
+    (0..count.min(seconds.len())).map(|_| seconds.swap_remove(draws.below(seconds.len())) * 10 + moment).collect()
+}
+
+/// An agent's true poses.
+fn true_track(simulation: &Simulation, agent: &str) -> PoseTrack {
+    let mut track = PoseTrack::new(Nanos::MAX, from_seconds(0.02));
+    for pose in simulation.poses(agent).unwrap_or_default() {
+        track.insert(pose.stamp, pose.truth.map_from_body);
+    }
+    track
+}
+
+fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
+    let table = ClassTable::of("default").expect("the default protocol ships");
+    let agents = simulation.agents().zip(tracks).enumerate();
+    let agents = agents.map(|(index, (info, track))| {
+        let (sweep, _) = simulation.sweep(index, seq);
+        let pose = track.at(sweep.stamp).expect("poses cover every sweep");
+        let counts = sweep.points.iter().copied();
+        let objects = seen(&table, &sweep.truth, counts);
+        let roadside = info.kind == AgentKind::Roadside;
+        AgentSweep::new(&info.name, roadside, pose, still(&sweep, track, roadside), objects)
+    });
+    Frame { classes: table.names().map(String::from).collect(), agents: agents.collect() }
+}
+
+/// The points without the agent's motion and body.
+fn still(sweep: &Sweep, track: &PoseTrack, roadside: bool) -> impl Iterator<Item = [f32; 3]> + use<> {
+    let cloud = &sweep.cloud;
+    deskewed([&cloud.x, &cloud.y, &cloud.z], &cloud.time, track, sweep.stamp, roadside).unwrap_or_default().into_iter()
+}
+
+/// The points of a sweep in the body frame at its stamp, without a vehicle's own body; `None` where the track does not
+/// cover the sweep.
+pub(crate) fn deskewed(
+    [x, y, z]: [&[f32]; 3],
+    time: &[i32],
+    track: &PoseTrack,
+    stamp: Nanos,
+    roadside: bool,
+) -> Option<Vec<[f32; 3]>> {
+    let (first, last) = time.iter().fold((0, 0), |(first, last), t| (first.min(*t), last.max(*t)));
+    let [x, y, z] = match roadside {
+        true => [x.to_vec(), y.to_vec(), z.to_vec()],
+        false => Motion::new(track, stamp, first.into(), last.into())?.at_stamp([x, y, z], time),
+    };
+    let points = x.into_iter().zip(y).zip(z).map(|((x, y), z)| [x, y, z]);
+    Some(points.filter(|[x, y, z]| roadside || !on_own_body([*x, *y, *z, 0.0], OWN_BODY)).collect())
+}
+
+/// The objects that count, with an agent's points on each.
+pub(crate) fn seen(table: &ClassTable, truth: &[Box3], points: impl Iterator<Item = u32>) -> Vec<Seen> {
+    let known = truth.iter().zip(points).enumerate().filter_map(|(index, (object, points))| {
+        let [x, y, z] = object.center;
+        Some(Seen {
+            // Without identities an object is known to one agent only.
+            track: object.track.unwrap_or(u64::MAX - index as u64),
+            class: table.class_of(&object.class)?,
+            lwh: [x, y, z, object.length, object.width, object.height, object.yaw],
+            points,
+        })
+    });
+    known.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_of_a_seed_are_a_second_apart_and_the_same_every_time() {
+        for seed in 0..50 {
+            let mut all = numbers(seed, 4);
+            assert_eq!(all, numbers(seed, 4));
+            all.sort_unstable();
+            assert!(all.windows(2).all(|pair| pair[1] >= pair[0] + 10), "{all:?}");
+        }
+    }
+
+    #[test]
+    fn seeds_cover_both_places_with_all_kinds_of_traffic() {
+        let mut kinds: Vec<_> =
+            (0..24).map(options).map(|o| (o.scenario == Scenario::Corridor, o.dense, o.phase == Phase::Spread)).collect();
+        kinds.sort_unstable();
+        kinds.dedup();
+        assert_eq!(kinds.len(), 8);
+    }
+
+    #[test]
+    fn points_of_all_agents_lie_on_the_same_objects() {
+        let options = Options { column_stride: 4, ..options(2) };
+        let frame = frames(&options, 1).unwrap().remove(0);
+        let ego = &frame.agents[0];
+        for agent in &frame.agents {
+            let ego_from_agent = ego.map_from_body.inverse() * agent.map_from_body;
+            assert!(!agent.points.is_empty() && !agent.objects.is_empty());
+            for object in agent.objects.iter().filter(|object| object.points >= 20) {
+                // The same object in the ego's frame, where the ego is not the object.
+                let Some(known) = ego.objects.iter().find(|known| known.track == object.track) else { continue };
+                let [x, y, z, ..] = object.lwh;
+                let there = ego_from_agent * nalgebra::Point3::new(x, y, z);
+                let off = (there.x - known.lwh[0]).hypot(there.y - known.lwh[1]);
+                assert!(off < 0.1, "{}: {off} m", agent.name);
+                let inside = agent.metres().filter(|point| contains(&object.lwh, *point)).count();
+                assert!(inside * 2 > object.points as usize, "{}: {inside} of {}", agent.name, object.points);
+            }
+            let on_body = |[x, y, z]: [f32; 3]| on_own_body([x, y, z, 0.0], OWN_BODY);
+            assert!(agent.roadside || !agent.metres().any(on_body));
+        }
+    }
+
+    fn contains(lwh: &[f64; 7], point: [f32; 3]) -> bool {
+        let [x, y, z, l, w, h, yaw] = *lwh;
+        let (dx, dy, dz) = (f64::from(point[0]) - x, f64::from(point[1]) - y, f64::from(point[2]) - z);
+        let (along, across) = (dx * yaw.cos() + dy * yaw.sin(), dy * yaw.cos() - dx * yaw.sin());
+        // A moving object's points spread over the time of a sweep.
+        along.abs() < l / 2.0 + 0.8 && across.abs() < w / 2.0 + 0.3 && dz.abs() < h / 2.0 + 0.3
+    }
+}

@@ -1,0 +1,103 @@
+use std::io;
+use std::path::PathBuf;
+
+use realo_logs::LogError;
+use realo_nn::model::ModelError;
+use realo_nn::weights::WeightsError;
+
+/// Why there is no training, or no more of it. What was saved before stays.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// A file cannot be read.
+    #[error("cannot read `{}`: {error}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// A file cannot be written.
+    #[error("cannot write `{}`: {error}; what was saved before is unharmed", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// A file of training data is damaged.
+    #[error("`{}` is no frame of training data: {reason}; remove it and it will be made again", path.display())]
+    Cache {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A checkpoint that does not fit.
+    #[error("checkpoint `{}`: {reason}", path.display())]
+    Checkpoint {
+        /// The file.
+        path: PathBuf,
+        /// Expected and found.
+        reason: String,
+    },
+    /// Options that cannot be met.
+    #[error("training option `{field}`: expected {expected}, found {found}")]
+    Option {
+        /// The option.
+        field: &'static str,
+        /// What it takes.
+        expected: &'static str,
+        /// What came.
+        found: String,
+    },
+    /// A model that training has no data for.
+    #[error("model `{model}` cannot be trained: {reason}")]
+    Model {
+        /// Its name.
+        model: String,
+        /// Why.
+        reason: String,
+    },
+    /// A class without a single object.
+    #[error("class `{class}` does not appear in the training data ({frames} frames were looked at); it cannot be learnt")]
+    AbsentClass {
+        /// The class.
+        class: String,
+        /// Frames that were searched.
+        frames: usize,
+    },
+    /// A log without ground truth.
+    #[error("`{}` has no ground truth of agent `{agent}`: nothing can be learnt from it; simulate or import a log with labels", path.display())]
+    NoTruth {
+        /// The log.
+        path: PathBuf,
+        /// The agent.
+        agent: String,
+    },
+    /// The loss is no number any more.
+    #[error("the loss is {loss} at step {step}; the last checkpoint is unharmed: resume from it with a lower learning rate")]
+    Diverged {
+        /// The step.
+        step: u64,
+        /// The loss.
+        loss: f64,
+    },
+    /// A thread that prepares samples has ended without a word.
+    #[error("the threads that prepare samples have stopped")]
+    Stopped,
+    /// The model file.
+    #[error(transparent)]
+    ModelFile(#[from] ModelError),
+    /// The file of weights.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// A log.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// The simulator.
+    #[error(transparent)]
+    Simulation(#[from] realo_simulator::Error),
+    /// A layer.
+    #[error("layer: {0}")]
+    Layer(#[from] candle_core::Error),
+}

@@ -1,0 +1,117 @@
+//! Records a forward pass of custom operations and leads gradients back through it.
+//!
+//! Unlike candle's own backward pass, which adds every gradient to a map of zeros, a gradient that comes from one
+//! consumer is handed on as it is, and a map is dropped as soon as nobody needs it.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+
+use candle_core::{CustomOp2, CustomOp3, Result, Tensor, TensorId};
+
+use crate::layers::{join, split};
+
+type Gradients = Vec<(TensorId, Tensor)>;
+type Backward = Box<dyn FnOnce(&Tensor) -> Result<Gradients>>;
+
+/// The operations of a forward pass, in order.
+#[derive(Default)]
+pub struct Tape {
+    steps: Vec<(TensorId, Backward)>,
+    /// Whether the operations are only applied.
+    forward_only: bool,
+}
+
+impl Tape {
+    /// A tape for training.
+    pub fn new() -> Self {
+        Tape::default()
+    }
+
+    /// A tape that keeps nothing.
+    pub fn forward_only() -> Self {
+        Tape { forward_only: true, ..Tape::default() }
+    }
+
+    fn record(&mut self, out: &Tensor, backward: impl FnOnce(&Tensor) -> Result<Gradients> + 'static) {
+        if !self.forward_only {
+            self.steps.push((out.id(), Box::new(backward)));
+        }
+    }
+
+    /// Applies an operation on two tensors.
+    ///
+    /// # Errors
+    /// The operation's.
+    pub fn apply2(&mut self, op: impl CustomOp2 + 'static, a: &Tensor, b: &Tensor) -> Result<Tensor> {
+        let out = a.apply_op2_no_bwd(b, &op)?;
+        let (a, b, result) = (a.clone(), b.clone(), out.clone());
+        self.record(&out, move |grad| {
+            let (da, db) = op.bwd(&a, &b, &result, grad)?;
+            Ok([(a.id(), da), (b.id(), db)].into_iter().filter_map(|(id, grad)| Some((id, grad?))).collect())
+        });
+        Ok(out)
+    }
+
+    /// Applies an operation on three tensors.
+    ///
+    /// # Errors
+    /// The operation's.
+    pub fn apply3(&mut self, op: impl CustomOp3 + 'static, a: &Tensor, b: &Tensor, c: &Tensor) -> Result<Tensor> {
+        let out = a.apply_op3_no_bwd(b, c, &op)?;
+        let (a, b, c, result) = (a.clone(), b.clone(), c.clone(), out.clone());
+        self.record(&out, move |grad| {
+            let (da, db, dc) = op.bwd(&a, &b, &c, &result, grad)?;
+            let all = [(a.id(), da), (b.id(), db), (c.id(), dc)];
+            Ok(all.into_iter().filter_map(|(id, grad)| Some((id, grad?))).collect())
+        });
+        Ok(out)
+    }
+
+    /// Joins maps in their channels.
+    ///
+    /// # Errors
+    /// As [`join`].
+    pub fn join(&mut self, maps: &[Tensor]) -> Result<Tensor> {
+        let out = join(maps)?;
+        let parts: Vec<(TensorId, usize)> =
+            maps.iter().map(|map| Ok((map.id(), map.dim(3)?))).collect::<Result<_>>()?;
+        self.record(&out, move |grad| {
+            let channels: Vec<usize> = parts.iter().map(|(_, channels)| *channels).collect();
+            let ids = parts.iter().map(|(id, _)| *id);
+            Ok(ids.zip(split(grad, &channels)?).collect())
+        });
+        Ok(out)
+    }
+
+    /// The gradients of everything that went in and did not come out of the tape, from those of its results.
+    ///
+    /// # Errors
+    /// Those of the operations.
+    pub fn backward(self, of_results: Vec<(TensorId, Tensor)>) -> Result<HashMap<TensorId, Tensor>> {
+        let mut known = HashMap::new();
+        for (id, grad) in of_results {
+            add(&mut known, id, grad)?;
+        }
+        for (out, backward) in self.steps.into_iter().rev() {
+            if let Some(grad) = known.remove(&out) {
+                for (id, grad) in backward(&grad)? {
+                    add(&mut known, id, grad)?;
+                }
+            }
+        }
+        Ok(known)
+    }
+}
+
+fn add(known: &mut HashMap<TensorId, Tensor>, id: TensorId, grad: Tensor) -> Result<()> {
+    match known.entry(id) {
+        Entry::Vacant(place) => {
+            place.insert(grad);
+        }
+        Entry::Occupied(mut place) => {
+            let sum = place.get().add(&grad)?;
+            place.insert(sum);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,367 @@
+//! The training loop.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use realo_nn::loss;
+use realo_nn::model::Model;
+
+use crate::TrainError;
+use crate::checkpoint::{Checkpoint, Plan, write_weights};
+use crate::curve::{Curve, Point};
+use crate::data::{Augmentation, Batch, Frames, LoggedFrames, Recipe, SimulatedFrames, write_whole};
+use crate::network::Network;
+use crate::optimizer::{AdamW, Settings};
+use crate::validate::{Validation, validate};
+
+/// Frames that are searched for an object of each class before training begins.
+const SEARCHED: usize = 100;
+
+/// What is trained, on what, for how long.
+#[derive(Clone, Debug)]
+pub struct TrainOptions {
+    /// The model file.
+    pub model: PathBuf,
+    /// Folder of the results: `checkpoint.safetensors`, `<model>.safetensors`, `curve.csv`, `curve.svg`.
+    pub output: PathBuf,
+    /// Whether to go on from the checkpoint that is there.
+    pub resume: bool,
+    /// Where frames come from.
+    pub data: Data,
+    /// Steps in all; the learning rate falls until then.
+    pub steps: u64,
+    /// Stop after so many minutes; the rest is for a later run that resumes.
+    pub minutes: Option<f64>,
+    /// Of all draws.
+    pub seed: u64,
+    /// Samples of a step.
+    pub batch: usize,
+    /// Probability that a step sees half of the range along x only, at half the cost.
+    pub half_range: f64,
+    /// Minutes from one checkpoint to the next.
+    pub checkpoint_minutes: f64,
+    /// Steps from one validation to the next; none without.
+    pub validate_every: Option<u64>,
+    /// How weights are moved.
+    pub optimizer: Settings,
+    /// How samples are drawn.
+    pub augmentation: Augmentation,
+    /// Threads of the layers; all cores by default.
+    pub threads: Option<usize>,
+}
+
+/// Where frames come from.
+#[derive(Clone, Debug)]
+pub enum Data {
+    /// Simulator seeds, kept in a folder.
+    Simulated {
+        /// The folder.
+        cache: PathBuf,
+        /// Seeds; 0 to 799 are for training.
+        seeds: std::ops::Range<u64>,
+        /// Frames of a seed, 1 to 10.
+        per_seed: usize,
+    },
+    /// Logs with ground truth; their frames are kept in a folder.
+    Logged {
+        /// The folder.
+        cache: PathBuf,
+        /// The logs.
+        logs: Vec<PathBuf>,
+    },
+}
+
+/// How far a training is.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress<'a> {
+    /// The step that was done.
+    pub point: Point,
+    /// Steps in all.
+    pub steps: u64,
+    /// Mean time of a step lately, s.
+    pub seconds_per_step: f64,
+    /// Of it, waiting for data, s.
+    pub waiting: f64,
+    /// Until the last step or the end of the time, whichever comes first.
+    pub left: Duration,
+    /// A validation that was just made.
+    pub validation: Option<&'a Validation>,
+}
+
+/// What a training came to.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// Steps that were done in all.
+    pub steps: u64,
+    /// Whether they are all.
+    pub complete: bool,
+    /// The file of weights.
+    pub weights: PathBuf,
+}
+
+/// Trains until the last step or the end of the time.
+///
+/// # Errors
+/// [`TrainError`]; whatever it is, the last checkpoint is unharmed.
+pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> Result<Trained, TrainError> {
+    check(options)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(options.threads.unwrap_or(0))
+        .build()
+        .map_err(|error| option("threads", "a number of threads that can be started", error))?;
+    pool.install(|| Training::new(options)?.run(progress))
+}
+
+fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
+    TrainError::Option { field, expected, found: found.to_string() }
+}
+
+fn check(options: &TrainOptions) -> Result<(), TrainError> {
+    if options.batch == 0 {
+        return Err(option("batch", "at least 1", 0));
+    }
+    if options.steps == 0 {
+        return Err(option("steps", "at least 1", 0));
+    }
+    if let Some(minutes) = options.minutes.filter(|minutes| !(*minutes > 0.0)) {
+        return Err(option("minutes", "more than 0", minutes));
+    }
+    if !(0.0..=1.0).contains(&options.half_range) {
+        return Err(option("half_range", "a probability", options.half_range));
+    }
+    match &options.data {
+        Data::Simulated { seeds, .. } if seeds.is_empty() => Err(option("seeds", "at least one", format!("{seeds:?}"))),
+        Data::Simulated { per_seed, .. } if !(1..=10).contains(per_seed) => Err(option("per_seed", "1 to 10", per_seed)),
+        _ => Ok(()),
+    }
+}
+
+struct Training<'a> {
+    options: &'a TrainOptions,
+    model: Model,
+    recipe: Recipe,
+    filling: Filling,
+    state: Checkpoint,
+    checkpoint: PathBuf,
+}
+
+/// The frames that options ask for.
+struct Source {
+    frames: Arc<dyn Frames>,
+    name: String,
+    /// Frames that may have to be made yet.
+    missing: Option<SimulatedFrames>,
+}
+
+impl Source {
+    fn open(data: &Data) -> Result<Self, TrainError> {
+        match data {
+            Data::Simulated { cache, seeds, per_seed } => {
+                let frames = SimulatedFrames::new(cache, seeds.clone(), *per_seed)?;
+                let name = format!("simulator seeds {seeds:?}, {per_seed} frames each");
+                Ok(Source { frames: Arc::new(frames.clone()), name, missing: Some(frames) })
+            }
+            Data::Logged { cache, logs } => {
+                let frames = LoggedFrames::new(cache, logs)?;
+                if frames.is_empty() {
+                    return Err(option("logs", "logs with sweeps at the stamps of their ground truth", format!("{logs:?}")));
+                }
+                Ok(Source { name: format!("logs {logs:?}"), frames: Arc::new(frames), missing: None })
+            }
+        }
+    }
+}
+
+/// Threads that make frames; they end with the training.
+#[derive(Default)]
+struct Filling {
+    stop: Arc<AtomicBool>,
+    failed: Vec<std::thread::JoinHandle<Result<(), TrainError>>>,
+}
+
+impl Drop for Filling {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        for thread in self.failed.drain(..) {
+            // The loader meets the same error where it matters.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl<'a> Training<'a> {
+    fn new(options: &'a TrainOptions) -> Result<Self, TrainError> {
+        let model = Model::read(&options.model)?;
+        if model.pillars.intensity {
+            let reason = "it looks at intensity, which frames of training data do not hold".into();
+            return Err(TrainError::Model { model: model.name, reason });
+        }
+        let source = Source::open(&options.data)?;
+        let plan = Plan {
+            model: model.name.clone(),
+            seed: options.seed,
+            batch: options.batch,
+            steps: options.steps,
+            rate: options.optimizer.rate,
+            half_range: options.half_range,
+            data: source.name.clone(),
+        };
+        std::fs::create_dir_all(&options.output)
+            .map_err(|error| TrainError::Write { path: options.output.clone(), error })?;
+        let checkpoint = options.output.join("checkpoint.safetensors");
+        let state = state(options, &model, plan, &checkpoint)?;
+        let recipe = Recipe {
+            frames: source.frames.clone(),
+            model: model.clone(),
+            augmentation: options.augmentation.clone(),
+            seed: options.seed,
+            batch: options.batch,
+            half_range: options.half_range,
+        };
+        let mut filling = Filling::default();
+        filling.failed.extend(source.missing.map(|frames| frames.fill(recipe.order(0), filling.stop.clone())));
+        let training = Training { options, model, recipe, filling, state, checkpoint };
+        training.check_classes()?;
+        Ok(training)
+    }
+
+    /// Every class of the model needs an object.
+    fn check_classes(&self) -> Result<(), TrainError> {
+        let mut missing: Vec<&str> = self.model.classes.iter().map(|class| class.name.as_str()).collect();
+        let order = self.recipe.order(0);
+        for index in order.iter().take(SEARCHED) {
+            let frame = self.recipe.frames.load(*index)?;
+            let has = |class: &str| {
+                let objects = frame.agents.iter().flat_map(|agent| &agent.objects);
+                let mut counted = objects.filter(|object| object.points >= 5);
+                counted.any(|object| frame.classes[object.class] == class)
+            };
+            missing.retain(|class| !has(class));
+            if missing.is_empty() {
+                return Ok(());
+            }
+        }
+        let frames = order.len().min(SEARCHED);
+        Err(TrainError::AbsentClass { class: missing.join("`, `"), frames })
+    }
+
+    fn run(mut self, mut progress: impl FnMut(&Progress) + Send) -> Result<Trained, TrainError> {
+        let begin = Instant::now();
+        let budget = self.options.minutes.map(|minutes| Duration::from_secs_f64(minutes * 60.0));
+        let (batches, loader) = self.recipe.clone().start(self.state.optimizer.steps);
+        let mut saved = Instant::now();
+        let mut pace = Pace::default();
+        while self.state.optimizer.steps < self.options.steps && budget.is_none_or(|budget| begin.elapsed() < budget) {
+            let start = Instant::now();
+            let batch = batches.recv().map_err(|_| TrainError::Stopped)??;
+            let waited = start.elapsed().as_secs_f64();
+            let point = self.step(&batch, start)?;
+            pace.add(point.seconds, waited);
+            let due = self.options.validate_every.is_some_and(|every| self.state.optimizer.steps.is_multiple_of(every));
+            let validation = if due { Some(self.validate()?) } else { None };
+            let steps_left = (self.options.steps - self.state.optimizer.steps) as f64 * pace.seconds;
+            let time_left = budget.map_or(f64::INFINITY, |budget| (budget.saturating_sub(begin.elapsed())).as_secs_f64());
+            progress(&Progress {
+                point,
+                steps: self.options.steps,
+                seconds_per_step: pace.seconds,
+                waiting: pace.waiting,
+                left: Duration::from_secs_f64(steps_left.min(time_left)),
+                validation: validation.as_ref(),
+            });
+            if saved.elapsed().as_secs_f64() > self.options.checkpoint_minutes * 60.0 {
+                self.save()?;
+                saved = Instant::now();
+            }
+        }
+        // The loader ends when nobody listens.
+        drop(batches);
+        let _ = loader.join();
+        let weights = self.save()?;
+        let steps = self.state.optimizer.steps;
+        drop(self.filling);
+        Ok(Trained { steps, complete: steps >= self.options.steps, weights })
+    }
+
+    fn step(&mut self, batch: &Batch, start: Instant) -> Result<Point, TrainError> {
+        let Checkpoint { network, optimizer, curve, .. } = &mut self.state;
+        let step = optimizer.steps;
+        let how = &self.options.optimizer;
+        let pass = network.pass(&batch.pillars, &batch.targets, &loss::Settings::default())?;
+        let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
+        let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
+        if !(class + regression).is_finite() {
+            return Err(TrainError::Diverged { step, loss: class + regression });
+        }
+        let rate = how.rate_at(step, self.options.steps);
+        let gradient = optimizer.step(network, &pass.gradients, rate, how)?;
+        if !gradient.is_finite() {
+            return Err(TrainError::Diverged { step, loss: class + regression });
+        }
+        let point = Point { step, class, regression, gradient, rate, seconds: start.elapsed().as_secs_f64() };
+        curve.points.push(point);
+        Ok(point)
+    }
+
+    fn validate(&self) -> Result<Validation, TrainError> {
+        validate(&self.state.network, &validation_frames(&self.options.data)?)
+    }
+
+    /// Writes everything; each file is replaced as a whole.
+    fn save(&self) -> Result<PathBuf, TrainError> {
+        let output = |name: &str| self.options.output.join(name);
+        self.state.write(&self.checkpoint)?;
+        let weights = output(&format!("{}.safetensors", self.model.name));
+        write_weights(&self.state.network, &weights)?;
+        write_whole(&output("curve.csv"), self.state.curve.to_csv().as_bytes())?;
+        write_whole(&output("curve.svg"), self.state.curve.to_svg().as_bytes())?;
+        Ok(weights)
+    }
+}
+
+/// The frames of a few validation seeds.
+///
+/// # Errors
+/// [`TrainError::Write`] if there can be no folder for them.
+pub fn validation_frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
+    let (Data::Simulated { cache, .. } | Data::Logged { cache, .. }) = data;
+    Ok(Arc::new(SimulatedFrames::new(cache, 800..812, 1)?))
+}
+
+fn state(options: &TrainOptions, model: &Model, plan: Plan, path: &Path) -> Result<Checkpoint, TrainError> {
+    let refuse = |reason: String| TrainError::Checkpoint { path: path.into(), reason };
+    match (options.resume, path.exists()) {
+        (true, false) => Err(refuse("there is none to resume from".into())),
+        (false, true) => Err(refuse("a training is there already; resume it or choose another folder".into())),
+        (false, false) => {
+            let network = Network::random(model, options.seed)?;
+            Ok(Checkpoint { optimizer: AdamW::new(&network), network, curve: Curve::default(), plan })
+        }
+        (true, true) => {
+            let state = Checkpoint::read(path, model)?;
+            match state.plan == plan {
+                true => Ok(state),
+                false => Err(refuse(format!("it was trained as {:?}, now {plan:?} is asked for", state.plan))),
+            }
+        }
+    }
+}
+
+/// Running means of the times of a step.
+#[derive(Default)]
+struct Pace {
+    seconds: f64,
+    waiting: f64,
+    steps: u32,
+}
+
+impl Pace {
+    fn add(&mut self, seconds: f64, waiting: f64) {
+        self.steps = (self.steps + 1).min(50);
+        let share = 1.0 / f64::from(self.steps);
+        self.seconds += share * (seconds - self.seconds);
+        self.waiting += share * (waiting - self.waiting);
+    }
+}

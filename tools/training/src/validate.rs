@@ -1,0 +1,190 @@
+//! How good a network is on frames that it was not trained on.
+
+use std::sync::Arc;
+
+use realo_nn::anchors::{Anchors, Hwl};
+use realo_nn::decode::{Detection, candidates};
+use realo_nn::targets::Object;
+use realo_schemas::geometry::{Footprint, iou, iou_exceeds};
+
+use crate::TrainError;
+use crate::data::{Augmentation, Cast, Frames, Scene, gather, near};
+use crate::layers::{MapShape, with_numbers};
+use crate::network::{Network, inner};
+use crate::random::Stream;
+use crate::tape::Tape;
+
+/// A box is left out if it overlaps more than this with a better one.
+const SUPPRESSED: f64 = 0.15;
+const MOST_CANDIDATES: usize = 1000;
+/// Scores from which boxes count; the curve of precision and recall needs low ones too.
+const THRESHOLD: f32 = 0.1;
+
+/// Average precision by class, for egos alone and for merged clouds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Validation {
+    /// Frames that were looked at; each from every vehicle.
+    pub frames: usize,
+    /// For each class its name, the IoU from which a box is right, and what was reached.
+    pub classes: Vec<ClassScore>,
+}
+
+/// Average precision of one class: all detections by score, the area under the curve made monotonous.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassScore {
+    /// Name.
+    pub name: String,
+    /// Least IoU on the ground plane.
+    pub iou: f64,
+    /// An ego alone, on objects with at least 5 of its points.
+    pub alone: Option<f64>,
+    /// Clouds of all within 70 m, on objects with at least 5 points of all.
+    pub merged: Option<f64>,
+}
+
+/// Scores a network on frames, with each vehicle of a frame as ego.
+///
+/// # Errors
+/// [`TrainError`] if a frame cannot be had or a layer fails.
+pub fn validate(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validation, TrainError> {
+    let model = network.model();
+    let mut ledgers = [(); 2].map(|()| vec![Ledger::default(); model.classes.len()]);
+    for index in 0..frames.len() {
+        let frame = frames.load(index)?;
+        let egos = frame.agents.iter().enumerate().filter(|(_, agent)| !agent.roadside).map(|(ego, _)| ego);
+        for ego in egos {
+            let casts = [Vec::new(), near(&frame, ego)].map(|others| Cast { ego, others });
+            for (ledgers, cast) in ledgers.iter_mut().zip(casts) {
+                let how = Augmentation::none();
+                let scene = Scene::new(&frame, &cast, model, &how, &mut Stream::new(0, "validation", 0));
+                let sample = scene.sample(model);
+                let objects = sample.objects.clone();
+                let batch = gather(model, vec![sample]);
+                let found = detect(network, &batch.pillars)?;
+                for (class, ledger) in ledgers.iter_mut().enumerate() {
+                    ledger.add(&found, &objects, class, least_iou(&model.classes[class].name));
+                }
+            }
+        }
+    }
+    let [alone, merged] = ledgers;
+    let classes = model.classes.iter().zip(alone.iter().zip(&merged)).map(|(class, (alone, merged))| ClassScore {
+        name: class.name.clone(),
+        iou: least_iou(&class.name),
+        alone: alone.average_precision(),
+        merged: merged.average_precision(),
+    });
+    Ok(Validation { frames: frames.len(), classes: classes.collect() })
+}
+
+/// The overlaps that are customary.
+fn least_iou(class: &str) -> f64 {
+    if class == "pedestrian" { 0.3 } else { 0.5 }
+}
+
+/// Boxes of a batch of one, best first.
+fn detect(network: &Network, pillars: &Arc<crate::layers::PillarBatch>) -> Result<Vec<Detection>, TrainError> {
+    let heads = network.forward(&mut Tape::forward_only(), pillars, false)?;
+    let cells = |map: &candle_core::Tensor| {
+        let shape = MapShape::of(map.shape())?;
+        with_numbers(map, |values| Ok(inner(&shape, values, 0)))
+    };
+    let (scores, deltas) = (cells(&heads.scores)?, cells(&heads.deltas)?);
+    let found = candidates(&Anchors::of(network.model()), &scores, &deltas, THRESHOLD, MOST_CANDIDATES);
+    Ok(suppress(found.detections))
+}
+
+fn footprint(hwl: &Hwl<f64>) -> Footprint {
+    Footprint::new([hwl[0], hwl[1]], hwl[5], hwl[4], hwl[6])
+}
+
+/// Keeps what overlaps little with everything better.
+fn suppress(detections: Vec<Detection>) -> Vec<Detection> {
+    let mut kept: Vec<(Footprint, Detection)> = Vec::new();
+    for detection in detections.into_iter().filter(|d| d.hwl.iter().all(|v| v.is_finite())) {
+        let outline = footprint(&detection.hwl.map(f64::from));
+        if !kept.iter().any(|(better, _)| iou_exceeds(better, &outline, SUPPRESSED)) {
+            kept.push((outline, detection));
+        }
+    }
+    kept.into_iter().map(|(_, detection)| detection).collect()
+}
+
+/// What was found of one class, over all frames.
+#[derive(Clone, Debug, Default)]
+struct Ledger {
+    /// Score, and whether it was right.
+    found: Vec<(f32, bool)>,
+    objects: usize,
+}
+
+impl Ledger {
+    /// Each detection takes the free object that it overlaps with most.
+    fn add(&mut self, found: &[Detection], objects: &[Object], class: usize, least: f64) {
+        let mut free: Vec<Footprint> =
+            objects.iter().filter(|o| o.class == class).map(|o| footprint(&o.hwl)).collect();
+        self.objects += free.len();
+        for detection in found.iter().filter(|d| d.class == class) {
+            let outline = footprint(&detection.hwl.map(f64::from));
+            let overlaps = free.iter().map(|object| iou(object, &outline)).enumerate();
+            let best = overlaps.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, overlap)| *overlap >= least);
+            self.found.push((detection.score, best.is_some()));
+            if let Some((index, _)) = best {
+                free.swap_remove(index);
+            }
+        }
+    }
+
+    /// `None` without objects.
+    fn average_precision(&self) -> Option<f64> {
+        if self.objects == 0 {
+            return None;
+        }
+        let mut found = self.found.clone();
+        found.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut right = 0;
+        let mut precision: Vec<(bool, f64)> = Vec::with_capacity(found.len());
+        for (index, (_, hit)) in found.iter().enumerate() {
+            right += usize::from(*hit);
+            precision.push((*hit, right as f64 / (index + 1) as f64));
+        }
+        let (mut best, mut area) = (0.0_f64, 0.0);
+        for (hit, precision) in precision.into_iter().rev() {
+            best = best.max(precision);
+            area += if hit { best } else { 0.0 };
+        }
+        Some(area / self.objects as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: f64, class: usize) -> Object {
+        Object { class, hwl: [x, 0.0, 1.0, 1.5, 2.0, 4.0, 0.0] }
+    }
+
+    fn found(x: f32, score: f32) -> Detection {
+        Detection { class: 0, score, hwl: [x, 0.0, 1.0, 1.5, 2.0, 4.0, 0.0] }
+    }
+
+    #[test]
+    fn average_precision_is_the_area_by_hand() {
+        let mut ledger = Ledger::default();
+        let objects = [at(0.0, 0), at(10.0, 0), at(20.0, 0), at(30.0, 1)];
+        // Right, wrong, right, the same object again: precision 1, 1/2, 2/3, 1/2; recall 1/3, 2/3.
+        let detections = [found(0.1, 0.9), found(50.0, 0.8), found(10.2, 0.7), found(0.0, 0.6)];
+        ledger.add(&detections, &objects, 0, 0.5);
+        assert_eq!(ledger.average_precision(), Some((1.0 + 2.0 / 3.0) / 3.0));
+        assert_eq!(Ledger::default().average_precision(), None);
+    }
+
+    #[test]
+    fn suppression_keeps_the_best_of_those_that_overlap() {
+        let mut bad = found(7.0, 0.95);
+        bad.hwl[3] = f32::NAN;
+        let kept = suppress(vec![found(0.0, 0.9), bad, found(1.0, 0.8), found(9.0, 0.7)]);
+        assert_eq!(kept, [found(0.0, 0.9), found(9.0, 0.7)]);
+    }
+}

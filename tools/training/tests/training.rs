@@ -1,0 +1,186 @@
+//! Training as a whole, on a small network.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use realo_nn::model::Model;
+use realo_nn::weights::Weights;
+use realo_training::data::Augmentation;
+use realo_training::optimizer::Settings;
+use realo_training::{Data, TrainError, TrainOptions, train};
+use safetensors::SafeTensors;
+
+const MODEL: &str = r#"
+name = "small"
+frame = "body"
+precision = "f32"
+rotations = [0.0, 1.57]
+score_threshold = 0.2
+classes = [
+  { name = "vehicle", length = 3.9, width = 1.6, height = 1.56, z = 0.78, matched = 0.6, unmatched = 0.45 },
+  { name = "CLASS", length = 8.0, width = 3.0, height = 3.0, z = 1.5, matched = 0.6, unmatched = 0.45 },
+]
+grid = { x = [-51.2, 51.2], y = [-25.6, 25.6], z = [-3.0, 5.0], cell = 0.8 }
+pillars = { channels = 8, points = 16, pillars = 8000, empty_slots = false, intensity = false }
+backbone = { layers = [1, 1], strides = [2, 2], channels = [8, 16], up_strides = [1, 2], up_channels = [8, 8] }
+shrink = [{ kernel = 3, channels = 12 }]
+"#;
+
+/// Frames that all tests share.
+fn cache() -> &'static Path {
+    static CACHE: OnceLock<tempfile::TempDir> = OnceLock::new();
+    CACHE.get_or_init(|| tempfile::tempdir().unwrap()).path()
+}
+
+struct Folder {
+    folder: tempfile::TempDir,
+}
+
+impl Folder {
+    fn new() -> Self {
+        Folder { folder: tempfile::tempdir().unwrap() }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn options(&self, second_class: &str, output: &str) -> TrainOptions {
+        let model = self.path("small.toml");
+        fs::write(&model, MODEL.replace("CLASS", second_class)).unwrap();
+        TrainOptions {
+            model,
+            output: self.path(output),
+            resume: false,
+            data: Data::Simulated { cache: cache().into(), seeds: 0..2, per_seed: 1 },
+            steps: 6,
+            minutes: None,
+            seed: 3,
+            batch: 2,
+            half_range: 0.5,
+            checkpoint_minutes: 0.0,
+            validate_every: None,
+            optimizer: Settings { rate: 2e-3, ..Settings::default() },
+            augmentation: Augmentation::default(),
+            threads: Some(2),
+        }
+    }
+}
+
+/// All tensors of a file but the times in the curve.
+fn bits(path: &Path) -> BTreeMap<String, Vec<u8>> {
+    let bytes = fs::read(path).unwrap();
+    let file = SafeTensors::deserialize(&bytes).unwrap();
+    let tensors = file.iter().filter(|(name, _)| *name != "curve");
+    tensors.map(|(name, view)| (name.to_string(), view.data().to_vec())).collect()
+}
+
+#[test]
+fn a_killed_training_goes_on_to_the_same_bits() {
+    let folder = Folder::new();
+    let whole = folder.options("truck", "whole");
+    assert!(train(&whole, |_| ()).unwrap().complete);
+    let mut parts = folder.options("truck", "parts");
+    let killed = catch_unwind(AssertUnwindSafe(|| train(&parts, |progress| assert!(progress.point.step < 3))));
+    assert!(killed.is_err());
+    assert!(matches!(train(&parts, |_| ()), Err(TrainError::Checkpoint { .. })), "it must not start anew by itself");
+    parts.resume = true;
+    // The number of threads does not matter either.
+    parts.threads = Some(1);
+    let mut steps = Vec::new();
+    assert!(train(&parts, |progress| steps.push(progress.point.step)).unwrap().complete);
+    assert_eq!(steps, [3, 4, 5]);
+    for name in ["checkpoint.safetensors", "small.safetensors"] {
+        assert!(bits(&whole.output.join(name)) == bits(&parts.output.join(name)), "{name} differs");
+    }
+    let csv = fs::read_to_string(parts.output.join("curve.csv")).unwrap();
+    assert_eq!(csv.lines().count(), 7);
+    assert!(fs::read_to_string(parts.output.join("curve.svg")).unwrap().contains("<polyline"));
+    let model = Model::read(&parts.model).unwrap();
+    Weights::read(&parts.output.join("small.safetensors"), &model).unwrap();
+}
+
+#[test]
+fn the_loss_falls() {
+    let folder = Folder::new();
+    let mut options = folder.options("truck", "out");
+    (options.steps, options.checkpoint_minutes, options.half_range) = (150, 1.0, 0.0);
+    options.optimizer.rate = 1e-2;
+    options.augmentation = Augmentation { alone: 0.0, everybody: 1.0, ..Augmentation::none() };
+    let mut losses = Vec::new();
+    train(&options, |progress| losses.push(progress.point.loss())).unwrap();
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    let (before, after) = (mean(&losses[..10]), mean(&losses[140..]));
+    assert!(after < 0.5 * before, "from {before} to {after}");
+}
+
+#[test]
+fn a_time_budget_ends_early_and_a_resume_goes_on() {
+    let folder = Folder::new();
+    let mut options = folder.options("truck", "out");
+    options.minutes = Some(1e-6);
+    let first = train(&options, |_| ()).unwrap();
+    assert!(!first.complete && first.steps < 6);
+    (options.minutes, options.resume) = (None, true);
+    assert!(train(&options, |_| ()).unwrap().complete);
+}
+
+#[test]
+fn a_full_disk_leaves_the_checkpoint_before() {
+    let folder = Folder::new();
+    let mut options = folder.options("truck", "out");
+    options.steps = 4;
+    let checkpoint = options.output.join("checkpoint.safetensors");
+    let part = checkpoint.with_extension("part");
+    let mut saved = Vec::new();
+    let error = train(&options, |progress| {
+        if progress.point.step == 2 {
+            saved = fs::read(&checkpoint).unwrap();
+            symlink("/dev/full", &part).unwrap();
+        }
+    })
+    .unwrap_err();
+    assert!(error.to_string().contains("No space left on device"), "{error}");
+    assert!(!saved.is_empty() && fs::read(&checkpoint).unwrap() == saved);
+    options.resume = true;
+    assert_eq!(train(&options, |_| ()).unwrap().steps, 4);
+}
+
+#[test]
+fn a_loss_that_is_no_number_ends_the_training_and_saves_nothing() {
+    let folder = Folder::new();
+    let mut options = folder.options("truck", "out");
+    options.optimizer.rate = 1e30;
+    let error = train(&options, |_| ()).unwrap_err();
+    assert!(matches!(error, TrainError::Diverged { .. }), "{error}");
+    let checkpoint = options.output.join("checkpoint.safetensors");
+    if checkpoint.exists() {
+        let steps = bits(&checkpoint);
+        let finite = |bytes: &Vec<u8>| bytes.as_chunks::<4>().0.iter().all(|b| f32::from_le_bytes(*b).is_finite());
+        assert!(steps.values().all(finite), "what was saved must be numbers");
+    }
+}
+
+#[test]
+fn a_class_that_the_data_lack_is_named() {
+    let folder = Folder::new();
+    let error = train(&folder.options("tram", "out"), |_| ()).unwrap_err();
+    assert!(matches!(&error, TrainError::AbsentClass { class, .. } if class == "tram"), "{error}");
+}
+
+#[test]
+fn a_checkpoint_of_another_plan_is_refused() {
+    let folder = Folder::new();
+    let mut options = folder.options("truck", "out");
+    options.steps = 1;
+    train(&options, |_| ()).unwrap();
+    (options.resume, options.batch) = (true, 3);
+    let error = train(&options, |_| ()).unwrap_err().to_string();
+    assert!(error.contains("batch: 2") && error.contains("batch: 3"), "{error}");
+    fs::write(options.output.join("checkpoint.safetensors"), b"nonsense").unwrap();
+    assert!(matches!(train(&options, |_| ()), Err(TrainError::Checkpoint { .. })));
+}
