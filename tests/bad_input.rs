@@ -6,7 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use common::{folder, graph, json, realo, simulated, text};
+use realo::REGISTRY;
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
+use realo_runtime::graph::{FlatGraph, Graph, InputSource, Severity, validate};
 use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 
 fn small() -> PathBuf {
@@ -47,6 +49,34 @@ fn a_cut_log_is_played_up_to_the_cut_and_reported() {
         .as_u64()
         .expect("frames.processed");
     assert!((10..40).contains(&frames), "{frames} of 40 sweeps before the cut");
+}
+
+#[test]
+fn of_a_cut_log_with_clouds_no_sweep_is_played_whose_poses_or_detections_are_missing() {
+    let args = [
+        "--seed",
+        "907",
+        "--seconds",
+        "3",
+        "--agents",
+        "cav1,rsu1",
+        "--key-hz",
+        "10",
+    ];
+    let log = simulated("clouds", &args);
+    let whole = fs::read(&log).expect("the log can be read");
+    let dir = folder("cut_clouds");
+    for percent in [55, 70, 85, 99] {
+        let cut = dir.join(format!("cut{percent}.mcap"));
+        fs::write(&cut, &whole[..whole.len() * percent / 100]).expect("the log can be written");
+        let out = dir.join(format!("out{percent}"));
+        let (code, said) = run(&["--log", &cut.to_string_lossy(), "--out", &out.to_string_lossy()]);
+        assert_eq!(code, Some(3), "{percent} %: {said}");
+        let frames = &json(&out.join("result.json"))["frames"];
+        assert_eq!(frames["skipped"], 0, "{percent} %: {frames}");
+        let total = frames["total"].as_u64().expect("frames.total");
+        assert!((1..30).contains(&total), "{percent} %: {total} sweeps before the cut");
+    }
 }
 
 #[test]
@@ -100,6 +130,101 @@ fn options_that_exclude_each_other_are_refused() {
             text(&output.stderr).contains("drop") || text(&output.stderr).contains("--rate"),
             "{args:?}"
         );
+    }
+}
+
+/// Late fusion of recorded detections, wired anew.
+fn rewired(name: &str, change: impl FnOnce(&mut FlatGraph)) -> PathBuf {
+    let graph = Graph::load(Path::new(&graph("late_fusion"))).expect("the graph can be read");
+    let mut flat = graph.with_recorded_detections().expand().expect("it can be expanded");
+    change(&mut flat);
+    let dir = folder(name);
+    std::os::unix::fs::symlink(flat.types(), dir.join("types")).expect("links can be made");
+    let path = dir.join(format!("{name}.yml"));
+    fs::write(&path, flat.to_yaml().expect("it can be written")).expect("the graph can be written");
+    path
+}
+
+/// Wires an input of a node anew, and says which type it takes.
+fn wire(flat: &mut FlatGraph, [id, port]: [&str; 2], [from, output]: [&str; 2], takes: &str) {
+    let node = flat.nodes.iter_mut().find(|node| node.id == id);
+    let node = node.unwrap_or_else(|| panic!("no node {id}"));
+    let input = node
+        .inputs
+        .get_mut(port)
+        .unwrap_or_else(|| panic!("no input {port} of {id}"));
+    input.source = InputSource::Output {
+        node: from.into(),
+        output: output.into(),
+    };
+    node.input_types.insert(port.into(), format!("realo/v1/{takes}"));
+}
+
+fn run_rewired(path: &Path) -> std::process::Output {
+    let (log, out) = (small(), path.with_file_name("out"));
+    let mut args: Vec<std::ffi::OsString> = vec!["run".into(), path.into(), "--mode".into(), "virtual".into()];
+    args.extend(["--log".into(), log.into(), "--out".into(), out.into()]);
+    realo(args)
+}
+
+#[test]
+fn a_message_of_the_wrong_type_ends_the_run_and_names_the_port() {
+    let path = rewired("wrong_type", |flat| {
+        wire(flat, ["decoder", "packets"], ["state.link", "to_ego"], "Packet");
+    });
+    let output = run_rewired(&path);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for named in [
+        "`bank`",
+        "input `others`",
+        "PointCloud or FeatureMap or Boxes",
+        "found EgoState",
+        "`decoder`",
+    ] {
+        assert!(said.contains(named), "`{named}` in: {said}");
+    }
+}
+
+#[test]
+fn what_cannot_be_fused_with_the_egos_data_is_rejected_in_the_books() {
+    let path = rewired("wrong_payload", |flat| {
+        wire(
+            flat,
+            ["encoder", "messages"],
+            ["others.localization", "clouds"],
+            "PointCloud",
+        );
+        wire(flat, ["bank", "others"], ["decoder", "messages"], "PointCloud");
+        let decoder = flat.nodes.iter_mut().find(|node| node.id == "decoder");
+        let types = &mut decoder.expect("the graph has a decoder").output_types;
+        types.insert("messages".into(), "realo/v1/PointCloud".into());
+    });
+    let output = run_rewired(&path);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let result = json(&path.with_file_name("out").join("result.json"));
+    let books = &result["links"]["rsu1-cav1"]["points"];
+    assert!(books["sent"].as_u64().is_some_and(|sent| sent > 0), "{result}");
+    assert_eq!(books["rejected"], books["sent"], "{books}");
+}
+
+#[test]
+fn a_link_that_is_not_told_where_the_agents_are_is_refused() {
+    for missing in ["ego_state", "states"] {
+        let path = rewired("no_states", |flat| {
+            let link = flat.nodes.iter_mut().find(|node| node.id == "link").expect("a link");
+            link.inputs.remove(missing);
+            link.input_types.remove(missing);
+        });
+        let findings = validate(&FlatGraph::load(&path).expect("it can be read"), &REGISTRY);
+        let found = findings
+            .iter()
+            .any(|f| f.severity == Severity::Error && f.node == "link" && f.port.as_deref() == Some(missing));
+        assert!(found, "{missing}: {findings:?}");
+        let output = run_rewired(&path);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{missing}: {said}");
+        assert!(said.contains("`link`") && said.contains(missing), "{said}");
     }
 }
 

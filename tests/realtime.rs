@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -10,6 +11,8 @@ use std::time::{Duration, Instant};
 
 use common::{folder, graph, json, realo_ok, run_virtual, simulated, text};
 use realo_runtime::graph::{FlatGraph, Graph};
+use realo_schemas::Nanos;
+use realo_schemas::report::BankReport;
 use serde_json::Value;
 
 /// Realtime runs share the machine's cores with nothing of ours.
@@ -95,27 +98,98 @@ fn realtime_without_delays_gives_the_boxes_of_virtual_time() {
     );
 }
 
+/// What profile `paper` takes to carry boxes, ns.
+const PAPER_BOXES: Nanos = 10_000_000;
+/// What the bank selects from, ns.
+const WINDOW: Nanos = 400_000_000;
+
+/// Boxes of one agent, as they left it.
+struct Made {
+    agent: String,
+    seq: u64,
+    stamp: Nanos,
+    done: Nanos,
+}
+
+fn made(recording: &Path) -> Vec<Made> {
+    let detections = realo_recorder::read_detections(recording).expect("the recording can be read");
+    let made = detections.into_iter().map(|message| Made {
+        agent: message.header.agent.to_string(),
+        seq: message.header.seq,
+        stamp: message.header.stamp,
+        done: message.header.ready,
+    });
+    made.collect()
+}
+
+/// Number and age of the message of a sender that a query at `asked` finds, by §4 of the design alone.
+fn calculated(made: &[Made], sender: &str, asked: Nanos) -> Option<(u64, Nanos)> {
+    let there = |boxes: &&Made| boxes.agent == sender && boxes.done + PAPER_BOXES <= asked;
+    let newest = made.iter().filter(there).max_by_key(|boxes| boxes.stamp)?;
+    let age = asked - newest.stamp;
+    (age <= WINDOW).then_some((newest.seq, age))
+}
+
+/// Number and age of the message of a sender that the bank selected.
+fn selected(report: &BankReport, sender: &str) -> Option<(u64, Nanos)> {
+    let entry = report.selected.iter().find(|entry| entry.message.agent == sender)?;
+    Some((entry.message.seq, entry.age_ns))
+}
+
+fn bank_reports(recording: &Path) -> Vec<BankReport> {
+    let reports = realo_recorder::read_reports(recording).expect("the recording can be read");
+    let of_bank = reports.into_iter().filter(|report| report["topic"] == "bank");
+    let read = |mut report: Value| serde_json::from_value(report["report"].take()).expect("a report of the bank");
+    of_bank.map(read).collect()
+}
+
+/// |Realised age - calculated age| of every answer, ns, rising, and how many took another message than calculated.
+fn differences(made: &[Made], reports: &[BankReport]) -> (Vec<Nanos>, usize) {
+    let senders: BTreeSet<&str> = made.iter().map(|boxes| boxes.agent.as_str()).collect();
+    let (mut differences, mut others) = (Vec::new(), 0);
+    for report in reports {
+        // Of a query that never reached the recorder nothing can be calculated.
+        let query = made
+            .iter()
+            .find(|boxes| boxes.agent == report.agent && Some(boxes.seq) == report.query);
+        let Some(query) = query else { continue };
+        for sender in senders.iter().filter(|sender| **sender != report.agent) {
+            let found = (selected(report, sender), calculated(made, sender, query.done));
+            others += usize::from(found.0.map(|(seq, _)| seq) != found.1.map(|(seq, _)| seq));
+            match found {
+                (Some((_, realised)), Some((_, calculated))) => differences.push((realised - calculated).abs()),
+                (None, None) => {}
+                // One of them found nothing: as far apart as can be.
+                _ => differences.push(WINDOW),
+            }
+        }
+    }
+    differences.sort_unstable();
+    (differences, others)
+}
+
 #[test]
-fn realised_age_follows_the_link() {
+fn realised_age_is_that_of_an_independent_calculation() {
     let _alone = alone();
     let out = folder("age");
-    let result = run_realtime(&out, &locked(), &["--link", "paper"]);
-    // All sweeps end together; boxes take 10 ms, so a query finds those of the sweep before, whose stamp (mid-sweep) lies
-    // 150 ms before the end of its own.
-    let age = |share: &str| {
-        result["age_ms"][share]
-            .as_f64()
-            .unwrap_or_else(|| panic!("{}", result["age_ms"]))
-    };
-    let timing = json(&out.join("timing.json"));
-    let graph_ms = timing["latency_ms"]["end_to_end"]["p50"].as_f64().expect("a latency");
+    // Without the gate, so that the calculation needs no positions.
+    let result = run_realtime(&out, &locked(), &["--link", "paper", "--set", "link.range_m=100000"]);
+    let recording = walk(&out).into_iter().find(|path| path.ends_with("recording.mcap"));
+    let recording = recording.expect("there is a recording");
+    let (made, reports) = (made(&recording), bank_reports(&recording));
+    let (differences, others) = differences(&made, &reports);
+    assert!(differences.len() >= 60, "only {} answers", differences.len());
+    let share = |percent: usize| differences[(differences.len() - 1) * percent / 100] as f64 * 1e-6;
     println!(
-        "age of the data used: p50 {:.2} ms, p99 {:.2} ms; 150 ms and the ego's way to its query, at most {graph_ms:.2} ms",
-        age("p50"),
-        age("p99")
+        "{} answers, {others} of another message than calculated; |realised age - calculated age| p50 {:.3} ms, p99 {:.3} \
+         ms (idle: at most 5 ms); ages {}",
+        differences.len(),
+        share(50),
+        share(99),
+        result["age_ms"]
     );
-    let late = age("p50") - 150.0;
-    assert!((0.0..graph_ms + 1.0).contains(&late), "{} {graph_ms}", result["age_ms"]);
+    // A busy machine may delay single messages past a query; the rule itself shows in the median.
+    assert!(share(50) <= 5.0, "p50 {} ms, {others} other messages", share(50));
 }
 
 fn tampered_graph(dir: &Path, report: &Path) -> PathBuf {

@@ -69,6 +69,8 @@ pub enum Fate {
     Stale,
     /// A newer one of its sender took its place, or it came older than what was held.
     Superseded,
+    /// Of another payload than what it was to be fused with.
+    Rejected,
     /// Still held, never asked for, after the last query.
     InFlight,
 }

@@ -99,7 +99,7 @@ struct Sent<'w> {
     start: Nanos,
 }
 
-/// What the link does with packets: those that it sent, and those that were too far away.
+/// What the link does with packets: those that it sent, and those of agents too far away or at no known place.
 fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sweep>) {
     enum What<'w> {
         Packet(&'w Sweep),
@@ -139,7 +139,7 @@ fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sw
             let [dx, dy] = [a[0] - b[0], a[1] - b[1]];
             (dx * dx + dy * dy).sqrt()
         });
-        if distance.is_some_and(|distance| distance > world.range_m) {
+        if distance.is_none_or(|distance| distance > world.range_m) {
             out_of_range.push(*sweep);
             continue;
         }

@@ -145,7 +145,7 @@ impl World {
         };
         for other in others {
             world.sweeps.extend(sweeps(random, other, style));
-            // An agent whose position is not known passes the gate.
+            // An agent whose position is not known does not pass the gate.
             if random.chance(90) {
                 world.fixes.extend(fixes(random, other, style));
             }

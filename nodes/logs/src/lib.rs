@@ -14,7 +14,8 @@
 //!
 //! Log time is when a message existed (a sweep: its end), publish time the measurement's stamp; the message's sequence
 //! counts per topic from 0. Messages of one sweep (points, detections, truth) share their stamp. Chunks are zstd, at
-//! most 0.5 s long, and never hold clouds beside other messages. The metadata record `realo` at the beginning says what
+//! most 0.5 s long, and never hold clouds beside other messages. A log that was cut is read up to the time before which
+//! neither clouds nor anything else is missing. The metadata record `realo` at the beginning says what
 //! the log is ([`LogInfo`]); `realo_end` lists the scored frames.
 
 pub mod boxes;

@@ -28,10 +28,7 @@ impl Log {
             return Err(not_realo(&file));
         };
         let info = LogInfo::from_record(path, record)?;
-        let truncation = file.truncation().cloned().map(|cut| Truncation {
-            expected_end: info.end,
-            ..cut
-        });
+        let truncation = truncation(&file, &info);
         let mut streams = BTreeMap::new();
         for (id, channel) in file.channels().iter().filter(|(_, channel)| channel.messages > 0) {
             let Some((agent, stream)) = parse_topic(&channel.topic) else {
@@ -78,9 +75,17 @@ impl Log {
         self.truncation.as_ref()
     }
 
-    /// First and last log time, ns; `None` without messages.
+    /// First and last log time, ns, up to which no message is missing; `None` without messages.
     pub fn span(&self) -> Option<(Nanos, Nanos)> {
-        self.file.span().map(|(first, last)| (first as Nanos, last as Nanos))
+        let (first, last) = self.file.span()?;
+        let (first, last) = (first as Nanos, (last as Nanos).min(self.complete_until() - 1));
+        (first <= last).then_some((first, last))
+    }
+
+    /// Log time before which no message is missing.
+    fn complete_until(&self) -> Nanos {
+        let until = self.truncation.as_ref().and_then(|cut| cut.complete_until);
+        until.unwrap_or(Nanos::MAX)
     }
 
     /// Stamps of the scored frames of each agent; `None` for a log that was not finished.
@@ -145,7 +150,7 @@ impl Log {
     }
 
     /// Messages of the wanted streams with log times in `[from, until)`, in order of log time, then of [`Stream`], then
-    /// of the agents in [`LogInfo::agents`].
+    /// of the agents in [`LogInfo::agents`]. A log that was cut is read up to where messages are missing.
     ///
     /// # Errors
     /// A wanted stream that the log does not have.
@@ -163,6 +168,7 @@ impl Log {
             channels.insert(id, (*stream, rank, Name::from(*agent)));
         }
         let ids: BTreeSet<u16> = channels.keys().copied().collect();
+        let until = until.min(self.complete_until());
         let messages = self.file.messages(ids, from.max(0) as u64..until.max(0) as u64)?;
         Ok(LogReader {
             messages,
@@ -179,6 +185,18 @@ impl Log {
     pub fn read_all(&self, wanted: &[(&str, Stream)]) -> Result<LogReader, LogError> {
         self.read(wanted, 0, Nanos::MAX)
     }
+}
+
+/// Where the file was cut, and what it lacks by what the log says of itself.
+fn truncation(file: &McapFile, info: &LogInfo) -> Option<Truncation> {
+    let cut = file.truncation()?;
+    // The closing record follows the last message: of such a log only the index is missing.
+    let complete = file.metadata().contains_key(END_RECORD).then(|| file.span()).flatten();
+    Some(Truncation {
+        complete_until: complete.map(|(_, last)| last as Nanos + 1).or(cut.complete_until),
+        expected_end: info.end,
+        ..cut.clone()
+    })
 }
 
 fn not_realo(file: &McapFile) -> LogError {

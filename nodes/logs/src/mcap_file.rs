@@ -13,7 +13,7 @@ use mcap::sans_io::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 use realo_schemas::{Nanos, to_seconds};
 use serde::Serialize;
 
-use crate::LogError;
+use crate::{Lane, LogError};
 
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 /// Opcode and length.
@@ -32,8 +32,8 @@ pub struct Truncation {
     pub file_bytes: u64,
     /// What follows the readable part.
     pub reason: String,
-    /// Log time of the last readable message, ns.
-    pub last_message: Option<Nanos>,
+    /// Log time before which no message is missing, ns; `None` if none is left.
+    pub complete_until: Option<Nanos>,
     /// When the log was to end, where it says so, ns.
     pub expected_end: Option<Nanos>,
 }
@@ -45,9 +45,9 @@ impl std::fmt::Display for Truncation {
             "cut at byte {} of {} ({})",
             self.at_byte, self.file_bytes, self.reason
         )?;
-        match (self.last_message, self.expected_end) {
-            (Some(last), Some(end)) => write!(f, "; the last {:.3} s are missing", to_seconds(end - last).max(0.0)),
-            (Some(last), None) => write!(f, "; whatever followed {:.3} s is missing", to_seconds(last)),
+        match (self.complete_until, self.expected_end) {
+            (Some(until), Some(end)) => write!(f, "; the last {:.3} s are missing", to_seconds(end - until).max(0.0)),
+            (Some(until), None) => write!(f, "; from {:.3} s on messages are missing", to_seconds(until)),
             (None, _) => write!(f, "; no message is left"),
         }
     }
@@ -363,6 +363,29 @@ struct Scan {
     counts: BTreeMap<u16, u64>,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
     spans: Vec<Span>,
+    lanes: BTreeMap<Lane, Reach>,
+    /// Whether the record behind the last message was found.
+    all_data: bool,
+}
+
+/// How far the messages of a lane reach.
+#[derive(Clone, Copy, Default)]
+struct Reach {
+    newest: u64,
+    /// By how much a message lay before an earlier one of the file.
+    disorder: u64,
+}
+
+impl Reach {
+    fn note(&mut self, time: u64) {
+        self.newest = self.newest.max(time);
+        self.disorder = self.disorder.max(self.newest - time);
+    }
+
+    /// More messages of the newest time may have followed, and as late ones as there were before.
+    fn complete_until(self) -> u64 {
+        self.newest.saturating_sub(self.disorder)
+    }
 }
 
 impl Scan {
@@ -377,6 +400,17 @@ impl Scan {
             counts: BTreeMap::new(),
             metadata: BTreeMap::new(),
             spans: Vec::new(),
+            lanes: BTreeMap::new(),
+            all_data: false,
+        }
+    }
+
+    /// Log time before which no message is missing.
+    fn complete_until(&self, last: Option<u64>) -> Option<u64> {
+        match self.all_data {
+            true => last.map(|last| last.saturating_add(1)),
+            // Lanes are cut at different times: what one lacks, the others' messages cannot do without.
+            false => self.lanes.values().map(|reach| reach.complete_until()).min(),
         }
     }
 
@@ -404,11 +438,12 @@ impl Scan {
         };
         let first = with_messages().map(|span| span.first).min();
         let last = with_messages().map(|span| span.last).max();
+        let complete_until = self.complete_until(last);
         let truncation = cut.map(|reason| Truncation {
             at_byte: self.at,
             file_bytes: self.size,
             reason,
-            last_message: last.map(|last| last as Nanos),
+            complete_until: complete_until.map(|until| until.min(Nanos::MAX as u64) as Nanos),
             expected_end: None,
         });
         let spans = Arc::new(sorted(self.spans));
@@ -513,6 +548,7 @@ impl Scan {
                 false => (span.first.min(time), span.last.max(time)),
             };
             channels.insert(channel);
+            self.lanes.entry(self.lane_of(channel)).or_default().note(time);
             *self.counts.entry(channel).or_default() += 1;
             return Ok(());
         }
@@ -532,9 +568,18 @@ impl Scan {
             Record::Metadata(record) => {
                 self.metadata.insert(record.name, record.metadata);
             }
+            Record::DataEnd(_) => self.all_data = true,
             _ => {}
         }
         Ok(())
+    }
+
+    fn lane_of(&self, channel: u16) -> Lane {
+        let schema = self
+            .channels
+            .get(&channel)
+            .and_then(|(_, schema)| self.schemas.get(schema));
+        schema.map_or(Lane::Small, |schema| Lane::of(schema))
     }
 }
 

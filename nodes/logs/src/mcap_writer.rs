@@ -41,12 +41,22 @@ impl Output for File {
 pub struct ChannelId(u16);
 
 /// Messages of different lanes never share a chunk, so that small ones can be read without decompressing clouds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Lane {
     /// Everything but clouds.
     Small,
     /// Clouds.
     Bulk,
+}
+
+impl Lane {
+    /// The lane of messages of a schema, by its name.
+    pub fn of(schema: &str) -> Self {
+        match schema == Schema::PointCloud2.name() {
+            true => Lane::Bulk,
+            false => Lane::Small,
+        }
+    }
 }
 
 /// Why writing stopped.

@@ -71,9 +71,6 @@ impl Stream {
     }
 
     pub(crate) fn lane(self) -> Lane {
-        match self {
-            Stream::Points => Lane::Bulk,
-            _ => Lane::Small,
-        }
+        Lane::of(&self.schema().name())
     }
 }

@@ -300,11 +300,11 @@ impl Feed {
             entry.ready()
         };
         let shift = Nanos::from(self.pass) * self.period;
-        let before = u64::from(self.pass) * self.script.log.count(&entry.agent, entry.stream);
-        let seq = match kind {
-            Kind::Boxes => seq + u64::from(self.pass) * self.sweeps_per_pass(&entry.agent),
-            _ => seq + before,
+        let per_pass = match kind {
+            Kind::EgoState => self.script.log.count(&entry.agent, entry.stream),
+            _ => sweeps_per_pass(&self.script.log, &entry.agent),
         };
+        let seq = seq + u64::from(self.pass) * per_pass;
         let (run, agent) = (&self.script.run, &self.agents[rank]);
         let header = Header::origin(run, agent, kind, seq, entry.stamp() + shift, release + shift);
         let port = if rank == 0 { ego } else { other };
@@ -316,8 +316,15 @@ impl Feed {
             message,
         }));
     }
+}
 
-    fn sweeps_per_pass(&self, agent: &str) -> u64 {
-        self.script.log.count(agent, self.script.sweep_stream(agent))
-    }
+/// By how much the number of a sweep, of its detections and of its truth rises from one pass over a log to the next.
+pub fn sweeps_per_pass(log: &Log, agent: &str) -> u64 {
+    // Of a log that was cut, one of the two topics may reach further.
+    let streams = [Stream::Points, Stream::Sweeps];
+    streams
+        .map(|stream| log.count(agent, stream))
+        .into_iter()
+        .max()
+        .unwrap_or(0)
 }

@@ -28,6 +28,7 @@ use realo_runtime::{Argument, Describe, Error, Port, PortId, Source};
 use realo_schemas::{Message, Nanos, PayloadType, from_seconds};
 use serde::{Deserialize, Serialize};
 
+pub use feed::sweeps_per_pass;
 use feed::{Counters, Feed, Release, Script};
 pub use plan::{Coop, Plan, PlanError, PlannedRun, plan};
 

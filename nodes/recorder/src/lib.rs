@@ -3,7 +3,7 @@
 //! | input | type | recorded as |
 //! |---|---|---|
 //! | `boxes` | Boxes | `/<agent>/boxes`, `…_info`, `…_markers`: the final boxes; [`read_boxes`] restores them bit for bit |
-//! | `ego_boxes`, `other_boxes` | Boxes | `/<agent>/detections`, `…_info`: what each agent detected alone |
+//! | `ego_boxes`, `other_boxes` | Boxes | `/<agent>/detections`, `…_info`: what each agent detected alone; [`read_detections`] |
 //! | `ego_state`, `states` | EgoState | `/<agent>/pose`, `/tf` |
 //! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers` |
 //! | `packets`, `state_packets` | Packet | `/packets`: their headers and sizes |
@@ -22,7 +22,7 @@ use realo_runtime::{Argument, Books, Describe, Error, Port, PortId, Sink};
 use realo_schemas::{Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
-pub use read::{read_boxes, read_reports, read_truth};
+pub use read::{read_boxes, read_detections, read_reports, read_truth};
 use recording::Recording;
 
 /// Settings of the recorder.

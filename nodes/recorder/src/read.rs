@@ -13,11 +13,21 @@ use serde_json::Value;
 /// # Errors
 /// A file that cannot be read or is no recording; messages that cannot be read.
 pub fn read_boxes(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
-    let messages = read_with_companions(recording.as_ref(), "/boxes", Kind::Boxes)?;
-    Ok(messages
-        .into_iter()
-        .map(|(header, boxes, _)| Message::new(header, boxes))
-        .collect())
+    read_all_boxes(recording.as_ref(), "/boxes")
+}
+
+/// What each agent detected alone, as [`read_boxes`].
+///
+/// # Errors
+/// As [`read_boxes`].
+pub fn read_detections(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
+    read_all_boxes(recording.as_ref(), "/detections")
+}
+
+fn read_all_boxes(recording: &Path, ending: &str) -> Result<Vec<Message>, LogError> {
+    let messages = read_with_companions(recording, ending, Kind::Boxes)?;
+    let message = |(header, boxes, _): WithCompanion| Message::new(header, boxes);
+    Ok(messages.into_iter().map(message).collect())
 }
 
 /// The recorded ground truth, as [`read_boxes`]; without the ego's footprint.

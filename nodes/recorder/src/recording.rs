@@ -152,15 +152,10 @@ impl Recording {
         encode: impl FnOnce(&mut Vec<u8>),
     ) -> Result<(), LogError> {
         self.last = self.last.max(ready);
-        let lane = if schema == Schema::PointCloud2 {
-            Lane::Bulk
-        } else {
-            Lane::Small
-        };
         let channel = match self.channels.get(topic) {
             Some(channel) => *channel,
             None => {
-                let channel = self.mcap.channel(topic, schema, lane);
+                let channel = self.mcap.channel(topic, schema, Lane::of(&schema.name()));
                 self.channels.insert(topic.into(), channel);
                 channel
             }

@@ -184,6 +184,7 @@ impl Ledger {
         match fate {
             Fate::Stale => fates.stale += 1,
             Fate::Superseded => fates.superseded += 1,
+            Fate::Rejected => fates.rejected += 1,
             Fate::InFlight => fates.in_flight += 1,
             // It was selected, but that report never came: it stays unaccounted, in sight.
             Fate::Unused => {}
@@ -337,13 +338,19 @@ mod tests {
         ledger.bank(bank(
             Some(0),
             &[],
-            &[(1, Fate::Stale), (2, Fate::Superseded), (3, Fate::Superseded)],
+            &[
+                (1, Fate::Stale),
+                (2, Fate::Superseded),
+                (3, Fate::Superseded),
+                (6, Fate::Rejected),
+            ],
         ));
         ledger.bank(bank(None, &[], &[(4, Fate::InFlight)]));
         assert_eq!(ledger.open(), 1, "the query whose fusion may still come");
         let expected = Fates {
             stale: 1,
             superseded: 2,
+            rejected: 1,
             in_flight: 1,
             ..Fates::default()
         };

@@ -18,6 +18,21 @@ pub enum EvaluationError {
         /// Number of the sweep.
         seq: u64,
     },
+    /// Truth and boxes of one number, but of two sweeps.
+    #[error(
+        "sweep {seq} of {agent}: truth has stamp {truth} ns, boxes have {boxes} ns; are they of one log, and do boxes keep \
+         the stamp of their sweep?"
+    )]
+    Stamps {
+        /// The ego.
+        agent: String,
+        /// Number of the sweep.
+        seq: u64,
+        /// Stamp of the truth.
+        truth: Nanos,
+        /// Stamp of the boxes.
+        boxes: Nanos,
+    },
     /// Truth and boxes that cannot be compared.
     #[error(
         "sweep {seq} of {agent}: truth is in frame `{truth}`, boxes are in `{boxes}`; bring the boxes to the frame of the truth"
@@ -34,7 +49,7 @@ pub enum EvaluationError {
     },
 }
 
-/// Joins truth and boxes by (agent, seq), in any order of arrival, and keeps what the protocol counts.
+/// Joins truth and boxes by (agent, seq), whose stamps must agree, in any order of arrival, and keeps what the protocol counts.
 pub struct Collector {
     protocol: Protocol,
     egos: BTreeMap<Name, Ego>,
@@ -65,6 +80,7 @@ struct TruthPart {
 
 /// Boxes that wait for the truth of their sweep.
 struct BoxesPart {
+    stamp: Nanos,
     frame: Name,
     boxes: Vec<Box3>,
 }
@@ -81,7 +97,7 @@ impl Collector {
     /// Takes the truth of a sweep.
     ///
     /// # Errors
-    /// [`EvaluationError`] if there was one for this sweep, or if boxes that wait for it are in another frame.
+    /// [`EvaluationError`] if there was one for this sweep, or if boxes that wait for it have another stamp or frame.
     pub fn add_truth(&mut self, header: &Header, truth: &GroundTruth) -> Result<(), EvaluationError> {
         let ego = self.egos.entry(header.agent.clone()).or_default();
         let sweep = ego.sweeps.entry(header.seq).or_default();
@@ -106,7 +122,7 @@ impl Collector {
     /// Takes the boxes of a sweep.
     ///
     /// # Errors
-    /// [`EvaluationError`] if there were some for this sweep, or if its truth is in another frame.
+    /// [`EvaluationError`] if there were some for this sweep, or if its truth has another stamp or frame.
     pub fn add_boxes(&mut self, header: &Header, Boxes(boxes): Boxes) -> Result<(), EvaluationError> {
         let ego = self.egos.entry(header.agent.clone()).or_default();
         let sweep = ego.sweeps.entry(header.seq).or_default();
@@ -114,6 +130,7 @@ impl Collector {
             return Err(twice("boxes", header));
         }
         sweep.boxes = Some(BoxesPart {
+            stamp: header.stamp,
             frame: header.frame.clone(),
             boxes,
         });
@@ -173,22 +190,35 @@ fn join(sweep: &mut Sweep, header: &Header, protocol: &Protocol, dropped: &mut D
     let (Some(truth), Some(_)) = (&sweep.truth, &sweep.boxes) else {
         return Ok(());
     };
-    let Some(BoxesPart { frame, boxes }) = sweep.boxes.take() else {
+    let Some(BoxesPart { stamp, frame, boxes }) = sweep.boxes.take() else {
         return Ok(());
     };
+    // A sweep whose boxes are refused counts as skipped, so that all of its objects are missed.
+    comparable(truth, stamp, frame, header)?;
     sweep.processed = true;
+    if truth.key {
+        sweep.detections = counted_detections(&boxes, truth.ego_footprint, protocol, dropped);
+    }
+    Ok(())
+}
+
+fn comparable(truth: &TruthPart, stamp: Nanos, frame: Name, header: &Header) -> Result<(), EvaluationError> {
+    let (agent, seq) = (header.agent.to_string(), header.seq);
+    if stamp != truth.stamp {
+        return Err(EvaluationError::Stamps {
+            agent,
+            seq,
+            truth: truth.stamp,
+            boxes: stamp,
+        });
+    }
     if frame != truth.frame {
-        // The sweep counts as skipped, so that all of its objects are missed.
-        sweep.processed = false;
         return Err(EvaluationError::Frames {
-            agent: header.agent.to_string(),
-            seq: header.seq,
+            agent,
+            seq,
             truth: truth.frame.clone(),
             boxes: frame,
         });
-    }
-    if truth.key {
-        sweep.detections = counted_detections(&boxes, truth.ego_footprint, protocol, dropped);
     }
     Ok(())
 }

@@ -329,6 +329,36 @@ fn range_bins_count_an_object_where_it_is() {
 }
 
 #[test]
+fn boxes_and_truth_of_two_times_are_refused_in_either_order() {
+    let later = Header {
+        stamp: header(0, Kind::Boxes).stamp + 1,
+        ..header(0, Kind::Boxes)
+    };
+    for boxes_first in [false, true] {
+        let mut collector = Collector::new(Protocol::load("default").unwrap());
+        let add_truth =
+            |collector: &mut Collector| collector.add_truth(&header(0, Kind::Truth), &truth(vec![car(10.0, 1.0)]));
+        let add_boxes = |collector: &mut Collector| collector.add_boxes(&later, Boxes(vec![car(10.0, 0.9)]));
+        let refused = if boxes_first {
+            add_boxes(&mut collector).unwrap();
+            add_truth(&mut collector)
+        } else {
+            add_truth(&mut collector).unwrap();
+            add_boxes(&mut collector)
+        };
+        let expected = EvaluationError::Stamps {
+            agent: "cav1".into(),
+            seq: 0,
+            truth: 1_000,
+            boxes: 1_001,
+        };
+        assert_eq!(refused, Err(expected));
+        let scenes = collector.finish().scenes;
+        assert!(!scenes[0].frames[0].processed, "its objects are missed");
+    }
+}
+
+#[test]
 fn refuses_second_messages_and_boxes_of_another_frame() {
     let mut operator = Evaluator::new(Config::default()).unwrap();
     let mut out = Outputs::at(0);

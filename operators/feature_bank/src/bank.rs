@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use realo_schemas::report::{BankReport, Departed, MessageId, Selected};
-use realo_schemas::{Header, Message, Name, Nanos, to_millis};
+use realo_schemas::{Header, Message, Name, Nanos, PayloadType, to_millis};
 
 use crate::sender::Sender;
 
@@ -27,6 +27,18 @@ pub enum BankError {
         by_ms: f64,
         /// The limit, ms.
         limit_ms: f64,
+    },
+    /// A payload that the ego's cannot be fused with.
+    #[error(
+        "{message}: found {found}, expected {expected} as the ego's queries have; wire outputs of one type to `ego` and `others`"
+    )]
+    Payload {
+        /// The message.
+        message: String,
+        /// What the ego asks with.
+        expected: PayloadType,
+        /// What came.
+        found: PayloadType,
     },
     /// One agent too many.
     #[error("{message}: {limit} other agents are known already (argument `max_agents`)")]
@@ -73,6 +85,8 @@ pub struct Bank {
     /// Messages held of a sender at the same time.
     held: usize,
     ego: Option<Name>,
+    /// What the ego asks with, once it has asked.
+    payload: Option<PayloadType>,
     senders: BTreeMap<Name, Sender>,
     departed: Vec<Departed>,
 }
@@ -80,7 +94,8 @@ pub struct Bank {
 impl Bank {
     /// An empty bank.
     pub fn new(window: Nanos, offline: bool, ahead: Nanos, max_agents: usize, forget: Nanos) -> Self {
-        let (held, ego, senders, departed) = (HELD, None, BTreeMap::new(), Vec::new());
+        let (held, ego, payload) = (HELD, None, None);
+        let (senders, departed) = (BTreeMap::new(), Vec::new());
         Bank {
             window,
             offline,
@@ -89,19 +104,39 @@ impl Bank {
             forget,
             held,
             ego,
+            payload,
             senders,
             departed,
+        }
+    }
+
+    /// Learns what the ego asks with; what is held of other payloads departs as rejected.
+    pub fn expect(&mut self, payload: PayloadType) {
+        if self.payload != Some(payload) {
+            self.payload = Some(payload);
+            for sender in self.senders.values_mut() {
+                sender.keep_only(payload, &mut self.departed);
+            }
         }
     }
 
     /// Takes a collaborator's message; `message.header.ready` is when it came.
     ///
     /// # Errors
-    /// [`BankError`] if its stamp lies in the future or it is of one agent too many.
+    /// [`BankError`] if its payload is not that of the queries, its stamp lies in the future, or it is of one agent too
+    /// many.
     pub fn insert(&mut self, message: Message) -> Result<Taken, BankError> {
         let header = &message.header;
         if self.ego.as_ref() == Some(&header.agent) {
             return Ok(Taken::FromEgo);
+        }
+        let found = message.payload.payload_type();
+        if let Some(expected) = self.payload.filter(|expected| *expected != found) {
+            return Err(BankError::Payload {
+                message: header.to_string(),
+                expected,
+                found,
+            });
         }
         let by = header.stamp.saturating_sub(header.ready);
         if by > self.ahead {

@@ -20,12 +20,13 @@
 //! | `unused` | it was in a Selection; the reports of fusion say whether it was used |
 //! | `stale` | too old when a query asked its sender: online beyond the window, offline more than 50 ms before the query and never within reach of one |
 //! | `superseded` | online a newer one of its sender was there before any query, offline a nearer one was taken |
+//! | `rejected` | it came before the first query, which has another payload |
 //! | `in_flight` | held at the end, and no query had asked for it |
 //!
 //! Copies of a message that was seen before (same agent, kind, seq and stamp among the sender's last 64) count as
 //! `repeated` and the ego's own messages as `from_ego`; neither is held nor departs. A sender that starts its seq
 //! afresh is welcome as long as its stamps go on. A message from the future (argument `ahead_ms`) or of one agent too
-//! many (argument `max_agents`) is an error, hence rejected.
+//! many (argument `max_agents`), and one whose payload is not that of the queries, is an error, hence rejected.
 
 mod bank;
 mod operator;

@@ -145,6 +145,7 @@ impl Operator for FeatureBank {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         match port {
             EGO => {
+                self.bank.expect(message.payload.payload_type());
                 let query = message.header;
                 self.last = Some(query.clone());
                 if self.bank.offline {

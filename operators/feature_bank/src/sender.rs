@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use realo_schemas::report::{Departed, Fate, MessageId};
-use realo_schemas::{Boxes, Header, Kind, Message, Nanos};
+use realo_schemas::{Boxes, Header, Kind, Message, Nanos, PayloadType};
 
 /// Ids that are remembered of a sender, to know copies by.
 const REMEMBERED: usize = 64;
@@ -11,6 +11,7 @@ const REMEMBERED: usize = 64;
 /// A message in the bank and what happened to it there.
 struct Held {
     message: Message,
+    payload: PayloadType,
     selected: bool,
     stale: bool,
     passed_over: bool,
@@ -78,6 +79,7 @@ impl Sender {
         self.held.insert(
             at,
             Held {
+                payload: message.payload.payload_type(),
                 message,
                 selected: false,
                 stale: false,
@@ -94,6 +96,19 @@ impl Sender {
                 departed.push(oldest.departed(Fate::Superseded));
             }
         }
+    }
+
+    /// Gives up what cannot be fused with a payload of this type.
+    pub fn keep_only(&mut self, expected: PayloadType, departed: &mut Vec<Departed>) {
+        let mut keep = |held: &Held| {
+            let keep = held.payload == expected;
+            if !keep {
+                departed.push(held.departed(Fate::Rejected));
+            }
+            keep
+        };
+        self.dropped.retain(&mut keep);
+        self.held.retain(keep);
     }
 
     /// Online: the message of newest stamp that is ready at `ready`, unless it is older than the window.

@@ -2,8 +2,8 @@
 //!
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
-//! | `ego_state` | in, all, state, optional | EgoState | where the ego is |
-//! | `states` | in, all, state, optional | EgoState | where the others are |
+//! | `ego_state` | in, all, state | EgoState | where the ego is |
+//! | `states` | in, all, state | EgoState | where the others are |
 //! | `ego` | in, all, optional | Packet | what the ego sends |
 //! | `others` | in, all, optional | Packet | what the others send |
 //! | `to_ego` | out | Packet | the others' packets, delivered to the ego |
@@ -15,8 +15,9 @@
 //! its own state or packet did; what comes in for nobody counts as `no_receiver`.
 //!
 //! **Range gate**: a packet is sent if the newest known positions of the two agents lie at most `range_m` apart in
-//! (x, y). It acts before `sent`. While one of the positions is unknown there is no gate; such packets count as
-//! `ungated`.
+//! (x, y). It acts before `sent`. Until both have told a position the gate is closed: such packets are out of range too,
+//! and the counter `unplaced` says how many they were. There is always a gate; a `range_m` as large as the map lets
+//! everything through that is placed.
 //!
 //! **Profiles** are TOML or YAML files; `perfect` (default: everything arrives at once) and `paper` are built in:
 //! ```toml

@@ -21,7 +21,7 @@ const REPORT: PortId = PortId(2);
 pub struct LinkConfig {
     /// Name of a built-in profile, or a file.
     pub profile: String,
-    /// Greatest distance over which packets are sent, m.
+    /// Greatest distance over which packets are sent, m; agents of unknown position are out of range.
     pub range_m: f64,
     /// Keeps the gate and the counts, without delay, jitter or loss.
     pub offline: bool,
@@ -95,12 +95,8 @@ impl Describe for Link {
         },
     ];
     const INPUTS: &'static [Port] = &[
-        Port::new("ego_state", &[PayloadType::EgoState], "where the ego is")
-            .state()
-            .optional(),
-        Port::new("states", &[PayloadType::EgoState], "where the others are")
-            .state()
-            .optional(),
+        Port::new("ego_state", &[PayloadType::EgoState], "where the ego is").state(),
+        Port::new("states", &[PayloadType::EgoState], "where the others are").state(),
         Port::new("ego", &[PayloadType::Packet], "what the ego sends").optional(),
         Port::new("others", &[PayloadType::Packet], "what the others send").optional(),
     ];
@@ -170,11 +166,11 @@ impl Link {
             .channels
             .entry((from.clone(), to.clone(), header.kind))
             .or_default();
-        if in_range == Some(false) {
+        if in_range != Some(true) {
+            out.count("unplaced", u64::from(in_range.is_none()));
             tally.out_of_range += 1;
             return;
         }
-        out.count("ungated", u64::from(in_range.is_none()));
         tally.sent += 1;
         tally.bytes += packet.bytes.len() as u64;
         let draws = self.key.draws(from, to, header.kind, header.seq);

@@ -22,7 +22,7 @@ mod wiring;
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
 pub use intake::Overflow;
 pub use operator::{Argument, Describe, Error, Operator, Outputs, Sink, Source, unexpected, wrong_port};
-pub use port::{Class, Port, PortId, Queue};
+pub use port::{Class, Port, PortId, Queue, WrongType};
 pub use profile::ComputeProfile;
 pub use registry::{AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 pub use wiring::{Node, Wiring};

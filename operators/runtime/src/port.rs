@@ -1,4 +1,4 @@
-use realo_schemas::PayloadType;
+use realo_schemas::{Message, Name, PayloadType};
 
 /// Index of a port in its operator's `INPUTS` or `OUTPUTS`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -27,6 +27,25 @@ pub enum Class {
     Data,
     /// Asks for what is there; sees everything that is ready at the same instant.
     Query,
+}
+
+/// A message of a type that an input does not take.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("input `{port}` takes {}, found {found} from `{from}`; wire an output of such a type to it", names(.expected))]
+pub struct WrongType {
+    /// The input's name.
+    pub port: &'static str,
+    /// What it takes.
+    pub expected: &'static [PayloadType],
+    /// What came.
+    pub found: PayloadType,
+    /// The node that sent it.
+    pub from: Name,
+}
+
+fn names(types: &[PayloadType]) -> String {
+    let names: Vec<_> = types.iter().map(|known| known.as_str()).collect();
+    names.join(" or ")
 }
 
 /// One input or output of an operator or node.
@@ -60,6 +79,24 @@ impl Port {
             required: true,
             join: None,
         }
+    }
+
+    /// Whether a message may come in here; both drivers ask this of every message.
+    ///
+    /// # Errors
+    /// [`WrongType`] ends the run: no message of such a wire can ever be taken.
+    pub fn admit(&self, message: &Message) -> Result<(), WrongType> {
+        let found = message.payload.payload_type();
+        if self.types.contains(&found) {
+            return Ok(());
+        }
+        let sender = message.header.trace.last().map(|stage| stage.node.clone());
+        Err(WrongType {
+            port: self.name,
+            expected: self.types,
+            found,
+            from: sender.unwrap_or_default(),
+        })
     }
 
     /// Keeps only the newest waiting message of each agent.

@@ -11,7 +11,7 @@ use realo_schemas::{Kind, Message, Name, Nanos};
 
 use crate::intake::{Intake, Overflow, Work};
 use crate::stage::{Called, Stage};
-use crate::{AnyOperator, AnySink, AnySource, Books, Built, Class, ComputeProfile, PortId, Wiring};
+use crate::{AnyOperator, AnySink, AnySource, Books, Built, Class, ComputeProfile, PortId, Wiring, WrongType};
 
 /// Why a run in virtual time failed.
 #[derive(Debug, thiserror::Error)]
@@ -31,6 +31,14 @@ pub enum RunError {
         node: String,
         /// What went wrong.
         reason: String,
+    },
+    /// A message that an input does not take.
+    #[error("node `{node}`: {wrong}")]
+    Type {
+        /// The receiver's id.
+        node: String,
+        /// Which input, what it takes, and what came.
+        wrong: WrongType,
     },
     /// A stage fell behind without bound.
     #[error("node `{node}`: {overflow}; give it a `latest` port or a faster profile")]
@@ -306,6 +314,11 @@ impl<'a> Simulation<'a> {
 
     fn arrive(&mut self, rank: usize, port: PortId, message: Message, now: Nanos) -> Result<(), RunError> {
         let node = &mut self.nodes[rank];
+        let admitted = node.stage.registration.inputs[port.0].admit(&message);
+        admitted.map_err(|wrong| RunError::Type {
+            node: node.stage.id.to_string(),
+            wrong,
+        })?;
         if let Body::Sink(sink) = &mut node.body {
             node.intake.books_of(port).received.add(&message);
             return sink

@@ -1,5 +1,5 @@
 use realo_schemas::report::{Fate, from_report};
-use realo_schemas::{Boxes, Payload, Report};
+use realo_schemas::{Boxes, Payload, PointCloud, Report};
 
 use super::*;
 
@@ -41,6 +41,35 @@ fn outcome(out: &mut Outputs) -> (Vec<Answered>, Vec<BankReport>) {
         }
     }
     (selections, reports)
+}
+
+#[test]
+fn what_cannot_be_fused_with_the_query_is_rejected_before_and_after_it_is_known() {
+    for offline in [false, true] {
+        let mut bank = bank(offline);
+        let mut out = Outputs::at(140 * MS);
+        let cloud = |seq: u64, stamp| Message {
+            payload: PointCloud::empty().into(),
+            ..message("rsu1", seq, stamp, stamp + 1)
+        };
+        bank.on_input(OTHERS, cloud(4, 95), &mut out).unwrap();
+        bank.on_input(OTHERS, message("rsu1", 3, 90, 92), &mut out).unwrap();
+        bank.on_input(EGO, message("cav1", 7, 100, 140), &mut out).unwrap();
+        let error = bank.on_input(OTHERS, cloud(5, 100), &mut out).unwrap_err().to_string();
+        assert!(
+            error.contains("expected Boxes") && error.contains("found PointCloud"),
+            "{error}"
+        );
+        bank.on_end(&mut out).unwrap();
+        let (selections, reports) = outcome(&mut out);
+        assert_eq!(selections[0].2, ["rsu1:3"], "offline {offline}");
+        let fates: Vec<_> = reports
+            .iter()
+            .flat_map(|report| &report.departed)
+            .map(|departed| (departed.message.seq, departed.fate))
+            .collect();
+        assert_eq!(fates, [(4, Fate::Rejected), (3, Fate::Unused)], "offline {offline}");
+    }
 }
 
 #[test]

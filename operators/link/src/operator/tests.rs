@@ -39,6 +39,16 @@ fn link(profile: &str) -> Link {
     .unwrap()
 }
 
+/// A link that knows all agents to stand at one place.
+fn placed(mut link: Link) -> Link {
+    let out = &mut Outputs::at(0);
+    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), out).unwrap();
+    for other in ["rsu1", "cav2"] {
+        link.on_input(STATES, state(other, 0, 0.0, 0.0), out).unwrap();
+    }
+    link
+}
+
 fn report(link: &mut Link) -> Vec<Channel> {
     let mut out = Outputs::at(99 * MS);
     link.on_end(&mut out).unwrap();
@@ -53,7 +63,7 @@ fn report(link: &mut Link) -> Vec<Channel> {
 
 #[test]
 fn paper_delays_by_kind_from_the_time_of_sending() {
-    let mut link = link("paper");
+    let mut link = placed(link("paper"));
     let kinds = [
         (Kind::Boxes, 10_000_000),
         (Kind::Points, 144_200_000),
@@ -94,11 +104,11 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
             .unwrap();
         out.take_sent().len()
     };
-    assert_eq!(delivered(&mut link, &[]), 1, "no gate without positions");
+    assert_eq!(delivered(&mut link, &[]), 0, "closed without positions");
     assert_eq!(
         delivered(&mut link, &[("cav1", 0, 1e6, 1e6)]),
-        1,
-        "nor with one of them"
+        0,
+        "and with one of them"
     );
     assert_eq!(delivered(&mut link, &[("rsu1", 0, 1e6 + 42.0, 1e6 + 56.0)]), 1, "70 m");
     assert_eq!(delivered(&mut link, &[("rsu1", 5, 1e6 + 42.1, 1e6 + 56.0)]), 0);
@@ -108,11 +118,11 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
         "an older state does not count"
     );
     assert_eq!(delivered(&mut link, &[("cav1", 6, 1e6 + 10.0, 1e6)]), 1);
-    assert_eq!(out.counted("ungated"), 2);
+    assert_eq!(out.counted("unplaced"), 2);
     let channels = report(&mut link);
     assert_eq!(
         (channels[0].sent, channels[0].out_of_range, channels[0].bytes),
-        (4, 2, 40)
+        (2, 4, 20)
     );
 }
 
@@ -120,6 +130,8 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
 fn the_egos_packets_go_to_every_other_agent() {
     let mut link = link("paper");
     let mut out = Outputs::at(0);
+    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
+    link.on_input(STATES, state("cav2", 0, 0.0, 20.0), &mut out).unwrap();
     link.on_input(STATES, state("rsu2", 0, 10.0, 0.0), &mut out).unwrap();
     link.on_input(OTHERS, packet("cav2", Kind::EgoState, 0, 0, 10), &mut out)
         .unwrap();
@@ -170,7 +182,7 @@ fn delivered(link: &mut Link, order: impl Iterator<Item = u64>) -> BTreeSet<(u64
 fn draws_do_not_depend_on_the_order_of_events() {
     let folder = tempfile::tempdir().unwrap();
     let profile = lossy(&folder);
-    let (mut forth, mut back) = (link(&profile), link(&profile));
+    let (mut forth, mut back) = (placed(link(&profile)), placed(link(&profile)));
     let all = delivered(&mut forth, 0..200);
     assert_eq!(all, delivered(&mut back, (0..200).rev()));
     let channel = report(&mut forth).remove(0);
@@ -182,7 +194,7 @@ fn draws_do_not_depend_on_the_order_of_events() {
         seed: 1,
         ..LinkConfig::default()
     };
-    assert_ne!(all, delivered(&mut Link::new(other).unwrap(), 0..200));
+    assert_ne!(all, delivered(&mut placed(Link::new(other).unwrap()), 0..200));
 }
 
 #[test]
@@ -194,7 +206,7 @@ fn offline_keeps_the_gate_and_the_counts_only() {
         offline: true,
         ..LinkConfig::default()
     };
-    let mut link = Link::new(config).unwrap();
+    let mut link = placed(Link::new(config).unwrap());
     let all = delivered(&mut link, 0..200);
     assert_eq!(all, (0..200).map(|seq| (seq, 100 * MS * seq as Nanos)).collect());
     let mut out = Outputs::at(0);

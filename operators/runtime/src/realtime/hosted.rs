@@ -185,19 +185,10 @@ impl Host {
                 return Ok(());
             }
         }
-        let found = message.payload.payload_type();
-        if !declared.types.contains(&found) {
-            let expected: Vec<_> = declared.types.iter().map(|t| t.as_str()).collect();
-            let reason = format!(
-                "input `{id}` takes {}, found {found} from {}",
-                expected.join(" or "),
-                edge.from
-            );
-            return Err(HostError::Wiring {
-                id: self.link.id.clone(),
-                reason,
-            });
-        }
+        declared.admit(&message).map_err(|wrong| HostError::Wiring {
+            id: self.link.id.clone(),
+            reason: wrong.to_string(),
+        })?;
         self.run = message.header.run.clone();
         let mut ready = Vec::new();
         let hop = message.header.hop;

@@ -1,15 +1,18 @@
 //! `realo evaluate`: a recording scored after the fact, with the code that scores in the graph.
 
+mod played;
+
 use std::path::PathBuf;
 
-use eyre::{Result, bail, eyre};
+use eyre::{Result, WrapErr, bail, eyre};
 use realo_evaluator::{Evaluation, Protocol, frame_scores};
 use realo_player::{Coop, Player};
 use realo_results::{Run, Settings};
 use realo_runtime::Source;
-use realo_schemas::{Boxes, GroundTruth, Header, Kind};
+use realo_schemas::{Boxes, GroundTruth, Kind};
 
 use crate::Outcome;
+use played::{Sweep, Sweeps};
 
 /// Scores a recording's boxes against a log's ground truth: the table of the run, without model or graph
 #[derive(clap::Args)]
@@ -45,12 +48,15 @@ pub fn main(args: &Args) -> Result<Outcome> {
         );
     };
     let ego = first.header.agent.to_string();
-    let agents = if args.agents.is_empty() {
-        recorded_agents(args)?
-    } else {
-        args.agents.clone()
+    let played = recorded_truth(args)?;
+    let agents = match args.agents.is_empty() {
+        true => played[0].1.agents.iter().map(|agent| agent.to_string()).collect(),
+        false => args.agents.clone(),
     };
-    let truths = truths(args, &ego, &agents)?;
+    let per_pass = realo_player::sweeps_per_pass(&log, &ego);
+    let truths = Sweeps::new(truths(args, &ego, &agents)?, per_pass)
+        .played(&played)
+        .wrap_err_with(|| not_of_log(args))?;
     let boxes = recorded
         .into_iter()
         .map(|message| message.into_parts::<Boxes>())
@@ -106,21 +112,30 @@ fn frames_table(evaluation: &Evaluation) -> String {
     table
 }
 
-/// The agents of the mode, as the truth in the recording has them.
-fn recorded_agents(args: &Args) -> Result<Vec<String>> {
-    let truth = realo_recorder::read_truth(&args.detections)?.into_iter().next();
-    let truth = truth.map(|message| message.into_parts::<GroundTruth>()).transpose()?;
-    let truth = truth.ok_or_else(|| {
-        eyre!(
-            "{}: it has no truth that names the agents of the run: add --agents",
+/// The truth in the recording: which sweeps were played, and who took part.
+fn recorded_truth(args: &Args) -> Result<Vec<Sweep>> {
+    let truth = realo_recorder::read_truth(&args.detections)?;
+    if truth.is_empty() {
+        bail!(
+            "{}: no ground truth in this recording, expected one for each sweep that was played: wire `player/truth` to \
+             the recorder's input `truth`",
             args.detections.display()
-        )
-    })?;
-    Ok(truth.1.agents.iter().map(|agent| agent.to_string()).collect())
+        );
+    }
+    let parts = truth.into_iter().map(|message| message.into_parts::<GroundTruth>());
+    Ok(parts.collect::<Result<_, _>>()?)
+}
+
+fn not_of_log(args: &Args) -> String {
+    format!(
+        "{} is a recording of another log than {}; give the log that was played",
+        args.detections.display(),
+        args.log.display()
+    )
 }
 
 /// What the player tells the evaluator of a run of these agents.
-fn truths(args: &Args, ego: &str, agents: &[String]) -> Result<Vec<(Header, GroundTruth)>> {
+fn truths(args: &Args, ego: &str, agents: &[String]) -> Result<Vec<Sweep>> {
     let config = realo_player::Config {
         log: args.log.clone(),
         ego: ego.into(),
