@@ -3,7 +3,9 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use realo::{Outcome, bench, compare, conformance, evaluate, host, import, info, operators, run, simulate, validate};
+use realo::{
+    Outcome, bench, compare, conformance, evaluate, host, import, info, operators, render, run, simulate, validate,
+};
 
 /// Online cooperative perception for vehicles and roadside units, on dora
 #[derive(Parser)]
@@ -18,6 +20,7 @@ enum Command {
     Run(run::Args),
     Compare(compare::Args),
     Evaluate(evaluate::Args),
+    Render(render::Args),
     Simulate(simulate::Args),
     Import(import::Args),
     Info(info::Args),
@@ -34,6 +37,7 @@ fn main() -> ExitCode {
         Command::Run(args) => run::main(&args),
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),
+        Command::Render(args) => render::main(&args),
         Command::Simulate(args) => simulate::main(&args),
         Command::Import(args) => import::main(&args),
         Command::Info(args) => info::main(&args),
