@@ -12,6 +12,7 @@ pub mod import;
 pub mod info;
 pub mod operators;
 mod registry;
+pub mod render;
 pub mod run;
 pub mod simulate;
 pub mod train;

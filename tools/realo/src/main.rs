@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use realo::{Outcome, bench, compare, conformance, evaluate, host, import, info, operators, run, simulate, train, validate};
+use realo::{Outcome, bench, compare, conformance, evaluate, host, import, info, operators, render, run, simulate, train, validate};
 
 /// Online cooperative perception for vehicles and roadside units, on dora
 #[derive(Parser)]
@@ -18,6 +18,7 @@ enum Command {
     Run(run::Args),
     Compare(compare::Args),
     Evaluate(evaluate::Args),
+    Render(render::Args),
     Simulate(simulate::Args),
     Train(train::Args),
     Import(import::Args),
@@ -35,6 +36,7 @@ fn main() -> ExitCode {
         Command::Run(args) => run::main(&args),
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),
+        Command::Render(args) => render::main(&args),
         Command::Simulate(args) => simulate::main(&args),
         Command::Train(args) => train::main(&args),
         Command::Import(args) => import::main(&args),

@@ -1,0 +1,314 @@
+//! `realo render`: a picture says what the evaluation says, and wrong input gets a clear error.
+
+mod common;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use common::{folder, json, once, realo, realo_ok, run_virtual, simulated, text};
+use realo_evaluator::{Evaluation, Outcome, Scope, match_frame};
+use realo_logs::LogInfo;
+use serde_json::Value;
+
+const LOG: &str = "render_small";
+
+fn log() -> PathBuf {
+    simulated(
+        LOG,
+        &[
+            "--seed",
+            "903",
+            "--seconds",
+            "2",
+            "--key-hz",
+            "5",
+            "--agents",
+            "cav1,rsu1",
+        ],
+    )
+}
+
+/// A virtual run of late fusion over the small log, made once.
+fn run() -> PathBuf {
+    once("render_run", |_| {
+        let args = ["--link", "paper", "--set", "link.range_m=1000"];
+        run_virtual("render_run", "late_fusion", &log(), &args);
+    })
+}
+
+fn render(run: &Path, output: &Path, args: &[&str]) -> (Option<i32>, String) {
+    let (run, output) = (run.to_string_lossy(), output.to_string_lossy());
+    let said = realo([&["render", &run, "-o", &output][..], args].concat());
+    (
+        said.status.code(),
+        format!("{}{}", text(&said.stdout), text(&said.stderr)),
+    )
+}
+
+/// The classes of a drawing's marks.
+fn marks(svg: &str, class: &str) -> usize {
+    let document = roxmltree::Document::parse(svg).expect("the drawing is XML");
+    let of_class = |node: &roxmltree::Node| node.attribute("class") == Some(class);
+    document.descendants().filter(of_class).count()
+}
+
+/// What the run's evaluation says of each scored frame: sweep, true detections, those on objects that the ego alone has
+/// too few points on, false ones, missed objects.
+fn counted(run: &Path) -> Vec<(u64, [usize; 4])> {
+    let samples = json(&run.join(format!("{LOG}/cav1/evaluation.json")));
+    let evaluation: Evaluation = serde_json::from_value(samples["evaluation"].clone()).expect("an evaluation");
+    let protocol = &evaluation.protocol;
+    let mut counted = Vec::new();
+    for frame in evaluation.scenes[0].frames.iter().filter(|frame| frame.key) {
+        let [mut hits, mut added, mut wrong] = [0; 3];
+        for class in 0..protocol.classes.len() as u8 {
+            for (_, outcome) in match_frame(frame, protocol, class, protocol.ious[0], Scope::All) {
+                let Outcome::True(object) = outcome else {
+                    wrong += 1;
+                    continue;
+                };
+                hits += 1;
+                let [_, ego] = frame.truths[object].points.expect("the simulator counts points");
+                // Nothing can have crossed the link before the second sweep.
+                added += usize::from(ego < 10 && frame.seq >= 1);
+            }
+        }
+        counted.push((frame.seq, [hits, added, wrong, frame.truths.len() - hits]));
+    }
+    counted
+}
+
+#[test]
+fn a_drawing_has_the_boxes_that_the_evaluation_counts() {
+    let out = folder("render_svg");
+    let log = log();
+    let log = log.to_string_lossy();
+    let counted = counted(&run());
+    let mut kinds = [0; 4];
+    for (seq, [hits, added, wrong, missed]) in &counted {
+        let file = out.join(format!("{seq}.svg"));
+        let (code, said) = render(&run(), &file, &["--log", &log, "--frame", &seq.to_string()]);
+        assert_eq!(code, Some(0), "{said}");
+        let svg = fs::read_to_string(&file).expect("the drawing is there");
+        let found = ["hit", "added", "false", "missed", "there"].map(|class| marks(&svg, class));
+        assert_eq!(found, [hits - added, *added, *wrong, *missed, *hits], "sweep {seq}");
+        assert_eq!((marks(&svg, "agent"), marks(&svg, "region")), (2, 1));
+        assert!(
+            marks(&svg, "points") >= 4,
+            "points of two agents, on the ground and above"
+        );
+        assert!(svg.len() < 2_000_000, "{} bytes", svg.len());
+        assert!(!svg.contains("<text"), "letters must not depend on fonts");
+        kinds = [kinds[0] + hits, kinds[1] + added, kinds[2] + wrong, kinds[3] + missed];
+    }
+    assert!(
+        kinds.iter().all(|count| *count > 0),
+        "every kind of box is tested: {kinds:?}"
+    );
+}
+
+#[test]
+fn without_a_number_the_frame_that_gains_most_is_drawn_the_same_every_time() {
+    let out = folder("render_default");
+    let log = log();
+    let log = log.to_string_lossy();
+    let most = counted(&run()).into_iter().map(|(_, [_, added, ..])| added).max();
+    let mut drawings = Vec::new();
+    for name in ["a.svg", "b.svg"] {
+        let file = out.join(name);
+        let (code, said) = render(&run(), &file, &["--log", &log]);
+        assert_eq!(code, Some(0), "{said}");
+        drawings.push(fs::read_to_string(&file).expect("the drawing is there"));
+    }
+    assert_eq!(Some(marks(&drawings[0], "added")), most);
+    assert!(drawings[0] == drawings[1], "two drawings of a frame differ");
+}
+
+#[test]
+fn pixels_show_points_and_boxes() {
+    let file = folder("render_png").join("frame.png");
+    let (code, said) = render(&run(), &file, &["--log", &log().to_string_lossy()]);
+    assert_eq!(code, Some(0), "{said}");
+    let bytes = fs::read(&file).expect("the picture is there");
+    let header = minipng::decode_png_header(&bytes).expect("a PNG");
+    assert_eq!(header.width(), 1600);
+    assert!((700..1000).contains(&header.height()), "{}", header.height());
+    let mut buffer = vec![0; header.required_bytes()];
+    let image = minipng::decode_png(&bytes, &mut buffer).expect("a PNG");
+    let pixels: Vec<&[u8]> = image.pixels().chunks_exact(3).collect();
+    assert_eq!(pixels.len(), 1600 * header.height() as usize);
+    let share =
+        |like: &dyn Fn(&[u8]) -> bool| pixels.iter().filter(|pixel| like(pixel)).count() as f64 / pixels.len() as f64;
+    let ground = share(&|pixel| pixel.iter().all(|channel| *channel < 50));
+    assert!((0.3..0.98).contains(&ground), "{ground} of the picture is ground");
+    let yellow = share(&|pixel| pixel[0] > 200 && pixel[1] > 200 && pixel[2] < 120);
+    assert!(yellow > 1e-4, "what only cooperation saw stands out: {yellow}");
+}
+
+#[test]
+fn a_log_without_points_still_gives_a_picture() {
+    let log = simulated(
+        "render_bare",
+        &[
+            "--seed",
+            "903",
+            "--seconds",
+            "1",
+            "--no-clouds",
+            "--agents",
+            "cav1,rsu1",
+        ],
+    );
+    run_virtual("render_bare_run", "no_fusion", &log, &["--ego", "cav1"]);
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_bare_run");
+    let file = folder("render_bare_out").join("bare.svg");
+    let (code, said) = render(&dir, &file, &["--log", &log.to_string_lossy()]);
+    assert_eq!(code, Some(0), "{said}");
+    let svg = fs::read_to_string(file).expect("the drawing is there");
+    assert!(
+        marks(&svg, "hit") > 0 && marks(&svg, "added") == 0,
+        "the ego alone: {said}"
+    );
+}
+
+#[test]
+fn wrong_input_is_named_with_what_helps() {
+    let dir = folder("render_bad");
+    let log = log();
+    let log = log.to_string_lossy();
+    let (run, file) = (run(), dir.join("x.png"));
+    let check = |run: &Path, output: &Path, args: &[&str], expected: &[&str]| {
+        let (code, said) = render(run, output, args);
+        assert_eq!(code, Some(1), "{said}");
+        for part in expected {
+            assert!(said.contains(part), "no `{part}` in: {said}");
+        }
+    };
+    check(
+        &run,
+        &file,
+        &["--log", &log, "--frame", "77"],
+        &["no sweep 77", "sweeps 0 to 19", "scored: "],
+    );
+    check(
+        &run,
+        &file,
+        &["--log", &log, "--ego", "cav9"],
+        &["no ego `cav9`", "ego cav1"],
+    );
+    check(
+        &run,
+        &dir.join("x.jpg"),
+        &["--log", &log],
+        &["x.jpg", ".svg or .png", "found .jpg"],
+    );
+    check(
+        &run,
+        &dir.join("picture"),
+        &["--log", &log],
+        &[".svg or .png", "no ending"],
+    );
+    check(
+        &run,
+        &dir.join("gone/x.png"),
+        &["--log", &log],
+        &["gone/x.png", "cannot be written", "-o"],
+    );
+    check(
+        &run,
+        &file,
+        &[],
+        &[&format!("log `{LOG}`"), &format!("{LOG}.mcap"), "--log"],
+    );
+    let gone = dir.join("gone.mcap");
+    check(&run, &file, &["--log", &gone.to_string_lossy()], &["gone.mcap"]);
+    check(
+        &dir.join("nothing"),
+        &file,
+        &["--log", &log],
+        &["no such folder", "realo run"],
+    );
+    let other = simulated(
+        "render_other",
+        &["--seed", "904", "--seconds", "1", "--agents", "cav2,rsu1"],
+    );
+    check(
+        &run,
+        &file,
+        &["--log", &other.to_string_lossy()],
+        &["render_other.mcap", "no agent `cav1`", "--log"],
+    );
+    assert!(!file.exists(), "nothing is written beside an error");
+}
+
+#[test]
+fn a_run_without_recording_and_a_log_of_another_run_are_refused() {
+    let dir = folder("render_copy");
+    let cell = dir.join(LOG).join("cav1");
+    fs::create_dir_all(&cell).expect("the folder can be made");
+    for file in ["result.json", "timing.json", "evaluation.json"] {
+        fs::copy(run().join(LOG).join("cav1").join(file), cell.join(file)).expect("the run can be copied");
+    }
+    let log = log().to_string_lossy().into_owned();
+    let (code, said) = render(&dir, &dir.join("x.svg"), &["--log", &log]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("recording.mcap") && said.contains("node `recorder`"),
+        "{said}"
+    );
+
+    // The same agents at other times: the log's name does not tell.
+    let later = once("render_later.mcap", |path| shifted(Path::new(&log), path));
+    let (code, said) = render(&run(), &dir.join("x.svg"), &["--log", &later.to_string_lossy()]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("render_later.mcap") && said.contains("no sweep of the ego"),
+        "{said}"
+    );
+}
+
+/// A log of the same agents with a sweep and a pose each, at quite other times.
+fn shifted(from: &Path, to: &Path) {
+    use realo_logs::{Log, LogWriter, Stream};
+    let log = Log::open(from).expect("the log can be read");
+    let info: LogInfo = log.info().clone();
+    let mut writer = LogWriter::create_atomic(to, &info).expect("the log can be written");
+    for agent in ["cav1", "rsu1"] {
+        for stream in [Stream::Pose, Stream::Points] {
+            let mut reader = log.read_all(&[(agent, stream)]).expect("it has the stream");
+            let entry = reader.next().expect("it can be read").expect("it has messages");
+            let (stamp, ready) = (entry.stamp() + 3_600_000_000_000, entry.ready() + 3_600_000_000_000);
+            match stream {
+                Stream::Pose => {
+                    let pose = entry.pose().expect("a pose");
+                    writer.pose(agent, stamp, ready, &pose).expect("it can be written");
+                }
+                _ => {
+                    let cloud = entry.cloud().expect("a cloud");
+                    writer.cloud(agent, stamp, ready, &cloud).expect("it can be written");
+                }
+            }
+        }
+    }
+    writer.finish().expect("the log can be finished");
+}
+
+#[test]
+fn a_frame_that_is_not_scored_is_drawn_and_says_so() {
+    let out = folder("render_other_frame");
+    let log = log();
+    let result: Value = json(&run().join(LOG).join("cav1/result.json"));
+    assert_eq!(result["frames"]["total"], 20);
+    let file = out.join("frame.svg");
+    let log = log.to_string_lossy();
+    let run = run().to_string_lossy().into_owned();
+    let seq = (0..20u64)
+        .find(|seq| !counted(Path::new(&run)).iter().any(|(key, _)| key == seq))
+        .expect("not every sweep is scored")
+        .to_string();
+    let path = file.to_string_lossy();
+    let said = realo_ok(["render", &run, "--frame", &seq, "--log", &log, "-o", &path]);
+    assert!(said.contains(&format!("sweep {seq}")), "{said}");
+    let svg = fs::read_to_string(&file).expect("the drawing is there");
+    assert!(marks(&svg, "hit") > 0, "its boxes are matched as well");
+}

@@ -1,0 +1,79 @@
+use nalgebra::{Isometry3, Point3};
+use realo_logs::{Entry, Log, LogError, Stream};
+use realo_schemas::geometry::{Motion, PoseTrack, relative};
+use realo_schemas::{Nanos, PointCloud};
+
+/// A sweep further from the ego's says nothing about the same scene.
+const WINDOW: Nanos = 500_000_000;
+/// Poses are read this far around a sweep's stamp, and bridged over such gaps.
+const POSES: Nanos = 1_000_000_000;
+
+/// The poses of an agent around a stamp: exact ones if wanted and there, else what it believed.
+pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<PoseTrack, LogError> {
+    let stream = match exact && log.has(agent, Stream::PoseTruth) {
+        true => Stream::PoseTruth,
+        false => Stream::Pose,
+    };
+    let mut track = PoseTrack::new(4 * POSES, POSES);
+    if !log.has(agent, stream) {
+        return Ok(track);
+    }
+    let reach = POSES + WINDOW;
+    let mut reader = log.read(
+        &[(agent, stream)],
+        stamp.saturating_sub(reach),
+        stamp.saturating_add(reach),
+    )?;
+    while let Some(entry) = reader.next()? {
+        track.insert(entry.stamp(), entry.pose()?.map_from_body);
+    }
+    Ok(track)
+}
+
+/// The sweep of an agent whose stamp is nearest, the earlier one of equals; `None` without any nearby.
+pub fn nearest(log: &Log, agent: &str, stamp: Nanos) -> Result<Option<Entry>, LogError> {
+    if !log.has(agent, Stream::Points) {
+        return Ok(None);
+    }
+    // A sweep is in the log from its end on, which lies after its stamp.
+    let (from, until) = (stamp.saturating_sub(WINDOW), stamp.saturating_add(2 * WINDOW));
+    let mut reader = log.read(&[(agent, Stream::Points)], from, until)?;
+    let mut nearest: Option<Entry> = None;
+    let distance = |entry: &Entry| (entry.stamp() - stamp).abs();
+    while let Some(entry) = reader.next()? {
+        if distance(&entry) <= WINDOW && nearest.as_ref().is_none_or(|best| distance(&entry) < distance(best)) {
+            nearest = Some(entry);
+        }
+    }
+    Ok(nearest)
+}
+
+/// A sweep's points in the ego's body frame, m; the agent's own motion during the sweep is removed where its poses allow.
+pub fn in_ego_frame(
+    cloud: &PointCloud,
+    stamp: Nanos,
+    track: &PoseTrack,
+    map_from_ego: &Isometry3<f64>,
+    map_from_agent: &Isometry3<f64>,
+) -> Vec<[f32; 3]> {
+    let ego_from_agent = relative(map_from_ego, map_from_agent);
+    let [x, y, z] = at_stamp(cloud, stamp, track);
+    let points = x.iter().zip(&y).zip(&z).map(|((x, y), z)| [*x, *y, *z]);
+    points
+        .filter(|point| point.iter().all(|v| v.is_finite()))
+        .map(|point| {
+            (ego_from_agent * Point3::from(point.map(f64::from)))
+                .cast::<f32>()
+                .into()
+        })
+        .collect()
+}
+
+fn at_stamp(cloud: &PointCloud, stamp: Nanos, track: &PoseTrack) -> [Vec<f32>; 3] {
+    let ends = cloud.time.iter().min().zip(cloud.time.iter().max());
+    let motion = ends.and_then(|(first, last)| Motion::new(track, stamp, Nanos::from(*first), Nanos::from(*last)));
+    match motion {
+        Some(motion) => motion.at_stamp([&cloud.x, &cloud.y, &cloud.z], &cloud.time),
+        None => [cloud.x.to_vec(), cloud.y.to_vec(), cloud.z.to_vec()],
+    }
+}

@@ -1,0 +1,40 @@
+//! A frame of a run from above, in the ego's frame: what is there, what was detected, every agent's points, and what
+//! only cooperation saw.
+//!
+//! - [`choose`] finds a frame in the folder of a run; [`Scene::of`] gathers what is to be seen of it, from the run's
+//!   recording and the log that was played.
+//! - [`draw()`] makes a [`Drawing`] of a scene, and [`write()`] a file of a drawing: shapes ([`svg()`]) or pixels
+//!   ([`png()`]), by the file's ending.
+//!
+//! Letters are outlines of a font that the crate carries, so that a picture is the same on every machine.
+
+mod clouds;
+mod draw;
+mod drawing;
+mod error;
+mod files;
+mod font;
+mod fused;
+mod judge;
+mod labels;
+mod legend;
+mod marks;
+mod pixels;
+mod png;
+mod run;
+mod scene;
+mod style;
+mod svg;
+mod thin;
+mod view;
+
+pub use draw::draw;
+pub use drawing::{Dots, Drawing, Item, Mark};
+pub use error::RenderError;
+pub use files::{Format, write};
+pub use judge::{Detected, Judged, There};
+pub use png::png;
+pub use run::{Chosen, Request, choose};
+pub use scene::{Agent, Scene};
+pub use style::{Fill, Line, Style};
+pub use svg::svg;

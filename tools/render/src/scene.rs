@@ -1,0 +1,161 @@
+use nalgebra::Isometry3;
+use realo_logs::{AgentKind, Stream};
+use realo_schemas::geometry::{Region, relative, yaw_of};
+use realo_schemas::{Kind, Nanos};
+
+use crate::{Chosen, Judged, RenderError, clouds};
+
+/// What is to be seen of a frame, in the ego's body frame at its stamp: metres, radians, x forward, y left.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name of the graph.
+    pub graph: String,
+    /// Name of the log.
+    pub log: String,
+    /// How the graph was run, in words.
+    pub how: String,
+    /// Name of the protocol and the least IoU of a true detection.
+    pub rule: String,
+    /// Number of the ego's sweep.
+    pub seq: u64,
+    /// Its reference time, ns since the epoch.
+    pub stamp: Nanos,
+    /// The same from the log's beginning, s.
+    pub second: f64,
+    /// Whether the frame is scored in the run's results.
+    pub key: bool,
+    /// Whether boxes came for it.
+    pub processed: bool,
+    /// Whether the log says what is there.
+    pub has_truth: bool,
+    /// Least points of the ego alone on an object that it counts as having seen.
+    pub seen_points: u64,
+    /// Where objects count.
+    pub region: Region,
+    /// The agents of the mode, ego first; those without a known pose are left out.
+    pub agents: Vec<Agent>,
+    /// What was detected and what is there.
+    pub judged: Judged,
+}
+
+/// An agent and what it measured.
+#[derive(Clone, Debug)]
+pub struct Agent {
+    /// Its name.
+    pub name: String,
+    /// What it is.
+    pub kind: AgentKind,
+    /// Its outline in its own body frame, [x min, x max, y min, y max], m, where it has one.
+    pub footprint: Option<[f64; 4]>,
+    /// Where it is at the ego's stamp, (x, y), m.
+    pub position: [f64; 2],
+    /// Its heading then, rad.
+    pub yaw: f64,
+    /// The points of its sweep nearest the ego's stamp, m.
+    pub points: Vec<[f32; 3]>,
+    /// That sweep's stamp minus the ego's, ns; `None` where the log holds no points of it.
+    pub sweep_offset: Option<Nanos>,
+    /// Ages of its messages that were fused, ns from their stamps to when the ego asked; empty for the ego.
+    pub fused: Vec<(Kind, Nanos)>,
+}
+
+impl Scene {
+    /// Gathers a chosen frame with its points and poses from the log.
+    ///
+    /// # Errors
+    /// A log that cannot be read; a log that does not hold the ego's sweep of that stamp.
+    pub fn of(chosen: Chosen) -> Result<Self, RenderError> {
+        let exact = chosen.result.settings.mode == "offline";
+        let map_from_ego = ego_pose(&chosen, exact)?;
+        let mut agents = Vec::new();
+        for name in &chosen.agents {
+            agents.extend(agent(&chosen, name, exact, &map_from_ego)?);
+        }
+        let start = chosen.log.span().map_or(chosen.stamp, |(first, _)| first);
+        let settings = &chosen.result.settings;
+        Ok(Scene {
+            graph: settings.graph.clone(),
+            log: chosen.result.logs.join(", "),
+            how: how(&settings.mode, &settings.link),
+            rule: format!("protocol {}, IoU {}", chosen.protocol.name, chosen.iou),
+            seq: chosen.seq,
+            stamp: chosen.stamp,
+            second: realo_schemas::to_seconds(chosen.stamp - start),
+            key: chosen.key,
+            processed: chosen.processed,
+            has_truth: chosen.has_truth,
+            seen_points: chosen.protocol.seen_points,
+            region: chosen.protocol.region,
+            agents,
+            judged: chosen.judged,
+        })
+    }
+}
+
+fn how(mode: &str, link: &str) -> String {
+    match (mode, link) {
+        ("", _) => String::new(),
+        (mode, "") => mode.into(),
+        (mode, link) => format!("{mode}, link {link}"),
+    }
+}
+
+/// Where the run placed the ego; else where the log does.
+fn ego_pose(chosen: &Chosen, exact: bool) -> Result<Isometry3<f64>, RenderError> {
+    if let Some(pose) = chosen.header.pose.as_ref().filter(|_| chosen.processed) {
+        return Ok(pose.map_from_frame);
+    }
+    let track = clouds::poses(&chosen.log, &chosen.ego, chosen.stamp, exact)?;
+    track
+        .at(chosen.stamp)
+        .ok_or_else(|| other_log(chosen, "it has no pose of the ego"))
+}
+
+fn other_log(chosen: &Chosen, what: &str) -> RenderError {
+    RenderError::OtherLog {
+        log: chosen.log.path().into(),
+        name: chosen.result.logs.join(", "),
+        reason: format!("{what} `{}` at {} ns", chosen.ego, chosen.stamp),
+    }
+}
+
+fn agent(
+    chosen: &Chosen,
+    name: &str,
+    exact: bool,
+    map_from_ego: &Isometry3<f64>,
+) -> Result<Option<Agent>, RenderError> {
+    let log = &chosen.log;
+    log.need_agent(name)?;
+    let track = clouds::poses(log, name, chosen.stamp, exact)?;
+    let is_ego = name == chosen.ego;
+    let at = |stamp: Nanos| match is_ego && stamp == chosen.stamp {
+        true => Some(*map_from_ego),
+        false => track.at(stamp),
+    };
+    let Some(map_from_agent) = at(chosen.stamp) else {
+        return Ok(None);
+    };
+    let sweep = clouds::nearest(log, name, chosen.stamp)?;
+    let stamp = sweep.as_ref().map(|sweep| sweep.stamp());
+    if is_ego && log.has(name, Stream::Points) && stamp != Some(chosen.stamp) {
+        return Err(other_log(chosen, "it has no sweep of the ego"));
+    }
+    let points = match sweep.as_ref().zip(sweep.as_ref().and_then(|sweep| at(sweep.stamp()))) {
+        Some((sweep, pose)) => clouds::in_ego_frame(&sweep.cloud()?, sweep.stamp(), &track, map_from_ego, &pose),
+        None => Vec::new(),
+    };
+    let info = log.info().agent(name);
+    let ego_from_agent = relative(map_from_ego, &map_from_agent);
+    let ages = chosen.fused.iter().filter(|(message, _)| message.agent == name);
+    Ok(Some(Agent {
+        name: name.into(),
+        kind: info.map_or(AgentKind::Vehicle, |info| info.kind),
+        footprint: info.and_then(|info| info.footprint),
+        position: [ego_from_agent.translation.x, ego_from_agent.translation.y],
+        yaw: yaw_of(&ego_from_agent.rotation),
+        points,
+        sweep_offset: stamp.map(|stamp| stamp - chosen.stamp),
+        fused: ages.map(|(message, age)| (message.kind, *age)).collect(),
+    }))
+}
