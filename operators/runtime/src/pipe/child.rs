@@ -13,6 +13,8 @@ use super::words::{Call, Reply};
 use super::{FrameError, Gone, frame, hello};
 use crate::{AnyOperator, Error, Outputs, PortId, Registration};
 
+/// How long one call may take; a program that is silent for longer hangs.
+const SILENCE: Duration = Duration::from_secs(600);
 /// How long a program may take to exit once it has nothing left to do, and to say why it failed.
 const FAREWELL: Duration = Duration::from_secs(10);
 /// What is quoted of its standard error, bytes from the end.
@@ -87,7 +89,10 @@ impl Child {
                 return Err(format!("{reason}; {MEND}"));
             }
         };
-        frame.map_err(|found| format!("expected the first frame of realo's pipe protocol, found {found}; {MEND}"))
+        frame.map_err(|found| {
+            let reason = self.last_words(&format!("not the first frame of realo's pipe protocol: {found}"));
+            format!("{reason}; {MEND}")
+        })
     }
 
     /// One call, and what came of it.
@@ -105,12 +110,13 @@ impl Child {
         let calls = self.calls.as_mut().ok_or("it was called after its end")?;
         // Whether the program has gone, and how, its answer tells better than the pipe to it.
         let written = frame::write(calls, call);
-        let reply = match self.replies.recv() {
-            Ok(reply) => reply.map_err(|error| format!("expected a reply, found {error}"))?,
-            Err(_) => return Err("it closed its standard output".into()),
+        let reply = match self.replies.recv_timeout(SILENCE) {
+            Ok(reply) => reply.map_err(|error| format!("no reply: {error}"))?,
+            Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", SILENCE.as_secs())),
+            Err(RecvTimeoutError::Disconnected) => return Err("it closed its standard output".into()),
         };
         written.map_err(|error| error.to_string())?;
-        Reply::from_bytes(reply).map_err(|error| format!("expected a reply, found {error}"))
+        Reply::from_bytes(reply).map_err(|error| format!("no reply: {error}"))
     }
 
     /// Hands a reply on; gives the operator's error.
@@ -245,3 +251,44 @@ static NOBODY: Registration = Registration {
     check: |_| Ok(()),
     build: |_| Err("a program that has not said hello".into()),
 };
+
+#[cfg(test)]
+mod tests {
+    use std::process::Stdio;
+
+    use super::*;
+
+    fn start(script: &str, patience: Duration) -> String {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let started = Child::start("fusion", command, patience);
+        started.map(|_| ()).expect_err("it speaks no protocol")
+    }
+
+    #[test]
+    fn a_program_that_stays_silent_is_stopped_and_named() {
+        let begun = Instant::now();
+        let error = start("exec sleep 60", Duration::from_millis(50));
+        assert!(
+            error.contains("node `fusion`") && error.contains("nothing within 0 s"),
+            "{error}"
+        );
+        assert!(error.contains("it was stopped"), "{error}");
+        assert!(begun.elapsed() < Duration::from_secs(30));
+    }
+
+    #[test]
+    fn a_program_that_exits_is_quoted_from_the_end_of_what_it_said() {
+        let script = "yes error | head -n 9000 >&2; echo 'the last word' >&2; exit 4";
+        let error = start(script, Duration::from_secs(60));
+        assert!(
+            error.contains("exit status: 4") && error.contains("the last word"),
+            "{error}"
+        );
+        assert!(error.len() < QUOTED + 1000, "{}", error.len());
+    }
+}
