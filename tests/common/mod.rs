@@ -90,12 +90,17 @@ pub fn json(path: &Path) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Runs graphs in virtual time into an own folder and returns `result.json` of it.
+/// Runs a shipped graph in virtual time into an own folder and returns `result.json` of it.
 pub fn run_virtual(out: &str, graph_name: &str, log: &Path, args: &[&str]) -> Value {
+    run_virtual_file(out, &graph(graph_name), log, args)
+}
+
+/// Runs a graph in virtual time into an own folder and returns `result.json` of it.
+pub fn run_virtual_file(out: &str, graph: &str, log: &Path, args: &[&str]) -> Value {
     let out = folder(out);
     let mut all = vec![
         "run".into(),
-        graph(graph_name),
+        graph.into(),
         "--log".into(),
         log.to_string_lossy().into_owned(),
     ];

@@ -133,6 +133,7 @@ impl Operator for FusionBoxes {
 mod tests {
     use nalgebra::{Isometry3, Point3};
     use realo_fusion::{FUSED, REPORT};
+    use realo_runtime::testkit::FusionCase;
     use realo_schemas::report::{FusionReport, from_report};
     use realo_schemas::{Header, Kind, PointCloud, Pose, Report, Selection};
 
@@ -209,6 +210,29 @@ mod tests {
         let speed = fused[0].velocity.unwrap();
         assert!((speed[0] - 2.0 * (-2.4f64).cos()).abs() < 1e-12 && (speed[1] - 2.0 * (-2.4f64).sin()).abs() < 1e-12);
         assert_eq!((fused[0].length, fused[0].score), (seen.length, seen.score));
+    }
+
+    #[test]
+    fn holds_what_every_fusion_owes_its_graph() {
+        let own = vec![object([10.0, 0.0, 0.8], 0.1, 0.9), object([30.0, 5.0, 0.8], 2.0, 0.4)];
+        let case = FusionCase {
+            args: vec![],
+            ego: boxes("cav1", Some(pose(1e5, -1e5, 0.4)), own.clone()),
+            entries: vec![
+                boxes(
+                    "rsu1",
+                    Some(pose(1e5 + 30.0, -1e5, -2.0)),
+                    vec![object([4.0, 1.0, 0.7], 0.3, 0.8)],
+                ),
+                boxes(
+                    "cav2",
+                    Some(pose(1e5, -1e5 + 40.0, 1.0)),
+                    vec![object([9.0, 2.0, 0.7], 0.0, 0.8)],
+                ),
+            ],
+            alone: Boxes(own).into(),
+        };
+        case.check::<FusionBoxes>();
     }
 
     #[test]

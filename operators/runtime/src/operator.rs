@@ -1,3 +1,4 @@
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use realo_schemas::{Message, Nanos, UnexpectedPayload};
@@ -114,7 +115,7 @@ pub struct Outputs {
     now: Nanos,
     pub(crate) sent: Vec<(PortId, Message)>,
     pub(crate) wakes: BTreeSet<Nanos>,
-    pub(crate) counts: BTreeMap<&'static str, u64>,
+    pub(crate) counts: BTreeMap<Cow<'static, str>, u64>,
 }
 
 impl Outputs {
@@ -147,8 +148,18 @@ impl Outputs {
 
     /// Adds `n` to a counter of the node, e.g. `nan_points`.
     pub fn count(&mut self, counter: &'static str, n: u64) {
+        self.add(Cow::Borrowed(counter), n);
+    }
+
+    /// [`Outputs::count`] for a counter that another process named.
+    pub(crate) fn count_owned(&mut self, counter: String, n: u64) {
+        self.add(Cow::Owned(counter), n);
+    }
+
+    fn add(&mut self, counter: Cow<'static, str>, n: u64) {
         if n > 0 {
-            *self.counts.entry(counter).or_default() += n;
+            let count = self.counts.entry(counter).or_default();
+            *count = count.saturating_add(n);
         }
     }
 

@@ -3,6 +3,7 @@
 use realo_schemas::{Message, Name, Nanos, TraceEntry};
 
 use crate::intake::Work;
+use crate::pipe::Gone;
 use crate::{AnyOperator, Error, NodeBooks, Outputs, PortId, Registration};
 
 /// Errors of a node that are printed; the rest is only counted.
@@ -23,6 +24,8 @@ pub(crate) struct Called {
     pub wakes: std::collections::BTreeSet<Nanos>,
     /// `on_input` calls that failed: the port and the message's identity.
     pub failed: Vec<(PortId, Message)>,
+    /// Why the stage cannot be called again; the run fails.
+    pub gone: Option<Error>,
 }
 
 impl Stage {
@@ -46,6 +49,9 @@ impl Stage {
         for (port, message) in work.calls {
             let header = message.header.clone();
             if let Err(error) = operator.on_input(port, message, &mut out) {
+                if error.is::<Gone>() {
+                    return self.called(out, failed, Some(error));
+                }
                 self.log(
                     &format!("input `{}`, {header}", self.registration.inputs[port.0].name),
                     &error,
@@ -53,35 +59,42 @@ impl Stage {
                 failed.push((port, Message::new(header, realo_schemas::Boxes::default())));
             }
         }
-        self.called(out, failed)
+        self.called(out, failed, None)
     }
 
     /// Wakes the operator.
     pub fn wake(&mut self, operator: &mut dyn AnyOperator, start: Nanos) -> Called {
         let mut out = Outputs::at(start);
-        if let Err(error) = operator.on_wake(start, &mut out) {
-            self.log(&format!("wake at {start} ns"), &error);
-        }
-        self.called(out, Vec::new())
+        let woken = operator.on_wake(start, &mut out);
+        self.asked(&format!("wake at {start} ns"), woken, out)
     }
 
     /// Tells the operator that nothing follows.
     pub fn end(&mut self, operator: &mut dyn AnyOperator, start: Nanos) -> Called {
         let mut out = Outputs::at(start);
-        if let Err(error) = operator.on_end(&mut out) {
-            self.log("end of the stream", &error);
-        }
-        self.called(out, Vec::new())
+        let ended = operator.on_end(&mut out);
+        self.asked("end of the stream", ended, out)
     }
 
-    fn called(&mut self, out: Outputs, failed: Vec<(PortId, Message)>) -> Called {
+    fn asked(&mut self, place: &str, done: Result<(), Error>, out: Outputs) -> Called {
+        match done {
+            Err(error) if error.is::<Gone>() => return self.called(out, Vec::new(), Some(error)),
+            Err(error) => self.log(place, &error),
+            Ok(()) => {}
+        }
+        self.called(out, Vec::new(), None)
+    }
+
+    fn called(&mut self, out: Outputs, failed: Vec<(PortId, Message)>, gone: Option<Error>) -> Called {
         for (counter, n) in out.counts {
-            *self.books.counters.entry(counter.into()).or_default() += n;
+            let count = self.books.counters.entry(counter.into_owned()).or_default();
+            *count = count.saturating_add(n);
         }
         Called {
             sent: out.sent,
             wakes: out.wakes,
             failed,
+            gone,
         }
     }
 

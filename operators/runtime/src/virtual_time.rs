@@ -1,7 +1,8 @@
 //! Runs a whole graph as a discrete-event simulation in one process.
 //!
 //! Every stage has one server for each agent; the order of events is total and does not depend on threads, so a run
-//! gives the same bits each time. Time is the log's; computing takes what the [`ComputeProfile`] says.
+//! gives the same bits each time. Time is the log's; computing takes what the [`ComputeProfile`] says. A plug-in runs as a
+//! child process and answers one call at a time ([`crate::pipe`]), so it changes nothing in that order.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -181,7 +182,14 @@ impl<'a> Simulation<'a> {
         let mut nodes = Vec::new();
         for (index, node) in wiring.nodes.iter().enumerate() {
             let registration = node.registration;
-            let built = (registration.build)(&node.args).map_err(|error| RunError::Build {
+            let built = match &node.program {
+                None => (registration.build)(&node.args),
+                Some(program) => program
+                    .start()
+                    .map(|child| Built::Operator(Box::new(child)))
+                    .map_err(crate::Error::from),
+            };
+            let built = built.map_err(|error| RunError::Build {
                 node: node.id.to_string(),
                 reason: error.to_string(),
             })?;
@@ -350,9 +358,9 @@ impl<'a> Simulation<'a> {
             };
             if let (Some(wake), true) = (wake, wake_first) {
                 node.late_wakes.remove(&wake);
-                self.call(rank, server, now, None);
+                self.call(rank, server, now, None)?;
             } else if let Some(work) = node.intake.next(server) {
-                self.call(rank, server, now, Some(work));
+                self.call(rank, server, now, Some(work))?;
             } else {
                 return Ok(());
             }
@@ -360,16 +368,19 @@ impl<'a> Simulation<'a> {
     }
 
     /// One call of an operator, and what follows from it.
-    fn call(&mut self, rank: usize, server: &Name, start: Nanos, work: Option<Work>) {
+    fn call(&mut self, rank: usize, server: &Name, start: Nanos, work: Option<Work>) -> Result<(), RunError> {
         let node = &mut self.nodes[rank];
         let Body::Operator(operator) = &mut node.body else {
-            return;
+            return Ok(());
         };
         let input = work.as_ref().map_or(start, |work| work.ready);
         let called = match work {
             Some(work) => node.stage.run(operator.as_mut(), work, start),
             None => node.stage.wake(operator.as_mut(), start),
         };
+        if let Some(error) = &called.gone {
+            return Err(failed(&node.stage.id, error));
+        }
         node.stage.books.compute.record(node.compute);
         let done = start + node.compute;
         node.busy.insert(server.clone(), done);
@@ -384,6 +395,7 @@ impl<'a> Simulation<'a> {
             );
         }
         self.follow(rank, server, called, input, start, done);
+        Ok(())
     }
 
     fn follow(&mut self, rank: usize, server: &Name, called: Called, input: Nanos, start: Nanos, done: Nanos) {
@@ -421,6 +433,9 @@ impl<'a> Simulation<'a> {
         let node = &mut self.nodes[rank];
         if let Body::Operator(operator) = &mut node.body {
             let called = node.stage.end(operator.as_mut(), now);
+            if let Some(error) = &called.gone {
+                return Err(failed(&node.stage.id, error));
+            }
             self.dispatch(rank, called.sent, now, now, now);
         }
         let node = &mut self.nodes[rank];

@@ -1,6 +1,9 @@
+use std::path::Path;
+
 use realo_schemas::Name;
 
-use crate::graph::FlatGraph;
+use crate::graph::{self, FlatGraph, FlatNode};
+use crate::pipe::Program;
 use crate::{PortId, Registration, Registry};
 
 /// A graph whose nodes are all known: what a driver needs, in topological order.
@@ -21,6 +24,8 @@ pub struct Node {
     pub args: Vec<String>,
     /// For each declared input the node (index in [`Wiring::nodes`]) and output that feed it.
     pub inputs: Vec<Option<(usize, PortId)>>,
+    /// The program that hosts it, if this one does not.
+    pub program: Option<Program>,
 }
 
 impl Wiring {
@@ -51,40 +56,28 @@ impl Wiring {
             registration,
             args,
             inputs: wired,
+            program: None,
         });
         Ok(())
     }
 
-    /// The wiring of a graph whose nodes are all in the registry.
+    /// The wiring of a graph whose nodes are in the registry, or programs that host an operator ([`crate::pipe`]); those
+    /// are started and asked for their ports.
     ///
     /// # Errors
-    /// Names a node that only dora can run, or a wire that leads nowhere.
+    /// Names a node that only dora can run, a port that does not fit, or a wire that leads nowhere.
     pub fn of(graph: &FlatGraph, registry: &Registry) -> Result<Self, String> {
         let ranks = graph.ranks().map_err(|error| error.to_string())?;
         let mut order: Vec<usize> = (0..graph.nodes.len()).collect();
         order.sort_by_key(|index| ranks[*index]);
         let mut wiring = Wiring::default();
-        for index in order {
-            let node = &graph.nodes[index];
-            let registration = node.registration(registry).ok_or_else(|| {
-                let program = node.path.display();
-                format!(
-                    "node `{}` ({program}): virtual time runs the operators and nodes of `realo operators` only; \
-                     run this graph in realtime",
-                    node.id
-                )
-            })?;
-            let mut inputs = Vec::new();
-            for (port, input) in &node.inputs {
-                let (source, output) = input.output().ok_or_else(|| {
-                    format!(
-                        "node `{}`: input `{port}` comes from {}, which only dora sends",
-                        node.id, input.source
-                    )
-                })?;
-                inputs.push((port.as_str(), source, output));
-            }
+        for node in order.into_iter().map(|index| &graph.nodes[index]) {
+            let inputs = wires(node)?;
+            let (registration, program) = hosted(graph, node, registry)?;
             wiring.add(&node.id, registration, node.settings().to_vec(), &inputs)?;
+            if let Some(added) = wiring.nodes.last_mut() {
+                added.program = program;
+            }
         }
         Ok(wiring)
     }
@@ -98,5 +91,45 @@ impl Wiring {
             n.inputs.iter().enumerate().filter_map(fed)
         });
         edges.collect()
+    }
+}
+
+/// The wires that end at a node: (port, source node id, source port).
+fn wires(node: &FlatNode) -> Result<Vec<(&str, &str, &str)>, String> {
+    let wires = node.inputs.iter().map(|(port, input)| match input.output() {
+        Some((source, output)) => Ok((port.as_str(), source, output)),
+        None => Err(format!(
+            "node `{}`: input `{port}` comes from {}, which only dora sends",
+            node.id, input.source
+        )),
+    });
+    wires.collect()
+}
+
+/// What a node is, and the program behind it if it is not this one.
+fn hosted(
+    graph: &FlatGraph,
+    node: &FlatNode,
+    registry: &Registry,
+) -> Result<(&'static Registration, Option<Program>), String> {
+    if let Some(registration) = node.registration(registry) {
+        return Ok((registration, None));
+    }
+    if node.is_realo() {
+        let args = node.args.join(" ");
+        return Err(format!(
+            "node `{}`: no operator or node of `realo operators`: `{args}`",
+            node.id
+        ));
+    }
+    let program = Program::of(node, graph.file.parent().unwrap_or(Path::new("/")));
+    let registration = program.ask()?;
+    let wrong: Vec<String> = graph::misdeclared(node, registration)
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    match wrong.is_empty() {
+        true => Ok((registration, Some(program))),
+        false => Err(wrong.join("\n  ")),
     }
 }

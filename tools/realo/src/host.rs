@@ -1,7 +1,7 @@
 //! `realo operator` and `realo node`: what dora starts.
 
 use eyre::{Result, eyre};
-use realo_runtime::{Registration, realtime};
+use realo_runtime::Registration;
 
 use crate::{Outcome, REGISTRY, demo};
 
@@ -41,12 +41,6 @@ pub fn node(args: &NodeArgs) -> Result<Outcome> {
 }
 
 fn host(registration: &'static Registration, args: &[String]) -> Result<Outcome> {
-    // A panic that only unwinds this thread would look like a normal end to the nodes below.
-    let print = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| {
-        print(panic);
-        std::process::exit(101);
-    }));
-    realtime::run(registration, args)?;
+    realo_runtime::host(registration, args)?;
     Ok(Outcome::Complete)
 }

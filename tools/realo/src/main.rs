@@ -3,7 +3,10 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use realo::{Outcome, bench, compare, conformance, evaluate, host, import, info, operators, render, run, simulate, train, validate};
+use realo::{
+    Outcome, bench, compare, conformance, evaluate, host, import, info, operators, render, run, simulate, train,
+    validate,
+};
 
 /// Online cooperative perception for vehicles and roadside units, on dora
 #[derive(Parser)]

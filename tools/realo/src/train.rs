@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
-use eyre::{Result, bail, eyre};
+use eyre::{Result, WrapErr, bail, eyre};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_training::data::Augmentation;
 use realo_training::optimizer::Settings;
@@ -71,12 +71,18 @@ pub fn main(args: &Args) -> Result<Outcome> {
     bar.set_style(ProgressStyle::with_template(style).map_err(|error| eyre!(error))?);
     let trained = train(&args.options(), |progress| show(&bar, progress))?;
     bar.finish_and_clear();
+    // Beside its weights, so that the folder can be given to `realo run --model`.
+    let beside = args.out.join(args.model.file_name().unwrap_or_default());
+    std::fs::copy(&args.model, &beside).wrap_err_with(|| format!("{}", beside.display()))?;
     let (steps, weights) = (trained.steps, trained.weights.display());
     if trained.complete {
         println!("{steps} steps: weights in {weights}");
         return Ok(Outcome::Complete);
     }
-    println!("{steps} of {} steps: weights so far in {weights}; add --resume to go on", args.steps);
+    println!(
+        "{steps} of {} steps: weights so far in {weights}; add --resume to go on",
+        args.steps
+    );
     Ok(Outcome::Partial)
 }
 
@@ -117,7 +123,9 @@ impl Args {
 }
 
 fn seeds(text: &str) -> Result<Range<u64>> {
-    let parts = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+    let parts = text
+        .split_once("..")
+        .and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
     match parts {
         Some(seeds) if !seeds.is_empty() => Ok(seeds),
         _ => bail!("expected first..end, as 0..800, found `{text}`"),

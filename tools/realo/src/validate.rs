@@ -1,9 +1,10 @@
 //! `realo validate`: what dora does not check.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use eyre::Result;
-use realo_runtime::graph::{self, FlatGraph, Severity};
+use realo_runtime::graph::{self, Finding, FlatGraph, Severity};
+use realo_runtime::pipe::Program;
 
 use crate::{Outcome, REGISTRY};
 
@@ -13,13 +14,16 @@ pub struct Args {
     /// Dataflow files
     #[arg(required = true)]
     graphs: Vec<PathBuf>,
+    /// Do not start programs other than realo to ask for their ports
+    #[arg(long)]
+    no_start: bool,
 }
 
 /// Prints the findings of each graph; errors fail.
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.graphs {
-        let findings = graph::validate(&FlatGraph::load(path)?, &REGISTRY);
+        let findings = check(&FlatGraph::load(path)?, args.no_start);
         for finding in &findings {
             println!("{}: {finding}", path.display());
         }
@@ -32,4 +36,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     Ok(outcome)
+}
+
+/// The findings; programs of plug-ins are started over pipes and asked for their ports.
+fn check(graph: &FlatGraph, no_start: bool) -> Vec<Finding> {
+    let folder = graph.file.parent().unwrap_or(Path::new("/"));
+    graph::validate_asking(graph, &REGISTRY, &mut |node| {
+        (!no_start).then(|| Program::of(node, folder).ask())
+    })
 }

@@ -63,14 +63,36 @@ impl Checkpoint {
                 Ok(())
             })?;
             if parameter.trained {
-                tensors.add_f32(format!("adam.first.{}", parameter.name), shape, &self.optimizer.first[index]);
-                tensors.add_f32(format!("adam.second.{}", parameter.name), shape, &self.optimizer.second[index]);
+                tensors.add_f32(
+                    format!("adam.first.{}", parameter.name),
+                    shape,
+                    &self.optimizer.first[index],
+                );
+                tensors.add_f32(
+                    format!("adam.second.{}", parameter.name),
+                    shape,
+                    &self.optimizer.second[index],
+                );
             }
         }
-        let points = self.curve.points.iter().flat_map(Point::to_numbers).flat_map(f64::to_le_bytes).collect();
-        tensors.0.push(("curve".into(), Dtype::F64, vec![self.curve.points.len(), Point::NUMBERS], points));
+        let points = self
+            .curve
+            .points
+            .iter()
+            .flat_map(Point::to_numbers)
+            .flat_map(f64::to_le_bytes)
+            .collect();
+        tensors.0.push((
+            "curve".into(),
+            Dtype::F64,
+            vec![self.curve.points.len(), Point::NUMBERS],
+            points,
+        ));
         let plan = serde_json::to_string(&self.plan).expect("plans are plain data");
-        let about = HashMap::from([("plan".to_string(), plan), ("steps".to_string(), self.optimizer.steps.to_string())]);
+        let about = HashMap::from([
+            ("plan".to_string(), plan),
+            ("steps".to_string(), self.optimizer.steps.to_string()),
+        ]);
         write_whole(path, &tensors.serialize(about))
     }
 
@@ -79,8 +101,14 @@ impl Checkpoint {
     /// # Errors
     /// [`TrainError::Read`]; [`TrainError::Checkpoint`] if it is none, or one of another model.
     pub fn read(path: &Path, model: &Model) -> Result<Self, TrainError> {
-        let bytes = std::fs::read(path).map_err(|error| TrainError::Read { path: path.into(), error })?;
-        Checkpoint::parse(&bytes, model).map_err(|reason| TrainError::Checkpoint { path: path.into(), reason })
+        let bytes = std::fs::read(path).map_err(|error| TrainError::Read {
+            path: path.into(),
+            error,
+        })?;
+        Checkpoint::parse(&bytes, model).map_err(|reason| TrainError::Checkpoint {
+            path: path.into(),
+            reason,
+        })
     }
 
     fn parse(bytes: &[u8], model: &Model) -> Result<Self, String> {
@@ -88,31 +116,63 @@ impl Checkpoint {
         let about = about.metadata().clone().unwrap_or_default();
         let field = |key: &str| about.get(key).ok_or(format!("it has no `{key}`"));
         let plan: Plan = serde_json::from_str(field("plan")?).map_err(|error| error.to_string())?;
-        let steps = field("steps")?.parse().map_err(|_| "`steps` is no number".to_string())?;
+        let steps = field("steps")?
+            .parse()
+            .map_err(|_| "`steps` is no number".to_string())?;
         let file = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
         let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
-            let view = file.tensor(name).map_err(|_| format!("expected `{name}` {shape:?}, found none"))?;
+            let view = file
+                .tensor(name)
+                .map_err(|_| format!("expected `{name}` {shape:?}, found none"))?;
             if view.dtype() != Dtype::F32 || view.shape() != shape {
-                return Err(format!("expected `{name}` F32 {shape:?}, found {:?} {:?}", view.dtype(), view.shape()));
+                return Err(format!(
+                    "expected `{name}` F32 {shape:?}, found {:?} {:?}",
+                    view.dtype(),
+                    view.shape()
+                ));
             }
-            Ok(view.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect())
+            Ok(view
+                .data()
+                .as_chunks::<4>()
+                .0
+                .iter()
+                .map(|bytes| f32::from_le_bytes(*bytes))
+                .collect())
         };
         let mut values = HashMap::new();
         for (name, shape) in expected(model) {
             values.insert(name.clone(), read(&name, &shape)?);
         }
         let network = Network::with(model, |_, name, _| Ok(values[name].clone())).map_err(|error| error.to_string())?;
-        let mut optimizer = AdamW { steps, ..AdamW::new(&network) };
+        let mut optimizer = AdamW {
+            steps,
+            ..AdamW::new(&network)
+        };
         for (index, parameter) in network.parameters().iter().enumerate().filter(|(_, p)| p.trained) {
             let shape = parameter.value.dims();
             optimizer.first[index] = read(&format!("adam.first.{}", parameter.name), shape)?;
             optimizer.second[index] = read(&format!("adam.second.{}", parameter.name), shape)?;
         }
         let curve = file.tensor("curve").map_err(|error| error.to_string())?;
-        let numbers: Vec<f64> =
-            curve.data().as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
-        let points = numbers.as_chunks::<{ Point::NUMBERS }>().0.iter().map(Point::from_numbers).collect();
-        Ok(Checkpoint { network, optimizer, curve: Curve { points }, plan })
+        let numbers: Vec<f64> = curve
+            .data()
+            .as_chunks::<8>()
+            .0
+            .iter()
+            .map(|bytes| f64::from_le_bytes(*bytes))
+            .collect();
+        let points = numbers
+            .as_chunks::<{ Point::NUMBERS }>()
+            .0
+            .iter()
+            .map(Point::from_numbers)
+            .collect();
+        Ok(Checkpoint {
+            network,
+            optimizer,
+            curve: Curve { points },
+            plan,
+        })
     }
 }
 

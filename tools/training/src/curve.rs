@@ -29,11 +29,25 @@ impl Point {
     }
 
     pub(crate) fn to_numbers(&self) -> [f64; Self::NUMBERS] {
-        [self.step as f64, self.class, self.regression, self.gradient, self.rate, self.seconds]
+        [
+            self.step as f64,
+            self.class,
+            self.regression,
+            self.gradient,
+            self.rate,
+            self.seconds,
+        ]
     }
 
     pub(crate) fn from_numbers(&[step, class, regression, gradient, rate, seconds]: &[f64; Self::NUMBERS]) -> Self {
-        Point { step: step as u64, class, regression, gradient, rate, seconds }
+        Point {
+            step: step as u64,
+            class,
+            regression,
+            gradient,
+            rate,
+            seconds,
+        }
     }
 }
 
@@ -71,7 +85,10 @@ impl Curve {
     pub fn to_svg(&self) -> String {
         let means = self.means();
         let last = self.points.last().map_or(1.0, |point| point.step.max(1) as f64);
-        let losses = means.iter().flat_map(|p| [p.loss(), p.class, p.regression]).filter(|v| *v > 0.0);
+        let losses = means
+            .iter()
+            .flat_map(|p| [p.loss(), p.class, p.regression])
+            .filter(|v| *v > 0.0);
         let (least, most) = losses.fold((f64::INFINITY, 0.0_f64), |(least, most), v| (least.min(v), most.max(v)));
         let (low, high) = match least < most {
             true => (least.log10().floor(), most.log10().ceil()),
@@ -88,7 +105,10 @@ impl Curve {
         for power in low as i32..=high as i32 {
             let at = y(10f64.powi(power));
             let right = WIDTH - MARGIN;
-            let _ = writeln!(svg, "<line x1=\"{MARGIN}\" y1=\"{at:.1}\" x2=\"{right}\" y2=\"{at:.1}\" stroke=\"#ccc\"/>");
+            let _ = writeln!(
+                svg,
+                "<line x1=\"{MARGIN}\" y1=\"{at:.1}\" x2=\"{right}\" y2=\"{at:.1}\" stroke=\"#ccc\"/>"
+            );
             let _ = writeln!(svg, "<text x=\"8\" y=\"{:.1}\">1e{power}</text>", at + 4.0);
         }
         type Value = fn(&Point) -> f64;
@@ -101,9 +121,18 @@ impl Curve {
             line(&mut svg, colour, means.iter().map(|p| (x(p.step), y(value(p)))));
             legend(&mut svg, index, name, colour);
         }
-        line(&mut svg, "#999", means.iter().map(|p| (x(p.step), up(p.rate / greatest))));
+        line(
+            &mut svg,
+            "#999",
+            means.iter().map(|p| (x(p.step), up(p.rate / greatest))),
+        );
         legend(&mut svg, 3, &format!("learning rate (greatest {greatest:.1e})"), "#999");
-        let _ = writeln!(svg, "<text x=\"{:.0}\" y=\"{}\">{last} steps</text>\n</svg>", WIDTH - 130.0, HEIGHT - 20.0);
+        let _ = writeln!(
+            svg,
+            "<text x=\"{:.0}\" y=\"{}\">{last} steps</text>\n</svg>",
+            WIDTH - 130.0,
+            HEIGHT - 20.0
+        );
         svg
     }
 
@@ -126,7 +155,11 @@ impl Curve {
 
 fn line(svg: &mut String, colour: &str, points: impl Iterator<Item = (f64, f64)>) {
     let points: Vec<String> = points.map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-    let _ = writeln!(svg, "<polyline fill=\"none\" stroke=\"{colour}\" points=\"{}\"/>", points.join(" "));
+    let _ = writeln!(
+        svg,
+        "<polyline fill=\"none\" stroke=\"{colour}\" points=\"{}\"/>",
+        points.join(" ")
+    );
 }
 
 fn legend(svg: &mut String, index: usize, name: &str, colour: &str) {
@@ -142,12 +175,24 @@ mod tests {
     fn a_curve_becomes_a_table_and_a_picture() {
         let point = |step: u64| {
             let (class, regression) = (1.0 / (step + 1) as f64, 0.5 / (step + 1) as f64);
-            Point { step, class, regression, gradient: 1.0, rate: 1e-3, seconds: 0.5 }
+            Point {
+                step,
+                class,
+                regression,
+                gradient: 1.0,
+                rate: 1e-3,
+                seconds: 0.5,
+            }
         };
-        let curve = Curve { points: (0..1000).map(point).collect() };
+        let curve = Curve {
+            points: (0..1000).map(point).collect(),
+        };
         let csv = curve.to_csv();
         assert_eq!(csv.lines().count(), 1001);
-        assert_eq!(csv.lines().nth(1), Some("0,1.50000,1.00000,0.50000,1.0000,1.000e-3,0.500"));
+        assert_eq!(
+            csv.lines().nth(1),
+            Some("0,1.50000,1.00000,0.50000,1.0000,1.000e-3,0.500")
+        );
         let svg = curve.to_svg();
         assert_eq!(svg.matches("<polyline").count(), 4);
         assert!(svg.ends_with("</svg>\n") && !svg.contains("NaN"));

@@ -59,7 +59,9 @@ pub enum TrainError {
         reason: String,
     },
     /// A class without a single object.
-    #[error("class `{class}` does not appear in the training data ({frames} frames were looked at); it cannot be learnt")]
+    #[error(
+        "class `{class}` does not appear in the training data ({frames} frames were looked at); it cannot be learnt"
+    )]
     AbsentClass {
         /// The class.
         class: String,
@@ -75,7 +77,9 @@ pub enum TrainError {
         agent: String,
     },
     /// The loss is no number any more.
-    #[error("the loss is {loss} at step {step}; the last checkpoint is unharmed: resume from it with a lower learning rate")]
+    #[error(
+        "the loss is {loss} at step {step}; the last checkpoint is unharmed: resume from it with a lower learning rate"
+    )]
     Diverged {
         /// The step.
         step: u64,

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use candle_core::{Tensor, TensorId};
-use realo_nn::model::Model;
-use realo_nn::weights::{Weights, WeightsError, expected};
 use rayon::prelude::*;
 use realo_nn::loss::{HeadMaps, Loss, Settings, loss};
+use realo_nn::model::Model;
 use realo_nn::targets::Targets;
+use realo_nn::weights::{Weights, WeightsError, expected};
 
 use crate::layers::{
     Bias, Conv, MapShape, Moments, Norm, PillarBatch, PillarLayer, Pointwise, Statistics, WeightOrder, buffer, tensor,
@@ -89,7 +89,9 @@ impl Network {
     /// # Errors
     /// Those of candle.
     pub fn random(model: &Model, seed: u64) -> candle_core::Result<Self> {
-        Self::with(model, |index, name, shape| Ok(initial(&mut Stream::new(seed, "weights", index as u64), name, shape)))
+        Self::with(model, |index, name, shape| {
+            Ok(initial(&mut Stream::new(seed, "weights", index as u64), name, shape))
+        })
     }
 
     /// A network with the weights of a file.
@@ -116,7 +118,11 @@ impl Network {
                 name,
             });
         }
-        Ok(Network { model: model.clone(), plan: Plan::of(model), parameters })
+        Ok(Network {
+            model: model.clone(),
+            plan: Plan::of(model),
+            parameters,
+        })
     }
 
     /// The model.
@@ -140,17 +146,28 @@ impl Network {
     /// # Errors
     /// Those of the layers.
     pub fn forward(&self, tape: &mut Tape, batch: &Arc<PillarBatch>, training: bool) -> candle_core::Result<Heads> {
-        let mut run = Run { network: self, tape, training, statistics: Vec::new() };
+        let mut run = Run {
+            network: self,
+            tape,
+            training,
+            statistics: Vec::new(),
+        };
         let plan = &self.plan;
         let mut map = run.pillars(plan.pillars, batch)?;
         let mut enlarged = Vec::new();
         for (block, (layers, deblock)) in plan.blocks.iter().zip(&plan.deblocks).enumerate() {
             for (index, (_, layer)) in layers.iter().enumerate() {
-                let stride = if index == 0 { self.model.backbone.strides[block] } else { 1 };
+                let stride = if index == 0 {
+                    self.model.backbone.strides[block]
+                } else {
+                    1
+                };
                 let conv = run.tape.apply2(Conv { stride }, &map, self.value(layer.weight))?;
                 map = run.norm(layer.norm, conv)?;
             }
-            let op = Pointwise { order: WeightOrder::Transposed };
+            let op = Pointwise {
+                order: WeightOrder::Transposed,
+            };
             let up = run.tape.apply2(op, &map, self.value(deblock.weight))?;
             enlarged.push(run.norm(deblock.norm, up)?);
         }
@@ -161,7 +178,11 @@ impl Network {
         }
         let scores = run.biased(plan.class_head, 1, false, &map)?;
         let deltas = run.biased(plan.box_head, 1, false, &map)?;
-        Ok(Heads { scores, deltas, statistics: run.statistics })
+        Ok(Heads {
+            scores,
+            deltas,
+            statistics: run.statistics,
+        })
     }
 
     /// Forward and backward pass of one batch with the targets of its samples; the running statistics move on.
@@ -181,8 +202,14 @@ impl Network {
         self.follow(&heads.statistics)?;
         drop((heads.scores, heads.deltas));
         let mut gradients = tape.backward(results)?;
-        let gradients = self.parameters.iter().map(|parameter| self.gradient(&mut gradients, parameter));
-        Ok(Pass { losses, gradients: gradients.collect::<candle_core::Result<_>>()? })
+        let gradients = self
+            .parameters
+            .iter()
+            .map(|parameter| self.gradient(&mut gradients, parameter));
+        Ok(Pass {
+            losses,
+            gradients: gradients.collect::<candle_core::Result<_>>()?,
+        })
     }
 
     fn gradient(
@@ -205,7 +232,11 @@ impl Network {
             let variance: Vec<f32> = moments.variance.iter().map(|v| v * unbiased).collect();
             for (index, new) in [(norm + 2, &moments.mean), (norm + 3, &variance)] {
                 let moved = with_numbers(self.value(index), |old| {
-                    Ok(old.iter().zip(new).map(|(old, new)| old + MOMENTUM * (new - old)).collect::<Vec<f32>>())
+                    Ok(old
+                        .iter()
+                        .zip(new)
+                        .map(|(old, new)| old + MOMENTUM * (new - old))
+                        .collect::<Vec<f32>>())
                 })?;
                 self.set(index, moved)?;
             }
@@ -231,9 +262,13 @@ impl Run<'_> {
         let statistics = if self.training {
             Statistics::batch()
         } else {
-            let [mean, variance] = [norm + 2, norm + 3]
-                .map(|index| with_numbers(self.network.value(index), |values| Ok(values.to_vec())));
-            Statistics::Running(Moments { mean: mean?, variance: variance?, count: 1 })
+            let [mean, variance] =
+                [norm + 2, norm + 3].map(|index| with_numbers(self.network.value(index), |values| Ok(values.to_vec())));
+            Statistics::Running(Moments {
+                mean: mean?,
+                variance: variance?,
+                count: 1,
+            })
         };
         self.statistics.push((norm, statistics.clone()));
         Ok(statistics)
@@ -246,7 +281,9 @@ impl Run<'_> {
     }
 
     fn norm(&mut self, norm: usize, map: Tensor) -> candle_core::Result<Tensor> {
-        let op = Norm { statistics: self.statistics(norm)? };
+        let op = Norm {
+            statistics: self.statistics(norm)?,
+        };
         let [weight, bias] = [norm, norm + 1].map(|index| self.network.value(index));
         self.tape.apply3(op, &map, weight, bias)
     }
@@ -254,7 +291,13 @@ impl Run<'_> {
     fn biased(&mut self, weight: usize, kernel: usize, relu: bool, map: &Tensor) -> candle_core::Result<Tensor> {
         let (w, bias) = (self.network.value(weight), self.network.value(weight + 1));
         let out = match kernel {
-            1 => self.tape.apply2(Pointwise { order: WeightOrder::Plain }, map, w)?,
+            1 => self.tape.apply2(
+                Pointwise {
+                    order: WeightOrder::Plain,
+                },
+                map,
+                w,
+            )?,
             _ => self.tape.apply2(Conv { stride: 1 }, map, w)?,
         };
         self.tape.apply2(Bias { relu }, &out, bias)
@@ -269,12 +312,27 @@ impl Plan {
             next += count;
             next - count
         };
-        let mut normed = || Normed { weight: take(1), norm: take(4) };
+        let mut normed = || Normed {
+            weight: take(1),
+            norm: take(4),
+        };
         let pillars = normed();
-        let blocks = model.backbone.layers.iter().map(|layers| (0..=*layers).map(|i| (i, normed())).collect()).collect();
+        let blocks = model
+            .backbone
+            .layers
+            .iter()
+            .map(|layers| (0..=*layers).map(|i| (i, normed())).collect())
+            .collect();
         let deblocks = model.backbone.layers.iter().map(|_| normed()).collect();
         let shrink = model.shrink.iter().map(|_| take(2)).collect();
-        Plan { pillars, blocks, deblocks, shrink, class_head: take(2), box_head: take(2) }
+        Plan {
+            pillars,
+            blocks,
+            deblocks,
+            shrink,
+            class_head: take(2),
+            box_head: take(2),
+        }
     }
 }
 
@@ -310,14 +368,22 @@ fn losses(heads: &Heads, targets: &[Targets], settings: &Settings) -> candle_cor
     let (mut of_scores, mut of_deltas) = (buffer(scores.len()), buffer(deltas.len()));
     let losses = with_numbers(&heads.scores, |score_values| {
         with_numbers(&heads.deltas, |delta_values| {
-            let gradients = of_scores.par_chunks_mut(scores.image()).zip(of_deltas.par_chunks_mut(deltas.image()));
+            let gradients = of_scores
+                .par_chunks_mut(scores.image())
+                .zip(of_deltas.par_chunks_mut(deltas.image()));
             let samples = targets.par_iter().zip(gradients).enumerate();
             Ok(samples
                 .map(|(image, (targets, (of_scores, of_deltas)))| {
                     let (mut a, mut b) = (inner(&scores, score_values, image), inner(&deltas, delta_values, image));
                     let (mut da, mut db) = (vec![0.0; a.len()], vec![0.0; b.len()]);
-                    let maps = HeadMaps { scores: &*a, deltas: &*b };
-                    let mut gradient = HeadMaps { scores: &mut *da, deltas: &mut *db };
+                    let maps = HeadMaps {
+                        scores: &*a,
+                        deltas: &*b,
+                    };
+                    let mut gradient = HeadMaps {
+                        scores: &mut *da,
+                        deltas: &mut *db,
+                    };
                     let loss = loss(&maps, targets, settings, scores.batch, &mut gradient);
                     (a, b) = (da, db);
                     outer(&scores, of_scores, &a);
@@ -327,7 +393,11 @@ fn losses(heads: &Heads, targets: &[Targets], settings: &Settings) -> candle_cor
                 .collect())
         })
     })?;
-    Ok((losses, tensor(of_scores, scores.dims())?, tensor(of_deltas, deltas.dims())?))
+    Ok((
+        losses,
+        tensor(of_scores, scores.dims())?,
+        tensor(of_deltas, deltas.dims())?,
+    ))
 }
 
 /// A sample's cells without the border.

@@ -20,7 +20,12 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { rate: 2e-3, warm_up: 0.1, decay: 0.01, clip: 10.0 }
+        Settings {
+            rate: 2e-3,
+            warm_up: 0.1,
+            decay: 0.01,
+            clip: 10.0,
+        }
     }
 }
 
@@ -29,7 +34,8 @@ impl Settings {
     /// (Smith 2018).
     pub fn rate_at(&self, step: u64, steps: u64) -> f64 {
         let share = step as f64 / steps.max(1) as f64;
-        let between = |from: f64, to: f64, at: f64| to + (from - to) * 0.5 * (1.0 + (std::f64::consts::PI * at.min(1.0)).cos());
+        let between =
+            |from: f64, to: f64, at: f64| to + (from - to) * 0.5 * (1.0 + (std::f64::consts::PI * at.min(1.0)).cos());
         match share < self.warm_up {
             true => self.rate * between(0.1, 1.0, share / self.warm_up),
             false => self.rate * between(1.0, 1e-3, (share - self.warm_up) / (1.0 - self.warm_up)),
@@ -58,14 +64,24 @@ impl AdamW {
             let of = |p: &crate::network::Parameter| vec![0.0; if p.trained { p.value.elem_count() } else { 0 }];
             network.parameters().iter().map(of).collect::<Vec<_>>()
         };
-        AdamW { first: zeros(0), second: zeros(1), steps: 0 }
+        AdamW {
+            first: zeros(0),
+            second: zeros(1),
+            steps: 0,
+        }
     }
 
     /// Moves the network against its gradients; returns their length before clipping.
     ///
     /// # Errors
     /// Those of candle.
-    pub fn step(&mut self, network: &mut Network, gradients: &Gradients, rate: f64, how: &Settings) -> candle_core::Result<f64> {
+    pub fn step(
+        &mut self,
+        network: &mut Network,
+        gradients: &Gradients,
+        rate: f64,
+        how: &Settings,
+    ) -> candle_core::Result<f64> {
         self.steps += 1;
         let squares = |g: &Vec<f32>| g.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>();
         let norm = gradients.iter().flatten().map(squares).sum::<f64>().sqrt();
@@ -76,7 +92,11 @@ impl AdamW {
         let moved: Vec<(usize, Vec<f32>)> = (self.first.par_iter_mut().zip(&mut self.second).enumerate())
             .filter_map(|(index, (first, second))| {
                 let (parameter, gradient) = (&network.parameters()[index], gradients[index].as_ref()?);
-                let keep = if parameter.decayed { 1.0 - (rate * how.decay) as f32 } else { 1.0 };
+                let keep = if parameter.decayed {
+                    1.0 - (rate * how.decay) as f32
+                } else {
+                    1.0
+                };
                 let mut values = with_numbers(&parameter.value, |values| Ok(values.to_vec())).ok()?;
                 for (((value, m), v), g) in values.iter_mut().zip(first).zip(second).zip(gradient) {
                     let g = g * clip;

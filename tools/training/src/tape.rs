@@ -29,7 +29,10 @@ impl Tape {
 
     /// A tape that keeps nothing.
     pub fn forward_only() -> Self {
-        Tape { forward_only: true, ..Tape::default() }
+        Tape {
+            forward_only: true,
+            ..Tape::default()
+        }
     }
 
     fn record(&mut self, out: &Tensor, backward: impl FnOnce(&Tensor) -> Result<Gradients> + 'static) {
@@ -47,7 +50,10 @@ impl Tape {
         let (a, b, result) = (a.clone(), b.clone(), out.clone());
         self.record(&out, move |grad| {
             let (da, db) = op.bwd(&a, &b, &result, grad)?;
-            Ok([(a.id(), da), (b.id(), db)].into_iter().filter_map(|(id, grad)| Some((id, grad?))).collect())
+            Ok([(a.id(), da), (b.id(), db)]
+                .into_iter()
+                .filter_map(|(id, grad)| Some((id, grad?)))
+                .collect())
         });
         Ok(out)
     }
@@ -73,8 +79,10 @@ impl Tape {
     /// As [`join`].
     pub fn join(&mut self, maps: &[Tensor]) -> Result<Tensor> {
         let out = join(maps)?;
-        let parts: Vec<(TensorId, usize)> =
-            maps.iter().map(|map| Ok((map.id(), map.dim(3)?))).collect::<Result<_>>()?;
+        let parts: Vec<(TensorId, usize)> = maps
+            .iter()
+            .map(|map| Ok((map.id(), map.dim(3)?)))
+            .collect::<Result<_>>()?;
         self.record(&out, move |grad| {
             let channels: Vec<usize> = parts.iter().map(|(_, channels)| *channels).collect();
             let ids = parts.iter().map(|(id, _)| *id);

@@ -115,7 +115,11 @@ pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> 
 }
 
 fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
-    TrainError::Option { field, expected, found: found.to_string() }
+    TrainError::Option {
+        field,
+        expected,
+        found: found.to_string(),
+    }
 }
 
 fn check(options: &TrainOptions) -> Result<(), TrainError> {
@@ -133,7 +137,9 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     }
     match &options.data {
         Data::Simulated { seeds, .. } if seeds.is_empty() => Err(option("seeds", "at least one", format!("{seeds:?}"))),
-        Data::Simulated { per_seed, .. } if !(1..=10).contains(per_seed) => Err(option("per_seed", "1 to 10", per_seed)),
+        Data::Simulated { per_seed, .. } if !(1..=10).contains(per_seed) => {
+            Err(option("per_seed", "1 to 10", per_seed))
+        }
         _ => Ok(()),
     }
 }
@@ -161,14 +167,26 @@ impl Source {
             Data::Simulated { cache, seeds, per_seed } => {
                 let frames = SimulatedFrames::new(cache, seeds.clone(), *per_seed)?;
                 let name = format!("simulator seeds {seeds:?}, {per_seed} frames each");
-                Ok(Source { frames: Arc::new(frames.clone()), name, missing: Some(frames) })
+                Ok(Source {
+                    frames: Arc::new(frames.clone()),
+                    name,
+                    missing: Some(frames),
+                })
             }
             Data::Logged { cache, logs } => {
                 let frames = LoggedFrames::new(cache, logs)?;
                 if frames.is_empty() {
-                    return Err(option("logs", "logs with sweeps at the stamps of their ground truth", format!("{logs:?}")));
+                    return Err(option(
+                        "logs",
+                        "logs with sweeps at the stamps of their ground truth",
+                        format!("{logs:?}"),
+                    ));
                 }
-                Ok(Source { name: format!("logs {logs:?}"), frames: Arc::new(frames), missing: None })
+                Ok(Source {
+                    name: format!("logs {logs:?}"),
+                    frames: Arc::new(frames),
+                    missing: None,
+                })
             }
         }
     }
@@ -196,7 +214,10 @@ impl<'a> Training<'a> {
         let model = Model::read(&options.model)?;
         if model.pillars.intensity {
             let reason = "it looks at intensity, which frames of training data do not hold".into();
-            return Err(TrainError::Model { model: model.name, reason });
+            return Err(TrainError::Model {
+                model: model.name,
+                reason,
+            });
         }
         let source = Source::open(&options.data)?;
         let plan = Plan {
@@ -208,8 +229,10 @@ impl<'a> Training<'a> {
             half_range: options.half_range,
             data: source.name.clone(),
         };
-        std::fs::create_dir_all(&options.output)
-            .map_err(|error| TrainError::Write { path: options.output.clone(), error })?;
+        std::fs::create_dir_all(&options.output).map_err(|error| TrainError::Write {
+            path: options.output.clone(),
+            error,
+        })?;
         let checkpoint = options.output.join("checkpoint.safetensors");
         let state = state(options, &model, plan, &checkpoint)?;
         let recipe = Recipe {
@@ -221,8 +244,19 @@ impl<'a> Training<'a> {
             half_range: options.half_range,
         };
         let mut filling = Filling::default();
-        filling.failed.extend(source.missing.map(|frames| frames.fill(recipe.order(0), filling.stop.clone())));
-        let training = Training { options, model, recipe, filling, state, checkpoint };
+        filling.failed.extend(
+            source
+                .missing
+                .map(|frames| frames.fill(recipe.order(0), filling.stop.clone())),
+        );
+        let training = Training {
+            options,
+            model,
+            recipe,
+            filling,
+            state,
+            checkpoint,
+        };
         training.check_classes()?;
         Ok(training)
     }
@@ -244,12 +278,18 @@ impl<'a> Training<'a> {
             }
         }
         let frames = order.len().min(SEARCHED);
-        Err(TrainError::AbsentClass { class: missing.join("`, `"), frames })
+        Err(TrainError::AbsentClass {
+            class: missing.join("`, `"),
+            frames,
+        })
     }
 
     fn run(mut self, mut progress: impl FnMut(&Progress) + Send) -> Result<Trained, TrainError> {
         let begin = Instant::now();
-        let budget = self.options.minutes.map(|minutes| Duration::from_secs_f64(minutes * 60.0));
+        let budget = self
+            .options
+            .minutes
+            .map(|minutes| Duration::from_secs_f64(minutes * 60.0));
         let (batches, loader) = self.recipe.clone().start(self.state.optimizer.steps);
         let mut saved = Instant::now();
         let mut pace = Pace::default();
@@ -259,10 +299,15 @@ impl<'a> Training<'a> {
             let waited = start.elapsed().as_secs_f64();
             let point = self.step(&batch, start)?;
             pace.add(point.seconds, waited);
-            let due = self.options.validate_every.is_some_and(|every| self.state.optimizer.steps.is_multiple_of(every));
+            let due = self
+                .options
+                .validate_every
+                .is_some_and(|every| self.state.optimizer.steps.is_multiple_of(every));
             let validation = if due { Some(self.validate()?) } else { None };
             let steps_left = (self.options.steps - self.state.optimizer.steps) as f64 * pace.seconds;
-            let time_left = budget.map_or(f64::INFINITY, |budget| (budget.saturating_sub(begin.elapsed())).as_secs_f64());
+            let time_left = budget.map_or(f64::INFINITY, |budget| {
+                (budget.saturating_sub(begin.elapsed())).as_secs_f64()
+            });
             progress(&Progress {
                 point,
                 steps: self.options.steps,
@@ -282,25 +327,47 @@ impl<'a> Training<'a> {
         let weights = self.save()?;
         let steps = self.state.optimizer.steps;
         drop(self.filling);
-        Ok(Trained { steps, complete: steps >= self.options.steps, weights })
+        Ok(Trained {
+            steps,
+            complete: steps >= self.options.steps,
+            weights,
+        })
     }
 
     fn step(&mut self, batch: &Batch, start: Instant) -> Result<Point, TrainError> {
-        let Checkpoint { network, optimizer, curve, .. } = &mut self.state;
+        let Checkpoint {
+            network,
+            optimizer,
+            curve,
+            ..
+        } = &mut self.state;
         let step = optimizer.steps;
         let how = &self.options.optimizer;
         let pass = network.pass(&batch.pillars, &batch.targets, &loss::Settings::default())?;
         let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
         let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
         if !(class + regression).is_finite() {
-            return Err(TrainError::Diverged { step, loss: class + regression });
+            return Err(TrainError::Diverged {
+                step,
+                loss: class + regression,
+            });
         }
         let rate = how.rate_at(step, self.options.steps);
         let gradient = optimizer.step(network, &pass.gradients, rate, how)?;
         if !gradient.is_finite() {
-            return Err(TrainError::Diverged { step, loss: class + regression });
+            return Err(TrainError::Diverged {
+                step,
+                loss: class + regression,
+            });
         }
-        let point = Point { step, class, regression, gradient, rate, seconds: start.elapsed().as_secs_f64() };
+        let point = Point {
+            step,
+            class,
+            regression,
+            gradient,
+            rate,
+            seconds: start.elapsed().as_secs_f64(),
+        };
         curve.points.push(point);
         Ok(point)
     }
@@ -331,19 +398,32 @@ pub fn validation_frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
 }
 
 fn state(options: &TrainOptions, model: &Model, plan: Plan, path: &Path) -> Result<Checkpoint, TrainError> {
-    let refuse = |reason: String| TrainError::Checkpoint { path: path.into(), reason };
+    let refuse = |reason: String| TrainError::Checkpoint {
+        path: path.into(),
+        reason,
+    };
     match (options.resume, path.exists()) {
         (true, false) => Err(refuse("there is none to resume from".into())),
-        (false, true) => Err(refuse("a training is there already; resume it or choose another folder".into())),
+        (false, true) => Err(refuse(
+            "a training is there already; resume it or choose another folder".into(),
+        )),
         (false, false) => {
             let network = Network::random(model, options.seed)?;
-            Ok(Checkpoint { optimizer: AdamW::new(&network), network, curve: Curve::default(), plan })
+            Ok(Checkpoint {
+                optimizer: AdamW::new(&network),
+                network,
+                curve: Curve::default(),
+                plan,
+            })
         }
         (true, true) => {
             let state = Checkpoint::read(path, model)?;
             match state.plan == plan {
                 true => Ok(state),
-                false => Err(refuse(format!("it was trained as {:?}, now {plan:?} is asked for", state.plan))),
+                false => Err(refuse(format!(
+                    "it was trained as {:?}, now {plan:?} is asked for",
+                    state.plan
+                ))),
             }
         }
     }

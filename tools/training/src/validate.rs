@@ -51,7 +51,12 @@ pub fn validate(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validatio
     let mut ledgers = [(); 2].map(|()| vec![Ledger::default(); model.classes.len()]);
     for index in 0..frames.len() {
         let frame = frames.load(index)?;
-        let egos = frame.agents.iter().enumerate().filter(|(_, agent)| !agent.roadside).map(|(ego, _)| ego);
+        let egos = frame
+            .agents
+            .iter()
+            .enumerate()
+            .filter(|(_, agent)| !agent.roadside)
+            .map(|(ego, _)| ego);
         for ego in egos {
             let casts = [Vec::new(), near(&frame, ego)].map(|others| Cast { ego, others });
             for (ledgers, cast) in ledgers.iter_mut().zip(casts) {
@@ -68,13 +73,20 @@ pub fn validate(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validatio
         }
     }
     let [alone, merged] = ledgers;
-    let classes = model.classes.iter().zip(alone.iter().zip(&merged)).map(|(class, (alone, merged))| ClassScore {
-        name: class.name.clone(),
-        iou: least_iou(&class.name),
-        alone: alone.average_precision(),
-        merged: merged.average_precision(),
-    });
-    Ok(Validation { frames: frames.len(), classes: classes.collect() })
+    let classes = model
+        .classes
+        .iter()
+        .zip(alone.iter().zip(&merged))
+        .map(|(class, (alone, merged))| ClassScore {
+            name: class.name.clone(),
+            iou: least_iou(&class.name),
+            alone: alone.average_precision(),
+            merged: merged.average_precision(),
+        });
+    Ok(Validation {
+        frames: frames.len(),
+        classes: classes.collect(),
+    })
 }
 
 /// The overlaps that are customary.
@@ -90,7 +102,13 @@ fn detect(network: &Network, pillars: &Arc<crate::layers::PillarBatch>) -> Resul
         with_numbers(map, |values| Ok(inner(&shape, values, 0)))
     };
     let (scores, deltas) = (cells(&heads.scores)?, cells(&heads.deltas)?);
-    let found = candidates(&Anchors::of(network.model()), &scores, &deltas, THRESHOLD, MOST_CANDIDATES);
+    let found = candidates(
+        &Anchors::of(network.model()),
+        &scores,
+        &deltas,
+        THRESHOLD,
+        MOST_CANDIDATES,
+    );
     Ok(suppress(found.detections))
 }
 
@@ -121,13 +139,18 @@ struct Ledger {
 impl Ledger {
     /// Each detection takes the free object that it overlaps with most.
     fn add(&mut self, found: &[Detection], objects: &[Object], class: usize, least: f64) {
-        let mut free: Vec<Footprint> =
-            objects.iter().filter(|o| o.class == class).map(|o| footprint(&o.hwl)).collect();
+        let mut free: Vec<Footprint> = objects
+            .iter()
+            .filter(|o| o.class == class)
+            .map(|o| footprint(&o.hwl))
+            .collect();
         self.objects += free.len();
         for detection in found.iter().filter(|d| d.class == class) {
             let outline = footprint(&detection.hwl.map(f64::from));
             let overlaps = free.iter().map(|object| iou(object, &outline)).enumerate();
-            let best = overlaps.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, overlap)| *overlap >= least);
+            let best = overlaps
+                .max_by(|a, b| a.1.total_cmp(&b.1))
+                .filter(|(_, overlap)| *overlap >= least);
             self.found.push((detection.score, best.is_some()));
             if let Some((index, _)) = best {
                 free.swap_remove(index);
@@ -162,11 +185,18 @@ mod tests {
     use super::*;
 
     fn at(x: f64, class: usize) -> Object {
-        Object { class, hwl: [x, 0.0, 1.0, 1.5, 2.0, 4.0, 0.0] }
+        Object {
+            class,
+            hwl: [x, 0.0, 1.0, 1.5, 2.0, 4.0, 0.0],
+        }
     }
 
     fn found(x: f32, score: f32) -> Detection {
-        Detection { class: 0, score, hwl: [x, 0.0, 1.0, 1.5, 2.0, 4.0, 0.0] }
+        Detection {
+            class: 0,
+            score,
+            hwl: [x, 0.0, 1.0, 1.5, 2.0, 4.0, 0.0],
+        }
     }
 
     #[test]

@@ -42,7 +42,9 @@ struct Folder {
 
 impl Folder {
     fn new() -> Self {
-        Folder { folder: tempfile::tempdir().unwrap() }
+        Folder {
+            folder: tempfile::tempdir().unwrap(),
+        }
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -56,7 +58,11 @@ impl Folder {
             model,
             output: self.path(output),
             resume: false,
-            data: Data::Simulated { cache: cache().into(), seeds: 0..2, per_seed: 1 },
+            data: Data::Simulated {
+                cache: cache().into(),
+                seeds: 0..2,
+                per_seed: 1,
+            },
             steps: 6,
             minutes: None,
             seed: 3,
@@ -64,7 +70,10 @@ impl Folder {
             half_range: 0.5,
             checkpoint_minutes: 0.0,
             validate_every: None,
-            optimizer: Settings { rate: 2e-3, ..Settings::default() },
+            optimizer: Settings {
+                rate: 2e-3,
+                ..Settings::default()
+            },
             augmentation: Augmentation::default(),
             threads: Some(2),
         }
@@ -76,7 +85,9 @@ fn bits(path: &Path) -> BTreeMap<String, Vec<u8>> {
     let bytes = fs::read(path).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let tensors = file.iter().filter(|(name, _)| *name != "curve");
-    tensors.map(|(name, view)| (name.to_string(), view.data().to_vec())).collect()
+    tensors
+        .map(|(name, view)| (name.to_string(), view.data().to_vec()))
+        .collect()
 }
 
 #[test]
@@ -85,21 +96,37 @@ fn a_killed_training_goes_on_to_the_same_bits() {
     let whole = folder.options("truck", "whole");
     assert!(train(&whole, |_| ()).unwrap().complete);
     let mut parts = folder.options("truck", "parts");
-    let killed = catch_unwind(AssertUnwindSafe(|| train(&parts, |progress| assert!(progress.point.step < 3))));
+    let killed = catch_unwind(AssertUnwindSafe(|| {
+        train(&parts, |progress| assert!(progress.point.step < 3))
+    }));
     assert!(killed.is_err());
-    assert!(matches!(train(&parts, |_| ()), Err(TrainError::Checkpoint { .. })), "it must not start anew by itself");
+    assert!(
+        matches!(train(&parts, |_| ()), Err(TrainError::Checkpoint { .. })),
+        "it must not start anew by itself"
+    );
     parts.resume = true;
     // The number of threads does not matter either.
     parts.threads = Some(1);
     let mut steps = Vec::new();
-    assert!(train(&parts, |progress| steps.push(progress.point.step)).unwrap().complete);
+    assert!(
+        train(&parts, |progress| steps.push(progress.point.step))
+            .unwrap()
+            .complete
+    );
     assert_eq!(steps, [3, 4, 5]);
     for name in ["checkpoint.safetensors", "small.safetensors"] {
-        assert!(bits(&whole.output.join(name)) == bits(&parts.output.join(name)), "{name} differs");
+        assert!(
+            bits(&whole.output.join(name)) == bits(&parts.output.join(name)),
+            "{name} differs"
+        );
     }
     let csv = fs::read_to_string(parts.output.join("curve.csv")).unwrap();
     assert_eq!(csv.lines().count(), 7);
-    assert!(fs::read_to_string(parts.output.join("curve.svg")).unwrap().contains("<polyline"));
+    assert!(
+        fs::read_to_string(parts.output.join("curve.svg"))
+            .unwrap()
+            .contains("<polyline")
+    );
     let model = Model::read(&parts.model).unwrap();
     Weights::read(&parts.output.join("small.safetensors"), &model).unwrap();
 }
@@ -110,7 +137,11 @@ fn the_loss_falls() {
     let mut options = folder.options("truck", "out");
     (options.steps, options.checkpoint_minutes, options.half_range) = (150, 1.0, 0.0);
     options.optimizer.rate = 1e-2;
-    options.augmentation = Augmentation { alone: 0.0, everybody: 1.0, ..Augmentation::none() };
+    options.augmentation = Augmentation {
+        alone: 0.0,
+        everybody: 1.0,
+        ..Augmentation::none()
+    };
     let mut losses = Vec::new();
     train(&options, |progress| losses.push(progress.point.loss())).unwrap();
     let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
@@ -160,7 +191,13 @@ fn a_loss_that_is_no_number_ends_the_training_and_saves_nothing() {
     let checkpoint = options.output.join("checkpoint.safetensors");
     if checkpoint.exists() {
         let steps = bits(&checkpoint);
-        let finite = |bytes: &Vec<u8>| bytes.as_chunks::<4>().0.iter().all(|b| f32::from_le_bytes(*b).is_finite());
+        let finite = |bytes: &Vec<u8>| {
+            bytes
+                .as_chunks::<4>()
+                .0
+                .iter()
+                .all(|b| f32::from_le_bytes(*b).is_finite())
+        };
         assert!(steps.values().all(finite), "what was saved must be numbers");
     }
 }
@@ -169,7 +206,10 @@ fn a_loss_that_is_no_number_ends_the_training_and_saves_nothing() {
 fn a_class_that_the_data_lack_is_named() {
     let folder = Folder::new();
     let error = train(&folder.options("tram", "out"), |_| ()).unwrap_err();
-    assert!(matches!(&error, TrainError::AbsentClass { class, .. } if class == "tram"), "{error}");
+    assert!(
+        matches!(&error, TrainError::AbsentClass { class, .. } if class == "tram"),
+        "{error}"
+    );
 }
 
 #[test]

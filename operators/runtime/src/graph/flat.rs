@@ -184,9 +184,10 @@ impl FlatNode {
         }
     }
 
-    /// The `key=value` arguments of a stage.
+    /// The `key=value` arguments of a stage; a program of its own has nothing before them.
     pub fn settings(&self) -> &[String] {
-        self.args.get(2..).unwrap_or_default()
+        let first = if self.is_realo() { 2 } else { 0 };
+        self.args.get(first..).unwrap_or_default()
     }
 
     /// What the registry has of this node; `None` for a foreign node or an unknown name.

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 use serde_yaml::Mapping;
 
 pub use audit::audit;
-pub use check::{Finding, QUEUE_SIZE, Severity, validate};
+pub use check::{Answer, Finding, QUEUE_SIZE, Severity, misdeclared, validate, validate_asking};
 pub use error::GraphError;
 pub use flat::{FlatGraph, FlatNode, Input, InputSource, Setting};
 

@@ -4,8 +4,14 @@ use serde::Deserialize;
 
 /// The protocols' own files, so that training and evaluation can never disagree; only their classes are read here.
 const PROTOCOLS: [(&str, &str); 2] = [
-    ("default", include_str!("../../../../operators/evaluator/protocols/default.yml")),
-    ("dair", include_str!("../../../../operators/evaluator/protocols/dair.yml")),
+    (
+        "default",
+        include_str!("../../../../operators/evaluator/protocols/default.yml"),
+    ),
+    (
+        "dair",
+        include_str!("../../../../operators/evaluator/protocols/dair.yml"),
+    ),
 ];
 
 /// From raw names to super-classes.

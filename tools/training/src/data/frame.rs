@@ -71,12 +71,21 @@ impl AgentSweep {
             .filter(|point| point.iter().all(|value| value.abs() <= limit))
             .map(|point| point.map(|value| value as i16))
             .collect();
-        AgentSweep { name: name.into(), roadside, map_from_body, count: points.len(), points, objects }
+        AgentSweep {
+            name: name.into(),
+            roadside,
+            map_from_body,
+            count: points.len(),
+            points,
+            objects,
+        }
     }
 
     /// x, y, z of all points, m.
     pub fn metres(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
-        self.points.iter().map(|point| point.map(|value| f32::from(value) * UNIT))
+        self.points
+            .iter()
+            .map(|point| point.map(|value| f32::from(value) * UNIT))
     }
 }
 
@@ -99,7 +108,11 @@ impl Frame {
         // Several trainings may fill one folder; each has parts of its own.
         static PARTS: AtomicU64 = AtomicU64::new(0);
         let number = PARTS.fetch_add(1, Ordering::Relaxed);
-        write_by_way_of(&path.with_extension(format!("{}-{number}.part", std::process::id())), path, &bytes)
+        write_by_way_of(
+            &path.with_extension(format!("{}-{number}.part", std::process::id())),
+            path,
+            &bytes,
+        )
     }
 
     /// Reads a frame.
@@ -107,8 +120,14 @@ impl Frame {
     /// # Errors
     /// [`TrainError::Read`]; [`TrainError::Cache`] for bytes that are no frame.
     pub fn read(path: &Path) -> Result<Self, TrainError> {
-        let bytes = fs::read(path).map_err(|error| TrainError::Read { path: path.into(), error })?;
-        Frame::parse(&bytes).map_err(|reason| TrainError::Cache { path: path.into(), reason })
+        let bytes = fs::read(path).map_err(|error| TrainError::Read {
+            path: path.into(),
+            error,
+        })?;
+        Frame::parse(&bytes).map_err(|reason| TrainError::Cache {
+            path: path.into(),
+            reason,
+        })
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, String> {
@@ -118,7 +137,10 @@ impl Frame {
         let (header, rest) = rest.split_at_checked(length).ok_or("it ends in its header")?;
         let mut frame: Frame = serde_json::from_slice(header).map_err(|error| error.to_string())?;
         let mut values = rest.as_chunks::<2>().0.iter().map(|bytes| i16::from_le_bytes(*bytes));
-        let expected = frame.agents.iter().try_fold(0usize, |sum, agent| sum.checked_add(agent.count));
+        let expected = frame
+            .agents
+            .iter()
+            .try_fold(0usize, |sum, agent| sum.checked_add(agent.count));
         if expected.and_then(|points| points.checked_mul(6)) != Some(rest.len()) {
             return Err(format!("expected {expected:?} points, found {} bytes", rest.len()));
         }
@@ -153,7 +175,10 @@ pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
 }
 
 fn write_by_way_of(part: &Path, path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
-    let failed = |error| TrainError::Write { path: path.into(), error };
+    let failed = |error| TrainError::Write {
+        path: path.into(),
+        error,
+    };
     let write = || {
         let mut file = fs::File::create(part)?;
         file.write_all(bytes)?;
@@ -172,10 +197,29 @@ mod tests {
     use super::*;
 
     fn frame() -> Frame {
-        let object = Seen { track: 7, class: 1, lwh: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.1], points: 9 };
-        let points = [[1.0, -2.5, 0.25], [127.9, 0.0, 0.0], [128.1, 0.0, 0.0], [f32::NAN, 0.0, 0.0]];
-        let agent = AgentSweep::new("cav1", false, Isometry3::translation(1.0, 2.0, 3.0), points.into_iter(), vec![object]);
-        Frame { classes: vec!["vehicle".into(), "pedestrian".into()], agents: vec![agent] }
+        let object = Seen {
+            track: 7,
+            class: 1,
+            lwh: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.1],
+            points: 9,
+        };
+        let points = [
+            [1.0, -2.5, 0.25],
+            [127.9, 0.0, 0.0],
+            [128.1, 0.0, 0.0],
+            [f32::NAN, 0.0, 0.0],
+        ];
+        let agent = AgentSweep::new(
+            "cav1",
+            false,
+            Isometry3::translation(1.0, 2.0, 3.0),
+            points.into_iter(),
+            vec![object],
+        );
+        Frame {
+            classes: vec!["vehicle".into(), "pedestrian".into()],
+            agents: vec![agent],
+        }
     }
 
     #[test]
@@ -201,8 +245,15 @@ mod tests {
         for case in cases {
             fs::write(&path, &case).unwrap();
             let error = Frame::read(&path).unwrap_err();
-            assert!(matches!(error, TrainError::Cache { .. }), "{} bytes: {error}", case.len());
+            assert!(
+                matches!(error, TrainError::Cache { .. }),
+                "{} bytes: {error}",
+                case.len()
+            );
         }
-        assert!(matches!(Frame::read(&folder.path().join("b")), Err(TrainError::Read { .. })));
+        assert!(matches!(
+            Frame::read(&folder.path().join("b")),
+            Err(TrainError::Read { .. })
+        ));
     }
 }

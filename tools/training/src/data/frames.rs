@@ -44,8 +44,16 @@ impl SimulatedFrames {
     /// # Errors
     /// [`TrainError::Write`] if there can be no such folder.
     pub fn new(folder: &Path, seeds: Range<u64>, per_seed: usize) -> Result<Self, TrainError> {
-        fs::create_dir_all(folder).map_err(|error| TrainError::Write { path: folder.into(), error })?;
-        Ok(SimulatedFrames { folder: folder.into(), seeds, per_seed, busy: Arc::default() })
+        fs::create_dir_all(folder).map_err(|error| TrainError::Write {
+            path: folder.into(),
+            error,
+        })?;
+        Ok(SimulatedFrames {
+            folder: folder.into(),
+            seeds,
+            per_seed,
+            busy: Arc::default(),
+        })
     }
 
     /// Makes what is missing of a seed, unless somebody else is at it; then waits for him.
@@ -61,23 +69,33 @@ impl SimulatedFrames {
         at_work.insert(seed);
         drop(at_work);
         let made = self.write(seed);
-        busy.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).remove(&seed);
+        busy.lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner())
+            .remove(&seed);
         done.notify_all();
         made
     }
 
     fn write(&self, seed: u64) -> Result<(), TrainError> {
         let frames = simulated::frames(&simulated::options(seed), self.per_seed)?;
-        frames.iter().enumerate().try_for_each(|(number, frame)| frame.write(&self.path(seed, number)))
+        frames
+            .iter()
+            .enumerate()
+            .try_for_each(|(number, frame)| frame.write(&self.path(seed, number)))
     }
 
     fn path(&self, seed: u64, number: usize) -> PathBuf {
         // The number of frames is part of the name: it decides which moments they are.
-        self.folder.join(format!("seed-{seed:06}-{number}-of-{}.frame", self.per_seed))
+        self.folder
+            .join(format!("seed-{seed:06}-{number}-of-{}.frame", self.per_seed))
     }
 
     /// Makes what is missing in the background, in the order of `indices`, until all is there or `stop` says so.
-    pub fn fill(&self, indices: Vec<usize>, stop: Arc<std::sync::atomic::AtomicBool>) -> JoinHandle<Result<(), TrainError>> {
+    pub fn fill(
+        &self,
+        indices: Vec<usize>,
+        stop: Arc<std::sync::atomic::AtomicBool>,
+    ) -> JoinHandle<Result<(), TrainError>> {
         let frames = self.clone();
         std::thread::spawn(move || {
             let mut asked = BTreeSet::new();

@@ -99,7 +99,10 @@ impl Recipe {
 
 /// Samples on grids of one size.
 pub(crate) fn gather(model: &Model, samples: Vec<Sample>) -> Batch {
-    let (frames, targets) = samples.into_iter().map(|sample| (sample.pillars, sample.targets)).unzip();
+    let (frames, targets) = samples
+        .into_iter()
+        .map(|sample| (sample.pillars, sample.targets))
+        .unzip();
     let pillars = Arc::new(PillarBatch::new(&model.grid, &model.pillars, frames));
     Batch { pillars, targets }
 }
@@ -112,7 +115,11 @@ fn window(model: &Model, draws: &mut Stream) -> Model {
     let step: usize = model.backbone.strides.iter().product::<usize>().max(1);
     let half = model.grid.columns() / 2 / step * step;
     let free = (model.grid.columns() - half) / step;
-    let place = if draws.chance(0.5) { free / 2 } else { draws.below(free + 1) };
+    let place = if draws.chance(0.5) {
+        free / 2
+    } else {
+        draws.below(free + 1)
+    };
     let start = from + (place * step) as f64 * model.grid.cell;
     model.grid.x = [start, (start + half as f64 * model.grid.cell).min(to)];
     model

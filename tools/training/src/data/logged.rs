@@ -35,7 +35,10 @@ impl LoggedFrames {
     /// # Errors
     /// [`TrainError::NoTruth`] for a log without ground truth, [`TrainError::Log`] for one that cannot be read.
     pub fn new(folder: &Path, logs: &[PathBuf]) -> Result<Self, TrainError> {
-        std::fs::create_dir_all(folder).map_err(|error| TrainError::Write { path: folder.into(), error })?;
+        std::fs::create_dir_all(folder).map_err(|error| TrainError::Write {
+            path: folder.into(),
+            error,
+        })?;
         let mut paths = Vec::new();
         for log in logs {
             paths.extend(Reading::open(log)?.extract(folder)?);
@@ -76,10 +79,18 @@ impl Reading {
         let log = Log::open(path)?;
         let Some(table) = ClassTable::of(&log.info().protocol) else {
             let reason = format!("no classes are known for its protocol `{}`", log.info().protocol);
-            return Err(TrainError::Cache { path: path.into(), reason });
+            return Err(TrainError::Cache {
+                path: path.into(),
+                reason,
+            });
         };
         let names: Vec<String> = log.info().agents.iter().map(|agent| agent.name.clone()).collect();
-        let mut reading = Reading { log, table, tracks: BTreeMap::new(), truth: BTreeMap::new() };
+        let mut reading = Reading {
+            log,
+            table,
+            tracks: BTreeMap::new(),
+            truth: BTreeMap::new(),
+        };
         for name in &names {
             reading.read_poses(name)?;
             if reading.log.has(name, Stream::GroundTruth) {
@@ -87,14 +98,21 @@ impl Reading {
             }
         }
         match reading.truth.is_empty() {
-            true => Err(TrainError::NoTruth { path: path.into(), agent: names.join("`, `") }),
+            true => Err(TrainError::NoTruth {
+                path: path.into(),
+                agent: names.join("`, `"),
+            }),
             false => Ok(reading),
         }
     }
 
     /// The true poses where the log has them.
     fn read_poses(&mut self, agent: &str) -> Result<(), TrainError> {
-        let stream = if self.log.has(agent, Stream::PoseTruth) { Stream::PoseTruth } else { Stream::Pose };
+        let stream = if self.log.has(agent, Stream::PoseTruth) {
+            Stream::PoseTruth
+        } else {
+            Stream::Pose
+        };
         let mut reader = self.log.read_all(&[(agent, stream)])?;
         let mut track = PoseTrack::new(Nanos::MAX, POSE_GAP);
         while let Some(entry) = reader.next()? {
@@ -124,7 +142,9 @@ impl Reading {
 
     /// Writes the frames that are missing; returns the paths of all.
     fn extract(&self, folder: &Path) -> Result<Vec<PathBuf>, TrainError> {
-        let Some((first, labels)) = self.truth.first_key_value() else { return Ok(Vec::new()) };
+        let Some((first, labels)) = self.truth.first_key_value() else {
+            return Ok(Vec::new());
+        };
         let (mut paths, mut last) = (Vec::new(), None);
         for stamp in labels.keys().copied() {
             if last.is_some_and(|last| stamp - last < APART) {
@@ -133,7 +153,9 @@ impl Reading {
             last = Some(stamp);
             let path = folder.join(format!("log-{:016x}-{stamp}.frame", self.identity()));
             if !path.exists() {
-                let Some(frame) = self.frame(stamp, first)? else { continue };
+                let Some(frame) = self.frame(stamp, first)? else {
+                    continue;
+                };
                 frame.write(&path)?;
             }
             paths.push(path);
@@ -144,21 +166,27 @@ impl Reading {
     /// Tells logs of the same name and different content apart: a hash of its path, its source and its span.
     fn identity(&self) -> u64 {
         let text = format!("{:?} {:?} {:?}", self.log.path(), self.log.info(), self.log.span());
-        text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+        text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        })
     }
 
     /// The sweeps nearest to a stamp; `None` if the agent with the labels has none there.
     fn frame(&self, stamp: Nanos, labelled: &str) -> Result<Option<Frame>, TrainError> {
         let mut agents = Vec::new();
         for info in &self.log.info().agents {
-            let Some((at, cloud)) = self.nearest(&info.name, stamp)? else { continue };
+            let Some((at, cloud)) = self.nearest(&info.name, stamp)? else {
+                continue;
+            };
             let track = &self.tracks[&info.name];
             let roadside = info.kind == AgentKind::Roadside;
             let columns = [&cloud.x[..], &cloud.y, &cloud.z];
             let (Some(pose), Some(points)) = (track.at(at), deskewed(columns, &cloud.time, track, at, roadside)) else {
                 continue;
             };
-            let Some(objects) = self.objects(&info.name, at, &pose, &points, (labelled, stamp)) else { continue };
+            let Some(objects) = self.objects(&info.name, at, &pose, &points, (labelled, stamp)) else {
+                continue;
+            };
             agents.push(AgentSweep::new(&info.name, roadside, pose, points.into_iter(), objects));
         }
         let complete = agents.iter().any(|agent| agent.name == labelled);
@@ -171,7 +199,11 @@ impl Reading {
             return Ok(None);
         }
         // A sweep is complete some time after its stamp.
-        let mut reader = self.log.read(&[(agent, Stream::Points)], stamp - NEAR, stamp + NEAR + from_seconds(1.0))?;
+        let mut reader = self.log.read(
+            &[(agent, Stream::Points)],
+            stamp - NEAR,
+            stamp + NEAR + from_seconds(1.0),
+        )?;
         let mut best = None;
         while let Some(entry) = reader.next()? {
             let off = (entry.stamp() - stamp).abs();
@@ -200,7 +232,10 @@ impl Reading {
         let map_from_labelled = self.tracks[labelled].at(labelled_at)?;
         let agent_from_labelled = pose.inverse() * map_from_labelled;
         let objects = &self.truth[labelled].get(&labelled_at)?.objects.0;
-        let moved: Vec<Box3> = objects.iter().map(|object| moved(object, &agent_from_labelled)).collect();
+        let moved: Vec<Box3> = objects
+            .iter()
+            .map(|object| moved(object, &agent_from_labelled))
+            .collect();
         Some(self.counted(&moved, points))
     }
 
@@ -214,7 +249,11 @@ impl Reading {
 fn moved(object: &Box3, to_from: &Isometry3<f64>) -> Box3 {
     let center = to_from * Point3::from(object.center);
     let (_, _, turn) = to_from.rotation.euler_angles();
-    Box3 { center: center.coords.into(), yaw: normalize_yaw(object.yaw + turn), ..object.clone() }
+    Box3 {
+        center: center.coords.into(),
+        yaw: normalize_yaw(object.yaw + turn),
+        ..object.clone()
+    }
 }
 
 fn contains(object: &Box3, point: [f32; 3]) -> bool {

@@ -8,12 +8,12 @@ mod logged;
 mod sample;
 mod simulated;
 
+pub(crate) use frame::write_whole;
 pub use frame::{AgentSweep, Frame, Seen};
 pub use frames::{Frames, SimulatedFrames};
-pub use logged::LoggedFrames;
-pub use loader::{Batch, Recipe};
-pub use sample::{Augmentation, Cast, Sample};
-pub(crate) use frame::write_whole;
 pub(crate) use loader::gather;
+pub use loader::{Batch, Recipe};
+pub use logged::LoggedFrames;
+pub use sample::{Augmentation, Cast, Sample};
 pub(crate) use sample::{Scene, near};
 pub use simulated::options as simulation_of_seed;

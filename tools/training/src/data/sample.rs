@@ -100,7 +100,10 @@ impl Cast {
     pub(crate) fn draw(frame: &Frame, how: &Augmentation, draws: &mut Stream) -> Self {
         let of_kind = |roadside: bool| {
             let agents = frame.agents.iter().enumerate();
-            agents.filter(|(_, agent)| agent.roadside == roadside).map(|(index, _)| index).collect::<Vec<_>>()
+            agents
+                .filter(|(_, agent)| agent.roadside == roadside)
+                .map(|(index, _)| index)
+                .collect::<Vec<_>>()
         };
         let [vehicles, units] = [false, true].map(of_kind);
         let roadside = vehicles.is_empty() || !units.is_empty() && draws.chance(how.roadside_ego);
@@ -122,7 +125,9 @@ pub(crate) fn near(frame: &Frame, ego: usize) -> Vec<usize> {
     let position = |agent: &AgentSweep| agent.map_from_body.translation.vector.xy();
     let center = position(&frame.agents[ego]);
     let all = frame.agents.iter().enumerate().filter(|(index, _)| *index != ego);
-    all.filter(|(_, agent)| (position(agent) - center).norm() <= REACH).map(|(index, _)| index).collect()
+    all.filter(|(_, agent)| (position(agent) - center).norm() <= REACH)
+        .map(|(index, _)| index)
+        .collect()
 }
 
 /// A merged cloud with the objects in it, in the ego's body frame.
@@ -135,21 +140,33 @@ pub(crate) struct Scene {
 
 /// The classes of frames as classes of a model; `None` where the model lacks one.
 pub(crate) fn classes_in(model: &Model, classes: &[String]) -> Vec<Option<usize>> {
-    classes.iter().map(|name| model.classes.iter().position(|class| class.name == *name)).collect()
+    classes
+        .iter()
+        .map(|name| model.classes.iter().position(|class| class.name == *name))
+        .collect()
 }
 
 impl Scene {
     /// Merges the clouds of a cast, the ego's first.
     pub fn new(frame: &Frame, cast: &Cast, model: &Model, how: &Augmentation, draws: &mut Stream) -> Self {
         let ego = &frame.agents[cast.ego];
-        let keep = if draws.chance(how.drop) { draws.between(how.keep, 1.0) } else { 1.0 };
+        let keep = if draws.chance(how.drop) {
+            draws.between(how.keep, 1.0)
+        } else {
+            1.0
+        };
         let mut scene = Scene::default();
         scene.add_points(ego, &Isometry3::identity(), keep, draws);
         let map_from_ego = ego.map_from_body;
         for other in cast.others.iter().map(|other| &frame.agents[*other]) {
             let [position, heading] = how.pose_noise;
             let error = Isometry3::from_parts(
-                Vector3::new(position * draws.normal(), position * draws.normal(), position * draws.normal()).into(),
+                Vector3::new(
+                    position * draws.normal(),
+                    position * draws.normal(),
+                    position * draws.normal(),
+                )
+                .into(),
                 UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading * draws.normal()),
             );
             let ego_from_other = map_from_ego.inverse() * other.map_from_body * error;
@@ -165,7 +182,10 @@ impl Scene {
             let Some(class) = classes[object.class] else { continue };
             if f64::from(object.points + others) * keep >= LEAST_POINTS {
                 let [x, y, z, length, width, height, yaw] = object.lwh;
-                scene.objects.push(Object { class, hwl: [x, y, z, height, width, length, yaw] });
+                scene.objects.push(Object {
+                    class,
+                    hwl: [x, y, z, height, width, length, yaw],
+                });
                 scene.ego_points.push(object.points);
             }
         }
@@ -174,7 +194,10 @@ impl Scene {
 
     fn add_points(&mut self, agent: &AgentSweep, ego_from_agent: &Isometry3<f64>, keep: f64, draws: &mut Stream) {
         let rotation = ego_from_agent.rotation.to_rotation_matrix();
-        let (r, t) = (rotation.matrix().cast::<f32>(), ego_from_agent.translation.vector.cast::<f32>());
+        let (r, t) = (
+            rotation.matrix().cast::<f32>(),
+            ego_from_agent.translation.vector.cast::<f32>(),
+        );
         let still = *ego_from_agent == Isometry3::identity();
         let threshold = (keep * f64::from(1 << 24)) as u32;
         // A cheap generator of its own: one draw for each of 10^5 points.
@@ -188,14 +211,20 @@ impl Scene {
                 true => [x, y, z],
                 false => std::array::from_fn(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]),
             };
-            self.columns.iter_mut().zip(moved).for_each(|(column, value)| column.push(value));
+            self.columns
+                .iter_mut()
+                .zip(moved)
+                .for_each(|(column, value)| column.push(value));
         }
     }
 
     /// Mirrors, turns and scales points and objects together, in this order.
     pub fn augment(&mut self, how: &Augmentation, draws: &mut Stream) {
         let mirror = [(); 2].map(|()| if draws.chance(how.mirror) { -1.0 } else { 1.0 });
-        let (angle, scale) = (draws.between(-how.rotation, how.rotation), draws.between(how.scale[0], how.scale[1]));
+        let (angle, scale) = (
+            draws.between(-how.rotation, how.rotation),
+            draws.between(how.scale[0], how.scale[1]),
+        );
         let (sin, cos) = angle.sin_cos();
         let turn = |[x, y]: [f64; 2]| {
             let (x, y) = (x * mirror[0], y * mirror[1]);
@@ -222,7 +251,12 @@ impl Scene {
     pub fn sample(self, model: &Model) -> Sample {
         let [x, y, z] = &self.columns;
         let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
-        let pillars = pillariser.run(&Points { x, y, z, intensity: None });
+        let pillars = pillariser.run(&Points {
+            x,
+            y,
+            z,
+            intensity: None,
+        });
         let pillars = PillarFrame::new(&model.grid, pillars, &model.pillars);
         let within = |hwl: &[f64; 7]| {
             let inside = |value: f64, [from, to]: [f64; 2]| (from..to).contains(&value);
@@ -230,6 +264,11 @@ impl Scene {
         };
         let both = self.objects.into_iter().zip(self.ego_points);
         let (objects, ego_points): (Vec<Object>, Vec<u32>) = both.filter(|(object, _)| within(&object.hwl)).unzip();
-        Sample { pillars, targets: assign(&Anchors::of(model), &objects), objects, ego_points }
+        Sample {
+            pillars,
+            targets: assign(&Anchors::of(model), &objects),
+            objects,
+            ego_points,
+        }
     }
 }

@@ -20,9 +20,17 @@ const SECONDS: f64 = 10.0;
 /// together.
 pub fn options(seed: u64) -> Options {
     Options {
-        scenario: if seed.is_multiple_of(2) { Scenario::Intersection } else { Scenario::Corridor },
+        scenario: if seed.is_multiple_of(2) {
+            Scenario::Intersection
+        } else {
+            Scenario::Corridor
+        },
         dense: seed / 2 % 3 == 2,
-        phase: if seed / 6 % 4 == 3 { Phase::Spread } else { Phase::Locked },
+        phase: if seed / 6 % 4 == 3 {
+            Phase::Spread
+        } else {
+            Phase::Locked
+        },
         seed,
         seconds: SECONDS,
         ..Options::default()
@@ -35,8 +43,14 @@ pub fn options(seed: u64) -> Options {
 /// [`TrainError::Simulation`].
 pub fn frames(options: &Options, count: usize) -> Result<Vec<Frame>, TrainError> {
     let simulation = Simulation::new(options)?;
-    let tracks: Vec<PoseTrack> = simulation.agents().map(|agent| true_track(&simulation, &agent.name)).collect();
-    Ok(numbers(options.seed, count).into_iter().map(|seq| frame(&simulation, &tracks, seq)).collect())
+    let tracks: Vec<PoseTrack> = simulation
+        .agents()
+        .map(|agent| true_track(&simulation, &agent.name))
+        .collect();
+    Ok(numbers(options.seed, count)
+        .into_iter()
+        .map(|seq| frame(&simulation, &tracks, seq))
+        .collect())
 }
 
 /// Numbers of the sweeps: one moment in each of some seconds.
@@ -44,7 +58,9 @@ fn numbers(seed: u64, count: usize) -> Vec<u64> {
     let mut draws = Stream::new(seed, "sweeps", 0);
     let moment = draws.below(10) as u64;
     let mut seconds: Vec<u64> = (0..SECONDS as u64).collect();
-    (0..count.min(seconds.len())).map(|_| seconds.swap_remove(draws.below(seconds.len())) * 10 + moment).collect()
+    (0..count.min(seconds.len()))
+        .map(|_| seconds.swap_remove(draws.below(seconds.len())) * 10 + moment)
+        .collect()
 }
 
 /// An agent's true poses.
@@ -67,13 +83,24 @@ fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
         let roadside = info.kind == AgentKind::Roadside;
         AgentSweep::new(&info.name, roadside, pose, still(&sweep, track, roadside), objects)
     });
-    Frame { classes: table.names().map(String::from).collect(), agents: agents.collect() }
+    Frame {
+        classes: table.names().map(String::from).collect(),
+        agents: agents.collect(),
+    }
 }
 
 /// The points without the agent's motion and body.
 fn still(sweep: &Sweep, track: &PoseTrack, roadside: bool) -> impl Iterator<Item = [f32; 3]> + use<> {
     let cloud = &sweep.cloud;
-    deskewed([&cloud.x, &cloud.y, &cloud.z], &cloud.time, track, sweep.stamp, roadside).unwrap_or_default().into_iter()
+    deskewed(
+        [&cloud.x, &cloud.y, &cloud.z],
+        &cloud.time,
+        track,
+        sweep.stamp,
+        roadside,
+    )
+    .unwrap_or_default()
+    .into_iter()
 }
 
 /// The points of a sweep in the body frame at its stamp, without a vehicle's own body; `None` where the track does not
@@ -85,27 +112,37 @@ pub(crate) fn deskewed(
     stamp: Nanos,
     roadside: bool,
 ) -> Option<Vec<[f32; 3]>> {
-    let (first, last) = time.iter().fold((0, 0), |(first, last), t| (first.min(*t), last.max(*t)));
+    let (first, last) = time
+        .iter()
+        .fold((0, 0), |(first, last), t| (first.min(*t), last.max(*t)));
     let [x, y, z] = match roadside {
         true => [x.to_vec(), y.to_vec(), z.to_vec()],
         false => Motion::new(track, stamp, first.into(), last.into())?.at_stamp([x, y, z], time),
     };
     let points = x.into_iter().zip(y).zip(z).map(|((x, y), z)| [x, y, z]);
-    Some(points.filter(|[x, y, z]| roadside || !on_own_body([*x, *y, *z, 0.0], OWN_BODY)).collect())
+    Some(
+        points
+            .filter(|[x, y, z]| roadside || !on_own_body([*x, *y, *z, 0.0], OWN_BODY))
+            .collect(),
+    )
 }
 
 /// The objects that count, with an agent's points on each.
 pub(crate) fn seen(table: &ClassTable, truth: &[Box3], points: impl Iterator<Item = u32>) -> Vec<Seen> {
-    let known = truth.iter().zip(points).enumerate().filter_map(|(index, (object, points))| {
-        let [x, y, z] = object.center;
-        Some(Seen {
-            // Without identities an object is known to one agent only.
-            track: object.track.unwrap_or(u64::MAX - index as u64),
-            class: table.class_of(&object.class)?,
-            lwh: [x, y, z, object.length, object.width, object.height, object.yaw],
-            points,
-        })
-    });
+    let known = truth
+        .iter()
+        .zip(points)
+        .enumerate()
+        .filter_map(|(index, (object, points))| {
+            let [x, y, z] = object.center;
+            Some(Seen {
+                // Without identities an object is known to one agent only.
+                track: object.track.unwrap_or(u64::MAX - index as u64),
+                class: table.class_of(&object.class)?,
+                lwh: [x, y, z, object.length, object.width, object.height, object.yaw],
+                points,
+            })
+        });
     known.collect()
 }
 
@@ -125,8 +162,10 @@ mod tests {
 
     #[test]
     fn seeds_cover_both_places_with_all_kinds_of_traffic() {
-        let mut kinds: Vec<_> =
-            (0..24).map(options).map(|o| (o.scenario == Scenario::Corridor, o.dense, o.phase == Phase::Spread)).collect();
+        let mut kinds: Vec<_> = (0..24)
+            .map(options)
+            .map(|o| (o.scenario == Scenario::Corridor, o.dense, o.phase == Phase::Spread))
+            .collect();
         kinds.sort_unstable();
         kinds.dedup();
         assert_eq!(kinds.len(), 8);
@@ -134,7 +173,10 @@ mod tests {
 
     #[test]
     fn points_of_all_agents_lie_on_the_same_objects() {
-        let options = Options { column_stride: 4, ..options(2) };
+        let options = Options {
+            column_stride: 4,
+            ..options(2)
+        };
         let frame = frames(&options, 1).unwrap().remove(0);
         let ego = &frame.agents[0];
         for agent in &frame.agents {
@@ -142,13 +184,20 @@ mod tests {
             assert!(!agent.points.is_empty() && !agent.objects.is_empty());
             for object in agent.objects.iter().filter(|object| object.points >= 20) {
                 // The same object in the ego's frame, where the ego is not the object.
-                let Some(known) = ego.objects.iter().find(|known| known.track == object.track) else { continue };
+                let Some(known) = ego.objects.iter().find(|known| known.track == object.track) else {
+                    continue;
+                };
                 let [x, y, z, ..] = object.lwh;
                 let there = ego_from_agent * nalgebra::Point3::new(x, y, z);
                 let off = (there.x - known.lwh[0]).hypot(there.y - known.lwh[1]);
                 assert!(off < 0.1, "{}: {off} m", agent.name);
                 let inside = agent.metres().filter(|point| contains(&object.lwh, *point)).count();
-                assert!(inside * 2 > object.points as usize, "{}: {inside} of {}", agent.name, object.points);
+                assert!(
+                    inside * 2 > object.points as usize,
+                    "{}: {inside} of {}",
+                    agent.name,
+                    object.points
+                );
             }
             let on_body = |[x, y, z]: [f32; 3]| on_own_body([x, y, z, 0.0], OWN_BODY);
             assert!(agent.roadside || !agent.metres().any(on_body));
@@ -157,7 +206,11 @@ mod tests {
 
     fn contains(lwh: &[f64; 7], point: [f32; 3]) -> bool {
         let [x, y, z, l, w, h, yaw] = *lwh;
-        let (dx, dy, dz) = (f64::from(point[0]) - x, f64::from(point[1]) - y, f64::from(point[2]) - z);
+        let (dx, dy, dz) = (
+            f64::from(point[0]) - x,
+            f64::from(point[1]) - y,
+            f64::from(point[2]) - z,
+        );
         let (along, across) = (dx * yaw.cos() + dy * yaw.sin(), dy * yaw.cos() - dx * yaw.sin());
         // A moving object's points spread over the time of a sweep.
         along.abs() < l / 2.0 + 0.8 && across.abs() < w / 2.0 + 0.3 && dz.abs() < h / 2.0 + 0.3

@@ -41,24 +41,28 @@ impl CustomOp2 for Bias {
         let relu = self.relu;
         let dx = if relu {
             let mut dx = buffer(map.len());
-            with_numbers(grad, |grad| with_numbers(out, |out| {
-                map.fill_rows(&mut dx, |image, row, cells| {
-                    let (grad, out) = (map.row(grad, image, row), map.row(out, image, row));
-                    for ((dx, g), out) in cells.iter_mut().zip(grad).zip(out) {
-                        *dx = if *out > 0.0 { *g } else { 0.0 };
-                    }
-                });
-                Ok(())
-            }))?;
+            with_numbers(grad, |grad| {
+                with_numbers(out, |out| {
+                    map.fill_rows(&mut dx, |image, row, cells| {
+                        let (grad, out) = (map.row(grad, image, row), map.row(out, image, row));
+                        for ((dx, g), out) in cells.iter_mut().zip(grad).zip(out) {
+                            *dx = if *out > 0.0 { *g } else { 0.0 };
+                        }
+                    });
+                    Ok(())
+                })
+            })?;
             tensor(dx, map.dims())?
         } else {
             grad.clone()
         };
-        let db = with_numbers(&dx, |dx| Ok(channel_sums(&map, |image, row, sum| {
-            for cell in map.row(dx, image, row).chunks_exact(map.channels) {
-                sum.iter_mut().zip(cell).for_each(|(sum, value)| *sum += value);
-            }
-        })))?;
+        let db = with_numbers(&dx, |dx| {
+            Ok(channel_sums(&map, |image, row, sum| {
+                for cell in map.row(dx, image, row).chunks_exact(map.channels) {
+                    sum.iter_mut().zip(cell).for_each(|(sum, value)| *sum += value);
+                }
+            }))
+        })?;
         let db: Vec<f32> = db.iter().map(|v| *v as f32).collect();
         Ok((Some(dx), Some(tensor(db, b.shape().clone())?)))
     }
@@ -81,7 +85,10 @@ pub(crate) fn sums(map: &MapShape, width: usize, add: impl Fn(usize, usize, &mut
         .collect();
     let mut total = vec![0.0; width];
     for row in rows {
-        total.iter_mut().zip(row).for_each(|(total, value)| *total += f64::from(value));
+        total
+            .iter_mut()
+            .zip(row)
+            .for_each(|(total, value)| *total += f64::from(value));
     }
     total
 }

@@ -39,7 +39,10 @@ impl CustomOp2 for Conv {
         with_numbers(grad, |grad| {
             let dx = with_numbers(w, |w| Ok(input_gradient(grad, w, &shapes)))?;
             let dw = with_numbers(x, |x| Ok(weight_gradient(x, grad, &shapes)))?;
-            Ok((Some(tensor(dx, shapes.input.dims())?), Some(tensor(dw, w.shape().clone())?)))
+            Ok((
+                Some(tensor(dx, shapes.input.dims())?),
+                Some(tensor(dw, w.shape().clone())?),
+            ))
         })
     }
 }
@@ -72,7 +75,11 @@ impl Shapes {
 
     /// The stride-1 convolution that leads gradients back.
     fn reversed(&self) -> Shapes {
-        Shapes { input: self.output, output: self.input, stride: 1 }
+        Shapes {
+            input: self.output,
+            output: self.input,
+            stride: 1,
+        }
     }
 }
 
@@ -136,7 +143,12 @@ fn convolve_bands(out: &mut [f32], x: &[f32], kernel: &Kernel, shapes: &Shapes) 
         let (middle, bottom) = rest.split_at_mut(output.rows * pitch);
         top.fill(0.0);
         bottom.fill(0.0);
-        jobs.extend(middle.chunks_mut(band * pitch).enumerate().map(|(i, rows)| (image, i * band, rows)));
+        jobs.extend(
+            middle
+                .chunks_mut(band * pitch)
+                .enumerate()
+                .map(|(i, rows)| (image, i * band, rows)),
+        );
     }
     jobs.into_par_iter().for_each(|(image, first, rows)| {
         let cells = rows.len() / outs - 2;
@@ -198,7 +210,14 @@ fn spread_rows(dx: &mut [f32], grad: &[f32], kernel: &Kernel, shapes: &Shapes) {
             for (side, matrix) in sides.into_iter().enumerate() {
                 let a = View::rows(&grad[from + side * outs..], outs);
                 if odd > 0 {
-                    multiply(&mut cells[ins..], 2 * ins, a, View::rows(matrix, ins), [odd, outs, ins], !first || side > 0);
+                    multiply(
+                        &mut cells[ins..],
+                        2 * ins,
+                        a,
+                        View::rows(matrix, ins),
+                        [odd, outs, ins],
+                        !first || side > 0,
+                    );
                 }
             }
             first = false;

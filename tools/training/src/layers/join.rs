@@ -9,11 +9,17 @@ use super::map::{MapShape, buffer, tensor, with_numbers};
 /// # Errors
 /// If there is no map, or sizes differ.
 pub fn join(maps: &[Tensor]) -> Result<Tensor> {
-    let shapes: Vec<MapShape> = maps.iter().map(|map| MapShape::of(map.shape())).collect::<Result<_>>()?;
+    let shapes: Vec<MapShape> = maps
+        .iter()
+        .map(|map| MapShape::of(map.shape()))
+        .collect::<Result<_>>()?;
     let Some(first) = shapes.first() else {
         bail!("no maps to join");
     };
-    if let Some(other) = shapes.iter().find(|other| other.with_channels(first.channels) != *first) {
+    if let Some(other) = shapes
+        .iter()
+        .find(|other| other.with_channels(first.channels) != *first)
+    {
         bail!("maps of different sizes cannot be joined: {first:?} and {other:?}");
     }
     let all = first.with_channels(shapes.iter().map(|shape| shape.channels).sum());
@@ -59,10 +65,14 @@ pub fn split(map: &Tensor, channels: &[usize]) -> Result<Vec<Tensor>> {
 
 fn copy_channels(out: &mut [f32], all: &MapShape, offset: usize, from: &[f32], shape: &MapShape) {
     use rayon::prelude::*;
-    out.par_chunks_mut(all.pitch()).zip(from.par_chunks(shape.pitch())).for_each(|(out, from)| {
-        let cells = out.chunks_exact_mut(all.channels).zip(from.chunks_exact(shape.channels));
-        for (out, from) in cells {
-            out[offset..offset + shape.channels].copy_from_slice(from);
-        }
-    });
+    out.par_chunks_mut(all.pitch())
+        .zip(from.par_chunks(shape.pitch()))
+        .for_each(|(out, from)| {
+            let cells = out
+                .chunks_exact_mut(all.channels)
+                .zip(from.chunks_exact(shape.channels));
+            for (out, from) in cells {
+                out[offset..offset + shape.channels].copy_from_slice(from);
+            }
+        });
 }

@@ -19,7 +19,12 @@ impl MapShape {
         if rows < 3 || columns < 3 {
             bail!("expected a map of at least 1x1 cells inside a border, found {rows}x{columns} with it");
         }
-        Ok(MapShape { batch, rows: rows - 2, columns: columns - 2, channels })
+        Ok(MapShape {
+            batch,
+            rows: rows - 2,
+            columns: columns - 2,
+            channels,
+        })
     }
 
     pub fn with_channels(self, channels: usize) -> Self {
@@ -64,15 +69,17 @@ impl MapShape {
     /// Calls `fill(image, row, cells)` with the cells inside the border of each row, in parallel; the border becomes 0.
     pub fn fill_rows(&self, out: &mut [f32], fill: impl Fn(usize, usize, &mut [f32]) + Sync) {
         let c = self.channels;
-        out.par_chunks_mut(self.pitch()).enumerate().for_each(|(padded, row)| match self.inner(padded) {
-            None => row.fill(0.0),
-            Some((image, y)) => {
-                row[..c].fill(0.0);
-                let end = row.len() - c;
-                row[end..].fill(0.0);
-                fill(image, y, &mut row[c..end]);
-            }
-        });
+        out.par_chunks_mut(self.pitch())
+            .enumerate()
+            .for_each(|(padded, row)| match self.inner(padded) {
+                None => row.fill(0.0),
+                Some((image, y)) => {
+                    row[..c].fill(0.0);
+                    let end = row.len() - c;
+                    row[end..].fill(0.0);
+                    fill(image, y, &mut row[c..end]);
+                }
+            });
     }
 
     /// The cells inside the border of a row.

@@ -18,7 +18,7 @@ mod tests;
 pub use bias::Bias;
 pub use conv::Conv;
 pub use join::{join, split};
+pub(crate) use map::{MapShape, buffer, tensor, with_numbers};
 pub use norm::{Moments, Norm, Statistics};
 pub use pillars::{PillarBatch, PillarFrame, PillarLayer};
 pub use pointwise::{Pointwise, WeightOrder};
-pub(crate) use map::{MapShape, buffer, tensor, with_numbers};

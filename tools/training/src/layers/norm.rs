@@ -67,7 +67,12 @@ impl CustomOp3 for Norm {
         let map = MapShape::of(xl.shape())?;
         let (x, weight, bias) = (numbers(x, xl)?, numbers(w, wl)?, numbers(b, bl)?);
         if weight.len() != map.channels || bias.len() != map.channels {
-            bail!("batch norm of {} and {} numbers for {} channels", weight.len(), bias.len(), map.channels);
+            bail!(
+                "batch norm of {} and {} numbers for {} channels",
+                weight.len(),
+                bias.len(),
+                map.channels
+            );
         }
         let moments = match &self.statistics {
             Statistics::Batch(own) => own.get_or_init(|| moments_of(x, &map)),
@@ -102,25 +107,43 @@ impl CustomOp3 for Norm {
         let (dx, dw, db) = with_numbers(x, |x| {
             with_numbers(out, |out| {
                 with_numbers(grad, |grad| {
-                    with_numbers(weight, |weight| Ok(gradients(&map, moments, fixed, [x, out, grad, weight])))
+                    with_numbers(weight, |weight| {
+                        Ok(gradients(&map, moments, fixed, [x, out, grad, weight]))
+                    })
                 })
             })
         })?;
         let c = map.channels;
-        Ok((Some(tensor(dx, map.dims())?), Some(tensor(dw, c)?), Some(tensor(db, c)?)))
+        Ok((
+            Some(tensor(dx, map.dims())?),
+            Some(tensor(dw, c)?),
+            Some(tensor(db, c)?),
+        ))
     }
 }
 
 impl Moments {
     /// 1 / sqrt(variance + eps).
     pub(crate) fn inverse(&self) -> Vec<f32> {
-        self.variance.iter().map(|v| 1.0 / (v + BATCH_NORM_EPS).sqrt()).collect()
+        self.variance
+            .iter()
+            .map(|v| 1.0 / (v + BATCH_NORM_EPS).sqrt())
+            .collect()
     }
 
     /// The batch norm as factor and summand.
     pub(crate) fn affine(&self, weight: &[f32], bias: &[f32]) -> (Vec<f32>, Vec<f32>) {
-        let scale: Vec<f32> = self.inverse().iter().zip(weight).map(|(inverse, w)| inverse * w).collect();
-        let shift = scale.iter().zip(&self.mean).zip(bias).map(|((scale, mean), b)| b - mean * scale);
+        let scale: Vec<f32> = self
+            .inverse()
+            .iter()
+            .zip(weight)
+            .map(|(inverse, w)| inverse * w)
+            .collect();
+        let shift = scale
+            .iter()
+            .zip(&self.mean)
+            .zip(bias)
+            .map(|((scale, mean), b)| b - mean * scale);
         let shift = shift.collect();
         (scale, shift)
     }
@@ -146,20 +169,35 @@ fn moments_of(x: &[f32], map: &MapShape) -> Moments {
     let (mean, variance) = pairs
         .map(|((sum, square), origin)| {
             let mean = sum / count;
-            ((mean + f64::from(*origin)) as f32, (square / count - mean * mean).max(0.0) as f32)
+            (
+                (mean + f64::from(*origin)) as f32,
+                (square / count - mean * mean).max(0.0) as f32,
+            )
         })
         .unzip();
-    Moments { mean, variance, count: map.cells() }
+    Moments {
+        mean,
+        variance,
+        count: map.cells(),
+    }
 }
 
 /// Gradients of x, weight, bias. With fixed statistics, mean and variance do not depend on x.
-fn gradients(map: &MapShape, moments: &Moments, fixed: bool, [x, out, grad, weight]: [&[f32]; 4]) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
+fn gradients(
+    map: &MapShape,
+    moments: &Moments,
+    fixed: bool,
+    [x, out, grad, weight]: [&[f32]; 4],
+) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let c = map.channels;
     let (mean, inverse) = (&moments.mean, moments.inverse());
     let total = sums(map, 2 * c, |image, row, sum| {
         let (plain, weighted) = sum.split_at_mut(c);
         let cells = map.row(x, image, row).chunks_exact(c);
-        let rest = map.row(out, image, row).chunks_exact(c).zip(map.row(grad, image, row).chunks_exact(c));
+        let rest = map
+            .row(out, image, row)
+            .chunks_exact(c)
+            .zip(map.row(grad, image, row).chunks_exact(c));
         for (x, (out, grad)) in cells.zip(rest) {
             let (plain, weighted) = (&mut plain[..c], &mut weighted[..c]);
             let (x, out, grad, mean) = (&x[..c], &out[..c], &grad[..c], &mean[..c]);
@@ -171,7 +209,11 @@ fn gradients(map: &MapShape, moments: &Moments, fixed: bool, [x, out, grad, weig
         }
     });
     let db: Vec<f32> = total[..c].iter().map(|v| *v as f32).collect();
-    let dw: Vec<f32> = total[c..].iter().zip(&inverse).map(|(v, inverse)| (*v * f64::from(*inverse)) as f32).collect();
+    let dw: Vec<f32> = total[c..]
+        .iter()
+        .zip(&inverse)
+        .map(|(v, inverse)| (*v * f64::from(*inverse)) as f32)
+        .collect();
     // dx = scale * (g - db / n - xhat * dw / n) = scale * g + slope * x + offset
     let n = if fixed { f64::INFINITY } else { map.cells() as f64 };
     let (mut scale, mut slope, mut offset) = (vec![0.0; c], vec![0.0; c], vec![0.0; c]);
@@ -182,7 +224,10 @@ fn gradients(map: &MapShape, moments: &Moments, fixed: bool, [x, out, grad, weig
     }
     let mut dx = buffer(map.len());
     map.fill_rows(&mut dx, |image, row, cells| {
-        let from = map.row(x, image, row).chunks_exact(c).zip(map.row(out, image, row).chunks_exact(c));
+        let from = map
+            .row(x, image, row)
+            .chunks_exact(c)
+            .zip(map.row(out, image, row).chunks_exact(c));
         let grads = map.row(grad, image, row).chunks_exact(c);
         for ((dx, (x, out)), grad) in cells.chunks_exact_mut(c).zip(from).zip(grads) {
             let (x, out, grad) = (&x[..c], &out[..c], &grad[..c]);

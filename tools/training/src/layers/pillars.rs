@@ -87,7 +87,12 @@ impl PillarFrame {
     pub fn new(grid: &Grid, pillars: &Pillars, settings: &PillarSettings) -> Self {
         let features = decorate(grid, pillars, settings.intensity);
         let (cells, starts) = (pillars.cells.clone(), pillars.starts.clone());
-        PillarFrame { cells, starts, sums: Sums::of(&features), features }
+        PillarFrame {
+            cells,
+            starts,
+            sums: Sums::of(&features),
+            features,
+        }
     }
 
     fn points(&self, pillar: usize) -> &[[f32; POINT_FEATURES]] {
@@ -117,7 +122,12 @@ impl PillarBatch {
     }
 
     fn map(&self, channels: usize) -> MapShape {
-        MapShape { batch: self.frames.len(), rows: self.rows, columns: self.columns, channels }
+        MapShape {
+            batch: self.frames.len(),
+            rows: self.rows,
+            columns: self.columns,
+            channels,
+        }
     }
 
     /// (frame, pillars) of each task.
@@ -144,7 +154,11 @@ pub struct PillarLayer {
 impl PillarLayer {
     /// The layer for one batch.
     pub fn new(batch: Arc<PillarBatch>, statistics: Statistics) -> Self {
-        PillarLayer { batch, statistics, winners: Arc::default() }
+        PillarLayer {
+            batch,
+            statistics,
+            winners: Arc::default(),
+        }
     }
 
     fn moments_of(&self, linear: &[f32]) -> Moments {
@@ -156,10 +170,17 @@ impl PillarLayer {
             .map(|w| {
                 let w = w.map(f64::from);
                 let mean = dot(&w, &sums.first) / n;
-                (mean as f32, (dot(&w, &sums.times(&w)) / n - mean * mean).max(0.0) as f32)
+                (
+                    mean as f32,
+                    (dot(&w, &sums.times(&w)) / n - mean * mean).max(0.0) as f32,
+                )
             })
             .unzip();
-        Moments { mean, variance, count: self.batch.count }
+        Moments {
+            mean,
+            variance,
+            count: self.batch.count,
+        }
     }
 }
 
@@ -241,7 +262,11 @@ impl CustomOp3 for PillarLayer {
                         inverse: f64::from(moments.inverse()[c]),
                         weight: f64::from(weight[c]),
                     };
-                    let count = if fixed { f64::INFINITY } else { self.batch.count.max(1) as f64 };
+                    let count = if fixed {
+                        f64::INFINITY
+                    } else {
+                        self.batch.count.max(1) as f64
+                    };
                     let (gradient, of_weight, of_bias) = channel.gradients(&sums[c], &self.batch.sums, count);
                     dl.extend(gradient.map(|v| v as f32));
                     dw.push(of_weight as f32);
@@ -251,7 +276,11 @@ impl CustomOp3 for PillarLayer {
             })
         })?;
         let (linear, bias) = (linear.shape().clone(), bias.shape().clone());
-        Ok((Some(tensor(dl, linear)?), Some(tensor(dw, weight.shape().clone())?), Some(tensor(db, bias)?)))
+        Ok((
+            Some(tensor(dl, linear)?),
+            Some(tensor(dw, weight.shape().clone())?),
+            Some(tensor(db, bias)?),
+        ))
     }
 }
 
@@ -288,7 +317,10 @@ impl PillarLayer {
         let mut total = vec![[0.0; POINT_FEATURES + 1]; c];
         for part in parts {
             for (total, part) in total.iter_mut().zip(part) {
-                total.iter_mut().zip(part).for_each(|(total, value)| *total += f64::from(value));
+                total
+                    .iter_mut()
+                    .zip(part)
+                    .for_each(|(total, value)| *total += f64::from(value));
             }
         }
         total
@@ -353,7 +385,10 @@ impl Block {
         let channels = scale.len();
         (0..channels.div_ceil(LANES))
             .map(|block| {
-                let mut out = Block { features: [[0.0; LANES]; POINT_FEATURES], shift: [0.0; LANES] };
+                let mut out = Block {
+                    features: [[0.0; LANES]; POINT_FEATURES],
+                    shift: [0.0; LANES],
+                };
                 for lane in 0..LANES.min(channels - block * LANES) {
                     let c = block * LANES + lane;
                     for (i, weights) in out.features.iter_mut().enumerate() {
@@ -419,7 +454,10 @@ impl PillarBatch {
         let map = self.map(weight.len());
         let mut out = vec![0.0; map.len()];
         for c in 0..weight.len() {
-            let w: Vec<f64> = linear[c * POINT_FEATURES..][..POINT_FEATURES].iter().map(|v| f64::from(*v)).collect();
+            let w: Vec<f64> = linear[c * POINT_FEATURES..][..POINT_FEATURES]
+                .iter()
+                .map(|v| f64::from(*v))
+                .collect();
             let value = |point: &[f32; POINT_FEATURES]| dot(&w, &point.map(f64::from));
             let mut rows = Vec::new();
             for (index, frame) in self.frames.iter().enumerate() {

@@ -44,7 +44,10 @@ impl CustomOp2 for Pointwise {
             let packed = with_numbers(w, |w| Ok(shapes.pack(w)))?;
             let dx = shapes.input_gradient(grad, &packed);
             let dw = with_numbers(x, |x| Ok(shapes.weight_gradient(x, grad)))?;
-            Ok((Some(tensor(dx, shapes.input.dims())?), Some(tensor(dw, w.shape().clone())?)))
+            Ok((
+                Some(tensor(dx, shapes.input.dims())?),
+                Some(tensor(dw, w.shape().clone())?),
+            ))
         })
     }
 }
@@ -65,7 +68,11 @@ impl Shapes {
             WeightOrder::Plain => (second, first),
         };
         if within != input.channels || factor != width || (order == WeightOrder::Plain && factor != 1) {
-            bail!("{order:?} pointwise layer on {} channels: found weights {:?}", input.channels, w.dims());
+            bail!(
+                "{order:?} pointwise layer on {} channels: found weights {:?}",
+                input.channels,
+                w.dims()
+            );
         }
         let output = MapShape {
             rows: input.rows * factor,
@@ -73,7 +80,12 @@ impl Shapes {
             channels: out,
             ..input
         };
-        Ok(Shapes { input, output, factor, order })
+        Ok(Shapes {
+            input,
+            output,
+            factor,
+            order,
+        })
     }
 
     /// Numbers of a cell's `factor` successors in one row.

@@ -22,7 +22,10 @@ impl<'a> View<'a> {
 
     fn assert_holds(&self, rows: usize, columns: usize) {
         let last = (rows - 1) * self.row + (columns - 1) * self.column;
-        assert!(last < self.data.len(), "a {rows}x{columns} matrix ends outside its slice");
+        assert!(
+            last < self.data.len(),
+            "a {rows}x{columns} matrix ends outside its slice"
+        );
     }
 }
 
@@ -74,15 +77,36 @@ mod tests {
         let data: Vec<f32> = (0..12).map(|v| v as f32).collect();
         let mut out = vec![1.0; 4];
         // Rows [0 1 2], [2 3 4]; columns [0 1 2], [3 4 5].
-        multiply(&mut out, 2, View::rows(&data, 2), View::columns(&data, 3), [2, 3, 2], false);
+        multiply(
+            &mut out,
+            2,
+            View::rows(&data, 2),
+            View::columns(&data, 3),
+            [2, 3, 2],
+            false,
+        );
         assert_eq!(out, [5.0, 14.0, 11.0, 38.0]);
-        multiply(&mut out, 2, View::rows(&data, 2), View::columns(&data, 3), [2, 3, 2], true);
+        multiply(
+            &mut out,
+            2,
+            View::rows(&data, 2),
+            View::columns(&data, 3),
+            [2, 3, 2],
+            true,
+        );
         assert_eq!(out, [10.0, 28.0, 22.0, 76.0]);
     }
 
     #[test]
     #[should_panic(expected = "outside its slice")]
     fn refuses_matrices_outside_their_slices() {
-        multiply(&mut [0.0; 4], 2, View::rows(&[0.0; 5], 3), View::rows(&[0.0; 6], 2), [2, 3, 2], false);
+        multiply(
+            &mut [0.0; 4],
+            2,
+            View::rows(&[0.0; 5], 3),
+            View::rows(&[0.0; 6], 2),
+            [2, 3, 2],
+            false,
+        );
     }
 }

@@ -13,7 +13,10 @@ struct Noise(u64);
 
 impl Noise {
     fn next(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 40) as f32 / (1 << 23) as f32 - 1.0
     }
 
@@ -54,12 +57,21 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 fn assert_close(found: &[f32], expected: &[f32], tolerance: f32, what: &str) {
     assert_eq!(found.len(), expected.len(), "{what}");
     for (i, (a, b)) in found.iter().zip(expected).enumerate() {
-        assert!((a - b).abs() <= tolerance * (1.0 + b.abs()), "{what} at {i}: {a}, expected {b}");
+        assert!(
+            (a - b).abs() <= tolerance * (1.0 + b.abs()),
+            "{what} at {i}: {a}, expected {b}"
+        );
     }
 }
 
 /// Gradients of `sum(out * weights)` against central differences along a few directions.
-fn check_gradients(inputs: &[Tensor], inner: &[Option<MapShape>], layer: impl Fn(&[Tensor]) -> Result<Tensor>, gradients: impl Fn(&[Tensor], &Tensor, &Tensor) -> Vec<Tensor>, step: f32) {
+fn check_gradients(
+    inputs: &[Tensor],
+    inner: &[Option<MapShape>],
+    layer: impl Fn(&[Tensor]) -> Result<Tensor>,
+    gradients: impl Fn(&[Tensor], &Tensor, &Tensor) -> Vec<Tensor>,
+    step: f32,
+) {
     let mut noise = Noise(99);
     let out = layer(inputs).unwrap();
     let map = MapShape::of(out.shape()).unwrap();
@@ -88,19 +100,34 @@ fn check_gradients(inputs: &[Tensor], inner: &[Option<MapShape>], layer: impl Fn
     }
 }
 
-const SIZES: [(usize, usize, usize, usize, usize); 5] =
-    [(1, 1, 1, 1, 1), (2, 5, 7, 3, 5), (1, 4, 6, 16, 8), (2, 6, 5, 8, 32), (1, 23, 40, 4, 6)];
+const SIZES: [(usize, usize, usize, usize, usize); 5] = [
+    (1, 1, 1, 1, 1),
+    (2, 5, 7, 3, 5),
+    (1, 4, 6, 16, 8),
+    (2, 6, 5, 8, 32),
+    (1, 23, 40, 4, 6),
+];
 
 #[test]
 fn convolution_is_the_plain_loop() {
     for stride in [1, 2] {
         for (batch, rows, columns, ins, outs) in SIZES {
             let mut noise = Noise(7 + rows as u64);
-            let map = MapShape { batch, rows, columns, channels: ins };
+            let map = MapShape {
+                batch,
+                rows,
+                columns,
+                channels: ins,
+            };
             let (x, w) = (noise.map(map), noise.tensor(&[outs, ins, 3, 3]));
             let out = x.apply_op2_no_bwd(&w, &Conv { stride }).unwrap();
             let (xs, ws) = (vec(&x), vec(&w));
-            let to = MapShape { batch, rows: rows.div_ceil(stride), columns: columns.div_ceil(stride), channels: outs };
+            let to = MapShape {
+                batch,
+                rows: rows.div_ceil(stride),
+                columns: columns.div_ceil(stride),
+                channels: outs,
+            };
             let expected = plain_map(&to, |b, y, x, o| {
                 let mut sum = 0.0;
                 for (ky, kx, i) in (0..9 * ins).map(|k| (k / 3 % 3, k % 3, k / 9)) {
@@ -111,7 +138,12 @@ fn convolution_is_the_plain_loop() {
                 sum
             });
             assert_eq!(out.shape(), &to.dims());
-            assert_close(&vec(&out), &expected, 1e-5, &format!("stride {stride}, {map:?} to {outs}"));
+            assert_close(
+                &vec(&out),
+                &expected,
+                1e-5,
+                &format!("stride {stride}, {map:?} to {outs}"),
+            );
         }
     }
 }
@@ -121,7 +153,12 @@ fn gradients_of_the_convolution_are_its_slopes() {
     for stride in [1, 2] {
         for (batch, rows, columns, ins, outs) in SIZES {
             let mut noise = Noise(70 + columns as u64);
-            let map = MapShape { batch, rows, columns, channels: ins };
+            let map = MapShape {
+                batch,
+                rows,
+                columns,
+                channels: ins,
+            };
             let inputs = [noise.map(map), noise.tensor(&[outs, ins, 3, 3])];
             let op = Conv { stride };
             check_gradients(
@@ -151,18 +188,37 @@ fn transposed_convolution_is_the_plain_loop_with_its_slopes() {
     for factor in [1, 2, 4] {
         for (batch, rows, columns, ins, outs) in SIZES {
             let mut noise = Noise(17 + factor as u64);
-            let map = MapShape { batch, rows, columns, channels: ins };
+            let map = MapShape {
+                batch,
+                rows,
+                columns,
+                channels: ins,
+            };
             let inputs = [noise.map(map), noise.tensor(&[ins, outs, factor, factor])];
-            let op = Pointwise { order: WeightOrder::Transposed };
+            let op = Pointwise {
+                order: WeightOrder::Transposed,
+            };
             let out = inputs[0].apply_op2_no_bwd(&inputs[1], &op).unwrap();
             let (xs, ws) = (vec(&inputs[0]), vec(&inputs[1]));
-            let to = MapShape { batch, rows: rows * factor, columns: columns * factor, channels: outs };
+            let to = MapShape {
+                batch,
+                rows: rows * factor,
+                columns: columns * factor,
+                channels: outs,
+            };
             let expected = plain_map(&to, |b, y, x, o| {
                 let from = map.at(b, (y / factor) as isize, (x / factor) as isize);
                 let square = y % factor * factor + x % factor;
-                (0..ins).map(|i| xs[from + i] * ws[(i * outs + o) * factor * factor + square]).sum()
+                (0..ins)
+                    .map(|i| xs[from + i] * ws[(i * outs + o) * factor * factor + square])
+                    .sum()
             });
-            assert_close(&vec(&out), &expected, 1e-5, &format!("factor {factor}, {map:?} to {outs}"));
+            assert_close(
+                &vec(&out),
+                &expected,
+                1e-5,
+                &format!("factor {factor}, {map:?} to {outs}"),
+            );
             check_gradients(
                 &inputs,
                 &[Some(map), None],
@@ -180,24 +236,44 @@ fn transposed_convolution_is_the_plain_loop_with_its_slopes() {
 #[test]
 fn a_plain_pointwise_layer_is_the_transposed_one_with_its_weights_turned() {
     let mut noise = Noise(5);
-    let map = MapShape { batch: 2, rows: 3, columns: 4, channels: 6 };
+    let map = MapShape {
+        batch: 2,
+        rows: 3,
+        columns: 4,
+        channels: 6,
+    };
     let (x, w) = (noise.map(map), noise.tensor(&[5, 6, 1, 1]));
     let turned = w.transpose(0, 1).unwrap().contiguous().unwrap();
-    let (plain, other) = (Pointwise { order: WeightOrder::Plain }, Pointwise { order: WeightOrder::Transposed });
+    let (plain, other) = (
+        Pointwise {
+            order: WeightOrder::Plain,
+        },
+        Pointwise {
+            order: WeightOrder::Transposed,
+        },
+    );
     let out = x.apply_op2_no_bwd(&w, &plain).unwrap();
     assert_eq!(vec(&out), vec(&x.apply_op2_no_bwd(&turned, &other).unwrap()));
     let grad = noise.map(map.with_channels(5));
     let (dx, dw) = plain.bwd(&x, &w, &out, &grad).unwrap();
     let (dx2, dw2) = other.bwd(&x, &turned, &out, &grad).unwrap();
     assert_eq!(vec(&dx.unwrap()), vec(&dx2.unwrap()));
-    assert_eq!(vec(&dw.unwrap()), vec(&dw2.unwrap().transpose(0, 1).unwrap().contiguous().unwrap()));
+    assert_eq!(
+        vec(&dw.unwrap()),
+        vec(&dw2.unwrap().transpose(0, 1).unwrap().contiguous().unwrap())
+    );
 }
 
 #[test]
 fn bias_is_added_inside_the_border_with_its_slopes() {
     for relu in [false, true] {
         let mut noise = Noise(31);
-        let map = MapShape { batch: 2, rows: 4, columns: 5, channels: 3 };
+        let map = MapShape {
+            batch: 2,
+            rows: 4,
+            columns: 5,
+            channels: 3,
+        };
         let inputs = [noise.map(map), noise.tensor(&[3])];
         let op = Bias { relu };
         let out = inputs[0].apply_op2_no_bwd(&inputs[1], &op).unwrap();
@@ -223,10 +299,23 @@ fn bias_is_added_inside_the_border_with_its_slopes() {
 #[test]
 fn batch_norm_is_its_definition_with_its_slopes() {
     let mut noise = Noise(3);
-    let map = MapShape { batch: 2, rows: 6, columns: 5, channels: 4 };
+    let map = MapShape {
+        batch: 2,
+        rows: 6,
+        columns: 5,
+        channels: 4,
+    };
     let inputs = [noise.map(map), noise.tensor(&[4]), noise.tensor(&[4])];
     let statistics = Statistics::batch();
-    let out = inputs[0].apply_op3_no_bwd(&inputs[1], &inputs[2], &Norm { statistics: statistics.clone() }).unwrap();
+    let out = inputs[0]
+        .apply_op3_no_bwd(
+            &inputs[1],
+            &inputs[2],
+            &Norm {
+                statistics: statistics.clone(),
+            },
+        )
+        .unwrap();
     let (xs, ws, bs) = (vec(&inputs[0]), vec(&inputs[1]), vec(&inputs[2]));
     let column = |c: usize| -> Vec<f64> {
         let at = |i: usize| map.at(i / 30, (i / 5 % 6) as isize, (i % 5) as isize) + c;
@@ -246,8 +335,18 @@ fn batch_norm_is_its_definition_with_its_slopes() {
     });
     assert_close(&vec(&out), &expected, 1e-5, "batch norm");
     let found = statistics.moments().unwrap();
-    assert_close(&found.mean, &moments.iter().map(|m| m.0 as f32).collect::<Vec<_>>(), 1e-6, "mean");
-    assert_close(&found.variance, &moments.iter().map(|m| m.1 as f32).collect::<Vec<_>>(), 1e-6, "variance");
+    assert_close(
+        &found.mean,
+        &moments.iter().map(|m| m.0 as f32).collect::<Vec<_>>(),
+        1e-6,
+        "mean",
+    );
+    assert_close(
+        &found.variance,
+        &moments.iter().map(|m| m.1 as f32).collect::<Vec<_>>(),
+        1e-6,
+        "variance",
+    );
     for fixed in [false, true] {
         let new = || match fixed {
             true => Statistics::Running(found.clone()),
@@ -269,14 +368,30 @@ fn batch_norm_is_its_definition_with_its_slopes() {
 }
 
 fn pillars(empty_slots: bool) -> Arc<PillarBatch> {
-    let grid = Grid { x: [-2.0, 2.0], y: [-1.0, 1.0], z: [-1.0, 3.0], cell: 0.5 };
-    let settings = PillarSettings { channels: 18, points: 4, pillars: 100, empty_slots, intensity: true };
+    let grid = Grid {
+        x: [-2.0, 2.0],
+        y: [-1.0, 1.0],
+        z: [-1.0, 3.0],
+        cell: 0.5,
+    };
+    let settings = PillarSettings {
+        channels: 18,
+        points: 4,
+        pillars: 100,
+        empty_slots,
+        intensity: true,
+    };
     let mut noise = Noise(12);
     let frames = (0..2)
         .map(|_| {
             let mut column = |by: f32| -> Vec<f32> { (0..60).map(|_| by * noise.next()).collect() };
             let (x, y, z, i) = (column(2.0), column(1.0), column(1.0), column(1.0));
-            let points = Points { x: &x, y: &y, z: &z, intensity: Some(&i) };
+            let points = Points {
+                x: &x,
+                y: &y,
+                z: &z,
+                intensity: Some(&i),
+            };
             let mut pillariser = Pillariser::new(&grid, settings.points, settings.pillars);
             PillarFrame::new(&grid, pillariser.run(&points), &settings)
         })
@@ -317,11 +432,18 @@ fn bits_do_not_depend_on_the_number_of_threads() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let mut noise = Noise(4);
-            let map = MapShape { batch: 2, rows: 40, columns: 64, channels: 8 };
+            let map = MapShape {
+                batch: 2,
+                rows: 40,
+                columns: 64,
+                channels: 8,
+            };
             let (x, w) = (noise.map(map), noise.tensor(&[8, 8, 3, 3]));
             let op = Conv { stride: 1 };
             let y = x.apply_op2_no_bwd(&w, &op).unwrap();
-            let norm = Norm { statistics: Statistics::batch() };
+            let norm = Norm {
+                statistics: Statistics::batch(),
+            };
             let (a, b) = (noise.tensor(&[8]), noise.tensor(&[8]));
             let z = y.apply_op3_no_bwd(&a, &b, &norm).unwrap();
             let (dy, da, _) = norm.bwd(&y, &a, &b, &z, &x).unwrap();

@@ -6,26 +6,23 @@ use realo_schemas::PayloadType;
 use serde_yaml::Value;
 
 use super::ports::payload_type;
-use super::{Findings, FlatGraph, FlatNode, Severity};
+use super::{Answer, Findings, FlatGraph, FlatNode, Severity};
 use crate::{Registration, Registry, Role};
 
 /// Bytes of shared memory that a node needs that sends clouds or feature maps.
 const POOL: u64 = 64 << 20;
 
 /// The stage that a node hosts, its arguments checked; `None` for foreign nodes and unknown names.
-pub(super) fn stage(node: &FlatNode, registry: &Registry, findings: &mut Findings) -> Option<&'static Registration> {
+pub(super) fn stage(
+    node: &FlatNode,
+    registry: &Registry,
+    ask: &mut dyn FnMut(&FlatNode) -> Answer,
+    findings: &mut Findings,
+) -> Option<&'static Registration> {
     let args = node.args.join(" ");
     let expected = "`operator NAME` or `node NAME`";
     if !node.is_realo() {
-        let mend = "its ports are not known; it runs on dora, and in virtual time only if it is a host of realo's own";
-        findings.node(
-            Severity::Note,
-            node,
-            "a stage of realo",
-            format!("the program {}", node.path.display()),
-            mend,
-        );
-        return None;
+        return foreign(node, ask(node), findings);
     }
     let Some((word, name)) = node.stage() else {
         let mend = "`realo operators` prints the names";
@@ -63,6 +60,24 @@ pub(super) fn stage(node: &FlatNode, registry: &Registry, findings: &mut Finding
         findings.node(Severity::Warning, node, "values", format!("`{arg}`"), mend);
     }
     Some(stage)
+}
+
+/// What is known of a program that is not realo.
+fn foreign(node: &FlatNode, answer: Answer, findings: &mut Findings) -> Option<&'static Registration> {
+    let program = node.path.display();
+    let (found, mend) = match answer {
+        Some(Ok(registration)) => return Some(registration),
+        Some(Err(reason)) => (
+            format!("the program {program}: {reason}"),
+            "dora may run it all the same",
+        ),
+        None => (
+            format!("the program {program}"),
+            "its ports are not known here; it runs on dora, and in virtual time if it hosts an operator over pipes",
+        ),
+    };
+    findings.node(Severity::Note, node, "a stage of realo", found, mend);
+    None
 }
 
 /// Keys that make dora treat a node as it must not be treated.

@@ -72,12 +72,24 @@ impl fmt::Display for Finding {
 /// lanes (what belongs to the ego, what to the others, what crossed a link), shared memory and health checks. The
 /// graph that has no [`Severity::Error`] can be run by either driver, unless a [`Severity::Note`] names a foreign node.
 pub fn validate(graph: &FlatGraph, registry: &Registry) -> Vec<Finding> {
+    validate_asking(graph, registry, &mut |_| None)
+}
+
+/// What a program that is not realo says of its ports, or why it says nothing.
+pub type Answer = Option<Result<&'static Registration, String>>;
+
+/// [`validate`], with the ports that `ask` learns from programs that are not realo; `None`: it does not ask this one.
+pub fn validate_asking(
+    graph: &FlatGraph,
+    registry: &Registry,
+    ask: &mut dyn FnMut(&FlatNode) -> Answer,
+) -> Vec<Finding> {
     let mut findings = Findings::default();
     whole(graph, registry, &mut findings);
     let stages: Vec<Option<&'static Registration>> = graph
         .nodes
         .iter()
-        .map(|node| hosting::stage(node, registry, &mut findings))
+        .map(|node| hosting::stage(node, registry, ask, &mut findings))
         .collect();
     for (node, stage) in graph.nodes.iter().zip(&stages) {
         ports::declared(node, *stage, &mut findings);
@@ -93,6 +105,13 @@ pub fn validate(graph: &FlatGraph, registry: &Registry) -> Vec<Finding> {
         Err(super::GraphError::Source { .. }) => {}
         Err(error) => findings.whole(Severity::Error, "no cycle", error.to_string(), ""),
     }
+    findings.0
+}
+
+/// Where the ports that a graph gives to a node differ from those that its program declares.
+pub fn misdeclared(node: &FlatNode, program: &'static Registration) -> Vec<Finding> {
+    let mut findings = Findings::default();
+    ports::declared(node, Some(program), &mut findings);
     findings.0
 }
 

@@ -1,0 +1,250 @@
+//! Late fusion that keeps, of several boxes of one object, the one whose sender is nearest to it.
+//!
+//! | port | type | content |
+//! |---|---|---|
+//! | in `ego` | Boxes | the ego's detections; joined with `selections` by (agent, seq) |
+//! | in `selections` | Selection | what the bank chose for the ego's message of that seq |
+//! | out `boxes` | Boxes | the ego's boxes, then those of the collaborators by agent name, in the ego's frame |
+//! | out `report` | Report | topic `fusion`: one for each fusion that took place |
+
+use nalgebra::{Isometry3, Vector3};
+use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::geometry::{Footprint, iou_exceeds, relative, transform_box};
+use realo_schemas::report::{FusionReport, MessageId, to_report};
+use realo_schemas::{Box3, Boxes, Header, Kind, Message, Payload, PayloadType, Selection};
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`FusionNearest`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Rotated IoU on the ground plane above which two boxes are one object, in [0, 1]; 1: every box stays.
+    pub threshold: f64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config { threshold: 0.15 }
+    }
+}
+
+/// A box in the ego's frame, and how far its sender was from it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Seen {
+    /// The box, in the ego's body frame.
+    pub object: Box3,
+    /// From the origin of the sender's body frame to the centre, m.
+    pub range_m: f64,
+}
+
+impl Seen {
+    /// A box of a sender, brought to the ego's frame.
+    fn new(object: &Box3, ego_from_sender: Option<&Isometry3<f64>>) -> Self {
+        Seen {
+            range_m: Vector3::from(object.center).norm(),
+            object: ego_from_sender.map_or_else(|| object.clone(), |transform| transform_box(transform, object)),
+        }
+    }
+}
+
+/// Of boxes that overlap by an IoU above `threshold` keeps the one seen from nearest; of those at one range the first.
+/// The order of the kept ones stays.
+pub fn keep_nearest(seen: Vec<Seen>, threshold: f64) -> Vec<Box3> {
+    let footprints: Vec<Footprint> = seen.iter().map(|seen| Footprint::of(&seen.object)).collect();
+    let mut order: Vec<usize> = (0..seen.len()).collect();
+    order.sort_by(|a, b| seen[*a].range_m.total_cmp(&seen[*b].range_m));
+    let mut kept: Vec<usize> = Vec::new();
+    for candidate in order {
+        let doubles = |k: &usize| iou_exceeds(&footprints[*k], &footprints[candidate], threshold);
+        if threshold >= 1.0 || !kept.iter().any(doubles) {
+            kept.push(candidate);
+        }
+    }
+    kept.sort_unstable();
+    kept.into_iter().map(|index| seen[index].object.clone()).collect()
+}
+
+/// The operator `fusion-nearest`.
+pub struct FusionNearest {
+    config: Config,
+    /// The ego's part of a set, until its selection comes.
+    ego: Option<(Header, Boxes)>,
+}
+
+const EGO: PortId = PortId(0);
+const SELECTIONS: PortId = PortId(1);
+const BOXES: PortId = PortId(0);
+const REPORT: PortId = PortId(1);
+
+impl Describe for FusionNearest {
+    type Config = Config;
+    const NAME: &'static str = "fusion-nearest";
+    const ABOUT: &'static str = "late fusion: of several boxes of one object keeps the one seen from nearest";
+    const ARGUMENTS: &'static [Argument] = &[Argument {
+        name: "threshold",
+        about: "IoU above which two boxes are one object, in [0, 1]; 1: every box stays",
+    }];
+    const INPUTS: &'static [Port] = &[
+        Port::new("ego", &[PayloadType::Boxes], "the ego's detections")
+            .latest()
+            .joined("frame"),
+        Port::new(
+            "selections",
+            &[PayloadType::Selection],
+            "what the bank chose for that message",
+        )
+        .latest()
+        .joined("frame"),
+    ];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new("boxes", &[PayloadType::Boxes], "the joint list, in the ego's frame"),
+        Port::new(
+            "report",
+            &[PayloadType::Report],
+            "topic `fusion`: one for each fusion that took place",
+        ),
+    ];
+}
+
+impl Operator for FusionNearest {
+    fn new(config: Config) -> Result<Self, Error> {
+        if !(0.0..=1.0).contains(&config.threshold) {
+            return Err(format!(
+                "argument `threshold`: an IoU lies in [0, 1], found {}",
+                config.threshold
+            )
+            .into());
+        }
+        Ok(FusionNearest { config, ego: None })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            EGO => {
+                self.ego = Some(message.into_parts().map_err(unexpected)?);
+                Ok(())
+            }
+            SELECTIONS => self.fuse(message, out),
+            _ => Err(wrong_port(Self::INPUTS, port)),
+        }
+    }
+}
+
+impl FusionNearest {
+    fn fuse(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        let (asked, Selection { query, mut entries }): (Header, Selection) =
+            message.into_parts().map_err(unexpected)?;
+        let own = self
+            .ego
+            .take()
+            .filter(|(header, _)| (&header.agent, header.seq) == (&asked.agent, query));
+        let Some((header, Boxes(boxes))) = own else {
+            return Err(format!("a selection for query {query} without the ego's boxes of that seq ({asked})").into());
+        };
+        entries.sort_by(|a, b| a.header.agent.cmp(&b.header.agent));
+        let mut seen: Vec<Seen> = boxes.iter().map(|object| Seen::new(object, None)).collect();
+        let mut rejected = Vec::new();
+        for entry in &entries {
+            match placed(&header, entry) {
+                Some(theirs) => seen.extend(theirs),
+                None => rejected.push(MessageId::of(&entry.header)),
+            }
+        }
+        let all = seen.len();
+        let kept = keep_nearest(seen, self.config.threshold);
+        out.count("farther_boxes", (all - kept.len()) as u64);
+        out.count("rejected_messages", rejected.len() as u64);
+        let report = FusionReport {
+            query,
+            agent: header.agent.to_string(),
+            over_limit: Vec::new(),
+            rejected,
+        };
+        let report_header = Header {
+            kind: Kind::Report,
+            ..header.clone()
+        };
+        out.send(BOXES, Message::new(header, Boxes(kept)));
+        out.send(REPORT, Message::new(report_header, to_report("fusion", &report)));
+        Ok(())
+    }
+}
+
+/// The boxes of an entry in the ego's frame; `None` if a pose is missing or it carries something else.
+fn placed(ego: &Header, entry: &Message) -> Option<Vec<Seen>> {
+    let (map_from_ego, map_from_sender) = (ego.pose.as_ref()?, entry.header.pose.as_ref()?);
+    let Payload::Boxes(Boxes(boxes)) = &entry.payload else {
+        return None;
+    };
+    let ego_from_sender = relative(&map_from_ego.map_from_frame, &map_from_sender.map_from_frame);
+    Some(
+        boxes
+            .iter()
+            .map(|object| Seen::new(object, Some(&ego_from_sender)))
+            .collect(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_runtime::testkit::FusionCase;
+    use realo_schemas::Pose;
+
+    use super::*;
+
+    fn object(x: f64, y: f64) -> Box3 {
+        Box3 {
+            center: [x, y, 0.8],
+            length: 4.5,
+            width: 1.9,
+            height: 1.6,
+            yaw: 0.1,
+            velocity: None,
+            class: "Car".into(),
+            score: 0.5,
+            track: None,
+            covariance: None,
+        }
+    }
+
+    fn message(agent: &str, x_in_map: f64, boxes: Vec<Box3>) -> Message {
+        let mut header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, 0, 50, 80);
+        header.pose = Some(Pose::exact(Isometry3::translation(x_in_map, 0.0, 0.0)));
+        Message::new(header, Boxes(boxes))
+    }
+
+    #[test]
+    fn holds_what_every_fusion_owes_its_graph() {
+        let own = vec![object(10.0, 0.0), object(30.0, 5.0)];
+        for threshold in [0.15, 1.0] {
+            let case = FusionCase {
+                args: vec![format!("threshold={threshold}")],
+                ego: message("cav1", 0.0, own.clone()),
+                entries: vec![
+                    message("rsu1", 25.0, vec![object(5.1, 5.0), object(-10.0, 8.0)]),
+                    message("cav2", 60.0, vec![object(-49.8, 0.0)]),
+                ],
+                alone: Boxes(own.clone()).into(),
+            };
+            case.check::<FusionNearest>();
+        }
+    }
+
+    #[test]
+    fn keeps_the_box_that_is_seen_from_nearest_at_its_place_in_the_list() {
+        let seen = |x, range_m| Seen {
+            object: object(x, 0.0),
+            range_m,
+        };
+        let list = vec![seen(10.0, 10.0), seen(50.0, 50.0), seen(50.2, 5.0), seen(10.1, 40.0)];
+        let places = |kept: Vec<Box3>| kept.iter().map(|object| object.center[0]).collect::<Vec<_>>();
+        assert_eq!(places(keep_nearest(list.clone(), 0.15)), [10.0, 50.2]);
+        assert_eq!(places(keep_nearest(list, 1.0)), [10.0, 50.0, 50.2, 10.1]);
+    }
+
+    #[test]
+    fn refuses_a_threshold_that_is_no_iou() {
+        let error = FusionNearest::new(Config { threshold: 1.5 }).map(|_| ()).unwrap_err();
+        assert!(error.to_string().contains("[0, 1], found 1.5"), "{error}");
+    }
+}
