@@ -169,6 +169,7 @@ fn a_log_without_points_still_gives_a_picture() {
         marks(&svg, "hit") > 0 && marks(&svg, "added") == 0,
         "the ego alone: {said}"
     );
+    assert!(!said.contains("cooperation"), "{said}");
 }
 
 #[test]

@@ -38,16 +38,22 @@ pub fn main(args: &Args) -> Result<Outcome> {
     })?;
     let scene = Scene::of(chosen)?;
     realo_render::write(&args.output, &realo_render::draw(&scene))?;
-    let judged = &scene.judged;
-    let (hits, wrong, missed, added) = (judged.hits(), judged.wrong(), judged.missed(), judged.added());
-    println!(
-        "{}: {}, {}, sweep {}: {hits} true, {wrong} false, {missed} missed; {added} only by cooperation",
-        args.output.display(),
-        scene.graph,
-        scene.log,
-        scene.seq,
-    );
+    println!("{}: {}", args.output.display(), in_words(&scene));
     Ok(Outcome::Complete)
+}
+
+fn in_words(scene: &Scene) -> String {
+    let (graph, log, seq, judged) = (&scene.graph, &scene.log, scene.seq, &scene.judged);
+    let frame = format!("{graph}, {log}, sweep {seq}");
+    if !scene.has_truth {
+        return format!("{frame}: {} detected", judged.detected.len());
+    }
+    let (hits, wrong, missed) = (judged.hits(), judged.wrong(), judged.missed());
+    let gain = match judged.tells_gain() {
+        true => format!("; {} only by cooperation", judged.added()),
+        false => String::new(),
+    };
+    format!("{frame}: {hits} true, {wrong} false, {missed} missed{gain}")
 }
 
 /// Where logs usually are: here, and where the demo log is made.

@@ -100,6 +100,11 @@ impl Judged {
         self.there.iter().filter(|object| !object.found).count()
     }
 
+    /// Whether it can be told what only cooperation found: others were heard, and points are counted.
+    pub fn tells_gain(&self) -> bool {
+        self.cooperated && self.knows_points()
+    }
+
     /// Whether the log tells the ego's points on every object.
     pub fn knows_points(&self) -> bool {
         self.there.iter().all(|object| object.hidden.is_some())

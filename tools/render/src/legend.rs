@@ -128,14 +128,16 @@ fn kinds_of_boxes(scene: &Scene) -> Vec<(&'static str, Style, String)> {
         return vec![("sample-detected", style::HIT, text)];
     }
     let (hits, added) = (judged.hits(), judged.added());
-    let seen = scene.seen_points;
-    vec![
-        (
-            "sample-added",
-            style::ADDED,
-            format!("{added} found only by cooperation (the ego has fewer than {seen} points on it)"),
-        ),
-        ("sample-hit", style::HIT, format!("{} others found", hits - added)),
+    let mut kinds = Vec::new();
+    if judged.tells_gain() {
+        let few = scene.seen_points;
+        let text = format!("{added} found only by cooperation (the ego has fewer than {few} points on it)");
+        kinds.push(("sample-added", style::ADDED, text));
+        kinds.push(("sample-hit", style::HIT, format!("{} others found", hits - added)));
+    } else {
+        kinds.push(("sample-hit", style::HIT, format!("{hits} found")));
+    }
+    kinds.extend([
         ("sample-missed", style::MISSED, format!("{} missed", judged.missed())),
         ("sample-false", style::FALSE, format!("{} false", judged.wrong())),
         (
@@ -144,7 +146,8 @@ fn kinds_of_boxes(scene: &Scene) -> Vec<(&'static str, Style, String)> {
             format!("{} objects are there", judged.there.len()),
         ),
         ("sample-region", style::REGION, "where objects count".into()),
-    ]
+    ]);
+    kinds
 }
 
 fn of_agent(agent: &Agent, is_ego: bool) -> String {
