@@ -3,6 +3,8 @@
 #[path = "plugins/build.rs"]
 mod build;
 mod common;
+#[path = "plugins/guide.rs"]
+mod guide;
 #[path = "plugins/python.rs"]
 mod python;
 
@@ -124,7 +126,7 @@ fn a_rust_fusion_gives_the_same_boxes_on_dora() {
 
 #[test]
 fn the_examples_own_tests_pass() {
-    build::cargo(&["test", "--lib"]);
+    build::cargo(&build::example(), &["test", "--lib"]);
 }
 
 /// The example's graph with other words in it.
@@ -333,4 +335,17 @@ fn the_python_modules_own_tests_pass() {
     let args = ["-m", "unittest", "discover", "-s", &tests].map(String::from);
     let output = python::with(&bin, &bin.join("python").to_string_lossy(), &args);
     assert!(output.status.success(), "{}", text(&output.stderr));
+}
+
+#[test]
+fn the_guide_to_a_fusion_of_ones_own_can_be_followed() {
+    let mine = guide::folder();
+    build::cargo(&mine, &["test"]);
+    build::cargo(&mine, &["build"]);
+    let said = guide::shell(&mine, "## 2. The graph", |_| true);
+    assert!(said.contains("late_fill.yml: fine"), "{said}");
+    // Runs on dora are tested above.
+    let said = guide::shell(&mine, "## 3. Runs", |line| !line.contains("in realtime"));
+    assert!(said.contains("late_fusion") && said.contains("late_fill"), "{said}");
+    println!("{said}");
 }

@@ -29,31 +29,24 @@ syn = { version = "2", features = ["fold"] }
 pub fn fusion_nearest() -> PathBuf {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     let built = BUILT.get_or_init(|| {
-        cargo(&["build"]);
+        cargo(&example(), &["build"]);
         Path::new(REALO).with_file_name("fusion-nearest")
     });
     built.clone()
 }
 
-/// Runs cargo on the example, which must succeed.
-pub fn cargo(command: &[&str]) {
+/// Runs cargo on a crate, which must succeed.
+pub fn cargo(folder: &Path, command: &[&str]) {
     let profile = Path::new(REALO)
         .parent()
         .expect("the program lies in the profile's folder");
-    let target = profile
-        .parent()
-        .expect("the profile's folder lies in the target folder");
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut cargo = Command::new(cargo);
     cargo.args(command).args(["--offline", "--quiet"]);
     if profile.ends_with("release") {
         cargo.arg("--release");
     }
-    let output = cargo
-        .arg("--target-dir")
-        .arg(target)
-        .current_dir(prepared(target))
-        .output();
+    let output = cargo.arg("--target-dir").arg(target()).current_dir(folder).output();
     let output = output.expect("cargo can be started");
     assert!(
         output.status.success(),
@@ -63,25 +56,37 @@ pub fn cargo(command: &[&str]) {
     );
 }
 
-/// The example's manifest and sources beside the workspace's lock file.
-fn prepared(target: &Path) -> PathBuf {
+/// The workspace's target folder.
+pub fn target() -> PathBuf {
+    Path::new(REALO)
+        .ancestors()
+        .nth(2)
+        .expect("the program lies in a target folder")
+        .into()
+}
+
+/// The example's manifest for its sources, where the build may write.
+pub fn example() -> PathBuf {
     static PREPARED: OnceLock<PathBuf> = OnceLock::new();
     let prepare = || {
-        let (example, copy) = (
-            root().join("examples/fusion_nearest"),
-            target.join("plugins/fusion_nearest"),
-        );
-        fs::create_dir_all(&copy).expect("the folder can be made");
+        let example = root().join("examples/fusion_nearest");
         let manifest = fs::read_to_string(example.join("Cargo.toml")).expect("the example has a manifest");
         let manifest = manifest.replace("\"../../", &format!("\"{}/", root().display()));
-        let sources = format!(
-            "\n[lib]\npath = {:?}\n\n[[bin]]\nname = \"fusion-nearest\"\npath = {:?}\n",
-            example.join("src/lib.rs"),
-            example.join("src/main.rs")
-        );
-        fs::write(copy.join("Cargo.toml"), manifest + &sources + SAME_FEATURES).expect("the manifest can be written");
-        fs::copy(root().join("Cargo.lock"), copy.join("Cargo.lock")).expect("the lock file can be copied");
-        copy
+        let (lib, main) = (example.join("src/lib.rs"), example.join("src/main.rs"));
+        let sources = format!("\n[lib]\npath = {lib:?}\n\n[[bin]]\nname = \"fusion-nearest\"\npath = {main:?}\n");
+        prepare(&target().join("plugins/fusion_nearest"), &(manifest + &sources))
     };
     PREPARED.get_or_init(prepare).clone()
+}
+
+/// Writes a crate's manifest beside the workspace's lock file.
+pub fn prepare(folder: &Path, manifest: &str) -> PathBuf {
+    fs::create_dir_all(folder).expect("the folder can be made");
+    let manifest = format!("{manifest}{SAME_FEATURES}");
+    // An unchanged file keeps its time, and cargo its build.
+    if fs::read_to_string(folder.join("Cargo.toml")).ok().as_ref() != Some(&manifest) {
+        fs::write(folder.join("Cargo.toml"), manifest).expect("the manifest can be written");
+    }
+    fs::copy(root().join("Cargo.lock"), folder.join("Cargo.lock")).expect("the lock file can be copied");
+    folder.into()
 }

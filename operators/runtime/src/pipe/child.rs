@@ -209,6 +209,7 @@ impl Drop for Child {
 impl AnyOperator for Child {
     fn on_input(&mut self, PortId(port): PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let port = self.registration.inputs[port].name.to_string();
+        let message = Box::new(message);
         self.ask(&Call::Input { port, message }, out)
     }
 

@@ -62,7 +62,7 @@ pub(super) fn write(registration: &Registration) -> Result<Vec<u8>, String> {
         .put("version", UInt32Array::from(vec![VERSION]))
         .text("name", registration.name)
         .text("ports", &json)
-        .to_bytes()
+        .into_bytes()
 }
 
 /// What the first frame of a program declares.
@@ -210,7 +210,7 @@ mod tests {
             .put("version", UInt32Array::from(vec![VERSION]))
             .text("name", "mine")
             .text("ports", ports);
-        read(row.to_bytes().unwrap())
+        read(row.into_bytes().unwrap())
     }
 
     #[test]
@@ -270,7 +270,7 @@ mod tests {
         }
         let newer = Row::default()
             .put("version", UInt32Array::from(vec![VERSION + 1]))
-            .to_bytes();
+            .into_bytes();
         let error = read(newer.unwrap()).map(|_| ()).unwrap_err();
         assert!(error.contains("version 1") && error.contains("found 2"), "{error}");
     }

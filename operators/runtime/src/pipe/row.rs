@@ -43,7 +43,7 @@ impl Row {
     ///
     /// # Errors
     /// What Arrow cannot write.
-    pub fn to_bytes(self) -> Result<Vec<u8>, String> {
+    pub fn into_bytes(self) -> Result<Vec<u8>, String> {
         let batch = RecordBatch::from(StructArray::new(Fields::from(self.fields), self.columns, None));
         let write = || {
             let mut writer = StreamWriter::try_new(Vec::new(), &batch.schema())?;

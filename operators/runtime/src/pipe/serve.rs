@@ -48,7 +48,7 @@ fn answer(
             let (id, _) = registration
                 .input(&port)
                 .ok_or_else(|| format!("a call for input `{port}`, which `{}` does not have", registration.name))?;
-            operator.on_input(id, message, &mut out)
+            operator.on_input(id, *message, &mut out)
         }
         Call::Wake => operator.on_wake(now, &mut out),
         Call::End => operator.on_end(&mut out),

@@ -8,7 +8,7 @@ use super::row::{Received, Row};
 /// What the driver asks of a program.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Call {
-    Input { port: String, message: Message },
+    Input { port: String, message: Box<Message> },
     Wake,
     End,
 }
@@ -34,8 +34,8 @@ impl Call {
         let row = Row::default().text("call", call).text("port", port);
         let row = row.put("now", Int64Array::from(vec![now]));
         match self {
-            Call::Input { message, .. } => row.put("message", wire::to_arrow(message)).to_bytes(),
-            _ => row.to_bytes(),
+            Call::Input { message, .. } => row.put("message", wire::to_arrow(message)).into_bytes(),
+            _ => row.into_bytes(),
         }
     }
 
@@ -45,7 +45,7 @@ impl Call {
         let call = match row.text("call")? {
             "input" => Call::Input {
                 port: row.text("port")?.into(),
-                message: message(&row, "message")?,
+                message: Box::new(message(&row, "message")?),
             },
             "wake" => Call::Wake,
             "end" => Call::End,
@@ -71,7 +71,7 @@ impl Reply {
             .fold(row, |row, (i, (_, message))| {
                 row.put(&format!("message_{i}"), wire::to_arrow(message))
             })
-            .to_bytes()
+            .into_bytes()
     }
 
     pub fn from_bytes(bytes: Vec<u8>) -> Result<Self, String> {
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn calls_and_replies_come_back() {
-        let (port, message) = ("ego".to_string(), boxes("cav1", 1));
+        let (port, message) = ("ego".to_string(), Box::new(boxes("cav1", 1)));
         for call in [Call::Input { port, message }, Call::Wake, Call::End] {
             let (back, now) = Call::from_bytes(call.to_bytes(-7).unwrap()).unwrap();
             assert_eq!((back, now), (call, -7));

@@ -98,7 +98,7 @@ stage!(
     operator,
     Encoder,
     "transmission-encoder",
-    [port("data", CONTENT)],
+    [port("data", CONTENT), port("state", STATES).optional()],
     [port("packets", PACKETS)]
 );
 stage!(
