@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use common::{folder, graph, json, realo_ok, run_virtual, simulated, text};
-use realo_runtime::graph::{FlatGraph, Graph};
+use realo_runtime::graph::Graph;
 use realo_schemas::Nanos;
 use realo_schemas::report::BankReport;
 use serde_json::Value;

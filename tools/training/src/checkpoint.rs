@@ -79,7 +79,7 @@ impl Checkpoint {
             .curve
             .points
             .iter()
-            .flat_map(Point::to_numbers)
+            .flat_map(|point| point.to_numbers())
             .flat_map(f64::to_le_bytes)
             .collect();
         tensors.0.push((

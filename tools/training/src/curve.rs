@@ -28,7 +28,7 @@ impl Point {
         self.class + self.regression
     }
 
-    pub(crate) fn to_numbers(&self) -> [f64; Self::NUMBERS] {
+    pub(crate) fn to_numbers(self) -> [f64; Self::NUMBERS] {
         [
             self.step as f64,
             self.class,

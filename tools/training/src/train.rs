@@ -129,7 +129,7 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     if options.steps == 0 {
         return Err(option("steps", "at least 1", 0));
     }
-    if let Some(minutes) = options.minutes.filter(|minutes| !(*minutes > 0.0)) {
+    if let Some(minutes) = options.minutes.filter(|minutes| minutes.is_nan() || *minutes <= 0.0) {
         return Err(option("minutes", "more than 0", minutes));
     }
     if !(0.0..=1.0).contains(&options.half_range) {
