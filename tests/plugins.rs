@@ -338,7 +338,7 @@ fn the_python_modules_own_tests_pass() {
 }
 
 #[test]
-#[ignore = "compiles dora's node library anew, as a reader of the guide does: 10 minutes"]
+#[ignore = "has not been seen to pass: every run was cut while it compiled dora's node library anew"]
 fn the_guide_to_a_fusion_of_ones_own_can_be_followed() {
     let mine = guide::folder();
     build::cargo(&mine, &["test"]);
