@@ -118,6 +118,17 @@ fn an_ego_without_collaborators_runs_alone_and_says_so() {
 }
 
 #[test]
+fn a_network_on_a_log_without_points_is_refused() {
+    let log = small();
+    let output = realo(["run", &graph("no_fusion"), "--offline", "--log", &log.to_string_lossy()]);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for named in ["without points", "`ego-detect.encoder`", "--recorded-detections"] {
+        assert!(said.contains(named), "`{named}` in: {said}");
+    }
+}
+
+#[test]
 fn options_that_exclude_each_other_are_refused() {
     for args in [
         &["--offline", "--mode", "realtime"][..],
@@ -136,7 +147,7 @@ fn options_that_exclude_each_other_are_refused() {
 /// Late fusion of recorded detections, wired anew.
 fn rewired(name: &str, change: impl FnOnce(&mut FlatGraph)) -> PathBuf {
     let graph = Graph::load(Path::new(&graph("late_fusion"))).expect("the graph can be read");
-    let mut flat = graph.with_recorded_detections().expand().expect("it can be expanded");
+    let mut flat = graph.with_detection("recorded").expand().expect("it can be expanded");
     change(&mut flat);
     let dir = folder(name);
     std::os::unix::fs::symlink(flat.types(), dir.join("types")).expect("links can be made");

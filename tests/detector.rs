@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{folder, graph, once, realo, root, run_virtual_file, simulated, text};
+use common::{folder, graph, once, realo, run_virtual, simulated, text};
 use realo_nn::model::Model;
 use realo_nn::weights::expected;
 use realo_schemas::{Box3, Boxes};
@@ -100,25 +100,11 @@ fn count(frames: &[Vec<Box3>]) -> usize {
     frames.iter().map(Vec::len).sum()
 }
 
-/// A shipped graph with the network as its detector.
-fn with_network(name: &str) -> String {
-    let path = once(&format!("network_{name}.yml"), |path| {
-        let folder = path.parent().expect("it has a folder");
-        for link in ["modules", "types", "bin"] {
-            let _ = std::os::unix::fs::symlink(root().join("dataflows").join(link), folder.join(link));
-        }
-        let text = fs::read_to_string(graph(name)).expect("the graph can be read");
-        let text = text.replace("detect.recorded.yml", "detect.network.yml");
-        fs::write(path, text.replace("detections=required", "detections=off")).expect("the graph can be written");
-    });
-    path.to_string_lossy().into_owned()
-}
-
 fn run(out: &str, name: &str, args: &[&str]) -> serde_json::Value {
     let model = model();
     let model = model.to_string_lossy();
     let all = [&["--model", &model, "--ego", "cav1"][..], args].concat();
-    run_virtual_file(out, &with_network(name), &log(), &all)
+    run_virtual(out, name, &log(), &all)
 }
 
 #[test]
@@ -210,7 +196,7 @@ fn what_does_not_fit_is_refused_by_name() {
         ),
     ];
     for (args, named) in cases {
-        let file = with_network(args[0]);
+        let file = graph(args[0]);
         let args = [&["run", &file, "--mode", "virtual", "--log", &log][..], &args[1..]].concat();
         let output = realo(args.clone());
         let said = text(&output.stderr);

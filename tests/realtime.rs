@@ -194,7 +194,7 @@ fn realised_age_is_that_of_an_independent_calculation() {
 
 fn tampered_graph(dir: &Path, report: &Path) -> PathBuf {
     let late = Graph::load(Path::new(&graph("late_fusion"))).expect("the graph can be read");
-    let mut flat = late.with_recorded_detections().expand().expect("its modules fit");
+    let mut flat = late.with_detection("recorded").expand().expect("its modules fit");
     let example = Path::new(common::REALO).with_file_name("examples").join("tamper");
     assert!(example.exists(), "{} is built with the tests", example.display());
     let yaml = format!(

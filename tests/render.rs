@@ -31,7 +31,7 @@ fn log() -> PathBuf {
 /// A virtual run of late fusion over the small log, made once.
 fn run() -> PathBuf {
     once("render_run", |_| {
-        let args = ["--link", "paper", "--set", "link.range_m=1000"];
+        let args = ["--recorded-detections", "--link", "paper", "--set", "link.range_m=1000"];
         run_virtual("render_run", "late_fusion", &log(), &args);
     })
 }
@@ -159,7 +159,8 @@ fn a_log_without_points_still_gives_a_picture() {
             "cav1,rsu1",
         ],
     );
-    run_virtual("render_bare_run", "no_fusion", &log, &["--ego", "cav1"]);
+    let args = ["--recorded-detections", "--ego", "cav1"];
+    run_virtual("render_bare_run", "no_fusion", &log, &args);
     let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_bare_run");
     let file = folder("render_bare_out").join("bare.svg");
     let (code, said) = render(&dir, &file, &["--log", &log.to_string_lossy()]);

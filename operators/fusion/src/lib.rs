@@ -1,13 +1,13 @@
 //! What every fusion operator does before it fuses: pairs the ego's message with what the bank selected for it, puts the
 //! collaborators in order, places them in the ego's frame, and reports what could not take part.
 //!
-//! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group, and the outputs [`FUSED`] and [`REPORT`].
+//! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group ([`inputs`]), and the outputs [`FUSED`] and [`REPORT`].
 
 use nalgebra::Isometry3;
-use realo_runtime::{Error, Outputs, PortId, unexpected};
+use realo_runtime::{Error, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::relative;
 use realo_schemas::report::{FusionReport, MessageId, to_report};
-use realo_schemas::{Header, Kind, Message, Payload, Selection, UnexpectedPayload};
+use realo_schemas::{Header, Kind, Message, Payload, PayloadType, Selection, UnexpectedPayload};
 
 /// Input: the ego's own.
 pub const EGO: PortId = PortId(0);
@@ -17,6 +17,22 @@ pub const SELECTIONS: PortId = PortId(1);
 pub const FUSED: PortId = PortId(0);
 /// Output: topic `fusion`, one for each fusion that took place.
 pub const REPORT: PortId = PortId(1);
+
+/// The inputs of a fusion of payloads of these types.
+pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
+    [
+        Port::new("ego", types, "the ego's own").latest().joined("frame"),
+        Port::new("selections", &[PayloadType::Selection], "what the bank chose for it")
+            .latest()
+            .joined("frame"),
+    ]
+}
+
+/// The outputs of a fusion: what it fuses, and the report.
+pub const fn outputs(fused: Port) -> [Port; 2] {
+    let report = "topic `fusion`: one for each fusion that took place";
+    [fused, Port::new("report", &[PayloadType::Report], report)]
+}
 
 /// Keeps the ego's part of a set until its selection comes.
 #[derive(Debug, Default)]

@@ -74,30 +74,12 @@ impl Describe for FusionBoxes {
             about: "boxes of a lower score are dropped, the ego's own included",
         },
     ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("ego", &[PayloadType::Boxes], "the ego's detections")
-            .latest()
-            .joined("frame"),
-        Port::new(
-            "selections",
-            &[PayloadType::Selection],
-            "what the bank chose for that message",
-        )
-        .latest()
-        .joined("frame"),
-    ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new(
-            "boxes",
-            &[PayloadType::Boxes],
-            "the ego's boxes, then the collaborators', in the ego's frame",
-        ),
-        Port::new(
-            "report",
-            &[PayloadType::Report],
-            "topic `fusion`: one for each fusion that took place",
-        ),
-    ];
+    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::Boxes]);
+    const OUTPUTS: &'static [Port] = &realo_fusion::outputs(Port::new(
+        "boxes",
+        &[PayloadType::Boxes],
+        "the ego's boxes, then the collaborators', in the ego's frame",
+    ));
 }
 
 impl Operator for FusionBoxes {

@@ -90,30 +90,12 @@ impl Describe for FusionPoints {
             about: "points that the sender projected stay where it put them; the ego's motion since is not removed",
         },
     ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("ego", &[PayloadType::PointCloud], "the ego's sweep")
-            .latest()
-            .joined("frame"),
-        Port::new(
-            "selections",
-            &[PayloadType::Selection],
-            "what the bank chose for that sweep",
-        )
-        .latest()
-        .joined("frame"),
-    ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new(
-            "clouds",
-            &[PayloadType::PointCloud],
-            "the ego's points, then the collaborators', in the ego's frame",
-        ),
-        Port::new(
-            "report",
-            &[PayloadType::Report],
-            "topic `fusion`: one for each fusion that took place",
-        ),
-    ];
+    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::PointCloud]);
+    const OUTPUTS: &'static [Port] = &realo_fusion::outputs(Port::new(
+        "clouds",
+        &[PayloadType::PointCloud],
+        "the ego's points, then the collaborators', in the ego's frame",
+    ));
 }
 
 impl Operator for FusionPoints {

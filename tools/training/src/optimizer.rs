@@ -113,3 +113,89 @@ impl AdamW {
         Ok(norm)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use realo_nn::model::Model;
+
+    use super::*;
+
+    fn network() -> Network {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/lite.toml");
+        Network::random(&Model::read(&path).unwrap(), 1).unwrap()
+    }
+
+    fn values(network: &Network) -> Vec<Vec<f32>> {
+        let of = |p: &crate::network::Parameter| with_numbers(&p.value, |values| Ok(values.to_vec())).unwrap();
+        network.parameters().iter().map(of).collect()
+    }
+
+    fn gradients(network: &Network, value: f32) -> Gradients {
+        let of = |p: &crate::network::Parameter| p.trained.then(|| vec![value; p.value.elem_count()]);
+        network.parameters().iter().map(of).collect()
+    }
+
+    #[test]
+    fn the_rate_rises_and_falls() {
+        let how = Settings::default();
+        let at = |step| how.rate_at(step, 1000);
+        assert!((at(0) - how.rate * 0.1).abs() < 1e-12);
+        assert!((at(100) - how.rate).abs() < 1e-12);
+        assert!((at(1000) - how.rate * 1e-3).abs() < 1e-12);
+        assert!((0..100).all(|step| at(step) < at(step + 1)));
+        assert!((100..1000).all(|step| at(step) > at(step + 1)));
+    }
+
+    #[test]
+    fn a_first_step_is_as_long_as_the_rate_whatever_the_gradient() {
+        let how = Settings {
+            decay: 0.0,
+            ..Settings::default()
+        };
+        for gradient in [1e-3, -50.0] {
+            let mut network = network();
+            let before = values(&network);
+            let all = gradients(&network, gradient);
+            let mut adam = AdamW::new(&network);
+            let norm = adam.step(&mut network, &all, 1e-2, &how).unwrap();
+            let count: usize = all.iter().flatten().map(Vec::len).sum();
+            let expected = f64::from(gradient.abs()) * (count as f64).sqrt();
+            assert!((norm - expected).abs() < 1e-3 * expected, "{norm}, not {expected}");
+            let moved = values(&network);
+            for ((parameter, before), after) in network.parameters().iter().zip(&before).zip(&moved) {
+                let step = if parameter.trained {
+                    -1e-2 * gradient.signum()
+                } else {
+                    0.0
+                };
+                for (before, after) in before.iter().zip(after) {
+                    assert!((after - before - step).abs() < 1e-4, "{before} to {after}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn weights_decay_and_offsets_do_not() {
+        let mut network = network();
+        let before = values(&network);
+        let none = gradients(&network, 0.0);
+        let how = Settings {
+            decay: 0.5,
+            ..Settings::default()
+        };
+        AdamW::new(&network).step(&mut network, &none, 0.1, &how).unwrap();
+        for ((parameter, before), after) in network.parameters().iter().zip(&before).zip(&values(&network)) {
+            let keep = if parameter.trained && parameter.decayed {
+                0.95
+            } else {
+                1.0
+            };
+            let same = before
+                .iter()
+                .zip(after)
+                .all(|(b, a)| (a - b * keep).abs() <= 1e-6 * b.abs());
+            assert!(same, "{keep}");
+        }
+    }
+}

@@ -160,23 +160,10 @@ impl Ledger {
 
     /// `None` without objects.
     fn average_precision(&self) -> Option<f64> {
-        if self.objects == 0 {
-            return None;
-        }
         let mut found = self.found.clone();
         found.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let mut right = 0;
-        let mut precision: Vec<(bool, f64)> = Vec::with_capacity(found.len());
-        for (index, (_, hit)) in found.iter().enumerate() {
-            right += usize::from(*hit);
-            precision.push((*hit, right as f64 / (index + 1) as f64));
-        }
-        let (mut best, mut area) = (0.0_f64, 0.0);
-        for (hit, precision) in precision.into_iter().rev() {
-            best = best.max(precision);
-            area += if hit { best } else { 0.0 };
-        }
-        Some(area / self.objects as f64)
+        let hits: Vec<bool> = found.into_iter().map(|(_, hit)| hit).collect();
+        realo_evaluator::average_precision(&hits, self.objects as u64)
     }
 }
 

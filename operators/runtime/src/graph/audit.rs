@@ -7,19 +7,23 @@ use realo_schemas::PayloadType;
 use serde_yaml::Value;
 
 use super::check::check_tables;
+use super::expand::is_detection;
 use super::{FlatGraph, Graph, GraphError, TYPE_PREFIX, read, validate};
 use crate::Registry;
 
 /// Everything in which the graphs of a folder, its `types/realo/v1.yml` and the registered stages disagree.
 ///
-/// Empty if every graph expands and [`validate`] finds neither error nor warning nor foreign node, also with recorded
-/// detections where it detects; if the types are the payload types; if every module is used; and if the tables of the
-/// checks name ports that exist.
+/// Empty if every graph expands and [`validate`] finds neither error nor warning nor foreign node, with each
+/// `modules/detect.*.yml` where it detects; if the types are the payload types; if every module is used; and if the
+/// tables of the checks name ports that exist.
 pub fn audit(registry: &Registry, dataflows: &Path) -> Vec<String> {
     let mut wrong = check_tables(registry);
     match graphs(dataflows) {
         Ok(files) if files.is_empty() => wrong.push(format!("{}: no graphs", dataflows.display())),
-        Ok(files) => wrong.extend(files.iter().flat_map(|file| audit_graph(registry, file))),
+        Ok(files) => {
+            let detections = detections(dataflows).unwrap_or_default();
+            wrong.extend(files.iter().flat_map(|file| audit_graph(registry, file, &detections)));
+        }
         Err(error) => wrong.push(error.to_string()),
     }
     wrong.extend(unused_modules(dataflows).unwrap_or_else(|error| vec![error.to_string()]));
@@ -40,30 +44,37 @@ fn graphs(folder: &Path) -> Result<Vec<PathBuf>, GraphError> {
     Ok(files)
 }
 
-fn audit_graph(registry: &Registry, file: &Path) -> Vec<String> {
+/// Names of the detections that a folder has modules of.
+fn detections(dataflows: &Path) -> Result<Vec<String>, GraphError> {
+    let names = graphs(&dataflows.join("modules"))?;
+    let name = |file: &PathBuf| Some(file.file_stem()?.to_str()?.strip_prefix("detect.")?.to_string());
+    Ok(names.iter().filter_map(name).collect())
+}
+
+fn audit_graph(registry: &Registry, file: &Path, detections: &[String]) -> Vec<String> {
     let graph = match Graph::load(file) {
         Ok(graph) => graph,
         Err(error) => return vec![error.to_string()],
     };
-    let recorded = graph.clone().with_recorded_detections().expand();
-    let recorded = recorded.map(Some).or_else(|error| match error {
-        GraphError::NoDetectModule { .. } => Ok(None),
-        other => Err(other),
-    });
-    let check = |graph: &FlatGraph| -> Vec<String> {
-        let findings = validate(graph, registry).into_iter();
-        findings
-            .map(|finding| format!("{}: {finding}", file.display()))
-            .collect()
-    };
-    match (graph.expand(), recorded) {
-        (Ok(graph), Ok(recorded)) => {
-            let mut wrong = check(&graph);
-            wrong.extend(recorded.iter().filter(|other| **other != graph).flat_map(check));
-            wrong
+    let other = detections.iter().map(|name| graph.clone().with_detection(name));
+    let mut seen: Vec<FlatGraph> = Vec::new();
+    let mut wrong = Vec::new();
+    for graph in std::iter::once(graph.clone()).chain(other) {
+        match graph.expand() {
+            Ok(flat) if seen.contains(&flat) => {}
+            Ok(flat) => {
+                let findings = validate(&flat, registry).into_iter();
+                wrong.extend(findings.map(|finding| format!("{}: {finding}", file.display())));
+                seen.push(flat);
+            }
+            // It detects in a way of its own, so no detection can take the place.
+            Err(GraphError::NoDetectModule { .. }) => {}
+            Err(error) => wrong.push(error.to_string()),
         }
-        (Err(error), _) | (_, Err(error)) => vec![error.to_string()],
     }
+    wrong.sort();
+    wrong.dedup();
+    wrong
 }
 
 fn unused_modules(dataflows: &Path) -> Result<Vec<String>, GraphError> {
@@ -82,14 +93,15 @@ fn unused_modules(dataflows: &Path) -> Result<Vec<String>, GraphError> {
                 .filter_map(|node| Some(folder.join(node.module?))),
         );
     }
-    // Any module of detection may take another's place.
-    let takes_a_place = |file: &PathBuf| {
-        let name = file.file_name().unwrap_or_default().to_string_lossy();
-        name.starts_with("detect.")
+    // Where one module of detection is used, any other can take its place.
+    let detects = |file: &Path| {
+        let name = file.file_name().and_then(|name| name.to_str());
+        name.is_some_and(is_detection)
     };
+    let swapped = used.iter().any(|file| detects(file));
     let unused = modules
         .iter()
-        .filter(|file| !used.contains(*file) && !takes_a_place(file));
+        .filter(|file| !used.contains(*file) && !(swapped && detects(file)));
     Ok(unused
         .map(|file| format!("{}: no graph uses this module", file.display()))
         .collect())
@@ -175,5 +187,22 @@ mod tests {
             );
         }
         assert_eq!(found.len(), expected.len(), "{}", found.join("\n"));
+    }
+
+    #[test]
+    fn tries_every_detection_in_every_graph_that_detects() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        write(root.join("modules/detect.a.yml"), "module: { name: a }\nnodes: []");
+        write(
+            root.join("modules/detect.b.yml"),
+            "module: { name: b, inputs: [radar] }\nnodes: []",
+        );
+        let says = |part: &str| audit(&REGISTRY, root).iter().filter(|line| line.contains(part)).count();
+        write(root.join("g.yml"), "nodes: []");
+        assert_eq!(says("no graph uses this module"), 2);
+        write(root.join("g.yml"), "nodes: [{ id: d, module: modules/detect.a.yml }]");
+        assert_eq!(says("no graph uses this module"), 0);
+        assert_eq!(says("module `b` needs the input `radar`"), 1);
     }
 }

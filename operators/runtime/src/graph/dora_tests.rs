@@ -411,7 +411,7 @@ fn recorded_detections_take_the_place_of_detect_modules() {
     let load = |file: &str| {
         Graph::load(&folder.path().join(file))
             .unwrap()
-            .with_recorded_detections()
+            .with_detection("recorded")
             .expand()
     };
     let ids: Vec<String> = load("g.yml").unwrap().nodes.into_iter().map(|node| node.id).collect();

@@ -18,12 +18,12 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
     let root = graph.file.parent().unwrap_or(Path::new("/")).to_path_buf();
     let mut expansion = Expansion {
         root: &root,
-        recorded: graph.recorded_detections,
+        detection: graph.detection.as_deref(),
         swapped: 0,
         open: Vec::new(),
     };
     let nodes = expansion.nodes(graph.nodes.clone(), &root, &graph.file)?;
-    if graph.recorded_detections && expansion.swapped == 0 {
+    if graph.detection.is_some() && expansion.swapped == 0 {
         return Err(GraphError::NoDetectModule {
             file: graph.file.clone(),
         });
@@ -41,8 +41,9 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
 struct Expansion<'a> {
     /// The graph's folder.
     root: &'a Path,
-    recorded: bool,
-    /// Modules that were swapped for the recorded detections.
+    /// Name of the detection that takes every other's place.
+    detection: Option<&'a str>,
+    /// Modules of detection.
     swapped: usize,
     /// The module files that are being expanded, outermost first.
     open: Vec<PathBuf>,
@@ -89,12 +90,14 @@ impl Expansion<'_> {
         Ok((flat, producers))
     }
 
-    /// The module that stands for `module`: another one where recorded detections are asked for.
+    /// The module that stands for `module`: another one where a detection is asked for.
     fn detection(&self, module: &str) -> String {
+        let Some(name) = self.detection.filter(|_| is_detection(module)) else {
+            return module.to_string();
+        };
         match module.rsplit_once('/') {
-            _ if !self.recorded || !is_detection(module) => module.to_string(),
-            Some((folder, _)) => format!("{folder}/detect.recorded.yml"),
-            None => "detect.recorded.yml".to_string(),
+            Some((folder, _)) => format!("{folder}/detect.{name}.yml"),
+            None => format!("detect.{name}.yml"),
         }
     }
 
@@ -165,7 +168,8 @@ impl Expansion<'_> {
 /// For each output name, the nodes and outputs that make it.
 type Producers = BTreeMap<String, Vec<(String, String)>>;
 
-fn is_detection(module: &str) -> bool {
+/// Whether a module file, by its name, detects and can be swapped for another that does.
+pub(super) fn is_detection(module: &str) -> bool {
     let file = module.rsplit('/').next().unwrap_or(module);
     file.starts_with("detect.") && file.ends_with(".yml")
 }

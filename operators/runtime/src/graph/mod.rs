@@ -38,7 +38,8 @@ pub struct Graph {
     file: PathBuf,
     settings: Mapping,
     nodes: Vec<read::Node>,
-    recorded_detections: bool,
+    /// Name of the detection that takes every other's place.
+    detection: Option<String>,
 }
 
 impl Graph {
@@ -61,14 +62,14 @@ impl Graph {
             file,
             settings,
             nodes,
-            recorded_detections: false,
+            detection: None,
         })
     }
 
-    /// Uses `detect.recorded.yml` in place of every module `detect.*.yml`, so that the agents report the detections
-    /// of the log; [`Graph::expand`] refuses a graph without such a module.
-    pub fn with_recorded_detections(mut self) -> Self {
-        self.recorded_detections = true;
+    /// Uses `detect.<name>.yml` in place of every module `detect.*.yml`; [`Graph::expand`] refuses a graph without such
+    /// a module. With `recorded` the agents report the detections of the log.
+    pub fn with_detection(mut self, name: &str) -> Self {
+        self.detection = Some(name.to_string());
         self
     }
 

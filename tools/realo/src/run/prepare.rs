@@ -120,7 +120,7 @@ fn stage_of(node: &FlatNode) -> Option<&'static str> {
 fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
     let graph = if args.recorded_detections {
-        graph.with_recorded_detections()
+        graph.with_detection("recorded")
     } else {
         graph
     };
@@ -243,7 +243,7 @@ impl Told<'_> {
     /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
     fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<FlatGraph> {
         let mut graph = graph.clone();
-        let told = [self.of_run(), self.of_options()?, self.of_log()?].concat();
+        let told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
         for (stage, key, value) in told {
             let of_stage = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some(stage));
             of_stage.for_each(|node| node.set(key, &value));
@@ -317,13 +317,17 @@ impl Told<'_> {
         Ok(told)
     }
 
-    fn of_log(&self) -> Result<Vec<Told3>> {
+    fn of_log(&self, graph: &FlatGraph) -> Result<Vec<Told3>> {
         let info = self.log.info();
         let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
         let mut told = vec![("evaluator", "protocol", name_or_file(protocol)?)];
         let has = |stream| info.agents.iter().any(|agent| self.log.has(&agent.name, stream));
         if has(Stream::Sweeps) && !has(Stream::Points) {
             let stem = stem(self.log_path);
+            if let Some(node) = graph.nodes.iter().find(|node| stage_of(node) == Some("pillar-encoder")) {
+                let id = &node.id;
+                bail!("{stem}: a log without points, in which node `{id}` sees nothing: add --recorded-detections");
+            }
             eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
             told.push(("player", "points", "false".into()));
         }

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Isometry3;
+use realo_evaluator::Protocol;
 use realo_logs::{AgentKind, Log, Stream};
-use realo_schemas::geometry::{PoseTrack, normalize_yaw};
+use realo_schemas::geometry::{PoseTrack, transform_box};
 use realo_schemas::{Box3, Boxes, Nanos, PointCloud, from_seconds};
 
-use super::classes::ClassTable;
 use super::frame::{AgentSweep, Frame, Seen};
 use super::frames::Frames;
-use super::simulated::{deskewed, seen};
+use super::simulated::{class_names, deskewed, seen};
 use crate::TrainError;
 
 /// Least time between two frames, ns.
@@ -60,7 +60,7 @@ impl Frames for LoggedFrames {
 /// A log whose frames are wanted.
 struct Reading {
     log: Log,
-    table: ClassTable,
+    protocol: Protocol,
     tracks: BTreeMap<String, PoseTrack>,
     /// Agents with ground truth, each with its objects and their points by stamp.
     truth: BTreeMap<String, BTreeMap<Nanos, Labels>>,
@@ -77,17 +77,14 @@ struct Labels {
 impl Reading {
     fn open(path: &Path) -> Result<Self, TrainError> {
         let log = Log::open(path)?;
-        let Some(table) = ClassTable::of(&log.info().protocol) else {
-            let reason = format!("no classes are known for its protocol `{}`", log.info().protocol);
-            return Err(TrainError::Cache {
-                path: path.into(),
-                reason,
-            });
-        };
+        let protocol = Protocol::load(&log.info().protocol).map_err(|error| TrainError::Cache {
+            path: path.into(),
+            reason: error.to_string(),
+        })?;
         let names: Vec<String> = log.info().agents.iter().map(|agent| agent.name.clone()).collect();
         let mut reading = Reading {
             log,
-            table,
+            protocol,
             tracks: BTreeMap::new(),
             truth: BTreeMap::new(),
         };
@@ -190,7 +187,7 @@ impl Reading {
             agents.push(AgentSweep::new(&info.name, roadside, pose, points.into_iter(), objects));
         }
         let complete = agents.iter().any(|agent| agent.name == labelled);
-        let classes = self.table.names().map(String::from).collect();
+        let classes = class_names(&self.protocol);
         Ok(complete.then_some(Frame { classes, agents }))
     }
 
@@ -225,7 +222,7 @@ impl Reading {
     ) -> Option<Vec<Seen>> {
         if let Some(labels) = self.truth.get(agent).and_then(|truth| truth.get(&stamp)) {
             return Some(match &labels.points {
-                Some(counts) => seen(&self.table, &labels.objects.0, counts.iter().copied()),
+                Some(counts) => seen(&self.protocol, &labels.objects.0, counts.iter().copied()),
                 None => self.counted(&labels.objects.0, points),
             });
         }
@@ -234,25 +231,14 @@ impl Reading {
         let objects = &self.truth[labelled].get(&labelled_at)?.objects.0;
         let moved: Vec<Box3> = objects
             .iter()
-            .map(|object| moved(object, &agent_from_labelled))
+            .map(|object| transform_box(&agent_from_labelled, object))
             .collect();
         Some(self.counted(&moved, points))
     }
 
     fn counted(&self, objects: &[Box3], points: &[[f32; 3]]) -> Vec<Seen> {
         let count = |object: &Box3| points.iter().filter(|point| contains(object, **point)).count() as u32;
-        seen(&self.table, objects, objects.iter().map(count))
-    }
-}
-
-/// A box in another gravity-aligned frame.
-fn moved(object: &Box3, to_from: &Isometry3<f64>) -> Box3 {
-    let center = to_from * Point3::from(object.center);
-    let (_, _, turn) = to_from.rotation.euler_angles();
-    Box3 {
-        center: center.coords.into(),
-        yaw: normalize_yaw(object.yaw + turn),
-        ..object.clone()
+        seen(&self.protocol, objects, objects.iter().map(count))
     }
 }
 
@@ -261,4 +247,131 @@ fn contains(object: &Box3, point: [f32; 3]) -> bool {
     let (sin, cos) = object.yaw.sin_cos();
     let within = |offset: f64, extent: f64| offset.abs() <= extent / 2.0 + SLACK;
     within(dx * cos + dy * sin, object.length) && within(dy * cos - dx * sin, object.width) && within(dz, object.height)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Translation3, UnitQuaternion};
+    use realo_logs::{AgentInfo, LogInfo, LogWriter};
+    use realo_schemas::{EgoState, PoseStatus};
+
+    use super::*;
+
+    const TENTH: Nanos = 100_000_000;
+    const SECOND: Nanos = 1_000_000_000;
+
+    fn agent(name: &str, kind: AgentKind) -> AgentInfo {
+        AgentInfo {
+            name: name.into(),
+            kind,
+            footprint: None,
+            sensor: String::new(),
+            sensor_position: None,
+        }
+    }
+
+    fn state(x: f64, y: f64, yaw: f64) -> EgoState {
+        EgoState {
+            map_from_body: Isometry3::from_parts(
+                Translation3::new(x, y, 0.0),
+                UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+            ),
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Truth,
+        }
+    }
+
+    fn cloud(points: &[[f32; 3]]) -> PointCloud {
+        let column = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<f32>>();
+        let count = points.len();
+        PointCloud::new(
+            column(0),
+            column(1),
+            column(2),
+            vec![0; count],
+            vec![0; count],
+            vec![0; count],
+        )
+        .unwrap()
+    }
+
+    fn car(x: f64, class: &str) -> Box3 {
+        Box3 {
+            center: [x, 0.0, 0.8],
+            length: 4.5,
+            width: 1.9,
+            height: 1.6,
+            yaw: 0.0,
+            velocity: None,
+            class: class.into(),
+            score: 1.0,
+            track: Some(7),
+            covariance: None,
+        }
+    }
+
+    /// A car 20 m ahead of a vehicle, and a roadside unit beyond it that looks back at it and has no labels.
+    fn log(folder: &Path, truth: bool) -> PathBuf {
+        let path = folder.join(if truth { "a.mcap" } else { "bare.mcap" });
+        let agents = vec![agent("cav1", AgentKind::Vehicle), agent("rsu1", AgentKind::Roadside)];
+        let mut writer = LogWriter::create(&path, &LogInfo::new("a test", agents)).unwrap();
+        for step in 0..25 {
+            let now = SECOND + step * TENTH;
+            writer.pose("cav1", now, now, &state(0.0, 0.0, 0.0)).unwrap();
+            writer
+                .pose("rsu1", now, now, &state(30.0, 0.0, std::f64::consts::PI))
+                .unwrap();
+            let (seen, back) = ([[19.0, 0.5, 1.0]; 3], [[11.0, -0.5, 1.0]; 4]);
+            writer.cloud("cav1", now, now, &cloud(&seen)).unwrap();
+            // Its sweeps lie a little later.
+            writer
+                .cloud("rsu1", now + TENTH / 4, now + TENTH / 4, &cloud(&back))
+                .unwrap();
+            let objects = [car(20.0, "Car"), car(40.0, "FireHydrant")];
+            if truth {
+                writer.truth("cav1", now, now, &objects, None, true).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        path
+    }
+
+    #[test]
+    fn labels_of_one_agent_serve_those_without() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = folder.path().join("cache");
+        let frames = LoggedFrames::new(&cache, &[log(folder.path(), true)]).unwrap();
+        assert_eq!(frames.len(), 3, "2.5 s hold three frames a second apart");
+        let frame = frames.load(1).unwrap();
+        assert_eq!(frame.classes, ["vehicle", "pedestrian", "truck"]);
+        let [own, other] = &frame.agents[..] else {
+            panic!("two agents, not {}", frame.agents.len())
+        };
+        assert_eq!(
+            (&*own.name, own.roadside, &*other.name, other.roadside),
+            ("cav1", false, "rsu1", true)
+        );
+        for (agent, x, yaw, points) in [(own, 20.0, 0.0, 3), (other, 10.0, std::f64::consts::PI, 4)] {
+            let [object] = agent.objects[..] else {
+                panic!("only the car counts: {:?}", agent.objects)
+            };
+            assert_eq!((object.track, object.class, object.points), (7, 0, points));
+            assert!((object.lwh[0] - x).abs() < 1e-9, "{object:?}");
+            assert!((object.lwh[6].abs() - yaw).abs() < 1e-9, "{object:?}");
+        }
+    }
+
+    #[test]
+    fn a_log_without_ground_truth_is_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = log(folder.path(), false);
+        let Err(error) = LoggedFrames::new(folder.path(), &[path]) else {
+            panic!("nothing to learn from")
+        };
+        let said = error.to_string();
+        assert!(matches!(error, TrainError::NoTruth { .. }), "{said}");
+        assert!(said.contains("bare.mcap") && said.contains("cav1"), "{said}");
+    }
 }

@@ -1,6 +1,5 @@
 //! Training data: frames of all agents, from simulator seeds or logs, and the samples that are drawn from them.
 
-mod classes;
 mod frame;
 mod frames;
 mod loader;

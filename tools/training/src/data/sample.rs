@@ -272,3 +272,104 @@ impl Scene {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Translation3;
+
+    use super::super::frame::Seen;
+    use super::*;
+
+    fn pose(x: f64, y: f64, yaw: f64) -> Isometry3<f64> {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        Isometry3::from_parts(Translation3::new(x, y, 0.0), turn)
+    }
+
+    fn model() -> Model {
+        Model::read(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/lite.toml")).unwrap()
+    }
+
+    /// The corners of a box's ground plane, a little inside, again and again.
+    fn corners([x, y, z, length, width, _, yaw]: [f64; 7], count: usize) -> Vec<[f32; 3]> {
+        let (sin, cos) = yaw.sin_cos();
+        let signs = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
+        let corner = |[a, b]: [f64; 2]| {
+            let (a, b) = (a * length * 0.49, b * width * 0.49);
+            [x + a * cos - b * sin, y + a * sin + b * cos, z].map(|v| v as f32)
+        };
+        signs.into_iter().map(corner).cycle().take(count).collect()
+    }
+
+    fn agent(name: &str, pose: Isometry3<f64>, lwh: [f64; 7], points: usize) -> AgentSweep {
+        let seen = Seen {
+            track: 3,
+            class: 0,
+            lwh,
+            points: points as u32,
+        };
+        AgentSweep::new(name, false, pose, corners(lwh, points).into_iter(), vec![seen])
+    }
+
+    /// One car, of which either vehicle alone has fewer points than count.
+    fn frame() -> Frame {
+        Frame {
+            classes: vec!["vehicle".into()],
+            agents: vec![
+                agent("cav1", pose(5.0, 1.0, 0.3), [20.0, 4.0, 0.8, 4.5, 1.9, 1.6, 0.7], 4),
+                agent("cav2", pose(60.0, 9.0, 2.0), SECOND, 4),
+            ],
+        }
+    }
+
+    /// The same car as the second vehicle sees it.
+    const SECOND: [f64; 7] = [17.003_465_951_4, 32.991_858_981_6, 0.8, 4.5, 1.9, 1.6, -1.0];
+
+    fn scene(others: Vec<usize>, how: &Augmentation, number: u64) -> Scene {
+        let mut draws = Stream::new(1, "test", number);
+        let mut scene = Scene::new(&frame(), &Cast { ego: 0, others }, &model(), how, &mut draws);
+        scene.augment(how, &mut draws);
+        scene
+    }
+
+    #[test]
+    fn points_of_all_make_an_object() {
+        let how = Augmentation::none();
+        assert_eq!(scene(vec![], &how, 0).objects, []);
+        let both = scene(vec![1], &how, 0);
+        let [object] = &both.objects[..] else {
+            panic!("4 + 4 points: {:?}", both.objects)
+        };
+        assert_eq!((object.class, &both.ego_points[..]), (0, &[4][..]));
+        assert_eq!(both.columns[0].len(), 8);
+    }
+
+    #[test]
+    fn points_stay_in_their_objects_whatever_is_changed() {
+        let how = Augmentation {
+            drop: 0.0,
+            pose_noise: [0.0; 2],
+            ..Augmentation::default()
+        };
+        let mut headings = Vec::new();
+        for number in 0..100 {
+            let scene = scene(vec![1], &how, number);
+            let [object] = &scene.objects[..] else {
+                panic!("one object: {:?}", scene.objects)
+            };
+            let [x, y, _, _, width, length, yaw] = object.hwl;
+            let (sin, cos) = yaw.sin_cos();
+            for (px, py) in scene.columns[0].iter().zip(&scene.columns[1]) {
+                let (dx, dy) = (f64::from(*px) - x, f64::from(*py) - y);
+                let (along, across) = (dx * cos + dy * sin, dy * cos - dx * sin);
+                assert!(
+                    along.abs() <= length / 2.0 && across.abs() <= width / 2.0,
+                    "{number}: a corner at {along}, {across} of {length} x {width}"
+                );
+            }
+            headings.push((yaw * 1e6) as i64);
+        }
+        headings.sort_unstable();
+        headings.dedup();
+        assert!(headings.len() > 90, "every draw is another: {}", headings.len());
+    }
+}

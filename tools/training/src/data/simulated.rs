@@ -1,11 +1,11 @@
 //! Frames from simulator seeds.
 
+use realo_evaluator::Protocol;
 use realo_nn::points::on_own_body;
 use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{Box3, Nanos, from_seconds};
 use realo_simulator::{AgentKind, Options, Phase, Scenario, Simulation, Sweep};
 
-use super::classes::ClassTable;
 use super::frame::{AgentSweep, Frame, Seen};
 use crate::TrainError;
 use crate::random::Stream;
@@ -73,18 +73,18 @@ fn true_track(simulation: &Simulation, agent: &str) -> PoseTrack {
 }
 
 fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
-    let table = ClassTable::of("default").expect("the default protocol ships");
+    let protocol = Protocol::load("default").expect("the default protocol ships");
     let agents = simulation.agents().zip(tracks).enumerate();
     let agents = agents.map(|(index, (info, track))| {
         let (sweep, _) = simulation.sweep(index, seq);
         let pose = track.at(sweep.stamp).expect("poses cover every sweep");
         let counts = sweep.points.iter().copied();
-        let objects = seen(&table, &sweep.truth, counts);
+        let objects = seen(&protocol, &sweep.truth, counts);
         let roadside = info.kind == AgentKind::Roadside;
         AgentSweep::new(&info.name, roadside, pose, still(&sweep, track, roadside), objects)
     });
     Frame {
-        classes: table.names().map(String::from).collect(),
+        classes: class_names(&protocol),
         agents: agents.collect(),
     }
 }
@@ -127,8 +127,13 @@ pub(crate) fn deskewed(
     )
 }
 
+/// Names of a protocol's super-classes, in order.
+pub(crate) fn class_names(protocol: &Protocol) -> Vec<String> {
+    protocol.classes.iter().map(|class| class.name.clone()).collect()
+}
+
 /// The objects that count, with an agent's points on each.
-pub(crate) fn seen(table: &ClassTable, truth: &[Box3], points: impl Iterator<Item = u32>) -> Vec<Seen> {
+pub(crate) fn seen(protocol: &Protocol, truth: &[Box3], points: impl Iterator<Item = u32>) -> Vec<Seen> {
     let known = truth
         .iter()
         .zip(points)
@@ -138,7 +143,7 @@ pub(crate) fn seen(table: &ClassTable, truth: &[Box3], points: impl Iterator<Ite
             Some(Seen {
                 // Without identities an object is known to one agent only.
                 track: object.track.unwrap_or(u64::MAX - index as u64),
-                class: table.class_of(&object.class)?,
+                class: protocol.class_of(&object.class)?.into(),
                 lwh: [x, y, z, object.length, object.width, object.height, object.yaw],
                 points,
             })
