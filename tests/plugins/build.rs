@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use serde_json::Value;
+
 use crate::common::{REALO, root, text};
 
 /// The program of `examples/fusion_nearest`.
@@ -30,20 +32,26 @@ pub fn cargo(folder: &Path, command: &[&str]) {
     }
     let target = target().to_string_lossy().into_owned();
     args.extend(["--target-dir", &target]);
-    cargo_says(folder, &args);
+    printed(offline(folder).args(args));
 }
 
-/// What cargo prints, without the network.
-fn cargo_says(folder: &Path, args: &[&str]) -> String {
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let output = Command::new(cargo)
-        .args(args)
-        .arg("--offline")
-        .current_dir(folder)
-        .output()
-        .expect("cargo can be started");
+/// Cargo, without the network and without what a cargo above says of the crate under test: some build scripts look at
+/// that, and would run anew.
+fn offline(folder: &Path) -> Command {
+    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let above = std::env::vars_os().map(|(name, _)| name).filter(|name| {
+        let name = name.to_string_lossy();
+        name.starts_with("CARGO") && name != "CARGO_HOME"
+    });
+    above.for_each(|name| drop(cargo.env_remove(name)));
+    cargo.current_dir(folder).env("CARGO_NET_OFFLINE", "true");
+    cargo
+}
+
+fn printed(command: &mut Command) -> String {
+    let output = command.output().expect("cargo can be started");
     let (out, err) = (text(&output.stdout), text(&output.stderr));
-    assert!(output.status.success(), "{args:?}: {out}\n{err}");
+    assert!(output.status.success(), "{command:?}: {out}\n{err}");
     out
 }
 
@@ -78,7 +86,7 @@ pub fn prepare(folder: &Path, manifest: &str) -> PathBuf {
     fs::create_dir_all(folder).expect("the folder can be made");
     fs::copy(root().join("Cargo.lock"), folder.join("Cargo.lock")).expect("the lock file can be copied");
     static WORKSPACE: OnceLock<[Features; 2]> = OnceLock::new();
-    let theirs = WORKSPACE.get_or_init(|| features(&root(), &["--workspace"], "normal,build,dev"));
+    let theirs = WORKSPACE.get_or_init(|| features(&root(), &["test", "--workspace"]));
     let mut asked = [(); 2].map(|()| Features::new());
     // What is asked for may bring crates that both share, too.
     loop {
@@ -88,7 +96,7 @@ pub fn prepare(folder: &Path, manifest: &str) -> PathBuf {
             fs::write(folder.join("Cargo.toml"), written).expect("the manifest can be written");
         }
         let before = asked.clone();
-        for ((asked, ours), theirs) in asked.iter_mut().zip(features(folder, &[], "normal,build")).zip(theirs) {
+        for ((asked, ours), theirs) in asked.iter_mut().zip(features(folder, &["build"])).zip(theirs) {
             let differ = theirs
                 .iter()
                 .filter(|(name, wanted)| ours.get(*name).is_some_and(|has| has != *wanted));
@@ -101,44 +109,60 @@ pub fn prepare(folder: &Path, manifest: &str) -> PathBuf {
 }
 
 /// Features by name and version of a crate.
-type Features = BTreeMap<(String, String), String>;
+type Features = BTreeMap<(String, String), Vec<String>>;
 
-/// The features of a workspace's crates: of those that are built for the target, and of those that run while it builds.
-fn features(folder: &Path, options: &[&str], edges: &str) -> [Features; 2] {
-    let tree = |edges: &str| {
-        let format = ["--prefix", "none", "--format", "{p}|{f}", "--edges", edges];
-        let said = cargo_says(folder, &[&["tree"][..], options, &format].concat());
-        let crates = said.lines().filter_map(|line| {
-            let (package, features) = line.trim_end_matches(" (*)").split_once('|')?;
-            let (name, rest) = package.split_once(" v")?;
-            // A crate of a folder belongs to one of the two only.
-            (!rest.contains(" (/")).then(|| {
-                let version = rest.split(' ').next().unwrap_or(rest);
-                ((name.to_string(), version.to_string()), features.to_string())
-            })
-        });
-        crates.collect::<BTreeSet<_>>()
-    };
-    let target = tree(&format!(
-        "{},no-proc-macro",
-        edges.replace("build,", "").replace(",build", "")
-    ));
-    let mut host: Features = target.iter().cloned().collect();
-    host.extend(tree(edges).difference(&target).cloned());
-    [target.into_iter().collect(), host]
+/// The features of the crates that a command would build: for the target, and to run while it builds (procedural macros,
+/// build scripts), which cargo does not optimise.
+fn features(folder: &Path, command: &[&str]) -> [Features; 2] {
+    let mut cargo = offline(folder);
+    cargo
+        .args(command)
+        .args(["--release", "--quiet", "--unit-graph", "-Zunstable-options"]);
+    // Stable cargo keeps the plan of a build to itself otherwise.
+    let plan = printed(cargo.env("RUSTC_BOOTSTRAP", "1"));
+    let plan: Value = serde_json::from_str(&plan).expect("a plan is JSON");
+    let mut features = [(); 2].map(|()| Features::new());
+    for unit in plan["units"].as_array().expect("a plan has units") {
+        let is = |path: &str, wanted: &str| unit.pointer(path).is_some_and(|found| found == wanted);
+        if !is("/mode", "build") || is("/target/kind/0", "custom-build") {
+            continue;
+        }
+        let package = unit["pkg_id"]
+            .as_str()
+            .and_then(|id| id.rsplit_once('#')?.1.split_once('@'));
+        // The crates of a folder are named otherwise, and are no matter of features.
+        let Some((name, version)) = package.filter(|_| is_registry(unit)) else {
+            continue;
+        };
+        let has = unit["features"].as_array().into_iter().flatten();
+        let has = has.filter_map(|feature| feature.as_str().map(String::from)).collect();
+        let host = usize::from(is("/profile/opt_level", "0"));
+        features[host].insert((name.into(), version.into()), has);
+    }
+    features
+}
+
+fn is_registry(unit: &Value) -> bool {
+    unit["pkg_id"].as_str().is_some_and(|id| id.starts_with("registry+"))
 }
 
 fn with_features(manifest: &str, asked: &[Features; 2]) -> String {
+    let all: BTreeSet<&(String, String)> = asked.iter().flat_map(BTreeMap::keys).collect();
     let mut manifest = manifest.to_string();
     for (table, asked) in ["target.\"cfg(all())\".dependencies", "build-dependencies"]
         .iter()
         .zip(asked)
     {
         manifest += &format!("\n[{table}]\n");
-        for (number, ((name, version), features)) in asked.iter().enumerate() {
-            let features: Vec<&str> = features.split(',').filter(|feature| !feature.is_empty()).collect();
+        for ((name, version), features) in asked {
+            // A crate has one name in a manifest; where two versions are asked for, each has another.
+            let versions = all.iter().filter(|(other, _)| other == name).count();
+            let key = match versions {
+                1 => name.clone(),
+                _ => format!("{name}-{}", version.replace(['.', '+'], "-")),
+            };
             manifest += &format!(
-                "same-{number} = {{ package = {name:?}, version = \"={version}\", default-features = false, \
+                "{key} = {{ package = {name:?}, version = \"={version}\", default-features = false, \
                  features = {features:?} }}\n"
             );
         }

@@ -21,6 +21,7 @@ pub fn folder() -> PathBuf {
     symlink(root(), parent.join("realo")).expect("links can be made");
     symlink(build::target(), mine.join("target")).expect("links can be made");
     let guide = text_of_guide();
+    let mut manifest = None;
     for part in guide.split("<!-- file: ").skip(1) {
         let (name, rest) = part.split_once(" -->").expect("a file's mark ends");
         let content = rest.split("```").nth(1).and_then(|fenced| fenced.split_once('\n'));
@@ -29,11 +30,11 @@ pub fn folder() -> PathBuf {
         fs::create_dir_all(path.parent().expect("it lies in a folder")).expect("the folder can be made");
         match name {
             // Below this repository cargo has to be told that the crate is none of its members.
-            "Cargo.toml" => drop(build::prepare(&mine, &format!("{content}\n[workspace]\n{PROFILE}"))),
+            "Cargo.toml" => manifest = Some(format!("{content}\n[workspace]\n{PROFILE}")),
             _ => fs::write(path, content).expect("the file can be written"),
         }
     }
-    mine
+    build::prepare(&mine, &manifest.expect("the guide has a manifest"))
 }
 
 /// As in the workspace, so that both share what is compiled.

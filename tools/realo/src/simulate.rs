@@ -39,6 +39,9 @@ pub struct Args {
     /// Scored frames per second
     #[arg(long, default_value_t = 1.0)]
     key_hz: f64,
+    /// Records only scored sweeps and each agent's first, for offline runs over many seeds
+    #[arg(long)]
+    key_sweeps_only: bool,
     /// Recorded detections without noise: the truth of what the agent has points on
     #[arg(long)]
     noise_free_detections: bool,
@@ -90,6 +93,7 @@ impl Args {
             seed: self.seed,
             seconds: self.seconds,
             key_hz: self.key_hz,
+            key_sweeps_only: self.key_sweeps_only,
             map_offset_m,
             noise_free_detections: self.noise_free_detections,
             detection_min_points: self.detection_min_points,

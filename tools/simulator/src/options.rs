@@ -51,6 +51,9 @@ pub struct Options {
     pub seconds: f64,
     /// Scored frames per second; a divisor of 10, at most 10.
     pub key_hz: f64,
+    /// Only scored sweeps are recorded, and each agent's first; the poses are all there. An offline run scores the same
+    /// frames in a tenth of the time, but a link then judges distances by positions up to a key period old.
+    pub key_sweeps_only: bool,
     /// Where the place's centre lies in `map`, (east, north), m.
     pub map_offset_m: [f64; 2],
     /// Recorded detections are the truth of what the agent has `detection_min_points` points on.
@@ -80,6 +83,7 @@ impl Default for Options {
             seed: 0,
             seconds: 10.0,
             key_hz: 1.0,
+            key_sweeps_only: false,
             map_offset_m: [0.0; 2],
             noise_free_detections: false,
             detection_min_points: 5,
@@ -235,6 +239,17 @@ impl Options {
     /// Sweeps of each agent.
     pub fn sweeps_per_agent(&self) -> u64 {
         (self.seconds * 10.0).round() as u64
+    }
+
+    /// Whether a sweep of an agent is scored.
+    pub(crate) fn is_key(&self, seq: u64) -> bool {
+        // In the middle of each key period, so that everybody has been heard before the first scored frame.
+        seq % self.key_period() == self.key_period() / 2
+    }
+
+    /// The numbers of an agent's sweeps that are recorded.
+    pub(crate) fn recorded_sweeps(&self) -> impl Iterator<Item = u64> {
+        (0..self.sweeps_per_agent()).filter(|seq| !self.key_sweeps_only || *seq == 0 || self.is_key(*seq))
     }
 
     /// Sweeps from one key frame to the next.

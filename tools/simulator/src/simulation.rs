@@ -94,7 +94,7 @@ impl Simulation {
 
     /// Number of sweeps of all agents together.
     pub fn sweep_count(&self) -> usize {
-        self.agents.len() * self.options.sweeps_per_agent() as usize
+        self.agents.len() * self.options.recorded_sweeps().count()
     }
 
     /// An agent's poses, 100 a second, from a sweep's period before its first sweep until one after its last; one
@@ -107,7 +107,7 @@ impl Simulation {
     /// All sweeps, by time of their end, then by agent. Casts a few at a time on rayon's current pool; what comes out
     /// does not depend on the number of threads.
     pub fn sweeps(&self) -> Sweeps<'_> {
-        let mut jobs: Vec<Job> = (0..self.options.sweeps_per_agent())
+        let mut jobs: Vec<Job> = (self.options.recorded_sweeps())
             .flat_map(|seq| (0..self.agents.len()).map(move |agent| (agent, seq)))
             .map(|(agent, seq)| Job {
                 ready: self.agents[agent].sweep_start(seq) + SWEEP_PERIOD,
@@ -168,8 +168,7 @@ impl Simulation {
             detections: detect(options, &truth, &points, draws),
             truth,
             points,
-            // In the middle of each key period, so that everybody has been heard before the first scored frame.
-            key: seq % options.key_period() == options.key_period() / 2,
+            key: options.is_key(seq),
         };
         (sweep, finished)
     }

@@ -509,3 +509,24 @@ fn length_is_what_was_asked_for() {
     let last = simulation.sweeps().map(|sweep| sweep.ready).max().unwrap();
     assert!((last - EPOCH - from_seconds(0.7)).abs() < 1_000_000);
 }
+
+#[test]
+fn scored_sweeps_alone_are_those_of_the_whole_log() {
+    let log = |only| {
+        simulate(|options| {
+            (options.seconds, options.key_sweeps_only) = (2.0, only);
+            options.agents.truncate(2);
+            options.column_stride = 40;
+        })
+    };
+    let whole: Vec<_> = log(false).sweeps().collect();
+    let few = log(true);
+    let wanted = |sweep: &&Sweep| sweep.key || sweep.seq == 0;
+    let expected: Vec<_> = whole.iter().filter(wanted).cloned().collect();
+    assert_eq!(few.sweep_count(), 6);
+    assert_eq!(few.sweeps().collect::<Vec<_>>(), expected);
+    assert_eq!(
+        few.poses("cav1").map(|poses| poses.len()),
+        log(false).poses("cav1").map(|poses| poses.len())
+    );
+}

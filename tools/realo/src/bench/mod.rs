@@ -1,9 +1,14 @@
 //! `realo bench`: measurements that a README may quote, each with the command that makes it.
 
+mod detector;
 mod framework;
 mod memory;
 mod nms;
+mod peer;
 mod simulate;
+mod train;
+
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 use eyre::Result;
@@ -23,6 +28,9 @@ pub struct Args {
     /// Log seconds that the replays take (framework: of each size; memory: in all)
     #[arg(long)]
     seconds: Option<f64>,
+    /// Interpreter with the packages that detector (numpy, spconv) and train (torch) are compared with
+    #[arg(long)]
+    python: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -31,6 +39,10 @@ enum Name {
     Nms,
     /// Finished points per second and core of the simulator
     Simulate,
+    /// The detector's steps; the pillar step against spconv
+    Detector,
+    /// A training step, against PyTorch
+    Train,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
     Framework,
     /// Growth of resident memory over a looped realtime replay
@@ -42,6 +54,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
     match args.name {
         Name::Nms => print(&nms::bench()?, args.json),
         Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(20.0))?, args.json),
+        Name::Detector => print(&detector::bench(args.python.as_deref())?, args.json),
+        Name::Train => print(&train::bench(args.python.as_deref())?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
     }
