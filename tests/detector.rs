@@ -182,14 +182,17 @@ fn what_does_not_fit_is_refused_by_name() {
     let wider = dir.join("small.toml");
     fs::write(&wider, MODEL.replace("channels = [8]", "channels = [16]")).expect("a file");
     fs::copy(model().with_extension("safetensors"), dir.join("small.safetensors")).expect("a copy");
-    let (bare, wider) = (bare.to_string_lossy(), wider.to_string_lossy());
-    let cases: [(&[&str], &[&str]); 4] = [
+    let lidar = dir.join("lidar.toml");
+    fs::write(&lidar, MODEL.replace("frame = \"body\"", "frame = \"lidar\"")).expect("a file");
+    let (bare, wider, lidar) = (bare.to_string_lossy(), wider.to_string_lossy(), lidar.to_string_lossy());
+    let cases: [(&[&str], &[&str]); 5] = [
         (&["early_fusion", "--model", "nowhere.toml"], &["nowhere.toml"]),
         (&["early_fusion", "--model", &bare], &["bare.safetensors"]),
         (
             &["early_fusion", "--model", &wider],
-            &["backbone.blocks.0.1.weight", "16"],
+            &["detector_bad/small.safetensors", "backbone.blocks.0.1.weight", "16"],
         ),
+        (&["no_fusion", "--model", &lidar], &["lidar.toml", "`frame`", "`body`"]),
         (
             &["late_fusion", "--project", "sender"],
             &["--project", "transmission-encoder"],

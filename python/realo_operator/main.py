@@ -54,13 +54,27 @@ def _value(key, text, default):
     if isinstance(default, str):
         return text
     if isinstance(default, list) and not text.lstrip().startswith("["):
-        text = json.dumps([part.strip() for part in text.split(",") if part.strip()])
+        return [_number_or_text(part.strip()) for part in text.split(",") if part.strip()]
     try:
-        value = json.loads(text)
+        value = json.loads(text, parse_constant=_refused)
     except ValueError as error:
         raise ValueError(f"argument `{key}`: `{text}` is no value: {error}") from error
     if isinstance(default, bool) != isinstance(value, bool) and default is not None:
         raise ValueError(f"argument `{key}`: expected a value like `{default}`, found `{text}`")
     if isinstance(default, (int, float)) and not isinstance(value, (int, float)):
         raise ValueError(f"argument `{key}`: expected a number, found `{text}`")
+    if isinstance(default, int) and not isinstance(value, int):
+        raise ValueError(f"argument `{key}`: expected a whole number, found `{text}`")
     return float(value) if isinstance(default, float) else value
+
+
+def _number_or_text(text):
+    try:
+        value = json.loads(text, parse_constant=_refused)
+    except ValueError:
+        return text
+    return value if isinstance(value, (int, float)) and not isinstance(value, bool) else text
+
+
+def _refused(constant):
+    raise ValueError(f"`{constant}` is no number")

@@ -43,7 +43,9 @@ fn offline(folder: &Path) -> Command {
         let name = name.to_string_lossy();
         name.starts_with("CARGO") && name != "CARGO_HOME"
     });
-    above.for_each(|name| drop(cargo.env_remove(name)));
+    for name in above {
+        cargo.env_remove(name);
+    }
     cargo.current_dir(folder).env("CARGO_NET_OFFLINE", "true");
     cargo
 }

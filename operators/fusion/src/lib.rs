@@ -105,6 +105,20 @@ impl Pairing {
     }
 }
 
+impl<T> Set<T> {
+    /// Leaves out whoever's data are not in the ego's frame.
+    pub fn reject_other_frames(&mut self) {
+        let (frame, rejected) = (&self.header.frame, &mut self.report.rejected);
+        self.collaborators.retain(|collaborator| {
+            let same = collaborator.header.frame == *frame;
+            if !same {
+                rejected.push(MessageId::of(&collaborator.header));
+            }
+            same
+        });
+    }
+}
+
 impl<T> Set<T>
 where
     (Header, T): TryFrom<Message, Error = UnexpectedPayload>,

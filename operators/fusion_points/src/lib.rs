@@ -22,8 +22,8 @@ use serde::{Deserialize, Serialize};
 pub struct Config {
     /// Collaborators that a fusion takes, the first by agent name; `None`: all.
     pub max_collaborators: Option<usize>,
-    /// Whether collaborators' points keep their frame: they were brought to the ego's where they were sent, and what the
-    /// ego moved since is not removed.
+    /// Whether collaborators' points stay where they are: they were brought to the ego's frame where they were sent
+    /// (clouds in another frame are rejected), and what the ego moved since is not removed.
     pub as_sent: bool,
 }
 
@@ -110,7 +110,10 @@ impl Operator for FusionPoints {
         match port {
             EGO => self.pairing.ego(message),
             SELECTIONS => {
-                let set: Set<PointCloud> = self.pairing.selection(message, self.config.max_collaborators)?;
+                let mut set: Set<PointCloud> = self.pairing.selection(message, self.config.max_collaborators)?;
+                if self.config.as_sent {
+                    set.reject_other_frames();
+                }
                 let merged = merge(&set.ego, set.header.stamp, &set.collaborators, self.config.as_sent);
                 realo_fusion::send(set.header, merged, &set.report, out);
             }
@@ -198,16 +201,20 @@ mod tests {
     #[test]
     fn projected_points_stay_where_the_sender_put_them() {
         let far = pose(1e5 + 40.0, -1e5 + 30.0, -1.0);
-        let entries = vec![Message::new(
-            header("rsu1", 3, 60 * MS, Some(far)),
-            cloud(&[[5.0, 6.0, 7.0]]),
-        )];
+        let mut projected = header("rsu1", 3, 60 * MS, Some(far));
+        projected.frame = header("cav1", 0, 0, None).frame;
+        let not_projected = header("rsu2", 3, 60 * MS, Some(far));
+        let entries = vec![
+            Message::new(projected, cloud(&[[5.0, 6.0, 7.0]])),
+            Message::new(not_projected, cloud(&[[8.0, 9.0, 9.0]])),
+        ];
         let config = Config {
             as_sent: true,
             ..Config::default()
         };
-        let (merged, _) = fuse(config, entries);
+        let (merged, report) = fuse(config, entries);
         assert_eq!([merged.x[1], merged.y[1], merged.z[1]], [5.0, 6.0, 7.0]);
+        assert_eq!((merged.len(), report.rejected.len()), (2, 1), "rsu2 did not project");
     }
 
     #[test]

@@ -41,7 +41,12 @@ pub enum LoadError {
     /// The kernels.
     #[error("argument `isa`: {0}")]
     Isa(#[from] UnknownIsa),
+    /// More threads than any machine has.
+    #[error("argument `threads`: expected at most {MOST_THREADS}, found {0}")]
+    Threads(usize),
 }
+
+const MOST_THREADS: usize = 1024;
 
 /// Loads the model of a file and the weights beside it.
 ///
@@ -50,6 +55,9 @@ pub enum LoadError {
 /// # Errors
 /// A file that cannot be read or does not fit, kernels that do not exist or that this processor lacks.
 pub fn load(model_file: &Path, isa: &str, threads: usize) -> Result<Loaded, LoadError> {
+    if threads > MOST_THREADS {
+        return Err(LoadError::Threads(threads));
+    }
     let model = Model::read(model_file)?;
     let path = model.weights_beside(model_file);
     let weights = Weights::read(&path, &model)?;

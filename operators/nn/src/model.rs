@@ -2,6 +2,7 @@
 //!
 //! A model is `<name>.toml` beside `<name>.safetensors` (see [`crate::weights`]).
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -51,6 +52,15 @@ pub enum Precision {
     Bf16,
     /// Single precision.
     F32,
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(match self {
+            Precision::Bf16 => "bf16",
+            Precision::F32 => "f32",
+        })
+    }
 }
 
 /// A class with its anchor and the overlaps that assign it to objects in training.
@@ -164,6 +174,23 @@ pub enum ModelError {
         /// Where and why.
         error: Box<toml::de::Error>,
     },
+    /// It looks at points in a frame that nobody brings them to.
+    #[error(
+        "{}: `frame`: expected `body`, found `lidar`: sweeps reach the network in the agent's body frame",
+        path.display()
+    )]
+    Frame {
+        /// The model file.
+        path: PathBuf,
+    },
+    /// The model of a file.
+    #[error("{}: {error}", path.display())]
+    File {
+        /// The model file.
+        path: PathBuf,
+        /// What is wrong with it.
+        error: Box<ModelError>,
+    },
     /// It describes no network that can be built.
     #[error("model `{name}` does not fit together: {}", problems.join("; "))]
     Invalid {
@@ -178,7 +205,7 @@ impl Model {
     /// Reads and checks a model file.
     ///
     /// # Errors
-    /// [`ModelError::Read`], [`ModelError::Syntax`], and [`ModelError::Invalid`] as for [`Model::validate`].
+    /// [`ModelError::Read`], [`ModelError::Syntax`], and [`ModelError::File`] with what [`Model::validate`] finds.
     pub fn read(path: &Path) -> Result<Model, ModelError> {
         let text = std::fs::read_to_string(path).map_err(|error| ModelError::Read {
             path: path.into(),
@@ -188,8 +215,23 @@ impl Model {
             path: path.into(),
             error: Box::new(error),
         })?;
-        model.validate()?;
+        model.validate().map_err(|error| ModelError::File {
+            path: path.into(),
+            error: Box::new(error),
+        })?;
         Ok(model)
+    }
+
+    /// Refuses a model of another frame than the agents' body frame, in which the graphs' sweeps are; `path` is for the
+    /// error.
+    ///
+    /// # Errors
+    /// [`ModelError::Frame`].
+    pub fn check_frame(&self, path: &Path) -> Result<(), ModelError> {
+        match self.frame {
+            Frame::Body => Ok(()),
+            Frame::Lidar => Err(ModelError::Frame { path: path.into() }),
+        }
     }
 
     /// The file of weights that lies beside a model file.

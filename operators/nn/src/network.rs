@@ -132,13 +132,9 @@ pub struct Choice {
 
 impl fmt::Display for Choice {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let name = |precision| match precision {
-            Precision::Bf16 => "bf16",
-            Precision::F32 => "f32",
-        };
-        write!(f, "{} on {}", name(self.precision), self.isa)?;
+        write!(f, "{} on {}", self.precision, self.isa)?;
         if self.wanted != self.precision {
-            write!(f, " (the model asks for {})", name(self.wanted))?;
+            write!(f, " (the model asks for {})", self.wanted)?;
         }
         write!(
             f,

@@ -70,7 +70,10 @@ pub struct Tensor {
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
     /// The file cannot be read.
-    #[error("{}: {error}", path.display())]
+    #[error(
+        "{}: {error}; weights lie beside their model file, under the model's `name`; `realo train` makes some",
+        path.display()
+    )]
     Read {
         /// The file of weights.
         path: PathBuf,
@@ -85,8 +88,19 @@ pub enum WeightsError {
         /// What is wrong with it.
         error: safetensors::SafeTensorError,
     },
+    /// The weights of a file.
+    #[error("{}: {error}", path.display())]
+    File {
+        /// The file of weights.
+        path: PathBuf,
+        /// What is wrong with them.
+        error: Box<WeightsError>,
+    },
     /// The tensors are not those of the model.
-    #[error("weights do not fit model `{model}`: {}", problems.join("; "))]
+    #[error(
+        "weights do not fit model `{model}`: {}; take the weights that belong to this model file, or train it anew",
+        problems.join("; ")
+    )]
     Mismatch {
         /// The model's name.
         model: String,
@@ -99,7 +113,7 @@ impl Weights {
     /// Reads the weights of a model.
     ///
     /// # Errors
-    /// [`WeightsError::Read`], [`WeightsError::Syntax`], and [`WeightsError::Mismatch`] as for [`Weights::new`], where a
+    /// [`WeightsError::Read`], [`WeightsError::Syntax`], and [`WeightsError::File`] with that of [`Weights::new`], where a
     /// tensor that is not F32 is a problem too.
     pub fn read(path: &Path, model: &Model) -> Result<Weights, WeightsError> {
         let bytes = std::fs::read(path).map_err(|error| WeightsError::Read {
@@ -111,7 +125,10 @@ impl Weights {
             error,
         })?;
         let (mut tensors, mut problems) = (HashMap::new(), Vec::new());
-        for (key, view) in file.iter().filter(|(key, _)| !is_counter(key)) {
+        // In an order that is the same every time, for the problems.
+        let mut views: Vec<_> = file.iter().filter(|(key, _)| !is_counter(key)).collect();
+        views.sort_by_key(|(key, _)| *key);
+        for (key, view) in views {
             if view.dtype() != Dtype::F32 {
                 problems.push(format!("`{key}`: expected F32, found {:?}", view.dtype()));
             }
@@ -130,7 +147,10 @@ impl Weights {
             let shape = view.shape().to_vec();
             tensors.insert(key.to_string(), Tensor { shape, data });
         }
-        Weights::checked(model, tensors, problems)
+        Weights::checked(model, tensors, problems).map_err(|error| WeightsError::File {
+            path: path.into(),
+            error: Box::new(error),
+        })
     }
 
     /// The weights of a model from tensors by key; `num_batches_tracked` of a batch norm is ignored.

@@ -87,6 +87,7 @@ impl Describe for PillarEncoder {
 impl Operator for PillarEncoder {
     fn new(config: Config) -> Result<Self, Error> {
         let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
+        loaded.model.check_frame(&config.model)?;
         let (grid, pillars) = (&loaded.model.grid, &loaded.model.pillars);
         Ok(PillarEncoder {
             pillariser: Pillariser::new(grid, pillars.points, pillars.pillars),

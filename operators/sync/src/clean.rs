@@ -15,6 +15,12 @@ pub struct OwnBody {
 }
 
 impl OwnBody {
+    /// What V2X-Real leaves out.
+    pub const V2X_REAL: OwnBody = OwnBody {
+        x: [-1.95, 2.95],
+        y: [-1.1, 1.1],
+    };
+
     fn contains(&self, x: f32, y: f32) -> bool {
         x >= self.x[0] && x <= self.x[1] && y >= self.y[0] && y <= self.y[1]
     }
@@ -103,10 +109,7 @@ fn pick<T: Copy>(column: &[T], runs: &[Range<usize>]) -> Vec<T> {
 mod tests {
     use super::*;
 
-    const BODY: OwnBody = OwnBody {
-        x: [-1.95, 2.95],
-        y: [-1.1, 1.1],
-    };
+    const BODY: OwnBody = OwnBody::V2X_REAL;
 
     fn cloud(points: &[[f32; 3]]) -> PointCloud {
         let column = |i: usize| points.iter().map(|p| p[i]).collect::<Vec<f32>>();

@@ -33,7 +33,7 @@ pub struct SyncConfig {
 impl Default for SyncConfig {
     fn default() -> Self {
         SyncConfig {
-            own_body: vec![-1.95, 2.95, -1.1, 1.1],
+            own_body: [OwnBody::V2X_REAL.x, OwnBody::V2X_REAL.y].concat(),
             deskew: true,
             patience_ms: 100,
             max_gap_ms: 150,

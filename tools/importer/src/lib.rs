@@ -6,6 +6,6 @@ mod dair;
 mod error;
 mod pcd;
 
-pub use dair::{LIDAR_HEIGHT_M, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair};
+pub use dair::{ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, lidar_height};
 pub use error::ImportError;
 pub use pcd::{PcdCloud, read_pcd};

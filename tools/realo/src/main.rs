@@ -35,6 +35,15 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        // Whoever reads what we print may stop whenever he likes (`realo info LOG | head`).
+        let text = panic.payload_as_str().unwrap_or_default();
+        if text.starts_with("failed printing to stdout") && text.contains("Broken pipe") {
+            std::process::exit(Outcome::Failed.exit_code().into());
+        }
+        usual(panic);
+    }));
     let outcome = match Cli::parse().command {
         Command::Run(args) => run::main(&args),
         Command::Compare(args) => compare::main(&args),

@@ -33,7 +33,7 @@ pub struct Args {
     #[arg(long)]
     minutes: Option<f64>,
     /// Frames of logs instead of simulator seeds
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["seeds", "per_seed"])]
     log: Vec<PathBuf>,
     /// Simulator seeds, first..end; 0 to 799 are for training
     #[arg(long, default_value = "0..800", value_parser = seeds)]
@@ -69,11 +69,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let bar = ProgressBar::new(args.steps);
     let style = "{wide_bar} {pos}/{len} steps, {msg}";
     bar.set_style(ProgressStyle::with_template(style).map_err(|error| eyre!(error))?);
+    copy_model(args)?;
     let trained = train(&args.options(), |progress| show(&bar, progress))?;
     bar.finish_and_clear();
-    // Beside its weights, so that the folder can be given to `realo run --model`.
-    let beside = args.out.join(args.model.file_name().unwrap_or_default());
-    std::fs::copy(&args.model, &beside).wrap_err_with(|| format!("{}", beside.display()))?;
     let (steps, weights) = (trained.steps, trained.weights.display());
     if trained.complete {
         println!("{steps} steps: weights in {weights}");
@@ -84,6 +82,23 @@ pub fn main(args: &Args) -> Result<Outcome> {
         args.steps
     );
     Ok(Outcome::Partial)
+}
+
+/// The model file beside its weights, so that the folder can be given to `realo run --model`.
+fn copy_model(args: &Args) -> Result<()> {
+    let text = std::fs::read(&args.model).wrap_err_with(|| format!("{}", args.model.display()))?;
+    let beside = args.out.join(args.model.file_name().unwrap_or_default());
+    let write = || {
+        std::fs::create_dir_all(&args.out)?;
+        // A training that goes on may be given its own copy.
+        if std::fs::read(&beside).is_ok_and(|there| there == text) {
+            return Ok(());
+        }
+        let part = beside.with_extension("part");
+        std::fs::write(&part, &text)?;
+        std::fs::rename(&part, &beside)
+    };
+    write().wrap_err_with(|| format!("{}", beside.display()))
 }
 
 impl Args {

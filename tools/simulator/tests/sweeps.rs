@@ -71,7 +71,7 @@ fn same_bits_on_every_machine() {
     assert_eq!(
         format!("{:016x}", digest(&sweeps)),
         "ecb02fa62ff3347e",
-        "the world has changed: say so in the change log"
+        "the world has changed: raise WORLD and say so in the change log"
     );
 }
 

@@ -7,13 +7,14 @@ use realo_nn::model::Model;
 use realo_nn::weights::expected;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::TrainError;
 use crate::curve::{Curve, Point};
-use crate::data::write_whole;
+use crate::data::{Augmentation, write_whole};
 use crate::layers::with_numbers;
 use crate::network::Network;
-use crate::optimizer::AdamW;
+use crate::optimizer::{AdamW, Settings};
 
 /// Everything that the next step depends on, and how it came to this.
 #[derive(Clone, Debug)]
@@ -28,24 +29,55 @@ pub struct Checkpoint {
     pub plan: Plan,
 }
 
-/// The settings that decide what every step does.
+/// The settings that decide what every step does, but the learning rate, which a training that diverged needs lower.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Name of the model.
-    pub model: String,
+    /// The model.
+    pub model: Model,
     /// Of all draws.
     pub seed: u64,
     /// Samples of a step.
     pub batch: usize,
     /// Steps in all.
     pub steps: u64,
-    /// Greatest learning rate.
-    pub rate: f64,
     /// Probability that a step sees half of the range.
     pub half_range: f64,
+    /// How weights are moved; its rate does not count.
+    pub optimizer: Settings,
+    /// How samples are drawn.
+    pub augmentation: Augmentation,
     /// Where frames come from, in words.
     pub data: String,
+}
+
+impl Plan {
+    /// In which settings two plans differ, as `name: was, now asked for`; empty for the same plan.
+    pub fn differences(&self, asked: &Plan) -> Vec<String> {
+        let mut asked = asked.clone();
+        asked.optimizer.rate = self.optimizer.rate;
+        let plain = |plan: &Plan| serde_json::to_value(plan).expect("plans are plain data");
+        let mut found = Vec::new();
+        differ("", &plain(self), &plain(&asked), &mut found);
+        found
+    }
+}
+
+fn differ(name: &str, was: &Value, asked: &Value, found: &mut Vec<String>) {
+    if let (Value::Object(a), Value::Object(b)) = (was, asked)
+        && a.keys().eq(b.keys())
+    {
+        for (key, was) in a {
+            let name = if name.is_empty() {
+                key.clone()
+            } else {
+                format!("{name}.{key}")
+            };
+            differ(&name, was, &b[key], found);
+        }
+    } else if was != asked {
+        found.push(format!("{name}: was {was}, now {asked} is asked for"));
+    }
 }
 
 impl Checkpoint {

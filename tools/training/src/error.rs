@@ -76,9 +76,17 @@ pub enum TrainError {
         /// The agent.
         agent: String,
     },
-    /// The loss is no number any more.
+    /// A log whose classes are not known.
+    #[error("`{}`: {error}; import or simulate it again with a protocol that is known", path.display())]
+    Protocol {
+        /// The log.
+        path: PathBuf,
+        /// What is wrong with its protocol.
+        error: realo_evaluator::ProtocolError,
+    },
+    /// The loss, the gradient or a weight is no number any more.
     #[error(
-        "the loss is {loss} at step {step}; the last checkpoint is unharmed: resume from it with a lower learning rate"
+        "diverged at step {step}, loss {loss}; the checkpoint before is unharmed: resume from it with a lower --rate"
     )]
     Diverged {
         /// The step.

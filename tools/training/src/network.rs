@@ -125,6 +125,12 @@ impl Network {
         })
     }
 
+    /// Whether all its numbers are finite.
+    pub(crate) fn is_finite(&self) -> bool {
+        let finite = |p: &Parameter| with_numbers(&p.value, |values| Ok(values.iter().all(|v| v.is_finite())));
+        self.parameters.iter().all(|p| finite(p).unwrap_or(false))
+    }
+
     /// The model.
     pub fn model(&self) -> &Model {
         &self.model

@@ -1,12 +1,14 @@
 //! AdamW (Loshchilov and Hutter 2019) with clipped gradients and a one-cycle learning rate.
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::layers::with_numbers;
 use crate::network::{Gradients, Network};
 
 /// How weights are moved.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Settings {
     /// Greatest learning rate.
     pub rate: f64,

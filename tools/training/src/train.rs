@@ -16,8 +16,11 @@ use crate::network::Network;
 use crate::optimizer::{AdamW, Settings};
 use crate::validate::{Validation, validate};
 
-/// Frames that are searched for an object of each class before training begins.
+/// Simulated frames that are searched for an object of each class before training begins; of logs all are.
 const SEARCHED: usize = 100;
+
+/// Simulator seeds from here on are for validation and tests.
+const TRAINING_SEEDS: u64 = 800;
 
 /// What is trained, on what, for how long.
 #[derive(Clone, Debug)]
@@ -129,13 +132,33 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     if options.steps == 0 {
         return Err(option("steps", "at least 1", 0));
     }
-    if let Some(minutes) = options.minutes.filter(|minutes| minutes.is_nan() || *minutes <= 0.0) {
-        return Err(option("minutes", "more than 0", minutes));
+    // The times of a million years are no settings.
+    let is_time = |minutes: f64| (0.0..1e9).contains(&minutes);
+    if let Some(minutes) = options.minutes.filter(|minutes| *minutes == 0.0 || !is_time(*minutes)) {
+        return Err(option("minutes", "a time of more than 0", minutes));
+    }
+    if !is_time(options.checkpoint_minutes) {
+        return Err(option("checkpoint_minutes", "a time", options.checkpoint_minutes));
+    }
+    if let Some(threads) = options.threads.filter(|threads| *threads > 1024) {
+        return Err(option("threads", "at most 1024", threads));
+    }
+    if options.validate_every == Some(0) {
+        return Err(option("validate_every", "at least 1", 0));
+    }
+    let rate = options.optimizer.rate;
+    if !(rate > 0.0 && rate.is_finite()) {
+        return Err(option("rate", "a number greater than 0", rate));
     }
     if !(0.0..=1.0).contains(&options.half_range) {
         return Err(option("half_range", "a probability", options.half_range));
     }
     match &options.data {
+        Data::Simulated { seeds, .. } if seeds.end > TRAINING_SEEDS => Err(option(
+            "seeds",
+            "an end of at most 800: the seeds from there on are for validation and tests",
+            format!("{seeds:?}"),
+        )),
         Data::Simulated { seeds, .. } if seeds.is_empty() => Err(option("seeds", "at least one", format!("{seeds:?}"))),
         Data::Simulated { per_seed, .. } if !(1..=10).contains(per_seed) => {
             Err(option("per_seed", "1 to 10", per_seed))
@@ -166,7 +189,8 @@ impl Source {
         match data {
             Data::Simulated { cache, seeds, per_seed } => {
                 let frames = SimulatedFrames::new(cache, seeds.clone(), *per_seed)?;
-                let name = format!("simulator seeds {seeds:?}, {per_seed} frames each");
+                let world = crate::data::world();
+                let name = format!("simulator seeds {seeds:?}, {per_seed} frames each, {world}");
                 Ok(Source {
                     frames: Arc::new(frames.clone()),
                     name,
@@ -196,13 +220,13 @@ impl Source {
 #[derive(Default)]
 struct Filling {
     stop: Arc<AtomicBool>,
-    failed: Vec<std::thread::JoinHandle<Result<(), TrainError>>>,
+    threads: Vec<std::thread::JoinHandle<Result<(), TrainError>>>,
 }
 
 impl Drop for Filling {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        for thread in self.failed.drain(..) {
+        for thread in self.threads.drain(..) {
             // The loader meets the same error where it matters.
             let _ = thread.join();
         }
@@ -212,6 +236,14 @@ impl Drop for Filling {
 impl<'a> Training<'a> {
     fn new(options: &'a TrainOptions) -> Result<Self, TrainError> {
         let model = Model::read(&options.model)?;
+        model.check_frame(&options.model)?;
+        if model.name == "checkpoint" {
+            let reason = "its weights would take the checkpoint's place: rename it".into();
+            return Err(TrainError::Model {
+                model: model.name,
+                reason,
+            });
+        }
         if model.pillars.intensity {
             let reason = "it looks at intensity, which frames of training data do not hold".into();
             return Err(TrainError::Model {
@@ -221,12 +253,13 @@ impl<'a> Training<'a> {
         }
         let source = Source::open(&options.data)?;
         let plan = Plan {
-            model: model.name.clone(),
+            model: model.clone(),
             seed: options.seed,
             batch: options.batch,
             steps: options.steps,
-            rate: options.optimizer.rate,
             half_range: options.half_range,
+            optimizer: options.optimizer,
+            augmentation: options.augmentation.clone(),
             data: source.name.clone(),
         };
         std::fs::create_dir_all(&options.output).map_err(|error| TrainError::Write {
@@ -244,7 +277,7 @@ impl<'a> Training<'a> {
             half_range: options.half_range,
         };
         let mut filling = Filling::default();
-        filling.failed.extend(
+        filling.threads.extend(
             source
                 .missing
                 .map(|frames| frames.fill(recipe.order(0), filling.stop.clone())),
@@ -264,8 +297,11 @@ impl<'a> Training<'a> {
     /// Every class of the model needs an object.
     fn check_classes(&self) -> Result<(), TrainError> {
         let mut missing: Vec<&str> = self.model.classes.iter().map(|class| class.name.as_str()).collect();
-        let order = self.recipe.order(0);
-        for index in order.iter().take(SEARCHED) {
+        let mut order = self.recipe.order(0);
+        if matches!(self.options.data, Data::Simulated { .. }) {
+            order.truncate(SEARCHED);
+        }
+        for index in &order {
             let frame = self.recipe.frames.load(*index)?;
             let has = |class: &str| {
                 let objects = frame.agents.iter().flat_map(|agent| &agent.objects);
@@ -277,7 +313,7 @@ impl<'a> Training<'a> {
                 return Ok(());
             }
         }
-        let frames = order.len().min(SEARCHED);
+        let frames = order.len();
         Err(TrainError::AbsentClass {
             class: missing.join("`, `"),
             frames,
@@ -292,12 +328,17 @@ impl<'a> Training<'a> {
             .map(|minutes| Duration::from_secs_f64(minutes * 60.0));
         let (batches, loader) = self.recipe.clone().start(self.state.optimizer.steps);
         let mut saved = Instant::now();
+        // A step may throw the weights far away and show it only in the next one's loss, so a state waits for that.
+        let mut waiting: Option<Checkpoint> = None;
         let mut pace = Pace::default();
         while self.state.optimizer.steps < self.options.steps && budget.is_none_or(|budget| begin.elapsed() < budget) {
             let start = Instant::now();
             let batch = batches.recv().map_err(|_| TrainError::Stopped)??;
             let waited = start.elapsed().as_secs_f64();
             let point = self.step(&batch, start)?;
+            if let Some(state) = waiting.take() {
+                self.save(&state)?;
+            }
             pace.add(point.seconds, waited);
             let due = self
                 .options
@@ -317,14 +358,14 @@ impl<'a> Training<'a> {
                 validation: validation.as_ref(),
             });
             if saved.elapsed().as_secs_f64() > self.options.checkpoint_minutes * 60.0 {
-                self.save()?;
+                waiting = Some(self.state.clone());
                 saved = Instant::now();
             }
         }
         // The loader ends when nobody listens.
         drop(batches);
         let _ = loader.join();
-        let weights = self.save()?;
+        let weights = self.save(&self.state)?;
         let steps = self.state.optimizer.steps;
         drop(self.filling);
         Ok(Trained {
@@ -377,13 +418,19 @@ impl<'a> Training<'a> {
     }
 
     /// Writes everything; each file is replaced as a whole.
-    fn save(&self) -> Result<PathBuf, TrainError> {
+    fn save(&self, state: &Checkpoint) -> Result<PathBuf, TrainError> {
         let output = |name: &str| self.options.output.join(name);
-        self.state.write(&self.checkpoint)?;
+        if let (false, Some(point)) = (state.network.is_finite(), state.curve.points.last()) {
+            return Err(TrainError::Diverged {
+                step: point.step,
+                loss: point.loss(),
+            });
+        }
+        state.write(&self.checkpoint)?;
         let weights = output(&format!("{}.safetensors", self.model.name));
-        write_weights(&self.state.network, &weights)?;
-        write_whole(&output("curve.csv"), self.state.curve.to_csv().as_bytes())?;
-        write_whole(&output("curve.svg"), self.state.curve.to_svg().as_bytes())?;
+        write_weights(&state.network, &weights)?;
+        write_whole(&output("curve.csv"), state.curve.to_csv().as_bytes())?;
+        write_whole(&output("curve.svg"), state.curve.to_svg().as_bytes())?;
         Ok(weights)
     }
 }
@@ -408,6 +455,13 @@ fn state(options: &TrainOptions, model: &Model, plan: Plan, path: &Path) -> Resu
             "a training is there already; resume it or choose another folder".into(),
         )),
         (false, false) => {
+            let weights = path.with_file_name(format!("{}.safetensors", model.name));
+            if weights.exists() {
+                let weights = weights.display();
+                return Err(refuse(format!(
+                    "there is none, but there are weights, {weights}, that a training would overwrite; choose another folder"
+                )));
+            }
             let network = Network::random(model, options.seed)?;
             Ok(Checkpoint {
                 optimizer: AdamW::new(&network),
@@ -418,12 +472,9 @@ fn state(options: &TrainOptions, model: &Model, plan: Plan, path: &Path) -> Resu
         }
         (true, true) => {
             let state = Checkpoint::read(path, model)?;
-            match state.plan == plan {
-                true => Ok(state),
-                false => Err(refuse(format!(
-                    "it was trained as {:?}, now {plan:?} is asked for",
-                    state.plan
-                ))),
+            match &state.plan.differences(&plan)[..] {
+                [] => Ok(Checkpoint { plan, ..state }),
+                found => Err(refuse(found.join("; "))),
             }
         }
     }

@@ -1,8 +1,8 @@
 //! The driver's side: one running program.
 
 use std::io::{Read, Write};
-use std::process::{Child as Process, ChildStdin, Command, ExitStatus};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::process::{Child as Process, Command, ExitStatus};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -23,9 +23,12 @@ const QUOTED: usize = 2048;
 /// A program that hosts an operator, ready for the next call.
 pub struct Child {
     process: Process,
-    calls: Option<ChildStdin>,
+    calls: Option<SyncSender<Vec<u8>>>,
+    written: Receiver<Result<(), FrameError>>,
     replies: Receiver<Result<Vec<u8>, FrameError>>,
     said: Arc<Mutex<Vec<u8>>>,
+    /// How long one call may take.
+    silence: Duration,
     listener: JoinHandle<()>,
     registration: &'static Registration,
 }
@@ -39,7 +42,7 @@ impl Child {
         let program = command.get_program().to_string_lossy().into_owned();
         let spawned = command.spawn();
         let mut process = spawned.map_err(|error| format!("node `{node}`: cannot start {program}: {error}"))?;
-        let (Some(calls), Some(mut stdout), Some(stderr)) =
+        let (Some(mut stdin), Some(mut stdout), Some(stderr)) =
             (process.stdin.take(), process.stdout.take(), process.stderr.take())
         else {
             return Err(format!("node `{node}`: {program} has no pipes"));
@@ -53,6 +56,16 @@ impl Child {
                 }
             }
         });
+        // On a thread, because a program that does not read would hold up whoever writes.
+        let (calls, asked) = sync_channel::<Vec<u8>>(1);
+        let (reports, written) = sync_channel(1);
+        std::thread::spawn(move || {
+            while let Ok(call) = asked.recv() {
+                if reports.send(frame::write(&mut stdin, &call)).is_err() {
+                    return;
+                }
+            }
+        });
         let said = Arc::new(Mutex::new(Vec::new()));
         let listener = std::thread::spawn({
             let said = said.clone();
@@ -61,6 +74,8 @@ impl Child {
         let mut child = Child {
             process,
             calls: Some(calls),
+            written,
+            silence: SILENCE,
             replies,
             said,
             listener,
@@ -98,7 +113,7 @@ impl Child {
     /// One call, and what came of it.
     fn ask(&mut self, call: &Call, out: &mut Outputs) -> Result<(), Error> {
         let bytes = call.to_bytes(out.now())?;
-        let answered = self.exchange(&bytes).and_then(|reply| self.take(reply, out));
+        let answered = self.exchange(bytes).and_then(|reply| self.take(reply, out));
         match answered {
             Ok(None) => Ok(()),
             Ok(Some(error)) => Err(error.into()),
@@ -106,16 +121,19 @@ impl Child {
         }
     }
 
-    fn exchange(&mut self, call: &[u8]) -> Result<Reply, String> {
-        let calls = self.calls.as_mut().ok_or("it was called after its end")?;
+    fn exchange(&mut self, call: Vec<u8>) -> Result<Reply, String> {
+        let calls = self.calls.as_ref().ok_or("it was called after its end")?;
+        calls.send(call).map_err(|_| "nobody writes to it any more")?;
         // Whether the program has gone, and how, its answer tells better than the pipe to it.
-        let written = frame::write(calls, call);
-        let reply = match self.replies.recv_timeout(SILENCE) {
+        let reply = match self.replies.recv_timeout(self.silence) {
             Ok(reply) => reply.map_err(|error| format!("no reply: {error}"))?,
-            Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", SILENCE.as_secs())),
+            Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", self.silence.as_secs())),
             Err(RecvTimeoutError::Disconnected) => return Err("it closed its standard output".into()),
         };
-        written.map_err(|error| error.to_string())?;
+        let written = self.written.recv_timeout(self.silence);
+        written
+            .map_err(|error| error.to_string())?
+            .map_err(|error| error.to_string())?;
         Reply::from_bytes(reply).map_err(|error| format!("no reply: {error}"))
     }
 

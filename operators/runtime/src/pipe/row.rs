@@ -101,7 +101,10 @@ impl Received {
 
     pub fn texts(&self, name: &str) -> Result<Vec<String>, String> {
         let texts = self.items::<StringArray>(name)?;
-        Ok(texts.iter().flatten().map(str::to_string).collect())
+        let texts = texts.iter().map(|text| text.map(str::to_string));
+        texts
+            .collect::<Option<_>>()
+            .ok_or_else(|| format!("column `{name}`: a null among its texts"))
     }
 
     pub fn i64s(&self, name: &str) -> Result<Vec<i64>, String> {

@@ -65,7 +65,9 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
     let mut peer = python.map(|python| peer(python, &model, &cloud)).transpose()?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for _ in 0..ROUNDS {
-        ours.push(time(|| drop(pillariser.run(&points))));
+        ours.push(time(|| {
+            std::hint::black_box(pillariser.run(&points));
+        }));
         if let Some(peer) = &mut peer {
             theirs.push(peer.run()?);
         }

@@ -51,7 +51,17 @@ pub fn bench(seconds: f64) -> Result<Memory> {
         .stderr(Stdio::null())
         .spawn()
         .wrap_err("realo run")?;
-    let samples = watch(&mut child, seconds)?;
+    let samples = watch(&mut child, seconds).inspect_err(|_| {
+        // Nobody would end it otherwise.
+        let _ = child.kill();
+    })?;
+    let status = child.wait()?;
+    if !status.success() {
+        bail!(
+            "the run ended with {status} after {} looks; run `realo run` by hand to see why",
+            samples.len()
+        );
+    }
     let settled: Vec<f64> = samples
         .iter()
         .filter(|(at, _)| *at >= SETTLE)

@@ -3,7 +3,7 @@ use std::path::Path;
 
 use eyre::Result;
 use realo_nn::model::Model;
-use realo_training::data::Augmentation;
+use realo_training::data::{Augmentation, Frames, SimulatedFrames};
 use realo_training::optimizer::Settings;
 use realo_training::{Data, TrainOptions, train};
 use serde::Serialize;
@@ -14,6 +14,7 @@ use super::peer::Peer;
 
 const MODEL: &str = "models/lite.toml";
 const BATCH: usize = 2;
+const SEEDS: std::ops::Range<u64> = 0..24;
 /// Turns of each.
 const ROUNDS: usize = 3;
 /// Steps of a turn, and how many of them warm up.
@@ -43,6 +44,12 @@ struct PeerStep {
 pub fn bench(python: Option<&Path>) -> Result<Train> {
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     let folder = super::framework::folder()?;
+    let cache = folder.join("frames");
+    let frames = SimulatedFrames::new(&cache, SEEDS, 1)?;
+    // Before anything is timed.
+    for index in 0..frames.len() {
+        frames.load(index)?;
+    }
     let mut peer = python.map(|python| peer(python, threads)).transpose()?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for round in 0..ROUNDS {
@@ -54,8 +61,8 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             output,
             resume: false,
             data: Data::Simulated {
-                cache: folder.join("frames"),
-                seeds: 0..24,
+                cache: cache.clone(),
+                seeds: SEEDS,
                 per_seed: 1,
             },
             steps: STEPS,

@@ -2,6 +2,7 @@
 
 mod compute;
 mod dora;
+mod networks;
 mod prepare;
 mod realtime;
 mod replay;

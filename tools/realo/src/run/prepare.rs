@@ -8,7 +8,7 @@ use realo_logs::{Log, Stream};
 use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
 use realo_runtime::{ComputeProfile, Describe};
 
-use super::{Args, Mode, dir_of};
+use super::{Args, Mode, dir_of, networks};
 use crate::{REGISTRY, demo};
 
 /// One run: a graph over a log with an ego.
@@ -103,7 +103,7 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
 /// A `--set`; a path in it is seen from where the user is.
 fn setting(text: &str) -> Result<Setting> {
     let mut setting: Setting = text.parse()?;
-    if is_relative_path(&setting.value) {
+    if setting.key == "model" || is_relative_path(&setting.value) {
         setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
     }
     Ok(setting)
@@ -113,7 +113,7 @@ fn is_relative_path(value: &str) -> bool {
     value.starts_with("./") || value.starts_with("../")
 }
 
-fn stage_of(node: &FlatNode) -> Option<&'static str> {
+pub(super) fn stage_of(node: &FlatNode) -> Option<&'static str> {
     node.registration(&REGISTRY).map(|known| known.name)
 }
 
@@ -166,7 +166,7 @@ fn spare(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
 }
 
 /// An argument of a node as the graph has it.
-fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
+pub(super) fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
     let value = |arg: &'a String| arg.split_once('=').filter(|(name, _)| *name == key);
     node.settings().iter().find_map(value).map(|(_, value)| value)
 }
@@ -211,7 +211,7 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
 }
 
 /// The path without `..`, as it is written (no link is followed).
-fn lexically_normal(path: &Path) -> PathBuf {
+pub(super) fn lexically_normal(path: &Path) -> PathBuf {
     let mut normal = PathBuf::new();
     for part in path.components() {
         match part {
@@ -262,6 +262,17 @@ impl Told<'_> {
         for setting in set {
             graph.set(&setting.node, &setting.key, &setting.value)?;
         }
+        for node in &graph.nodes {
+            if given(node, "project") == Some("sender") && !node.inputs.contains_key("state") {
+                bail!(
+                    "node `{}`: project=sender needs the input `state`, the ego's states, and it is not wired",
+                    node.id
+                );
+            }
+        }
+        let kernels = networks::check(&graph)?;
+        let results = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("results"));
+        results.for_each(|node| node.set("isa", &kernels));
         let links = [
             ("link", links_have(&graph, "profile", |value| stem(Path::new(value)))),
             ("seed", links_have(&graph, "seed", str::to_string)),
@@ -326,7 +337,10 @@ impl Told<'_> {
             let stem = stem(self.log_path);
             if let Some(node) = graph.nodes.iter().find(|node| stage_of(node) == Some("pillar-encoder")) {
                 let id = &node.id;
-                bail!("{stem}: a log without points, in which node `{id}` sees nothing: add --recorded-detections");
+                bail!(
+                    "{stem}: a log without points, in which node `{id}` sees nothing: take a log with points, or a graph \
+                     with a module `detect.*.yml` and --recorded-detections"
+                );
             }
             eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
             told.push(("player", "points", "false".into()));

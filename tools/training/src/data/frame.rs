@@ -142,7 +142,22 @@ impl Frame {
             .iter()
             .try_fold(0usize, |sum, agent| sum.checked_add(agent.count));
         if expected.and_then(|points| points.checked_mul(6)) != Some(rest.len()) {
-            return Err(format!("expected {expected:?} points, found {} bytes", rest.len()));
+            let expected = expected.unwrap_or(usize::MAX);
+            return Err(format!(
+                "expected {expected} points of 6 bytes, found {} bytes",
+                rest.len()
+            ));
+        }
+        let mut classes = frame
+            .agents
+            .iter()
+            .flat_map(|agent| &agent.objects)
+            .map(|object| object.class);
+        if let Some(class) = classes.find(|class| *class >= frame.classes.len()) {
+            return Err(format!("an object of class {class} of {}", frame.classes.len()));
+        }
+        if frame.agents.is_empty() {
+            return Err("it has no agents".into());
         }
         for agent in &mut frame.agents {
             let mut next = || values.next().unwrap_or(0);

@@ -11,6 +11,14 @@ use super::frame::Frame;
 use super::simulated;
 use crate::TrainError;
 
+/// Rises with every change of how frames are made of sweeps.
+const RECIPE: u32 = 1;
+
+/// What decides, beside the seed, what is in a simulated frame.
+pub(crate) fn world() -> String {
+    format!("world{}.{RECIPE}", realo_simulator::WORLD)
+}
+
 /// Frames by number.
 pub trait Frames: Send + Sync {
     /// Number of frames.
@@ -86,8 +94,9 @@ impl SimulatedFrames {
 
     fn path(&self, seed: u64, number: usize) -> PathBuf {
         // The number of frames is part of the name: it decides which moments they are.
+        let (world, of) = (world(), self.per_seed);
         self.folder
-            .join(format!("seed-{seed:06}-{number}-of-{}.frame", self.per_seed))
+            .join(format!("{world}-seed-{seed:06}-{number}-of-{of}.frame"))
     }
 
     /// Makes what is missing in the background, in the order of `indices`, until all is there or `stop` says so.

@@ -77,9 +77,9 @@ struct Labels {
 impl Reading {
     fn open(path: &Path) -> Result<Self, TrainError> {
         let log = Log::open(path)?;
-        let protocol = Protocol::load(&log.info().protocol).map_err(|error| TrainError::Cache {
+        let protocol = Protocol::load(&log.info().protocol).map_err(|error| TrainError::Protocol {
             path: path.into(),
-            reason: error.to_string(),
+            error,
         })?;
         let names: Vec<String> = log.info().agents.iter().map(|agent| agent.name.clone()).collect();
         let mut reading = Reading {
@@ -177,8 +177,7 @@ impl Reading {
             };
             let track = &self.tracks[&info.name];
             let roadside = info.kind == AgentKind::Roadside;
-            let columns = [&cloud.x[..], &cloud.y, &cloud.z];
-            let (Some(pose), Some(points)) = (track.at(at), deskewed(columns, &cloud.time, track, at, roadside)) else {
+            let (Some(pose), Some(points)) = (track.at(at), deskewed(&cloud, track, at, roadside)) else {
                 continue;
             };
             let Some(objects) = self.objects(&info.name, at, &pose, &points, (labelled, stamp)) else {
@@ -361,6 +360,21 @@ mod tests {
             assert!((object.lwh[0] - x).abs() < 1e-9, "{object:?}");
             assert!((object.lwh[6].abs() - yaw).abs() < 1e-9, "{object:?}");
         }
+    }
+
+    #[test]
+    fn a_log_of_an_unknown_protocol_is_refused_and_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("other.mcap");
+        let mut info = LogInfo::new("a test", vec![agent("cav1", AgentKind::Vehicle)]);
+        info.protocol = "kitti".into();
+        LogWriter::create(&path, &info).unwrap().finish().unwrap();
+        let Err(error) = LoggedFrames::new(folder.path(), std::slice::from_ref(&path)) else {
+            panic!("its classes are not known")
+        };
+        let said = error.to_string();
+        assert!(said.contains("other.mcap") && said.contains("`kitti`"), "{said}");
+        assert!(!said.contains("remove"), "{said}");
     }
 
     #[test]

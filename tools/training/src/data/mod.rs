@@ -9,6 +9,7 @@ mod simulated;
 
 pub(crate) use frame::write_whole;
 pub use frame::{AgentSweep, Frame, Seen};
+pub(crate) use frames::world;
 pub use frames::{Frames, SimulatedFrames};
 pub(crate) use loader::gather;
 pub use loader::{Batch, Recipe};

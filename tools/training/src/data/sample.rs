@@ -6,6 +6,7 @@ use realo_nn::anchors::Anchors;
 use realo_nn::model::Model;
 use realo_nn::pillars::{Pillariser, Points};
 use realo_nn::targets::{Object, Targets, assign};
+use serde::{Deserialize, Serialize};
 
 use super::frame::{AgentSweep, Frame};
 use crate::layers::PillarFrame;
@@ -18,7 +19,8 @@ const REACH: f64 = 70.0;
 const LEAST_POINTS: f64 = 5.0;
 
 /// How samples are drawn and changed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Augmentation {
     /// Probability that the ego is a roadside unit.
     pub roadside_ego: f64,

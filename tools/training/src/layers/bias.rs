@@ -29,7 +29,9 @@ impl CustomOp2 for Bias {
             let from = map.row(x, image, row).chunks_exact(map.channels);
             for (out, x) in cells.chunks_exact_mut(map.channels).zip(from) {
                 for ((out, x), b) in out.iter_mut().zip(x).zip(bias) {
-                    *out = (x + b).max(least);
+                    // Not `max`, which would hide NaN.
+                    let sum = x + b;
+                    *out = if sum < least { least } else { sum };
                 }
             }
         });

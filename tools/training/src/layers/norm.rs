@@ -84,7 +84,9 @@ impl CustomOp3 for Norm {
             let from = map.row(x, image, row).chunks_exact(map.channels);
             for (out, x) in cells.chunks_exact_mut(map.channels).zip(from) {
                 for (((out, x), scale), shift) in out.iter_mut().zip(x).zip(&scale).zip(&shift) {
-                    *out = (x * scale + shift).max(0.0);
+                    // Not `max`, which would hide NaN.
+                    let value = x * scale + shift;
+                    *out = if value < 0.0 { 0.0 } else { value };
                 }
             }
         });

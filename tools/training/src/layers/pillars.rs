@@ -439,7 +439,9 @@ fn encode(
             for lane in 0..LANES.min(channels - index * LANES) {
                 let beaten = empty && best[lane] < 0.0;
                 let top = if beaten { 0.0 } else { best[lane] };
-                values.push((top + block.shift[lane]).max(0.0));
+                // Not `max`, which would hide NaN.
+                let value = top + block.shift[lane];
+                values.push(if value < 0.0 { 0.0 } else { value });
                 winners.push(if beaten { EMPTY } else { start + winner[lane] });
             }
         }
