@@ -101,7 +101,7 @@ fn unused_modules(dataflows: &Path) -> Result<Vec<String>, GraphError> {
     let swapped = used.iter().any(|file| detects(file));
     let unused = modules
         .iter()
-        .filter(|file| !used.contains(*file) && !(swapped && detects(file)));
+        .filter(|file| !(used.contains(*file) || swapped && detects(file)));
     Ok(unused
         .map(|file| format!("{}: no graph uses this module", file.display()))
         .collect())
