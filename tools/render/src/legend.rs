@@ -166,7 +166,9 @@ fn of_agent(agent: &Agent, is_ego: bool) -> String {
         }
     }
     for (kind, age) in &agent.fused {
-        text.push_str(&format!(", {kind} {:.0} ms old when fused", to_millis(*age)));
+        // Less than half a millisecond younger is no "-0".
+        let age = to_millis(*age).round() + 0.0;
+        text.push_str(&format!(", {kind} {age:.0} ms old when fused"));
     }
     if agent.fused.is_empty() && !is_ego {
         text.push_str(", nothing fused");
