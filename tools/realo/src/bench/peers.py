@@ -21,8 +21,9 @@ def voxels(told):
         max_num_points_per_voxel=told["max_points"],
         max_num_voxels=told["max_pillars"],
     )
-    points = tv.from_numpy(points)
-    return f"spconv {importlib.metadata.version('spconv')}", lambda: voxeliser.point_to_voxel(points)
+    # The tensor does not keep the array alive.
+    kept = [points, tv.from_numpy(points)]
+    return f"spconv {importlib.metadata.version('spconv')}", lambda: voxeliser.point_to_voxel(kept[1])
 
 
 def training(told):
