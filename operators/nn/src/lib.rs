@@ -1,4 +1,4 @@
-//! What the networks compute besides their layers, as V2X-Real does: [`anchors`] and [`points`].
+//! The networks: model files and weights, pillars, convolutions, anchors, targets, loss and decoding.
 
 pub mod anchors;
 pub mod canvas;
