@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
-use eyre::{Result, WrapErr, bail, eyre};
+use eyre::{Result, bail, eyre};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_training::data::Augmentation;
 use realo_training::optimizer::Settings;
@@ -69,7 +69,6 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let bar = ProgressBar::new(args.steps);
     let style = "{wide_bar} {pos}/{len} steps, {msg}";
     bar.set_style(ProgressStyle::with_template(style).map_err(|error| eyre!(error))?);
-    copy_model(args)?;
     let trained = train(&args.options(), |progress| show(&bar, progress))?;
     bar.finish_and_clear();
     let (steps, weights) = (trained.steps, trained.weights.display());
@@ -82,23 +81,6 @@ pub fn main(args: &Args) -> Result<Outcome> {
         args.steps
     );
     Ok(Outcome::Partial)
-}
-
-/// The model file beside its weights, so that the folder can be given to `realo run --model`.
-fn copy_model(args: &Args) -> Result<()> {
-    let text = std::fs::read(&args.model).wrap_err_with(|| format!("{}", args.model.display()))?;
-    let beside = args.out.join(args.model.file_name().unwrap_or_default());
-    let write = || {
-        std::fs::create_dir_all(&args.out)?;
-        // A training that goes on may be given its own copy.
-        if std::fs::read(&beside).is_ok_and(|there| there == text) {
-            return Ok(());
-        }
-        let part = beside.with_extension("part");
-        std::fs::write(&part, &text)?;
-        std::fs::rename(&part, &beside)
-    };
-    write().wrap_err_with(|| format!("{}", beside.display()))
 }
 
 impl Args {

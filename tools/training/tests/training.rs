@@ -233,6 +233,11 @@ fn a_checkpoint_of_another_plan_is_refused() {
     fs::write(&options.model, text.replace("matched = 0.6", "matched = 0.7")).unwrap();
     let error = train(&options, |_| ()).unwrap_err().to_string();
     assert!(error.contains("model.classes"), "{error}");
+    let beside = fs::read_to_string(options.output.join("small.toml")).unwrap();
+    assert!(
+        beside == text,
+        "the weights keep the model file that they were trained by"
+    );
     fs::write(options.output.join("checkpoint.safetensors"), b"nonsense").unwrap();
     assert!(matches!(train(&options, |_| ()), Err(TrainError::Checkpoint { .. })));
 }

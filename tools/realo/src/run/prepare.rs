@@ -8,7 +8,8 @@ use realo_logs::{Log, Stream};
 use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
 use realo_runtime::{ComputeProfile, Describe};
 
-use super::{Args, Mode, dir_of, networks};
+use super::networks::Networks;
+use super::{Args, Mode, dir_of};
 use crate::{REGISTRY, demo};
 
 /// One run: a graph over a log with an ego.
@@ -53,6 +54,7 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
     };
     let logs = logs(args, &graph)?;
     let mut cells = Vec::new();
+    let mut networks = Networks::default();
     let mut names = Vec::new();
     for log_path in &logs {
         let stem = log_path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -82,7 +84,10 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 coop: coop.as_str(),
                 out: &out,
             };
-            let graph = told.to(&graph, &set)?;
+            let mut graph = told.to(&graph, &set)?;
+            let kernels = networks.check(&graph)?;
+            let results = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("results"));
+            results.for_each(|node| node.set("isa", &kernels));
             spare(&graph, &logs)?;
             check(&graph)?;
             cells.push(Cell {
@@ -270,9 +275,6 @@ impl Told<'_> {
                 );
             }
         }
-        let kernels = networks::check(&graph)?;
-        let results = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("results"));
-        results.for_each(|node| node.set("isa", &kernels));
         let links = [
             ("link", links_have(&graph, "profile", |value| stem(Path::new(value)))),
             ("seed", links_have(&graph, "seed", str::to_string)),
