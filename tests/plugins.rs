@@ -11,7 +11,7 @@ mod python;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use build::fusion_nearest;
 use common::{counts, folder, json, realo, realo_ok, root, simulated, text};
@@ -31,11 +31,15 @@ fn shipped(graph: &str) -> String {
     common::graph(graph)
 }
 
-/// Runs on dora share the machine's cores with nothing of ours.
-static ALONE: Mutex<()> = Mutex::new(());
+/// Runs on dora share the machine's cores neither with each other nor with a compiler: compilers share, runs do not.
+static CORES: RwLock<()> = RwLock::new(());
 
-fn alone() -> MutexGuard<'static, ()> {
-    ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+fn alone() -> RwLockWriteGuard<'static, ()> {
+    CORES.write().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+fn compiling() -> RwLockReadGuard<'static, ()> {
+    CORES.read().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
 /// Runs a graph over the log for one ego and gives its folder.

@@ -22,6 +22,7 @@ pub fn fusion_nearest() -> PathBuf {
 
 /// Runs cargo on a crate, which must succeed.
 pub fn cargo(folder: &Path, command: &[&str]) {
+    let _compiling = crate::compiling();
     let profile = Path::new(REALO)
         .parent()
         .expect("the program lies in the profile's folder");

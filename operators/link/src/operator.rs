@@ -1,4 +1,4 @@
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::report::{Channel, LinkReport, to_report};
@@ -21,7 +21,7 @@ const REPORT: PortId = PortId(2);
 pub struct LinkConfig {
     /// Name of a built-in profile, or a file.
     pub profile: String,
-    /// Greatest distance over which packets are sent, m; agents of unknown position are out of range.
+    /// Greatest distance over which packets are sent, m; agents that never tell a position are out of range.
     pub range_m: f64,
     /// Keeps the gate and the counts, without delay, jitter or loss.
     pub offline: bool,
@@ -43,6 +43,9 @@ impl Default for LinkConfig {
     }
 }
 
+/// Packets of one sender that may wait for its first position; more leave as `unplaced`, the oldest first.
+const EARLY: usize = 16;
+
 /// A position and when it was measured.
 type Fix = (Nanos, [f64; 2]);
 
@@ -63,6 +66,8 @@ pub struct Link {
     ego: Option<Name>,
     others: BTreeSet<Name>,
     fixes: BTreeMap<Name, Fix>,
+    /// Packets for the ego that came before the first position of their sender did.
+    early: BTreeMap<Name, VecDeque<(Header, Packet)>>,
     channels: BTreeMap<(Name, Name, Kind), Tally>,
     /// The header that the report derives from.
     last: Option<Header>,
@@ -139,17 +144,43 @@ impl Link {
         Ok(())
     }
 
-    fn state(&mut self, header: Header, state: &EgoState) -> Result<(), Error> {
+    fn state(&mut self, header: Header, state: &EgoState, out: &mut Outputs) -> Result<(), Error> {
         let t = &state.map_from_body.translation.vector;
         if !(t.x.is_finite() && t.y.is_finite()) {
             return Err(format!("position ({}, {}) is not finite", t.x, t.y).into());
         }
         let fix = (header.stamp, [t.x, t.y]);
+        let early = self.early.remove(&header.agent).unwrap_or_default();
         let known = self.fixes.entry(header.agent).or_insert(fix);
         if fix.0 >= known.0 {
             *known = fix;
         }
+        for (header, packet) in early {
+            self.to_ego(&header, &packet, out);
+        }
         Ok(())
+    }
+
+    /// Carries a packet of another agent, or keeps it until its sender has told a position: an agent's first packet
+    /// derives from its first state and may overtake it, for they come on different edges.
+    fn from_other(&mut self, header: Header, packet: Packet, out: &mut Outputs) {
+        if self.fixes.contains_key(&header.agent) {
+            return self.to_ego(&header, &packet, out);
+        }
+        let early = self.early.entry(header.agent.clone()).or_default();
+        early.push_back((header, packet));
+        if early.len() > EARLY
+            && let Some((header, packet)) = early.pop_front()
+        {
+            self.to_ego(&header, &packet, out);
+        }
+    }
+
+    fn to_ego(&mut self, header: &Header, packet: &Packet, out: &mut Outputs) {
+        match self.ego.clone() {
+            Some(ego) => self.carry(TO_EGO, &ego, header, packet, out),
+            None => out.count("no_receiver", 1),
+        }
     }
 
     /// Whether two agents are in reach of each other; `None` while a position is unknown.
@@ -229,6 +260,7 @@ impl Operator for Link {
             ego: (!config.ego.is_empty()).then(|| config.ego.into()),
             others: BTreeSet::new(),
             fixes: BTreeMap::new(),
+            early: BTreeMap::new(),
             channels: BTreeMap::new(),
             last: None,
         })
@@ -242,7 +274,7 @@ impl Operator for Link {
         }
         if matches!(port, EGO_STATE | STATES) {
             let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
-            return self.state(header, &state);
+            return self.state(header, &state, out);
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
         self.last = Some(header.clone());
@@ -252,15 +284,14 @@ impl Operator for Link {
             }
             return Ok(());
         }
-        let Some(ego) = self.ego.clone() else {
-            out.count("no_receiver", 1);
-            return Ok(());
-        };
-        self.carry(TO_EGO, &ego, &header, &packet, out);
+        self.from_other(header, packet, out);
         Ok(())
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        for (header, packet) in std::mem::take(&mut self.early).into_values().flatten() {
+            self.to_ego(&header, &packet, out);
+        }
         if let Some(last) = &self.last {
             let agent = self.ego.clone().unwrap_or_else(|| last.agent.clone());
             let header = Header {

@@ -104,13 +104,16 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
             .unwrap();
         out.take_sent().len()
     };
-    assert_eq!(delivered(&mut link, &[]), 0, "closed without positions");
     assert_eq!(
-        delivered(&mut link, &[("cav1", 0, 1e6, 1e6)]),
+        delivered(&mut link, &[("rsu1", 0, 1e6, 1e6)]),
         0,
-        "and with one of them"
+        "closed while it knows only the sender's position"
     );
-    assert_eq!(delivered(&mut link, &[("rsu1", 0, 1e6 + 42.0, 1e6 + 56.0)]), 1, "70 m");
+    assert_eq!(
+        delivered(&mut link, &[("cav1", 0, 1e6, 1e6), ("rsu1", 0, 1e6 + 42.0, 1e6 + 56.0)]),
+        1,
+        "70 m"
+    );
     assert_eq!(delivered(&mut link, &[("rsu1", 5, 1e6 + 42.1, 1e6 + 56.0)]), 0);
     assert_eq!(
         delivered(&mut link, &[("rsu1", 4, 1e6, 1e6)]),
@@ -118,11 +121,46 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
         "an older state does not count"
     );
     assert_eq!(delivered(&mut link, &[("cav1", 6, 1e6 + 10.0, 1e6)]), 1);
-    assert_eq!(out.counted("unplaced"), 2);
+    assert_eq!(out.counted("unplaced"), 1);
     let channels = report(&mut link);
     assert_eq!(
         (channels[0].sent, channels[0].out_of_range, channels[0].bytes),
-        (2, 4, 20)
+        (2, 3, 20)
+    );
+}
+
+#[test]
+fn packets_wait_for_the_first_position_of_their_sender() {
+    let mut link = link("paper");
+    let mut out = Outputs::at(0);
+    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
+    let mut out = Outputs::at(MS);
+    for seq in 0..EARLY as u64 + 2 {
+        link.on_input(OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
+            .unwrap();
+    }
+    assert_eq!((out.take_sent().len(), out.counted("unplaced")), (0, 2));
+    let mut out = Outputs::at(3 * MS);
+    link.on_input(STATES, state("rsu1", 0, 20.0, 0.0), &mut out).unwrap();
+    let sent: Vec<_> = out.take_sent();
+    let headers: Vec<_> = sent
+        .iter()
+        .map(|(_, message)| (message.header.seq, message.header.ready))
+        .collect();
+    let expected: Vec<_> = (2..EARLY as u64 + 2).map(|seq| (seq, 13 * MS)).collect();
+    assert_eq!(headers, expected, "in order, delayed from the time of sending");
+
+    let mut out = Outputs::at(4 * MS);
+    link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut out)
+        .unwrap();
+    let channels: Vec<_> = report(&mut link)
+        .into_iter()
+        .map(|c| (c.from, c.sent, c.out_of_range))
+        .collect();
+    assert_eq!(
+        channels,
+        [("cav2".to_string(), 0, 1), ("rsu1".to_string(), EARLY as u64, 2)],
+        "who never told a position is out of range"
     );
 }
 
@@ -224,6 +262,7 @@ fn offline_keeps_the_gate_and_the_counts_only() {
 fn learns_the_ego_and_refuses_what_is_wired_wrongly() {
     let mut link = Link::new(LinkConfig::default()).unwrap();
     let mut out = Outputs::at(0);
+    link.on_input(STATES, state("rsu1", 0, 0.0, 0.0), &mut out).unwrap();
     link.on_input(OTHERS, packet("rsu1", Kind::Boxes, 0, 0, 1), &mut out)
         .unwrap();
     assert_eq!((out.take_sent().len(), out.counted("no_receiver")), (0, 1));
