@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{folder, graph, once, realo, run_virtual, simulated, text};
+use common::{folder, graph, once, realo, root, run_virtual, simulated, text};
 use realo_nn::model::Model;
 use realo_nn::weights::expected;
 use realo_schemas::{Box3, Boxes};
@@ -141,6 +141,11 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
             .as_u64()
             .expect("a count")
     };
+    for (result, project) in [(&sender, "sender"), (&receiver, "receiver")] {
+        assert_eq!(result["project"], project);
+        let model = result["model"].as_str().expect("a text");
+        assert!(model.starts_with("small-"), "{model}");
+    }
     // A sweep that ends before the ego's first state has arrived is not sent.
     assert_eq!((used(&sender), used(&receiver)), (4, 4));
     let (a, b) = (
@@ -166,7 +171,15 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
 
 #[test]
 fn late_fusion_detects_in_both_lanes() {
-    let result = run("detector_late", "late_fusion", &["--offline"]);
+    let protocol = root().join("operators/evaluator/protocols/default.yml");
+    assert!(protocol.is_file(), "{}", protocol.display());
+    let set = format!("evaluator.protocol={}", protocol.display());
+    let changes = ["--set", "joint-nms.threshold=0.2", "--set", &set];
+    let result = run("detector_late", "late_fusion", &[&["--offline"], &changes[..]].concat());
+    assert_eq!(
+        result["set"], "joint-nms.threshold=0.2, evaluator.protocol=default.yml",
+        "a result holds no path"
+    );
     assert_eq!(result["links"]["rsu1-cav1"]["boxes"]["used"], 4);
     assert_eq!(result["nodes"]["detect.head"]["operator"], "detection-head");
     assert_eq!(result["nodes"]["ego-detect.head"]["operator"], "detection-head");
@@ -185,7 +198,7 @@ fn what_does_not_fit_is_refused_by_name() {
     let lidar = dir.join("lidar.toml");
     fs::write(&lidar, MODEL.replace("frame = \"body\"", "frame = \"lidar\"")).expect("a file");
     let (bare, wider, lidar) = (bare.to_string_lossy(), wider.to_string_lossy(), lidar.to_string_lossy());
-    let cases: [(&[&str], &[&str]); 5] = [
+    let cases: [(&[&str], &[&str]); 6] = [
         (&["early_fusion", "--model", "nowhere.toml"], &["nowhere.toml"]),
         (&["early_fusion", "--model", &bare], &["bare.safetensors"]),
         (
@@ -193,6 +206,10 @@ fn what_does_not_fit_is_refused_by_name() {
             &["detector_bad/small.safetensors", "backbone.blocks.0.1.weight", "16"],
         ),
         (&["no_fusion", "--model", &lidar], &["lidar.toml", "`frame`", "`body`"]),
+        (
+            &["late_fusion", "--model", &wider, "--recorded-detections"],
+            &["--model", "drop one of the two"],
+        ),
         (
             &["late_fusion", "--project", "sender"],
             &["--project", "transmission-encoder"],

@@ -117,11 +117,12 @@ fn processed(result: &Path) -> u64 {
 
 #[test]
 fn a_broken_graph_is_refused_with_what_mends_it() {
-    let dir = folder("broken_graph");
+    let home = folder("broken_graph");
     let text_of = std::fs::read_to_string(graph("late_fusion")).expect("the graph can be read");
-    let modules = root().join("dataflows");
-    for name in ["modules", "types", "bin"] {
-        std::os::unix::fs::symlink(modules.join(name), dir.join(name)).expect("links can be made");
+    let dir = home.join("dataflows");
+    std::fs::create_dir(&dir).expect("a folder can be made");
+    for name in ["models", "dataflows/modules", "dataflows/types", "dataflows/bin"] {
+        std::os::unix::fs::symlink(root().join(name), home.join(name)).expect("links can be made");
     }
     let cases = [
         ("threshold=0.15", "treshold=0.15", "threshold", 1),
@@ -134,7 +135,11 @@ fn a_broken_graph_is_refused_with_what_mends_it() {
             0,
         ),
         ("ego: { source: ego-nms/boxes", "ego: { source: nms/boxes", "ego", 1),
+        ("modules/detect.network.yml", "detect.away.yml", "models/away.toml", 1),
     ];
+    let detect = std::fs::read_to_string(root().join("dataflows/modules/detect.network.yml")).expect("it can be read");
+    let away = detect.replace("lite.toml", "away.toml").replace("../bin", "bin");
+    std::fs::write(dir.join("detect.away.yml"), away).expect("it can be written");
     for (from, to, named, code) in cases {
         assert!(text_of.contains(from), "{from}");
         let path = dir.join("late_fusion.yml");

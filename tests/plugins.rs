@@ -137,8 +137,9 @@ fn the_examples_own_tests_pass() {
 /// The example's graph with other words in it.
 fn changed(name: &str, changes: &[(&str, &str)]) -> String {
     fusion_nearest();
-    let dir = folder(name);
-    for link in ["modules", "types", "bin"] {
+    let dir = folder(name).join("graph");
+    fs::create_dir(&dir).expect("a folder can be made");
+    for link in ["../models", "modules", "types", "bin"] {
         std::os::unix::fs::symlink(root().join("dataflows").join(link), dir.join(link)).expect("links can be made");
     }
     let mut graph = fs::read_to_string(example("fusion_nearest/late_nearest.yml")).expect("the graph can be read");

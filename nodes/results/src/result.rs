@@ -79,6 +79,15 @@ pub struct Settings {
     pub seed: String,
     /// Kernel path of the networks.
     pub isa: String,
+    /// The networks: name of the model and a hash of its file and weights.
+    #[serde(default)]
+    pub model: String,
+    /// Who brings what crosses the link to the ego's frame: `receiver`, `sender`, or empty where nobody can choose.
+    #[serde(default)]
+    pub project: String,
+    /// Arguments changed by hand, `node.key=value`; files by their names alone.
+    #[serde(default)]
+    pub set: String,
 }
 
 /// Sweeps of the ego.

@@ -37,6 +37,12 @@ pub struct Config {
     pub seed: String,
     /// Kernel path of the networks.
     pub isa: String,
+    /// The networks.
+    pub model: String,
+    /// Who projects.
+    pub project: String,
+    /// Arguments changed by hand.
+    pub set: String,
 }
 
 impl Default for Config {
@@ -54,6 +60,9 @@ impl Default for Config {
             compute: empty(),
             seed: empty(),
             isa: empty(),
+            model: empty(),
+            project: empty(),
+            set: empty(),
         }
     }
 }
@@ -128,6 +137,18 @@ impl Describe for Results {
             name: "isa",
             about: "kernel path of the networks, told in the result",
         },
+        Argument {
+            name: "model",
+            about: "the networks, told in the result",
+        },
+        Argument {
+            name: "project",
+            about: "who brings what crosses the link to the ego's frame, told in the result",
+        },
+        Argument {
+            name: "set",
+            about: "arguments changed by hand, told in the result",
+        },
     ];
     const INPUTS: &'static [Port] = &[
         Port::new("boxes", &[PayloadType::Boxes], "the final boxes"),
@@ -156,6 +177,9 @@ impl Sink for Results {
             compute: config.compute.clone(),
             seed: config.seed.clone(),
             isa: config.isa.clone(),
+            model: config.model.clone(),
+            project: config.project.clone(),
+            set: config.set.clone(),
         };
         Ok(Results {
             config,

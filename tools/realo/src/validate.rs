@@ -17,17 +17,24 @@ pub struct Args {
     /// Do not start programs other than realo to ask for their ports
     #[arg(long)]
     no_start: bool,
+    /// Model file of every detector [default: each node's own]
+    #[arg(long)]
+    model: Option<PathBuf>,
 }
 
-/// Prints the findings of each graph; errors fail.
+/// Prints the findings of each graph, and what is wrong with the networks that it runs; errors fail.
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.graphs {
-        let findings = check(&FlatGraph::load(path)?, args.no_start);
+        let graph = FlatGraph::load(path)?;
+        let findings = check(&graph, args.no_start);
         for finding in &findings {
             println!("{}: {finding}", path.display());
         }
         if findings.iter().any(|finding| finding.severity == Severity::Error) {
+            outcome = Outcome::Failed;
+        } else if let Err(error) = crate::run::check_networks(graph, args.model.as_deref()) {
+            println!("{}: error: {error:#}", path.display());
             outcome = Outcome::Failed;
         } else if findings.is_empty() {
             println!("{}: fine", path.display());

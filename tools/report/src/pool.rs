@@ -73,13 +73,16 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
 type Setting = (&'static str, fn(&Settings) -> &String);
 
 fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
-    let settings: [Setting; 6] = [
+    let settings: [Setting; 9] = [
         ("graph", |s| &s.graph),
         ("mode", |s| &s.mode),
         ("coop", |s| &s.coop),
         ("link", |s| &s.link),
         ("compute", |s| &s.compute),
         ("isa", |s| &s.isa),
+        ("model", |s| &s.model),
+        ("project", |s| &s.project),
+        ("set", |s| &s.set),
     ];
     match settings.into_iter().find(|(_, get)| get(one) != get(other)) {
         Some((what, get)) => Err(PoolError::Differ {

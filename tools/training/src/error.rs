@@ -40,6 +40,12 @@ pub enum TrainError {
         /// Expected and found.
         reason: String,
     },
+    /// A folder in which another training is at work.
+    #[error("another training writes into `{}`: wait for its end, or choose another --out", folder.display())]
+    Busy {
+        /// The folder.
+        folder: PathBuf,
+    },
     /// Options that cannot be met.
     #[error("training option `{field}`: expected {expected}, found {found}")]
     Option {

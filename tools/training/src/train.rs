@@ -1,5 +1,6 @@
 //! The training loop.
 
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -174,6 +175,24 @@ struct Training<'a> {
     filling: Filling,
     state: Checkpoint,
     checkpoint: PathBuf,
+    /// Held as long as the folder is written to.
+    _lock: File,
+}
+
+/// Makes a folder, if it is not there, and keeps other trainings out of it.
+fn lock(folder: &Path) -> Result<File, TrainError> {
+    let failed = |path: &Path, error| TrainError::Write {
+        path: path.into(),
+        error,
+    };
+    std::fs::create_dir_all(folder).map_err(|error| failed(folder, error))?;
+    let path = folder.join("lock");
+    let file = File::create(&path).map_err(|error| failed(&path, error))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(TrainError::Busy { folder: folder.into() }),
+        Err(TryLockError::Error(error)) => Err(failed(&path, error)),
+    }
 }
 
 /// The frames that options ask for.
@@ -262,10 +281,7 @@ impl<'a> Training<'a> {
             augmentation: options.augmentation.clone(),
             data: source.name.clone(),
         };
-        std::fs::create_dir_all(&options.output).map_err(|error| TrainError::Write {
-            path: options.output.clone(),
-            error,
-        })?;
+        let lock = lock(&options.output)?;
         let checkpoint = options.output.join("checkpoint.safetensors");
         let state = state(options, &model, plan, &checkpoint)?;
         let recipe = Recipe {
@@ -289,6 +305,7 @@ impl<'a> Training<'a> {
             filling,
             state,
             checkpoint,
+            _lock: lock,
         };
         training.check_classes()?;
         training.copy_model()?;

@@ -161,6 +161,24 @@ fn a_time_budget_ends_early_and_a_resume_goes_on() {
 }
 
 #[test]
+fn two_trainings_do_not_share_a_folder() {
+    let folder = Folder::new();
+    let options = folder.options("truck", "out");
+    let second = TrainOptions {
+        resume: true,
+        ..folder.options("truck", "out")
+    };
+    let mut refused = Vec::new();
+    train(&options, |_| refused.push(train(&second, |_| ()).unwrap_err())).unwrap();
+    let busy = |error: &TrainError| matches!(error, TrainError::Busy { .. });
+    assert!(refused.len() == 6 && refused.iter().all(busy), "{refused:?}");
+    assert!(
+        train(&second, |_| ()).unwrap().complete,
+        "the lock goes with the training"
+    );
+}
+
+#[test]
 fn a_full_disk_leaves_the_checkpoint_before() {
     let folder = Folder::new();
     let mut options = folder.options("truck", "out");

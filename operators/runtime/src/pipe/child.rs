@@ -275,17 +275,57 @@ static NOBODY: Registration = Registration {
 mod tests {
     use std::process::Stdio;
 
-    use super::*;
+    use realo_schemas::{Header, Kind, PayloadType, PointCloud};
 
-    fn start(script: &str, patience: Duration) -> String {
+    use super::*;
+    use crate::Port;
+
+    fn shell(script: &str, patience: Duration) -> Result<Child, String> {
         let mut command = Command::new("sh");
         command.args(["-c", script]);
         command
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        let started = Child::start("fusion", command, patience);
+        Child::start("fusion", command, patience)
+    }
+
+    fn start(script: &str, patience: Duration) -> String {
+        let started = shell(script, patience);
         started.map(|_| ()).expect_err("it speaks no protocol")
+    }
+
+    #[test]
+    fn a_program_that_stops_reading_is_stopped_and_named() {
+        static DEAF: Registration = Registration {
+            name: "deaf",
+            inputs: &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps")],
+            ..NOBODY
+        };
+        let hello = tempfile::NamedTempFile::new().unwrap();
+        frame::write(&mut hello.as_file(), &hello::write(&DEAF).unwrap()).unwrap();
+        let script = format!("cat '{}'; exec sleep 60", hello.path().display());
+        let mut child = shell(&script, Duration::from_secs(60)).unwrap();
+        child.silence = Duration::from_millis(100);
+        // More than a pipe holds.
+        const POINTS: usize = 100_000;
+        let axis = || vec![0.0; POINTS];
+        let cloud = PointCloud::new(
+            axis(),
+            axis(),
+            axis(),
+            vec![0; POINTS],
+            vec![0; POINTS],
+            vec![0; POINTS],
+        );
+        let cloud = cloud.expect("the columns are as long as each other");
+        let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Points, 0, 0, 0);
+        let asked = child.on_input(PortId(0), Message::new(header, cloud), &mut Outputs::at(0));
+        let error = asked.unwrap_err().to_string();
+        assert!(
+            error.contains("no reply within") && error.contains("it was stopped"),
+            "{error}"
+        );
     }
 
     #[test]

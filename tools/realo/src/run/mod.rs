@@ -12,8 +12,10 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_results::Run;
+use realo_runtime::graph::FlatGraph;
 
 use crate::Outcome;
+use networks::Networks;
 use prepare::Cell;
 
 pub use dora::find as find_dora;
@@ -168,6 +170,18 @@ impl Args {
         }
         Ok(mode)
     }
+}
+
+/// Loads the networks of a graph as its nodes would, all from one model file if there is one.
+///
+/// # Errors
+/// A model or weights that cannot be had, kernels that this processor lacks, models that do not fit together.
+pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
+    prepare::anchor_paths(&mut graph)?;
+    if let Some(model) = model {
+        prepare::set_model(&mut graph, &std::path::absolute(model)?);
+    }
+    Networks::default().check(&graph).map(|_| ())
 }
 
 /// Runs every graph over every log and ego, pools, and prints.

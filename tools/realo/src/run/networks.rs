@@ -6,13 +6,22 @@ use std::path::{Path, PathBuf};
 use eyre::{Result, WrapErr, bail};
 use realo_runtime::graph::{FlatGraph, FlatNode, InputSource};
 
-use super::prepare::{given, lexically_normal, stage_of};
+use super::prepare::{argument, nodes_of, stage_of};
 
 const ENCODER: &str = "pillar-encoder";
 const HEAD: &str = "detection-head";
 
 /// What is known of a network: its identity and the kernels that it runs on.
 type Known = (String, String);
+
+/// The networks of a graph in words, each once; empty without any.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Words {
+    /// Names of the models, with a hash of model file and weights.
+    pub models: String,
+    /// Precisions and instruction sets.
+    pub kernels: String,
+}
 
 /// The networks that were looked at, by model file and `isa`; runs over many logs have the same ones.
 #[derive(Default)]
@@ -30,25 +39,27 @@ impl Networks {
         Ok(&self.0[&key])
     }
 
-    /// Loads every network of a graph; gives the kernels that they run on, empty without a network.
+    /// Loads every network of a graph.
     ///
     /// # Errors
     /// A model or weights that cannot be had, kernels that this processor lacks, and a head behind the encoder of
     /// another model; each names the node.
-    pub fn check(&mut self, graph: &FlatGraph) -> Result<String> {
+    pub fn check(&mut self, graph: &FlatGraph) -> Result<Words> {
         let mut identities: BTreeMap<&str, (PathBuf, String)> = BTreeMap::new();
         let mut kernels = BTreeSet::new();
         for node in &graph.nodes {
-            let Some(stage) = stage_of(node).filter(|stage| [ENCODER, HEAD].contains(stage)) else {
+            if !is_network(node) {
                 continue;
-            };
-            let path = model_of(graph, node, stage)?;
-            let isa = given(node, "isa").unwrap_or("auto");
-            let (identity, runs_on) = self.known(&path, isa).wrap_err_with(|| format!("node `{}`", node.id))?;
+            }
+            let path = PathBuf::from(argument(node, "model").unwrap_or_default());
+            let isa = argument(node, "isa").unwrap_or_default();
+            let (identity, runs_on) = self
+                .known(&path, &isa)
+                .wrap_err_with(|| format!("node `{}`", node.id))?;
             kernels.insert(runs_on.clone());
             identities.insert(&node.id, (path, identity.clone()));
         }
-        for node in graph.nodes.iter().filter(|node| stage_of(node) == Some(HEAD)) {
+        for node in nodes_of(graph, HEAD) {
             for input in node.inputs.values() {
                 let InputSource::Output { node: source, .. } = &input.source else {
                     continue;
@@ -63,17 +74,16 @@ impl Networks {
                 }
             }
         }
-        Ok(kernels.into_iter().collect::<Vec<_>>().join(", "))
+        let models: BTreeSet<String> = identities.into_values().map(|(_, identity)| identity).collect();
+        let words = |set: BTreeSet<String>| set.into_iter().collect::<Vec<_>>().join(", ");
+        Ok(Words {
+            models: words(models),
+            kernels: words(kernels),
+        })
     }
 }
 
-/// The model file of a node, seen from the graph's folder.
-fn model_of(graph: &FlatGraph, node: &FlatNode, stage: &str) -> Result<PathBuf> {
-    let own = match stage {
-        ENCODER => realo_pillar_encoder::Config::default().model,
-        _ => realo_detection_head::Config::default().model,
-    };
-    let model = given(node, "model").map_or(own, PathBuf::from);
-    let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
-    Ok(lexically_normal(&folder.join(model)))
+/// Whether a node runs a network.
+pub(super) fn is_network(node: &FlatNode) -> bool {
+    stage_of(node).is_some_and(|stage| [ENCODER, HEAD].contains(&stage))
 }

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_logs::{Log, Stream};
+use realo_runtime::ComputeProfile;
 use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
-use realo_runtime::{ComputeProfile, Describe};
 
-use super::networks::Networks;
+use super::networks::{Networks, is_network};
 use super::{Args, Mode, dir_of};
 use crate::{REGISTRY, demo};
 
@@ -85,9 +85,9 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 out: &out,
             };
             let mut graph = told.to(&graph, &set)?;
-            let kernels = networks.check(&graph)?;
-            let results = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("results"));
-            results.for_each(|node| node.set("isa", &kernels));
+            let networks = networks.check(&graph)?;
+            set_all(&mut graph, "results", "isa", &networks.kernels);
+            set_all(&mut graph, "results", "model", &networks.models);
             spare(&graph, &logs)?;
             check(&graph)?;
             cells.push(Cell {
@@ -122,6 +122,27 @@ pub(super) fn stage_of(node: &FlatNode) -> Option<&'static str> {
     node.registration(&REGISTRY).map(|known| known.name)
 }
 
+pub(super) fn nodes_of<'g>(graph: &'g FlatGraph, stage: &str) -> impl Iterator<Item = &'g FlatNode> {
+    graph.nodes.iter().filter(move |node| stage_of(node) == Some(stage))
+}
+
+/// Sets an argument of every node of a stage.
+fn set_all(graph: &mut FlatGraph, stage: &str, key: &str, value: &str) {
+    let nodes = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some(stage));
+    nodes.for_each(|node| node.set(key, value));
+}
+
+/// Gives every network one model file.
+pub(super) fn set_model(graph: &mut FlatGraph, path: &Path) {
+    let networks = graph.nodes.iter_mut().filter(|node| is_network(node));
+    networks.for_each(|node| node.set("model", &path.to_string_lossy()));
+}
+
+/// Whether a node can bring what it sends to the ego's frame.
+fn takes_states(node: &FlatNode) -> bool {
+    stage_of(node) == Some(ENCODER) && node.inputs.contains_key("state")
+}
+
 fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
     let graph = if args.recorded_detections {
@@ -131,7 +152,16 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     };
     let mut flat = graph.expand()?;
     anchor_paths(&mut flat)?;
-    let takes_states = |node: &FlatNode| stage_of(node) == Some(ENCODER) && node.inputs.contains_key("state");
+    if args.model.is_some() && !flat.nodes.iter().any(is_network) {
+        bail!(
+            "--model: {} has no node that runs a network{}",
+            flat.file.display(),
+            match args.recorded_detections {
+                true => " with --recorded-detections: drop one of the two",
+                false => "",
+            }
+        );
+    }
     if args.project.is_some() && !flat.nodes.iter().any(takes_states) {
         bail!(
             "--project: {} has no {ENCODER} whose input `state` gets the ego's states, so no sender can project",
@@ -139,7 +169,7 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
         );
     }
     for needed in ["player", "results"] {
-        if !flat.nodes.iter().any(|node| stage_of(node) == Some(needed)) {
+        if nodes_of(&flat, needed).next().is_none() {
             let file = flat.file.display();
             bail!("{file}: expected a node `{needed}`, found none; without it, start the graph with `dora run`");
         }
@@ -160,7 +190,7 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
 /// Refuses a graph that would record into a log that is played.
 fn spare(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
     let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-    for node in graph.nodes.iter().filter(|node| stage_of(node) == Some("recorder")) {
+    for node in nodes_of(graph, "recorder") {
         let path = PathBuf::from(given(node, "path").unwrap_or_default());
         if let Some(log) = logs.iter().find(|log| same(log, &path)) {
             let (id, log) = (&node.id, log.display());
@@ -171,23 +201,34 @@ fn spare(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
 }
 
 /// An argument of a node as the graph has it.
-pub(super) fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
+fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
     let value = |arg: &'a String| arg.split_once('=').filter(|(name, _)| *name == key);
     node.settings().iter().find_map(value).map(|(_, value)| value)
 }
 
-/// Makes the paths that a graph gives in its arguments absolute. A value that begins with `./` or `../` is one, seen from
-/// the graph's folder, where dora starts the nodes.
-fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
+/// An argument of a stage: the graph's, or else its default.
+pub(super) fn argument(node: &FlatNode, key: &str) -> Option<String> {
+    let default = || {
+        let default = (node.registration(&REGISTRY)?.defaults)().get(key)?.clone();
+        Some(default.as_str().map_or_else(|| default.to_string(), str::to_string))
+    };
+    given(node, key).map(str::to_string).or_else(default)
+}
+
+/// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
+/// own, from which they are seen. A value that begins with `./` or `../` is one, and the model of a network always.
+pub(super) fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
-        let relative = |setting: &String| {
-            let (key, value) = setting.split_once('=')?;
-            is_relative_path(value).then(|| (key.to_string(), lexically_normal(&folder.join(value))))
-        };
-        let found: Vec<(String, PathBuf)> = node.settings().iter().filter_map(relative).collect();
-        for (key, path) in found {
-            node.set(&key, &path.to_string_lossy());
+        let own = node.registration(&REGISTRY).map(|known| (known.defaults)());
+        let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
+        let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
+        let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();
+        for key in keys {
+            let is_path = |value: &String| is_relative_path(value) || (key == "model" && is_network(node));
+            if let Some(path) = argument(node, &key).filter(is_path) {
+                node.set(&key, &lexically_normal(&folder.join(path)).to_string_lossy());
+            }
         }
     }
     Ok(())
@@ -202,13 +243,10 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
             .map(|log| std::path::absolute(log).wrap_err_with(|| format!("{}", log.display())))
             .collect();
     }
-    let player = graph.nodes.iter().find(|node| stage_of(node) == Some("player"));
-    let player = player.ok_or_else(|| eyre!("{}: no node `player` to play a log", graph.file.display()))?;
-    let written = given(player, "log").map(PathBuf::from);
-    let log = written.unwrap_or_else(|| realo_player::Config::default().log);
-    let log = lexically_normal(&std::path::absolute(
-        graph.file.parent().unwrap_or(Path::new(".")).join(log),
-    )?);
+    let log = nodes_of(graph, "player").find_map(|player| argument(player, "log"));
+    let log = log.ok_or_else(|| eyre!("{}: no node `player` to play a log", graph.file.display()))?;
+    let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
+    let log = lexically_normal(&folder.join(log));
     if log.ends_with(demo::FILE) {
         demo::make(&log)?;
     }
@@ -216,7 +254,7 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
 }
 
 /// The path without `..`, as it is written (no link is followed).
-pub(super) fn lexically_normal(path: &Path) -> PathBuf {
+fn lexically_normal(path: &Path) -> PathBuf {
     let mut normal = PathBuf::new();
     for part in path.components() {
         match part {
@@ -250,13 +288,13 @@ impl Told<'_> {
         let mut graph = graph.clone();
         let told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
         for (stage, key, value) in told {
-            let of_stage = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some(stage));
-            of_stage.for_each(|node| node.set(key, &value));
+            set_all(&mut graph, stage, key, &value);
+        }
+        if let Some(model) = &self.args.model {
+            set_model(&mut graph, &std::path::absolute(model)?);
         }
         if let Some(project) = self.args.project {
-            let takes_states =
-                |node: &&mut FlatNode| stage_of(node) == Some(ENCODER) && node.inputs.contains_key("state");
-            let encoders = graph.nodes.iter_mut().filter(takes_states);
+            let encoders = graph.nodes.iter_mut().filter(|node| takes_states(node));
             encoders.for_each(|node| node.set("project", project.as_str()));
         }
         for recorder in graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("recorder")) {
@@ -275,13 +313,17 @@ impl Told<'_> {
                 );
             }
         }
-        let links = [
-            ("link", links_have(&graph, "profile", |value| stem(Path::new(value)))),
-            ("seed", links_have(&graph, "seed", str::to_string)),
+        let links: Vec<&FlatNode> = nodes_of(&graph, "link").collect();
+        let projectors: Vec<&FlatNode> = graph.nodes.iter().filter(|node| takes_states(node)).collect();
+        let changes: Vec<String> = set.iter().map(change_in_words).collect();
+        let told = [
+            ("link", values(&links, "profile", |value| stem(Path::new(value)))),
+            ("seed", values(&links, "seed", str::to_string)),
+            ("project", values(&projectors, "project", str::to_string)),
+            ("set", changes.join(", ")),
         ];
-        for (key, value) in links {
-            let results = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("results"));
-            results.for_each(|node| node.set(key, &value));
+        for (key, value) in told {
+            set_all(&mut graph, "results", key, &value);
         }
         Ok(graph)
     }
@@ -318,10 +360,6 @@ impl Told<'_> {
         if args.recorded_detections {
             told.push(("player", "detections", "required".into()));
         }
-        if let Some(model) = &args.model {
-            let model = std::path::absolute(model)?.to_string_lossy().into_owned();
-            told.extend(["pillar-encoder", "detection-head"].map(|stage| (stage, "model", model.clone())));
-        }
         told.extend(args.rate.map(|rate| ("player", "rate", rate.to_string())));
         told.extend(args.seed.map(|seed| ("link", "seed", seed.to_string())));
         if let Some(profile) = &args.link {
@@ -337,7 +375,7 @@ impl Told<'_> {
         let has = |stream| info.agents.iter().any(|agent| self.log.has(&agent.name, stream));
         if has(Stream::Sweeps) && !has(Stream::Points) {
             let stem = stem(self.log_path);
-            if let Some(node) = graph.nodes.iter().find(|node| stage_of(node) == Some("pillar-encoder")) {
+            if let Some(node) = nodes_of(graph, "pillar-encoder").next() {
                 let id = &node.id;
                 bail!(
                     "{stem}: a log without points, in which node `{id}` sees nothing: take a log with points, or a graph \
@@ -363,16 +401,22 @@ fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// What the links of a graph have for an argument, each value once.
-fn links_have(graph: &FlatGraph, key: &str, named: impl Fn(&str) -> String) -> String {
-    let defaults = realo_runtime::config::defaults::<<realo_link::Link as Describe>::Config>();
-    let default = defaults
-        .get(key)
-        .map(|value| value.as_str().map_or(value.to_string(), str::to_string));
-    let default = default.unwrap_or_default();
-    let links = graph.nodes.iter().filter(|node| stage_of(node) == Some("link"));
-    let values: BTreeSet<String> = links.map(|link| named(given(link, key).unwrap_or(&default))).collect();
+/// What nodes of one stage have for an argument, each value once.
+fn values(nodes: &[&FlatNode], key: &str, named: impl Fn(&str) -> String) -> String {
+    let values: BTreeSet<String> = nodes
+        .iter()
+        .filter_map(|node| argument(node, key))
+        .map(|value| named(&value))
+        .collect();
     values.into_iter().collect::<Vec<_>>().join(", ")
+}
+
+/// A change by hand as results tell it: a file by its name, for results hold no path.
+fn change_in_words(setting: &Setting) -> String {
+    let path = Path::new(&setting.value);
+    let value = path.file_name().filter(|_| path.is_absolute());
+    let value = value.map_or(setting.value.clone().into(), |name| name.to_string_lossy());
+    format!("{}.{}={value}", setting.node, setting.key)
 }
 
 /// Refuses a graph with errors and prints its warnings.

@@ -160,9 +160,12 @@ impl Reading {
         Ok(paths)
     }
 
-    /// Tells logs of the same name and different content apart: a hash of its path, its source and its span.
+    /// Tells logs of the same name and different content apart: a hash of its path, its source, its span, and of size and
+    /// date of the file.
     fn identity(&self) -> u64 {
-        let text = format!("{:?} {:?} {:?}", self.log.path(), self.log.info(), self.log.span());
+        let file = std::fs::metadata(self.log.path()).map(|file| (file.len(), file.modified().ok()));
+        let (path, info, span) = (self.log.path(), self.log.info(), self.log.span());
+        let text = format!("{path:?} {info:?} {span:?} {:?}", file.ok());
         text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
         })
