@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 
 use common::{folder, json, once, realo, realo_ok, run_virtual, simulated, text};
 use realo_evaluator::{Evaluation, Outcome, Scope, match_frame};
-use realo_logs::LogInfo;
+use realo_logs::{Log, LogInfo, LogWriter, Stream};
+use realo_render::{Request, Scene};
+use realo_schemas::Nanos;
 use serde_json::Value;
 
 const LOG: &str = "render_small";
@@ -260,7 +262,9 @@ fn a_run_without_recording_and_a_log_of_another_run_are_refused() {
     );
 
     // The same agents at other times: the log's name does not tell.
-    let later = once("render_later.mcap", |path| shifted(Path::new(&log), path));
+    let later = once("render_later.mcap", |path| {
+        shifted(Path::new(&log), path, [("cav1", HOUR), ("rsu1", HOUR)])
+    });
     let (code, said) = render(&run(), &dir.join("x.svg"), &["--log", &later.to_string_lossy()]);
     assert_eq!(code, Some(1), "{said}");
     assert!(
@@ -269,28 +273,52 @@ fn a_run_without_recording_and_a_log_of_another_run_are_refused() {
     );
 }
 
-/// A log of the same agents with a sweep and a pose each, at quite other times.
-fn shifted(from: &Path, to: &Path) {
-    use realo_logs::{Log, LogWriter, Stream};
+#[test]
+fn an_agent_with_rare_poses_is_drawn_by_that_of_its_sweep() {
+    let log = log();
+    let rare = once("render_rare.mcap", |path| {
+        shifted(&log, path, [("cav1", HOUR), ("rsu1", HOUR + 30_000_000)]);
+    });
+    let args = ["--recorded-detections", "--offline", "--ego", "cav1"];
+    run_virtual("render_rare_run", "late_fusion", &rare, &args);
+    let chosen = realo_render::choose(&Request {
+        run: Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_rare_run"),
+        frame: None,
+        ego: None,
+        log: Some(rare),
+        log_folders: Vec::new(),
+    });
+    let scene = Scene::of(chosen.expect("the run has a frame")).expect("the frame can be drawn");
+    let agents: Vec<_> = scene
+        .agents
+        .iter()
+        .map(|agent| (agent.name.as_str(), !agent.points.is_empty()))
+        .collect();
+    assert_eq!(agents, [("cav1", true), ("rsu1", true)]);
+}
+
+const HOUR: Nanos = 3_600_000_000_000;
+
+/// A log of a sweep, its recorded detections and a pose of each agent, so much later than they were.
+fn shifted(from: &Path, to: &Path, agents: [(&str, Nanos); 2]) {
     let log = Log::open(from).expect("the log can be read");
     let info: LogInfo = log.info().clone();
     let mut writer = LogWriter::create_atomic(to, &info).expect("the log can be written");
-    for agent in ["cav1", "rsu1"] {
-        for stream in [Stream::Pose, Stream::Points] {
+    for (agent, later) in agents {
+        let first = |stream| {
             let mut reader = log.read_all(&[(agent, stream)]).expect("it has the stream");
-            let entry = reader.next().expect("it can be read").expect("it has messages");
-            let (stamp, ready) = (entry.stamp() + 3_600_000_000_000, entry.ready() + 3_600_000_000_000);
-            match stream {
-                Stream::Pose => {
-                    let pose = entry.pose().expect("a pose");
-                    writer.pose(agent, stamp, ready, &pose).expect("it can be written");
-                }
-                _ => {
-                    let cloud = entry.cloud().expect("a cloud");
-                    writer.cloud(agent, stamp, ready, &cloud).expect("it can be written");
-                }
-            }
-        }
+            reader.next().expect("it can be read").expect("it has messages")
+        };
+        let sweep = first(Stream::Points);
+        let (stamp, ready) = (sweep.stamp() + later, sweep.ready() + later);
+        let pose = first(Stream::Pose).pose().expect("a pose");
+        let (cloud, boxes) = (sweep.cloud().expect("a cloud"), first(Stream::Detections).boxes());
+        let boxes = boxes.expect("boxes");
+        writer.pose(agent, stamp, ready, &pose).expect("it can be written");
+        writer.cloud(agent, stamp, ready, &cloud).expect("it can be written");
+        writer
+            .detections(agent, stamp, ready, &boxes)
+            .expect("it can be written");
     }
     writer.finish().expect("the log can be finished");
 }

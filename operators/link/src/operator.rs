@@ -156,27 +156,27 @@ impl Link {
             *known = fix;
         }
         for (header, packet) in early {
-            self.to_ego(&header, &packet, out);
+            self.send_to_ego(&header, &packet, out);
         }
         Ok(())
     }
 
     /// Carries a packet of another agent, or keeps it until its sender has told a position: an agent's first packet
     /// derives from its first state and may overtake it, for they come on different edges.
-    fn from_other(&mut self, header: Header, packet: Packet, out: &mut Outputs) {
+    fn hear_other(&mut self, header: Header, packet: Packet, out: &mut Outputs) {
         if self.fixes.contains_key(&header.agent) {
-            return self.to_ego(&header, &packet, out);
+            return self.send_to_ego(&header, &packet, out);
         }
         let early = self.early.entry(header.agent.clone()).or_default();
         early.push_back((header, packet));
         if early.len() > EARLY
             && let Some((header, packet)) = early.pop_front()
         {
-            self.to_ego(&header, &packet, out);
+            self.send_to_ego(&header, &packet, out);
         }
     }
 
-    fn to_ego(&mut self, header: &Header, packet: &Packet, out: &mut Outputs) {
+    fn send_to_ego(&mut self, header: &Header, packet: &Packet, out: &mut Outputs) {
         match self.ego.clone() {
             Some(ego) => self.carry(TO_EGO, &ego, header, packet, out),
             None => out.count("no_receiver", 1),
@@ -284,13 +284,13 @@ impl Operator for Link {
             }
             return Ok(());
         }
-        self.from_other(header, packet, out);
+        self.hear_other(header, packet, out);
         Ok(())
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
         for (header, packet) in std::mem::take(&mut self.early).into_values().flatten() {
-            self.to_ego(&header, &packet, out);
+            self.send_to_ego(&header, &packet, out);
         }
         if let Some(last) = &self.last {
             let agent = self.ego.clone().unwrap_or_else(|| last.agent.clone());

@@ -47,7 +47,7 @@ pub struct Agent {
     pub kind: AgentKind,
     /// Its outline in its own body frame, [x min, x max, y min, y max], m, where it has one.
     pub footprint: Option<[f64; 4]>,
-    /// Where it is at the ego's stamp, (x, y), m.
+    /// Where it is at the ego's stamp, or at its sweep's where its poses do not reach, (x, y), m.
     pub position: [f64; 2],
     /// Its heading then, rad.
     pub yaw: f64,
@@ -133,11 +133,12 @@ fn agent(
         true => Some(*map_from_ego),
         false => track.at(stamp),
     };
-    let Some(map_from_agent) = at(chosen.stamp) else {
-        return Ok(None);
-    };
     let sweep = clouds::nearest(log, name, chosen.stamp)?;
     let stamp = sweep.as_ref().map(|sweep| sweep.stamp());
+    // Where poses are rare, the one of its sweep is the nearest that is known.
+    let Some(map_from_agent) = at(chosen.stamp).or_else(|| at(stamp?)) else {
+        return Ok(None);
+    };
     if is_ego && log.has(name, Stream::Points) && stamp != Some(chosen.stamp) {
         return Err(other_log(chosen, "it has no sweep of the ego"));
     }
