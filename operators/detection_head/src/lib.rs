@@ -178,3 +178,106 @@ impl DetectionHead {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
+
+    fn head(score_threshold: Option<f32>) -> Result<DetectionHead, Error> {
+        DetectionHead::new(Config {
+            model: MODEL.into(),
+            score_threshold,
+            ..Config::default()
+        })
+    }
+
+    /// A map of the model with one value in all cells.
+    fn map(value: f32) -> FeatureMap {
+        let [rows, columns, channels] = [100, 256, 64];
+        let values = vec![value; rows * columns * channels];
+        FeatureMap {
+            rows: rows as u32,
+            columns: columns as u32,
+            channels: channels as u32,
+            cell: 0.8,
+            origin: [-102.4, -40.0],
+            dtype: DType::F32,
+            data: values
+                .iter()
+                .flat_map(|value| value.to_le_bytes())
+                .collect::<Vec<u8>>()
+                .into(),
+            model: realo_nn::load(MODEL.as_ref(), "auto", 1)
+                .unwrap()
+                .identity
+                .as_str()
+                .into(),
+        }
+    }
+
+    fn detected(head: &mut DetectionHead, map: FeatureMap) -> Result<(Vec<Box3>, u64), Error> {
+        let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Features, 7, 11, 13);
+        let mut out = Outputs::at(13);
+        head.on_input(FEATURES, Message::new(header, map), &mut out)?;
+        let over = out.counted("over_limit_boxes");
+        let (port, message) = out.take_sent().remove(0);
+        let (header, boxes): (Header, Boxes) = message.into_parts().unwrap();
+        assert_eq!(
+            (port, header.kind, header.seq, header.stamp),
+            (BOXES, Kind::Boxes, 7, 11)
+        );
+        Ok((boxes.0, over))
+    }
+
+    #[test]
+    fn boxes_come_best_first_and_at_most_so_many() {
+        let (boxes, over) = detected(&mut head(Some(0.0)).unwrap(), map(0.0)).unwrap();
+        assert_eq!(boxes.len(), MOST);
+        assert_eq!(
+            over,
+            100 * 256 * 6 - MOST as u64,
+            "six anchors in each cell, all above 0"
+        );
+        assert!(boxes.windows(2).all(|pair| pair[0].score >= pair[1].score));
+        assert!(boxes.iter().all(is_valid));
+        let (boxes, over) = detected(&mut head(Some(0.999)).unwrap(), map(0.0)).unwrap();
+        assert_eq!((boxes.len(), over), (0, 0), "an even map shows nothing");
+    }
+
+    #[test]
+    fn maps_that_do_not_fit_are_refused_with_what_is_expected() {
+        let mut head = head(None).unwrap();
+        let other = FeatureMap {
+            model: "other-0".into(),
+            ..map(0.0)
+        };
+        let error = detected(&mut head, other).unwrap_err().to_string();
+        assert!(error.contains("lite-") && error.contains("other-0"), "{error}");
+        let half = FeatureMap {
+            dtype: DType::F16,
+            ..map(0.0)
+        };
+        let error = detected(&mut head, half).unwrap_err().to_string();
+        assert!(error.contains("expected a map of f32"), "{error}");
+        let narrow = FeatureMap {
+            columns: 128,
+            ..map(0.0)
+        };
+        assert!(detected(&mut head, narrow).is_err());
+        assert!(
+            detected(&mut head, map(f32::NAN)).unwrap().0.is_empty(),
+            "what is no number is no box"
+        );
+    }
+
+    #[test]
+    fn arguments_are_checked_and_are_the_keys_of_the_configuration() {
+        let error = head(Some(1.5)).err().expect("refused").to_string();
+        assert!(error.contains("`score_threshold`") && error.contains("1.5"), "{error}");
+        let keys: Vec<String> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let told: Vec<&str> = DetectionHead::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, told);
+    }
+}

@@ -149,3 +149,79 @@ impl PillarEncoder {
         Ok((map, dropped))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn encoder() -> PillarEncoder {
+        let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
+        PillarEncoder::new(Config {
+            model: model.into(),
+            ..Config::default()
+        })
+        .unwrap()
+    }
+
+    /// The map of points and the counts of those left out: nan, out of range, over points.
+    fn encoded(encoder: &mut PillarEncoder, points: &[[f32; 3]]) -> (Header, FeatureMap, [u64; 3]) {
+        let axis = |i: usize| points.iter().map(|point| point[i]).collect::<Vec<_>>();
+        let n = points.len();
+        let cloud = PointCloud::new(axis(0), axis(1), axis(2), vec![0; n], vec![0; n], vec![0; n]).unwrap();
+        let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Points, 7, 11, 13);
+        let mut out = Outputs::at(13);
+        encoder.on_input(CLOUDS, Message::new(header, cloud), &mut out).unwrap();
+        let counted = ["nan_points", "out_of_range_points", "over_points"].map(|counter| out.counted(counter));
+        let (port, message) = out.take_sent().remove(0);
+        assert_eq!(port, FEATURES);
+        let (header, map) = message.into_parts().unwrap();
+        (header, map, counted)
+    }
+
+    #[test]
+    fn an_empty_sweep_and_one_without_usable_points_give_the_map_of_an_empty_canvas() {
+        let mut encoder = encoder();
+        let (header, empty, counted) = encoded(&mut encoder, &[]);
+        assert_eq!((header.kind, header.seq, header.stamp), (Kind::Features, 7, 11));
+        assert_eq!(
+            (empty.rows, empty.columns, empty.channels, empty.cell),
+            (100, 256, 64, 0.8)
+        );
+        assert_eq!((empty.origin, counted), ([-102.4, -40.0], [0; 3]));
+
+        // Left out: 102.4 is outside already.
+        let (_, map, counted) = encoded(&mut encoder, &[[f32::NAN, 0.0, 0.0], [102.4, 0.0, 0.0]]);
+        assert_eq!((map == empty, counted), (true, [1, 1, 0]));
+
+        let (_, map, counted) = encoded(&mut encoder, &[[5.1, 0.1, 0.5]; 40]);
+        assert_eq!((map == empty, counted), (false, [0, 0, 8]), "a pillar takes 32 points");
+        assert!(
+            encoded(&mut encoder, &[]).1 == empty,
+            "nothing stays of the sweep before"
+        );
+    }
+
+    #[test]
+    fn refuses_other_inputs_and_kernels_that_are_unknown() {
+        let features = encoded(&mut encoder(), &[]);
+        let message = Message::new(features.0, features.1);
+        assert!(
+            encoder()
+                .on_input(CLOUDS, message.clone(), &mut Outputs::at(0))
+                .is_err()
+        );
+        assert!(encoder().on_input(PortId(1), message, &mut Outputs::at(0)).is_err());
+        let error = PillarEncoder::new(Config {
+            isa: "sse9".into(),
+            ..Config::default()
+        });
+        assert!(error.is_err());
+    }
+
+    #[test]
+    fn arguments_are_the_keys_of_the_configuration() {
+        let keys: Vec<String> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let told: Vec<&str> = PillarEncoder::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, told);
+    }
+}
