@@ -1,4 +1,7 @@
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::pin::pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, Wake, Waker};
+use std::thread::Thread;
 use std::time::Duration;
 
 use arrow::array::ArrayRef;
@@ -7,12 +10,9 @@ use realo_schemas::Nanos;
 
 use super::wall_now;
 
-/// Events that may wait here; what dora holds beyond that it drops, and `hop` shows it.
-const CAPACITY: usize = 4096;
-
 /// What a node hears from dora.
 pub(super) enum Heard {
-    /// A message on an input, with the wall time of its arrival.
+    /// A message on an input, with the wall time at which it was taken.
     Input(String, ArrayRef, Nanos),
     /// The node behind an input has closed it.
     Closed(String),
@@ -24,51 +24,89 @@ pub(super) enum Heard {
     Trouble(String),
 }
 
-/// Takes events from dora as they come, also while the stage computes.
-pub(super) struct Inbox(Receiver<Heard>);
+/// Takes events from dora on the thread that waits for them: one more thread would cost a change of threads at every hop.
+/// What comes while the stage computes waits in dora's queues; what they drop, `hop` shows.
+pub(super) struct Inbox {
+    events: EventStream,
+    waker: Waker,
+}
+
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
 
 impl Inbox {
-    pub fn start(mut events: EventStream) -> Self {
-        let (sender, receiver) = sync_channel(CAPACITY);
-        std::thread::spawn(move || {
-            while let Some(event) = events.recv() {
-                let heard = match event {
-                    Event::Input { id, data, .. } => Heard::Input(id.to_string(), data.into_inner(), wall_now()),
-                    Event::InputClosed { id } => Heard::Closed(id.to_string()),
-                    Event::NodeFailed {
-                        source_node_id, error, ..
-                    } => Heard::Failed {
-                        node: source_node_id.to_string(),
-                        reason: error,
-                    },
-                    Event::Stop(StopCause::Manual) => Heard::Stopped,
-                    Event::Error(error) => Heard::Trouble(error),
-                    _ => continue,
-                };
-                if sender.send(heard).is_err() {
-                    return;
-                }
-            }
-        });
-        Inbox(receiver)
+    /// For the thread that calls this, and no other.
+    pub fn new(events: EventStream) -> Self {
+        let unpark = Unpark(std::thread::current());
+        Inbox {
+            events,
+            waker: Waker::from(Arc::new(unpark)),
+        }
     }
 
-    /// The next event before wall time `until`; `None` when that time has come or nothing more can come.
-    pub fn wait(&self, until: Nanos) -> Option<Heard> {
-        let wait = Duration::from_nanos((until - wall_now()).max(0) as u64);
-        match self.0.recv_timeout(wait) {
-            Ok(heard) => Some(heard),
-            Err(RecvTimeoutError::Timeout) => None,
-            Err(RecvTimeoutError::Disconnected) => {
+    /// The next event before wall time `until`; `None` when that time has come.
+    pub fn wait(&mut self, until: Nanos) -> Option<Heard> {
+        loop {
+            match self.next() {
+                Poll::Ready(Some(event)) => {
+                    if let Some(heard) = heard(event) {
+                        return Some(heard);
+                    }
+                }
                 // The stream is closed; the time still has to pass for what is held.
-                std::thread::sleep(Duration::from_nanos((until - wall_now()).max(0) as u64));
-                None
+                Poll::Ready(None) => {
+                    std::thread::sleep(left(until)?);
+                    return None;
+                }
+                Poll::Pending => std::thread::park_timeout(left(until)?),
             }
         }
     }
 
     /// An event that is there already.
-    pub fn poll(&self) -> Option<Heard> {
-        self.0.try_recv().ok()
+    pub fn poll(&mut self) -> Option<Heard> {
+        loop {
+            match self.next() {
+                Poll::Ready(Some(event)) => {
+                    if let Some(heard) = heard(event) {
+                        return Some(heard);
+                    }
+                }
+                Poll::Ready(None) | Poll::Pending => return None,
+            }
+        }
+    }
+
+    /// The next event; where there is none yet, the waker is called when one comes.
+    fn next(&mut self) -> Poll<Option<Event>> {
+        pin!(self.events.recv_async()).poll(&mut Context::from_waker(&self.waker))
+    }
+}
+
+/// Until a wall time; `None` once it has come.
+fn left(until: Nanos) -> Option<Duration> {
+    let left = u64::try_from(until - wall_now()).ok().filter(|left| *left > 0)?;
+    Some(Duration::from_nanos(left))
+}
+
+/// What matters to a node.
+fn heard(event: Event) -> Option<Heard> {
+    match event {
+        Event::Input { id, data, .. } => Some(Heard::Input(id.to_string(), data.into_inner(), wall_now())),
+        Event::InputClosed { id } => Some(Heard::Closed(id.to_string())),
+        Event::NodeFailed {
+            source_node_id, error, ..
+        } => Some(Heard::Failed {
+            node: source_node_id.to_string(),
+            reason: error,
+        }),
+        Event::Stop(StopCause::Manual) => Some(Heard::Stopped),
+        Event::Error(error) => Some(Heard::Trouble(error)),
+        _ => None,
     }
 }

@@ -89,7 +89,7 @@ pub fn run(registration: &'static Registration, args: &[String]) -> Result<(), H
         node,
         registration,
     };
-    let inbox = Inbox::start(events);
+    let inbox = Inbox::new(events);
     match built {
         Built::Source(source) => source::run(source, link, inbox),
         Built::Operator(operator) => hosted::run(hosted::Body::Operator(operator), link, inbox),

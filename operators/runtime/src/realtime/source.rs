@@ -15,7 +15,7 @@ const HELLO: Nanos = 50_000_000;
 const LOOK: Nanos = 50_000_000;
 
 /// Releases a source's messages by the wall clock.
-pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, inbox: Inbox) -> Result<(), HostError> {
+pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, mut inbox: Inbox) -> Result<(), HostError> {
     let mut stage = Stage::new(link.id.as_str().into(), link.registration);
     let mut clock: Option<Clock> = None;
     let failed = |id: &str, error: crate::Error| HostError::Stage {
@@ -26,7 +26,7 @@ pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, inbox: Inb
         let clock = match clock {
             Some(clock) => clock,
             None => {
-                open_routes(&mut link, &inbox)?;
+                open_routes(&mut link, &mut inbox)?;
                 *clock.insert(Clock {
                     wall_origin: wall_now(),
                     log_origin: time,
@@ -34,7 +34,7 @@ pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, inbox: Inb
                 })
             }
         };
-        wait_until(clock.wall_at(time), &link.id, &inbox)?;
+        wait_until(clock.wall_at(time), &link.id, &mut inbox)?;
         let now = clock.log_at(wall_now());
         stage.books.compute.record(((now - time) as f64 / clock.rate) as Nanos);
         message.header.clock = Some(clock);
@@ -50,7 +50,7 @@ pub(super) fn run(mut source: Box<dyn AnySource>, mut link: DoraLink, inbox: Inb
     marks::send_end(&mut link, &stage.hops, &books, clock)
 }
 
-fn open_routes(link: &mut DoraLink, inbox: &Inbox) -> Result<(), HostError> {
+fn open_routes(link: &mut DoraLink, inbox: &mut Inbox) -> Result<(), HostError> {
     let begun = wall_now();
     for n in 0..LEAD / HELLO {
         marks::send_hello(link)?;
@@ -59,7 +59,7 @@ fn open_routes(link: &mut DoraLink, inbox: &Inbox) -> Result<(), HostError> {
     Ok(())
 }
 
-fn wait_until(wall: Nanos, id: &str, inbox: &Inbox) -> Result<(), HostError> {
+fn wait_until(wall: Nanos, id: &str, inbox: &mut Inbox) -> Result<(), HostError> {
     loop {
         let now = wall_now();
         match inbox.wait(wall.min(now + LOOK)) {
