@@ -4,8 +4,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
-use crate::scores::{Orders, Table, mean_of, table};
 use crate::sequence::{Entry, Order, Sequence, logs};
+use crate::table::{Orders, Table, mean_of, table};
 use crate::{Evaluation, Protocol, average_precision};
 
 /// Samples of the logs.

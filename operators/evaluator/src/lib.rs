@@ -18,6 +18,7 @@ mod precision;
 mod protocol;
 mod scores;
 mod sequence;
+mod table;
 #[cfg(test)]
 mod tests;
 
@@ -32,7 +33,8 @@ pub use intervals::{Bounds, Intervals};
 pub use matching::{Outcome, Scope, match_frame};
 pub use precision::{average_precision, curve};
 pub use protocol::{Protocol, ProtocolError, Rule, SuperClass};
-pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, Orders, RangeBin, Scores, Table, frame_scores, score};
+pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, RangeBin, Scores, frame_scores, score};
+pub use table::{Orders, Table};
 
 /// Topic of the operator's report.
 pub const TOPIC: &str = "evaluation";

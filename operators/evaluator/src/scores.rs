@@ -6,10 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::intervals::{Intervals, intervals};
 use crate::matching::Overlaps;
 use crate::sequence::{Order, Sequence, sequences};
+use crate::table::{Orders, Table, mean_of, table};
 use crate::{Dropped, Evaluation, Frame, Outcome, Protocol, Scene, Scope};
-
-/// Values by super-class and IoU.
-pub type Table<T> = BTreeMap<String, BTreeMap<String, T>>;
 
 /// The table of an evaluation; all accuracies are fractions in [0, 1].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,16 +34,6 @@ pub struct Scores {
     pub boxes_without_truth: u64,
     /// What a reader must know, e.g. why a value is null.
     pub notes: Vec<String>,
-}
-
-/// The same figures in the two orders of detections.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Orders<T> {
-    /// All detections of all frames by score.
-    pub sorted: T,
-    /// By score within a frame only, frames one after the other.
-    #[serde(rename = "v2x-real")]
-    pub v2x_real: T,
 }
 
 /// Average precision and what it is made from.
@@ -149,21 +137,6 @@ pub fn score(evaluation: &Evaluation) -> Scores {
     scores
 }
 
-pub(crate) fn table<T>(protocol: &Protocol, sequences: &[Vec<Sequence>], value: impl Fn(&Sequence) -> T) -> Table<T> {
-    let per_iou = |sequences: &Vec<Sequence>| {
-        protocol
-            .ious
-            .iter()
-            .zip(sequences)
-            .map(|(iou, sequence)| (Protocol::iou_key(*iou), value(sequence)))
-            .collect()
-    };
-    let classes = protocol.classes.iter().zip(sequences);
-    classes
-        .map(|(class, sequences)| (class.name.clone(), per_iou(sequences)))
-        .collect()
-}
-
 fn orders(
     protocol: &Protocol,
     sequences: &[Vec<Sequence>],
@@ -192,12 +165,6 @@ fn orders(
         sorted: accuracy(Order::Sorted),
         v2x_real: accuracy(Order::V2xReal),
     }
-}
-
-/// The mean, `None` if a value is missing.
-pub(crate) fn mean_of(values: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64> {
-    let count = values.len() as f64;
-    values.sum::<Option<f64>>().map(|sum| sum / count)
 }
 
 fn range_bins(protocol: &Protocol, sequence: &Sequence) -> Vec<RangeBin> {

@@ -1,8 +1,8 @@
 //! Kernels in plain Rust, in registers of 8 numbers that the compiler maps to what the CPU has.
 #![allow(unsafe_code)]
 
-use super::pack::{Kernel, Packed};
-use super::tile::{Run, Share, Simd, Store, share};
+use super::pack::{Kernel, Packed, Run, Share};
+use super::tile::{Simd, Store, share};
 use super::{Bf16, Element, Isa};
 
 const LANES: usize = 8;

@@ -4,28 +4,8 @@
 use std::mem::MaybeUninit;
 use std::ops::Range;
 
-use super::pack::Packed;
+use super::pack::{Packed, Share};
 use super::{Element, View};
-
-/// Computes a share of a layer, on a CPU that has the instructions.
-pub(crate) type Run<E, O> = unsafe fn(&Packed<E, O>, Share<E, O>);
-
-/// The rows of one worker.
-pub(crate) struct Share<'a, E, O> {
-    pub input: View<'a, E>,
-    /// Rows of windows (of input cells if the map is enlarged).
-    pub rows: Range<usize>,
-    /// Windows in a row.
-    pub columns: usize,
-    /// The rows of the output map that belong to `rows`, border columns included.
-    pub output: &'a mut [O],
-    /// Numbers of a row of the output map.
-    pub row: usize,
-    /// Numbers of a cell of the output map.
-    pub cell: usize,
-    /// The first channel to write.
-    pub first: usize,
-}
 
 /// The instructions that a tile needs, on registers of `LANES` outputs.
 ///

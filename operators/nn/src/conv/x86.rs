@@ -3,8 +3,8 @@
 
 use std::arch::x86_64::*;
 
-use super::pack::{Kernel, Packed};
-use super::tile::{Run, Share, Simd, Store, share};
+use super::pack::{Kernel, Packed, Run, Share};
+use super::tile::{Simd, Store, share};
 use super::{Bf16, Element, Isa};
 
 /// The f32 kernel in these instructions, if they are of x86-64, and the outputs of a block.

@@ -3,6 +3,7 @@
 mod compute;
 mod dora;
 mod networks;
+mod nodes;
 mod prepare;
 mod realtime;
 mod replay;
@@ -177,9 +178,9 @@ impl Args {
 /// # Errors
 /// A model or weights that cannot be had, kernels that this processor lacks, models that do not fit together.
 pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
-    prepare::anchor_paths(&mut graph)?;
+    nodes::anchor_paths(&mut graph)?;
     if let Some(model) = model {
-        prepare::set_model(&mut graph, &std::path::absolute(model)?);
+        nodes::set_model(&mut graph, &std::path::absolute(model)?);
     }
     Networks::default().check(&graph).map(|_| ())
 }

@@ -4,12 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail};
-use realo_runtime::graph::{FlatGraph, FlatNode, InputSource};
+use realo_runtime::graph::{FlatGraph, InputSource};
 
-use super::prepare::{argument, nodes_of, stage_of};
-
-const ENCODER: &str = "pillar-encoder";
-const HEAD: &str = "detection-head";
+use super::nodes::{HEAD, argument, is_network, nodes_of};
 
 /// What is known of a network: its identity and the kernels that it runs on.
 type Known = (String, String);
@@ -81,9 +78,4 @@ impl Networks {
             kernels: words(kernels),
         })
     }
-}
-
-/// Whether a node runs a network.
-pub(super) fn is_network(node: &FlatNode) -> bool {
-    stage_of(node).is_some_and(|stage| [ENCODER, HEAD].contains(&stage))
 }

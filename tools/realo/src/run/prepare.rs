@@ -1,6 +1,5 @@
 //! From options to runs: which graph, log and ego, with which arguments, and where results go.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
@@ -8,7 +7,11 @@ use realo_logs::{Log, Stream};
 use realo_runtime::ComputeProfile;
 use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
 
-use super::networks::{Networks, is_network};
+use super::networks::Networks;
+use super::nodes::{
+    PILLARS, SENDER, anchor_paths, argument, given, is_network, is_relative_path, lexically_normal, nodes_of, set_all,
+    set_model, stage_of, takes_states, values,
+};
 use super::{Args, Mode, dir_of};
 use crate::{REGISTRY, demo};
 
@@ -27,9 +30,6 @@ pub struct Cell {
     /// How long stages take in virtual time.
     pub compute: ComputeProfile,
 }
-
-/// The operator that can project.
-const ENCODER: &str = "transmission-encoder";
 
 /// What options of their own decide: node, argument, option.
 const OWNED: &[(&str, &str, &str)] = &[
@@ -114,35 +114,6 @@ fn setting(text: &str) -> Result<Setting> {
     Ok(setting)
 }
 
-fn is_relative_path(value: &str) -> bool {
-    value.starts_with("./") || value.starts_with("../")
-}
-
-pub(super) fn stage_of(node: &FlatNode) -> Option<&'static str> {
-    node.registration(&REGISTRY).map(|known| known.name)
-}
-
-pub(super) fn nodes_of<'g>(graph: &'g FlatGraph, stage: &str) -> impl Iterator<Item = &'g FlatNode> {
-    graph.nodes.iter().filter(move |node| stage_of(node) == Some(stage))
-}
-
-/// Sets an argument of every node of a stage.
-fn set_all(graph: &mut FlatGraph, stage: &str, key: &str, value: &str) {
-    let nodes = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some(stage));
-    nodes.for_each(|node| node.set(key, value));
-}
-
-/// Gives every network one model file.
-pub(super) fn set_model(graph: &mut FlatGraph, path: &Path) {
-    let networks = graph.nodes.iter_mut().filter(|node| is_network(node));
-    networks.for_each(|node| node.set("model", &path.to_string_lossy()));
-}
-
-/// Whether a node can bring what it sends to the ego's frame.
-fn takes_states(node: &FlatNode) -> bool {
-    stage_of(node) == Some(ENCODER) && node.inputs.contains_key("state")
-}
-
 fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
     let graph = if args.recorded_detections {
@@ -164,7 +135,7 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     }
     if args.project.is_some() && !flat.nodes.iter().any(takes_states) {
         bail!(
-            "--project: {} has no {ENCODER} whose input `state` gets the ego's states, so no sender can project",
+            "--project: {} has no {SENDER} whose input `state` gets the ego's states, so no sender can project",
             flat.file.display()
         );
     }
@@ -200,40 +171,6 @@ fn spare(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// An argument of a node as the graph has it.
-fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
-    let value = |arg: &'a String| arg.split_once('=').filter(|(name, _)| *name == key);
-    node.settings().iter().find_map(value).map(|(_, value)| value)
-}
-
-/// An argument of a stage: the graph's, or else its default.
-pub(super) fn argument(node: &FlatNode, key: &str) -> Option<String> {
-    let default = || {
-        let default = (node.registration(&REGISTRY)?.defaults)().get(key)?.clone();
-        Some(default.as_str().map_or_else(|| default.to_string(), str::to_string))
-    };
-    given(node, key).map(str::to_string).or_else(default)
-}
-
-/// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
-/// own, from which they are seen. A value that begins with `./` or `../` is one, and the model of a network always.
-pub(super) fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
-    let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
-    for node in &mut graph.nodes {
-        let own = node.registration(&REGISTRY).map(|known| (known.defaults)());
-        let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
-        let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
-        let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();
-        for key in keys {
-            let is_path = |value: &String| is_relative_path(value) || (key == "model" && is_network(node));
-            if let Some(path) = argument(node, &key).filter(is_path) {
-                node.set(&key, &lexically_normal(&folder.join(path)).to_string_lossy());
-            }
-        }
-    }
-    Ok(())
-}
-
 /// The logs that are asked for, absolute; without any the graph's own, made first if it is the demo log.
 fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
     if !args.log.is_empty() {
@@ -251,18 +188,6 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
         demo::make(&log)?;
     }
     Ok(vec![log])
-}
-
-/// The path without `..`, as it is written (no link is followed).
-fn lexically_normal(path: &Path) -> PathBuf {
-    let mut normal = PathBuf::new();
-    for part in path.components() {
-        match part {
-            std::path::Component::ParentDir => drop(normal.pop()),
-            part => normal.push(part),
-        }
-    }
-    normal
 }
 
 /// All that decides the arguments of one run.
@@ -375,7 +300,7 @@ impl Told<'_> {
         let has = |stream| info.agents.iter().any(|agent| self.log.has(&agent.name, stream));
         if has(Stream::Sweeps) && !has(Stream::Points) {
             let stem = stem(self.log_path);
-            if let Some(node) = nodes_of(graph, "pillar-encoder").next() {
+            if let Some(node) = nodes_of(graph, PILLARS).next() {
                 let id = &node.id;
                 bail!(
                     "{stem}: a log without points, in which node `{id}` sees nothing: take a log with points, or a graph \
@@ -399,16 +324,6 @@ fn name_or_file(text: &str) -> Result<String> {
 
 fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// What nodes of one stage have for an argument, each value once.
-fn values(nodes: &[&FlatNode], key: &str, named: impl Fn(&str) -> String) -> String {
-    let values: BTreeSet<String> = nodes
-        .iter()
-        .filter_map(|node| argument(node, key))
-        .map(|value| named(&value))
-        .collect();
-    values.into_iter().collect::<Vec<_>>().join(", ")
 }
 
 /// A change by hand as results tell it: a file by its name, for results hold no path.
