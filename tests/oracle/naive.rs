@@ -99,6 +99,9 @@ struct Sent<'w> {
     start: Nanos,
 }
 
+/// Packets of one sender that wait until it and the ego have told a position.
+const WAITING: usize = 16;
+
 /// What the link does with packets: those that it sent, and those of agents too far away or at no known place.
 fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sweep>) {
     enum What<'w> {
@@ -134,7 +137,22 @@ fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sw
     let (mut sent, mut out_of_range) = (Vec::new(), Vec::new());
     for (number, (place, what)) in calls.iter().enumerate() {
         let What::Packet(sweep) = what else { continue };
-        let so_far = &calls[..number];
+        // The first call before which both are known: one that comes later is waited for.
+        let known = |number: &usize| {
+            let so_far = &calls[..*number];
+            position(&sweep.agent, so_far).is_some() && position(EGO, so_far).is_some()
+        };
+        let placed = (number..=calls.len()).find(known);
+        let of_sender = |(_, what): &&(Place, What)| matches!(what, What::Packet(other) if other.agent == sweep.agent);
+        let behind = |until: usize| calls[number + 1..until].iter().filter(of_sender).count();
+        let (so_far, start) = match placed {
+            Some(at) if at == number => (&calls[..number], place.0),
+            Some(at) if behind(at) < WAITING => (&calls[..at], calls[at - 1].0.0),
+            _ => {
+                out_of_range.push(*sweep);
+                continue;
+            }
+        };
         let distance = position(&sweep.agent, so_far).zip(position(EGO, so_far)).map(|(a, b)| {
             let [dx, dy] = [a[0] - b[0], a[1] - b[1]];
             (dx * dx + dy * dy).sqrt()
@@ -153,11 +171,7 @@ fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sw
         } else {
             transmit(&world.channel, bytes(sweep), draws)
         };
-        sent.push(Sent {
-            sweep,
-            arrivals,
-            start: place.0,
-        });
+        sent.push(Sent { sweep, arrivals, start });
     }
     (sent, out_of_range)
 }

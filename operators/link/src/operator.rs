@@ -43,7 +43,7 @@ impl Default for LinkConfig {
     }
 }
 
-/// Packets of one sender that may wait for its first position; more leave as `unplaced`, the oldest first.
+/// Packets of one sender that may wait for first positions; more are out of range and `unplaced`, the oldest first.
 const EARLY: usize = 16;
 
 /// A position and when it was measured.
@@ -66,7 +66,7 @@ pub struct Link {
     ego: Option<Name>,
     others: BTreeSet<Name>,
     fixes: BTreeMap<Name, Fix>,
-    /// Packets for the ego that came before the first position of their sender did.
+    /// Packets for the ego that came before the first position of their sender, or of the ego.
     early: BTreeMap<Name, VecDeque<(Header, Packet)>>,
     channels: BTreeMap<(Name, Name, Kind), Tally>,
     /// The header that the report derives from.
@@ -150,36 +150,38 @@ impl Link {
             return Err(format!("position ({}, {}) is not finite", t.x, t.y).into());
         }
         let fix = (header.stamp, [t.x, t.y]);
-        let early = self.early.remove(&header.agent).unwrap_or_default();
         let known = self.fixes.entry(header.agent).or_insert(fix);
         if fix.0 >= known.0 {
             *known = fix;
         }
-        for (header, packet) in early {
-            self.send_to_ego(&header, &packet, out);
+        let Some(ego) = self.ego.clone() else {
+            return Ok(());
+        };
+        let early = std::mem::take(&mut self.early).into_iter();
+        let (placed, waiting): (BTreeMap<_, _>, BTreeMap<_, _>) =
+            early.partition(|(sender, _)| self.in_range(sender, &ego).is_some());
+        self.early = waiting;
+        for (header, packet) in placed.into_values().flatten() {
+            self.carry(TO_EGO, &ego, &header, &packet, out);
         }
         Ok(())
     }
 
-    /// Carries a packet of another agent, or keeps it until its sender has told a position: an agent's first packet
-    /// derives from its first state and may overtake it, for they come on different edges.
+    /// Carries a packet of another agent, or keeps it until its sender and the ego have both told a position. First
+    /// sweeps end within a millisecond of each other, and states come on other edges than packets.
     fn hear_other(&mut self, header: Header, packet: Packet, out: &mut Outputs) {
-        if self.fixes.contains_key(&header.agent) {
-            return self.send_to_ego(&header, &packet, out);
+        let Some(ego) = self.ego.clone() else {
+            return out.count("no_receiver", 1);
+        };
+        if self.in_range(&header.agent, &ego).is_some() {
+            return self.carry(TO_EGO, &ego, &header, &packet, out);
         }
         let early = self.early.entry(header.agent.clone()).or_default();
         early.push_back((header, packet));
         if early.len() > EARLY
             && let Some((header, packet)) = early.pop_front()
         {
-            self.send_to_ego(&header, &packet, out);
-        }
-    }
-
-    fn send_to_ego(&mut self, header: &Header, packet: &Packet, out: &mut Outputs) {
-        match self.ego.clone() {
-            Some(ego) => self.carry(TO_EGO, &ego, header, packet, out),
-            None => out.count("no_receiver", 1),
+            self.carry(TO_EGO, &ego, &header, &packet, out);
         }
     }
 
@@ -289,8 +291,9 @@ impl Operator for Link {
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        for (header, packet) in std::mem::take(&mut self.early).into_values().flatten() {
-            self.send_to_ego(&header, &packet, out);
+        let early = std::mem::take(&mut self.early).into_values().flatten();
+        if let Some(ego) = self.ego.clone() {
+            early.for_each(|(header, packet)| self.carry(TO_EGO, &ego, &header, &packet, out));
         }
         if let Some(last) = &self.last {
             let agent = self.ego.clone().unwrap_or_else(|| last.agent.clone());

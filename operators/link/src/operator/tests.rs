@@ -121,47 +121,52 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
         "an older state does not count"
     );
     assert_eq!(delivered(&mut link, &[("cav1", 6, 1e6 + 10.0, 1e6)]), 1);
-    assert_eq!(out.counted("unplaced"), 1);
+    assert_eq!(out.counted("unplaced"), 0);
     let channels = report(&mut link);
     assert_eq!(
         (channels[0].sent, channels[0].out_of_range, channels[0].bytes),
-        (2, 3, 20)
+        (2, 2, 20)
     );
 }
 
 #[test]
-fn packets_wait_for_the_first_position_of_their_sender() {
-    let mut link = link("paper");
-    let mut out = Outputs::at(0);
-    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
-    let mut out = Outputs::at(MS);
-    for seq in 0..EARLY as u64 + 2 {
-        link.on_input(OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
+fn packets_wait_for_the_first_positions_of_both() {
+    let hear = |link: &mut Link, at: Nanos, seqs: std::ops::Range<u64>| {
+        let mut out = Outputs::at(at);
+        for seq in seqs {
+            link.on_input(OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
+                .unwrap();
+        }
+        assert_eq!(out.take_sent(), []);
+        out.counted("unplaced")
+    };
+    let most = EARLY as u64 + 2;
+    for (first, port, second, last) in [("cav1", EGO_STATE, "rsu1", STATES), ("rsu1", STATES, "cav1", EGO_STATE)] {
+        let mut link = link("paper");
+        assert_eq!(hear(&mut link, 0, 0..3), 0, "{second} is waited for");
+        link.on_input(port, state(first, 0, 0.0, 0.0), &mut Outputs::at(0))
             .unwrap();
-    }
-    assert_eq!((out.take_sent().len(), out.counted("unplaced")), (0, 2));
-    let mut out = Outputs::at(3 * MS);
-    link.on_input(STATES, state("rsu1", 0, 20.0, 0.0), &mut out).unwrap();
-    let sent: Vec<_> = out.take_sent();
-    let headers: Vec<_> = sent
-        .iter()
-        .map(|(_, message)| (message.header.seq, message.header.ready))
-        .collect();
-    let expected: Vec<_> = (2..EARLY as u64 + 2).map(|seq| (seq, 13 * MS)).collect();
-    assert_eq!(headers, expected, "in order, delayed from the time of sending");
+        assert_eq!(hear(&mut link, MS, 3..most), 2, "the oldest leave unplaced");
+        let mut out = Outputs::at(3 * MS);
+        link.on_input(last, state(second, 0, 20.0, 0.0), &mut out).unwrap();
+        let sent: Vec<_> = out
+            .take_sent()
+            .iter()
+            .map(|(_, message)| (message.header.seq, message.header.ready))
+            .collect();
+        let expected: Vec<_> = (2..most).map(|seq| (seq, 13 * MS)).collect();
+        assert_eq!(sent, expected, "in order, delayed from the time of sending");
 
-    let mut out = Outputs::at(4 * MS);
-    link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut out)
-        .unwrap();
-    let channels: Vec<_> = report(&mut link)
-        .into_iter()
-        .map(|c| (c.from, c.sent, c.out_of_range))
-        .collect();
-    assert_eq!(
-        channels,
-        [("cav2".to_string(), 0, 1), ("rsu1".to_string(), EARLY as u64, 2)],
-        "who never told a position is out of range"
-    );
+        link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(4 * MS))
+            .unwrap();
+        let channels = report(&mut link);
+        let told: Vec<_> = channels.iter().map(|c| (&*c.from, c.sent, c.out_of_range)).collect();
+        assert_eq!(
+            told,
+            [("cav2", 0, 1), ("rsu1", EARLY as u64, 2)],
+            "who never told a position is out of range"
+        );
+    }
 }
 
 #[test]
