@@ -176,7 +176,7 @@ fn late_fusion_detects_in_both_lanes() {
     let changes = ["--set", "joint-nms.threshold=0.2", "--set", &set];
     let result = run("detector_late", "late_fusion", &[&["--offline"], &changes[..]].concat());
     assert_eq!(
-        result["set"], "joint-nms.threshold=0.2, evaluator.protocol=default.yml",
+        result["set"], "evaluator.protocol=default.yml, joint-nms.threshold=0.2",
         "a result holds no path"
     );
     assert_eq!(result["links"]["rsu1-cav1"]["boxes"]["used"], 5);
@@ -207,7 +207,7 @@ fn what_does_not_fit_is_refused_by_name() {
         (&["no_fusion", "--model", &lidar], &["lidar.toml", "`frame`", "`body`"]),
         (
             &["late_fusion", "--model", &wider, "--recorded-detections"],
-            &["--model", "drop one of the two"],
+            &["--model", "no node that runs a network", "drop --model"],
         ),
         (
             &["late_fusion", "--project", "sender"],

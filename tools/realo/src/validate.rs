@@ -14,7 +14,7 @@ pub struct Args {
     /// Dataflow files
     #[arg(required = true)]
     graphs: Vec<PathBuf>,
-    /// Do not start programs other than realo to ask for their ports
+    /// Look at the graphs alone: start no program to ask for its ports, and load no network
     #[arg(long)]
     no_start: bool,
     /// Model file of every detector [default: each node's own]
@@ -33,7 +33,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         if findings.iter().any(|finding| finding.severity == Severity::Error) {
             outcome = Outcome::Failed;
-        } else if let Err(error) = crate::run::check_networks(graph, args.model.as_deref()) {
+        } else if !args.no_start
+            && let Err(error) = crate::run::check_networks(graph, args.model.as_deref())
+        {
             println!("{}: error: {error:#}", path.display());
             outcome = Outcome::Failed;
         } else if findings.is_empty() {

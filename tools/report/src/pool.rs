@@ -69,8 +69,8 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
     })
 }
 
-/// A setting that pooled runs share: its name and its value.
-type Setting = (&'static str, fn(&Settings) -> &String);
+/// A setting: its name and its value.
+pub(crate) type Setting = (&'static str, fn(&Settings) -> &String);
 
 fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
     let settings: [Setting; 9] = [

@@ -6,6 +6,7 @@ use realo_evaluator::{Accuracy, Counts, Orders, RangeBin, Table};
 use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult};
 
 use crate::cells::{NONE, count, fraction, share, spread, values};
+use crate::pool::Setting;
 
 /// Rows under a title.
 pub struct Section {
@@ -100,6 +101,14 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
     names.cloned().collect::<BTreeSet<_>>().into_iter().collect()
 }
 
+/// Settings that are shown if a run has them.
+const RARE: [Setting; 4] = [
+    ("projected by", |settings| &settings.project),
+    ("model", |settings| &settings.model),
+    ("kernels", |settings| &settings.isa),
+    ("changed", |settings| &settings.set),
+];
+
 fn settings(rows: &mut Rows) {
     let text = |text: &String| (!text.is_empty()).then(|| text.clone());
     rows.add("mode", |run| text(&run.result.settings.mode));
@@ -107,6 +116,11 @@ fn settings(rows: &mut Rows) {
     rows.add("cooperation", |run| text(&run.result.settings.coop));
     rows.add("link", |run| text(&run.result.settings.link));
     rows.add("compute", |run| text(&run.result.settings.compute));
+    for (name, value) in RARE {
+        if rows.runs.iter().any(|run| !value(&run.result.settings).is_empty()) {
+            rows.add(name, |run| text(value(&run.result.settings)));
+        }
+    }
     rows.add("protocol", |run| run.result.protocol.clone());
     if rows.runs.iter().any(|run| run.result.runs > 1) {
         rows.add("pooled runs / logs", |run| {

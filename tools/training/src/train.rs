@@ -186,8 +186,10 @@ fn lock(folder: &Path) -> Result<File, TrainError> {
         error,
     };
     std::fs::create_dir_all(folder).map_err(|error| failed(folder, error))?;
-    let path = folder.join("lock");
-    let file = File::create(&path).map_err(|error| failed(&path, error))?;
+    let path = folder.join("training.lock");
+    // Whatever has that name is not emptied.
+    let file = File::options().create(true).append(true).open(&path);
+    let file = file.map_err(|error| failed(&path, error))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => Err(TrainError::Busy { folder: folder.into() }),
@@ -226,7 +228,7 @@ impl Source {
                     ));
                 }
                 Ok(Source {
-                    name: format!("logs {logs:?}"),
+                    name: format!("logs {logs:?}, {}", frames.identity()),
                     frames: Arc::new(frames),
                     missing: None,
                 })

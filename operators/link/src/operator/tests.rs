@@ -104,16 +104,8 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
             .unwrap();
         out.take_sent().len()
     };
-    assert_eq!(
-        delivered(&mut link, &[("rsu1", 0, 1e6, 1e6)]),
-        0,
-        "closed while it knows only the sender's position"
-    );
-    assert_eq!(
-        delivered(&mut link, &[("cav1", 0, 1e6, 1e6), ("rsu1", 0, 1e6 + 42.0, 1e6 + 56.0)]),
-        1,
-        "70 m"
-    );
+    let near = [("cav1", 0, 1e6, 1e6), ("rsu1", 0, 1e6 + 42.0, 1e6 + 56.0)];
+    assert_eq!(delivered(&mut link, &near), 1, "70 m");
     assert_eq!(delivered(&mut link, &[("rsu1", 5, 1e6 + 42.1, 1e6 + 56.0)]), 0);
     assert_eq!(
         delivered(&mut link, &[("rsu1", 4, 1e6, 1e6)]),

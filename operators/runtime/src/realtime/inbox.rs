@@ -70,16 +70,7 @@ impl Inbox {
 
     /// An event that is there already.
     pub fn poll(&mut self) -> Option<Heard> {
-        loop {
-            match self.next() {
-                Poll::Ready(Some(event)) => {
-                    if let Some(heard) = heard(event) {
-                        return Some(heard);
-                    }
-                }
-                Poll::Ready(None) | Poll::Pending => return None,
-            }
-        }
+        self.wait(Nanos::MIN)
     }
 
     /// The next event; where there is none yet, the waker is called when one comes.
@@ -90,7 +81,9 @@ impl Inbox {
 
 /// Until a wall time; `None` once it has come.
 fn left(until: Nanos) -> Option<Duration> {
-    let left = u64::try_from(until - wall_now()).ok().filter(|left| *left > 0)?;
+    let left = u64::try_from(until.saturating_sub(wall_now()))
+        .ok()
+        .filter(|left| *left > 0)?;
     Some(Duration::from_nanos(left))
 }
 

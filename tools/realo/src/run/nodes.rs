@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
-use eyre::Result;
+use eyre::{Result, bail};
 use realo_runtime::graph::{FlatGraph, FlatNode};
 
 use crate::REGISTRY;
@@ -31,10 +31,19 @@ pub fn set_all(graph: &mut FlatGraph, stage: &str, key: &str, value: &str) {
     nodes.for_each(|node| node.set(key, value));
 }
 
-/// Gives every network one model file.
-pub fn set_model(graph: &mut FlatGraph, path: &Path) {
+/// Gives every network one model file, seen from where the user is.
+///
+/// # Errors
+/// A graph without a network.
+pub fn set_model(graph: &mut FlatGraph, path: &Path) -> Result<()> {
+    if !graph.nodes.iter().any(is_network) {
+        let file = graph.file.display();
+        bail!("--model: {file} has no node that runs a network (recorded detections take its place): drop --model");
+    }
+    let path = std::path::absolute(path)?;
     let networks = graph.nodes.iter_mut().filter(|node| is_network(node));
     networks.for_each(|node| node.set("model", &path.to_string_lossy()));
+    Ok(())
 }
 
 /// Whether a node can bring what it sends to the ego's frame.

@@ -1,5 +1,6 @@
 //! From options to runs: which graph, log and ego, with which arguments, and where results go.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
@@ -9,8 +10,8 @@ use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
 
 use super::networks::Networks;
 use super::nodes::{
-    PILLARS, SENDER, anchor_paths, argument, given, is_network, is_relative_path, lexically_normal, nodes_of, set_all,
-    set_model, stage_of, takes_states, values,
+    PILLARS, SENDER, anchor_paths, argument, given, is_relative_path, lexically_normal, nodes_of, set_all, set_model,
+    stage_of, takes_states, values,
 };
 use super::{Args, Mode, dir_of};
 use crate::{REGISTRY, demo};
@@ -105,10 +106,12 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
     Ok(cells)
 }
 
-/// A `--set`; a path in it is seen from where the user is.
+/// A `--set`; a path in it, and the name of a file that is there, is seen from where the user is.
 fn setting(text: &str) -> Result<Setting> {
     let mut setting: Setting = text.parse()?;
-    if setting.key == "model" || is_relative_path(&setting.value) {
+    let path = Path::new(&setting.value);
+    let is_file = (path.components().count() > 1 || path.extension().is_some()) && path.exists();
+    if setting.key == "model" || is_relative_path(&setting.value) || is_file {
         setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
     }
     Ok(setting)
@@ -123,16 +126,6 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     };
     let mut flat = graph.expand()?;
     anchor_paths(&mut flat)?;
-    if args.model.is_some() && !flat.nodes.iter().any(is_network) {
-        bail!(
-            "--model: {} has no node that runs a network{}",
-            flat.file.display(),
-            match args.recorded_detections {
-                true => " with --recorded-detections: drop one of the two",
-                false => "",
-            }
-        );
-    }
     if args.project.is_some() && !flat.nodes.iter().any(takes_states) {
         bail!(
             "--project: {} has no {SENDER} whose input `state` gets the ego's states, so no sender can project",
@@ -216,7 +209,7 @@ impl Told<'_> {
             set_all(&mut graph, stage, key, &value);
         }
         if let Some(model) = &self.args.model {
-            set_model(&mut graph, &std::path::absolute(model)?);
+            set_model(&mut graph, model)?;
         }
         if let Some(project) = self.args.project {
             let encoders = graph.nodes.iter_mut().filter(|node| takes_states(node));
@@ -240,7 +233,11 @@ impl Told<'_> {
         }
         let links: Vec<&FlatNode> = nodes_of(&graph, "link").collect();
         let projectors: Vec<&FlatNode> = graph.nodes.iter().filter(|node| takes_states(node)).collect();
-        let changes: Vec<String> = set.iter().map(change_in_words).collect();
+        let changes: BTreeMap<String, String> = set.iter().map(change_in_words).collect();
+        let changes: Vec<String> = changes
+            .into_iter()
+            .map(|(key, value)| format!("{key}={value}"))
+            .collect();
         let told = [
             ("link", values(&links, "profile", |value| stem(Path::new(value)))),
             ("seed", values(&links, "seed", str::to_string)),
@@ -326,12 +323,12 @@ fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// A change by hand as results tell it: a file by its name, for results hold no path.
-fn change_in_words(setting: &Setting) -> String {
+/// A change by hand as results tell it: the argument and its value, a file by its name, for results hold no path.
+fn change_in_words(setting: &Setting) -> (String, String) {
     let path = Path::new(&setting.value);
-    let value = path.file_name().filter(|_| path.is_absolute());
+    let value = path.file_name().filter(|_| path.components().count() > 1);
     let value = value.map_or(setting.value.clone().into(), |name| name.to_string_lossy());
-    format!("{}.{}={value}", setting.node, setting.key)
+    (format!("{}.{}", setting.node, setting.key), value.into_owned())
 }
 
 /// Refuses a graph with errors and prints its warnings.

@@ -27,7 +27,11 @@ const POSE_GAP: Nanos = 500_000_000;
 const SLACK: f64 = 0.05;
 
 /// Frames of logs, kept in a folder.
-pub struct LoggedFrames(Vec<PathBuf>);
+pub struct LoggedFrames {
+    paths: Vec<PathBuf>,
+    /// Of each log.
+    identities: Vec<u64>,
+}
 
 impl LoggedFrames {
     /// Brings the frames of logs into a folder, as far as they are not there.
@@ -39,21 +43,34 @@ impl LoggedFrames {
             path: folder.into(),
             error,
         })?;
-        let mut paths = Vec::new();
+        let (mut paths, mut identities) = (Vec::new(), Vec::new());
         for log in logs {
-            paths.extend(Reading::open(log)?.extract(folder)?);
+            let reading = Reading::open(log)?;
+            let identity = reading.identity();
+            paths.extend(reading.extract(folder, identity)?);
+            identities.push(identity);
         }
-        Ok(LoggedFrames(paths))
+        Ok(LoggedFrames { paths, identities })
+    }
+
+    /// Tells these logs from others, and from the same files with another content.
+    pub fn identity(&self) -> String {
+        let words: Vec<String> = self
+            .identities
+            .iter()
+            .map(|identity| format!("{identity:016x}"))
+            .collect();
+        words.join(" ")
     }
 }
 
 impl Frames for LoggedFrames {
     fn len(&self) -> usize {
-        self.0.len()
+        self.paths.len()
     }
 
     fn load(&self, index: usize) -> Result<Frame, TrainError> {
-        Frame::read(&self.0[index])
+        Frame::read(&self.paths[index])
     }
 }
 
@@ -138,7 +155,7 @@ impl Reading {
     }
 
     /// Writes the frames that are missing; returns the paths of all.
-    fn extract(&self, folder: &Path) -> Result<Vec<PathBuf>, TrainError> {
+    fn extract(&self, folder: &Path, identity: u64) -> Result<Vec<PathBuf>, TrainError> {
         let Some((first, labels)) = self.truth.first_key_value() else {
             return Ok(Vec::new());
         };
@@ -148,7 +165,7 @@ impl Reading {
                 continue;
             }
             last = Some(stamp);
-            let path = folder.join(format!("log-{:016x}-{stamp}.frame", self.identity()));
+            let path = folder.join(format!("log-{identity:016x}-{stamp}.frame"));
             if !path.exists() {
                 let Some(frame) = self.frame(stamp, first)? else {
                     continue;
@@ -363,6 +380,20 @@ mod tests {
             assert!((object.lwh[0] - x).abs() < 1e-9, "{object:?}");
             assert!((object.lwh[6].abs() - yaw).abs() < 1e-9, "{object:?}");
         }
+    }
+
+    #[test]
+    fn a_log_that_was_written_anew_gives_frames_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = log(folder.path(), true);
+        let read = || LoggedFrames::new(&folder.path().join("cache"), std::slice::from_ref(&path)).unwrap();
+        let (one, same) = (read(), read());
+        assert_eq!((&one.paths, one.identity()), (&same.paths, same.identity()));
+        let file = std::fs::File::options().append(true).open(&path).unwrap();
+        file.set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
+        let other = read();
+        assert_ne!(one.identity(), other.identity());
+        assert!(other.paths.iter().all(|path| !one.paths.contains(path)));
     }
 
     #[test]
