@@ -7,12 +7,19 @@ use std::path::{Path, PathBuf};
 use common::{counts, realo_ok, run_virtual, shared, simulated};
 
 fn dair(test: &str) -> Option<PathBuf> {
+    imported(test, "start")
+}
+
+/// The sample, with the roadside stamps taken as the start or the end of its sweeps.
+fn imported(test: &str, stamp: &str) -> Option<PathBuf> {
     let data = shared(test)?.join("data/dair");
-    Some(common::once("dair.mcap", |path| {
+    Some(common::once(&format!("dair_{stamp}.mcap"), |path| {
         realo_ok([
             "import".as_ref(),
             "dair".as_ref(),
             data.as_os_str(),
+            "--roadside-stamp".as_ref(),
+            stamp.as_ref(),
             "-o".as_ref(),
             path.as_os_str(),
         ]);
@@ -29,7 +36,7 @@ fn dair_late_fusion_gives_the_known_counts() {
     let result = run_virtual("dair_late", "late_fusion", &log, &DAIR_OFFLINE);
     assert_eq!(result["protocol"], "dair", "an imported log names its protocol");
     assert_eq!(counts(&result, "vehicle", "0.5"), (170, 0, 171));
-    let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dair_late/dair/vehicle/recording.mcap");
+    let recording = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dair_late/dair_start/vehicle/recording.mcap");
     let table = realo_ok([
         "evaluate".as_ref(),
         log.as_os_str(),
@@ -69,6 +76,21 @@ fn dair_roadside_alone_gives_the_known_counts() {
     let args = [&DAIR_OFFLINE[..], &["--set", "fusion.ego_boxes=false"]].concat();
     let result = run_virtual("dair_roadside", "late_fusion", &log, &args);
     assert_eq!(counts(&result, "vehicle", "0.5"), (89, 7, 171));
+}
+
+#[test]
+fn dair_with_the_papers_latencies_depends_on_what_the_roadside_stamp_means() {
+    for (stamp, known) in [("start", (126, 28, 171)), ("end", (170, 0, 171))] {
+        let Some(log) = imported(
+            "dair_with_the_papers_latencies_depends_on_what_the_roadside_stamp_means",
+            stamp,
+        ) else {
+            return;
+        };
+        let args = ["--recorded-detections", "--coop", "v2i", "--link", "paper"];
+        let result = run_virtual(&format!("dair_paper_{stamp}"), "late_fusion", &log, &args);
+        assert_eq!(counts(&result, "vehicle", "0.5"), known, "stamp = {stamp}");
+    }
 }
 
 /// Four agents, rotated against each other, 100 km from the map's origin, who report exactly what they have points on.

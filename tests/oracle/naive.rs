@@ -97,6 +97,8 @@ struct Sent<'w> {
     sweep: &'w Sweep,
     arrivals: Arrivals,
     start: Nanos,
+    /// How long before `start` it was sent; that much of its delay is over.
+    waited: Nanos,
 }
 
 /// Packets of one sender that wait until it and the ego have told a position.
@@ -171,7 +173,13 @@ fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sw
         } else {
             transmit(&world.channel, bytes(sweep), draws)
         };
-        sent.push(Sent { sweep, arrivals, start });
+        let waited = start - place.0;
+        sent.push(Sent {
+            sweep,
+            arrivals,
+            start,
+            waited,
+        });
     }
     (sent, out_of_range)
 }
@@ -392,11 +400,11 @@ pub fn account(world: &World) -> Account {
     let (packets, unsent) = serve_latest(&detected, compute(world, "encoder"));
     let (sent, out_of_range) = cross(world, &packets);
     let done = compute(world, "link");
-    let copies = sent.iter().flat_map(|Sent { sweep, arrivals, start }| {
-        let delays = [arrivals.first, arrivals.second].into_iter().flatten();
+    let copies = sent.iter().flat_map(|sent| {
+        let delays = [sent.arrivals.first, sent.arrivals.second].into_iter().flatten();
         delays.map(move |delay| At {
-            sweep,
-            ready: start + done + delay,
+            sweep: sent.sweep,
+            ready: sent.start + done + (delay - sent.waited).max(0),
         })
     });
     let (decoded, undecoded) = serve_latest(&copies.collect::<Vec<_>>(), compute(world, "decoder"));

@@ -16,7 +16,7 @@
 //!
 //! **Range gate**: a packet is sent if the newest known positions of the two agents lie at most `range_m` apart in
 //! (x, y). It acts before `sent`. Until their sender and the ego have both told a position, packets for the ego wait, at
-//! most 16 of each sender. A packet of which a position stays unknown is out of range too, and the counter `unplaced` says
+//! most 16 of each sender; their delay counts from when they were sent all the same. A packet of which a position stays unknown is out of range too, and the counter `unplaced` says
 //! how many they were. There is always a gate; a `range_m` as large as the map lets everything through that is placed.
 //!
 //! **Profiles** are TOML or YAML files; `perfect` (default: everything arrives at once) and `paper` are built in:

@@ -49,6 +49,9 @@ const EARLY: usize = 16;
 /// A position and when it was measured.
 type Fix = (Nanos, [f64; 2]);
 
+/// A packet whose range is not known yet, and when it was sent.
+struct Waiting(Nanos, Header, Packet);
+
 #[derive(Default)]
 struct Tally {
     sent: u64,
@@ -67,7 +70,7 @@ pub struct Link {
     others: BTreeSet<Name>,
     fixes: BTreeMap<Name, Fix>,
     /// Packets for the ego that came before the first position of their sender, or of the ego.
-    early: BTreeMap<Name, VecDeque<(Header, Packet)>>,
+    early: BTreeMap<Name, VecDeque<Waiting>>,
     channels: BTreeMap<(Name, Name, Kind), Tally>,
     /// The header that the report derives from.
     last: Option<Header>,
@@ -161,27 +164,28 @@ impl Link {
         let (placed, waiting): (BTreeMap<_, _>, BTreeMap<_, _>) =
             early.partition(|(sender, _)| self.in_range(sender, &ego).is_some());
         self.early = waiting;
-        for (header, packet) in placed.into_values().flatten() {
-            self.carry(TO_EGO, &ego, &header, &packet, out);
+        for waiting in placed.into_values().flatten() {
+            self.carry(TO_EGO, &ego, &waiting, out);
         }
         Ok(())
     }
 
-    /// Carries a packet of another agent, or keeps it until its sender and the ego have both told a position. First
-    /// sweeps end within a millisecond of each other, and states come on other edges than packets.
-    fn hear_other(&mut self, header: Header, packet: Packet, out: &mut Outputs) {
+    /// Carries a packet of another agent, or keeps it until its sender and the ego have both told a position: first sweeps
+    /// end at about the same time, and states come on other edges than packets.
+    fn hear_other(&mut self, sent: Waiting, out: &mut Outputs) {
         let Some(ego) = self.ego.clone() else {
             return out.count("no_receiver", 1);
         };
-        if self.in_range(&header.agent, &ego).is_some() {
-            return self.carry(TO_EGO, &ego, &header, &packet, out);
+        let sender = sent.1.agent.clone();
+        if self.in_range(&sender, &ego).is_some() {
+            return self.carry(TO_EGO, &ego, &sent, out);
         }
-        let early = self.early.entry(header.agent.clone()).or_default();
-        early.push_back((header, packet));
+        let early = self.early.entry(sender).or_default();
+        early.push_back(sent);
         if early.len() > EARLY
-            && let Some((header, packet)) = early.pop_front()
+            && let Some(oldest) = early.pop_front()
         {
-            self.carry(TO_EGO, &ego, &header, &packet, out);
+            self.carry(TO_EGO, &ego, &oldest, out);
         }
     }
 
@@ -192,7 +196,7 @@ impl Link {
         Some(dx * dx + dy * dy <= self.range_m * self.range_m)
     }
 
-    fn carry(&mut self, port: PortId, to: &Name, header: &Header, packet: &Packet, out: &mut Outputs) {
+    fn carry(&mut self, port: PortId, to: &Name, Waiting(sent, header, packet): &Waiting, out: &mut Outputs) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
         let tally = self
@@ -211,7 +215,7 @@ impl Link {
         tally.lost += u64::from(first.is_none());
         tally.duplicated += u64::from(second.is_some());
         for delay in [first, second].into_iter().flatten() {
-            let ready = out.now().saturating_add(delay);
+            let ready = sent.saturating_add(delay);
             let header = Header {
                 to: Some(to.clone()),
                 ready,
@@ -280,20 +284,21 @@ impl Operator for Link {
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
         self.last = Some(header.clone());
+        let sent = Waiting(out.now(), header, packet);
         if port == EGO {
             for other in self.others.clone() {
-                self.carry(TO_OTHERS, &other, &header, &packet, out);
+                self.carry(TO_OTHERS, &other, &sent, out);
             }
             return Ok(());
         }
-        self.hear_other(header, packet, out);
+        self.hear_other(sent, out);
         Ok(())
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
         let early = std::mem::take(&mut self.early).into_values().flatten();
         if let Some(ego) = self.ego.clone() {
-            early.for_each(|(header, packet)| self.carry(TO_EGO, &ego, &header, &packet, out));
+            early.for_each(|waiting| self.carry(TO_EGO, &ego, &waiting, out));
         }
         if let Some(last) = &self.last {
             let agent = self.ego.clone().unwrap_or_else(|| last.agent.clone());

@@ -146,7 +146,8 @@ fn packets_wait_for_the_first_positions_of_both() {
             .iter()
             .map(|(_, message)| (message.header.seq, message.header.ready))
             .collect();
-        let expected: Vec<_> = (2..most).map(|seq| (seq, 13 * MS)).collect();
+        // Sent at 0 and 1 ms.
+        let expected: Vec<_> = (2..most).map(|seq| (seq, if seq < 3 { 10 } else { 11 } * MS)).collect();
         assert_eq!(sent, expected, "in order, delayed from the time of sending");
 
         link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(4 * MS))
