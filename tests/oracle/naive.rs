@@ -101,7 +101,7 @@ struct Sent<'w> {
     waited: Nanos,
 }
 
-/// Packets of one sender that wait until it and the ego have told a position.
+/// Packets of one sender that wait until it has told a position.
 const WAITING: usize = 16;
 
 /// What the link does with packets: those that it sent, and those of agents too far away or at no known place.
@@ -139,10 +139,11 @@ fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sw
     let (mut sent, mut out_of_range) = (Vec::new(), Vec::new());
     for (number, (place, what)) in calls.iter().enumerate() {
         let What::Packet(sweep) = what else { continue };
-        // The first call before which both are known: one that comes later is waited for.
+        // The first call before which the sender is known, offline the ego too: it is waited for.
         let known = |number: &usize| {
             let so_far = &calls[..*number];
-            position(&sweep.agent, so_far).is_some() && position(EGO, so_far).is_some()
+            let ego = || position(EGO, so_far).is_some();
+            position(&sweep.agent, so_far).is_some() && (!world.offline || ego())
         };
         let placed = (number..=calls.len()).find(known);
         let of_sender = |(_, what): &&(Place, What)| matches!(what, What::Packet(other) if other.agent == sweep.agent);

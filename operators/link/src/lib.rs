@@ -15,9 +15,10 @@
 //! its own state or packet did; what comes in for nobody counts as `no_receiver`.
 //!
 //! **Range gate**: a packet is sent if the newest known positions of the two agents lie at most `range_m` apart in
-//! (x, y). It acts before `sent`. Until their sender and the ego have both told a position, packets for the ego wait, at
-//! most 16 of each sender; their delay counts from when they were sent all the same. A packet of which a position stays unknown is out of range too, and the counter `unplaced` says
-//! how many they were. There is always a gate; a `range_m` as large as the map lets everything through that is placed.
+//! (x, y). It acts before `sent`. Packets for the ego wait until their sender has told a position, offline until the ego has
+//! too, at most 16 of each sender; their delay counts from when they were sent all the same. A packet of which a position
+//! is unknown then is out of range too, and the counter `unplaced` says how many they were. There is always a gate; a
+//! `range_m` as large as the map lets everything through that is placed.
 //!
 //! **Profiles** are TOML or YAML files; `perfect` (default: everything arrives at once) and `paper` are built in:
 //! ```toml

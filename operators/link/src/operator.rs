@@ -65,11 +65,12 @@ struct Tally {
 pub struct Link {
     profile: Profile,
     range_m: f64,
+    offline: bool,
     key: StreamKey,
     ego: Option<Name>,
     others: BTreeSet<Name>,
     fixes: BTreeMap<Name, Fix>,
-    /// Packets for the ego that came before the first position of their sender, or of the ego.
+    /// Packets for the ego that wait for a first position.
     early: BTreeMap<Name, VecDeque<Waiting>>,
     channels: BTreeMap<(Name, Name, Kind), Tally>,
     /// The header that the report derives from.
@@ -162,7 +163,7 @@ impl Link {
         };
         let early = std::mem::take(&mut self.early).into_iter();
         let (placed, waiting): (BTreeMap<_, _>, BTreeMap<_, _>) =
-            early.partition(|(sender, _)| self.in_range(sender, &ego).is_some());
+            early.partition(|(sender, _)| !self.waits(sender, &ego));
         self.early = waiting;
         for waiting in placed.into_values().flatten() {
             self.carry(TO_EGO, &ego, &waiting, out);
@@ -170,14 +171,21 @@ impl Link {
         Ok(())
     }
 
-    /// Carries a packet of another agent, or keeps it until its sender and the ego have both told a position: first sweeps
-    /// end at about the same time, and states come on other edges than packets.
+    /// Whether a packet of this sender has to wait. An agent's first packet derives from its first state and may overtake
+    /// it, for they come on different edges. The ego's first state may come after others' packets; only offline, where no
+    /// data is late, may they wait for it.
+    fn waits(&self, sender: &Name, ego: &Name) -> bool {
+        let is_placed = |agent: &Name| self.fixes.contains_key(agent);
+        !is_placed(sender) || (self.offline && !is_placed(ego))
+    }
+
+    /// Carries a packet of another agent, or keeps it for a while.
     fn hear_other(&mut self, sent: Waiting, out: &mut Outputs) {
         let Some(ego) = self.ego.clone() else {
             return out.count("no_receiver", 1);
         };
         let sender = sent.1.agent.clone();
-        if self.in_range(&sender, &ego).is_some() {
+        if !self.waits(&sender, &ego) {
             return self.carry(TO_EGO, &ego, &sent, out);
         }
         let early = self.early.entry(sender).or_default();
@@ -262,6 +270,7 @@ impl Operator for Link {
         Ok(Link {
             profile,
             range_m: config.range_m,
+            offline: config.offline,
             key: StreamKey::new(config.seed, "link"),
             ego: (!config.ego.is_empty()).then(|| config.ego.into()),
             others: BTreeSet::new(),

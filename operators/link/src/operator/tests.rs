@@ -122,7 +122,7 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
 }
 
 #[test]
-fn packets_wait_for_the_first_positions_of_both() {
+fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() {
     let hear = |link: &mut Link, at: Nanos, seqs: std::ops::Range<u64>| {
         let mut out = Outputs::at(at);
         for seq in seqs {
@@ -132,34 +132,46 @@ fn packets_wait_for_the_first_positions_of_both() {
         assert_eq!(out.take_sent(), []);
         out.counted("unplaced")
     };
+    let place = |link: &mut Link, agent: &str, at: Nanos| -> Vec<(u64, Nanos)> {
+        let mut out = Outputs::at(at);
+        let port = if agent == "cav1" { EGO_STATE } else { STATES };
+        link.on_input(port, state(agent, 0, 20.0, 0.0), &mut out).unwrap();
+        let sent = out.take_sent();
+        sent.iter().map(|(_, m)| (m.header.seq, m.header.ready)).collect()
+    };
     let most = EARLY as u64 + 2;
-    for (first, port, second, last) in [("cav1", EGO_STATE, "rsu1", STATES), ("rsu1", STATES, "cav1", EGO_STATE)] {
-        let mut link = link("paper");
-        assert_eq!(hear(&mut link, 0, 0..3), 0, "{second} is waited for");
-        link.on_input(port, state(first, 0, 0.0, 0.0), &mut Outputs::at(0))
-            .unwrap();
-        assert_eq!(hear(&mut link, MS, 3..most), 2, "the oldest leave unplaced");
-        let mut out = Outputs::at(3 * MS);
-        link.on_input(last, state(second, 0, 20.0, 0.0), &mut out).unwrap();
-        let sent: Vec<_> = out
-            .take_sent()
-            .iter()
-            .map(|(_, message)| (message.header.seq, message.header.ready))
-            .collect();
-        // Sent at 0 and 1 ms.
-        let expected: Vec<_> = (2..most).map(|seq| (seq, if seq < 3 { 10 } else { 11 } * MS)).collect();
-        assert_eq!(sent, expected, "in order, delayed from the time of sending");
-
-        link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(4 * MS))
-            .unwrap();
-        let channels = report(&mut link);
-        let told: Vec<_> = channels.iter().map(|c| (&*c.from, c.sent, c.out_of_range)).collect();
-        assert_eq!(
-            told,
-            [("cav2", 0, 1), ("rsu1", EARLY as u64, 2)],
-            "who never told a position is out of range"
-        );
+    for offline in [false, true] {
+        let mut link = Link::new(LinkConfig {
+            profile: "paper".into(),
+            ego: "cav1".into(),
+            offline,
+            ..LinkConfig::default()
+        })
+        .unwrap();
+        let delay = if offline { 0 } else { 10 * MS };
+        let (first, second) = if offline { ("rsu1", "cav1") } else { ("cav1", "rsu1") };
+        assert_eq!(hear(&mut link, 0, 0..3), 0);
+        assert_eq!(place(&mut link, first, 0), []);
+        assert_eq!(hear(&mut link, 15 * MS, 3..most), 2, "the oldest leave unplaced");
+        // Sent at 0 and 15 ms.
+        let ready = |seq: u64| (delay + if seq < 3 { 0 } else { 15 * MS }).max(17 * MS);
+        let expected: Vec<_> = (2..most).map(|seq| (seq, ready(seq))).collect();
+        assert_eq!(place(&mut link, second, 17 * MS), expected, "the wait is no delay");
+        assert_eq!(report(&mut link)[0].out_of_range, 2);
     }
+
+    let mut link = link("paper");
+    assert_eq!(place(&mut link, "rsu1", 0), []);
+    assert_eq!(hear(&mut link, 0, 0..1), 1, "online, nobody waits for the ego");
+    link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(MS))
+        .unwrap();
+    let channels = report(&mut link);
+    let told: Vec<_> = channels.iter().map(|c| (&*c.from, c.sent, c.out_of_range)).collect();
+    assert_eq!(
+        told,
+        [("cav2", 0, 1), ("rsu1", 0, 1)],
+        "who never told a position is out of range"
+    );
 }
 
 #[test]
