@@ -21,7 +21,7 @@ const REPORT: PortId = PortId(2);
 pub struct LinkConfig {
     /// Name of a built-in profile, or a file.
     pub profile: String,
-    /// Greatest distance over which packets are sent, m; agents that never tell a position are out of range.
+    /// Greatest distance over which packets are sent, m; an agent whose position is unknown is out of range.
     pub range_m: f64,
     /// Keeps the gate and the counts, without delay, jitter or loss.
     pub offline: bool,
@@ -49,8 +49,8 @@ const EARLY: usize = 16;
 /// A position and when it was measured.
 type Fix = (Nanos, [f64; 2]);
 
-/// A packet whose range is not known yet, and when it was sent.
-struct Waiting(Nanos, Header, Packet);
+/// A packet, and when it was sent, ns.
+struct Sent(Nanos, Header, Packet);
 
 #[derive(Default)]
 struct Tally {
@@ -71,7 +71,7 @@ pub struct Link {
     others: BTreeSet<Name>,
     fixes: BTreeMap<Name, Fix>,
     /// Packets for the ego that wait for a first position.
-    early: BTreeMap<Name, VecDeque<Waiting>>,
+    early: BTreeMap<Name, VecDeque<Sent>>,
     channels: BTreeMap<(Name, Name, Kind), Tally>,
     /// The header that the report derives from.
     last: Option<Header>,
@@ -165,8 +165,8 @@ impl Link {
         let (placed, waiting): (BTreeMap<_, _>, BTreeMap<_, _>) =
             early.partition(|(sender, _)| !self.waits(sender, &ego));
         self.early = waiting;
-        for waiting in placed.into_values().flatten() {
-            self.carry(TO_EGO, &ego, &waiting, out);
+        for sent in placed.into_values().flatten() {
+            self.carry(TO_EGO, &ego, &sent, out);
         }
         Ok(())
     }
@@ -180,7 +180,7 @@ impl Link {
     }
 
     /// Carries a packet of another agent, or keeps it for a while.
-    fn hear_other(&mut self, sent: Waiting, out: &mut Outputs) {
+    fn hear_other(&mut self, sent: Sent, out: &mut Outputs) {
         let Some(ego) = self.ego.clone() else {
             return out.count("no_receiver", 1);
         };
@@ -204,7 +204,7 @@ impl Link {
         Some(dx * dx + dy * dy <= self.range_m * self.range_m)
     }
 
-    fn carry(&mut self, port: PortId, to: &Name, Waiting(sent, header, packet): &Waiting, out: &mut Outputs) {
+    fn carry(&mut self, port: PortId, to: &Name, Sent(sent, header, packet): &Sent, out: &mut Outputs) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
         let tally = self
@@ -293,7 +293,7 @@ impl Operator for Link {
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
         self.last = Some(header.clone());
-        let sent = Waiting(out.now(), header, packet);
+        let sent = Sent(out.now(), header, packet);
         if port == EGO {
             for other in self.others.clone() {
                 self.carry(TO_OTHERS, &other, &sent, out);
@@ -307,7 +307,7 @@ impl Operator for Link {
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
         let early = std::mem::take(&mut self.early).into_values().flatten();
         if let Some(ego) = self.ego.clone() {
-            early.for_each(|waiting| self.carry(TO_EGO, &ego, &waiting, out));
+            early.for_each(|sent| self.carry(TO_EGO, &ego, &sent, out));
         }
         if let Some(last) = &self.last {
             let agent = self.ego.clone().unwrap_or_else(|| last.agent.clone());

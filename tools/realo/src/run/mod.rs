@@ -176,7 +176,8 @@ impl Args {
 /// Loads the networks of a graph as its nodes would, all from one model file if there is one.
 ///
 /// # Errors
-/// A model or weights that cannot be had, a model file for a graph without a network, kernels that this processor lacks, models that do not fit together.
+/// A model or weights that cannot be had, a model file for a graph without a network, kernels that this processor lacks,
+/// models that do not fit together.
 pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
     nodes::anchor_paths(&mut graph)?;
     if let Some(model) = model {
