@@ -6,9 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use common::{folder, graph, json, realo, simulated, text};
-use realo::REGISTRY;
+use realo::registry;
+use realo_graph::{FlatGraph, Graph, InputSource, Severity, validate};
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
-use realo_runtime::graph::{FlatGraph, Graph, InputSource, Severity, validate};
 use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 
 fn small() -> PathBuf {
@@ -227,7 +227,7 @@ fn a_link_that_is_not_told_where_the_agents_are_is_refused() {
             link.inputs.remove(missing);
             link.input_types.remove(missing);
         });
-        let findings = validate(&FlatGraph::load(&path).expect("it can be read"), &REGISTRY);
+        let findings = validate(&FlatGraph::load(&path).expect("it can be read"), &registry());
         let found = findings
             .iter()
             .any(|f| f.severity == Severity::Error && f.node == "link" && f.port.as_deref() == Some(missing));

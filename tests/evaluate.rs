@@ -91,7 +91,7 @@ fn a_recording_without_truth_is_refused() {
 
 /// What a graph records whose recorder has no truth.
 fn record_boxes_only(path: &Path) {
-    use realo_runtime::{PortId, Sink};
+    use realo_operator::{PortId, Sink};
     use realo_schemas::{Boxes, Header, Kind, Message};
     let config = realo_recorder::Config {
         path: path.into(),

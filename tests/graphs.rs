@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use common::{folder, graph, json, realo, realo_ok, root, text};
-use realo::REGISTRY;
-use realo_runtime::graph::{FlatGraph, Graph, audit, validate};
+use realo::registry;
+use realo_graph::{FlatGraph, Graph, audit, validate};
 
 fn graphs() -> Vec<PathBuf> {
     let mut graphs: Vec<PathBuf> = std::fs::read_dir(root().join("dataflows"))
@@ -40,7 +40,7 @@ fn dora_ok(args: &[&str], graph: &Path) -> String {
 #[test]
 fn graphs_are_fine_by_our_checks_and_doras() {
     for graph in graphs() {
-        let findings = validate(&FlatGraph::load(&graph).expect("it can be read"), &REGISTRY);
+        let findings = validate(&FlatGraph::load(&graph).expect("it can be read"), &registry());
         assert!(findings.is_empty(), "{}: {findings:#?}", graph.display());
         dora_ok(&["validate", "--strict-types"], &graph);
     }
@@ -48,7 +48,7 @@ fn graphs_are_fine_by_our_checks_and_doras() {
 
 #[test]
 fn types_ports_and_graphs_say_the_same() {
-    let differences = audit(&REGISTRY, &root().join("dataflows"));
+    let differences = audit(&registry(), &root().join("dataflows"));
     assert!(differences.is_empty(), "{differences:#?}");
 }
 

@@ -10,7 +10,7 @@ use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use common::{folder, graph, json, realo_ok, run_virtual, simulated, text};
-use realo_runtime::graph::Graph;
+use realo_graph::Graph;
 use realo_schemas::Nanos;
 use realo_schemas::report::BankReport;
 use serde_json::Value;
@@ -212,7 +212,7 @@ fn tampered_graph(dir: &Path, report: &Path) -> PathBuf {
         .find(|node| node.id == "encoder")
         .expect("the graph has an encoder");
     let input = encoder.inputs.get_mut("messages").expect("it has an input");
-    input.source = realo_runtime::graph::InputSource::Output {
+    input.source = realo_graph::InputSource::Output {
         node: "tamper".into(),
         output: "out".into(),
     };

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
-use crate::Nanos;
+use crate::{Nanos, PayloadType};
 
 /// A name that is shared by many messages: an agent, a frame, a class.
 pub type Name = Arc<str>;
@@ -48,6 +48,19 @@ impl Kind {
             Kind::EgoState => "ego_state",
             Kind::Truth => "truth",
             Kind::Report => "report",
+        }
+    }
+}
+
+impl Kind {
+    /// The kind of a payload that crosses a link; `None` for those that never do.
+    pub fn of(payload: PayloadType) -> Option<Self> {
+        match payload {
+            PayloadType::PointCloud => Some(Kind::Points),
+            PayloadType::FeatureMap => Some(Kind::Features),
+            PayloadType::Boxes => Some(Kind::Boxes),
+            PayloadType::EgoState => Some(Kind::EgoState),
+            _ => None,
         }
     }
 }

@@ -4,10 +4,10 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use realo_results::{Ledger, LinkBooks, link_books};
-use realo_runtime::{
+use realo_operator::{
     Argument, Books, ComputeProfile, Describe, Error, Port, PortId, Registration, Sink, Source, Wiring, virtual_time,
 };
+use realo_results::{Ledger, LinkBooks, link_books};
 use realo_schemas::report::{BankReport, Channel, FusionReport, LinkReport, MessageId, from_report};
 use realo_schemas::{
     Box3, Boxes, EgoState, Header, Kind, Message, Nanos, Payload, PayloadType, Pose, PoseStatus, Report, Selection,

@@ -8,7 +8,7 @@
 //! | out `report` | Report | topic `fusion`: one for each fusion that took place |
 
 use nalgebra::{Isometry3, Vector3};
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::{Footprint, iou_exceeds, relative, transform_box};
 use realo_schemas::report::{FusionReport, MessageId, to_report};
 use realo_schemas::{Box3, Boxes, Header, Kind, Message, Payload, PayloadType, Selection};
@@ -187,7 +187,7 @@ fn placed(ego: &Header, entry: &Message) -> Option<Vec<Seen>> {
 
 #[cfg(test)]
 mod tests {
-    use realo_runtime::testkit::FusionCase;
+    use realo_engine::testkit::FusionCase;
     use realo_schemas::Pose;
 
     use super::*;

@@ -1,5 +1,5 @@
 //! Hosts the operator on dora and in virtual time.
 
 fn main() -> std::process::ExitCode {
-    realo_runtime::run::<fusion_nearest::FusionNearest>()
+    realo_operator::run::<fusion_nearest::FusionNearest>()
 }

@@ -3,7 +3,7 @@ use std::collections::{BTreeMap, BinaryHeap};
 use std::sync::{Arc, Mutex};
 
 use realo_logs::{Entry, Log, LogError, LogReader, Stream};
-use realo_runtime::PortId;
+use realo_operator::PortId;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Payload, PointCloud, to_seconds};
 
 use crate::truth::TruthJoin;

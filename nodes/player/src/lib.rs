@@ -24,7 +24,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
 use realo_logs::{Log, LogError, Stream};
-use realo_runtime::{Argument, Describe, Error, Port, PortId, Source};
+use realo_operator::{Argument, Describe, Error, Port, PortId, Source};
 use realo_schemas::{Message, Nanos, PayloadType, from_seconds};
 use serde::{Deserialize, Serialize};
 
@@ -39,7 +39,7 @@ const AHEAD: usize = 256;
 const LOW_PRIORITY: i32 = 5;
 
 mod ports {
-    use realo_runtime::PortId;
+    use realo_operator::PortId;
 
     pub const EGO_CLOUDS: PortId = PortId(0);
     pub const EGO_POSES: PortId = PortId(1);
@@ -381,7 +381,7 @@ mod tests {
 
     #[test]
     fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
         let names: Vec<&str> = Player::ARGUMENTS.iter().map(|argument| argument.name).collect();
         assert_eq!(keys, names);
     }

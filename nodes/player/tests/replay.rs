@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter};
+use realo_operator::{Describe, Error, Source};
 use realo_player::{Config, Coop, Detections, Player, PoseSource, plan};
-use realo_runtime::{Describe, Error, Source};
 use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Kind, Message, Nanos, Payload, PointCloud, PoseStatus};
 
 const START: Nanos = 1_700_000_000_000_000_000;

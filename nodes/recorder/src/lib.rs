@@ -18,11 +18,13 @@ mod recording;
 
 use std::path::PathBuf;
 
-use realo_runtime::{Argument, Books, Describe, Error, Port, PortId, Sink};
+use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Sink};
+use realo_schemas::report::Fated;
 use realo_schemas::{Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
 pub use read::{read_boxes, read_detections, read_reports, read_truth};
+pub use recording::FATES;
 use recording::Recording;
 
 /// Settings of the recorder.
@@ -74,17 +76,7 @@ impl Describe for Recorder {
         Port::new("states", &[PayloadType::EgoState], "the collaborators' poses").optional(),
         Port::new("truth", &[PayloadType::GroundTruth], "ground truth").optional(),
         Port::new("packets", &[PayloadType::Packet], "what crossed the link").optional(),
-        Port::new(
-            "state_packets",
-            &[PayloadType::Packet],
-            "what crossed the link of states",
-        )
-        .optional(),
         Port::new("evaluation", &[PayloadType::Report], "the evaluator's report").optional(),
-        Port::new("bank", &[PayloadType::Report], "the bank's reports").optional(),
-        Port::new("fusion", &[PayloadType::Report], "the fusion's reports").optional(),
-        Port::new("link", &[PayloadType::Report], "the link's report").optional(),
-        Port::new("link_state", &[PayloadType::Report], "the report of the link of states").optional(),
         Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps").optional(),
         Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps").optional(),
     ];
@@ -118,6 +110,13 @@ impl Sink for Recorder {
         Ok(())
     }
 
+    fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
+        match &mut self.recording {
+            Some(recording) if !fates.is_empty() => Ok(recording.fates(fates)?),
+            _ => Ok(()),
+        }
+    }
+
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
         match self.recording.take() {
             Some(recording) => Ok(recording.finish(books)?),
@@ -132,7 +131,7 @@ mod tests {
 
     #[test]
     fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
         let names: Vec<&str> = Recorder::ARGUMENTS.iter().map(|argument| argument.name).collect();
         assert_eq!(keys, names);
     }

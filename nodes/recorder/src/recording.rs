@@ -6,9 +6,13 @@ use realo_logs::cdr::CdrWriter;
 use realo_logs::{
     BoxesInfo, ChannelId, Lane, LogError, McapFile, McapWriter, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
 };
-use realo_runtime::Books;
+use realo_operator::Books;
+use realo_schemas::report::Fated;
 use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Header, Nanos, Packet, PointCloud, Report};
 use serde_json::{Value, json};
+
+/// Topic of the reports that say what became of messages.
+pub const FATES: &str = "fates";
 
 /// A recording in the making.
 pub struct Recording {
@@ -120,6 +124,15 @@ impl Recording {
         let document: Value = serde_json::from_str(&report.json).unwrap_or_else(|_| Value::String(report.json.clone()));
         let text = json!({ "topic": &*report.topic, "agent": &*header.agent, "report": document }).to_string();
         self.write("/reports", Schema::String, header, |out| {
+            CdrWriter::new(out).string(&text)
+        })
+    }
+
+    /// What became of messages that crossed a link.
+    pub fn fates(&mut self, fates: &[Fated]) -> Result<(), LogError> {
+        let text = json!({ "topic": FATES, "report": fates }).to_string();
+        let last = self.last;
+        self.put("/reports", Schema::String, last, last, |out| {
             CdrWriter::new(out).string(&text)
         })
     }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{Log, LogError, McapFile};
+use realo_operator::{Books, Describe, NodeBooks, PortId, Sink};
 use realo_recorder::{Config, Recorder, read_boxes, read_reports, read_truth};
-use realo_runtime::{Books, Describe, NodeBooks, PortId, Sink};
 use realo_schemas::{
     Box3, Boxes, EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, Pose,
     PoseStatus, Report,
@@ -67,7 +67,7 @@ fn truth(seq: u64) -> Message {
     Message::new(header("cav1", Kind::Truth, seq), truth)
 }
 
-fn record(recorder: &mut Recorder, seq: u64) -> Result<(), realo_runtime::Error> {
+fn record(recorder: &mut Recorder, seq: u64) -> Result<(), realo_operator::Error> {
     let mut send = |name: &str, message: Message| recorder.accept(port(name), message);
     let state = EgoState {
         map_from_body: Isometry3::identity(),

@@ -1,4 +1,4 @@
-use realo_runtime::Durations;
+use realo_operator::Durations;
 use realo_schemas::Nanos;
 use serde::{Deserialize, Serialize};
 

@@ -5,10 +5,6 @@
 //! | in `boxes` | Boxes | the final boxes |
 //! | in `truth` | GroundTruth | one for every sweep of the ego; without it the sweeps that gave no boxes are not known |
 //! | in `evaluation` | Report | topic `evaluation`, of the evaluator |
-//! | in `bank` | Report | topic `bank`, of the feature bank |
-//! | in `fusion` | Report | topic `fusion`, of the fusion |
-//! | in `link` | Report | topic `link`, of the link that carries data |
-//! | in `link_state` | Report | topic `link`, of the link that carries everybody's EgoState |
 //!
 //! | file | type | content |
 //! |---|---|---|
@@ -31,11 +27,11 @@ mod timing;
 
 pub use distribution::{Ages, Spread};
 pub use files::{FilesError, claim, read_run, write_run};
-pub use ledger::{Fates, Ledger};
+pub use ledger::{ChannelKey, Fates, Ledger, Settled};
 pub use links::link_books;
 pub use result::{
     Accounted, AgeTable, EdgeBooks, Frames, LinkBooks, NodeSummary, RESULT, RunResult, Settings, Transport, VERSION,
 };
 pub use run::{Run, SAMPLES, Samples, add_name};
-pub use sink::{Config, Results};
+pub use sink::{Config, Results, Told};
 pub use timing::{END_TO_END, FRAMEWORK, StageSamples, TIMING, Timing, TimingSamples};

@@ -1,8 +1,8 @@
 use std::path::PathBuf;
 
 use realo_evaluator::{EvaluationReport, TOPIC};
-use realo_runtime::{Argument, Books, Describe, Error, Port, PortId, Sink, unexpected, wrong_port};
-use realo_schemas::report::{Channel, LinkReport, from_report};
+use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Sink, unexpected, wrong_port};
+use realo_schemas::report::{Fated, from_report};
 use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -13,68 +13,63 @@ use crate::{
     link_books, write_run,
 };
 
-/// Settings of [`Results`]. All but `out` are told in the result as they are.
+/// Settings of [`Results`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Folder of the files; it is made, and an earlier run's files in it are replaced.
     pub out: PathBuf,
-    /// Name of the graph.
-    pub graph: String,
-    /// Name of the log, by which logs are resampled.
-    pub log: String,
-    /// `realtime`, `virtual` or `offline`; empty: what the messages' clocks say.
-    pub mode: String,
-    /// Who collaborates.
-    pub coop: String,
-    /// The ego; empty: what the messages say.
-    pub ego: String,
-    /// Profile of the link.
-    pub link: String,
-    /// Compute profile.
-    pub compute: String,
-    /// Seed.
-    pub seed: String,
-    /// Kernel path of the networks.
-    pub isa: String,
-    /// The networks.
-    pub model: String,
-    /// Who projects.
-    pub project: String,
-    /// Arguments changed by hand.
-    pub set: String,
+    /// File with what the result tells of the run, a [`Told`] in JSON; empty: the graph is named as the folder is.
+    pub told: PathBuf,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        let empty = String::new;
         Config {
             // dora starts nodes in the folder of the graph.
             out: "../target/realo/run".into(),
-            graph: empty(),
-            log: empty(),
-            mode: empty(),
-            coop: empty(),
-            ego: empty(),
-            link: empty(),
-            compute: empty(),
-            seed: empty(),
-            isa: empty(),
-            model: empty(),
-            project: empty(),
-            set: empty(),
+            told: PathBuf::new(),
         }
+    }
+}
+
+/// What whoever prepared a run knows of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Told {
+    /// Name of the log, by which pooled runs are resampled.
+    pub log: String,
+    /// What was run.
+    pub settings: Settings,
+}
+
+impl Config {
+    fn told(&self) -> Result<Told, Error> {
+        if self.told.as_os_str().is_empty() {
+            let graph = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let settings = Settings {
+                graph,
+                ..Settings::default()
+            };
+            return Ok(Told {
+                settings,
+                ..Told::default()
+            });
+        }
+        let wrong = |reason: String| format!("argument `told`: {}: {reason}", self.told.display());
+        let text = std::fs::read_to_string(&self.told).map_err(|error| wrong(error.to_string()))?;
+        Ok(serde_json::from_str(&text).map_err(|error| wrong(format!("not what a run tells of itself: {error}")))?)
     }
 }
 
 /// The node `results`.
 pub struct Results {
-    config: Config,
+    out: PathBuf,
+    log: String,
     result: RunResult,
     samples: Samples,
     timing: TimingSamples,
     ledger: Ledger,
-    channels: Vec<Channel>,
     boxes: Pace,
     truth: Pace,
     realtime: bool,
@@ -83,15 +78,6 @@ pub struct Results {
 const BOXES: PortId = PortId(0);
 const TRUTH: PortId = PortId(1);
 const EVALUATION: PortId = PortId(2);
-const BANK: PortId = PortId(3);
-const FUSION: PortId = PortId(4);
-const LINK: PortId = PortId(5);
-const LINK_STATE: PortId = PortId(6);
-
-const fn report(name: &'static str, about: &'static str) -> Port {
-    Port::new(name, &[PayloadType::Report], about).optional()
-}
-
 impl Describe for Results {
     type Config = Config;
     const NAME: &'static str = "results";
@@ -102,62 +88,19 @@ impl Describe for Results {
             about: "folder of the files; an earlier run's files in it are replaced",
         },
         Argument {
-            name: "graph",
-            about: "name of the graph, told in the result",
-        },
-        Argument {
-            name: "log",
-            about: "name of the log, by which pooled runs are resampled",
-        },
-        Argument {
-            name: "mode",
-            about: "realtime, virtual or offline, told in the result; empty = what the messages' clocks say",
-        },
-        Argument {
-            name: "coop",
-            about: "who collaborates, told in the result",
-        },
-        Argument {
-            name: "ego",
-            about: "the ego, told in the result; empty = what the messages say",
-        },
-        Argument {
-            name: "link",
-            about: "profile of the link, told in the result",
-        },
-        Argument {
-            name: "compute",
-            about: "compute profile, told in the result",
-        },
-        Argument {
-            name: "seed",
-            about: "seed of jitter and loss, told in the result",
-        },
-        Argument {
-            name: "isa",
-            about: "kernel path of the networks, told in the result",
-        },
-        Argument {
-            name: "model",
-            about: "the networks, told in the result",
-        },
-        Argument {
-            name: "project",
-            about: "who brings what crosses the link to the ego's frame, told in the result",
-        },
-        Argument {
-            name: "set",
-            about: "arguments changed by hand, told in the result",
+            name: "told",
+            about: "file with what the result tells of the run (JSON); empty = the graph is named as the folder is",
         },
     ];
     const INPUTS: &'static [Port] = &[
         Port::new("boxes", &[PayloadType::Boxes], "the final boxes"),
         Port::new("truth", &[PayloadType::GroundTruth], "one for every sweep of the ego").optional(),
-        report("evaluation", "topic `evaluation`, of the evaluator"),
-        report("bank", "topic `bank`, of the feature bank"),
-        report("fusion", "topic `fusion`, of the fusion"),
-        report("link", "topic `link`, of the link that carries data"),
-        report("link_state", "topic `link`, of the link that carries EgoState"),
+        Port::new(
+            "evaluation",
+            &[PayloadType::Report],
+            "topic `evaluation`, of the evaluator",
+        )
+        .optional(),
     ];
     const OUTPUTS: &'static [Port] = &[];
 }
@@ -168,26 +111,14 @@ impl Sink for Results {
             return Err("argument `out`: expected a folder, found nothing".into());
         }
         claim(&config.out)?;
-        let settings = Settings {
-            graph: config.graph.clone(),
-            mode: config.mode.clone(),
-            coop: config.coop.clone(),
-            ego: config.ego.clone(),
-            link: config.link.clone(),
-            compute: config.compute.clone(),
-            seed: config.seed.clone(),
-            isa: config.isa.clone(),
-            model: config.model.clone(),
-            project: config.project.clone(),
-            set: config.set.clone(),
-        };
+        let Told { log, settings } = config.told()?;
         Ok(Results {
-            config,
+            out: config.out,
+            log,
             result: RunResult::new(settings),
             samples: Samples::default(),
             timing: TimingSamples::default(),
             ledger: Ledger::default(),
-            channels: Vec::new(),
             boxes: Pace::default(),
             truth: Pace::default(),
             realtime: false,
@@ -208,20 +139,19 @@ impl Sink for Results {
                 let report: EvaluationReport = document(message, TOPIC)?;
                 self.take_evaluation(report)?;
             }
-            BANK => self.ledger.bank(document(message, "bank")?),
-            FUSION => self.ledger.fusion(document(message, "fusion")?),
-            LINK | LINK_STATE => {
-                let report: LinkReport = document(message, "link")?;
-                self.channels.extend(report.channels);
-            }
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         Ok(())
     }
 
+    fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
+        fates.iter().for_each(|fated| self.ledger.take(fated));
+        Ok(())
+    }
+
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
         let run = self.close(books);
-        Ok(write_run(&self.config.out, &run)?)
+        Ok(write_run(&self.out, &run)?)
     }
 }
 
@@ -263,7 +193,7 @@ impl Results {
         }
         let mut evaluation = report.evaluation;
         for scene in &mut evaluation.scenes {
-            scene.name.clone_from(&self.config.log);
+            scene.name.clone_from(&self.log);
         }
         self.samples.evaluation = Some(evaluation);
         Ok(())
@@ -280,7 +210,7 @@ impl Results {
             settings.ego = result.egos.join(", ");
         }
         add_name(&mut result.egos, &settings.ego);
-        add_name(&mut result.logs, &self.config.log);
+        add_name(&mut result.logs, &self.log);
         let sweeps = if self.truth.count > 0 { self.truth } else { self.boxes };
         result.frames.processed = self.boxes.count;
         result.frames.total = sweeps.count;
@@ -300,13 +230,9 @@ impl Results {
     }
 
     fn close_links(&mut self, result: &mut RunResult, books: &Books) {
-        let (fates, ages) = std::mem::take(&mut self.ledger).close();
+        let (settled, ages) = std::mem::take(&mut self.ledger).close();
         self.samples.ages_ns = ages;
-        let own = books.nodes.values().find(|node| node.name == Self::NAME);
-        let wired = |port: &str| own.is_some_and(|own| own.inputs.contains_key(port));
-        let fates = (wired("bank") && wired("fusion")).then_some(&fates);
-        let ego = result.egos.first().map(String::as_str).unwrap_or_default();
-        result.links = link_books(&self.channels, ego, fates, books);
+        result.links = link_books(&settled, books);
     }
 }
 

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_runtime::{Books, ComputeProfile, Durations};
+use realo_operator::{Books, Durations};
 use realo_schemas::{Header, Nanos};
 use serde::{Deserialize, Serialize};
 
@@ -28,8 +28,8 @@ pub struct Timing {
     pub joining_ms: BTreeMap<String, Spread>,
     /// By source: how late it released its messages.
     pub late_ms: BTreeMap<String, Spread>,
-    /// By node: the median of its calls, ns; what a compute profile charges.
-    pub compute_ns: BTreeMap<String, Nanos>,
+    /// By stage and by what triggered its calls: their median, ns; what a compute profile charges.
+    pub compute_ns: BTreeMap<String, BTreeMap<String, Nanos>>,
     /// Sweeps of the ego that became boxes, per second of log time.
     pub rate_hz: Option<f64>,
     /// What all this is made from.
@@ -47,8 +47,8 @@ pub struct TimingSamples {
     pub framework: Durations,
     /// By source.
     pub late: BTreeMap<String, Durations>,
-    /// By node.
-    pub compute: BTreeMap<String, Durations>,
+    /// By stage and trigger.
+    pub compute: BTreeMap<String, BTreeMap<String, Durations>>,
     /// Sweeps that became boxes in the time below.
     pub processed: u64,
     /// Log time of all sweeps, each with the mean time to the next, ns.
@@ -93,14 +93,21 @@ impl TimingSamples {
 
     /// Takes what the nodes measured of themselves.
     pub fn add_books(&mut self, books: &Books) {
-        for (id, node) in books.nodes.iter().filter(|(_, node)| node.compute.count() > 0) {
-            // A source has no inputs; it measures how late it is.
-            let kind = if node.inputs.is_empty() {
-                &mut self.late
-            } else {
-                &mut self.compute
-            };
-            kind.entry(id.clone()).or_default().merge(&node.compute);
+        for (id, node) in &books.nodes {
+            if node.late.count() > 0 {
+                self.late.entry(id.clone()).or_default().merge(&node.late);
+            }
+            self.add_compute(id, &node.compute);
+        }
+    }
+
+    fn add_compute(&mut self, id: &str, compute: &BTreeMap<String, Durations>) {
+        if compute.is_empty() {
+            return;
+        }
+        let triggers = self.compute.entry(id.into()).or_default();
+        for (trigger, durations) in compute {
+            triggers.entry(trigger.clone()).or_default().merge(durations);
         }
     }
 
@@ -114,10 +121,11 @@ impl TimingSamples {
         }
         self.end_to_end.merge(&other.end_to_end);
         self.framework.merge(&other.framework);
-        for (sum, other) in [(&mut self.late, &other.late), (&mut self.compute, &other.compute)] {
-            for (id, durations) in other {
-                sum.entry(id.clone()).or_default().merge(durations);
-            }
+        for (id, durations) in &other.late {
+            self.late.entry(id.clone()).or_default().merge(durations);
+        }
+        for (id, compute) in &other.compute {
+            self.add_compute(id, compute);
         }
         self.processed += other.processed;
         self.duration_ns += other.duration_ns;
@@ -143,7 +151,10 @@ impl Timing {
         for (key, durations) in [(END_TO_END, &samples.end_to_end), (FRAMEWORK, &samples.framework)] {
             latency_ms.insert(key.into(), Spread::of(durations));
         }
-        let median = |(id, durations): (&String, &Durations)| Some((id.clone(), durations.quantile(0.5)?));
+        let median = |(trigger, durations): (&String, &Durations)| Some((trigger.clone(), durations.quantile(0.5)?));
+        let medians = |(id, compute): (&String, &BTreeMap<String, Durations>)| {
+            (id.clone(), compute.iter().filter_map(median).collect())
+        };
         let seconds = samples.duration_ns as f64 / 1e9;
         Timing {
             schema: TIMING.into(),
@@ -156,16 +167,9 @@ impl Timing {
                 .iter()
                 .map(|(id, late)| (id.clone(), Spread::of(late)))
                 .collect(),
-            compute_ns: samples.compute.iter().filter_map(median).collect(),
+            compute_ns: samples.compute.iter().map(medians).collect(),
             rate_hz: (samples.duration_ns > 0).then(|| samples.processed as f64 / seconds),
             samples,
-        }
-    }
-
-    /// What `--compute` takes to charge in virtual time what this run measured.
-    pub fn compute_profile(&self) -> ComputeProfile {
-        ComputeProfile {
-            nodes: self.compute_ns.clone(),
         }
     }
 }
@@ -198,7 +202,7 @@ impl Pace {
 
 #[cfg(test)]
 mod tests {
-    use realo_runtime::{InputBooks, NodeBooks};
+    use realo_operator::NodeBooks;
     use realo_schemas::{Clock, Kind, TraceEntry};
 
     use super::*;
@@ -256,23 +260,22 @@ mod tests {
 
     #[test]
     fn tells_lateness_of_sources_from_computing() {
-        let node = |inputs: &[&str], nanos: Nanos| {
-            let ports = inputs.iter().map(|port| (port.to_string(), InputBooks::default()));
-            let mut node = NodeBooks {
-                inputs: ports.collect(),
-                ..NodeBooks::default()
-            };
-            node.compute.record(nanos);
-            node
-        };
+        let (mut player, mut sync) = (NodeBooks::default(), NodeBooks::default());
+        player.late.record(900);
+        for nanos in [700, 710, 720] {
+            sync.compute.entry("poses".into()).or_default().record(nanos);
+        }
+        sync.compute.entry("poses > sweeps".into()).or_default().record(2_000);
         let books = Books {
-            nodes: [("player".into(), node(&[], 900)), ("nms".into(), node(&["boxes"], 700))].into(),
+            nodes: [("player".into(), player), ("sync".into(), sync)].into(),
         };
         let mut samples = TimingSamples::default();
         samples.add_books(&books);
         let timing = Timing::of(samples);
         assert_eq!(timing.late_ms["player"].max, Some(0.0009));
-        assert_eq!(timing.compute_profile().nodes, [("nms".to_string(), 700)].into());
+        assert!(!timing.compute_ns.contains_key("player"));
+        assert_eq!(timing.compute_ns["sync"]["poses"], 710);
+        assert_eq!(timing.compute_ns["sync"]["poses > sweeps"], 2_000);
     }
 
     #[test]

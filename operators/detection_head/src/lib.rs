@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
 use realo_nn::network::{BevMap, Network};
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::is_valid;
 use realo_schemas::{Box3, Boxes, DType, FeatureMap, Header, Kind, Message, Name, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -84,7 +84,7 @@ impl Describe for DetectionHead {
     ];
     const INPUTS: &'static [Port] =
         &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps of the model").latest()];
-    const OUTPUTS: &'static [Port] = &[Port::new("boxes", &[PayloadType::Boxes], "detections, best first")];
+    const OUTPUTS: &'static [Port] = &[Port::new("proposals", &[PayloadType::Boxes], "detections, best first")];
 }
 
 impl Operator for DetectionHead {
@@ -276,7 +276,7 @@ mod tests {
     fn arguments_are_checked_and_are_the_keys_of_the_configuration() {
         let error = head(Some(1.5)).err().expect("refused").to_string();
         assert!(error.contains("`score_threshold`") && error.contains("1.5"), "{error}");
-        let keys: Vec<String> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
         let told: Vec<&str> = DetectionHead::ARGUMENTS.iter().map(|argument| argument.name).collect();
         assert_eq!(keys, told);
     }

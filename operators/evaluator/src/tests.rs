@@ -512,6 +512,6 @@ fn frame_scores_add_up() {
 #[test]
 fn describes_every_argument() {
     let names: Vec<_> = Evaluator::ARGUMENTS.iter().map(|argument| argument.name).collect();
-    let keys: Vec<_> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+    let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
     assert_eq!(names, keys);
 }

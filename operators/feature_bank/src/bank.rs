@@ -2,10 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use realo_schemas::report::{BankReport, Departed, MessageId, Selected};
 use realo_schemas::{Header, Message, Name, Nanos, PayloadType, to_millis};
 
-use crate::sender::Sender;
+use crate::sender::{Departed, Sender};
 
 /// Greatest difference of stamps offline, ns; inclusive.
 pub const OFFLINE_REACH: Nanos = 50_000_000;
@@ -61,13 +60,13 @@ pub enum Taken {
     FromEgo,
 }
 
-/// A query's answer: what to fuse, ordered by agent, and the report about it.
+/// A query's answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer {
-    /// The messages.
+    /// What to fuse, ordered by agent.
     pub entries: Vec<Message>,
-    /// The report.
-    pub report: BankReport,
+    /// What left the bank since the last query.
+    pub departed: Departed,
 }
 
 /// Holds what collaborators sent.
@@ -88,14 +87,14 @@ pub struct Bank {
     /// What the ego asks with, once it has asked.
     payload: Option<PayloadType>,
     senders: BTreeMap<Name, Sender>,
-    departed: Vec<Departed>,
+    departed: Departed,
 }
 
 impl Bank {
     /// An empty bank.
     pub fn new(window: Nanos, offline: bool, ahead: Nanos, max_agents: usize, forget: Nanos) -> Self {
         let (held, ego, payload) = (HELD, None, None);
-        let (senders, departed) = (BTreeMap::new(), Vec::new());
+        let (senders, departed) = (BTreeMap::new(), Departed::new());
         Bank {
             window,
             offline,
@@ -174,17 +173,10 @@ impl Bank {
             entries.extend(selected);
         }
         self.forget_before(query.ready.saturating_sub(self.forget));
-        let selected = entries.iter().map(|entry| Selected {
-            message: MessageId::of(&entry.header),
-            age_ns: query.ready.saturating_sub(entry.header.stamp),
-        });
-        let report = BankReport {
-            query: Some(query.seq),
-            agent: query.agent.to_string(),
-            selected: selected.collect(),
+        Answer {
+            entries,
             departed: std::mem::take(&mut self.departed),
-        };
-        Answer { entries, report }
+        }
     }
 
     /// What it held of the ego itself, before it knew who that is, never counts.
@@ -207,17 +199,12 @@ impl Bank {
     }
 
     /// Closes the books: everything that is still held departs.
-    pub fn close(&mut self) -> BankReport {
+    pub fn close(&mut self) -> Departed {
         for sender in self.senders.values_mut() {
             sender.leave(self.offline, &mut self.departed);
         }
         self.senders.clear();
-        BankReport {
-            query: None,
-            agent: self.ego.as_deref().unwrap_or_default().into(),
-            selected: Vec::new(),
-            departed: std::mem::take(&mut self.departed),
-        }
+        std::mem::take(&mut self.departed)
     }
 
     /// Number of agents that it knows.

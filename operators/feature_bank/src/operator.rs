@@ -1,8 +1,7 @@
 use std::collections::BTreeMap;
 
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::report::{BankReport, to_report};
-use realo_schemas::{Header, Kind, Message, Nanos, PayloadType, Selection};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::{Header, Message, Nanos, PayloadType, Selection};
 use serde::{Deserialize, Serialize};
 
 use crate::{Bank, OFFLINE_REACH, Taken};
@@ -12,7 +11,6 @@ const FUSABLE: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::FeatureM
 const EGO: PortId = PortId(0);
 const OTHERS: PortId = PortId(1);
 const SELECTIONS: PortId = PortId(0);
-const REPORT: PortId = PortId(1);
 
 const NANOS_PER_MILLI: Nanos = 1_000_000;
 
@@ -51,8 +49,6 @@ pub struct FeatureBank {
     pending: BTreeMap<(Nanos, u64), Header>,
     /// Queries so far.
     queries: u64,
-    /// The header that the closing report derives from.
-    last: Option<Header>,
 }
 
 impl Describe for FeatureBank {
@@ -83,40 +79,28 @@ impl Describe for FeatureBank {
     ];
     const INPUTS: &'static [Port] = &[
         Port::new("ego", FUSABLE, "what the ego says of itself; each message is a query").query(),
-        Port::new("others", FUSABLE, "what collaborators say"),
+        Port::new("others", FUSABLE, "what collaborators say").accounting(),
     ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new(
-            "selections",
-            &[PayloadType::Selection],
-            "one for each query, with the query's header",
-        ),
-        Port::new(
-            "report",
-            &[PayloadType::Report],
-            "topic `bank`: what was selected and what departed",
-        ),
-    ];
+    const OUTPUTS: &'static [Port] = &[Port::new(
+        "selections",
+        &[PayloadType::Selection],
+        "one for each query, with the query's header",
+    )];
 }
 
 impl FeatureBank {
     fn answer(&mut self, query: Header, out: &mut Outputs) {
         let answer = self.bank.answer(&query);
         out.count("entries", answer.entries.len() as u64);
-        self.report(&query, &answer.report, out);
+        answer
+            .departed
+            .iter()
+            .for_each(|(header, fate)| out.tell(header, *fate));
         let selection = Selection {
             query: query.seq,
             entries: answer.entries,
         };
         out.send(SELECTIONS, Message::new(query, selection));
-    }
-
-    fn report(&self, header: &Header, report: &BankReport, out: &mut Outputs) {
-        let header = Header {
-            kind: Kind::Report,
-            ..header.clone()
-        };
-        out.send(REPORT, Message::new(header, to_report("bank", report)));
     }
 }
 
@@ -138,7 +122,6 @@ impl Operator for FeatureBank {
             bank,
             pending: BTreeMap::new(),
             queries: 0,
-            last: None,
         })
     }
 
@@ -147,7 +130,6 @@ impl Operator for FeatureBank {
             EGO => {
                 self.bank.expect(message.payload.payload_type());
                 let query = message.header;
-                self.last = Some(query.clone());
                 if self.bank.offline {
                     out.wake_at(query.stamp.saturating_add(OFFLINE_REACH));
                     self.pending.insert((query.stamp, self.queries), query);
@@ -156,16 +138,11 @@ impl Operator for FeatureBank {
                     self.answer(query, out);
                 }
             }
-            OTHERS => {
-                if self.last.is_none() {
-                    self.last = Some(message.header.clone());
-                }
-                match self.bank.insert(message)? {
-                    Taken::Held => {}
-                    Taken::Repeated => out.count("repeated", 1),
-                    Taken::FromEgo => out.count("from_ego", 1),
-                }
-            }
+            OTHERS => match self.bank.insert(message)? {
+                Taken::Held => {}
+                Taken::Repeated => out.count("repeated", 1),
+                Taken::FromEgo => out.count("from_ego", 1),
+            },
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         Ok(())
@@ -185,10 +162,8 @@ impl Operator for FeatureBank {
         for query in std::mem::take(&mut self.pending).into_values() {
             self.answer(query, out);
         }
-        let report = self.bank.close();
-        if let Some(last) = &self.last {
-            self.report(last, &report, out);
-        }
+        let departed = self.bank.close();
+        departed.iter().for_each(|(header, fate)| out.tell(header, *fate));
         Ok(())
     }
 }

@@ -2,11 +2,14 @@
 
 use std::collections::VecDeque;
 
-use realo_schemas::report::{Departed, Fate, MessageId};
+use realo_schemas::report::Fate;
 use realo_schemas::{Boxes, Header, Kind, Message, Nanos, PayloadType};
 
 /// Ids that are remembered of a sender, to know copies by.
 const REMEMBERED: usize = 64;
+
+/// Messages that left the bank, and what became of them there.
+pub type Departed = Vec<(Header, Fate)>;
 
 /// A message in the bank and what happened to it there.
 struct Held {
@@ -18,21 +21,16 @@ struct Held {
 }
 
 impl Held {
-    /// Its fate if it leaves now; `unasked` is that of a message which no query asked for.
-    fn fate(&self, unasked: Fate) -> Fate {
-        match (self.selected, self.stale, self.passed_over) {
-            (true, _, _) => Fate::Unused,
+    /// Leaves the bank; `unasked` is the fate of a message which no query asked for. Of one that was selected whoever
+    /// takes the selection says what became of it.
+    fn leave(&self, unasked: Fate, departed: &mut Departed) {
+        let fate = match (self.selected, self.stale, self.passed_over) {
+            (true, _, _) => return,
             (_, true, _) => Fate::Stale,
             (_, _, true) => Fate::Superseded,
             _ => unasked,
-        }
-    }
-
-    fn departed(&self, unasked: Fate) -> Departed {
-        Departed {
-            message: MessageId::of(&self.message.header),
-            fate: self.fate(unasked),
-        }
+        };
+        departed.push((self.message.header.clone(), fate));
     }
 }
 
@@ -72,7 +70,7 @@ impl Sender {
 
     /// Holds a message. Which one a query takes is decided when it asks, because a query that has waited for its turn
     /// must not see what became ready after it.
-    pub fn hold(&mut self, message: Message, limit: usize, offline: bool, departed: &mut Vec<Departed>) {
+    pub fn hold(&mut self, message: Message, limit: usize, offline: bool, departed: &mut Departed) {
         let at = self
             .held
             .partition_point(|held| held.message.header.stamp <= message.header.stamp);
@@ -93,17 +91,17 @@ impl Sender {
                 (header.pose, header.trace, *payload) = (None, Vec::new(), Boxes::default().into());
                 self.dropped.push(oldest);
             } else {
-                departed.push(oldest.departed(Fate::Superseded));
+                oldest.leave(Fate::Superseded, departed);
             }
         }
     }
 
     /// Gives up what cannot be fused with a payload of this type.
-    pub fn keep_only(&mut self, expected: PayloadType, departed: &mut Vec<Departed>) {
+    pub fn keep_only(&mut self, expected: PayloadType, departed: &mut Departed) {
         let mut keep = |held: &Held| {
             let keep = held.payload == expected;
             if !keep {
-                departed.push(held.departed(Fate::Rejected));
+                held.leave(Fate::Rejected, departed);
             }
             keep
         };
@@ -112,13 +110,13 @@ impl Sender {
     }
 
     /// Online: the message of newest stamp that is ready at `ready`, unless it is older than the window.
-    pub fn newest(&mut self, ready: Nanos, window: Nanos, departed: &mut Vec<Departed>) -> Option<Message> {
+    pub fn newest(&mut self, ready: Nanos, window: Nanos, departed: &mut Departed) -> Option<Message> {
         let newest = self.held.iter().rposition(|held| held.message.header.ready <= ready)?;
         let mut place = 0;
         self.held.retain(|held| {
             let keep = place >= newest || held.message.header.ready > ready;
             if !keep {
-                departed.push(held.departed(Fate::Superseded));
+                held.leave(Fate::Superseded, departed);
             }
             place += 1;
             keep
@@ -131,7 +129,7 @@ impl Sender {
     }
 
     /// Offline: the message whose stamp is nearest, at most `reach` away; of two the earlier one.
-    pub fn nearest(&mut self, stamp: Nanos, reach: Nanos, departed: &mut Vec<Departed>) -> Option<Message> {
+    pub fn nearest(&mut self, stamp: Nanos, reach: Nanos, departed: &mut Departed) -> Option<Message> {
         let distance = |held: &Held| held.message.header.stamp.abs_diff(stamp);
         // The first of least distance is the earlier one, and of one stamp the one that came first.
         let nearest = self
@@ -151,7 +149,7 @@ impl Sender {
         let mut keep = |held: &Held| {
             let keep = held.message.header.stamp >= stamp.saturating_sub(reach);
             if !keep {
-                departed.push(held.departed(Fate::Stale));
+                held.leave(Fate::Stale, departed);
             }
             keep
         };
@@ -161,8 +159,10 @@ impl Sender {
     }
 
     /// Gives up everything. Online all but the newest message have been superseded, asked for or not.
-    pub fn leave(&mut self, offline: bool, departed: &mut Vec<Departed>) {
-        departed.extend(self.dropped.drain(..).map(|held| held.departed(Fate::InFlight)));
+    pub fn leave(&mut self, offline: bool, departed: &mut Departed) {
+        self.dropped
+            .drain(..)
+            .for_each(|held| held.leave(Fate::InFlight, departed));
         let last = self.held.len().saturating_sub(1);
         for (at, held) in self.held.drain(..).enumerate() {
             let unasked = if at == last || offline {
@@ -170,7 +170,7 @@ impl Sender {
             } else {
                 Fate::Superseded
             };
-            departed.push(held.departed(unasked));
+            held.leave(unasked, departed);
         }
     }
 }

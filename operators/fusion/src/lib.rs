@@ -1,13 +1,13 @@
 //! What every fusion operator does before it fuses: pairs the ego's message with what the bank selected for it, puts the
-//! collaborators in order, places them in the ego's frame, and reports what could not take part.
+//! collaborators in order, places them in the ego's frame, and says what became of each.
 //!
-//! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group ([`inputs`]), and the outputs [`FUSED`] and [`REPORT`].
+//! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group ([`inputs`]), and the output [`FUSED`].
 
 use nalgebra::Isometry3;
-use realo_runtime::{Error, Outputs, Port, PortId, unexpected};
+use realo_operator::{Error, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::relative;
-use realo_schemas::report::{FusionReport, MessageId, to_report};
-use realo_schemas::{Header, Kind, Message, Payload, PayloadType, Selection, UnexpectedPayload};
+use realo_schemas::report::Fate;
+use realo_schemas::{Header, Message, Payload, PayloadType, Selection, UnexpectedPayload};
 
 /// Input: the ego's own.
 pub const EGO: PortId = PortId(0);
@@ -15,8 +15,6 @@ pub const EGO: PortId = PortId(0);
 pub const SELECTIONS: PortId = PortId(1);
 /// Output: what was fused.
 pub const FUSED: PortId = PortId(0);
-/// Output: topic `fusion`, one for each fusion that took place.
-pub const REPORT: PortId = PortId(1);
 
 /// The inputs of a fusion of payloads of these types.
 pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
@@ -26,12 +24,6 @@ pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
             .latest()
             .joined("frame"),
     ]
-}
-
-/// The outputs of a fusion: what it fuses, and the report.
-pub const fn outputs(fused: Port) -> [Port; 2] {
-    let report = "topic `fusion`: one for each fusion that took place";
-    [fused, Port::new("report", &[PayloadType::Report], report)]
 }
 
 /// Keeps the ego's part of a set until its selection comes.
@@ -49,8 +41,8 @@ pub struct Set<T> {
     pub ego: T,
     /// By agent name.
     pub collaborators: Vec<Collaborator<T>>,
-    /// Who could not take part.
-    pub report: FusionReport,
+    /// Who could not take part, and why.
+    pub left_out: Vec<(Header, Fate)>,
 }
 
 /// One that takes part.
@@ -88,17 +80,11 @@ impl Pairing {
             let agent = &asked.agent;
             return Err(format!("a selection for query {query} of {agent}, but the ego's message is {header}").into());
         }
-        let report = FusionReport {
-            query,
-            agent: header.agent.to_string(),
-            over_limit: Vec::new(),
-            rejected: Vec::new(),
-        };
         let mut set = Set {
             header,
             ego,
             collaborators: Vec::new(),
-            report,
+            left_out: Vec::new(),
         };
         set.place(entries, max_collaborators.unwrap_or(usize::MAX));
         Ok(set)
@@ -108,11 +94,11 @@ impl Pairing {
 impl<T> Set<T> {
     /// Leaves out whoever's data are not in the ego's frame.
     pub fn reject_other_frames(&mut self) {
-        let (frame, rejected) = (&self.header.frame, &mut self.report.rejected);
+        let (frame, left_out) = (&self.header.frame, &mut self.left_out);
         self.collaborators.retain(|collaborator| {
             let same = collaborator.header.frame == *frame;
             if !same {
-                rejected.push(MessageId::of(&collaborator.header));
+                left_out.push((collaborator.header.clone(), Fate::Rejected));
             }
             same
         });
@@ -127,16 +113,16 @@ where
         entries.sort_by(|a, b| a.header.agent.cmp(&b.header.agent));
         let map_from_ego = self.header.pose.as_ref().map(|pose| pose.map_from_frame);
         for entry in entries {
-            let id = MessageId::of(&entry.header);
+            let named = entry.header.clone();
             let map_from_sender = entry.header.pose.as_ref().map(|pose| pose.map_from_frame);
             let (Ok((header, payload)), Some(map_from_ego), Some(map_from_sender)) =
                 (entry.into_parts::<T>(), map_from_ego, map_from_sender)
             else {
-                self.report.rejected.push(id);
+                self.left_out.push((named, Fate::Rejected));
                 continue;
             };
             if self.collaborators.len() == limit {
-                self.report.over_limit.push(id);
+                self.left_out.push((named, Fate::OverLimit));
                 continue;
             }
             self.collaborators.push(Collaborator {
@@ -148,14 +134,20 @@ where
     }
 }
 
-/// Sends what was fused, and the report.
-pub fn send(header: Header, fused: impl Into<Payload>, report: &FusionReport, out: &mut Outputs) {
-    out.count("over_limit_messages", report.over_limit.len() as u64);
-    out.count("rejected_messages", report.rejected.len() as u64);
-    let report_header = Header {
-        kind: Kind::Report,
-        ..header.clone()
-    };
-    out.send(FUSED, Message::new(header, fused));
-    out.send(REPORT, Message::new(report_header, to_report("fusion", report)));
+impl<T> Set<T> {
+    /// Sends what was fused of the set, and says what became of each collaborator's message.
+    pub fn send(self, fused: impl Into<Payload>, out: &mut Outputs) {
+        for collaborator in &self.collaborators {
+            out.used(&collaborator.header, &self.header);
+        }
+        for (header, fate) in &self.left_out {
+            let counter = match fate {
+                Fate::OverLimit => "over_limit_messages",
+                _ => "rejected_messages",
+            };
+            out.count(counter, 1);
+            out.tell(header, *fate);
+        }
+        out.send(FUSED, Message::new(self.header, fused));
+    }
 }

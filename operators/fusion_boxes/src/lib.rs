@@ -5,14 +5,13 @@
 //! |---|---|---|
 //! | in `ego` | Boxes | the ego's detections; joined with `selections` by (agent, seq) |
 //! | in `selections` | Selection | what the bank chose for the ego's message of that seq |
-//! | out `boxes` | Boxes | the ego's boxes, then those of the collaborators by agent name and index, in the ego's frame |
-//! | out `report` | Report | topic `fusion`: one for each fusion that took place |
+//! | out `proposals` | Boxes | the ego's boxes, then those of the collaborators by agent name and index, in the ego's frame |
 //!
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers. The motion of objects between the
 //! stamps is not removed.
 
 use realo_fusion::{EGO, Pairing, SELECTIONS, Set};
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, Boxes, Message, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -75,11 +74,11 @@ impl Describe for FusionBoxes {
         },
     ];
     const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::Boxes]);
-    const OUTPUTS: &'static [Port] = &realo_fusion::outputs(Port::new(
-        "boxes",
+    const OUTPUTS: &'static [Port] = &[Port::new(
+        "proposals",
         &[PayloadType::Boxes],
         "the ego's boxes, then the collaborators', in the ego's frame",
-    ));
+    )];
 }
 
 impl Operator for FusionBoxes {
@@ -103,7 +102,7 @@ impl Operator for FusionBoxes {
                 // A score that is NaN is left to `nms`, which counts it as invalid.
                 boxes.retain(|object| object.score.is_nan() || object.score >= self.config.min_score);
                 out.count("low_score_boxes", (before - boxes.len()) as u64);
-                realo_fusion::send(set.header, Boxes(boxes), &set.report, out);
+                set.send(Boxes(boxes), out);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }
@@ -114,8 +113,8 @@ impl Operator for FusionBoxes {
 #[cfg(test)]
 mod tests {
     use nalgebra::{Isometry3, Point3};
+    use realo_engine::testkit::FusionCase;
     use realo_fusion::{FUSED, REPORT};
-    use realo_runtime::testkit::FusionCase;
     use realo_schemas::report::{FusionReport, from_report};
     use realo_schemas::{Header, Kind, PointCloud, Pose, Report, Selection};
 
@@ -359,7 +358,7 @@ mod tests {
     #[test]
     fn describes_every_argument() {
         let names: Vec<_> = FusionBoxes::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        let keys: Vec<_> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
         assert_eq!(names, keys);
     }
 }

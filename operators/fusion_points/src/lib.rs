@@ -5,13 +5,12 @@
 //! | in `ego` | PointCloud | the ego's sweep; joined with `selections` by (agent, seq) |
 //! | in `selections` | Selection | what the bank chose for the ego's sweep of that seq |
 //! | out `clouds` | PointCloud | the ego's points, then those of the collaborators by agent name, in the ego's frame |
-//! | out `report` | Report | topic `fusion`: one for each fusion that took place |
 //!
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers; times are offsets from the ego's
 //! stamp. The motion of objects between the stamps is not removed.
 
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::geometry::transform_cloud;
 use realo_schemas::{Message, Nanos, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -91,11 +90,11 @@ impl Describe for FusionPoints {
         },
     ];
     const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::PointCloud]);
-    const OUTPUTS: &'static [Port] = &realo_fusion::outputs(Port::new(
+    const OUTPUTS: &'static [Port] = &[Port::new(
         "clouds",
         &[PayloadType::PointCloud],
         "the ego's points, then the collaborators', in the ego's frame",
-    ));
+    )];
 }
 
 impl Operator for FusionPoints {
@@ -115,7 +114,7 @@ impl Operator for FusionPoints {
                     set.reject_other_frames();
                 }
                 let merged = merge(&set.ego, set.header.stamp, &set.collaborators, self.config.as_sent);
-                realo_fusion::send(set.header, merged, &set.report, out);
+                set.send(merged, out);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }

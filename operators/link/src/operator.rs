@@ -1,8 +1,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::report::{Channel, LinkReport, to_report};
-use realo_schemas::{EgoState, Header, Kind, Message, Name, Nanos, Packet, PayloadType};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::report::{Fate, Traffic};
+use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, PayloadType};
 use serde::{Deserialize, Serialize};
 
 use crate::{Arrivals, Model, Profile, StreamKey, transmit};
@@ -13,7 +13,6 @@ const EGO: PortId = PortId(2);
 const OTHERS: PortId = PortId(3);
 const TO_EGO: PortId = PortId(0);
 const TO_OTHERS: PortId = PortId(1);
-const REPORT: PortId = PortId(2);
 
 /// Settings of the link.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -52,15 +51,6 @@ type Fix = (Nanos, [f64; 2]);
 /// A packet, and when it was sent, ns.
 struct Sent(Nanos, Header, Packet);
 
-#[derive(Default)]
-struct Tally {
-    sent: u64,
-    bytes: u64,
-    lost: u64,
-    duplicated: u64,
-    out_of_range: u64,
-}
-
 /// Carries packets between the ego and the others.
 pub struct Link {
     profile: Profile,
@@ -72,9 +62,6 @@ pub struct Link {
     fixes: BTreeMap<Name, Fix>,
     /// Packets for the ego that wait for a first position.
     early: BTreeMap<Name, VecDeque<Sent>>,
-    channels: BTreeMap<(Name, Name, Kind), Tally>,
-    /// The header that the report derives from.
-    last: Option<Header>,
 }
 
 impl Describe for Link {
@@ -119,11 +106,6 @@ impl Describe for Link {
             "to_others",
             &[PayloadType::Packet],
             "the ego's packets, a copy for each other agent that is known",
-        ),
-        Port::new(
-            "report",
-            &[PayloadType::Report],
-            "topic `link`: what crossed each channel, at the end",
         ),
     ];
 }
@@ -207,45 +189,37 @@ impl Link {
     fn carry(&mut self, port: PortId, to: &Name, Sent(sent, header, packet): &Sent, out: &mut Outputs) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
-        let tally = self
-            .channels
-            .entry((from.clone(), to.clone(), header.kind))
-            .or_default();
         if in_range != Some(true) {
             out.count("unplaced", u64::from(in_range.is_none()));
-            tally.out_of_range += 1;
-            return;
+            let traffic = Traffic {
+                out_of_range: 1,
+                ..Traffic::default()
+            };
+            return out.carried(from, to, header.kind, traffic);
         }
-        tally.sent += 1;
-        tally.bytes += packet.bytes.len() as u64;
         let draws = self.key.draws(from, to, header.kind, header.seq);
         let Arrivals { first, second } = transmit(self.profile.model(header.kind), packet.bytes.len(), draws);
-        tally.lost += u64::from(first.is_none());
-        tally.duplicated += u64::from(second.is_some());
+        let traffic = Traffic {
+            sent: 1,
+            bytes: packet.bytes.len() as u64,
+            duplicated: u64::from(second.is_some()),
+            out_of_range: 0,
+        };
+        out.carried(from, to, header.kind, traffic);
+        let header = Header {
+            to: Some(to.clone()),
+            ..header.clone()
+        };
+        if first.is_none() {
+            out.tell(&header, Fate::Lost);
+        }
         for delay in [first, second].into_iter().flatten() {
             let ready = sent.saturating_add(delay);
             let header = Header {
-                to: Some(to.clone()),
                 ready,
                 ..header.clone()
             };
             out.send(port, Message::new(header, packet.clone()));
-        }
-    }
-
-    fn report(&self) -> LinkReport {
-        let channels = self.channels.iter().map(|((from, to, kind), tally)| Channel {
-            from: from.to_string(),
-            to: to.to_string(),
-            kind: *kind,
-            sent: tally.sent,
-            bytes: tally.bytes,
-            lost: tally.lost,
-            duplicated: tally.duplicated,
-            out_of_range: tally.out_of_range,
-        });
-        LinkReport {
-            channels: channels.collect(),
         }
     }
 }
@@ -276,8 +250,6 @@ impl Operator for Link {
             others: BTreeSet::new(),
             fixes: BTreeMap::new(),
             early: BTreeMap::new(),
-            channels: BTreeMap::new(),
-            last: None,
         })
     }
 
@@ -292,7 +264,6 @@ impl Operator for Link {
             return self.state(header, &state, out);
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
-        self.last = Some(header.clone());
         let sent = Sent(out.now(), header, packet);
         if port == EGO {
             for other in self.others.clone() {
@@ -308,16 +279,6 @@ impl Operator for Link {
         let early = std::mem::take(&mut self.early).into_values().flatten();
         if let Some(ego) = self.ego.clone() {
             early.for_each(|sent| self.carry(TO_EGO, &ego, &sent, out));
-        }
-        if let Some(last) = &self.last {
-            let agent = self.ego.clone().unwrap_or_else(|| last.agent.clone());
-            let header = Header {
-                kind: Kind::Report,
-                agent,
-                ready: out.now(),
-                ..last.clone()
-            };
-            out.send(REPORT, Message::new(header, to_report("link", &self.report())));
         }
         Ok(())
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use realo_runtime::config::nearest_name;
+use realo_operator::config::nearest_name;
 use realo_schemas::Kind;
 use serde::Deserialize;
 

@@ -1,4 +1,4 @@
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{EgoState, Header, Message, PayloadType, PointCloud, Pose, PoseStatus};
 use serde::{Deserialize, Serialize};
 
@@ -223,7 +223,7 @@ mod tests {
 
     #[test]
     fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_runtime::config::defaults::<LocalizationConfig>()
+        let keys: Vec<String> = realo_operator::config::defaults::<LocalizationConfig>()
             .keys()
             .cloned()
             .collect();

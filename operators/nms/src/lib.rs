@@ -15,7 +15,7 @@ mod suppress;
 
 use std::collections::BTreeMap;
 
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::{Footprint, Region, is_valid};
 use realo_schemas::{Box3, Boxes, Header, Message, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -181,7 +181,7 @@ impl Describe for Nms {
         },
     ];
     const INPUTS: &'static [Port] =
-        &[Port::new("boxes", &[PayloadType::Boxes], "detections in any order, one frame").latest()];
+        &[Port::new("proposals", &[PayloadType::Boxes], "detections in any order, one frame").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new(
         "boxes",
         &[PayloadType::Boxes],
@@ -424,7 +424,7 @@ mod tests {
     #[test]
     fn describes_every_argument() {
         let names: Vec<_> = Nms::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        let keys: Vec<_> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
         assert_eq!(names, keys);
     }
 }

@@ -19,7 +19,7 @@ use realo_nn::canvas::Canvas;
 use realo_nn::network::Network;
 use realo_nn::pillar_net::PillarNet;
 use realo_nn::pillars::{Dropped, Pillariser, Points};
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{DType, FeatureMap, Header, Kind, Message, Name, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
 
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
         let told: Vec<&str> = PillarEncoder::ARGUMENTS.iter().map(|argument| argument.name).collect();
         assert_eq!(keys, told);
     }

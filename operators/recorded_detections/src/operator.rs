@@ -1,4 +1,4 @@
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{Box3, Boxes, Header, Kind, Message, PayloadType, geometry};
 use serde::{Deserialize, Serialize};
 
@@ -51,7 +51,7 @@ impl Describe for RecordedDetections {
             .joined("sweep"),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new(
-        "boxes",
+        "proposals",
         &[PayloadType::Boxes],
         "the recorded boxes with the sweep's header and pose",
     )];
@@ -191,7 +191,7 @@ mod tests {
 
     #[test]
     fn it_has_no_arguments() {
-        assert!(realo_runtime::config::defaults::<RecordedDetectionsConfig>().is_empty());
+        assert!(realo_operator::config::defaults::<RecordedDetectionsConfig>().is_empty());
         assert!(RecordedDetections::ARGUMENTS.is_empty());
     }
 }

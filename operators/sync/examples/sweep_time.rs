@@ -2,7 +2,7 @@
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Vector3};
-use realo_runtime::{Operator, Outputs, PortId};
+use realo_operator::{Operator, Outputs, PortId};
 use realo_schemas::{EgoState, Header, Kind, Message, Nanos, PointCloud, PoseStatus};
 use realo_sync::{Sync, SyncConfig};
 

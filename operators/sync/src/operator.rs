@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{EgoState, Header, Kind, Message, Name, Nanos, PayloadType, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
@@ -84,7 +84,7 @@ impl Describe for Sync {
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::new(
-            "clouds",
+            "sweeps",
             &[PayloadType::PointCloud],
             "sweeps in the body frame at their stamp, with its pose",
         ),

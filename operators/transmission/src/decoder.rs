@@ -1,8 +1,7 @@
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{Header, Message, Packet, PayloadType};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_schemas::{Header, Message, Packet, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
-use crate::encoder::CARRIED;
 use crate::{CODEC, DecodeError, decode};
 
 /// Settings of the decoder.
@@ -19,6 +18,12 @@ impl Default for DecoderConfig {
     }
 }
 
+/// Payloads that can be fused.
+const FUSED: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::FeatureMap, PayloadType::Boxes];
+
+const MESSAGES: PortId = PortId(0);
+const STATES: PortId = PortId(1);
+
 /// Gets what an agent said out of its bytes.
 pub struct TransmissionDecoder {
     max_bytes: usize,
@@ -33,7 +38,10 @@ impl Describe for TransmissionDecoder {
         about: "greatest packet that is taken, bytes; a greater one is rejected",
     }];
     const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
-    const OUTPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what the sender said")];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new("messages", FUSED, "the points, features or boxes that the sender sent"),
+        Port::new("states", &[PayloadType::EgoState], "where the sender was"),
+    ];
 }
 
 impl TransmissionDecoder {
@@ -66,7 +74,12 @@ impl Operator for TransmissionDecoder {
             return Err(wrong_port(Self::INPUTS, port));
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
-        out.send(PortId(0), self.message(header, &packet)?);
+        let message = self.message(header, &packet)?;
+        let port = match message.payload {
+            Payload::EgoState(_) => STATES,
+            _ => MESSAGES,
+        };
+        out.send(port, message);
         Ok(())
     }
 }

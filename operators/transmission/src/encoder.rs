@@ -1,6 +1,7 @@
 use arrow::buffer::Buffer;
-use realo_runtime::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::{relative, transform_cloud};
+use realo_schemas::report::Fate;
 use realo_schemas::{EgoState, Header, Message, Packet, Payload, PayloadType, Pose};
 use serde::{Deserialize, Serialize};
 
@@ -41,8 +42,16 @@ pub enum Project {
 pub struct TransmissionEncoder {
     columns: Columns,
     project: Project,
-    /// The ego's newest state, and its header.
-    ego: Option<(Header, EgoState)>,
+    /// The ego's newest state.
+    ego: Option<Known>,
+}
+
+/// A state of the ego that has arrived.
+struct Known {
+    header: Header,
+    state: EgoState,
+    /// Whether something was projected with it.
+    used: bool,
 }
 
 const MESSAGES: PortId = PortId(0);
@@ -71,6 +80,7 @@ impl Describe for TransmissionEncoder {
         Port::new("messages", CARRIED, "what an agent says").latest(),
         Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
             .state()
+            .accounting()
             .optional(),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
@@ -93,25 +103,51 @@ impl Operator for TransmissionEncoder {
             MESSAGES => self.encode(message, out),
             STATE => {
                 let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
-                if self.ego.as_ref().is_none_or(|(known, _)| known.stamp < header.stamp) {
-                    self.ego = Some((header, state));
+                if self
+                    .ego
+                    .as_ref()
+                    .is_some_and(|known| known.header.stamp >= header.stamp)
+                {
+                    out.tell(&header, Fate::Superseded);
+                    return Ok(());
                 }
+                let known = Known {
+                    header,
+                    state,
+                    used: false,
+                };
+                self.forget(Fate::Superseded, out);
+                self.ego = Some(known);
                 Ok(())
             }
             _ => Err(wrong_port(Self::INPUTS, port)),
         }
     }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        self.forget(Fate::InFlight, out);
+        Ok(())
+    }
 }
 
 impl TransmissionEncoder {
-    fn encode(&self, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    /// Gives up the state; `unused` is the fate of one that nothing was projected with.
+    fn forget(&mut self, unused: Fate, out: &mut Outputs) {
+        if let Some(known) = self.ego.take().filter(|known| !known.used) {
+            out.tell(&known.header, unused);
+        }
+    }
+
+    fn encode(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let message = match (self.project, &message.payload) {
             (Project::Sender, Payload::PointCloud(_)) => {
-                let Some(ego) = &self.ego else {
+                let Some(known) = &mut self.ego else {
                     out.count("no_ego_state", 1);
                     return Ok(());
                 };
-                projected(message, ego)?
+                known.used = true;
+                out.tell(&known.header, Fate::Used);
+                projected(message, known)?
             }
             _ => message,
         };
@@ -134,7 +170,7 @@ impl TransmissionEncoder {
 }
 
 /// A sweep in the ego's body frame at the state's stamp; the header's frame and pose are then the ego's.
-fn projected(message: Message, (ego, state): &(Header, EgoState)) -> Result<Message, Error> {
+fn projected(message: Message, Known { header: ego, state, .. }: &Known) -> Result<Message, Error> {
     let Message { header, payload } = message;
     let Payload::PointCloud(cloud) = payload else {
         return Err(format!(

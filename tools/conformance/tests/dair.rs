@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use realo_evaluator::{Evaluation, EvaluationReport, Evaluator, frame_scores};
 use realo_fusion_boxes::FusionBoxes;
 use realo_nms::Nms;
-use realo_runtime::{Describe, Operator, Outputs, PortId};
+use realo_operator::{Describe, Operator, Outputs, PortId};
 use realo_schemas::geometry::{Cuboid, transform_corners};
 use realo_schemas::report::from_report;
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Payload, Pose, Report, Selection};
@@ -142,7 +142,7 @@ fn pairs(root: &Path) -> Vec<Pair> {
 
 fn configured<O: Operator>(args: &[&str]) -> O {
     let args: Vec<String> = args.iter().map(|arg| arg.to_string()).collect();
-    O::new(realo_runtime::config::parse::<<O as Describe>::Config>(&args).unwrap()).unwrap()
+    O::new(realo_operator::config::parse::<<O as Describe>::Config>(&args).unwrap()).unwrap()
 }
 
 /// Hands a message to an operator and returns what it sends on its first output.

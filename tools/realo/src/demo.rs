@@ -4,7 +4,10 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr};
+use realo_graph::FlatNode;
 use realo_simulator::Options;
+
+use crate::run::argument;
 
 /// Where the demo log lies below the folder of a target.
 pub const FILE: &str = "realo/demo.mcap";
@@ -39,16 +42,11 @@ pub fn make(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// For a player about to start from these arguments: makes the log if it is the demo log and missing.
+/// For a stage about to start: makes the log that it plays if that is the demo log and missing.
 ///
 /// # Errors
 /// As [`make`].
-pub fn make_if_missing(player_args: &[String]) -> Result<()> {
-    let given = player_args
-        .iter()
-        .find_map(|arg| arg.strip_prefix("log="))
-        .map(PathBuf::from);
-    let default = realo_player::Config::default().log;
-    let path = given.unwrap_or(default);
-    if path.ends_with(FILE) { make(&path) } else { Ok(()) }
+pub fn make_if_missing(stage: &FlatNode) -> Result<()> {
+    let played = PathBuf::from(argument(stage, "log").unwrap_or_default());
+    if played.ends_with(FILE) { make(&played) } else { Ok(()) }
 }

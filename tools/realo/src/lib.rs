@@ -3,6 +3,7 @@
 //! One file for each subcommand. Perception happens in the graph's stages, never here.
 
 pub mod bench;
+mod command;
 pub mod compare;
 pub mod conformance;
 pub mod demo;
@@ -18,7 +19,8 @@ pub mod simulate;
 pub mod train;
 pub mod validate;
 
-pub use registry::REGISTRY;
+pub use command::main_with;
+pub use registry::registry;
 
 /// How a command ended, beyond success and failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

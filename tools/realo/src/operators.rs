@@ -1,10 +1,10 @@
 //! `realo operators`: every operator and node with its ports and arguments.
 
 use eyre::Result;
-use realo_runtime::{Port, Queue, Registration};
+use realo_operator::{Port, Queue, Registration};
 use serde_json::{Value, json};
 
-use crate::{Outcome, REGISTRY};
+use crate::{Outcome, registry};
 
 /// Lists every operator and node with ports, types and arguments
 #[derive(clap::Args)]
@@ -19,9 +19,9 @@ pub struct Args {
 /// Prints the registry.
 pub fn main(args: &Args) -> Result<Outcome> {
     let wanted = |entry: &&Registration| args.name.as_deref().is_none_or(|name| entry.name == name);
-    let entries: Vec<&Registration> = REGISTRY.0.iter().filter(wanted).collect();
+    let entries: Vec<&Registration> = registry().0.iter().filter(wanted).collect();
     if let (Some(name), true) = (&args.name, entries.is_empty()) {
-        let known: Vec<_> = REGISTRY.0.iter().map(|entry| entry.name).collect();
+        let known: Vec<_> = registry().0.iter().map(|entry| entry.name).collect();
         return Err(eyre::eyre!(
             "no operator or node `{name}`; there are: {}",
             known.join(", ")
@@ -99,7 +99,7 @@ fn document(entry: &Registration) -> Value {
     };
     let defaults = (entry.defaults)();
     let argument =
-        |a: &realo_runtime::Argument| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about});
+        |a: &realo_operator::Argument| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about});
     json!({
         "kind": entry.word(),
         "name": entry.name,

@@ -1,7 +1,9 @@
-use realo_runtime::{Registration, Registry};
+use std::sync::OnceLock;
 
-/// Every operator and node that this binary hosts, in the order of a frame's way.
-pub static REGISTRY: Registry = Registry(&[
+use realo_operator::{Registration, Registry};
+
+/// Every operator and node that realo ships, in the order of a frame's way.
+const SHIPPED: &[Registration] = &[
     Registration::source::<realo_player::Player>(),
     Registration::operator::<realo_sync::Sync>(),
     Registration::operator::<realo_localization::Localization>(),
@@ -18,4 +20,21 @@ pub static REGISTRY: Registry = Registry(&[
     Registration::operator::<realo_evaluator::Evaluator>(),
     Registration::sink::<realo_recorder::Recorder>(),
     Registration::sink::<realo_results::Results>(),
-]);
+];
+
+static ALL: OnceLock<Vec<Registration>> = OnceLock::new();
+
+/// Every operator and node that this binary hosts: those that are shipped, and those of [`crate::main_with`].
+pub fn registry() -> Registry {
+    Registry(ALL.get_or_init(|| SHIPPED.to_vec()))
+}
+
+/// Adds operators and nodes; those of a shipped name take its place.
+pub(crate) fn register(own: &[Registration]) {
+    let shipped = SHIPPED.iter().filter(|shipped| {
+        !own.iter()
+            .any(|own| (own.word(), own.name) == (shipped.word(), shipped.name))
+    });
+    // Whoever asks for the registry before has none of `own`; `main_with` registers first.
+    let _ = ALL.set(shipped.chain(own).copied().collect());
+}

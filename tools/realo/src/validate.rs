@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use eyre::Result;
-use realo_runtime::graph::{self, Finding, FlatGraph, Severity};
-use realo_runtime::pipe::Program;
+use realo_graph::{Finding, FlatGraph, Severity};
+use realo_host::Program;
 
-use crate::{Outcome, REGISTRY};
+use crate::{Outcome, registry};
 
 /// Checks graphs beyond what `dora validate` does, and says how to mend them
 #[derive(clap::Args)]
@@ -50,7 +50,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
 /// The findings; programs of plug-ins are started over pipes and asked for their ports.
 fn check(graph: &FlatGraph, no_start: bool) -> Vec<Finding> {
     let folder = graph.file.parent().unwrap_or(Path::new("/"));
-    graph::validate_asking(graph, &REGISTRY, &mut |node| {
-        (!no_start).then(|| Program::of(node, folder).ask())
+    realo_graph::validate_asking(graph, &registry(), &mut |node| {
+        Program::of(node, folder)
+            .filter(|_| !no_start)
+            .map(|program| program.ask())
     })
 }

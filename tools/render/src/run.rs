@@ -5,7 +5,7 @@ use realo_evaluator::{Collector, Evaluation, Frame, Protocol};
 use realo_logs::Log;
 use realo_recorder::{read_boxes, read_truth};
 use realo_results::{Run, RunResult, read_run};
-use realo_schemas::report::MessageId;
+use realo_schemas::report::Crossing;
 use realo_schemas::{Boxes, GroundTruth, Header, Nanos};
 
 use crate::fused::{Fused, fused};
@@ -56,7 +56,7 @@ pub struct Chosen {
     /// Header of its boxes, or of its truth where no boxes came.
     pub header: Header,
     /// Messages that were fused, and their ages, ns from their stamps to when the ego asked.
-    pub fused: Vec<(MessageId, Nanos)>,
+    pub fused: Vec<(Crossing, Nanos)>,
     /// What was detected and what is there.
     pub judged: Judged,
 }

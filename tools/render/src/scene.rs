@@ -148,7 +148,7 @@ fn agent(
     };
     let info = log.info().agent(name);
     let ego_from_agent = relative(map_from_ego, &map_from_agent);
-    let ages = chosen.fused.iter().filter(|(message, _)| message.agent == name);
+    let ages = chosen.fused.iter().filter(|(message, _)| message.from == name);
     Ok(Some(Agent {
         name: name.into(),
         kind: info.map_or(AgentKind::Vehicle, |info| info.kind),

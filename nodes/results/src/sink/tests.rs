@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use realo_evaluator::{EvaluationReport, Protocol, evaluate, score};
-use realo_runtime::{InputBooks, NodeBooks, Tally};
+use realo_operator::{InputBooks, NodeBooks, Tally};
 use realo_schemas::report::{BankReport, Departed, Fate, FusionReport, MessageId, Selected, to_report};
 use realo_schemas::{Box3, Clock, Kind, Nanos, TraceEntry};
 
@@ -428,6 +428,6 @@ fn refuses_a_folder_of_somebody_else_before_the_run() {
 #[test]
 fn describes_every_argument() {
     let names: Vec<_> = Results::ARGUMENTS.iter().map(|argument| argument.name).collect();
-    let keys: Vec<_> = realo_runtime::config::defaults::<Config>().keys().cloned().collect();
+    let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
     assert_eq!(names, keys);
 }

@@ -174,7 +174,7 @@ fn refuses_settings_that_cannot_work() {
 
 #[test]
 fn arguments_are_the_keys_of_the_configuration() {
-    let keys: Vec<String> = realo_runtime::config::defaults::<BankConfig>()
+    let keys: Vec<String> = realo_operator::config::defaults::<BankConfig>()
         .keys()
         .cloned()
         .collect();

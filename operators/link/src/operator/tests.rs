@@ -301,7 +301,7 @@ fn learns_the_ego_and_refuses_what_is_wired_wrongly() {
 
 #[test]
 fn arguments_are_the_keys_of_the_configuration() {
-    let keys: Vec<String> = realo_runtime::config::defaults::<LinkConfig>()
+    let keys: Vec<String> = realo_operator::config::defaults::<LinkConfig>()
         .keys()
         .cloned()
         .collect();

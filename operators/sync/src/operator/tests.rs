@@ -259,7 +259,7 @@ fn waiting_sweeps_are_bounded() {
 
 #[test]
 fn arguments_are_the_keys_of_the_configuration() {
-    let keys: Vec<String> = realo_runtime::config::defaults::<SyncConfig>()
+    let keys: Vec<String> = realo_operator::config::defaults::<SyncConfig>()
         .keys()
         .cloned()
         .collect();
@@ -268,6 +268,6 @@ fn arguments_are_the_keys_of_the_configuration() {
         Sync::ARGUMENTS.iter().map(|argument| argument.name).collect::<Vec<_>>()
     );
     let args = ["own_body=-2,3,-1,1".to_string()];
-    let config: SyncConfig = realo_runtime::config::parse(&args).unwrap();
+    let config: SyncConfig = realo_operator::config::parse(&args).unwrap();
     assert_eq!(config.own_body, [-2.0, 3.0, -1.0, 1.0]);
 }

@@ -1,7 +1,7 @@
 use arrow::buffer::Buffer;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use realo_runtime::{Describe, Operator, Outputs, PortId};
+use realo_operator::{Describe, Operator, Outputs, PortId};
 use realo_schemas::{Box3, Boxes, DType, EgoState, FeatureMap, Name, Packet, PointCloud, Pose, PoseStatus};
 
 use super::*;
@@ -287,7 +287,10 @@ fn decoder_rejects_forged_oversized_and_unknown_packets() {
 #[test]
 fn arguments_are_the_keys_of_the_configuration() {
     fn check<D: Describe>() {
-        let keys: Vec<String> = realo_runtime::config::defaults::<D::Config>().keys().cloned().collect();
+        let keys: Vec<String> = realo_operator::config::defaults::<D::Config>()
+            .keys()
+            .cloned()
+            .collect();
         assert_eq!(
             keys,
             D::ARGUMENTS.iter().map(|argument| argument.name).collect::<Vec<_>>()

@@ -6,9 +6,9 @@ use std::path::PathBuf;
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_evaluator::{Evaluation, Protocol, frame_scores};
+use realo_operator::Source;
 use realo_player::{Coop, Player};
 use realo_results::{Run, Settings};
-use realo_runtime::Source;
 use realo_schemas::{Boxes, GroundTruth, Kind};
 
 use crate::Outcome;

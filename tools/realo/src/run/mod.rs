@@ -12,14 +12,15 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
+use realo_graph::FlatGraph;
 use realo_results::Run;
-use realo_runtime::graph::FlatGraph;
 
 use crate::Outcome;
 use networks::Networks;
 use prepare::Cell;
 
 pub use dora::find as find_dora;
+pub(crate) use nodes::argument;
 pub use replay::replay;
 
 /// Runs graphs over logs and prints what came out, side by side

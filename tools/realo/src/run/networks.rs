@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail};
-use realo_runtime::graph::{FlatGraph, InputSource};
+use realo_graph::{FlatGraph, InputSource};
 
 use super::nodes::{HEAD, argument, is_network, nodes_of};
 

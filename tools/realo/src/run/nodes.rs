@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
 use eyre::{Result, bail};
-use realo_runtime::graph::{FlatGraph, FlatNode};
+use realo_graph::{FlatGraph, FlatNode};
 
-use crate::REGISTRY;
+use crate::registry;
 
 /// The operator that can project.
 pub const SENDER: &str = "transmission-encoder";
@@ -17,7 +17,7 @@ pub const HEAD: &str = "detection-head";
 
 /// The stage that a node runs; `None` for a program of its own.
 pub fn stage_of(node: &FlatNode) -> Option<&'static str> {
-    node.registration(&REGISTRY).map(|known| known.name)
+    node.registration(&registry()).map(|known| known.name)
 }
 
 /// The nodes of a stage.
@@ -60,7 +60,7 @@ pub fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
 /// An argument of a stage: the graph's, or else its default.
 pub fn argument(node: &FlatNode, key: &str) -> Option<String> {
     let default = || {
-        let default = (node.registration(&REGISTRY)?.defaults)().get(key)?.clone();
+        let default = (node.registration(&registry())?.defaults)().get(key)?.clone();
         Some(default.as_str().map_or_else(|| default.to_string(), str::to_string))
     };
     given(node, key).map(str::to_string).or_else(default)
@@ -71,7 +71,11 @@ pub fn argument(node: &FlatNode, key: &str) -> Option<String> {
 pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
-        let own = node.registration(&REGISTRY).map(|known| (known.defaults)());
+        if let Some(program) = node.program().filter(|path| is_relative_path(path)) {
+            let path = lexically_normal(&folder.join(program));
+            node.set_program(&path.to_string_lossy());
+        }
+        let own = node.registration(&registry()).map(|known| (known.defaults)());
         let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
         let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
         let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
+use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity};
+use realo_host::ComputeProfile;
 use realo_logs::{Log, Stream};
-use realo_runtime::ComputeProfile;
-use realo_runtime::graph::{self, FlatGraph, FlatNode, Graph, Setting, Severity};
+use realo_results::{Settings, Told as ToldFile};
 
 use super::networks::Networks;
 use super::nodes::{
@@ -14,7 +15,7 @@ use super::nodes::{
     stage_of, takes_states, values,
 };
 use super::{Args, Mode, dir_of};
-use crate::{REGISTRY, demo};
+use crate::{demo, registry};
 
 /// One run: a graph over a log with an ego.
 pub struct Cell {
@@ -30,6 +31,20 @@ pub struct Cell {
     pub truncated: bool,
     /// How long stages take in virtual time.
     pub compute: ComputeProfile,
+    /// What the result tells of the run.
+    told: ToldFile,
+}
+
+/// The file in a run's folder that says what its result tells of it.
+const TOLD: &str = "told.json";
+
+impl Cell {
+    /// Writes what the result tells of the run to where the graph has it.
+    pub fn tell(&self) -> Result<()> {
+        let path = self.out.join(TOLD);
+        let text = serde_json::to_string_pretty(&self.told)?;
+        std::fs::write(&path, text).wrap_err_with(|| format!("{}", path.display()))
+    }
 }
 
 /// What options of their own decide: node, argument, option.
@@ -85,10 +100,9 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 coop: coop.as_str(),
                 out: &out,
             };
-            let mut graph = told.to(&graph, &set)?;
+            let (graph, mut settings) = told.to(&graph, &set)?;
             let networks = networks.check(&graph)?;
-            set_all(&mut graph, "results", "isa", &networks.kernels);
-            set_all(&mut graph, "results", "model", &networks.models);
+            (settings.isa, settings.model) = (networks.kernels, networks.models);
             spare(&graph, &logs)?;
             check(&graph)?;
             cells.push(Cell {
@@ -99,6 +113,10 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                     .map_or(0.0, |(first, last)| realo_schemas::to_seconds(last - first)),
                 truncated: log.truncation().is_some(),
                 compute: compute.clone(),
+                told: ToldFile {
+                    log: stem.clone(),
+                    settings,
+                },
                 out,
             });
         }
@@ -202,7 +220,7 @@ type Told3 = (&'static str, &'static str, String);
 
 impl Told<'_> {
     /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
-    fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<FlatGraph> {
+    fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
         let mut graph = graph.clone();
         let told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
         for (stage, key, value) in told {
@@ -238,25 +256,27 @@ impl Told<'_> {
             .into_iter()
             .map(|(key, value)| format!("{key}={value}"))
             .collect();
-        let told = [
-            ("link", values(&links, "profile", |value| stem(Path::new(value)))),
-            ("seed", values(&links, "seed", str::to_string)),
-            ("project", values(&projectors, "project", str::to_string)),
-            ("set", changes.join(", ")),
-        ];
-        for (key, value) in told {
-            set_all(&mut graph, "results", key, &value);
-        }
-        Ok(graph)
-    }
-
-    fn of_run(&self) -> Vec<Told3> {
         let mode = if self.args.offline {
             "offline"
         } else {
             self.mode.as_str()
         };
-        let compute = self.args.compute.as_deref().map(stem).unwrap_or_default();
+        let settings = Settings {
+            graph: self.graph.into(),
+            mode: mode.into(),
+            coop: self.coop.into(),
+            ego: self.ego.into(),
+            link: values(&links, "profile", |value| stem(Path::new(value))),
+            compute: self.args.compute.as_deref().map(stem).unwrap_or_default(),
+            seed: values(&links, "seed", str::to_string),
+            project: values(&projectors, "project", str::to_string),
+            set: changes.join(", "),
+            ..Settings::default()
+        };
+        Ok((graph, settings))
+    }
+
+    fn of_run(&self) -> Vec<Told3> {
         vec![
             ("player", "log", self.log_path.to_string_lossy().into_owned()),
             ("player", "ego", self.ego.into()),
@@ -264,12 +284,7 @@ impl Told<'_> {
             ("player", "agents", self.args.agents.join(",")),
             ("link", "ego", self.ego.into()),
             ("results", "out", self.out.to_string_lossy().into_owned()),
-            ("results", "graph", self.graph.into()),
-            ("results", "log", stem(self.log_path)),
-            ("results", "mode", mode.into()),
-            ("results", "coop", self.coop.into()),
-            ("results", "ego", self.ego.into()),
-            ("results", "compute", compute),
+            ("results", "told", self.out.join(TOLD).to_string_lossy().into_owned()),
         ]
     }
 
@@ -333,7 +348,7 @@ fn change_in_words(setting: &Setting) -> (String, String) {
 
 /// Refuses a graph with errors and prints its warnings.
 fn check(graph: &FlatGraph) -> Result<()> {
-    let findings = graph::validate(graph, &REGISTRY);
+    let findings = realo_graph::validate(graph, &registry());
     let warnings = findings.iter().filter(|f| f.severity == Severity::Warning);
     warnings.for_each(|finding| eprintln!("realo: {}: {finding}", graph.file.display()));
     let errors: Vec<String> = findings

@@ -2,11 +2,12 @@
 
 use eyre::{Result, WrapErr, eyre};
 use rayon::prelude::*;
-use realo_runtime::graph::FlatGraph;
-use realo_runtime::{Books, ComputeProfile, Wiring, virtual_time};
+use realo_graph::FlatGraph;
+use realo_host::{ComputeProfile, Stages, virtual_time};
+use realo_operator::Books;
 
 use super::prepare::Cell;
-use crate::REGISTRY;
+use crate::registry;
 use crate::simulate::progress;
 
 /// Runs all cells, several at a time; they do not know of each other.
@@ -15,7 +16,7 @@ pub fn all(cells: &[Cell]) -> Result<()> {
     let done: Vec<Result<()>> = cells
         .par_iter()
         .map(|cell| {
-            replay(&cell.graph, &cell.compute, &mut |_, _, _| {}).wrap_err_with(|| cell.name.clone())?;
+            replay(&cell.graph, &cell.compute, None).wrap_err_with(|| cell.name.clone())?;
             bar.inc(1);
             Ok(())
         })
@@ -24,19 +25,21 @@ pub fn all(cells: &[Cell]) -> Result<()> {
     done.into_iter().collect()
 }
 
-/// Runs a graph in virtual time; `observer` sees every message that a node sends.
+/// Runs a graph in virtual time; `observer` sees every message that a stage sends.
 ///
 /// # Errors
 /// A graph that virtual time cannot run; the node that failed.
-pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: virtual_time::Observer) -> Result<Books> {
-    let wiring = Wiring::of(graph, &REGISTRY).map_err(|error| eyre!(error))?;
-    if let Some(node) = compute.nodes.keys().find(|id| graph.node(id).is_none()) {
+pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: Option<virtual_time::Observer>) -> Result<Books> {
+    let stages = Stages::of(graph, &registry()).map_err(|error| eyre!(error))?;
+    if let Some(stranger) = compute.stranger(|id| graph.node(id).is_some()) {
+        let known: Vec<&str> = graph.nodes.iter().map(|node| node.id.as_str()).collect();
         return Err(eyre!(
-            "the compute profile names node `{node}`, which {} does not have",
-            graph.file.display()
+            "the compute profile names `{stranger}`, which is no stage of {}; there are: {}",
+            graph.file.display(),
+            known.join(", ")
         ));
     }
-    Ok(virtual_time::run(&wiring, compute, observer)?)
+    Ok(virtual_time::run(&stages, compute, observer)?)
 }
 
 /// Makes the cell's folder and takes away an earlier run's results, so that none stands there unless this one succeeds.
@@ -45,6 +48,7 @@ pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: virtual_tim
 /// Files of those names that no run of realo wrote.
 pub(super) fn claim(cell: &Cell) -> Result<()> {
     realo_results::claim(&cell.out)?;
+    cell.tell()?;
     let recording = cell.out.join("recording.mcap");
     match std::fs::remove_file(&recording) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {

@@ -1,0 +1,659 @@
+//! The state machine.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
+
+use realo_operator::{Books, NodeBooks, PortId, Registration, Role, WrongType};
+use realo_schemas::report::{Fate, Fated};
+use realo_schemas::{Clock, Message, Name, Nanos};
+
+use crate::event::{Event, Key, Order, What};
+use crate::intake::{Intake, Overflow, Work};
+use crate::stage::{Call, Called, Stage, crossings, told};
+use crate::{Feed, Wiring};
+
+/// What triggers the last call of a stage.
+const END: &str = "end";
+
+/// How many calls of one stage may be under way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Servers {
+    /// One for each agent: agents do not wait for each other (virtual time).
+    PerAgent,
+    /// One in all (a process).
+    One,
+}
+
+/// Why the stages cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// A source, a sink or a program failed.
+    #[error("node `{node}` failed: {reason}")]
+    Failed {
+        /// The stage's id.
+        node: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// A message that an input does not take.
+    #[error("node `{node}`: {wrong}")]
+    Type {
+        /// The receiver's id.
+        node: String,
+        /// Which input, what it takes, and what came.
+        wrong: WrongType,
+    },
+    /// A stage fell behind without bound.
+    #[error("node `{node}`: {overflow}; give it a `latest` port, or less to do")]
+    Overflow {
+        /// Its id.
+        node: String,
+        /// Which input.
+        overflow: Overflow,
+    },
+}
+
+/// What is to be done next.
+#[derive(Debug)]
+pub enum Step {
+    /// A stage is to be called; [`Engine::complete`] takes what comes of it.
+    Call(Task),
+    /// A message of this source was released; the next one is wanted.
+    Released(usize),
+}
+
+/// One call of a stage.
+#[derive(Debug)]
+pub struct Task {
+    /// The call under way.
+    pub ticket: Ticket,
+    /// What the stage is called for.
+    pub call: Call,
+    /// What a sink has not been told yet.
+    pub fates: Vec<Fated>,
+}
+
+/// A call that is under way.
+#[derive(Clone, Debug)]
+pub struct Ticket {
+    /// Index of the stage.
+    pub stage: usize,
+    /// Log time of the call.
+    pub start: Nanos,
+    /// What triggered it: an input's name, `wake` or `end`.
+    pub cause: &'static str,
+    server: Name,
+    /// When the last of what it takes was ready.
+    input: Nanos,
+}
+
+impl Ticket {
+    /// Whether nothing follows.
+    pub fn is_end(&self) -> bool {
+        self.cause == END
+    }
+}
+
+/// A message for somebody outside.
+#[derive(Debug)]
+pub struct Leaving {
+    /// Index of the stage that sent it.
+    pub stage: usize,
+    /// Its output.
+    pub port: PortId,
+    /// The message.
+    pub message: Message,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Life {
+    Open,
+    Ending,
+    Ended,
+}
+
+/// One stage, as the engine sees it.
+struct Running {
+    stage: Stage,
+    intake: Intake,
+    /// Until when each server is busy.
+    busy: BTreeMap<Name, Nanos>,
+    /// Wakes that were asked for and have not come yet.
+    wakes: BTreeSet<(Nanos, Name)>,
+    /// Wakes that came while their server was busy.
+    late_wakes: BTreeSet<(Nanos, Name)>,
+    consumers: Vec<Vec<(usize, PortId)>>,
+    leaves: Vec<bool>,
+    /// By output and by input: when the last message on it is ready.
+    last_out: Vec<Nanos>,
+    last_in: Vec<Nanos>,
+    open_inputs: usize,
+    /// Of a sink: what it has not been told yet.
+    fates: Vec<Fated>,
+    life: Life,
+}
+
+impl Running {
+    fn role(&self) -> Role {
+        self.stage.registration.role
+    }
+
+    fn is_free(&self, server: &str, now: Nanos) -> bool {
+        self.busy.get(server).is_none_or(|until| *until <= now)
+    }
+
+    fn has_nothing_left(&self, now: Nanos) -> bool {
+        let idle = self.intake.is_idle() && self.wakes.is_empty() && self.late_wakes.is_empty();
+        let open = self.life == Life::Open && self.role() != Role::Source;
+        open && self.open_inputs == 0 && idle && self.busy.values().all(|until| *until <= now)
+    }
+
+    fn own_books(&self) -> NodeBooks {
+        let inputs = self.intake.books().iter();
+        NodeBooks {
+            inputs: inputs.map(|(port, books)| (port.to_string(), books.clone())).collect(),
+            ..self.stage.books.clone()
+        }
+    }
+}
+
+/// Stages, what waits for them, and when it is due. Without clock or I/O: messages and the time go in, calls and what
+/// leaves come out.
+pub struct Engine {
+    stages: Vec<Running>,
+    servers: Servers,
+    events: BinaryHeap<Reverse<Event>>,
+    /// Servers to look at before the next event.
+    open: VecDeque<(usize, Name)>,
+    emissions: u64,
+    leaving: Vec<Leaving>,
+    /// For somebody outside.
+    fates: Vec<Fated>,
+    complaints: Vec<String>,
+    books: Books,
+    clock: Option<Clock>,
+    run: Name,
+}
+
+impl Engine {
+    /// Stages that have nothing to do yet.
+    pub fn new(wiring: &Wiring, servers: Servers) -> Self {
+        let stages = wiring.stages.iter().enumerate().map(|(index, wired)| {
+            let registration = wired.registration;
+            let fed: Vec<bool> = wired.inputs.iter().map(Option::is_some).collect();
+            let outputs = registration.outputs.len();
+            Running {
+                stage: Stage::new(wired.id.clone(), registration),
+                open_inputs: fed.iter().filter(|fed| **fed).count(),
+                intake: Intake::new(registration.inputs, fed),
+                busy: BTreeMap::new(),
+                wakes: BTreeSet::new(),
+                late_wakes: BTreeSet::new(),
+                consumers: (0..outputs).map(|o| wiring.consumers(index, PortId(o))).collect(),
+                leaves: wired.leaves.clone(),
+                last_out: vec![Nanos::MIN; outputs],
+                last_in: vec![Nanos::MIN; registration.inputs.len()],
+                fates: Vec::new(),
+                life: Life::Open,
+            }
+        });
+        let stages: Vec<Running> = stages.collect();
+        // A stage without inputs, a sink alone in its process among them, has to be looked at once.
+        let open = (0..stages.len()).map(|stage| (stage, Name::default())).collect();
+        Engine {
+            stages,
+            servers,
+            events: BinaryHeap::new(),
+            open,
+            emissions: 0,
+            leaving: Vec::new(),
+            fates: Vec::new(),
+            complaints: Vec::new(),
+            books: Books::default(),
+            clock: None,
+            run: Name::default(),
+        }
+    }
+
+    /// Sets the clock that outgoing headers carry.
+    pub fn set_clock(&mut self, clock: Clock) {
+        self.clock.get_or_insert(clock);
+    }
+
+    /// Whether every stage has ended.
+    pub fn is_done(&self) -> bool {
+        self.stages.iter().all(|running| running.life == Life::Ended)
+    }
+
+    /// Whether a stage has ended.
+    pub fn has_ended(&self, stage: usize) -> bool {
+        self.stages[stage].life == Life::Ended
+    }
+
+    /// The id of a stage.
+    pub fn id(&self, stage: usize) -> &Name {
+        &self.stages[stage].stage.id
+    }
+
+    /// What a stage is.
+    pub fn registration(&self, stage: usize) -> &'static Registration {
+        self.stages[stage].stage.registration
+    }
+
+    /// What was sent on an output so far.
+    pub fn hops(&self, stage: usize, port: PortId) -> u64 {
+        self.stages[stage].stage.hops[port.0]
+    }
+
+    /// A number on an output for something that is no message of its stage.
+    pub fn take_hop(&mut self, stage: usize, port: PortId) -> u64 {
+        let hops = &mut self.stages[stage].stage.hops[port.0];
+        *hops += 1;
+        *hops - 1
+    }
+
+    /// The clock that outgoing headers carry.
+    pub fn clock(&self) -> Option<Clock> {
+        self.clock
+    }
+
+    /// Books of the input of a stage, for who brings messages to it from outside.
+    pub fn input_books(&mut self, stage: usize, port: PortId) -> &mut realo_operator::InputBooks {
+        self.stages[stage].intake.books_of(port)
+    }
+
+    /// Books of all stages that have ended, and of those outside that were heard of.
+    pub fn books(&self) -> Books {
+        let mut books = self.books.clone();
+        for sink in self.stages.iter().filter(|running| running.role() == Role::Sink) {
+            books.nodes.insert(sink.stage.id.to_string(), sink.own_books());
+        }
+        books
+    }
+
+    /// Takes over books of stages outside.
+    pub fn merge_books(&mut self, books: &Books) {
+        self.books.merge(books);
+    }
+
+    /// What is to leave, in the order in which it was sent.
+    pub fn take_leaving(&mut self) -> Vec<Leaving> {
+        std::mem::take(&mut self.leaving)
+    }
+
+    /// What was said of messages over links, for sinks outside.
+    pub fn take_fates(&mut self) -> Vec<Fated> {
+        std::mem::take(&mut self.fates)
+    }
+
+    /// What is to be printed of errors.
+    pub fn take_complaints(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.complaints)
+    }
+
+    /// Takes what was said of messages over links: for this engine's sinks, and for those outside.
+    pub fn tell(&mut self, fates: Vec<Fated>) {
+        for sink in self.stages.iter_mut().filter(|running| running.role() == Role::Sink) {
+            sink.fates.extend(fates.iter().cloned());
+        }
+        self.fates.extend(fates);
+    }
+
+    /// Schedules the release of a source's message.
+    pub fn schedule(&mut self, stage: usize, time: Nanos, port: PortId, message: Message) {
+        let key = self.key_of(time, stage, Order::Data, port, &message);
+        self.push(key, What::Release(port, message));
+    }
+
+    /// Releases a source's message that was due at `time`, now.
+    pub fn release(&mut self, stage: usize, port: PortId, mut message: Message, time: Nanos, now: Nanos) {
+        let done = now.max(time);
+        // A source that could not keep up says so: what it releases late is ready late.
+        message.header.ready = message.header.ready.max(done);
+        if self.run.is_empty() {
+            self.run = message.header.run.clone();
+        }
+        if self.clock.is_some() {
+            self.stages[stage].stage.books.late.record(now - time);
+        }
+        self.dispatch(stage, vec![(port, message)], time, done, done);
+    }
+
+    /// Ends a source.
+    pub fn close_source(&mut self, stage: usize, counters: BTreeMap<String, u64>, now: Nanos) {
+        self.stages[stage].stage.books.counters = counters;
+        self.end(stage, now);
+    }
+
+    /// Takes a message from outside; whether the input takes its type, [`Engine::step`] says.
+    pub fn deliver(&mut self, stage: usize, port: PortId, message: Message) {
+        if self.run.is_empty() {
+            self.run = message.header.run.clone();
+        }
+        let running = &mut self.stages[stage];
+        running.last_in[port.0] = running.last_in[port.0].max(message.header.ready);
+        self.arrival(stage, port, message);
+    }
+
+    /// An input from outside has ended; what came before is still served.
+    pub fn end_input(&mut self, stage: usize, port: PortId, now: Nanos) {
+        let time = now.max(self.stages[stage].last_in[port.0]);
+        let key = self.key(time, stage, Order::End, port, Name::default());
+        self.push(key, What::End);
+    }
+
+    /// When the next event is due; the past if something can be done at once.
+    pub fn next_due(&self) -> Option<Nanos> {
+        match self.open.is_empty() {
+            true => self.events.peek().map(|Reverse(event)| event.key.time),
+            false => Some(Nanos::MIN),
+        }
+    }
+
+    /// What is to be done at `now`; `None` until [`Engine::next_due`], or until something comes from outside.
+    ///
+    /// # Errors
+    /// [`EngineError`] ends the run.
+    pub fn step(&mut self, now: Nanos) -> Result<Option<Step>, EngineError> {
+        loop {
+            if let Some((stage, server)) = self.open.pop_front() {
+                match self.serve(stage, &server, now) {
+                    Some(task) => return Ok(Some(Step::Call(task))),
+                    None => continue,
+                }
+            }
+            let due = |Reverse(event): &Reverse<Event>| event.key.time <= now;
+            if !self.events.peek().is_some_and(due) {
+                return Ok(None);
+            }
+            let Some(Reverse(event)) = self.events.pop() else {
+                return Ok(None);
+            };
+            if let Some(released) = self.handle(event)? {
+                return Ok(Some(Step::Released(released)));
+            }
+        }
+    }
+
+    /// Takes what came of a call that was over at `done`; `took`: what is charged for it, ns. The stage stays busy until
+    /// [`Engine::free`].
+    ///
+    /// # Errors
+    /// [`EngineError::Failed`] of a stage that cannot be called again.
+    pub fn complete(
+        &mut self,
+        ticket: &Ticket,
+        mut called: Called,
+        done: Nanos,
+        took: Nanos,
+    ) -> Result<(), EngineError> {
+        let running = &mut self.stages[ticket.stage];
+        if let Some(error) = &called.gone {
+            return Err(EngineError::Failed {
+                node: running.stage.id.to_string(),
+                reason: error.to_string(),
+            });
+        }
+        if running.life == Life::Open && running.role() == Role::Operator {
+            let trigger = called.trigger(ticket.cause, running.stage.registration);
+            running.stage.books.compute.entry(trigger).or_default().record(took);
+        }
+        let lines = running.stage.count(&mut called);
+        self.complaints.extend(lines);
+        self.tell(called.made.fates);
+        for time in called.made.wakes {
+            if self.stages[ticket.stage].wakes.insert((time, ticket.server.clone())) {
+                let key = self.key(time, ticket.stage, Order::Wake, PortId(0), ticket.server.clone());
+                self.push(key, What::Wake);
+            }
+        }
+        self.dispatch(ticket.stage, called.made.sent, ticket.input, ticket.start, done);
+        if self.stages[ticket.stage].life == Life::Ending {
+            self.end(ticket.stage, done);
+        }
+        Ok(())
+    }
+
+    /// The call's server can take the next one at `at`.
+    pub fn free(&mut self, ticket: &Ticket, at: Nanos, now: Nanos) {
+        let running = &mut self.stages[ticket.stage];
+        running.busy.insert(ticket.server.clone(), at);
+        if at <= now {
+            self.open.push_back((ticket.stage, ticket.server.clone()));
+        } else {
+            let key = self.key(at, ticket.stage, Order::ServerFree, PortId(0), ticket.server.clone());
+            self.push(key, What::ServerFree);
+        }
+    }
+
+    fn handle(&mut self, event: Event) -> Result<Option<usize>, EngineError> {
+        let Key {
+            time,
+            stage,
+            agent,
+            port,
+            ..
+        } = event.key;
+        match event.what {
+            What::Release(port, message) => {
+                self.release(stage, port, message, time, time);
+                return Ok(Some(stage));
+            }
+            What::Arrive(message) => self.arrive(stage, PortId(port), message)?,
+            What::ServerFree => self.open.push_back((stage, agent)),
+            What::Wake => {
+                let running = &mut self.stages[stage];
+                running.wakes.remove(&(time, agent.clone()));
+                running.late_wakes.insert((time, agent.clone()));
+                self.open.push_back((stage, agent));
+            }
+            What::End => {
+                self.stages[stage].open_inputs -= 1;
+                self.open.push_back((stage, Name::default()));
+            }
+        }
+        Ok(None)
+    }
+
+    fn server_of(&self, message: &Message) -> Name {
+        match self.servers {
+            Servers::PerAgent => message.header.agent.clone(),
+            Servers::One => Name::default(),
+        }
+    }
+
+    fn arrive(&mut self, stage: usize, port: PortId, message: Message) -> Result<(), EngineError> {
+        let server = self.server_of(&message);
+        let running = &mut self.stages[stage];
+        let admitted = running.stage.registration.inputs[port.0].admit(&message);
+        admitted.map_err(|wrong| EngineError::Type {
+            node: running.stage.id.to_string(),
+            wrong,
+        })?;
+        let offered = running.intake.offer(&server, port, message);
+        offered.map_err(|overflow| EngineError::Overflow {
+            node: running.stage.id.to_string(),
+            overflow,
+        })?;
+        self.pass_over(stage);
+        self.open.push_back((stage, server));
+        Ok(())
+    }
+
+    /// Says of messages over links that a stage will never be given that it passed them over.
+    fn pass_over(&mut self, stage: usize) {
+        let gone = self.stages[stage].intake.take_passed_over();
+        let fates: Vec<Fated> = gone
+            .iter()
+            .flat_map(|message| told(crossings(message), Fate::Skipped))
+            .collect();
+        if !fates.is_empty() {
+            self.tell(fates);
+        }
+    }
+
+    /// The next call for a server that is free, or the stage's end.
+    fn serve(&mut self, stage: usize, server: &Name, now: Nanos) -> Option<Task> {
+        let running = &mut self.stages[stage];
+        if !running.is_free(server, now) {
+            return None;
+        }
+        let wake = running.late_wakes.iter().find(|(_, of)| of == server).cloned();
+        let wake_first = match (&wake, running.intake.first(server)) {
+            (Some((at, _)), Some((ready, class))) => (*at, Order::Wake) < (ready, class.into()),
+            (wake, None) => wake.is_some(),
+            (None, Some(_)) => false,
+        };
+        if let (Some(wake), true) = (wake, wake_first) {
+            running.late_wakes.remove(&wake);
+            return Some(self.task(stage, server, now, now, "wake", Call::Wake));
+        }
+        if let Some(Work { ready, calls }) = running.intake.next(server) {
+            let cause = running.stage.registration.inputs[calls[0].0.0].name;
+            return Some(self.task(stage, server, now, ready, cause, Call::Inputs(calls)));
+        }
+        self.last_call(stage, now)
+    }
+
+    fn task(
+        &mut self,
+        stage: usize,
+        server: &Name,
+        start: Nanos,
+        input: Nanos,
+        cause: &'static str,
+        call: Call,
+    ) -> Task {
+        let running = &mut self.stages[stage];
+        running.busy.insert(server.clone(), Nanos::MAX);
+        Task {
+            ticket: Ticket {
+                stage,
+                start,
+                cause,
+                server: server.clone(),
+                input,
+            },
+            call,
+            fates: std::mem::take(&mut running.fates),
+        }
+    }
+
+    /// The end of a stage that has nothing left to do. Sinks end last, with the books of all others.
+    fn last_call(&mut self, stage: usize, now: Nanos) -> Option<Task> {
+        let others_ended = || {
+            let mut others = self.stages.iter().filter(|running| running.role() != Role::Sink);
+            others.all(|running| running.life == Life::Ended)
+        };
+        let running = &self.stages[stage];
+        let is_sink = running.role() == Role::Sink;
+        if !running.has_nothing_left(now) || (is_sink && !others_ended()) {
+            return None;
+        }
+        self.stages[stage].intake.close();
+        self.pass_over(stage);
+        let running = &mut self.stages[stage];
+        running.life = Life::Ending;
+        let mut books = Box::new(Books::default());
+        if is_sink {
+            *books = self.books.clone();
+            let own = self.stages[stage].own_books();
+            books.nodes.insert(self.stages[stage].stage.id.to_string(), own);
+        }
+        Some(self.task(stage, &Name::default(), now, now, END, Call::End(books)))
+    }
+
+    /// A stage has ended: so do the wires behind it.
+    fn end(&mut self, stage: usize, now: Nanos) {
+        let running = &mut self.stages[stage];
+        running.life = Life::Ended;
+        if running.role() != Role::Sink {
+            let (id, own) = (running.stage.id.to_string(), running.own_books());
+            self.books.nodes.insert(id, own);
+        }
+        for output in 0..self.stages[stage].consumers.len() {
+            let time = now.max(self.stages[stage].last_out[output]);
+            for (to, input) in self.stages[stage].consumers[output].clone() {
+                let key = self.key(time, to, Order::End, input, Name::default());
+                self.push(key, What::End);
+            }
+        }
+        for sink in 0..self.stages.len() {
+            if self.stages[sink].role() == Role::Sink {
+                self.open.push_back((sink, Name::default()));
+            }
+        }
+    }
+
+    /// Sends messages on; they arrive when they are ready.
+    fn dispatch(&mut self, stage: usize, sent: Vec<(PortId, Message)>, input: Nanos, start: Nanos, done: Nanos) {
+        for (port, mut message) in sent {
+            if self.clock.is_some() {
+                message.header.clock = self.clock;
+            }
+            if message.header.run.is_empty() {
+                message.header.run = self.run.clone();
+            }
+            let running = &mut self.stages[stage];
+            running.stage.stamp(port, &mut message, input, start, done);
+            running.last_out[port.0] = running.last_out[port.0].max(message.header.ready);
+            let consumers = running.consumers[port.0].clone();
+            if running.leaves[port.0] {
+                let message = message.clone();
+                self.leaving.push(Leaving { stage, port, message });
+            }
+            let mut consumers = consumers.into_iter().peekable();
+            let mut left = Some(message);
+            while let Some((to, input)) = consumers.next() {
+                let message = if consumers.peek().is_some() {
+                    left.clone()
+                } else {
+                    left.take()
+                };
+                if let Some(message) = message {
+                    self.arrival(to, input, message);
+                }
+            }
+        }
+    }
+
+    fn arrival(&mut self, stage: usize, port: PortId, message: Message) {
+        let order = self.stages[stage].stage.registration.inputs[port.0].class.into();
+        let key = self.key_of(message.header.ready, stage, order, port, &message);
+        self.push(key, What::Arrive(message));
+    }
+
+    fn key_of(&mut self, time: Nanos, stage: usize, order: Order, port: PortId, of: &Message) -> Key {
+        let header = &of.header;
+        Key {
+            kind: Some(header.kind),
+            seq: header.seq,
+            ..self.key(time, stage, order, port, header.agent.clone())
+        }
+    }
+
+    fn key(&mut self, time: Nanos, stage: usize, order: Order, port: PortId, agent: Name) -> Key {
+        self.emissions += 1;
+        Key {
+            time,
+            stage,
+            order,
+            port: port.0,
+            agent,
+            kind: None,
+            seq: 0,
+            emission: self.emissions,
+        }
+    }
+
+    fn push(&mut self, key: Key, what: What) {
+        self.events.push(Reverse(Event { key, what }));
+    }
+}
+
+impl Feed {
+    /// Whether somebody outside feeds the input.
+    pub fn is_outside(self) -> bool {
+        self == Feed::Outside
+    }
+}

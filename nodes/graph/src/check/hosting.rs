@@ -1,0 +1,122 @@
+//! Programs, arguments, and the keys that only dora reads.
+
+use serde_yaml::Value;
+
+use super::{Answer, Findings, FlatNode, Severity};
+use realo_operator::{Registration, Registry, Role};
+
+/// The stage that a node hosts, its arguments checked; `None` for foreign nodes and unknown names.
+pub(super) fn stage(
+    node: &FlatNode,
+    registry: &Registry,
+    ask: &mut dyn FnMut(&FlatNode) -> Answer,
+    findings: &mut Findings,
+) -> Option<&'static Registration> {
+    let args = node.args.join(" ");
+    let expected = "`operator NAME`, `node NAME`, `program PATH` or `host MODULE`";
+    if !node.is_realo() {
+        foreign(node, findings);
+        return None;
+    }
+    if node.program().is_some() {
+        return plug_in(node, ask(node), findings);
+    }
+    let Some((word, name)) = node.stage() else {
+        let mend = "`realo operators` prints the names";
+        findings.node(Severity::Error, node, expected, format!("args `{args}`"), mend);
+        return None;
+    };
+    let stage = match registry.find(word, name) {
+        Ok(stage) => stage,
+        Err(reason) => {
+            let other = if word == "node" { "operator" } else { "node" };
+            let mend = match registry.find(other, name) {
+                Ok(_) => format!("`{name}` is a {other}: write `{other} {name}`"),
+                Err(_) => reason,
+            };
+            findings.node(Severity::Error, node, expected, format!("`{word} {name}`"), &mend);
+            return None;
+        }
+    };
+    if let Err(error) = (stage.check)(node.settings()) {
+        let expected = format!("arguments of `{name}`");
+        findings.node(
+            Severity::Error,
+            node,
+            expected,
+            error.to_string(),
+            "`realo operators` prints them",
+        );
+    }
+    if let Some(arg) = node
+        .settings()
+        .iter()
+        .find(|arg| arg.contains("$PARAM_") || arg.contains("${"))
+    {
+        let mend = "dora replaces no variables in `args`, and a module's parameters only if its node sets them";
+        findings.node(Severity::Warning, node, "values", format!("`{arg}`"), mend);
+    }
+    Some(stage)
+}
+
+/// A program that only dora runs.
+fn foreign(node: &FlatNode, findings: &mut Findings) {
+    let program = node.path.display();
+    let mend =
+        "dora runs it, virtual time does not; a plug-in is a node with `path: bin/realo` and `args: program PATH`";
+    let found = format!("the program {program}");
+    findings.node(Severity::Note, node, "a stage of realo", found, mend);
+}
+
+/// What a plug-in says of its ports.
+fn plug_in(node: &FlatNode, answer: Answer, findings: &mut Findings) -> Option<&'static Registration> {
+    let program = node.program().unwrap_or_default();
+    match answer {
+        Some(Ok(registration)) => return Some(registration),
+        Some(Err(reason)) => {
+            let mend = "build it, or correct the path, which is seen from the graph's folder";
+            findings.node(Severity::Error, node, "a program that hosts an operator", reason, mend);
+        }
+        None => {
+            let mend = "its ports are not known without starting it";
+            findings.node(
+                Severity::Note,
+                node,
+                "a stage of realo",
+                format!("the program {program}"),
+                mend,
+            );
+        }
+    }
+    None
+}
+
+/// Keys that make dora treat a node as it must not be treated.
+pub(super) fn keys(node: &FlatNode, stage: Option<&'static Registration>, findings: &mut Findings) {
+    let sink = stage.map_or(node.outputs.is_empty(), |stage| stage.role == Role::Sink);
+    if sink && node.other.contains_key("health_check_timeout") {
+        let mend = "take it away: dora counts what a node sends, so it kills a healthy sink";
+        findings.node(
+            Severity::Error,
+            node,
+            "no `health_check_timeout` on a sink",
+            "one".into(),
+            mend,
+        );
+    }
+    let restarts = node
+        .other
+        .get("restart_policy")
+        .and_then(Value::as_str)
+        .filter(|policy| *policy != "never");
+    if let Some(policy) = restarts.filter(|_| stage.is_some()) {
+        let mend = "take it away: a stage that starts again has forgotten what it counted";
+        findings.node(
+            Severity::Warning,
+            node,
+            "no `restart_policy`",
+            format!("`{policy}`"),
+            mend,
+        );
+    }
+}

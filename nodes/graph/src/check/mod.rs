@@ -1,0 +1,187 @@
+//! What dora does not check about a graph.
+
+mod hosting;
+mod lanes;
+mod ports;
+mod processes;
+
+use std::fmt;
+
+use serde_yaml::Value;
+
+use super::{FlatGraph, FlatNode};
+use realo_operator::{Registration, Registry};
+
+pub(super) use lanes::check_tables;
+
+/// How much a finding matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Severity {
+    /// Worth knowing; nothing is wrong.
+    Note,
+    /// The graph runs, but may lose messages or hide mistakes.
+    Warning,
+    /// The graph does not run, or its result means something else than it says.
+    Error,
+}
+
+/// One thing that a check found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// How much it matters.
+    pub severity: Severity,
+    /// The node's id; empty for the graph as a whole.
+    pub node: String,
+    /// The port, where it is about one.
+    pub port: Option<String>,
+    /// What should be there.
+    pub expected: String,
+    /// What is there.
+    pub found: String,
+    /// How to mend it.
+    pub mend: String,
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let severity = match self.severity {
+            Severity::Note => "note",
+            Severity::Warning => "warning",
+            Severity::Error => "error",
+        };
+        write!(f, "{severity}: ")?;
+        match (self.node.as_str(), &self.port) {
+            ("", _) => write!(f, "graph: ")?,
+            (node, None) => write!(f, "node `{node}`: ")?,
+            (node, Some(port)) => write!(f, "node `{node}`, port `{port}`: ")?,
+        }
+        write!(f, "expected {}, found {}", self.expected, self.found)?;
+        if self.mend.is_empty() {
+            Ok(())
+        } else {
+            write!(f, "; {}", self.mend)
+        }
+    }
+}
+
+/// Everything that is wrong with a graph and dora does not see, in the order of its nodes.
+///
+/// Checked are: stages and their arguments, ports and their types, wires (their ends, policies, cycles), lanes (what
+/// belongs to the ego, what to the others, what crossed a link), outputs of processes, and health checks. The
+/// graph that has no [`Severity::Error`] can be run by either driver, unless a [`Severity::Note`] names a foreign node.
+pub fn validate(graph: &FlatGraph, registry: &Registry) -> Vec<Finding> {
+    validate_asking(graph, registry, &mut |_| None)
+}
+
+/// What a program that is not realo says of its ports, or why it says nothing.
+pub type Answer = Option<Result<&'static Registration, String>>;
+
+/// [`validate`], with the ports that `ask` learns from programs that are not realo; `None`: it does not ask this one.
+pub fn validate_asking(
+    graph: &FlatGraph,
+    registry: &Registry,
+    ask: &mut dyn FnMut(&FlatNode) -> Answer,
+) -> Vec<Finding> {
+    let mut findings = Findings::default();
+    whole(graph, registry, &mut findings);
+    let stages: Vec<Option<&'static Registration>> = graph
+        .nodes
+        .iter()
+        .map(|node| hosting::stage(node, registry, ask, &mut findings))
+        .collect();
+    for (node, stage) in graph.nodes.iter().zip(&stages) {
+        ports::declared(node, *stage, &mut findings);
+        ports::wires(graph, node, *stage, &mut findings);
+        hosting::keys(node, *stage, &mut findings);
+    }
+    processes::check(graph, &mut findings);
+    match graph.ranks() {
+        Ok(ranks) => {
+            lanes::check(graph, &ranks, &stages, &mut findings);
+        }
+        // A wire from nowhere is found above, with its port.
+        Err(super::GraphError::Source { .. }) => {}
+        Err(error) => findings.whole(Severity::Error, "no cycle", error.to_string(), ""),
+    }
+    findings.0
+}
+
+/// Where the ports that a graph gives to a node differ from those that its program declares.
+pub fn misdeclared(node: &FlatNode, program: &'static Registration) -> Vec<Finding> {
+    let mut findings = Findings::default();
+    ports::declared(node, Some(program), &mut findings);
+    findings.0
+}
+
+fn whole(graph: &FlatGraph, registry: &Registry, findings: &mut Findings) {
+    if graph.settings.get("strict_types") != Some(&Value::Bool(true)) {
+        let mend = "write `strict_types: true` at the head of the file, so that dora checks the types of all wires";
+        findings.whole(Severity::Warning, "`strict_types: true`", "none".into(), mend);
+    }
+    let closes = |node: &&FlatNode| node.registration(registry).is_some_and(|stage| stage.name == "results");
+    match graph.nodes.iter().filter(closes).count() {
+        1 => {}
+        0 => {
+            let mend = "add a node with `args: node results`; without it no result is written and no run is complete";
+            findings.whole(Severity::Warning, "a `results` node", "none".into(), mend);
+        }
+        n => findings.whole(
+            Severity::Error,
+            "one `results` node",
+            format!("{n}"),
+            "they would write the same files",
+        ),
+    }
+}
+
+#[derive(Default)]
+struct Findings(Vec<Finding>);
+
+impl Findings {
+    fn whole(&mut self, severity: Severity, expected: &str, found: String, mend: &str) {
+        let (expected, mend) = (expected.to_string(), mend.to_string());
+        self.0.push(Finding {
+            severity,
+            node: String::new(),
+            port: None,
+            expected,
+            found,
+            mend,
+        });
+    }
+
+    fn node(&mut self, severity: Severity, node: &FlatNode, expected: impl Into<String>, found: String, mend: &str) {
+        let (node, expected, mend) = (node.id.clone(), expected.into(), mend.to_string());
+        self.0.push(Finding {
+            severity,
+            node,
+            port: None,
+            expected,
+            found,
+            mend,
+        });
+    }
+
+    fn port(
+        &mut self,
+        severity: Severity,
+        node: &FlatNode,
+        port: &str,
+        expected: impl Into<String>,
+        found: String,
+        mend: impl Into<String>,
+    ) {
+        let (node, port) = (node.id.clone(), Some(port.to_string()));
+        self.0.push(Finding {
+            severity,
+            node,
+            port,
+            expected: expected.into(),
+            found,
+            mend: mend.into(),
+        });
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -1,0 +1,519 @@
+//! Modules, replaced by their nodes exactly as `dora expand` does; and those that `realo host` runs, whose nodes become
+//! stages of one process.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde_yaml::Value;
+
+use super::read::{self, Module, Node, Part};
+use super::{FlatGraph, Graph, GraphError, Input, InputSource, params, paths};
+
+/// dora's limit on modules within modules.
+const MAX_DEPTH: usize = 8;
+
+/// Stands for whoever feeds the inputs of a module that is looked at alone.
+pub const OUTSIDE: &str = "_outside";
+
+/// The stages of a module that a process of this id hosts, with `inner.key=value` settings.
+///
+/// `inputs`, `outputs`: the ports that the graph gives the process (`None`: every input of the module); its inputs come
+/// from [`OUTSIDE`]. The module's file is seen from `folder`.
+///
+/// # Errors
+/// [`GraphError`] for a module that cannot be read or does not have these ports, or a setting of none of its stages.
+pub fn hosted(
+    id: &str,
+    module: &str,
+    settings: &[String],
+    inputs: Option<&[String]>,
+    outputs: &[String],
+    folder: &Path,
+) -> Result<FlatGraph, GraphError> {
+    let file = paths::absolute(&folder.join(module))?;
+    let inputs = match inputs {
+        Some(inputs) => inputs.to_vec(),
+        None => {
+            let declared = read::module(&file)?;
+            declared.inputs.into_iter().chain(declared.inputs_optional).collect()
+        }
+    };
+    let outside = |port: &String| (port.clone(), Input::from_outside(port));
+    let words = ["host", module].into_iter().chain(settings.iter().map(String::as_str));
+    let args = shlex::try_join(words).map_err(|error| GraphError::Node {
+        file: file.clone(),
+        node: id.into(),
+        reason: error.to_string(),
+    })?;
+    let node = Node {
+        id: id.into(),
+        path: Some("realo".into()),
+        args: Some(args),
+        inputs: inputs.iter().map(outside).collect(),
+        outputs: outputs.iter().cloned().collect(),
+        ..Node::default()
+    };
+    let graph = Graph {
+        file: paths::absolute(&folder.join(id))?,
+        settings: Default::default(),
+        nodes: vec![node],
+        detection: None,
+    };
+    graph.expand()
+}
+
+/// Where a module's outputs come from: output -> (node, its output).
+type Outlets = BTreeMap<String, (String, String)>;
+
+pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
+    let root = graph.file.parent().unwrap_or(Path::new("/")).to_path_buf();
+    let mut expansion = Expansion {
+        root: &root,
+        detection: graph.detection.as_deref(),
+        swapped: 0,
+        open: Vec::new(),
+        host: None,
+    };
+    let nodes = expansion.nodes(graph.nodes.clone(), &root, &graph.file)?;
+    if graph.detection.is_some() && expansion.swapped == 0 {
+        return Err(GraphError::NoDetectModule {
+            file: graph.file.clone(),
+        });
+    }
+    let mut ids = BTreeSet::new();
+    let named = nodes.iter().filter(|node| node.part != Part::Host);
+    if let Some(node) = named.into_iter().find(|node| !ids.insert(&node.id)) {
+        return Err(GraphError::Duplicate {
+            file: graph.file.clone(),
+            id: node.id.clone(),
+        });
+    }
+    FlatGraph::new(graph.file.clone(), graph.settings.clone(), nodes)
+}
+
+struct Expansion<'a> {
+    /// The graph's folder.
+    root: &'a Path,
+    /// Name of the detection that takes every other's place.
+    detection: Option<&'a str>,
+    /// Modules of detection.
+    swapped: usize,
+    /// The module files that are being expanded, outermost first.
+    open: Vec<PathBuf>,
+    /// The process that hosts what is being expanded.
+    host: Option<String>,
+}
+
+impl Expansion<'_> {
+    /// The flat nodes of a graph whose modules' files are named relative to `base`.
+    fn nodes(&mut self, nodes: Vec<Node>, base: &Path, file: &Path) -> Result<Vec<Node>, GraphError> {
+        self.level(nodes, base, file).map(|(nodes, _)| nodes)
+    }
+
+    /// Replaces the modules among `nodes`; gives the flat nodes, and for each output name all that produce it.
+    fn level(&mut self, nodes: Vec<Node>, base: &Path, file: &Path) -> Result<(Vec<Node>, Producers), GraphError> {
+        let mut flat = Vec::new();
+        let mut producers = Producers::new();
+        let (mut modules, mut hosts) = (BTreeMap::new(), BTreeMap::new());
+        for node in nodes {
+            if let Some(hosted) = hosted_by(&node, file)? {
+                let (inner, outlets) = self.host(&node, &hosted, base, file)?;
+                for output in outlets.keys() {
+                    producers
+                        .entry(output.clone())
+                        .or_default()
+                        .push((node.id.clone(), output.clone()));
+                }
+                hosts.insert(node.id.clone(), outlets);
+                flat.extend(inner);
+                continue;
+            }
+            let Some(module) = node.module.clone() else {
+                for output in &node.outputs {
+                    producers
+                        .entry(output.clone())
+                        .or_default()
+                        .push((node.id.clone(), output.clone()));
+                }
+                flat.push(node);
+                continue;
+            };
+            let wrong = |reason| GraphError::Module {
+                file: file.into(),
+                node: node.id.clone(),
+                reason,
+            };
+            let (inner, outlets) = self.module(&node, &self.detection(&module), base, &wrong)?;
+            self.swapped += usize::from(is_detection(&module));
+            for (output, source) in &outlets {
+                producers.entry(output.clone()).or_default().push(source.clone());
+            }
+            modules.insert(node.id.clone(), outlets);
+            flat.extend(inner);
+        }
+        for node in &mut flat {
+            rewire(node, &modules, file)?;
+            // dora knows the outputs of a process, stages know whose they are.
+            if node.part != Part::Host {
+                rewire(node, &hosts, file)?;
+            }
+        }
+        Ok((flat, producers))
+    }
+
+    /// The process of a host, and its stages.
+    fn host(
+        &mut self,
+        node: &Node,
+        Hosted { module, settings }: &Hosted,
+        base: &Path,
+        file: &Path,
+    ) -> Result<(Vec<Node>, Outlets), GraphError> {
+        let wrong = |reason| GraphError::Module {
+            file: file.into(),
+            node: node.id.clone(),
+            reason,
+        };
+        if let Some(host) = &self.host {
+            return Err(wrong(format!(
+                "it stands in a module that `{host}` hosts: write `module: {module}`, its stages run in the same process"
+            )));
+        }
+        let module = self.detection(module);
+        self.swapped += usize::from(is_detection(&module));
+        let outer = Node {
+            params: BTreeMap::new(),
+            ..node.clone()
+        };
+        self.host = Some(node.id.clone());
+        let expanded = self.module(&outer, &module, base, &wrong);
+        self.host = None;
+        let (mut stages, mut outlets) = expanded?;
+        if let Some(output) = node.outputs.iter().find(|output| !outlets.contains_key(*output)) {
+            let known: Vec<&str> = outlets.keys().map(String::as_str).collect();
+            let hint = super::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
+            let known = known.join(", ");
+            return Err(wrong(format!(
+                "its module has no output `{output}`{hint}; it has: {known}"
+            )));
+        }
+        outlets.retain(|output, _| node.outputs.contains(output));
+        leave_out(&mut stages, &outlets);
+        for stage in &mut stages {
+            stage.part = Part::In(node.id.clone());
+        }
+        for setting in settings {
+            set_inner(&mut stages, &node.id, setting).map_err(&wrong)?;
+        }
+        let file = paths::hosted_module(&module, base).map_err(&wrong)?;
+        let named = Path::new(&module).file_name().unwrap_or_default();
+        let words = [
+            "host".to_string(),
+            file.folder.join(named).to_string_lossy().into_owned(),
+        ];
+        let words = words.iter().chain(settings).map(String::as_str);
+        let args = shlex::try_join(words).map_err(|error| wrong(error.to_string()))?;
+        let process = Node {
+            args: Some(args),
+            part: Part::Host,
+            outlets: outlets.clone(),
+            ..node.clone()
+        };
+        stages.insert(0, process);
+        Ok((stages, outlets))
+    }
+
+    /// The module that stands for `module`: another one where a detection is asked for.
+    fn detection(&self, module: &str) -> String {
+        let Some(name) = self.detection.filter(|_| is_detection(module)) else {
+            return module.to_string();
+        };
+        match module.rsplit_once('/') {
+            Some((folder, _)) => format!("{folder}/detect.{name}.yml"),
+            None => format!("detect.{name}.yml"),
+        }
+    }
+
+    fn module(
+        &mut self,
+        outer: &Node,
+        module: &str,
+        base: &Path,
+        wrong: &dyn Fn(String) -> GraphError,
+    ) -> Result<(Vec<Node>, Outlets), GraphError> {
+        let place = match self.host {
+            Some(_) => paths::hosted_module(module, base),
+            None => paths::module(module, base, self.root),
+        };
+        let place = place.map_err(wrong)?;
+        if self.open.contains(&place.canonical) {
+            return Err(wrong(format!("its file {} uses itself", place.canonical.display())));
+        }
+        if self.open.len() >= MAX_DEPTH {
+            return Err(wrong(format!("more than {MAX_DEPTH} modules within each other")));
+        }
+        let content = read::module(&place.canonical)?;
+        check_inputs(&content, outer).map_err(wrong)?;
+        params::check_names(&outer.params).map_err(wrong)?;
+        let declared = content.outputs.clone();
+        let name = content.name.clone();
+        let inner = self.inner_nodes(content, outer, &place.folder).map_err(wrong)?;
+        self.open.push(place.canonical.clone());
+        let result = self.level(inner, &place.folder, &place.canonical);
+        self.open.pop();
+        let (mut nodes, producers) = result?;
+        if let Some(build) = &outer.build {
+            nodes.iter_mut().for_each(|node| prepend_build(node, build));
+        }
+        let outlets = outlets(&name, &declared, &producers).map_err(wrong)?;
+        Ok((nodes, outlets))
+    }
+
+    /// The module's nodes as they stand in the outer graph, modules among them not yet replaced.
+    fn inner_nodes(&self, module: Module, outer: &Node, folder: &Path) -> Result<Vec<Node>, String> {
+        let siblings: BTreeSet<String> = module.nodes.iter().map(|node| node.id.clone()).collect();
+        let mut nodes = Vec::new();
+        for mut node in module.nodes {
+            node.id = format!("{}.{}", outer.id, node.id);
+            let takes = !node.inputs.is_empty();
+            node.inputs = inner_inputs(&node.inputs, outer, &siblings, &module.inputs_optional)
+                .map_err(|reason| format!("its node `{}`: {reason}", node.id))?;
+            node.starved = takes && node.inputs.is_empty();
+            if let Some(path) = node.path.as_ref().filter(|_| self.host.is_none()) {
+                let path = paths::from_module(path, folder, self.root);
+                node.path = Some(path.map_err(|reason| format!("its node `{}`: {reason}", node.id))?);
+            }
+            node.deploy = node.deploy.or_else(|| outer.deploy.clone());
+            for (name, value) in &outer.env {
+                node.env.entry(name.clone()).or_insert_with(|| value.clone());
+            }
+            node.args = node.args.map(|args| params::substitute(&args, &outer.params));
+            for (key, value) in &outer.params {
+                // dora sets the parameter as it is; in a file `$$` says so.
+                node.env.insert(
+                    format!("PARAM_{}", key.to_uppercase()),
+                    Value::String(value.replace('$', "$$")),
+                );
+            }
+            if let Some(build) = &module.build {
+                prepend_build(&mut node, build);
+            }
+            nodes.push(node);
+        }
+        Ok(nodes)
+    }
+}
+
+/// What `realo host` is asked to run.
+struct Hosted {
+    module: String,
+    settings: Vec<String>,
+}
+
+/// The module that a node's process hosts; `None` for any other node.
+fn hosted_by(node: &Node, file: &Path) -> Result<Option<Hosted>, GraphError> {
+    let is_realo = |path: &String| Path::new(path).file_name().is_some_and(|name| name == "realo");
+    if !node.path.as_ref().is_some_and(is_realo) {
+        return Ok(None);
+    }
+    let words = shlex::split(node.args.as_deref().unwrap_or_default()).unwrap_or_default();
+    let mut words = words.into_iter();
+    if words.next().as_deref() != Some("host") {
+        return Ok(None);
+    }
+    match words.next() {
+        Some(module) => Ok(Some(Hosted {
+            module,
+            settings: words.collect(),
+        })),
+        None => Err(GraphError::Node {
+            file: file.into(),
+            node: node.id.clone(),
+            reason: "expected `host MODULE` with the file of a module, found `host` alone".into(),
+        }),
+    }
+}
+
+/// The file of the module that a node stands for or hosts.
+pub(super) fn module_of(node: &Node) -> Option<String> {
+    let hosted = || Some(hosted_by(node, Path::new("")).ok()??.module);
+    node.module.clone().or_else(hosted)
+}
+
+/// Leaves out the stages that do nothing for this process: those that nobody feeds, and those of which nobody outside takes
+/// anything, directly or through others.
+fn leave_out(stages: &mut Vec<Node>, outlets: &Outlets) {
+    let source_of = |input: &Input| match &input.source {
+        InputSource::Output { node, .. } => Some(node.clone()),
+        InputSource::Builtin(_) => None,
+    };
+    while let Some(at) = stages.iter().position(|stage| stage.starved) {
+        let starved = stages.remove(at);
+        for stage in stages.iter_mut() {
+            let before = stage.inputs.len();
+            stage
+                .inputs
+                .retain(|_, input| source_of(input).as_ref() != Some(&starved.id));
+            stage.starved |= stage.inputs.len() < before && stage.inputs.is_empty();
+        }
+    }
+    let sinks = stages.iter().filter(|stage| stage.outputs.is_empty());
+    let mut open: Vec<String> = sinks.map(|stage| stage.id.clone()).collect();
+    open.extend(outlets.values().map(|(stage, _)| stage.clone()));
+    let mut needed = BTreeSet::new();
+    while let Some(id) = open.pop() {
+        if let Some(stage) = stages.iter().find(|stage| stage.id == id && !needed.contains(&id)) {
+            open.extend(stage.inputs.values().filter_map(source_of));
+        }
+        needed.insert(id);
+    }
+    stages.retain(|stage| needed.contains(&stage.id));
+}
+
+/// Changes an argument of a hosted stage: `inner.key=value`.
+fn set_inner(stages: &mut [Node], host: &str, setting: &str) -> Result<(), String> {
+    let wrong = || format!("setting `{setting}` is not of the form node.key=value");
+    let (left, value) = setting.split_once('=').ok_or_else(wrong)?;
+    let (inner, key) = left.rsplit_once('.').ok_or_else(wrong)?;
+    let id = format!("{host}.{inner}");
+    let known: Vec<String> = stages
+        .iter()
+        .filter_map(|stage| stage.id.strip_prefix(host)?.strip_prefix('.').map(str::to_string))
+        .collect();
+    let Some(stage) = stages.iter_mut().find(|stage| stage.id == id) else {
+        let nearest = realo_operator::config::nearest_name(inner, known.iter().map(String::as_str));
+        let hint = super::error::hint(&nearest);
+        return Err(format!(
+            "setting `{setting}`: no stage `{inner}`{hint}; there are: {}",
+            known.join(", ")
+        ));
+    };
+    let mut words = shlex::split(stage.args.as_deref().unwrap_or_default()).unwrap_or_default();
+    match words.as_mut_slice() {
+        [word, path, ..] if key == super::flat::PROGRAM && word == super::flat::PROGRAM => *path = value.into(),
+        _ => super::flat::set_argument(&mut words, key, value),
+    }
+    let args = shlex::try_join(words.iter().map(String::as_str)).map_err(|error| error.to_string())?;
+    stage.args = Some(args);
+    Ok(())
+}
+
+/// For each output name, the nodes and outputs that make it.
+type Producers = BTreeMap<String, Vec<(String, String)>>;
+
+/// Whether a module file, by its name, detects and can be swapped for another that does.
+pub(super) fn is_detection(module: &str) -> bool {
+    let file = module.rsplit('/').next().unwrap_or(module);
+    file.starts_with("detect.") && file.ends_with(".yml")
+}
+
+fn check_inputs(module: &Module, outer: &Node) -> Result<(), String> {
+    if let Some(missing) = module.inputs.iter().find(|port| !outer.inputs.contains_key(*port)) {
+        return Err(format!(
+            "module `{}` needs the input `{missing}`; wire it under `inputs`",
+            module.name
+        ));
+    }
+    let declared: Vec<&str> = module
+        .inputs
+        .iter()
+        .chain(&module.inputs_optional)
+        .map(String::as_str)
+        .collect();
+    match outer.inputs.keys().find(|port| !declared.contains(&port.as_str())) {
+        Some(port) => {
+            let nearest = realo_operator::config::nearest_name(port, declared.iter().copied());
+            let hint = super::error::hint(&nearest);
+            Err(format!(
+                "module `{}` has no input `{port}`{hint}; it has: {}",
+                module.name,
+                declared.join(", ")
+            ))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The inputs of a module's node as the outer graph wires them; an optional one without a wire is left out.
+fn inner_inputs(
+    inputs: &BTreeMap<String, Input>,
+    outer: &Node,
+    siblings: &BTreeSet<String>,
+    optional: &BTreeSet<String>,
+) -> Result<BTreeMap<String, Input>, String> {
+    let mut wired = BTreeMap::new();
+    for (port, input) in inputs {
+        let mut input = input.clone();
+        match &mut input.source {
+            InputSource::Output { node, output } if node == "_mod" => match outer.inputs.get(output) {
+                Some(wire) => input = input.fed_by(wire),
+                None if optional.contains(output) => continue,
+                None => return Err(format!("input `{port}`: the module declares no input `{output}`")),
+            },
+            InputSource::Output { node, .. } if siblings.contains(node) => *node = format!("{}.{node}", outer.id),
+            InputSource::Output { .. } => {}
+            InputSource::Builtin(source) => {
+                let node = source
+                    .strip_prefix("dora/logs/")
+                    .and_then(|filter| filter.split_once('/'));
+                if let Some((level, node)) = node.filter(|(_, node)| siblings.contains(*node)) {
+                    *source = format!("dora/logs/{level}/{}.{node}", outer.id);
+                }
+            }
+        }
+        wired.insert(port.clone(), input);
+    }
+    Ok(wired)
+}
+
+fn outlets(module: &str, declared: &BTreeSet<String>, producers: &Producers) -> Result<Outlets, String> {
+    let find = |output: &String| match producers.get(output).map(Vec::as_slice) {
+        Some([source]) => Ok((output.clone(), source.clone())),
+        None | Some([]) => Err(format!(
+            "module `{module}` declares the output `{output}`, which none of its nodes makes"
+        )),
+        Some(many) => {
+            let names: Vec<String> = many.iter().map(|(node, output)| format!("{node}/{output}")).collect();
+            let names = names.join(", ");
+            Err(format!(
+                "module `{module}` declares the output `{output}`, which several of its nodes make: {names}; \
+                 take it off the module's outputs and name the inner node where it is used"
+            ))
+        }
+    };
+    declared.iter().map(find).collect()
+}
+
+/// Turns inputs from modules into inputs from the nodes that make them.
+fn rewire(node: &mut Node, modules: &BTreeMap<String, Outlets>, file: &Path) -> Result<(), GraphError> {
+    for (port, input) in &mut node.inputs {
+        let InputSource::Output { node: source, output } = &mut input.source else {
+            continue;
+        };
+        let Some(outlets) = modules.get(source) else { continue };
+        let Some((inner, inner_output)) = outlets.get(output) else {
+            let known: Vec<&str> = outlets.keys().map(String::as_str).collect();
+            let hint = super::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
+            let reason = format!(
+                "it has no output `{output}`{hint}, which node `{}` takes for its input `{port}`; it has: {}",
+                node.id,
+                known.join(", ")
+            );
+            return Err(GraphError::Module {
+                file: file.into(),
+                node: source.clone(),
+                reason,
+            });
+        };
+        *source = inner.clone();
+        *output = inner_output.clone();
+    }
+    Ok(())
+}
+
+fn prepend_build(node: &mut Node, build: &str) {
+    node.build = Some(match node.build.take() {
+        Some(existing) => format!("{build}\n{existing}"),
+        None => build.to_string(),
+    });
+}

@@ -1,0 +1,118 @@
+//! Typed reading of YAML values, with errors that name the place.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use serde_yaml::{Mapping, Value};
+
+use super::GraphError;
+use realo_operator::config::nearest_name;
+
+/// A place in a file, for messages.
+pub(super) struct Place<'a> {
+    pub(super) file: &'a Path,
+    at: String,
+}
+
+impl<'a> Place<'a> {
+    pub(super) fn new(file: &'a Path, at: &str) -> Self {
+        Place {
+            file,
+            at: at.to_string(),
+        }
+    }
+
+    pub(super) fn under(&self, key: &str) -> Place<'a> {
+        Place {
+            file: self.file,
+            at: format!("{}, {key}", self.at),
+        }
+    }
+
+    pub(super) fn wrong(&self, expected: &str, found: String) -> GraphError {
+        GraphError::Value {
+            file: self.file.into(),
+            at: self.at.clone(),
+            expected: expected.into(),
+            found,
+        }
+    }
+
+    pub(super) fn expected(&self, expected: &str, found: &Value) -> GraphError {
+        self.wrong(expected, describe(found))
+    }
+
+    pub(super) fn mapping<'v>(&self, value: &'v Value) -> Result<&'v Mapping, GraphError> {
+        value.as_mapping().ok_or_else(|| self.expected("a mapping", value))
+    }
+
+    pub(super) fn known_keys(&self, mapping: &Mapping, known: &[&str]) -> Result<(), GraphError> {
+        let unknown = mapping
+            .keys()
+            .find(|key| !key.as_str().is_some_and(|key| known.contains(&key)));
+        let Some(key) = unknown else { return Ok(()) };
+        let key = key.as_str().map_or_else(|| describe(key), str::to_string);
+        Err(GraphError::Key {
+            file: self.file.into(),
+            at: self.at.clone(),
+            nearest: nearest_name(&key, known.iter().copied()),
+            key,
+            known: known.join(", "),
+        })
+    }
+
+    pub(super) fn entries<'v>(&self, value: Option<&'v Value>) -> Result<Vec<(&'v str, &'v Value)>, GraphError> {
+        let Some(value) = value else { return Ok(Vec::new()) };
+        let entries = self.mapping(value)?.iter();
+        let named = entries.map(|(key, value)| match key.as_str() {
+            Some(key) => Ok((key, value)),
+            None => Err(self.expected("a name", key)),
+        });
+        named.collect()
+    }
+
+    pub(super) fn text(&self, value: &Value) -> Result<String, GraphError> {
+        let text = value.as_str().map(str::to_string);
+        text.ok_or_else(|| self.expected("a text (quote numbers)", value))
+    }
+
+    pub(super) fn optional_text(&self, value: Option<&Value>) -> Result<Option<String>, GraphError> {
+        value
+            .filter(|value| !value.is_null())
+            .map(|value| self.text(value))
+            .transpose()
+    }
+
+    pub(super) fn texts(&self, value: Option<&Value>) -> Result<BTreeMap<String, String>, GraphError> {
+        let entries = self.entries(value)?.into_iter();
+        entries
+            .map(|(key, value)| Ok((key.to_string(), self.under(key).text(value)?)))
+            .collect()
+    }
+
+    pub(super) fn names(&self, value: &Value) -> Result<BTreeSet<String>, GraphError> {
+        let list = value
+            .as_sequence()
+            .ok_or_else(|| self.expected("a list of names", value))?;
+        let mut names = BTreeSet::new();
+        for item in list {
+            let name = self.text(item)?;
+            if !names.insert(name.clone()) {
+                return Err(self.wrong("each name once", format!("`{name}` twice")));
+            }
+        }
+        Ok(names)
+    }
+}
+
+fn describe(value: &Value) -> String {
+    match value {
+        Value::Null => "nothing".into(),
+        Value::Bool(b) => format!("`{b}`"),
+        Value::Number(n) => format!("the number {n}"),
+        Value::String(s) => format!("`{s}`"),
+        Value::Sequence(_) => "a list".into(),
+        Value::Mapping(_) => "a mapping".into(),
+        Value::Tagged(tagged) => format!("a value tagged {}", tagged.tag),
+    }
+}

@@ -1,0 +1,532 @@
+//! The process: one thread for dora, and threads for calls.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::time::Instant;
+
+use dora_node_api::DoraNode;
+use dora_node_api::dora_core::config::DataId;
+use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
+use realo_operator::{Built, InputBooks, PortId, Registration};
+use realo_schemas::{Message, Nanos, wire};
+
+use crate::Stages;
+
+use super::edges::Edge;
+use super::inbox::{Heard, Inbox, Nudge};
+use super::marks::{End, Fates, Mark};
+use super::{HostError, source, wall_now};
+
+/// How long the process waits at most without looking around, ns.
+const IDLE: Nanos = 200_000_000;
+/// Between two hellos that are passed on, ns.
+const HELLO: Nanos = 40_000_000;
+/// Between two marks with fates, ns.
+const FATES: Nanos = 500_000_000;
+/// Marks of a process that are remembered, to know those that come on a second way.
+const REMEMBERED: usize = 64;
+/// An end is said so often, so that one lost message does not fail the run.
+const ENDS: u32 = 3;
+/// Between two of them, ns.
+const ENDS_APART: Nanos = 50_000_000;
+
+/// A process that has joined dora.
+pub(super) struct Joined {
+    pub id: String,
+    pub node: DoraNode,
+    pub stages: Stages,
+    /// In the order of the stages.
+    pub built: Vec<Built>,
+    /// By input: `node/output` behind it.
+    pub froms: BTreeMap<String, String>,
+    pub inbox: Inbox,
+}
+
+/// What all threads of the process share.
+pub(super) struct Shared {
+    pub id: String,
+    state: Mutex<State>,
+    /// There may be a call to make.
+    work: Condvar,
+    sender: Mutex<DoraNode>,
+    exits: BTreeMap<(usize, PortId), Vec<DataId>>,
+    nudge: Nudge,
+}
+
+pub(super) struct State {
+    pub engine: Engine,
+    /// Without those that are being called.
+    built: Vec<Option<Built>>,
+    /// When the dora thread looks around again, in wall time.
+    looks_at: Nanos,
+    failed: Option<HostError>,
+    over: bool,
+}
+
+/// Runs the stages to their end.
+pub(super) fn run(joined: Joined) -> Result<(), HostError> {
+    let Joined {
+        id,
+        node,
+        stages,
+        built,
+        froms,
+        inbox,
+    } = joined;
+    let edges = froms.iter().map(|(name, from)| {
+        let inputs = stages.entries.get(name).cloned().unwrap_or_default();
+        Edge::new(name, from, inputs)
+    });
+    let mut exits: BTreeMap<(usize, PortId), Vec<DataId>> = BTreeMap::new();
+    for (name, output) in &stages.exits {
+        exits.entry(*output).or_default().push(DataId::from(name.clone()));
+    }
+    let edges: Vec<Edge> = edges.collect();
+    let shared = Arc::new(Shared {
+        id,
+        state: Mutex::new(State {
+            engine: Engine::new(&stages.wiring, Servers::One),
+            built: built.into_iter().map(Some).collect(),
+            looks_at: 0,
+            failed: None,
+            over: false,
+        }),
+        work: Condvar::new(),
+        sender: Mutex::new(node),
+        exits,
+        nudge: inbox.nudge(),
+    });
+    start_threads(&shared);
+    let mut host = Host {
+        shared: shared.clone(),
+        inbox,
+        edges,
+        last_hello: 0,
+        last_fates: wall_now(),
+        number: 0,
+        known: BTreeMap::new(),
+        ends: BTreeMap::new(),
+    };
+    let ended = host.run();
+    let mut state = shared.lock();
+    state.over = true;
+    shared.work.notify_all();
+    ended
+}
+
+/// A thread for each source, and as many for calls as there are other stages.
+fn start_threads(shared: &Arc<Shared>) {
+    let mut state = shared.lock();
+    for stage in 0..state.built.len() {
+        let shared = shared.clone();
+        match state.built[stage].take() {
+            Some(Built::Source(source)) => {
+                std::thread::spawn(move || source::run(&shared, stage, source));
+            }
+            built => {
+                state.built[stage] = built;
+                std::thread::spawn(move || work(&shared));
+            }
+        }
+    }
+}
+
+/// Makes calls until the process is over.
+fn work(shared: &Shared) {
+    let mut state = shared.lock();
+    while !state.over && state.failed.is_none() {
+        let now = state.log_now();
+        let task = match state.engine.step(now) {
+            Ok(Some(Step::Call(task))) => task,
+            Ok(Some(Step::Released(_))) => continue,
+            Ok(None) => {
+                state = shared.work.wait(state).unwrap_or_else(|poisoned| poisoned.into_inner());
+                continue;
+            }
+            Err(error) => return shared.fail_in(state, HostError::Stage(error.to_string())),
+        };
+        let Some(built) = state.built[task.ticket.stage].take() else {
+            continue;
+        };
+        if state.engine.next_due().is_some_and(|due| due <= now) {
+            shared.work.notify_one();
+        }
+        let registration = state.engine.registration(task.ticket.stage);
+        drop(state);
+        if let Err(error) = call(shared, task, built, registration) {
+            return shared.fail(error);
+        }
+        state = shared.lock();
+    }
+}
+
+/// One call: its stage is busy until what it sent has left.
+fn call(
+    shared: &Shared,
+    Task { ticket, call, fates }: Task,
+    mut built: Built,
+    registration: &'static Registration,
+) -> Result<(), HostError> {
+    let begun = Instant::now();
+    let called = call.make(&mut built, registration, ticket.start, &fates);
+    let took = begun.elapsed().as_nanos() as Nanos;
+    let mut state = shared.lock();
+    state.built[ticket.stage] = Some(built);
+    let done = state.log_now().max(ticket.start);
+    let completed = state.engine.complete(&ticket, called, done, took);
+    completed.map_err(|error: EngineError| HostError::Stage(error.to_string()))?;
+    let leaving = state.engine.take_leaving();
+    shared.follow(&mut state, done);
+    drop(state);
+    shared.send_all(leaving)?;
+    let mut state = shared.lock();
+    let now = state.log_now();
+    state.engine.free(&ticket, now, now);
+    if ticket.is_end() {
+        shared.nudge.give();
+    }
+    Ok(())
+}
+
+impl State {
+    /// The log's time, 0 while no message has brought the clock.
+    pub fn log_now(&self) -> Nanos {
+        self.engine.clock().map_or(0, |clock| clock.log_at(wall_now()))
+    }
+
+    fn wall_at(&self, log: Nanos) -> Nanos {
+        self.engine.clock().map_or(0, |clock| clock.wall_at(log))
+    }
+}
+
+impl Shared {
+    pub fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
+    /// Whether threads are to stop.
+    pub fn is_over(&self) -> bool {
+        let state = self.lock();
+        state.over || state.failed.is_some()
+    }
+
+    /// After something has changed: prints, and wakes whoever has something to do.
+    pub fn follow(&self, state: &mut State, now: Nanos) {
+        for line in state.engine.take_complaints() {
+            eprintln!("realo: {line}");
+        }
+        match state.engine.next_due() {
+            Some(due) if due <= now => self.work.notify_one(),
+            Some(due) if state.wall_at(due) < state.looks_at => self.nudge.give(),
+            _ => {}
+        }
+    }
+
+    /// Sends what leaves the process.
+    pub fn send_all(&self, leaving: Vec<Leaving>) -> Result<(), HostError> {
+        leaving
+            .into_iter()
+            .try_for_each(|Leaving { stage, port, message }| self.send((stage, port), &message))
+    }
+
+    /// Sends a mark on every output.
+    pub fn send_hello(&self) -> Result<(), HostError> {
+        let clock = self.lock().engine.clock();
+        let hello = Mark::Hello.into_message(0, clock);
+        self.exits.keys().try_for_each(|exit| self.send(*exit, &hello))
+    }
+
+    fn send(&self, exit: (usize, PortId), message: &Message) -> Result<(), HostError> {
+        for output in self.exits.get(&exit).into_iter().flatten() {
+            let row = wire::to_arrow(message);
+            let mut node = self.sender.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+            let sent = node.send_output(output.clone(), Default::default(), row);
+            sent.map_err(|error| HostError::Dora {
+                id: self.id.clone(),
+                reason: error.to_string(),
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Lets the dora thread look around.
+    pub fn nudge(&self) {
+        self.nudge.give();
+    }
+
+    pub fn fail(&self, error: HostError) {
+        self.fail_in(self.lock(), error);
+    }
+
+    fn fail_in(&self, mut state: MutexGuard<State>, error: HostError) {
+        state.failed.get_or_insert(error);
+        self.work.notify_all();
+        self.nudge.give();
+    }
+}
+
+/// The dora thread.
+struct Host {
+    shared: Arc<Shared>,
+    inbox: Inbox,
+    edges: Vec<Edge>,
+    last_hello: Nanos,
+    last_fates: Nanos,
+    /// Of the next mark with fates.
+    number: u64,
+    /// By process: marks that have come.
+    known: BTreeMap<String, BTreeSet<u64>>,
+    /// By output: the end that is being said.
+    ends: BTreeMap<(usize, PortId), Ending>,
+}
+
+/// An output that ends.
+struct Ending {
+    end: End,
+    said: u32,
+    last: Nanos,
+}
+
+impl Host {
+    fn run(&mut self) -> Result<(), HostError> {
+        loop {
+            while let Some(heard) = self.inbox.poll() {
+                self.hear(heard)?;
+            }
+            self.settle()?;
+            self.pass_fates(false)?;
+            let ended = self.end_outputs()?;
+            let shared = self.shared.clone();
+            let mut state = shared.lock();
+            if let Some(error) = state.failed.take() {
+                return Err(error);
+            }
+            if ended && state.engine.is_done() && self.edges.iter().all(|edge| edge.complete) {
+                return Ok(());
+            }
+            let now = state.log_now();
+            if state.engine.next_due().is_some_and(|due| due <= now) {
+                shared.work.notify_one();
+            }
+            let due = state
+                .engine
+                .next_due()
+                .filter(|due| *due > now)
+                .map(|due| state.wall_at(due));
+            let edges = self.edges.iter().filter_map(|edge| edge.reorder.deadline());
+            let said = self.ends.values().filter(|ending| ending.said < ENDS);
+            let again = said.map(|ending| ending.last + ENDS_APART);
+            let until = edges.chain(due).chain(again).min().unwrap_or(Nanos::MAX);
+            let until = until.min(wall_now() + IDLE);
+            state.looks_at = until;
+            drop(state);
+            if let Some(heard) = self.inbox.wait(until) {
+                self.hear(heard)?;
+            }
+        }
+    }
+
+    fn hear(&mut self, heard: Heard) -> Result<(), HostError> {
+        match heard {
+            Heard::Input(name, row, arrived) => self.hear_message(&name, &row, arrived),
+            Heard::Closed(name) => {
+                let edges = self.edges.iter_mut().filter(|edge| edge.name == name);
+                edges.for_each(|edge| edge.closed = Some(wall_now()));
+                Ok(())
+            }
+            Heard::Failed { node, reason } => Err(HostError::Above {
+                id: self.shared.id.clone(),
+                source_id: node,
+                reason: first_line(&reason),
+            }),
+            Heard::Stopped => Err(HostError::Stopped {
+                id: self.shared.id.clone(),
+            }),
+            Heard::Trouble(trouble) => {
+                eprintln!("realo: {}: dora: {trouble}", self.shared.id);
+                Ok(())
+            }
+        }
+    }
+
+    fn hear_message(&mut self, name: &str, row: &arrow::array::ArrayRef, arrived: Nanos) -> Result<(), HostError> {
+        let Some(edge) = self.edges.iter_mut().find(|edge| edge.name == name) else {
+            return Ok(());
+        };
+        let id = &self.shared.id;
+        let wrong = |reason: String| HostError::Stage(format!("{id}: input `{name}` from {}: {reason}", edge.from));
+        let message = wire::from_arrow(row.as_ref()).map_err(|error| wrong(format!("not a realo message: {error}")))?;
+        let mark = Mark::of(&message).map_err(wrong)?;
+        let shared = self.shared.clone();
+        let mut state = shared.lock();
+        if let Some(clock) = message.header.clock {
+            state.engine.set_clock(clock);
+        }
+        match mark {
+            Some(Mark::Hello) => {
+                drop(state);
+                return self.pass_hello();
+            }
+            Some(Mark::End(end)) => {
+                edge.end = Some(end.hops);
+                state.engine.merge_books(&end.books);
+                return Ok(());
+            }
+            Some(Mark::Fates(_)) | None => {}
+        }
+        let mut ready = Vec::new();
+        let hop = message.header.hop;
+        let books = match edge.inputs.first() {
+            Some((stage, port)) => state.engine.input_books(*stage, *port),
+            None => &mut edge.unread,
+        };
+        edge.reorder.offer(hop, message, arrived, books, &mut ready);
+        let inputs = edge.inputs.clone();
+        deliver(&mut state, &mut self.known, &inputs, ready)
+            .map_err(|reason| HostError::Stage(format!("{}: input `{name}`: {reason}", shared.id)))?;
+        let now = state.log_now();
+        shared.follow(&mut state, now);
+        Ok(())
+    }
+
+    /// Passes a hello on, however many inputs bring one.
+    fn pass_hello(&mut self) -> Result<(), HostError> {
+        let now = wall_now();
+        if now - self.last_hello < HELLO {
+            return Ok(());
+        }
+        self.last_hello = now;
+        self.shared.send_hello()
+    }
+
+    fn settle(&mut self) -> Result<(), HostError> {
+        let now = wall_now();
+        let shared = self.shared.clone();
+        let mut state = shared.lock();
+        for edge in self.edges.iter_mut().filter(|edge| !edge.complete) {
+            let mut ready = Vec::new();
+            // Taken out, so that the edge can be changed beside them.
+            let mut books = match edge.inputs.first() {
+                Some((stage, port)) => std::mem::take(state.engine.input_books(*stage, *port)),
+                None => InputBooks::default(),
+            };
+            let settled = edge.settle(&shared.id, now, &mut books, &mut ready);
+            if let Some((stage, port)) = edge.inputs.first() {
+                *state.engine.input_books(*stage, *port) = books;
+            }
+            settled?;
+            deliver(&mut state, &mut self.known, &edge.inputs, ready)
+                .map_err(|reason| HostError::Stage(format!("{}: input `{}`: {reason}", shared.id, edge.name)))?;
+            if edge.complete {
+                let now = state.log_now();
+                for (stage, port) in &edge.inputs {
+                    state.engine.end_input(*stage, *port, now);
+                }
+            }
+        }
+        let now = state.log_now();
+        shared.follow(&mut state, now);
+        Ok(())
+    }
+
+    /// Sends on what was said of messages over links: down the graph there are sinks.
+    fn pass_fates(&mut self, now_at_once: bool) -> Result<(), HostError> {
+        let now = wall_now();
+        if !now_at_once && now - self.last_fates < FATES {
+            return Ok(());
+        }
+        self.last_fates = now;
+        let shared = self.shared.clone();
+        let mut state = shared.lock();
+        let fates = state.engine.take_fates();
+        if fates.is_empty() {
+            return Ok(());
+        }
+        let mark = Fates {
+            origin: shared.id.clone(),
+            number: self.number,
+            fates,
+        };
+        self.number += 1;
+        let clock = state.engine.clock();
+        let open = shared.exits.keys().filter(|exit| !self.ends.contains_key(exit));
+        let exits: Vec<_> = open
+            .map(|(stage, port)| ((*stage, *port), state.engine.take_hop(*stage, *port)))
+            .collect();
+        drop(state);
+        for (exit, hop) in exits {
+            shared.send(exit, &Mark::Fates(mark.clone()).into_message(hop, clock))?;
+        }
+        Ok(())
+    }
+
+    /// Ends the outputs whose stages have ended; the last one waits for all stages, for it takes their books along.
+    /// Whether all of them have ended.
+    fn end_outputs(&mut self) -> Result<bool, HostError> {
+        let shared = self.shared.clone();
+        loop {
+            let state = shared.lock();
+            let open: Vec<_> = shared
+                .exits
+                .keys()
+                .filter(|exit| !self.ends.contains_key(exit))
+                .collect();
+            let next = open.iter().find(|exit| state.engine.has_ended(exit.0));
+            let Some(exit) = next.filter(|_| open.len() > 1 || state.engine.is_done()) else {
+                break;
+            };
+            drop(state);
+            self.pass_fates(true)?;
+            let state = shared.lock();
+            let end = End {
+                hops: state.engine.hops(exit.0, exit.1),
+                books: state.engine.books(),
+            };
+            let (said, last) = (0, 0);
+            self.ends.insert(**exit, Ending { end, said, last });
+        }
+        let (now, clock) = (wall_now(), shared.lock().engine.clock());
+        for (exit, ending) in &mut self.ends {
+            if ending.said < ENDS && now - ending.last >= ENDS_APART {
+                (ending.said, ending.last) = (ending.said + 1, now);
+                let mark = Mark::End(ending.end.clone()).into_message(0, clock);
+                shared.send(*exit, &mark)?;
+            }
+        }
+        let said = self.ends.values().all(|ending| ending.said == ENDS);
+        Ok(said && self.ends.len() == shared.exits.len())
+    }
+}
+
+/// Gives messages in order to the stages that take them, and takes fates to the sinks.
+fn deliver(
+    state: &mut State,
+    known: &mut BTreeMap<String, BTreeSet<u64>>,
+    inputs: &[(usize, PortId)],
+    ready: Vec<Message>,
+) -> Result<(), String> {
+    for message in ready {
+        if let Some(Mark::Fates(mark)) = Mark::of(&message)? {
+            let numbers = known.entry(mark.origin).or_default();
+            if numbers.insert(mark.number) {
+                state.engine.tell(mark.fates);
+            }
+            while numbers.len() > REMEMBERED {
+                numbers.pop_first();
+            }
+            continue;
+        }
+        for (stage, port) in inputs {
+            state.engine.deliver(*stage, *port, message.clone());
+        }
+    }
+    Ok(())
+}
+
+fn first_line(text: &str) -> String {
+    text.lines()
+        .find(|line| !line.trim().is_empty())
+        .unwrap_or("it ended with an error")
+        .trim()
+        .to_string()
+}

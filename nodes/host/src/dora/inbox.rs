@@ -1,0 +1,138 @@
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll, Wake, Waker};
+use std::thread::Thread;
+use std::time::Duration;
+
+use arrow::array::ArrayRef;
+use dora_node_api::{Event, EventStream, StopCause};
+use realo_schemas::Nanos;
+
+use super::wall_now;
+
+/// What a process hears from dora.
+pub(super) enum Heard {
+    /// A message on an input, with the wall time at which it was taken.
+    Input(String, ArrayRef, Nanos),
+    /// The node behind an input has closed it.
+    Closed(String),
+    /// A node above died.
+    Failed { node: String, reason: String },
+    /// The user stopped the run.
+    Stopped,
+    /// dora had something to say.
+    Trouble(String),
+}
+
+/// Takes events from dora on the thread that waits for them: one more thread would cost a change of threads at every hop.
+pub(super) struct Inbox {
+    events: EventStream,
+    waker: Waker,
+    nudge: Nudge,
+}
+
+/// Ends another thread's wait.
+#[derive(Clone)]
+pub(super) struct Nudge(Arc<(Thread, AtomicBool)>);
+
+impl Nudge {
+    /// Lets [`Inbox::wait`] return at once.
+    pub fn give(&self) {
+        self.0.1.store(true, Ordering::Release);
+        self.0.0.unpark();
+    }
+
+    fn taken(&self) -> bool {
+        self.0.1.swap(false, Ordering::AcqRel)
+    }
+}
+
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+impl Inbox {
+    /// For the thread that calls this, and no other.
+    pub fn new(events: EventStream) -> Self {
+        let here = std::thread::current();
+        Inbox {
+            events,
+            waker: Waker::from(Arc::new(Unpark(here.clone()))),
+            nudge: Nudge(Arc::new((here, AtomicBool::new(false)))),
+        }
+    }
+
+    /// What other threads end a wait with.
+    pub fn nudge(&self) -> Nudge {
+        self.nudge.clone()
+    }
+
+    /// The next event before wall time `until`; `None` when that time has come, or after a nudge.
+    pub fn wait(&mut self, until: Nanos) -> Option<Heard> {
+        loop {
+            match self.next() {
+                Poll::Ready(Some(event)) => {
+                    if let Some(heard) = heard(event) {
+                        return Some(heard);
+                    }
+                }
+                // The stream is closed; the time still has to pass for what is held.
+                Poll::Ready(None) | Poll::Pending => {
+                    if self.nudge.taken() {
+                        return None;
+                    }
+                    std::thread::park_timeout(left(until)?);
+                }
+            }
+        }
+    }
+
+    /// An event that is there already.
+    pub fn poll(&mut self) -> Option<Heard> {
+        loop {
+            match self.next() {
+                Poll::Ready(Some(event)) => {
+                    if let Some(heard) = heard(event) {
+                        return Some(heard);
+                    }
+                }
+                _ => return None,
+            }
+        }
+    }
+
+    /// The next event; where there is none yet, the waker is called when one comes.
+    fn next(&mut self) -> Poll<Option<Event>> {
+        pin!(self.events.recv_async()).poll(&mut Context::from_waker(&self.waker))
+    }
+}
+
+/// Until a wall time; `None` once it has come.
+fn left(until: Nanos) -> Option<Duration> {
+    let left = u64::try_from(until.saturating_sub(wall_now()))
+        .ok()
+        .filter(|left| *left > 0)?;
+    Some(Duration::from_nanos(left))
+}
+
+/// What matters to a process.
+fn heard(event: Event) -> Option<Heard> {
+    match event {
+        Event::Input { id, data, .. } => Some(Heard::Input(id.to_string(), data.into_inner(), wall_now())),
+        Event::InputClosed { id } => Some(Heard::Closed(id.to_string())),
+        Event::NodeFailed {
+            source_node_id, error, ..
+        } => Some(Heard::Failed {
+            node: source_node_id.to_string(),
+            reason: error,
+        }),
+        Event::Stop(StopCause::Manual) => Some(Heard::Stopped),
+        Event::Error(error) => Some(Heard::Trouble(error)),
+        _ => None,
+    }
+}

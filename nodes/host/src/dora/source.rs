@@ -1,0 +1,87 @@
+//! Releases a source's messages by the wall clock.
+
+use std::time::Duration;
+
+use realo_operator::{AnySource, Error};
+use realo_schemas::{Clock, Nanos};
+
+use super::host::Shared;
+use super::{HostError, wall_now};
+
+/// Time in which hellos open dora's routes before the first message. dora sends the first messages of an output a
+/// longer way, and on a busy machine the nodes of a graph need seconds to find each other.
+const LEAD: Nanos = 3_000_000_000;
+/// Between two hellos.
+const HELLO: Nanos = 50_000_000;
+/// How often a waiting source looks whether it is to stop.
+const LOOK: Nanos = 50_000_000;
+
+/// Runs a source to its end; what fails ends the process.
+pub(super) fn run(shared: &Shared, stage: usize, source: Box<dyn AnySource>) {
+    if let Err(error) = play(shared, stage, source) {
+        shared.fail(error);
+    }
+}
+
+fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result<(), HostError> {
+    let mut opened = false;
+    loop {
+        let next = source.next().map_err(|error: Error| {
+            let id = shared.lock().engine.id(stage).clone();
+            HostError::Stage(format!("node `{id}` failed: {error}"))
+        })?;
+        let Some((time, port, message)) = next else { break };
+        if !opened {
+            open_routes(shared)?;
+            opened = true;
+            let clock = Clock {
+                wall_origin: wall_now(),
+                log_origin: time,
+                rate: source.rate(),
+            };
+            shared.lock().engine.set_clock(clock);
+        }
+        let clock = shared.lock().engine.clock();
+        if !wait_until(shared, clock.map_or(0, |clock| clock.wall_at(time))) {
+            return Ok(());
+        }
+        let mut state = shared.lock();
+        let now = state.log_now();
+        state.engine.release(stage, port, message, time, now);
+        let leaving = state.engine.take_leaving();
+        shared.follow(&mut state, now);
+        drop(state);
+        shared.send_all(leaving)?;
+    }
+    let mut state = shared.lock();
+    let now = state.log_now();
+    state.engine.close_source(stage, source.counters(), now);
+    shared.follow(&mut state, now);
+    shared.nudge();
+    Ok(())
+}
+
+fn open_routes(shared: &Shared) -> Result<(), HostError> {
+    let begun = wall_now();
+    for n in 0..LEAD / HELLO {
+        shared.send_hello()?;
+        if !wait_until(shared, begun + (n + 1) * HELLO) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Waits for a wall time; `false` if the process is over before.
+fn wait_until(shared: &Shared, wall: Nanos) -> bool {
+    loop {
+        let left = wall - wall_now();
+        if left <= 0 {
+            return true;
+        }
+        if shared.is_over() {
+            return false;
+        }
+        std::thread::sleep(Duration::from_nanos(left.min(LOOK) as u64));
+    }
+}

@@ -1,0 +1,14 @@
+//! Runs the stages of a graph: as a process on dora ([`dora`]), or all of them in virtual time ([`virtual_time`]).
+//!
+//! Both are loops around the [`realo_engine::Engine`]. [`Program`] is a plug-in that takes part in either.
+
+pub mod dora;
+mod profile;
+mod program;
+mod reorder;
+mod stages;
+pub mod virtual_time;
+
+pub use profile::ComputeProfile;
+pub use program::{Child, Program};
+pub use stages::{BuildError, Stages};

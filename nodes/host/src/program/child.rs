@@ -1,0 +1,359 @@
+//! The driver's side: one running program.
+
+use std::io::{Read, Write};
+use std::process::{Child as Process, Command, ExitStatus};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use realo_schemas::{Message, Nanos};
+
+use realo_engine::Gone;
+use realo_operator::pipe::words::{Call, Reply};
+use realo_operator::pipe::{FrameError, frame, hello};
+use realo_operator::{AnyOperator, Error, Made, Outputs, PortId, Registration};
+
+/// How long one call may take; a program that is silent for longer hangs.
+const SILENCE: Duration = Duration::from_secs(600);
+/// How long a program may take to exit once it has nothing left to do, and to say why it failed.
+const FAREWELL: Duration = Duration::from_secs(10);
+/// What is quoted of its standard error, bytes from the end.
+const QUOTED: usize = 2048;
+
+/// A program that hosts an operator, ready for the next call.
+pub struct Child {
+    process: Process,
+    calls: Option<SyncSender<Vec<u8>>>,
+    written: Receiver<Result<(), FrameError>>,
+    replies: Receiver<Result<Vec<u8>, FrameError>>,
+    said: Arc<Mutex<Vec<u8>>>,
+    /// How long one call may take.
+    silence: Duration,
+    listener: JoinHandle<()>,
+    registration: &'static Registration,
+}
+
+impl Child {
+    /// Starts a program with piped standard streams and waits for its hello.
+    ///
+    /// # Errors
+    /// Why it is no host of an operator, by the node's id.
+    pub fn start(node: &str, mut command: Command, patience: Duration) -> Result<Child, String> {
+        let program = command.get_program().to_string_lossy().into_owned();
+        let spawned = command.spawn();
+        let mut process = spawned.map_err(|error| format!("node `{node}`: cannot start {program}: {error}"))?;
+        let (Some(mut stdin), Some(mut stdout), Some(stderr)) =
+            (process.stdin.take(), process.stdout.take(), process.stderr.take())
+        else {
+            return Err(format!("node `{node}`: {program} has no pipes"));
+        };
+        // One reply is asked for at a time; a program that says more has to wait.
+        let (sender, replies) = sync_channel(1);
+        std::thread::spawn(move || {
+            while let Some(frame) = frame::read(&mut stdout).transpose() {
+                if sender.send(frame).is_err() {
+                    return;
+                }
+            }
+        });
+        // On a thread, because a program that does not read would hold up whoever writes.
+        let (calls, asked) = sync_channel::<Vec<u8>>(1);
+        let (reports, written) = sync_channel(1);
+        std::thread::spawn(move || {
+            while let Ok(call) = asked.recv() {
+                if reports.send(frame::write(&mut stdin, &call)).is_err() {
+                    return;
+                }
+            }
+        });
+        let said = Arc::new(Mutex::new(Vec::new()));
+        let listener = std::thread::spawn({
+            let said = said.clone();
+            move || listen(stderr, &said)
+        });
+        let mut child = Child {
+            process,
+            calls: Some(calls),
+            written,
+            silence: SILENCE,
+            replies,
+            said,
+            listener,
+            registration: &NOBODY,
+        };
+        child.registration = child
+            .wait_for_hello(patience)
+            .map_err(|reason| format!("node `{node}`: {reason}"))?;
+        Ok(child)
+    }
+
+    /// What the program declares of itself.
+    pub fn registration(&self) -> &'static Registration {
+        self.registration
+    }
+
+    fn wait_for_hello(&mut self, patience: Duration) -> Result<&'static Registration, String> {
+        const MEND: &str = "a plug-in is a program whose main is `realo_operator::run`, or that uses the Python module \
+                            `realo_operator`";
+        let frame = match self.replies.recv_timeout(patience) {
+            Ok(Ok(bytes)) => hello::read(bytes),
+            Ok(Err(error)) => Err(error.to_string()),
+            Err(RecvTimeoutError::Timeout) => Err(format!("nothing within {} s", patience.as_secs())),
+            Err(RecvTimeoutError::Disconnected) => {
+                let reason = self.last_words("it closed its standard output before it said hello");
+                return Err(format!("{reason}; {MEND}"));
+            }
+        };
+        frame.map_err(|found| {
+            let reason = self.last_words(&format!("not the first frame of realo's pipe protocol: {found}"));
+            format!("{reason}; {MEND}")
+        })
+    }
+
+    /// One call, and what came of it.
+    fn ask(&mut self, call: &Call, out: &mut Outputs) -> Result<(), Error> {
+        let bytes = call.to_bytes(out.now())?;
+        let answered = self.exchange(bytes).and_then(|reply| self.take(reply, out));
+        match answered {
+            Ok(None) => Ok(()),
+            Ok(Some(error)) => Err(error.into()),
+            Err(reason) => Err(Box::new(Gone(self.last_words(&reason)))),
+        }
+    }
+
+    fn exchange(&mut self, call: Vec<u8>) -> Result<Reply, String> {
+        let calls = self.calls.as_ref().ok_or("it was called after its end")?;
+        calls.send(call).map_err(|_| "nobody writes to it any more")?;
+        // Whether the program has gone, and how, its answer tells better than the pipe to it.
+        let reply = match self.replies.recv_timeout(self.silence) {
+            Ok(reply) => reply.map_err(|error| format!("no reply: {error}"))?,
+            Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", self.silence.as_secs())),
+            Err(RecvTimeoutError::Disconnected) => return Err("it closed its standard output".into()),
+        };
+        let written = self.written.recv_timeout(self.silence);
+        written
+            .map_err(|error| error.to_string())?
+            .map_err(|error| error.to_string())?;
+        Reply::from_bytes(reply).map_err(|error| format!("no reply: {error}"))
+    }
+
+    /// Hands a reply on; gives the operator's error.
+    fn take(&self, reply: Reply, out: &mut Outputs) -> Result<Option<String>, String> {
+        let sent = reply.sent.into_iter().map(|(name, message)| {
+            let port = self.output(&name, &message)?;
+            Ok((port, message))
+        });
+        out.take_over(Made {
+            sent: sent.collect::<Result<_, String>>()?,
+            wakes: reply.wakes.into_iter().collect(),
+            counts: reply.counts.into_iter().map(|(name, n)| (name.into(), n)).collect(),
+            fates: reply.told.fates,
+            traffic: reply.told.traffic,
+        });
+        Ok(reply.error)
+    }
+
+    fn output(&self, name: &str, message: &Message) -> Result<PortId, String> {
+        let known = self.registration.output(name);
+        let (id, port) = known.ok_or_else(|| format!("it sent on `{name}`, an output that it did not declare"))?;
+        let found = message.payload.payload_type();
+        if !port.types.contains(&found) {
+            let expected: Vec<_> = port.types.iter().map(|name| name.as_str()).collect();
+            let expected = expected.join(" or ");
+            return Err(format!(
+                "it sent a {found} on `{name}`, which it declared to carry {expected}"
+            ));
+        }
+        Ok(id)
+    }
+
+    /// Lets the program exit; a code other than 0 is an error.
+    fn dismiss(&mut self) -> Result<(), Gone> {
+        self.calls = None;
+        match self.exited(FAREWELL) {
+            Some(status) if status.success() => Ok(()),
+            Some(_) => Err(Gone(self.last_words("it failed after its end"))),
+            None => {
+                let reason = format!("it did not exit within {} s of its end", FAREWELL.as_secs());
+                Err(Gone(self.last_words(&reason)))
+            }
+        }
+    }
+
+    /// How the program ended, if it does so in time.
+    fn exited(&mut self, patience: Duration) -> Option<ExitStatus> {
+        let until = Instant::now() + patience;
+        loop {
+            match self.process.try_wait() {
+                Ok(Some(status)) => return Some(status),
+                Ok(None) if Instant::now() < until => std::thread::sleep(Duration::from_millis(2)),
+                _ => return None,
+            }
+        }
+    }
+
+    /// What is known of a program that failed: the reason, how it ended, what it said.
+    fn last_words(&mut self, reason: &str) -> String {
+        self.calls = None;
+        let ended = match self.exited(Duration::from_secs(2)) {
+            Some(status) => format!("it ended with {status}"),
+            None => {
+                self.stop();
+                "it was stopped".into()
+            }
+        };
+        let until = Instant::now() + Duration::from_secs(1);
+        while !self.listener.is_finished() && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let said = self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        match String::from_utf8_lossy(&said).trim() {
+            "" => format!("{reason}; {ended} and said nothing on standard error"),
+            said => format!("{reason}; {ended} and said on standard error: {said}"),
+        }
+    }
+
+    fn stop(&mut self) {
+        // One that has exited by itself needs no stopping.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+impl Drop for Child {
+    fn drop(&mut self) {
+        self.calls = None;
+        if self.exited(Duration::from_millis(500)).is_none() {
+            self.stop();
+        }
+    }
+}
+
+impl AnyOperator for Child {
+    fn on_input(&mut self, PortId(port): PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        let port = self.registration.inputs[port].name.to_string();
+        let message = Box::new(message);
+        self.ask(&Call::Input { port, message }, out)
+    }
+
+    fn on_wake(&mut self, _now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+        self.ask(&Call::Wake, out)
+    }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        let ended = self.ask(&Call::End, out);
+        if ended.as_ref().is_err_and(|error| error.is::<Gone>()) {
+            return ended;
+        }
+        self.dismiss()?;
+        ended
+    }
+}
+
+/// Passes on what a program says on standard error, and keeps the end of it.
+fn listen(mut stderr: impl Read, said: &Mutex<Vec<u8>>) {
+    let mut chunk = [0; 1024];
+    while let Ok(n @ 1..) = stderr.read(&mut chunk) {
+        // Nothing can be done about a terminal that is gone.
+        let _ = std::io::stderr().write_all(&chunk[..n]);
+        let mut said = said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        said.extend_from_slice(&chunk[..n]);
+        let surplus = said.len().saturating_sub(QUOTED);
+        said.drain(..surplus);
+    }
+}
+
+/// Stands for a program that has not said hello.
+static NOBODY: Registration = Registration {
+    name: "",
+    about: "",
+    role: realo_operator::Role::Operator,
+    inputs: &[],
+    outputs: &[],
+    arguments: &[],
+    defaults: serde_json::Map::new,
+    check: |_| Ok(()),
+    build: |_| Err("a program that has not said hello".into()),
+};
+
+#[cfg(test)]
+mod tests {
+    use std::process::Stdio;
+
+    use realo_schemas::{Header, Kind, PayloadType, PointCloud};
+
+    use super::*;
+    use realo_operator::Port;
+
+    fn shell(script: &str, patience: Duration) -> Result<Child, String> {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        Child::start("fusion", command, patience)
+    }
+
+    fn start(script: &str, patience: Duration) -> String {
+        let started = shell(script, patience);
+        started.map(|_| ()).expect_err("it speaks no protocol")
+    }
+
+    #[test]
+    fn a_program_that_stops_reading_is_stopped_and_named() {
+        static DEAF: Registration = Registration {
+            name: "deaf",
+            inputs: &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps")],
+            ..NOBODY
+        };
+        let hello = tempfile::NamedTempFile::new().unwrap();
+        frame::write(&mut hello.as_file(), &hello::write(&DEAF).unwrap()).unwrap();
+        let script = format!("cat '{}'; exec sleep 60", hello.path().display());
+        let mut child = shell(&script, Duration::from_secs(60)).unwrap();
+        child.silence = Duration::from_millis(100);
+        // More than a pipe holds.
+        const POINTS: usize = 100_000;
+        let axis = || vec![0.0; POINTS];
+        let cloud = PointCloud::new(
+            axis(),
+            axis(),
+            axis(),
+            vec![0; POINTS],
+            vec![0; POINTS],
+            vec![0; POINTS],
+        );
+        let cloud = cloud.expect("the columns are as long as each other");
+        let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Points, 0, 0, 0);
+        let asked = child.on_input(PortId(0), Message::new(header, cloud), &mut Outputs::at(0));
+        let error = asked.unwrap_err().to_string();
+        assert!(
+            error.contains("no reply within") && error.contains("it was stopped"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_program_that_stays_silent_is_stopped_and_named() {
+        let begun = Instant::now();
+        let error = start("exec sleep 60", Duration::from_millis(50));
+        assert!(
+            error.contains("node `fusion`") && error.contains("nothing within 0 s"),
+            "{error}"
+        );
+        assert!(error.contains("it was stopped"), "{error}");
+        assert!(begun.elapsed() < Duration::from_secs(30));
+    }
+
+    #[test]
+    fn a_program_that_exits_is_quoted_from_the_end_of_what_it_said() {
+        let script = "yes error | head -n 9000 >&2; echo 'the last word' >&2; exit 4";
+        let error = start(script, Duration::from_secs(60));
+        assert!(
+            error.contains("exit status: 4") && error.contains("the last word"),
+            "{error}"
+        );
+        assert!(error.len() < QUOTED + 1000, "{}", error.len());
+    }
+}

@@ -1,0 +1,161 @@
+//! Plug-ins: programs that serve an operator over pipes ([`realo_operator::pipe`]).
+
+mod child;
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use serde_yaml::Value;
+
+use realo_graph::FlatNode;
+use realo_operator::Registration;
+use realo_operator::pipe::{DRIVER, DRIVER_VARIABLE};
+
+pub use child::Child;
+
+/// How long a program may take to say hello: it loads its weights before, and Python its packages.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A program that hosts an operator, as a node of a graph names it.
+#[derive(Clone)]
+pub struct Program {
+    node: String,
+    path: PathBuf,
+    args: Vec<String>,
+    env: BTreeMap<String, OsString>,
+    folder: PathBuf,
+    /// One that was started to ask for its ports and has not been used yet.
+    waiting: Arc<Mutex<Option<Child>>>,
+}
+
+impl Program {
+    /// The program of a node `program PATH key=value …` in a graph that lies in `folder`; `None` for any other node.
+    pub fn of(node: &FlatNode, folder: &Path) -> Option<Self> {
+        let path = node.program()?;
+        Some(Program {
+            node: node.id.clone(),
+            path: folder.join(path),
+            args: node.settings().to_vec(),
+            env: node
+                .env
+                .iter()
+                .map(|(name, value)| (name.clone(), expanded(value)))
+                .collect(),
+            folder: folder.to_path_buf(),
+            waiting: Arc::default(),
+        })
+    }
+
+    /// What the program declares of itself; it is started for that, and kept for [`Program::start`].
+    ///
+    /// # Errors
+    /// Why it is no host of an operator, by the node's id.
+    pub fn ask(&self) -> Result<&'static Registration, String> {
+        let child = self.start()?;
+        let registration = child.registration();
+        *self.waiting() = Some(child);
+        Ok(registration)
+    }
+
+    /// The running program.
+    ///
+    /// # Errors
+    /// As [`Program::ask`].
+    pub fn start(&self) -> Result<Child, String> {
+        if let Some(child) = self.waiting().take() {
+            return Ok(child);
+        }
+        Child::start(&self.node, self.command(), PATIENCE)
+    }
+
+    fn waiting(&self) -> MutexGuard<'_, Option<Child>> {
+        self.waiting.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
+    fn command(&self) -> Command {
+        let mut command = match self.path.extension().is_some_and(|extension| extension == "py") {
+            true => {
+                let mut python = Command::new(python());
+                python.arg("-u").arg(&self.path);
+                python
+            }
+            false => Command::new(&self.path),
+        };
+        command
+            .args(&self.args)
+            .envs(&self.env)
+            .env(DRIVER_VARIABLE, DRIVER)
+            .current_dir(&self.folder)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        command
+    }
+}
+
+/// The interpreter on `PATH`, under the name that dora tries first.
+fn python() -> &'static str {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let there = std::env::split_paths(&path).any(|folder| folder.join("python").is_file());
+    if there { "python" } else { "python3" }
+}
+
+/// A value of `env` with its variables replaced, as dora does it; an unset one is empty.
+fn expanded(value: &Value) -> OsString {
+    let text = match value {
+        Value::String(text) => text.clone(),
+        Value::Bool(flag) => flag.to_string(),
+        Value::Number(number) => number.to_string(),
+        _ => String::new(),
+    };
+    let mut out = OsString::new();
+    let mut rest = text.as_str();
+    while let Some((before, after)) = rest.split_once('$') {
+        out.push(before);
+        rest = after;
+        if let Some(after) = rest.strip_prefix('$') {
+            out.push("$");
+            rest = after;
+            continue;
+        }
+        let (name, after) = variable(rest);
+        match name {
+            "" => out.push("$"),
+            name => out.push(std::env::var_os(name).unwrap_or_default()),
+        }
+        rest = after;
+    }
+    out.push(rest);
+    out
+}
+
+/// The name after a `$`, braces taken away, and what follows it.
+fn variable(text: &str) -> (&str, &str) {
+    if let Some((name, after)) = text.strip_prefix('{').and_then(|inner| inner.split_once('}')) {
+        return (name, after);
+    }
+    let end = text.find(|c: char| !c.is_ascii_alphanumeric() && c != '_');
+    text.split_at(end.unwrap_or(text.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variables_of_the_environment_are_replaced() {
+        let home = std::env::var("PATH").unwrap();
+        let read = |text: &str| expanded(&Value::from(text)).into_string().unwrap();
+        assert_eq!(read("a ${PATH}/b"), format!("a {home}/b"));
+        assert_eq!(read("$PATH:$REALO_NO_SUCH_VARIABLE!"), format!("{home}:!"));
+        assert_eq!(
+            (read("5 $$ and $ alone"), read("${open")),
+            ("5 $ and $ alone".into(), "${open".into())
+        );
+        assert_eq!(expanded(&Value::from(3)), "3");
+    }
+}

@@ -1,0 +1,110 @@
+//! Runs a whole graph as a discrete-event simulation in one process.
+//!
+//! Every stage has one server for each agent; the order of events is total and does not depend on threads, so a run
+//! gives the same bits each time. Time is the log's; computing takes what the [`ComputeProfile`] says. A plug-in runs as a
+//! child process and answers one call at a time, so it changes nothing in that order.
+
+use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
+use realo_operator::{Books, Built};
+use realo_schemas::{Message, Nanos};
+
+use crate::{BuildError, ComputeProfile, Stages};
+
+/// Why a run in virtual time failed.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A stage could not be built.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// A stage could not go on.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+}
+
+/// Sees every message that a stage sends, with the stage's id and the output's name.
+pub type Observer<'a> = Box<dyn FnMut(&str, &str, &Message) + 'a>;
+
+/// Runs a graph to its end and returns the books of all stages.
+///
+/// # Errors
+/// [`RunError`] names the stage that could not be built or go on.
+pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>) -> Result<Books, RunError> {
+    let mut wiring = stages.wiring.clone();
+    for stage in &mut wiring.stages {
+        stage.leaves.fill(observer.is_some());
+    }
+    let mut simulation = Simulation {
+        engine: Engine::new(&wiring, Servers::PerAgent),
+        built: stages.build()?,
+        compute,
+        observer,
+    };
+    for stage in 0..wiring.stages.len() {
+        simulation.pull(stage, Nanos::MIN)?;
+    }
+    let mut now = Nanos::MIN;
+    while let Some(due) = simulation.engine.next_due() {
+        now = now.max(due);
+        simulation.step(now)?;
+    }
+    Ok(simulation.engine.books())
+}
+
+struct Simulation<'a> {
+    engine: Engine,
+    built: Vec<Built>,
+    compute: &'a ComputeProfile,
+    observer: Option<Observer<'a>>,
+}
+
+impl Simulation<'_> {
+    fn step(&mut self, now: Nanos) -> Result<(), EngineError> {
+        match self.engine.step(now)? {
+            Some(Step::Released(stage)) => self.pull(stage, now)?,
+            Some(Step::Call(task)) => self.call(task, now)?,
+            None => {}
+        }
+        for line in self.engine.take_complaints() {
+            eprintln!("realo: {line}");
+        }
+        // The sinks of this graph have been told.
+        self.engine.take_fates();
+        for Leaving { stage, port, message } in self.engine.take_leaving() {
+            if let Some(observer) = &mut self.observer {
+                let output = self.engine.registration(stage).outputs[port.0].name;
+                observer(self.engine.id(stage), output, &message);
+            }
+        }
+        Ok(())
+    }
+
+    fn call(&mut self, Task { ticket, call, fates }: Task, now: Nanos) -> Result<(), EngineError> {
+        let registration = self.engine.registration(ticket.stage);
+        let called = call.make(&mut self.built[ticket.stage], registration, ticket.start, &fates);
+        let trigger = called.trigger(ticket.cause, registration);
+        let took = match ticket.is_end() {
+            true => 0,
+            false => self.compute.of(self.engine.id(ticket.stage), &trigger),
+        };
+        let done = ticket.start + took;
+        self.engine.complete(&ticket, called, done, took)?;
+        self.engine.free(&ticket, done, now);
+        Ok(())
+    }
+
+    /// Schedules the next message of a source, or ends it.
+    fn pull(&mut self, stage: usize, now: Nanos) -> Result<(), EngineError> {
+        let Built::Source(source) = &mut self.built[stage] else {
+            return Ok(());
+        };
+        let next = source.next().map_err(|error| EngineError::Failed {
+            node: self.engine.id(stage).to_string(),
+            reason: error.to_string(),
+        })?;
+        match next {
+            Some((time, port, message)) => self.engine.schedule(stage, time.max(now), port, message),
+            None => self.engine.close_source(stage, source.counters(), now),
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,272 @@
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
+
+use realo_schemas::report::{Channel, Crossing, Fate, Fated, Traffic, Use};
+use realo_schemas::{Header, Kind, Message, Name, Nanos, UnexpectedPayload};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::{Port, PortId};
+
+/// Why an operator or node could not go on with a message or a configuration.
+pub type Error = Box<dyn std::error::Error + Send + Sync>;
+
+/// One argument of an operator or node, as `realo operators` prints it.
+///
+/// Its default is that of the configuration.
+#[derive(Clone, Copy, Debug)]
+pub struct Argument {
+    /// Key in graphs and `--set`.
+    pub name: &'static str,
+    /// Meaning and unit, in a line.
+    pub about: &'static str,
+}
+
+/// What every operator, source and sink says of itself.
+pub trait Describe {
+    /// Typed settings; a key that it does not have is refused with the nearest name.
+    type Config: DeserializeOwned + Serialize + Default;
+    /// Name in graphs: `realo operator NAME`, `realo node NAME`.
+    const NAME: &'static str;
+    /// One line for `realo operators`.
+    const ABOUT: &'static str;
+    /// Every key of `Config`, in its order.
+    const ARGUMENTS: &'static [Argument];
+    /// Inputs in priority order.
+    const INPUTS: &'static [Port];
+    /// Outputs.
+    const OUTPUTS: &'static [Port];
+}
+
+/// A pure stage of a graph: messages in, messages out.
+///
+/// It reads no clock, socket or environment, opens no file after `new`, and does not know which driver runs it.
+pub trait Operator: Describe + Sized {
+    /// Builds the stage, files and weights included.
+    ///
+    /// # Errors
+    /// Anything wrong with the configuration; the graph ends before its first message.
+    fn new(config: Self::Config) -> Result<Self, Error>;
+
+    /// Takes one message. An error is counted and logged with the message's header; the run goes on.
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error>;
+
+    /// Is called at the times that [`Outputs::wake_at`] asked for.
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+        let _ = (now, out);
+        Ok(())
+    }
+
+    /// Is called once, after the last message and the last wake.
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        let _ = out;
+        Ok(())
+    }
+}
+
+/// A node that brings messages into a graph: a player, a sensor.
+pub trait Source: Describe + Sized {
+    /// Opens what it reads.
+    ///
+    /// # Errors
+    /// Anything wrong with the configuration or the files it names.
+    fn new(config: Self::Config) -> Result<Self, Error>;
+
+    /// The next message, in order of its time of release on the log's time line; `None` at the end.
+    ///
+    /// # Errors
+    /// What could not be read; the run fails.
+    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error>;
+
+    /// Seconds of log time per second of wall time in a realtime run.
+    fn rate(&self) -> f64 {
+        1.0
+    }
+
+    /// What it counted so far, for the run's books.
+    fn counters(&self) -> BTreeMap<String, u64> {
+        BTreeMap::new()
+    }
+}
+
+/// A node that takes messages out of a graph: a recorder, the results.
+pub trait Sink: Describe + Sized {
+    /// Opens what it writes.
+    ///
+    /// # Errors
+    /// Anything wrong with the configuration or the files it names.
+    fn new(config: Self::Config) -> Result<Self, Error>;
+
+    /// Takes one message.
+    ///
+    /// # Errors
+    /// What could not be written; the run fails.
+    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error>;
+
+    /// Takes what stages said of messages that crossed a link, in the order in which it reached this process.
+    ///
+    /// # Errors
+    /// What could not be written; the run fails.
+    fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
+        let _ = fates;
+        Ok(())
+    }
+
+    /// Closes what it wrote, with the books of all stages of the graph but other sinks.
+    ///
+    /// # Errors
+    /// What could not be written; the run fails.
+    fn finish(&mut self, books: &crate::Books) -> Result<(), Error>;
+}
+
+/// What an operator hands to its driver during one call.
+#[derive(Debug)]
+pub struct Outputs {
+    now: Nanos,
+    made: Made,
+}
+
+/// All that came of one call.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Made {
+    /// Messages, in the order in which they were sent.
+    pub sent: Vec<(PortId, Message)>,
+    /// When the operator wishes to be called.
+    pub wakes: BTreeSet<Nanos>,
+    /// What it counted.
+    pub counts: BTreeMap<Cow<'static, str>, u64>,
+    /// What became of messages that had crossed a link.
+    pub fates: Vec<Fated>,
+    /// What crossed links.
+    pub traffic: Vec<Channel>,
+}
+
+impl Outputs {
+    /// Empty outputs of a call that starts at `now`; drivers and tests of operators make them.
+    pub fn at(now: Nanos) -> Self {
+        Outputs {
+            now,
+            made: Made::default(),
+        }
+    }
+
+    /// When the call started, on the log's time line.
+    pub fn now(&self) -> Nanos {
+        self.now
+    }
+
+    /// Sends a message whose header derives from those of the inputs that made it. A `ready` before now becomes now;
+    /// a later one is kept and delays the message.
+    pub fn send(&mut self, port: PortId, mut message: Message) {
+        message.header.ready = message.header.ready.max(self.now);
+        self.made.sent.push((port, message));
+    }
+
+    /// Asks for a call of `on_wake` at `time`; the past means now.
+    pub fn wake_at(&mut self, time: Nanos) {
+        self.made.wakes.insert(time.max(self.now));
+    }
+
+    /// Adds `n` to a counter of the node, e.g. `nan_points`.
+    pub fn count(&mut self, counter: impl Into<Cow<'static, str>>, n: u64) {
+        if n > 0 {
+            let count = self.made.counts.entry(counter.into()).or_default();
+            *count = count.saturating_add(n);
+        }
+    }
+
+    /// Says what became of a message that crossed a link; of any other nothing is said.
+    ///
+    /// Only whoever ends a message's way says so; several may, and the first [`Fate`] that fits stands.
+    pub fn tell(&mut self, header: &Header, fate: Fate) {
+        let fated = Crossing::of(header).map(|message| Fated {
+            message,
+            fate,
+            r#use: None,
+        });
+        self.made.fates.extend(fated);
+    }
+
+    /// Says that a message took part in a fusion with the ego's message `query`.
+    pub fn used(&mut self, header: &Header, query: &Header) {
+        let fated = Crossing::of(header).map(|message| Fated {
+            message,
+            fate: Fate::Used,
+            r#use: Some(Use {
+                query: query.seq,
+                age_ns: query.ready.saturating_sub(header.stamp),
+            }),
+        });
+        self.made.fates.extend(fated);
+    }
+
+    /// Counts what a channel carried.
+    pub fn carried(&mut self, from: &Name, to: &Name, kind: Kind, traffic: Traffic) {
+        let (from, to) = (from.to_string(), to.to_string());
+        self.made.traffic.push(Channel {
+            from,
+            to,
+            kind,
+            traffic,
+        });
+    }
+
+    /// All that came of the call.
+    pub fn into_made(self) -> Made {
+        self.made
+    }
+
+    /// Takes over what came of a call in another process.
+    pub fn take_over(&mut self, made: Made) {
+        let Made {
+            sent,
+            wakes,
+            counts,
+            fates,
+            traffic,
+        } = made;
+        sent.into_iter().for_each(|(port, message)| self.send(port, message));
+        wakes.into_iter().for_each(|time| self.wake_at(time));
+        counts.into_iter().for_each(|(counter, n)| self.count(counter, n));
+        self.made.fates.extend(fates);
+        self.made.traffic.extend(traffic);
+    }
+
+    /// What was sent so far, in order; for tests of operators.
+    pub fn take_sent(&mut self) -> Vec<(PortId, Message)> {
+        std::mem::take(&mut self.made.sent)
+    }
+
+    /// The wakes that were asked for; for tests of operators.
+    pub fn take_wakes(&mut self) -> BTreeSet<Nanos> {
+        std::mem::take(&mut self.made.wakes)
+    }
+
+    /// What was said of messages that crossed a link; for tests of operators.
+    pub fn take_fates(&mut self) -> Vec<Fated> {
+        std::mem::take(&mut self.made.fates)
+    }
+
+    /// A counter's value in this call; for tests of operators.
+    pub fn counted(&self, counter: &str) -> u64 {
+        self.made.counts.get(counter).copied().unwrap_or(0)
+    }
+}
+
+/// A message on a port that cannot take it.
+pub fn wrong_port(inputs: &[Port], port: PortId) -> Error {
+    match inputs.get(port.0) {
+        Some(port) => format!("a message on port `{}`, which this operator does not handle", port.name).into(),
+        None => format!(
+            "a message on port number {}, this operator has {}",
+            port.0,
+            inputs.len()
+        )
+        .into(),
+    }
+}
+
+/// A payload of another type than the port's is an error like any other.
+pub fn unexpected(error: UnexpectedPayload) -> Error {
+    Box::new(error)
+}

@@ -1,0 +1,282 @@
+//! What a program says of itself first.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+use arrow::array::UInt32Array;
+use realo_schemas::PayloadType;
+use serde::{Deserialize, Serialize};
+
+use super::VERSION;
+use super::row::{Received, Row};
+use crate::config::ConfigError;
+use crate::{Class, Port, Queue, Registration, Role};
+
+/// Ports of one side that a program may declare.
+const MOST_PORTS: usize = 64;
+
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PortWords {
+    name: String,
+    types: Vec<String>,
+    #[serde(default)]
+    about: String,
+    #[serde(default = "all")]
+    queue: String,
+    #[serde(default = "data")]
+    class: String,
+    #[serde(default = "yes")]
+    required: bool,
+    #[serde(default)]
+    join: Option<String>,
+    #[serde(default)]
+    accounts: bool,
+}
+
+fn all() -> String {
+    "all".into()
+}
+
+fn data() -> String {
+    "data".into()
+}
+
+fn yes() -> bool {
+    true
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ports {
+    inputs: Vec<PortWords>,
+    outputs: Vec<PortWords>,
+}
+
+/// The first frame of a program that hosts a stage.
+pub fn write(registration: &Registration) -> Result<Vec<u8>, String> {
+    let ports = Ports {
+        inputs: registration.inputs.iter().map(PortWords::of).collect(),
+        outputs: registration.outputs.iter().map(PortWords::of).collect(),
+    };
+    let json = serde_json::to_string(&ports).map_err(|error| error.to_string())?;
+    Row::default()
+        .put("version", UInt32Array::from(vec![VERSION]))
+        .text("name", registration.name)
+        .text("ports", &json)
+        .into_bytes()
+}
+
+/// What the first frame of a program declares.
+///
+/// # Errors
+/// Another version, or ports that cannot be.
+pub fn read(bytes: Vec<u8>) -> Result<&'static Registration, String> {
+    let row = Received::from_bytes(bytes)?;
+    let version = row.u32("version")?;
+    if version != VERSION {
+        return Err(format!(
+            "expected version {VERSION} of the pipe protocol, found {version}: build the program against this realo"
+        ));
+    }
+    let name = row.text("name")?;
+    if name.is_empty() {
+        return Err("expected a name, found an empty one".into());
+    }
+    let ports: Ports =
+        serde_json::from_str(row.text("ports")?).map_err(|error| format!("the declaration of ports: {error}"))?;
+    register(name, ports)
+}
+
+/// Declarations live as long as the process, each distinct one once.
+fn register(name: &str, ports: Ports) -> Result<&'static Registration, String> {
+    static KNOWN: Mutex<BTreeMap<(String, Ports), &'static Registration>> = Mutex::new(BTreeMap::new());
+    let inputs = declared(&ports.inputs, "input")?;
+    let outputs = declared(&ports.outputs, "output")?;
+    if inputs.is_empty() {
+        return Err("expected at least one input, found none: a plug-in is an operator, not a source".into());
+    }
+    let mut known = KNOWN.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let registration = known.entry((name.to_string(), ports)).or_insert_with(|| {
+        Box::leak(Box::new(Registration {
+            name: leaked(name),
+            about: "a program of its own",
+            role: Role::Operator,
+            inputs: leaked_ports(inputs),
+            outputs: leaked_ports(outputs),
+            arguments: &[],
+            defaults: serde_json::Map::new,
+            check: |_| Ok::<(), ConfigError>(()),
+            build: |_| Err("a program of its own cannot be built in this process".into()),
+        }))
+    });
+    Ok(registration)
+}
+
+fn leaked(text: &str) -> &'static str {
+    Box::leak(text.to_string().into_boxed_str())
+}
+
+fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
+    let types = |types: Vec<PayloadType>| -> &'static [PayloadType] { Box::leak(types.into_boxed_slice()) };
+    let ports = ports.into_iter().map(|port| Port {
+        name: leaked(&port.words.name),
+        types: types(port.types),
+        about: leaked(&port.words.about),
+        queue: port.queue,
+        class: port.class,
+        required: port.words.required,
+        join: port.words.join.as_deref().map(leaked),
+        accounts: port.words.accounts,
+    });
+    Box::leak(ports.collect())
+}
+
+/// A port whose words were understood.
+struct Declared {
+    words: PortWords,
+    types: Vec<PayloadType>,
+    queue: Queue,
+    class: Class,
+}
+
+fn declared(ports: &[PortWords], side: &str) -> Result<Vec<Declared>, String> {
+    if ports.len() > MOST_PORTS {
+        return Err(format!("expected at most {MOST_PORTS} {side}s, found {}", ports.len()));
+    }
+    let mut found: Vec<Declared> = Vec::new();
+    for words in ports {
+        if words.name.is_empty() || found.iter().any(|port| port.words.name == words.name) {
+            return Err(format!("{side} `{}`: expected a name of its own", words.name));
+        }
+        let port = words
+            .understood()
+            .map_err(|reason| format!("{side} `{}`: {reason}", words.name))?;
+        found.push(port);
+    }
+    Ok(found)
+}
+
+impl PortWords {
+    fn of(port: &Port) -> Self {
+        PortWords {
+            name: port.name.into(),
+            types: port.types.iter().map(|name| name.to_string()).collect(),
+            about: port.about.into(),
+            queue: queue_word(port.queue).into(),
+            class: class_word(port.class).into(),
+            required: port.required,
+            join: port.join.map(Into::into),
+            accounts: port.accounts,
+        }
+    }
+
+    fn understood(&self) -> Result<Declared, String> {
+        let types: Vec<PayloadType> = self.types.iter().map(|name| name.parse()).collect::<Result<_, _>>()?;
+        if types.is_empty() {
+            return Err("expected at least one payload type, found none".into());
+        }
+        let queues = [Queue::All, Queue::Latest];
+        let queue = queues.into_iter().find(|queue| queue_word(*queue) == self.queue);
+        let classes = [Class::State, Class::Data, Class::Query];
+        let class = classes.into_iter().find(|class| class_word(*class) == self.class);
+        Ok(Declared {
+            words: self.clone(),
+            types,
+            queue: queue.ok_or_else(|| format!("queue: expected `all` or `latest`, found `{}`", self.queue))?,
+            class: class
+                .ok_or_else(|| format!("class: expected `state`, `data` or `query`, found `{}`", self.class))?,
+        })
+    }
+}
+
+fn queue_word(queue: Queue) -> &'static str {
+    match queue {
+        Queue::All => "all",
+        Queue::Latest => "latest",
+    }
+}
+
+fn class_word(class: Class) -> &'static str {
+    match class {
+        Class::State => "state",
+        Class::Data => "data",
+        Class::Query => "query",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(ports: &str) -> Result<&'static Registration, String> {
+        let row = Row::default()
+            .put("version", UInt32Array::from(vec![VERSION]))
+            .text("name", "mine")
+            .text("ports", ports);
+        read(row.into_bytes().unwrap())
+    }
+
+    #[test]
+    fn declarations_come_back_as_they_were() {
+        const PORTS: &[Port] = &[
+            Port::new("ego", &[PayloadType::Boxes], "own")
+                .latest()
+                .joined("frame")
+                .query(),
+            Port::new("state", &[PayloadType::EgoState, PayloadType::Packet], "")
+                .state()
+                .accounting()
+                .optional(),
+        ];
+        let registration = Registration {
+            name: "mine",
+            about: "",
+            role: Role::Operator,
+            inputs: PORTS,
+            outputs: &PORTS[1..],
+            arguments: &[],
+            defaults: serde_json::Map::new,
+            check: |_| Ok(()),
+            build: |_| Err("".into()),
+        };
+        let back = read(write(&registration).unwrap()).unwrap();
+        assert_eq!(format!("{:?}", back.inputs), format!("{PORTS:?}"));
+        assert_eq!((back.name, back.outputs.len()), ("mine", 1));
+        let again = read(write(&registration).unwrap()).unwrap();
+        assert!(std::ptr::eq(back, again), "a declaration is kept once");
+    }
+
+    #[test]
+    fn refuses_what_cannot_be_with_what_was_expected() {
+        let cases = [
+            (r#"{"inputs": [], "outputs": []}"#, "at least one input"),
+            (
+                r#"{"inputs": [{"name": "a", "types": ["Boxs"]}], "outputs": []}"#,
+                "`Boxs`",
+            ),
+            (
+                r#"{"inputs": [{"name": "a", "types": []}], "outputs": []}"#,
+                "payload type",
+            ),
+            (
+                r#"{"inputs": [{"name": "a", "types": ["Boxes"], "queue": "some"}], "outputs": []}"#,
+                "`some`",
+            ),
+            (
+                r#"{"inputs": [{"name": "a", "types": ["Boxes"]}, {"name": "a", "types": ["Boxes"]}], "outputs": []}"#,
+                "a name of its own",
+            ),
+            ("nonsense", "declaration of ports"),
+        ];
+        for (ports, expected) in cases {
+            let error = said(ports).map(|_| ()).unwrap_err();
+            assert!(error.contains(expected), "{ports}: {error}");
+        }
+        let newer = Row::default()
+            .put("version", UInt32Array::from(vec![VERSION + 1]))
+            .into_bytes();
+        let error = read(newer.unwrap()).map(|_| ()).unwrap_err();
+        assert!(error.contains("version 2") && error.contains("found 3"), "{error}");
+    }
+}

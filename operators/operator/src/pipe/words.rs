@@ -1,0 +1,241 @@
+//! Calls and replies.
+
+use arrow::array::{Array, Int64Array, UInt64Array};
+use realo_schemas::report::{Channel, Fated};
+use realo_schemas::{Message, Nanos, wire};
+use serde::{Deserialize, Serialize};
+
+use super::row::{Received, Row};
+
+/// What the driver asks of a program.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Call {
+    /// To take a message.
+    Input {
+        /// Name of the input.
+        port: String,
+        /// What comes there.
+        message: Box<Message>,
+    },
+    /// A wake that the operator asked for.
+    Wake,
+    /// Nothing follows.
+    End,
+}
+
+/// What came of a call.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reply {
+    /// Why the operator could not take the message.
+    pub error: Option<String>,
+    /// Output and message, in order.
+    pub sent: Vec<(String, Message)>,
+    /// When the operator wishes to be called.
+    pub wakes: Vec<Nanos>,
+    /// What it counted.
+    pub counts: Vec<(String, u64)>,
+    /// What it said of messages that cross links.
+    pub told: Told,
+}
+
+/// What an operator says of messages that cross links.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Told {
+    /// What became of messages.
+    pub fates: Vec<Fated>,
+    /// What channels carried.
+    pub traffic: Vec<Channel>,
+}
+
+impl Call {
+    /// The call's frame.
+    ///
+    /// # Errors
+    /// What Arrow cannot write.
+    pub fn to_bytes(&self, now: Nanos) -> Result<Vec<u8>, String> {
+        let (call, port) = match self {
+            Call::Input { port, .. } => ("input", port.as_str()),
+            Call::Wake => ("wake", ""),
+            Call::End => ("end", ""),
+        };
+        let row = Row::default().text("call", call).text("port", port);
+        let row = row.put("now", Int64Array::from(vec![now]));
+        match self {
+            Call::Input { message, .. } => row.put("message", wire::to_arrow(message)).into_bytes(),
+            _ => row.into_bytes(),
+        }
+    }
+
+    /// A call and its time.
+    ///
+    /// # Errors
+    /// Why the frame is no call.
+    pub fn from_bytes(bytes: Vec<u8>) -> Result<(Call, Nanos), String> {
+        let row = Received::from_bytes(bytes)?;
+        let call = match row.text("call")? {
+            "input" => Call::Input {
+                port: row.text("port")?.into(),
+                message: Box::new(message(&row, "message")?),
+            },
+            "wake" => Call::Wake,
+            "end" => Call::End,
+            other => return Err(format!("expected a call `input`, `wake` or `end`, found `{other}`")),
+        };
+        Ok((call, row.i64("now")?))
+    }
+}
+
+impl Reply {
+    /// The reply's frame.
+    ///
+    /// # Errors
+    /// What Arrow cannot write.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, String> {
+        let told = serde_json::to_string(&self.told).map_err(|error| error.to_string())?;
+        let row = Row::default()
+            .text("error", self.error.as_deref().unwrap_or_default())
+            .texts("ports", self.sent.iter().map(|(port, _)| port.as_str()))
+            .list("wakes", Int64Array::from(self.wakes.clone()))
+            .texts("counters", self.counts.iter().map(|(name, _)| name.as_str()))
+            .list(
+                "counts",
+                UInt64Array::from_iter_values(self.counts.iter().map(|(_, n)| *n)),
+            )
+            .text("told", &told);
+        let messages = self.sent.iter().enumerate();
+        messages
+            .fold(row, |row, (i, (_, message))| {
+                row.put(&format!("message_{i}"), wire::to_arrow(message))
+            })
+            .into_bytes()
+    }
+
+    /// What a program replied.
+    ///
+    /// # Errors
+    /// Why the frame is no reply.
+    pub fn from_bytes(bytes: Vec<u8>) -> Result<Self, String> {
+        let row = Received::from_bytes(bytes)?;
+        let ports = row.texts("ports")?.into_iter().enumerate();
+        let sent = ports.map(|(i, port)| Ok((port, message(&row, &format!("message_{i}"))?)));
+        let sent = sent.collect::<Result<_, String>>()?;
+        let (names, counts) = (row.texts("counters")?, row.u64s("counts")?);
+        if names.len() != counts.len() {
+            return Err(format!(
+                "expected a count for each of {} counters, found {}",
+                names.len(),
+                counts.len()
+            ));
+        }
+        let error = row.text("error")?;
+        let told = serde_json::from_str(row.text("told")?).map_err(|error| format!("column `told`: {error}"))?;
+        Ok(Reply {
+            told,
+            error: (!error.is_empty()).then(|| error.into()),
+            sent,
+            wakes: row.i64s("wakes")?,
+            counts: names.into_iter().zip(counts).collect(),
+        })
+    }
+}
+
+fn message(row: &Received, column: &str) -> Result<Message, String> {
+    let row: &dyn Array = row.struct_at(column)?;
+    wire::from_arrow(row).map_err(|error| format!("`{column}` is not a realo message: {error}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use realo_schemas::report::{Crossing, Fate, Use};
+    use realo_schemas::{Box3, Boxes, Header, Kind, PointCloud, Selection};
+
+    use super::*;
+
+    fn boxes(agent: &str, n: usize) -> Message {
+        let object = Box3 {
+            center: [1.0, -2.0, 0.5],
+            length: 4.5,
+            width: 1.9,
+            height: 1.6,
+            yaw: 0.3,
+            velocity: Some([1.0, 0.0, 0.0]),
+            class: "Car".into(),
+            score: 0.7,
+            track: Some(u64::MAX),
+            covariance: None,
+        };
+        let header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, 3, 50, 80);
+        Message::new(header, Boxes(vec![object; n]))
+    }
+
+    fn reply() -> Reply {
+        let entries = vec![boxes("cav2", 2), boxes("rsu1", 0)];
+        let selection = Message::new(boxes("cav1", 0).header, Selection { query: 3, entries });
+        let cloud = Message::new(boxes("cav1", 0).header, PointCloud::empty());
+        Reply {
+            error: Some("no pose".into()),
+            sent: vec![
+                ("boxes".into(), boxes("cav1", 3)),
+                ("a".into(), selection),
+                ("b".into(), cloud),
+            ],
+            wakes: vec![-5, Nanos::MAX],
+            counts: vec![("low".into(), u64::MAX)],
+            told: Told {
+                fates: vec![Fated {
+                    message: Crossing {
+                        from: "rsu1".into(),
+                        to: "cav1".into(),
+                        kind: Kind::Boxes,
+                        seq: 3,
+                    },
+                    fate: Fate::Used,
+                    r#use: Some(Use { query: 4, age_ns: -5 }),
+                }],
+                traffic: vec![],
+            },
+        }
+    }
+
+    #[test]
+    fn calls_and_replies_come_back() {
+        let (port, message) = ("ego".to_string(), Box::new(boxes("cav1", 1)));
+        for call in [Call::Input { port, message }, Call::Wake, Call::End] {
+            let (back, now) = Call::from_bytes(call.to_bytes(-7).unwrap()).unwrap();
+            assert_eq!((back, now), (call, -7));
+        }
+        for reply in [Reply::default(), reply()] {
+            assert_eq!(Reply::from_bytes(reply.to_bytes().unwrap()).unwrap(), reply);
+        }
+    }
+
+    #[test]
+    fn says_what_a_reply_lacks() {
+        let error = Reply::from_bytes(Call::Wake.to_bytes(0).unwrap()).unwrap_err();
+        assert!(error.contains("`ports`") && error.contains("it has: call"), "{error}");
+        let error = Reply::from_bytes(b"nonsense".to_vec()).unwrap_err();
+        assert!(error.contains("expected an Arrow stream"), "{error}");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        #[test]
+        fn changed_and_cut_bytes_never_panic(
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
+            cut in prop::option::of(any::<prop::sample::Index>()),
+        ) {
+            let mut bytes = reply().to_bytes().unwrap();
+            for (at, to) in changes {
+                let at = at.index(bytes.len());
+                bytes[at] = to;
+            }
+            if let Some(cut) = cut {
+                bytes.truncate(cut.index(bytes.len()));
+            }
+            let _ = Reply::from_bytes(bytes);
+        }
+    }
+}

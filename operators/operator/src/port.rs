@@ -1,0 +1,140 @@
+use realo_schemas::{Message, Name, PayloadType};
+
+/// Index of a port in its operator's `INPUTS` or `OUTPUTS`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PortId(pub usize);
+
+/// What an input does with messages that arrive while its stage is busy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Queue {
+    /// Keeps every message in order; more than [`Queue::CAPACITY`] waiting messages fail the run.
+    All,
+    /// One slot per agent: a newer message replaces the waiting one, which counts as skipped.
+    Latest,
+}
+
+impl Queue {
+    /// Messages that an [`Queue::All`] port may hold.
+    pub const CAPACITY: usize = 1024;
+}
+
+/// Which of several messages that are ready at one time goes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Class {
+    /// Poses and the like: known before the data of the same instant.
+    State,
+    /// Ordinary messages.
+    Data,
+    /// Asks for what is there; sees everything that is ready at the same instant.
+    Query,
+}
+
+/// A message of a type that an input does not take.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("input `{port}` takes {}, found {found} from `{from}`; wire an output of such a type to it", names(.expected))]
+pub struct WrongType {
+    /// The input's name.
+    pub port: &'static str,
+    /// What it takes.
+    pub expected: &'static [PayloadType],
+    /// What came.
+    pub found: PayloadType,
+    /// The node that sent it.
+    pub from: Name,
+}
+
+fn names(types: &[PayloadType]) -> String {
+    let names: Vec<_> = types.iter().map(|known| known.as_str()).collect();
+    names.join(" or ")
+}
+
+/// One input or output of an operator or node.
+#[derive(Clone, Copy, Debug)]
+pub struct Port {
+    /// Name in graphs.
+    pub name: &'static str,
+    /// Payloads that it carries; a graph may narrow them.
+    pub types: &'static [PayloadType],
+    /// One line for `realo operators`.
+    pub about: &'static str,
+    /// What happens to waiting messages (inputs).
+    pub queue: Queue,
+    /// Order among messages of one instant (inputs).
+    pub class: Class,
+    /// Whether a graph must wire it (inputs).
+    pub required: bool,
+    /// Ports of one group are assembled by (agent, seq) into one set (inputs).
+    pub join: Option<&'static str>,
+    /// Whether the way of what crossed a link ends here, and the stage says what became of it (inputs).
+    pub accounts: bool,
+}
+
+impl Port {
+    /// A required input that keeps every message; as an output, the rest does not matter.
+    pub const fn new(name: &'static str, types: &'static [PayloadType], about: &'static str) -> Self {
+        Port {
+            name,
+            types,
+            about,
+            queue: Queue::All,
+            class: Class::Data,
+            required: true,
+            join: None,
+            accounts: false,
+        }
+    }
+
+    /// Whether a message may come in here; both drivers ask this of every message.
+    ///
+    /// # Errors
+    /// [`WrongType`] ends the run: no message of such a wire can ever be taken.
+    pub fn admit(&self, message: &Message) -> Result<(), WrongType> {
+        let found = message.payload.payload_type();
+        if self.types.contains(&found) {
+            return Ok(());
+        }
+        let sender = message.header.trace.last().map(|stage| stage.node.clone());
+        Err(WrongType {
+            port: self.name,
+            expected: self.types,
+            found,
+            from: sender.unwrap_or_default(),
+        })
+    }
+
+    /// Keeps only the newest waiting message of each agent.
+    pub const fn latest(mut self) -> Self {
+        self.queue = Queue::Latest;
+        self
+    }
+
+    /// Goes before data of the same instant.
+    pub const fn state(mut self) -> Self {
+        self.class = Class::State;
+        self
+    }
+
+    /// Goes after data and wakes of the same instant.
+    pub const fn query(mut self) -> Self {
+        self.class = Class::Query;
+        self
+    }
+
+    /// May stay unwired.
+    pub const fn optional(mut self) -> Self {
+        self.required = false;
+        self
+    }
+
+    /// Is assembled with the other ports of the group.
+    pub const fn joined(mut self, group: &'static str) -> Self {
+        self.join = Some(group);
+        self
+    }
+
+    /// Ends the way of what crossed a link: the stage says what became of each message.
+    pub const fn accounting(mut self) -> Self {
+        self.accounts = true;
+        self
+    }
+}

@@ -1,0 +1,205 @@
+use std::collections::BTreeMap;
+
+use realo_schemas::report::Fated;
+use realo_schemas::{Message, Nanos};
+use serde_json::Value;
+
+use crate::config::{ConfigError, defaults, nearest_name, parse};
+use crate::{Argument, Books, Error, Operator, Outputs, Port, PortId, Sink, Source};
+
+/// What a node is to its graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Pure stage.
+    Operator,
+    /// Node that brings messages in.
+    Source,
+    /// Node that takes messages out.
+    Sink,
+}
+
+/// An [`Operator`] whose type is no longer known.
+pub trait AnyOperator: Send {
+    /// See [`Operator::on_input`].
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error>;
+    /// See [`Operator::on_wake`].
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error>;
+    /// See [`Operator::on_end`].
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error>;
+}
+
+impl<O: Operator + Send> AnyOperator for O {
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        Operator::on_input(self, port, message, out)
+    }
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+        Operator::on_wake(self, now, out)
+    }
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        Operator::on_end(self, out)
+    }
+}
+
+/// A [`Source`] whose type is no longer known.
+pub trait AnySource: Send {
+    /// See [`Source::next`].
+    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error>;
+    /// See [`Source::rate`].
+    fn rate(&self) -> f64;
+    /// See [`Source::counters`].
+    fn counters(&self) -> BTreeMap<String, u64>;
+}
+
+impl<S: Source + Send> AnySource for S {
+    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
+        Source::next(self)
+    }
+    fn rate(&self) -> f64 {
+        Source::rate(self)
+    }
+    fn counters(&self) -> BTreeMap<String, u64> {
+        Source::counters(self)
+    }
+}
+
+/// A [`Sink`] whose type is no longer known.
+pub trait AnySink: Send {
+    /// See [`Sink::accept`].
+    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error>;
+    /// See [`Sink::fates`].
+    fn fates(&mut self, fates: &[Fated]) -> Result<(), Error>;
+    /// See [`Sink::finish`].
+    fn finish(&mut self, books: &Books) -> Result<(), Error>;
+}
+
+impl<S: Sink + Send> AnySink for S {
+    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
+        Sink::accept(self, port, message)
+    }
+    fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
+        Sink::fates(self, fates)
+    }
+    fn finish(&mut self, books: &Books) -> Result<(), Error> {
+        Sink::finish(self, books)
+    }
+}
+
+/// A built operator, source or sink.
+pub enum Built {
+    /// Pure stage.
+    Operator(Box<dyn AnyOperator>),
+    /// Brings messages in.
+    Source(Box<dyn AnySource>),
+    /// Takes messages out.
+    Sink(Box<dyn AnySink>),
+}
+
+/// One operator or node that the binary hosts.
+#[derive(Clone, Copy)]
+pub struct Registration {
+    /// Name in graphs.
+    pub name: &'static str,
+    /// One line.
+    pub about: &'static str,
+    /// What it is to its graph.
+    pub role: Role,
+    /// Inputs.
+    pub inputs: &'static [Port],
+    /// Outputs.
+    pub outputs: &'static [Port],
+    /// What its arguments mean.
+    pub arguments: &'static [Argument],
+    /// Keys of its configuration with their defaults.
+    pub defaults: fn() -> serde_json::Map<String, Value>,
+    /// Whether it takes these arguments; opens nothing.
+    pub check: fn(&[String]) -> Result<(), ConfigError>,
+    /// Builds it from `key=value` arguments.
+    pub build: fn(&[String]) -> Result<Built, Error>,
+}
+
+macro_rules! registration {
+    ($(#[$doc:meta])* $function:ident, $bound:ident, $role:expr, $built:expr) => {
+        $(#[$doc])*
+        pub const fn $function<T: $bound + Send + 'static>() -> Self {
+            Registration {
+                name: T::NAME,
+                about: T::ABOUT,
+                role: $role,
+                inputs: T::INPUTS,
+                outputs: T::OUTPUTS,
+                arguments: T::ARGUMENTS,
+                defaults: defaults::<T::Config>,
+                check: |args| parse::<T::Config>(args).map(|_| ()),
+                build: |args| Ok($built(Box::new(T::new(parse(args)?)?))),
+            }
+        }
+    };
+}
+
+impl Registration {
+    registration!(
+        /// Registers an operator.
+        operator, Operator, Role::Operator, Built::Operator
+    );
+    registration!(
+        /// Registers a source.
+        source, Source, Role::Source, Built::Source
+    );
+    registration!(
+        /// Registers a sink.
+        sink, Sink, Role::Sink, Built::Sink
+    );
+
+    /// The word before the name in a node's `args`: `operator` or `node`.
+    pub fn word(&self) -> &'static str {
+        match self.role {
+            Role::Operator => "operator",
+            Role::Source | Role::Sink => "node",
+        }
+    }
+
+    /// An input by its name.
+    pub fn input(&self, name: &str) -> Option<(PortId, &'static Port)> {
+        find(self.inputs, name)
+    }
+
+    /// An output by its name.
+    pub fn output(&self, name: &str) -> Option<(PortId, &'static Port)> {
+        find(self.outputs, name)
+    }
+}
+
+fn find(ports: &'static [Port], name: &str) -> Option<(PortId, &'static Port)> {
+    ports
+        .iter()
+        .enumerate()
+        .find(|(_, port)| port.name == name)
+        .map(|(index, port)| (PortId(index), port))
+}
+
+/// Everything that a binary hosts.
+#[derive(Clone, Copy)]
+pub struct Registry(pub &'static [Registration]);
+
+impl Registry {
+    /// The operator (`word` = `operator`) or node (`node`) of a name.
+    ///
+    /// # Errors
+    /// Says which names there are, the nearest first.
+    pub fn find(&self, word: &str, name: &str) -> Result<&'static Registration, String> {
+        let found = self.0.iter().find(|entry| entry.word() == word && entry.name == name);
+        found.ok_or_else(|| {
+            let known: Vec<&str> = self
+                .0
+                .iter()
+                .filter(|entry| entry.word() == word)
+                .map(|entry| entry.name)
+                .collect();
+            let hint = nearest_name(name, known.iter().copied());
+            let hint = hint
+                .map(|name| format!(" (did you mean `{name}`?)"))
+                .unwrap_or_default();
+            format!("unknown {word} `{name}`{hint}; there are: {}", known.join(", "))
+        })
+    }
+}

@@ -1,0 +1,54 @@
+//! The main of a plug-in.
+
+use std::process::ExitCode;
+
+use crate::pipe::{self, DRIVER, DRIVER_VARIABLE};
+use crate::{Operator, Registration};
+
+/// The whole `main` of a plug-in: serves an operator with the arguments of the command line (`key=value`, as in the
+/// graph) to the host that started the program.
+///
+/// ```no_run
+/// # use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId};
+/// # struct Mine;
+/// # impl Describe for Mine {
+/// #     type Config = std::collections::BTreeMap<String, String>;
+/// #     const NAME: &'static str = "mine";
+/// #     const ABOUT: &'static str = "";
+/// #     const ARGUMENTS: &'static [Argument] = &[];
+/// #     const INPUTS: &'static [Port] = &[];
+/// #     const OUTPUTS: &'static [Port] = &[];
+/// # }
+/// # impl Operator for Mine {
+/// #     fn new(_: Self::Config) -> Result<Self, Error> { Ok(Mine) }
+/// #     fn on_input(&mut self, _: PortId, _: realo_schemas::Message, _: &mut Outputs) -> Result<(), Error> { Ok(()) }
+/// # }
+/// fn main() -> std::process::ExitCode {
+///     realo_operator::run::<Mine>()
+/// }
+/// ```
+///
+/// An error is printed on standard error and gives the exit code 1, a panic 101.
+pub fn run<O: Operator + Send + 'static>() -> ExitCode {
+    let registration = const { &Registration::operator::<O>() };
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    match serve(registration, &args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(reason) => {
+            eprintln!("{}: {reason}", registration.name);
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn serve(registration: &'static Registration, args: &[String]) -> Result<(), String> {
+    if std::env::var(DRIVER_VARIABLE).as_deref() != Ok(DRIVER) {
+        let program = std::env::args().next().unwrap_or_default();
+        return Err(format!(
+            "a plug-in, which a graph starts: give a node `path: bin/realo` and `args: program {program}`"
+        ));
+    }
+    let built = (registration.build)(args).map_err(|error| error.to_string())?;
+    let (calls, replies) = (std::io::stdin().lock(), std::io::stdout().lock());
+    pipe::serve(registration, built, calls, std::io::BufWriter::new(replies))
+}

@@ -1,0 +1,84 @@
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use realo_operator::Registration;
+
+use crate::{
+    Outcome, bench, compare, conformance, evaluate, host, import, info, operators, registry, render, run, simulate,
+    train, validate,
+};
+
+/// Online cooperative perception for vehicles and roadside units, on dora
+#[derive(Parser)]
+#[command(name = "realo", version, disable_help_subcommand = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Run(run::Args),
+    Compare(compare::Args),
+    Evaluate(evaluate::Args),
+    Render(render::Args),
+    Simulate(simulate::Args),
+    Train(train::Args),
+    Import(import::Args),
+    Info(info::Args),
+    Validate(validate::Args),
+    Operators(operators::Args),
+    Conformance(conformance::Args),
+    Bench(bench::Args),
+    Operator(host::OperatorArgs),
+    Node(host::NodeArgs),
+    Program(host::ProgramArgs),
+    Host(host::ModuleArgs),
+}
+
+/// The whole `main` of a binary that hosts everything of realo and operators of its own:
+///
+/// ```no_run
+/// # mod mine { pub use realo_nms::Nms as Mine; }
+/// # use mine::Mine;
+/// fn main() -> std::process::ExitCode {
+///     realo::main_with(&[realo_operator::Registration::operator::<Mine>()])
+/// }
+/// ```
+///
+/// Graphs name the binary by their `path: bin/realo`: build it under that name, or let `dataflows/bin/realo` lead to it.
+pub fn main_with(own: &[Registration]) -> ExitCode {
+    registry::register(own);
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        // Whoever reads what we print may stop whenever he likes (`realo info LOG | head`).
+        let text = panic.payload_as_str().unwrap_or_default();
+        if text.starts_with("failed printing to stdout") && text.contains("Broken pipe") {
+            std::process::exit(Outcome::Failed.exit_code().into());
+        }
+        usual(panic);
+    }));
+    let outcome = match Cli::parse().command {
+        Command::Run(args) => run::main(&args),
+        Command::Compare(args) => compare::main(&args),
+        Command::Evaluate(args) => evaluate::main(&args),
+        Command::Render(args) => render::main(&args),
+        Command::Simulate(args) => simulate::main(&args),
+        Command::Train(args) => train::main(&args),
+        Command::Import(args) => import::main(&args),
+        Command::Info(args) => info::main(&args),
+        Command::Validate(args) => validate::main(&args),
+        Command::Operators(args) => operators::main(&args),
+        Command::Conformance(args) => conformance::main(&args),
+        Command::Bench(args) => bench::main(&args),
+        Command::Operator(args) => host::operator(&args),
+        Command::Node(args) => host::node(&args),
+        Command::Program(args) => host::program(&args),
+        Command::Host(args) => host::module(&args),
+    };
+    let code = outcome.map(Outcome::exit_code).unwrap_or_else(|error| {
+        eprintln!("realo: {error:#}");
+        Outcome::Failed.exit_code()
+    });
+    ExitCode::from(code)
+}
