@@ -23,17 +23,20 @@ pub mod cdr;
 pub mod cloud;
 mod describe;
 mod error;
+mod frames;
 mod info;
 mod log;
 mod log_writer;
 mod mcap_file;
 mod mcap_writer;
 pub mod pose;
+mod records;
 mod schema;
+mod sweeps;
 mod topics;
 
 pub use boxes::BoxesInfo;
-pub use describe::{Description, describe};
+pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use info::{AgentInfo, AgentKind, LogInfo, program};
 pub use log::{Entry, Log, LogReader};
@@ -41,6 +44,7 @@ pub use log_writer::LogWriter;
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
 pub use schema::Schema;
+pub use sweeps::SweepsInfo;
 pub use topics::Stream;
 
 /// Name of the metadata record of a recording of a run.
