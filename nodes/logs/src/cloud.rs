@@ -122,7 +122,9 @@ impl<'a> CloudReader<'a> {
     pub fn brightest(&self) -> Option<f32> {
         let field = self.find("intensity").filter(|field| field.is_float())?;
         let values = self.points.column::<f32>(field).into_iter();
-        values.filter(|value| value.is_finite() && *value > 0.0).max_by(f32::total_cmp)
+        values
+            .filter(|value| value.is_finite() && *value > 0.0)
+            .max_by(f32::total_cmp)
     }
 
     /// The points in their frame; intensities that are floats are multiplied by `scale`.
@@ -454,7 +456,10 @@ mod tests {
         let floats = payload(("intensity", 12, FLOAT32));
         let reader = CloudReader::new(&floats).unwrap();
         assert_eq!((reader.intensity(), reader.brightest()), (Some("float32"), Some(1.5)));
-        assert_eq!(&reader.cloud(255.0).unwrap().intensity[..], [0, 128, 255, 255, 0, 0, 255]);
+        assert_eq!(
+            &reader.cloud(255.0).unwrap().intensity[..],
+            [0, 128, 255, 255, 0, 0, 255]
+        );
         assert_eq!(&reader.cloud(1.0).unwrap().intensity[..], [0, 1, 1, 2, 0, 0, 255]);
         let bytes = payload(("intensity", 16, UINT8));
         let reader = CloudReader::new(&bytes).unwrap();

@@ -143,13 +143,18 @@ fn describe_recording(file: &McapFile) -> Result<RecordingDescription, LogError>
     let record = file.metadata().get(RECORDING_RECORD);
     let span = file.span().map(|(first, last)| (nanos(first), nanos(last)));
     let channels = file.channels().values().filter(|channel| channel.messages > 0);
-    let channels: BTreeMap<_, _> = channels.map(|channel| (channel.topic.clone(), channel.clone())).collect();
+    let channels: BTreeMap<_, _> = channels
+        .map(|channel| (channel.topic.clone(), channel.clone()))
+        .collect();
     let mut agents: Vec<String> = channels.keys().filter_map(|topic| agent_of(topic)).collect();
     agents.dedup();
     Ok(RecordingDescription {
         path: file.path().into(),
         bytes: length(file.path())?,
-        program: record.and_then(|record| record.get("program")).cloned().unwrap_or_default(),
+        program: record
+            .and_then(|record| record.get("program"))
+            .cloned()
+            .unwrap_or_default(),
         agents,
         first: span.map(|(first, _)| first),
         last: span.map(|(_, last)| last),

@@ -82,9 +82,13 @@ impl Frames {
     /// How to bring what lies in `from` into `to`, at a time.
     pub fn way(&self, to: &str, from: &str, stamp: Nanos) -> Result<Way, String> {
         let (up, down) = (self.ancestors(from, stamp), self.ancestors(to, stamp));
-        let common = up.iter().find_map(|step| Some((step, down.iter().find(|other| other.frame == step.frame)?)));
+        let common = up
+            .iter()
+            .find_map(|step| Some((step, down.iter().find(|other| other.frame == step.frame)?)));
         let Some((up, down)) = common else {
-            let stopped = [up, down].into_iter().find_map(|steps| steps.into_iter().find_map(|step| step.stopped));
+            let stopped = [up, down]
+                .into_iter()
+                .find_map(|steps| steps.into_iter().find_map(|step| step.stopped));
             return Err(stopped.unwrap_or_else(|| self.tree()));
         };
         Ok(Way {
@@ -104,7 +108,9 @@ impl Frames {
         // A tree is no deeper than it has frames.
         for _ in 0..self.edges.len() {
             let last = steps.len() - 1;
-            let Some(edge) = self.edges.get(steps[last].frame) else { break };
+            let Some(edge) = self.edges.get(steps[last].frame) else {
+                break;
+            };
             match edge.pose(steps[last].frame, stamp) {
                 Err(reason) => {
                     steps[last].stopped = Some(reason);
@@ -132,7 +138,9 @@ impl Frames {
             return format!("{} hold no transform", TOPICS.join(" and "));
         }
         let edges = self.edges.iter().take(SHOWN);
-        let edges: Vec<String> = edges.map(|(child, edge)| format!("{} → {child}", edge.parent)).collect();
+        let edges: Vec<String> = edges
+            .map(|(child, edge)| format!("{} → {child}", edge.parent))
+            .collect();
         let more = if self.edges.len() > SHOWN { ", …" } else { "" };
         format!("{} have only {}{more}", TOPICS.join(" and "), edges.join(", "))
     }
@@ -158,7 +166,8 @@ impl Edge {
             (Some((t0, a)), Some((t1, b))) if t1 > t0 => {
                 let part = (stamp - t0) as f64 / (t1 - t0) as f64;
                 // Opposite headings have no middle.
-                Ok(a.try_lerp_slerp(b, part, 1e-9).unwrap_or(if part < 0.5 { *a } else { *b }))
+                Ok(a.try_lerp_slerp(b, part, 1e-9)
+                    .unwrap_or(if part < 0.5 { *a } else { *b }))
             }
             (Some((at, near)), _) | (_, Some((at, near))) if stamp.abs_diff(*at) <= REACH as u64 => Ok(*near),
             (Some((at, _)), _) | (_, Some((at, _))) => Err(format!(
@@ -218,7 +227,9 @@ mod tests {
     #[test]
     fn moving_frames_are_interpolated_and_reach_a_tenth_of_a_second() {
         let x = |stamp: Nanos| {
-            let way = frames().way("map", "lidar", stamp).map(|way| (way.to_from_from.translation.x, way.by.len()));
+            let way = frames()
+                .way("map", "lidar", stamp)
+                .map(|way| (way.to_from_from.translation.x, way.by.len()));
             way.map(|(x, topics)| ((x * 1e6).round() / 1e6, topics))
         };
         assert_eq!(x(SECOND / 4), Ok((3.5, 2)));
@@ -235,7 +246,10 @@ mod tests {
     #[test]
     fn says_where_the_tree_does_not_lead() {
         let error = frames().way("rsu1/body", "lidar", 0).unwrap_err();
-        assert!(error.contains("have only map → base, base → body, base → lidar"), "{error}");
+        assert!(
+            error.contains("have only map → base, base → body, base → lidar"),
+            "{error}"
+        );
         let error = Frames::default().way("body", "lidar", 0).unwrap_err();
         assert_eq!(error, "/tf_static and /tf hold no transform");
         let mut two = frames();

@@ -212,11 +212,16 @@ mod tests {
             assert_eq!(check_name(name), Ok(()), "{name}");
         }
         let long = "x".repeat(LONGEST_NAME + 1);
-        let bad = ["", ".", "..", "...", ".a", "a.", "-a", "a/b", "/", "../a", "a b", "a\n", "a\0", "é", "a\\b", "a:b"];
+        let bad = [
+            "", ".", "..", "...", ".a", "a.", "-a", "a/b", "/", "../a", "a b", "a\n", "a\0", "é", "a\\b", "a:b",
+        ];
         for name in bad.into_iter().chain(["tf", "tf_static", &long]) {
             let error = check_name(name).unwrap_err();
             let shown = name.chars().take(LONGEST_NAME).collect::<String>();
-            assert!(error.contains(&format!("`{}` cannot name", shown.escape_debug())), "{error}");
+            assert!(
+                error.contains(&format!("`{}` cannot name", shown.escape_debug())),
+                "{error}"
+            );
         }
     }
 

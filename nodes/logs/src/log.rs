@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus};
 
-use crate::info::{END_RECORD, LOG_RECORD};
-use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 use crate::cdr::CdrReader;
 use crate::frames::bare;
+use crate::info::{END_RECORD, LOG_RECORD};
 use crate::log_writer::body;
+use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 use crate::sweeps::{Context, SweepsInfo};
 use crate::{BoxesInfo, LogError, LogInfo, Stream, boxes, pose};
 
@@ -225,7 +225,9 @@ fn truncation(file: &McapFile, info: &LogInfo) -> Option<Truncation> {
     // The closing record follows the last message: of such a log only the index is missing.
     let complete = file.metadata().contains_key(END_RECORD).then(|| file.span()).flatten();
     Some(Truncation {
-        complete_until: complete.map(|(_, last)| nanos(last).saturating_add(1)).or(cut.complete_until),
+        complete_until: complete
+            .map(|(_, last)| nanos(last).saturating_add(1))
+            .or(cut.complete_until),
         expected_end: info.end,
         ..cut.clone()
     })
@@ -374,7 +376,9 @@ impl Entry {
     /// # Errors
     /// Bytes that are no such message; points in a frame from which the log has no transform into the body frame.
     pub fn cloud(&self) -> Result<PointCloud, LogError> {
-        let cloud = self.context.cloud(self.raw.channel, &self.agent, self.stamp(), self.data());
+        let cloud = self
+            .context
+            .cloud(self.raw.channel, &self.agent, self.stamp(), self.data());
         cloud.map_err(|reason| self.bad(reason))
     }
 

@@ -321,8 +321,15 @@ impl Summary {
             let believed = chunk.packed <= chunk.length && chunk.unpacked <= most_unpacked(chunk.packed);
             believed.then_some(chunk.unpacked)
         };
-        let room = self.chunks.iter().map(unpacked).try_fold(0u64, |sum, unpacked| sum.checked_add(unpacked?));
-        let counted = stats.counts.values().try_fold(0u64, |sum, count| sum.checked_add(*count));
+        let room = self
+            .chunks
+            .iter()
+            .map(unpacked)
+            .try_fold(0u64, |sum, unpacked| sum.checked_add(unpacked?));
+        let counted = stats
+            .counts
+            .values()
+            .try_fold(0u64, |sum, count| sum.checked_add(*count));
         let chunks = self.chunks.iter().map(|chunk| (chunk.offset, chunk.length));
         let metadata = self.metadata.iter().map(|record| (record.offset, record.length));
         self.chunks.len() == stats.chunks as usize
@@ -369,7 +376,10 @@ fn whole_record(bytes: &[u8]) -> Result<(u8, &[u8]), String> {
     let mut found = records(bytes);
     match (found.next(), found.next()) {
         (Some(Ok((opcode, body))), None) => Ok((opcode, &bytes[body])),
-        _ => Err(format!("expected a record of {} bytes, found another length", bytes.len())),
+        _ => Err(format!(
+            "expected a record of {} bytes, found another length",
+            bytes.len()
+        )),
     }
 }
 
@@ -677,7 +687,9 @@ impl Messages {
         match whole_record(&bytes).map_err(damaged)? {
             (op::MESSAGE, _) => Ok(bytes),
             (op::CHUNK, body) => unpack(body).map_err(damaged),
-            (other, _) => Err(damaged(format!("expected a chunk here, found a record of type {other:#04x}"))),
+            (other, _) => Err(damaged(format!(
+                "expected a chunk here, found a record of type {other:#04x}"
+            ))),
         }
     }
 

@@ -324,7 +324,9 @@ pub fn unpack(body: &[u8]) -> Result<Vec<u8>, String> {
     };
     if records.len() != size {
         let found = records.len();
-        return Err(format!("a chunk's head says {size} bytes, it unpacks to {found} or more"));
+        return Err(format!(
+            "a chunk's head says {size} bytes, it unpacks to {found} or more"
+        ));
     }
     if crc != 0 && crc != crc32fast::hash(&records) {
         return Err("a chunk's checksum is wrong".into());
@@ -378,12 +380,18 @@ mod tests {
             let with = |size: u64, crc: u32| unpack(&chunk(compression, size, crc, &packed, length));
             assert_eq!(with(100_000, crc).unwrap(), data, "{compression}");
             assert_eq!(with(100_000, 0).unwrap(), data, "{compression}");
-            assert!(with(100_000, crc ^ 1).unwrap_err().contains("checksum"), "{compression}");
+            assert!(
+                with(100_000, crc ^ 1).unwrap_err().contains("checksum"),
+                "{compression}"
+            );
             for size in [0, 99_999, 100_001] {
                 assert!(with(size, 0).is_err(), "{compression} {size}");
             }
             let error = with(1 << 62, 0).unwrap_err();
-            assert!(error.contains("at most") && error.contains("4611686018427387904"), "{error}");
+            assert!(
+                error.contains("at most") && error.contains("4611686018427387904"),
+                "{error}"
+            );
             for claimed in [length + 1, 1 << 62, u64::MAX] {
                 let error = unpack(&chunk(compression, 100_000, 0, &packed, claimed)).unwrap_err();
                 assert!(error.contains("`records` takes"), "{error}");
@@ -422,7 +430,12 @@ mod tests {
         }
         let found: Vec<_> = records(&two[..15]).collect();
         assert_eq!(found.len(), 2);
-        assert!(found[1].as_ref().unwrap_err().contains("`length` takes 8 bytes, 3 are left"));
+        assert!(
+            found[1]
+                .as_ref()
+                .unwrap_err()
+                .contains("`length` takes 8 bytes, 3 are left")
+        );
     }
 
     #[test]

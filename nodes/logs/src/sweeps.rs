@@ -61,7 +61,10 @@ impl Context {
         let frames = self
             .frames
             .get_or_init(|| Frames::read(&self.file).map_err(|error| error.to_string()));
-        let way = frames.as_ref().map_err(String::clone).and_then(|frames| frames.way(&to, bare(frame), stamp));
+        let way = frames
+            .as_ref()
+            .map_err(String::clone)
+            .and_then(|frames| frames.way(&to, bare(frame), stamp));
         way.map(Some).map_err(|reason| {
             format!(
                 "its frame is `{frame}`, expected `{to}`, and no transform leads there: {reason}; put the transform from \
@@ -83,10 +86,16 @@ impl Context {
         let mut brightest = 0f32;
         for _ in 0..LOOKED_AT {
             let Some(message) = messages.next()? else { break };
-            let found = CloudReader::new(message.data()).ok().and_then(|reader| reader.brightest());
+            let found = CloudReader::new(message.data())
+                .ok()
+                .and_then(|reader| reader.brightest());
             brightest = brightest.max(found.unwrap_or(0.0));
         }
-        let scale = if brightest > 0.0 && brightest <= 1.0 { 255.0 } else { 1.0 };
+        let scale = if brightest > 0.0 && brightest <= 1.0 {
+            255.0
+        } else {
+            1.0
+        };
         self.scales
             .lock()
             .unwrap_or_else(|poisoned| poisoned.into_inner())
