@@ -74,7 +74,7 @@ pub enum Described {
     /// A log.
     Log(Box<Description>),
     /// A recording of a run.
-    Recording(RecordingDescription),
+    Recording(Box<RecordingDescription>),
 }
 
 impl Described {
@@ -103,7 +103,7 @@ impl fmt::Display for Described {
 pub fn describe_any(path: impl AsRef<Path>) -> Result<Described, LogError> {
     let file = McapFile::open(path)?;
     Ok(match file.metadata().contains_key(RECORDING_RECORD) {
-        true => Described::Recording(describe_recording(&file)?),
+        true => Described::Recording(Box::new(describe_recording(&file)?)),
         false => Described::Log(Box::new(describe_log(&Log::of(file)?)?)),
     })
 }

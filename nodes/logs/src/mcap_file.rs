@@ -745,3 +745,106 @@ impl Messages {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stretches_lie_in_the_file_and_apart() {
+        let apart = |stretches: &[(u64, u64)]| are_apart(stretches.to_vec(), 100);
+        assert!(apart(&[]) && apart(&[(8, 9)]) && apart(&[(50, 50), (8, 42)]) && apart(&[(91, 9)]));
+        for wrong in [
+            &[(7, 20)][..],
+            &[(8, 8)],
+            &[(8, 0)],
+            &[(92, 9)],
+            &[(8, 93)],
+            &[(8, 20), (27, 9)],
+            &[(8, 20), (8, 20)],
+            &[(8, u64::MAX)],
+            &[(u64::MAX, 9)],
+        ] {
+            assert!(!apart(wrong), "{wrong:?}");
+        }
+    }
+
+    fn summary() -> Summary {
+        let channel = ChannelInfo {
+            topic: "/x".into(),
+            schema: String::new(),
+            encoding: "cdr".into(),
+            messages: 0,
+        };
+        Summary {
+            stats: Some(Statistics {
+                messages: 3,
+                metadata: 1,
+                chunks: 1,
+                first: 5,
+                last: 6,
+                counts: BTreeMap::from([(0, 1), (1, 2)]),
+            }),
+            channels: BTreeMap::from([(0, channel.clone()), (1, channel)]),
+            chunks: vec![ChunkIndex {
+                first: 5,
+                last: 6,
+                offset: 8,
+                length: 200,
+                channels: BTreeSet::new(),
+                packed: 93,
+                unpacked: 93,
+            }],
+            metadata: vec![MetadataIndex { offset: 208, length: 9 }],
+        }
+    }
+
+    #[test]
+    fn an_index_is_used_only_if_it_fits_the_file() {
+        assert!(summary().fits(217));
+        type Change = fn(&mut Summary, &mut Statistics);
+        let changes: [Change; 14] = [
+            |_, stats| stats.messages = 4,
+            |_, stats| stats.messages = 2,
+            |_, stats| stats.metadata = 0,
+            |_, stats| stats.chunks = 2,
+            |_, stats| stats.first = 7,
+            |_, stats| stats.counts = BTreeMap::from([(0, 1), (2, 2)]),
+            |_, stats| stats.counts = BTreeMap::from([(0, u64::MAX), (1, 4)]),
+            // A message takes 31 bytes.
+            |summary, _| summary.chunks[0].unpacked = 92,
+            |summary, _| summary.chunks[0].unpacked = most_unpacked(93) + 1,
+            |summary, _| summary.chunks[0].packed = 201,
+            |summary, _| summary.chunks[0].offset = 9,
+            |summary, _| summary.metadata[0].length = 10,
+            |summary, _| summary.metadata[0].offset = 207,
+            |summary, _| summary.metadata.clear(),
+        ];
+        for (k, change) in changes.into_iter().enumerate() {
+            let mut changed = summary();
+            let mut stats = changed.stats.take().unwrap();
+            change(&mut changed, &mut stats);
+            changed.stats = Some(stats);
+            assert!(!changed.fits(217), "change {k}");
+        }
+        let bare = Summary {
+            stats: None,
+            ..summary()
+        };
+        assert!(!bare.fits(217) && !summary().fits(216));
+    }
+
+    #[test]
+    fn whole_records_have_the_length_that_they_say() {
+        let record = [&[op::METADATA][..], &3u64.to_le_bytes(), b"abc"].concat();
+        assert_eq!(whole_record(&record), Ok((op::METADATA, &b"abc"[..])));
+        for wrong in [
+            &record[..11],
+            &[&record[..], b"x"].concat(),
+            &[&record[..], &record[..]].concat(),
+            &[],
+        ] {
+            assert!(whole_record(wrong).is_err(), "{wrong:?}");
+        }
+    }
+}

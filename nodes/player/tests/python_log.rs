@@ -15,7 +15,10 @@ fn python() -> Option<PathBuf> {
     let own = venv.join("bin/python");
     let run = |command: &mut Command| command.output().is_ok_and(|out| out.status.success());
     let has = |python: &Path| run(Command::new(python).args(["-c", "import numpy"]));
-    if let Some(found) = [PathBuf::from("python3"), own.clone()].into_iter().find(|python| has(python)) {
+    if let Some(found) = [PathBuf::from("python3"), own.clone()]
+        .into_iter()
+        .find(|python| has(python))
+    {
         return Some(found);
     }
     let made = run(Command::new("python3").args(["-m", "venv"]).arg(&venv))
@@ -78,7 +81,9 @@ fn a_log_from_numpy_arrays_is_read_and_played() {
     assert!(log.truncation().is_none());
     assert_eq!(log.info().agent("car").unwrap().footprint, Some([-1.0, 3.5, -0.9, 0.9]));
     assert_eq!(log.key_frames().unwrap()["mast"].len(), 10);
-    let mut reader = log.read_all(&[("mast", Stream::Points), ("car", Stream::PoseTruth)]).unwrap();
+    let mut reader = log
+        .read_all(&[("mast", Stream::Points), ("car", Stream::PoseTruth)])
+        .unwrap();
     let (mut sweeps, mut poses) = (0, 0);
     while let Some(entry) = reader.next().unwrap() {
         if entry.stream == Stream::PoseTruth {
@@ -124,10 +129,15 @@ fn a_log_from_numpy_arrays_is_read_and_played() {
     let Payload::Boxes(boxes) = &on("recorded")[4].payload else {
         panic!("not boxes")
     };
-    let [first, second] = &boxes.0[..] else { panic!("{boxes:?}") };
+    let [first, second] = &boxes.0[..] else {
+        panic!("{boxes:?}")
+    };
     assert_eq!((first.center, first.yaw, first.score), ([10.0, 4.0, 0.8], 0.25, 0.75));
     assert_eq!((first.length, first.width, first.height), (4.5, 1.9, 1.6));
-    assert_eq!((first.velocity, first.track, &*first.class), (Some([1.0, 2.0, 0.0]), Some(7), "car"));
+    assert_eq!(
+        (first.velocity, first.track, &*first.class),
+        (Some([1.0, 2.0, 0.0]), Some(7), "car")
+    );
     assert_eq!((second.velocity, second.yaw, &*second.class), (None, -3.0, "bus"));
     let Payload::GroundTruth(truth) = &on("truth")[4].payload else {
         panic!("not truth")

@@ -65,10 +65,10 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
     if words("COUNT").is_ok_and(|counts| counts.iter().any(|count| *count != "1")) {
         return Err("COUNT: expected 1 for every field".into());
     }
-    let point_size = sizes
-        .iter()
-        .try_fold(0usize, |sum, size| sum.checked_add(*size))
-        .unwrap_or(usize::MAX);
+    if let Some(size) = sizes.iter().find(|size| !matches!(size, 1 | 2 | 4 | 8)) {
+        return Err(format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}"));
+    }
+    let point_size: usize = sizes.iter().sum();
     let total = points.checked_mul(point_size).filter(|total| *total < 1 << 31);
     let total = total.ok_or_else(|| format!("{points} points of {point_size} bytes are too many"))?;
     let data = words("DATA")?;
@@ -318,6 +318,10 @@ mod tests {
         assert!(error.contains("field `z`: expected TYPE F SIZE 4"), "{error}");
         let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "binary")).unwrap_err();
         assert!(error.contains("expected 36 bytes for 3 points, found 0"), "{error}");
+        for size in ["0", "3", "18446744073709551615"] {
+            let error = parse_pcd(&head("x y z", &format!("4 4 {size}"), "F F F", 0, "binary")).unwrap_err();
+            assert_eq!(error, format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}"));
+        }
         let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "ascii")).unwrap_err();
         assert!(error.contains("found `ascii`"), "{error}");
         let error = parse_pcd(&head("x y z", "4 4 4", "F F F", usize::MAX, "binary_compressed")).unwrap_err();
