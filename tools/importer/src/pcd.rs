@@ -320,7 +320,10 @@ mod tests {
         assert!(error.contains("expected 36 bytes for 3 points, found 0"), "{error}");
         for size in ["0", "3", "18446744073709551615"] {
             let error = parse_pcd(&head("x y z", &format!("4 4 {size}"), "F F F", 0, "binary")).unwrap_err();
-            assert_eq!(error, format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}"));
+            assert_eq!(
+                error,
+                format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}")
+            );
         }
         let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "ascii")).unwrap_err();
         assert!(error.contains("found `ascii`"), "{error}");
