@@ -310,6 +310,20 @@ fn rates_are_those_between_the_first_and_the_last_message() {
 }
 
 #[test]
+fn times_beyond_63_bits_are_the_last_there_are() {
+    let made = made(TWO, |writer| {
+        one_sweep(writer, "alice", START, "alice/body", &[]);
+        let channel = writer.channels["/alice/points"];
+        writer.mcap.write(channel, u64::MAX - 5, u64::MAX, |_| ()).unwrap();
+    });
+    assert_eq!(Log::open(&made.path).unwrap().span(), Some((START, Nanos::MAX)));
+    let topic = &describe(&made.path).unwrap().topics["/alice/points"];
+    assert_eq!(topic.channel.messages, 2);
+    assert!(topic.rate_hz.unwrap() > 0.0);
+    assert_eq!(points(&made.path, "alice").unwrap().len(), 1);
+}
+
+#[test]
 fn recordings_are_described_as_such() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("recording.mcap");

@@ -621,9 +621,9 @@ fn one_chunk(compression: &str, size: u64, packed: &[u8]) -> Vec<u8> {
 fn a_record_longer_than_its_chunk_cuts_the_file_there() {
     let dir = folder();
     let path = dir.path().join("a.mcap");
-    for length in [1 << 62, 1 << 63, u64::MAX, u64::MAX - 8, 1 << 40] {
+    for length in [1u64 << 62, 1 << 63, u64::MAX, u64::MAX - 8, 1 << 40] {
         let mut record = vec![op::MESSAGE];
-        record.extend((length as u64).to_le_bytes());
+        record.extend(length.to_le_bytes());
         for (compression, packed) in [
             ("", record.clone()),
             ("lz4", lz4(&record)),

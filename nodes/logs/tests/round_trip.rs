@@ -398,12 +398,19 @@ fn a_wrong_index_is_not_believed_and_nothing_is_missing() {
     // The last bytes are the footer's length, the index' start, that of its offsets, its checksum, and the magic.
     let start = u64::from_le_bytes(bytes[bytes.len() - 28..][..8].try_into().unwrap()) as usize;
     let other = dir.path().join("other.mcap");
+    let topic = b"/cav1/points";
+    let named = start
+        + bytes[start..]
+            .windows(topic.len())
+            .position(|bytes| bytes == topic)
+            .unwrap();
     let statistics = (start..bytes.len() - 37)
         .find(|at| bytes[*at] == mcap::records::op::STATISTICS && bytes[at + 2..at + 9] == [0; 7])
         .unwrap();
     for (at, crc) in [
         (statistics + 9, false),
         (statistics + 9, true),
+        (named + 5, true),
         (bytes.len() - 28, true),
         (bytes.len() - 12, true),
     ] {
