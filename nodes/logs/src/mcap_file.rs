@@ -505,7 +505,8 @@ impl Scan {
         }
         match opcode {
             op::FOOTER => return Ok(false),
-            op::CHUNK | op::MESSAGE | op::SCHEMA | op::CHANNEL | op::METADATA | op::DATA_END => {
+            // Behind the data, an index that was not believed repeats the definitions.
+            op::CHUNK | op::MESSAGE | op::SCHEMA | op::CHANNEL | op::METADATA | op::DATA_END if !self.all_data => {
                 let mut body = vec![0; length as usize];
                 self.file.read_exact(&mut body).map_err(|error| error.to_string())?;
                 self.note(opcode, &body)?;

@@ -424,7 +424,8 @@ fn a_wrong_index_is_not_believed_and_nothing_is_missing() {
         fs::write(&other, changed).unwrap();
         let log = Log::open(&other).unwrap();
         assert!(log.truncation().is_none(), "{at}");
-        assert_eq!((log.topics(), times(&other)), (topics.clone(), whole.clone()), "{at}");
+        assert_eq!(log.topics(), topics, "{at}");
+        assert!(times(&other) == whole, "{at}");
         assert_eq!(log.key_frames().unwrap()["cav1"].len(), SWEEPS / 2);
     }
 }
