@@ -52,37 +52,111 @@ pub fn encode(buffer: &mut Vec<u8>, stamp: Nanos, frame: &str, cloud: &PointClou
     out.bool(finite(&cloud.x) && finite(&cloud.y) && finite(&cloud.z));
 }
 
-/// Reads a cloud from CDR.
-///
-/// Takes fields of any numeric type, order and padding. `x`, `y` and `z` must be there; `intensity` and `ring` are 0
-/// where missing, limited to their range otherwise. `time` counts from the header's stamp, ns if integer, s if float.
+/// Reads a cloud from CDR; see [`CloudReader::cloud`].
 ///
 /// # Errors
 /// Says which field or length does not fit.
 pub fn decode(payload: &[u8]) -> Result<(Nanos, PointCloud), CdrError> {
-    let mut input = CdrReader::new(payload)?;
-    let (stamp, _) = input.header()?;
-    let (height, width) = (input.u32()? as usize, input.u32()? as usize);
-    let fields = read_fields(&mut input)?;
-    let big_endian = input.bool()?;
-    let (step, row_step) = (input.u32()? as usize, input.u32()? as usize);
-    let data = input.bytes()?;
-    let points = Points::new(data, height, width, step, row_step, big_endian)?;
-    for field in &fields {
-        field.check(step)?;
+    let reader = CloudReader::new(payload)?;
+    Ok((reader.stamp, reader.cloud(1.0)?))
+}
+
+/// A cloud whose points are not read yet.
+///
+/// Takes fields of any numeric type, order and padding. `x`, `y` and `z` must be there; `intensity` and `ring` are 0
+/// where missing, limited to their range otherwise. Times count from the header's stamp, ns if integer, s if float; they
+/// are in the field `time`, or, as Ouster's driver has them, in `t`.
+pub struct CloudReader<'a> {
+    /// The measurement's reference time, ns.
+    pub stamp: Nanos,
+    /// The frame of the points.
+    pub frame: &'a str,
+    fields: Vec<Field<'a>>,
+    points: Points<'a>,
+}
+
+impl<'a> CloudReader<'a> {
+    /// Reads all but the points.
+    ///
+    /// # Errors
+    /// Says which field or length does not fit.
+    pub fn new(payload: &'a [u8]) -> Result<Self, CdrError> {
+        let mut input = CdrReader::new(payload)?;
+        let (stamp, frame) = input.header()?;
+        let (height, width) = (input.u32()? as usize, input.u32()? as usize);
+        let fields = read_fields(&mut input)?;
+        let big_endian = input.bool()?;
+        let (step, row_step) = (input.u32()? as usize, input.u32()? as usize);
+        let data = input.bytes()?;
+        let points = Points::new(data, height, width, step, row_step, big_endian)?;
+        for field in &fields {
+            field.check(step)?;
+        }
+        Ok(CloudReader {
+            stamp,
+            frame,
+            fields,
+            points,
+        })
     }
-    let find = |name: &str| fields.iter().find(|field| field.name == name);
-    let need = |name: &str| {
-        let has = || fields.iter().map(|field| field.name).collect::<Vec<_>>().join(" ");
-        find(name).ok_or_else(|| format!("PointCloud2 has no field `{name}`; it has: {}", has()))
-    };
-    let [x, y, z] = ["x", "y", "z"].map(|name| need(name).map(|field| points.column::<f32>(field)));
-    let n = points.count;
-    let intensity = find("intensity").map_or_else(|| vec![0; n], |field| points.column::<u8>(field));
-    let time = find("time").map_or_else(|| vec![0; n], |field| points.column::<i32>(field));
-    let ring = find("ring").map_or_else(|| vec![0; n], |field| points.column::<u16>(field));
-    let cloud = PointCloud::new(x?, y?, z?, intensity, time, ring).ok_or("columns of different length")?;
-    Ok((stamp, cloud))
+
+    fn find(&self, name: &str) -> Option<&Field<'a>> {
+        self.fields.iter().find(|field| field.name == name)
+    }
+
+    fn time_field(&self) -> Option<&Field<'a>> {
+        self.find("time").or_else(|| self.find("t"))
+    }
+
+    /// The field that the points' times are in, and its type.
+    pub fn time(&self) -> Option<(&'a str, &'static str)> {
+        self.time_field().map(|field| (field.name, field.type_name()))
+    }
+
+    /// Type of the intensities.
+    pub fn intensity(&self) -> Option<&'static str> {
+        self.find("intensity").map(Field::type_name)
+    }
+
+    /// The greatest finite intensity, where intensities are floats and some are above 0.
+    pub fn brightest(&self) -> Option<f32> {
+        let field = self.find("intensity").filter(|field| field.is_float())?;
+        let values = self.points.column::<f32>(field).into_iter();
+        values
+            .filter(|value| value.is_finite() && *value > 0.0)
+            .max_by(f32::total_cmp)
+    }
+
+    /// The points in their frame; intensities that are floats are multiplied by `scale`.
+    ///
+    /// # Errors
+    /// A field that is missing.
+    pub fn cloud(&self, scale: f32) -> Result<PointCloud, CdrError> {
+        let points = &self.points;
+        let need = |name: &str| {
+            let has = || self.fields.iter().map(|field| field.name).collect::<Vec<_>>().join(" ");
+            self.find(name)
+                .ok_or_else(|| format!("PointCloud2 has no field `{name}`; it has: {}", has()))
+        };
+        let [x, y, z] = ["x", "y", "z"].map(|name| need(name).map(|field| points.column::<f32>(field)));
+        let nothing = points.count;
+        let intensity = match self.find("intensity") {
+            None => vec![0; nothing],
+            Some(field) if field.is_float() => {
+                let values = points.column::<f32>(field).into_iter();
+                // `as` limits to the range and makes NaN 0.
+                values.map(|value| (value * scale).round() as u8).collect()
+            }
+            Some(field) => points.column::<u8>(field),
+        };
+        let time = self
+            .time_field()
+            .map_or_else(|| vec![0; nothing], |field| points.column::<i32>(field));
+        let ring = self
+            .find("ring")
+            .map_or_else(|| vec![0; nothing], |field| points.column::<u16>(field));
+        PointCloud::new(x?, y?, z?, intensity, time, ring).ok_or_else(|| "columns of different length".into())
+    }
 }
 
 struct Field<'a> {
@@ -99,6 +173,23 @@ impl Field<'_> {
             INT32 | UINT32 | FLOAT32 => Some(4),
             FLOAT64 => Some(8),
             _ => None,
+        }
+    }
+
+    fn is_float(&self) -> bool {
+        matches!(self.datatype, FLOAT32 | FLOAT64)
+    }
+
+    fn type_name(&self) -> &'static str {
+        match self.datatype {
+            INT8 => "int8",
+            UINT8 => "uint8",
+            INT16 => "int16",
+            UINT16 => "uint16",
+            INT32 => "int32",
+            UINT32 => "uint32",
+            FLOAT32 => "float32",
+            _ => "float64",
         }
     }
 
@@ -338,6 +429,42 @@ mod tests {
             (&cloud.intensity[..], &cloud.ring[..], &cloud.time[..]),
             (&[255u8, 0][..], &[3u16, 4][..], &[12_500_000i32, -1][..])
         );
+    }
+
+    #[test]
+    fn times_of_ouster_are_read_and_time_goes_first() {
+        let row = |t: u32| [&[0; 12][..], &t.to_le_bytes(), &7i32.to_le_bytes()].concat();
+        let xyz = [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32)];
+        let payload = |more: &[(&str, u32, u8)]| foreign(&[&xyz, more].concat(), false, 20, &[row(99_999_999), row(0)]);
+        let ouster = payload(&[("t", 12, UINT32)]);
+        assert_eq!(&decode(&ouster).unwrap().1.time[..], [99_999_999, 0]);
+        assert_eq!(CloudReader::new(&ouster).unwrap().time(), Some(("t", "uint32")));
+        let both = payload(&[("t", 12, UINT32), ("time", 16, INT32)]);
+        assert_eq!(&decode(&both).unwrap().1.time[..], [7, 7]);
+        assert_eq!(CloudReader::new(&both).unwrap().time(), Some(("time", "int32")));
+        let none = payload(&[]);
+        assert_eq!(&decode(&none).unwrap().1.time[..], [0, 0]);
+        assert_eq!(CloudReader::new(&none).unwrap().time(), None);
+    }
+
+    #[test]
+    fn intensities_are_scaled_only_where_they_are_floats() {
+        let row = |v: f32| [&[0; 12][..], &v.to_le_bytes(), &[1]].concat();
+        let xyz = [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32)];
+        let values = [0.0, 0.5, 1.0, 1.5, -1.0, f32::NAN, f32::INFINITY];
+        let payload = |field| foreign(&[&xyz[..], &[field]].concat(), false, 17, &values.map(row));
+        let floats = payload(("intensity", 12, FLOAT32));
+        let reader = CloudReader::new(&floats).unwrap();
+        assert_eq!((reader.intensity(), reader.brightest()), (Some("float32"), Some(1.5)));
+        assert_eq!(
+            &reader.cloud(255.0).unwrap().intensity[..],
+            [0, 128, 255, 255, 0, 0, 255]
+        );
+        assert_eq!(&reader.cloud(1.0).unwrap().intensity[..], [0, 1, 1, 2, 0, 0, 255]);
+        let bytes = payload(("intensity", 16, UINT8));
+        let reader = CloudReader::new(&bytes).unwrap();
+        assert_eq!((reader.intensity(), reader.brightest()), (Some("uint8"), None));
+        assert_eq!(&reader.cloud(255.0).unwrap().intensity[..], [1; 7]);
     }
 
     #[test]

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use realo_schemas::{Nanos, to_seconds};
 use serde::Serialize;
 
-use crate::{ChannelInfo, Log, LogError, LogInfo, Truncation};
+use crate::log::{join, nanos, times};
+use crate::{ChannelInfo, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, SweepsInfo, Truncation};
 
 /// What `realo info` says of a log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -24,11 +25,87 @@ pub struct Description {
     /// Time between them, s.
     pub duration_s: f64,
     /// Its topics.
-    pub topics: BTreeMap<String, ChannelInfo>,
+    pub topics: BTreeMap<String, TopicInfo>,
+    /// How each agent's sweeps are read.
+    pub sweeps: BTreeMap<String, SweepsInfo>,
     /// Scored frames per agent, in a finished log.
     pub scored_frames: Option<BTreeMap<String, usize>>,
     /// Where it was cut, if it was.
     pub truncated: Option<Truncation>,
+}
+
+/// What `realo info` says of a topic.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TopicInfo {
+    /// Its channel.
+    #[serde(flatten)]
+    pub channel: ChannelInfo,
+    /// Messages a second from its first to its last one; `None` with fewer than two times.
+    pub rate_hz: Option<f64>,
+}
+
+/// What `realo info` says of a recording of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RecordingDescription {
+    /// The file.
+    pub path: PathBuf,
+    /// Its length.
+    pub bytes: u64,
+    /// What recorded it.
+    pub program: String,
+    /// Agents that it has topics of.
+    pub agents: Vec<String>,
+    /// First log time, ns.
+    pub first: Option<Nanos>,
+    /// Last log time, ns.
+    pub last: Option<Nanos>,
+    /// Time between them, s.
+    pub duration_s: f64,
+    /// Its topics.
+    pub topics: BTreeMap<String, TopicInfo>,
+    /// Where it was cut, if it was.
+    pub truncated: Option<Truncation>,
+}
+
+/// What `realo info` says of a file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Described {
+    /// A log.
+    Log(Box<Description>),
+    /// A recording of a run.
+    Recording(Box<RecordingDescription>),
+}
+
+impl Described {
+    /// Where the file was cut, if it was.
+    pub fn truncated(&self) -> Option<&Truncation> {
+        match self {
+            Described::Log(log) => log.truncated.as_ref(),
+            Described::Recording(recording) => recording.truncated.as_ref(),
+        }
+    }
+}
+
+impl fmt::Display for Described {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Described::Log(log) => log.fmt(f),
+            Described::Recording(recording) => recording.fmt(f),
+        }
+    }
+}
+
+/// Describes a log, or a recording of a run.
+///
+/// # Errors
+/// As [`Log::open`].
+pub fn describe_any(path: impl AsRef<Path>) -> Result<Described, LogError> {
+    let file = McapFile::open(path)?;
+    Ok(match file.metadata().contains_key(RECORDING_RECORD) {
+        true => Described::Recording(Box::new(describe_recording(&file)?)),
+        false => Described::Log(Box::new(describe_log(&Log::of(file)?)?)),
+    })
 }
 
 /// Describes a log.
@@ -36,36 +113,114 @@ pub struct Description {
 /// # Errors
 /// As [`Log::open`].
 pub fn describe(path: impl AsRef<Path>) -> Result<Description, LogError> {
-    let log = Log::open(path)?;
-    let bytes = std::fs::metadata(log.path())
-        .map_err(LogError::io(log.path(), "read"))?
-        .len();
+    describe_log(&Log::open(path)?)
+}
+
+fn describe_log(log: &Log) -> Result<Description, LogError> {
     let span = log.span();
     let count = |frames: BTreeMap<String, Vec<Nanos>>| frames.into_iter().map(|(k, v)| (k, v.len())).collect();
+    let mut sweeps = BTreeMap::new();
+    for agent in &log.info().agents {
+        if let Some(info) = log.sweeps_info(&agent.name)? {
+            sweeps.insert(agent.name.clone(), info);
+        }
+    }
     Ok(Description {
         path: log.path().into(),
-        bytes,
+        bytes: length(log.path())?,
         info: log.info().clone(),
         first: span.map(|(first, _)| first),
         last: span.map(|(_, last)| last),
         duration_s: span.map_or(0.0, |(first, last)| to_seconds(last - first)),
-        topics: log.topics(),
+        topics: with_rates(log.topics(), |topic| log.times(topic))?,
+        sweeps,
         scored_frames: log.key_frames().map(count),
         truncated: log.truncation().cloned(),
     })
 }
 
+fn describe_recording(file: &McapFile) -> Result<RecordingDescription, LogError> {
+    let record = file.metadata().get(RECORDING_RECORD);
+    let span = file.span().map(|(first, last)| (nanos(first), nanos(last)));
+    let channels = file.channels().values().filter(|channel| channel.messages > 0);
+    let channels: BTreeMap<_, _> = channels
+        .map(|channel| (channel.topic.clone(), channel.clone()))
+        .collect();
+    let mut agents: Vec<String> = channels.keys().filter_map(|topic| agent_of(topic)).collect();
+    agents.dedup();
+    Ok(RecordingDescription {
+        path: file.path().into(),
+        bytes: length(file.path())?,
+        program: record
+            .and_then(|record| record.get("program"))
+            .cloned()
+            .unwrap_or_default(),
+        agents,
+        first: span.map(|(first, _)| first),
+        last: span.map(|(_, last)| last),
+        duration_s: span.map_or(0.0, |(first, last)| to_seconds(last.saturating_sub(first))),
+        topics: with_rates(channels, |topic| times(file, topic))?,
+        truncated: file.truncation().cloned(),
+    })
+}
+
+/// `/<agent>/<stream>`; topics of one part belong to nobody.
+fn agent_of(topic: &str) -> Option<String> {
+    let (agent, _) = topic.strip_prefix('/')?.split_once('/')?;
+    Some(agent.into())
+}
+
+fn length(path: &Path) -> Result<u64, LogError> {
+    Ok(std::fs::metadata(path).map_err(LogError::io(path, "read"))?.len())
+}
+
+fn with_rates(
+    channels: BTreeMap<String, ChannelInfo>,
+    times: impl Fn(&str) -> Result<Option<(Nanos, Nanos)>, LogError>,
+) -> Result<BTreeMap<String, TopicInfo>, LogError> {
+    let mut topics = BTreeMap::new();
+    for (topic, channel) in channels {
+        let rate_hz = times(&topic)?
+            .filter(|(first, last)| first < last)
+            .map(|(first, last)| channel.messages.saturating_sub(1) as f64 / to_seconds(last - first));
+        topics.insert(topic, TopicInfo { channel, rate_hz });
+    }
+    Ok(topics)
+}
+
+fn write_topics(f: &mut fmt::Formatter, topics: &BTreeMap<String, TopicInfo>) -> fmt::Result {
+    writeln!(f, "  topics")?;
+    for (topic, TopicInfo { channel, rate_hz }) in topics {
+        let rate = rate_hz.map(|rate| format!("{rate:6.1} Hz")).unwrap_or_default();
+        writeln!(
+            f,
+            "    {topic:<32} {:>7}  {rate:>9}  {}",
+            channel.messages, channel.schema
+        )?;
+    }
+    Ok(())
+}
+
+fn write_head(f: &mut fmt::Formatter, path: &Path, bytes: u64, truncated: Option<&Truncation>) -> fmt::Result {
+    writeln!(f, "{}  ({:.1} MB)", path.display(), bytes as f64 / 1e6)?;
+    match truncated {
+        Some(cut) => writeln!(f, "  TRUNCATED: {cut}"),
+        None => Ok(()),
+    }
+}
+
+fn write_time(f: &mut fmt::Formatter, first: Option<Nanos>, duration_s: f64) -> fmt::Result {
+    let first = first.map(to_seconds).unwrap_or_default();
+    writeln!(f, "  time      {duration_s:.3} s from {first:.3} s")
+}
+
 impl fmt::Display for Description {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        writeln!(f, "{}  ({:.1} MB)", self.path.display(), self.bytes as f64 / 1e6)?;
-        if let Some(cut) = &self.truncated {
-            writeln!(f, "  TRUNCATED: {cut}")?;
-        }
+        write_head(f, &self.path, self.bytes, self.truncated.as_ref())?;
         writeln!(f, "  source    {}", self.info.source)?;
         writeln!(f, "  program   {}", self.info.program)?;
         writeln!(f, "  protocol  {}", self.info.protocol)?;
-        let first = self.first.map(to_seconds).unwrap_or_default();
-        writeln!(f, "  time      {:.3} s from {first:.3} s", self.duration_s)?;
+        write_time(f, self.first, self.duration_s)?;
         write!(f, "  scored    {}", self.info.key_frames)?;
         for (agent, frames) in self.scored_frames.iter().flatten() {
             write!(f, "; {agent} {frames}")?;
@@ -74,18 +229,23 @@ impl fmt::Display for Description {
         for agent in &self.info.agents {
             writeln!(f, "    {:<12} {:<9} {}", agent.name, agent.kind.as_str(), agent.sensor)?;
         }
-        writeln!(f, "  topics")?;
-        for (topic, channel) in &self.topics {
-            let rate = match self.duration_s > 0.0 {
-                true => format!("{:6.1} Hz", channel.messages.saturating_sub(1) as f64 / self.duration_s),
-                false => String::new(),
-            };
-            writeln!(
-                f,
-                "    {topic:<32} {:>7}  {rate:>9}  {}",
-                channel.messages, channel.schema
-            )?;
+        if !self.sweeps.is_empty() {
+            writeln!(f, "  sweeps")?;
         }
-        Ok(())
+        for (agent, sweeps) in &self.sweeps {
+            writeln!(f, "    {agent:<12} {sweeps}")?;
+        }
+        write_topics(f, &self.topics)
+    }
+}
+
+impl fmt::Display for RecordingDescription {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write_head(f, &self.path, self.bytes, self.truncated.as_ref())?;
+        writeln!(f, "  recording of a run: `realo render` draws it; it is no log to play")?;
+        writeln!(f, "  program   {}", self.program)?;
+        writeln!(f, "  agents    {}", join(self.agents.iter().map(String::as_str)))?;
+        write_time(f, self.first, self.duration_s)?;
+        write_topics(f, &self.topics)
     }
 }

@@ -161,14 +161,22 @@ pub fn program() -> String {
     concat!("realo ", env!("CARGO_PKG_VERSION")).into()
 }
 
-/// Whether names can be parts of topics and differ.
+/// Whether names can be parts of topics and of paths, and differ; whether outlines are outlines.
 pub(crate) fn check_agents(agents: &[AgentInfo]) -> Result<(), String> {
     let mut names = BTreeSet::new();
     for agent in agents {
         check_name(&agent.name)?;
-        if !names.insert(&agent.name) {
+        if !names.insert(agent.name.to_ascii_lowercase()) {
             return Err(format!(
-                "two agents are named `{}`; every agent needs a name of its own",
+                "two agents are named `{}` (case does not tell them apart); every agent needs a name of its own",
+                agent.name
+            ));
+        }
+        if let Some(outline @ [x0, x1, y0, y1]) = agent.footprint
+            && !(outline.iter().all(|v| v.is_finite()) && x0 < x1 && y0 < y1)
+        {
+            return Err(format!(
+                "`footprint` of `{}`: expected [x min, x max, y min, y max] in metres with min below max, found {outline:?}",
                 agent.name
             ));
         }
@@ -176,12 +184,68 @@ pub(crate) fn check_agents(agents: &[AgentInfo]) -> Result<(), String> {
     Ok(())
 }
 
+/// Names are parts of topics, folders and frames, and stand in arguments.
+const LONGEST_NAME: usize = 64;
+
 pub(crate) fn check_name(name: &str) -> Result<(), String> {
-    let fits = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
-    match !name.is_empty() && name.chars().all(fits) && name != "tf" {
+    let inside = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    let starts = name.starts_with(|c: char| c.is_ascii_alphanumeric() || c == '_');
+    let taken = ["tf", "tf_static"].contains(&name);
+    match starts && name.chars().all(inside) && !name.ends_with('.') && name.len() <= LONGEST_NAME && !taken {
         true => Ok(()),
         false => Err(format!(
-            "`{name}` cannot name an agent: expected letters, digits, `_`, `-` or `.`"
+            "`{}` cannot name an agent: expected 1 to {LONGEST_NAME} letters, digits, `_`, `-` or `.`, first a letter, \
+             a digit or `_`, no `.` at the end, and neither `tf` nor `tf_static`; rename it where the log is made",
+            name.chars().take(LONGEST_NAME).collect::<String>().escape_debug()
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_can_be_folders_topics_and_arguments() {
+        let longest = "x".repeat(LONGEST_NAME);
+        for name in ["a", "cav1", "RSU-2", "_x", "7", "a.b", "tf2", &longest] {
+            assert_eq!(check_name(name), Ok(()), "{name}");
+        }
+        let long = "x".repeat(LONGEST_NAME + 1);
+        let bad = [
+            "", ".", "..", "...", ".a", "a.", "-a", "a/b", "/", "../a", "a b", "a\n", "a\0", "é", "a\\b", "a:b",
+        ];
+        for name in bad.into_iter().chain(["tf", "tf_static", &long]) {
+            let error = check_name(name).unwrap_err();
+            let shown = name.chars().take(LONGEST_NAME).collect::<String>();
+            assert!(
+                error.contains(&format!("`{}` cannot name", shown.escape_debug())),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn agents_differ_and_have_outlines() {
+        let agent = |name: &str, footprint| AgentInfo {
+            name: name.into(),
+            kind: AgentKind::Vehicle,
+            footprint,
+            sensor: String::new(),
+            sensor_position: None,
+        };
+        let outline = |outline| check_agents(&[agent("a", Some(outline))]);
+        assert_eq!(outline([-1.0, 3.0, -1.0, 1.0]), Ok(()));
+        for wrong in [
+            [1.0, 1.0, -1.0, 1.0],
+            [-1.0, 1.0, 2.0, 1.0],
+            [-1.0, f64::INFINITY, -1.0, 1.0],
+            [f64::NAN, 1.0, -1.0, 1.0],
+        ] {
+            assert!(outline(wrong).unwrap_err().contains("`footprint` of `a`"), "{wrong:?}");
+        }
+        assert_eq!(check_agents(&[agent("a", None), agent("b", None)]), Ok(()));
+        let error = check_agents(&[agent("Bus", None), agent("bus", None)]).unwrap_err();
+        assert!(error.contains("two agents are named `bus`"), "{error}");
     }
 }

@@ -11,29 +11,36 @@
 //! | `/<agent>/detections_info`, `/<agent>/ground_truth_info` | `realo_msgs/msg/BoxesInfo` | companion: exact headings, velocities, covariances, the agent's own point counts, whether the frame is scored |
 //! | `/<agent>/ground_truth_markers` | `visualization_msgs/msg/MarkerArray` | for viewers |
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | for viewers: map from body as believed |
+//! | `/tf_static` | `tf2_msgs/msg/TFMessage` | of others: how frames lie in each other |
 //!
 //! Log time is when a message existed (a sweep: its end), publish time the measurement's stamp; the message's sequence
 //! counts per topic from 0. Messages of one sweep (points, detections, truth) share their stamp. Chunks are zstd, at
 //! most 0.5 s long, and never hold clouds beside other messages. A log that was cut is read up to the time before which
 //! neither clouds nor anything else is missing. The metadata record `realo` at the beginning says what
-//! the log is ([`LogInfo`]); `realo_end` lists the scored frames.
+//! the log is ([`LogInfo`]); `realo_end` lists the scored frames. `docs/log-format.md` has all that a writer must know.
+//!
+//! Points that others wrote in the frame of their sensor are brought to the body frame by `/tf_static` and `/tf`. No
+//! length in a file is believed: what a file may take of memory is bounded by its size.
 
 pub mod boxes;
 pub mod cdr;
 pub mod cloud;
 mod describe;
 mod error;
+mod frames;
 mod info;
 mod log;
 mod log_writer;
 mod mcap_file;
 mod mcap_writer;
 pub mod pose;
+mod records;
 mod schema;
+mod sweeps;
 mod topics;
 
 pub use boxes::BoxesInfo;
-pub use describe::{Description, describe};
+pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use info::{AgentInfo, AgentKind, LogInfo, program};
 pub use log::{Entry, Log, LogReader};
@@ -41,6 +48,7 @@ pub use log_writer::LogWriter;
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
 pub use schema::Schema;
+pub use sweeps::SweepsInfo;
 pub use topics::Stream;
 
 /// Name of the metadata record of a recording of a run.

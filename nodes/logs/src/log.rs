@@ -1,11 +1,16 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
+use std::sync::Arc;
 
 use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus};
 
+use crate::cdr::CdrReader;
+use crate::frames::bare;
 use crate::info::{END_RECORD, LOG_RECORD};
+use crate::log_writer::body;
 use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
-use crate::{BoxesInfo, LogError, LogInfo, Stream, boxes, cdr::CdrReader, cloud, pose};
+use crate::sweeps::{Context, SweepsInfo};
+use crate::{BoxesInfo, LogError, LogInfo, Stream, boxes, pose};
 
 /// An open log.
 #[derive(Clone, Debug)]
@@ -14,6 +19,7 @@ pub struct Log {
     info: LogInfo,
     truncation: Option<Truncation>,
     streams: BTreeMap<(String, Stream), u16>,
+    context: Arc<Context>,
 }
 
 impl Log {
@@ -22,8 +28,12 @@ impl Log {
     /// # Errors
     /// A file that cannot be read, is no MCAP, or is not one of our logs.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, LogError> {
-        let path = path.as_ref();
-        let file = McapFile::open(path)?;
+        Self::of(McapFile::open(path)?)
+    }
+
+    /// The log that an open file is.
+    pub(crate) fn of(file: McapFile) -> Result<Self, LogError> {
+        let path = file.path();
         let Some(record) = file.metadata().get(LOG_RECORD) else {
             return Err(not_realo(&file));
         };
@@ -53,6 +63,7 @@ impl Log {
             }
         }
         Ok(Log {
+            context: Arc::new(Context::new(file.clone(), &info.map_frame)),
             file,
             info,
             truncation,
@@ -78,7 +89,8 @@ impl Log {
     /// First and last log time, ns, up to which no message is missing; `None` without messages.
     pub fn span(&self) -> Option<(Nanos, Nanos)> {
         let (first, last) = self.file.span()?;
-        let (first, last) = (first as Nanos, (last as Nanos).min(self.complete_until() - 1));
+        let last = nanos(last).min(self.complete_until().saturating_sub(1));
+        let first = nanos(first);
         (first <= last).then_some((first, last))
     }
 
@@ -99,6 +111,25 @@ impl Log {
         channels
             .map(|channel| (channel.topic.clone(), channel.clone()))
             .collect()
+    }
+
+    /// First and last log time of a topic's messages, ns; `None` without any.
+    ///
+    /// # Errors
+    /// Bytes that contradict the format.
+    pub fn times(&self, topic: &str) -> Result<Option<(Nanos, Nanos)>, LogError> {
+        times(&self.file, topic)
+    }
+
+    /// How an agent's sweeps are read; `None` if it has none.
+    ///
+    /// # Errors
+    /// Bytes that contradict the format.
+    pub fn sweeps_info(&self, agent: &str) -> Result<Option<SweepsInfo>, LogError> {
+        match self.streams.get(&(agent.to_string(), Stream::Points)) {
+            Some(channel) => self.context.describe(*channel, agent),
+            None => Ok(None),
+        }
     }
 
     /// Messages of an agent's stream.
@@ -175,6 +206,7 @@ impl Log {
             channels,
             ahead: None,
             instant: VecDeque::new(),
+            context: self.context.clone(),
         })
     }
 
@@ -193,10 +225,27 @@ fn truncation(file: &McapFile, info: &LogInfo) -> Option<Truncation> {
     // The closing record follows the last message: of such a log only the index is missing.
     let complete = file.metadata().contains_key(END_RECORD).then(|| file.span()).flatten();
     Some(Truncation {
-        complete_until: complete.map(|(_, last)| last as Nanos + 1).or(cut.complete_until),
+        complete_until: complete
+            .map(|(_, last)| nanos(last).saturating_add(1))
+            .or(cut.complete_until),
         expected_end: info.end,
         ..cut.clone()
     })
+}
+
+/// Times beyond what 63 bits hold are no times.
+pub(crate) fn nanos(time: u64) -> Nanos {
+    Nanos::try_from(time).unwrap_or(Nanos::MAX)
+}
+
+pub(crate) fn times(file: &McapFile, topic: &str) -> Result<Option<(Nanos, Nanos)>, LogError> {
+    let mut span: Option<(u64, u64)> = None;
+    for (id, _) in file.channels().iter().filter(|(_, channel)| channel.topic == topic) {
+        if let Some((first, last)) = file.times_of(*id)? {
+            span = Some(span.map_or((first, last), |(a, b)| (a.min(first), b.max(last))));
+        }
+    }
+    Ok(span.map(|(first, last)| (nanos(first), nanos(last))))
 }
 
 fn not_realo(file: &McapFile) -> LogError {
@@ -236,6 +285,7 @@ pub struct LogReader {
     channels: BTreeMap<u16, (Stream, usize, Name)>,
     ahead: Option<RawMessage>,
     instant: VecDeque<Entry>,
+    context: Arc<Context>,
 }
 
 impl LogReader {
@@ -281,6 +331,7 @@ impl LogReader {
                 agent: agent.clone(),
                 stream: *stream,
                 raw,
+                context: self.context.clone(),
             }
         }));
         Ok(())
@@ -295,6 +346,7 @@ pub struct Entry {
     /// Its stream.
     pub stream: Stream,
     raw: RawMessage,
+    context: Arc<Context>,
 }
 
 impl Entry {
@@ -305,12 +357,12 @@ impl Entry {
 
     /// The measurement's reference time, ns.
     pub fn stamp(&self) -> Nanos {
-        self.raw.publish_time.min(Nanos::MAX as u64) as Nanos
+        nanos(self.raw.publish_time)
     }
 
     /// When it existed on the log's time line, ns.
     pub fn ready(&self) -> Nanos {
-        self.raw.log_time.min(Nanos::MAX as u64) as Nanos
+        nanos(self.raw.log_time)
     }
 
     /// The message as written.
@@ -318,26 +370,29 @@ impl Entry {
         self.raw.data()
     }
 
-    /// The points of a sweep ([`Stream::Points`]).
+    /// The points of a sweep ([`Stream::Points`]) in the agent's body frame; intensities that the log has as floats in
+    /// 0…1 are scaled to 0…255.
     ///
     /// # Errors
-    /// Bytes that are no such message.
+    /// Bytes that are no such message; points in a frame from which the log has no transform into the body frame.
     pub fn cloud(&self) -> Result<PointCloud, LogError> {
-        cloud::decode(self.data())
-            .map(|(_, cloud)| cloud)
-            .map_err(|reason| self.bad(reason))
+        let cloud = self
+            .context
+            .cloud(self.raw.channel, &self.agent, self.stamp(), self.data());
+        cloud.map_err(|reason| self.bad(reason))
     }
 
     /// A pose ([`Stream::Pose`], [`Stream::PoseTruth`]).
     ///
     /// # Errors
-    /// Bytes that are no such message; numbers that are no pose.
+    /// Bytes that are no such message; another frame than the map's; numbers that are no pose.
     pub fn pose(&self) -> Result<EgoState, LogError> {
         let status = match self.stream {
             Stream::PoseTruth => PoseStatus::Truth,
             _ => PoseStatus::Recorded,
         };
-        pose::decode(self.data(), status)
+        self.in_frame(&self.context.map_frame)
+            .and_then(|()| pose::decode(self.data(), status))
             .map(|(_, state)| state)
             .map_err(|reason| self.bad(reason))
     }
@@ -345,9 +400,10 @@ impl Entry {
     /// Boxes ([`Stream::Detections`], [`Stream::GroundTruth`]) without what their companion says.
     ///
     /// # Errors
-    /// Bytes that are no such message.
+    /// Bytes that are no such message; another frame than the agent's body.
     pub fn boxes(&self) -> Result<Boxes, LogError> {
-        boxes::decode(self.data())
+        self.in_frame(&body(&self.agent))
+            .and_then(|()| boxes::decode(self.data()))
             .map(|(_, boxes)| boxes)
             .map_err(|reason| self.bad(reason))
     }
@@ -369,6 +425,16 @@ impl Entry {
     pub fn header_stamp(&self) -> Result<Nanos, LogError> {
         let read = || CdrReader::new(self.data())?.header().map(|(stamp, _)| stamp);
         read().map_err(|reason| self.bad(reason))
+    }
+
+    fn in_frame(&self, expected: &str) -> Result<(), String> {
+        let (_, frame) = CdrReader::new(self.data())?.header()?;
+        match bare(frame) == expected {
+            true => Ok(()),
+            false => Err(format!(
+                "its frame is `{frame}`, expected `{expected}`; write it in that frame"
+            )),
+        }
     }
 
     fn bad(&self, reason: String) -> LogError {

@@ -6,22 +6,22 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
-use mcap::records::{Record, op};
-use mcap::sans_io::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::records::op;
 use realo_schemas::{Nanos, to_seconds};
 use serde::Serialize;
 
+use crate::records::{
+    ChannelRecord, ChunkIndex, FOOTER, Footer, HEAD, MESSAGE_HEAD, MessageRecord, MetadataIndex, MetadataRecord,
+    SchemaRecord, Statistics, most_unpacked, records, unpack,
+};
 use crate::{Lane, LogError};
 
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
-/// Opcode and length.
-const RECORD_HEAD: u64 = 9;
-/// Channel, sequence, log time, publish time.
-const MESSAGE_HEAD: usize = 22;
-/// No writer makes such chunks; a damaged length must not claim all memory.
-const MAX_CHUNK: u64 = 1 << 30;
+const RECORD_HEAD: u64 = HEAD as u64;
+/// Footer and magic.
+const TAIL: usize = FOOTER + MAGIC.len();
 
 /// Where a cut file ends.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -46,7 +46,10 @@ impl std::fmt::Display for Truncation {
             self.at_byte, self.file_bytes, self.reason
         )?;
         match (self.complete_until, self.expected_end) {
-            (Some(until), Some(end)) => write!(f, "; the last {:.3} s are missing", to_seconds(end - until).max(0.0)),
+            (Some(until), Some(end)) => {
+                let missing = to_seconds(end.saturating_sub(until)).max(0.0);
+                write!(f, "; the last {missing:.3} s are missing")
+            }
             (Some(until), None) => write!(f, "; from {:.3} s on messages are missing", to_seconds(until)),
             (None, _) => write!(f, "; no message is left"),
         }
@@ -64,6 +67,17 @@ pub struct ChannelInfo {
     pub encoding: String,
     /// Messages in the file.
     pub messages: u64,
+}
+
+impl ChannelInfo {
+    fn new(channel: &ChannelRecord) -> Self {
+        ChannelInfo {
+            topic: channel.topic.into(),
+            schema: String::new(),
+            encoding: channel.encoding.into(),
+            messages: 0,
+        }
+    }
 }
 
 /// A chunk, or a message outside of chunks.
@@ -155,88 +169,192 @@ impl McapFile {
             channels,
             times,
             heap: BinaryHeap::new(),
+            held: Vec::new(),
         })
     }
 
-    /// Reads the summary; `None` if the file has none, or one that does not lead to its messages.
-    fn by_index(path: &Path, file: &mut File, size: u64) -> Result<Option<Self>, LogError> {
-        let Some(summary) = read_summary(file, size) else {
+    /// First and last log time of a channel's messages; `None` without any.
+    ///
+    /// # Errors
+    /// If the file cannot be opened again; bytes that contradict the format.
+    pub fn times_of(&self, channel: u16) -> Result<Option<(u64, u64)>, LogError> {
+        let only = BTreeSet::from([channel]);
+        let mut messages = self.messages(only, 0..u64::MAX)?;
+        let Some(first) = messages.next()?.map(|message| message.log_time) else {
             return Ok(None);
         };
-        let Some(stats) = &summary.stats else { return Ok(None) };
-        let whole = summary.chunk_indexes.len() == stats.chunk_count as usize
-            && summary.metadata_indexes.len() == stats.metadata_count as usize
-            && stats
-                .channel_message_counts
-                .keys()
-                .all(|id| summary.channels.contains_key(id))
-            && (stats.message_count == 0 || stats.chunk_count > 0);
-        if !whole {
-            return Ok(None);
-        }
-        let channel = |channel: &mcap::Channel| ChannelInfo {
-            topic: channel.topic.clone(),
-            schema: channel
-                .schema
-                .as_ref()
-                .map(|schema| schema.name.clone())
-                .unwrap_or_default(),
-            encoding: channel.message_encoding.clone(),
-            messages: stats.channel_message_counts.get(&channel.id).copied().unwrap_or(0),
-        };
-        let spans = summary.chunk_indexes.iter().map(|chunk| Span {
-            first: chunk.message_start_time,
-            last: chunk.message_end_time,
-            offset: chunk.chunk_start_offset,
-            length: chunk.chunk_length,
-            channels: Some(chunk.message_index_offsets.keys().copied().collect())
-                .filter(|channels: &BTreeSet<u16>| !channels.is_empty()),
-        });
-        let mut metadata = BTreeMap::new();
-        for index in &summary.metadata_indexes {
-            let bytes = read_at(file, index.offset, index.length, size)
-                .map_err(|reason| LogError::damaged(path, index.offset, reason))?;
-            if let Ok(Record::Metadata(record)) = parse(&bytes) {
-                metadata.insert(record.name, record.metadata);
+        let mut last = first;
+        let mut spans: Vec<&Span> = self.spans.iter().filter(|span| messages.wants(span)).collect();
+        spans.sort_by_key(|span| Reverse((span.last, span.offset)));
+        for span in spans {
+            if span.last <= last {
+                break;
+            }
+            let chunk = messages.chunk(span)?;
+            for record in records(&chunk) {
+                let (opcode, body) = record.map_err(|reason| LogError::damaged(&self.path, span.offset, reason))?;
+                if opcode == op::MESSAGE
+                    && let Ok(head) = MessageRecord::read(&chunk[body])
+                    && head.channel == channel
+                {
+                    last = last.max(head.log_time);
+                }
             }
         }
-        let has = stats.message_count > 0;
+        Ok(Some((first, last)))
+    }
+
+    /// Reads the index; `None` if the file has none, or one that does not fit the file.
+    fn by_index(path: &Path, file: &mut File, size: u64) -> Result<Option<Self>, LogError> {
+        let Some(summary) = Summary::read(file, size).filter(|summary| summary.fits(size)) else {
+            return Ok(None);
+        };
+        let Some(stats) = summary.stats else { return Ok(None) };
+        let mut channels = summary.channels;
+        for (id, channel) in &mut channels {
+            channel.messages = stats.counts.get(id).copied().unwrap_or(0);
+        }
+        let mut metadata = BTreeMap::new();
+        for index in &summary.metadata {
+            let damaged = |reason| LogError::damaged(path, index.offset, reason);
+            let bytes = read_at(file, index.offset, index.length, size).map_err(damaged)?;
+            let (opcode, body) = whole_record(&bytes).map_err(damaged)?;
+            if opcode == op::METADATA {
+                let record = MetadataRecord::read(body).map_err(damaged)?;
+                metadata.insert(record.name, record.entries);
+            }
+        }
+        let spans = summary.chunks.into_iter().map(|chunk| Span {
+            first: chunk.first,
+            last: chunk.last,
+            offset: chunk.offset,
+            length: chunk.length,
+            channels: Some(chunk.channels).filter(|channels| !channels.is_empty()),
+        });
+        let has = stats.messages > 0;
         Ok(Some(McapFile {
             path: path.into(),
-            channels: summary
-                .channels
-                .iter()
-                .map(|(id, known)| (*id, channel(known)))
-                .collect(),
+            channels,
             metadata,
             spans: Arc::new(sorted(spans.collect())),
-            first: has.then_some(stats.message_start_time),
-            last: has.then_some(stats.message_end_time),
+            first: has.then_some(stats.first),
+            last: has.then_some(stats.last),
             truncation: None,
         }))
     }
 }
 
+/// The index at a file's end.
+#[derive(Default)]
+struct Summary {
+    stats: Option<Statistics>,
+    channels: BTreeMap<u16, ChannelInfo>,
+    chunks: Vec<ChunkIndex>,
+    metadata: Vec<MetadataIndex>,
+}
+
+impl Summary {
+    /// `None` where there is none, or its bytes or checksum are wrong.
+    fn read(file: &mut File, size: u64) -> Option<Self> {
+        let tail = size.checked_sub(TAIL as u64).filter(|at| *at >= MAGIC.len() as u64)?;
+        let mut bytes = [0; TAIL];
+        file.seek(SeekFrom::Start(tail)).ok()?;
+        file.read_exact(&mut bytes).ok()?;
+        let (opcode, body) = whole_record(&bytes[..FOOTER]).ok()?;
+        if opcode != op::FOOTER || bytes[FOOTER..] != MAGIC {
+            return None;
+        }
+        let footer = Footer::read(body).ok()?;
+        let length = tail
+            .checked_sub(footer.summary)
+            .filter(|_| footer.summary >= MAGIC.len() as u64)?;
+        file.seek(SeekFrom::Start(footer.summary)).ok()?;
+        let mut section = io::BufReader::new(file).take(length);
+        let mut crc = crc32fast::Hasher::new();
+        let mut summary = Summary::default();
+        let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
+        let mut schema_of: Vec<(u16, u16)> = Vec::new();
+        while section.limit() > 0 {
+            let mut head = [0; HEAD];
+            section.read_exact(&mut head).ok()?;
+            let length = u64::from_le_bytes(std::array::from_fn(|i| head[i + 1]));
+            if length > section.limit() {
+                return None;
+            }
+            let mut body = vec![0; length as usize];
+            section.read_exact(&mut body).ok()?;
+            crc.update(&head);
+            crc.update(&body);
+            match head[0] {
+                op::SCHEMA => {
+                    let schema = SchemaRecord::read(&body).ok()?;
+                    schemas.insert(schema.id, schema.name.into());
+                }
+                op::CHANNEL => {
+                    let channel = ChannelRecord::read(&body).ok()?;
+                    schema_of.push((channel.id, channel.schema));
+                    summary.channels.insert(channel.id, ChannelInfo::new(&channel));
+                }
+                op::CHUNK_INDEX => summary.chunks.push(ChunkIndex::read(&body).ok()?),
+                op::METADATA_INDEX => summary.metadata.push(MetadataIndex::read(&body).ok()?),
+                op::STATISTICS => summary.stats = Some(Statistics::read(&body).ok()?),
+                _ => {}
+            }
+        }
+        // The checksum covers the footer up to itself.
+        crc.update(&bytes[..FOOTER - 4]);
+        if footer.crc != 0 && footer.crc != crc.finalize() {
+            return None;
+        }
+        for (channel, schema) in schema_of {
+            if let (Some(channel), Some(name)) = (summary.channels.get_mut(&channel), schemas.get(&schema)) {
+                channel.schema.clone_from(name);
+            }
+        }
+        Some(summary)
+    }
+
+    /// Whether it leads to every message of a file, and claims nothing that a file of this size cannot hold.
+    fn fits(&self, size: u64) -> bool {
+        let Some(stats) = &self.stats else { return false };
+        let unpacked = |chunk: &ChunkIndex| {
+            let believed = chunk.packed <= chunk.length && chunk.unpacked <= most_unpacked(chunk.packed);
+            believed.then_some(chunk.unpacked)
+        };
+        let room = self
+            .chunks
+            .iter()
+            .map(unpacked)
+            .try_fold(0u64, |sum, unpacked| sum.checked_add(unpacked?));
+        let counted = stats
+            .counts
+            .values()
+            .try_fold(0u64, |sum, count| sum.checked_add(*count));
+        let chunks = self.chunks.iter().map(|chunk| (chunk.offset, chunk.length));
+        let metadata = self.metadata.iter().map(|record| (record.offset, record.length));
+        self.chunks.len() == stats.chunks as usize
+            && self.metadata.len() == stats.metadata as usize
+            && stats.counts.keys().all(|id| self.channels.contains_key(id))
+            && counted == Some(stats.messages)
+            && room.is_some_and(|room| stats.messages <= room / (HEAD + MESSAGE_HEAD) as u64)
+            && stats.first <= stats.last
+            && are_apart(chunks.chain(metadata).collect(), size)
+    }
+}
+
+/// Whether stretches of (offset, length) lie in a file, and none on another.
+fn are_apart(mut stretches: Vec<(u64, u64)>, size: u64) -> bool {
+    stretches.sort_unstable();
+    let mut end = MAGIC.len() as u64;
+    stretches.into_iter().all(|(offset, length)| {
+        let before = std::mem::replace(&mut end, offset.saturating_add(length));
+        offset >= before && length >= RECORD_HEAD && end <= size
+    })
+}
+
 fn sorted(mut spans: Vec<Span>) -> Vec<Span> {
     spans.sort_by_key(|span| (span.first, span.offset));
     spans
-}
-
-fn read_summary(file: &mut File, size: u64) -> Option<mcap::Summary> {
-    let mut reader = SummaryReader::new_with_options(SummaryReaderOptions::default().with_file_size(size));
-    while let Some(event) = reader.next_event() {
-        match event.ok()? {
-            SummaryReadEvent::SeekRequest(to) => {
-                let at = file.seek(to).ok()?;
-                reader.notify_seeked(at);
-            }
-            SummaryReadEvent::ReadRequest(wanted) => {
-                let read = file.read(reader.insert(wanted)).ok()?;
-                reader.notify_read(read);
-            }
-        }
-    }
-    reader.finish()
 }
 
 /// Reads a whole record, head included.
@@ -253,103 +371,16 @@ fn read_at(file: &mut File, offset: u64, length: u64, size: u64) -> Result<Vec<u
     Ok(bytes)
 }
 
-/// Parses a record with its head.
-fn parse(bytes: &[u8]) -> Result<Record<'_>, String> {
-    let Some((opcode, rest)) = bytes.split_first() else {
-        return Err("an empty record".into());
-    };
-    let body = rest.get(8..).ok_or("a record without length")?;
-    if *opcode == op::ATTACHMENT {
-        return Err("attachments are not read".into());
+/// Opcode and body of a record whose head says exactly the bytes that there are.
+fn whole_record(bytes: &[u8]) -> Result<(u8, &[u8]), String> {
+    let mut found = records(bytes);
+    match (found.next(), found.next()) {
+        (Some(Ok((opcode, body))), None) => Ok((opcode, &bytes[body])),
+        _ => Err(format!(
+            "expected a record of {} bytes, found another length",
+            bytes.len()
+        )),
     }
-    mcap::parse_record(*opcode, body).map_err(|error| error.to_string())
-}
-
-/// The records of a chunk as (opcode, body range).
-fn records(data: &[u8]) -> impl Iterator<Item = Result<(u8, Range<usize>), String>> + '_ {
-    let mut at = 0;
-    std::iter::from_fn(move || {
-        if at == data.len() {
-            return None;
-        }
-        let head = data.get(at..at + RECORD_HEAD as usize);
-        let record = head.and_then(|head| {
-            let length = u64::from_le_bytes(std::array::from_fn(|i| head[i + 1]));
-            let start = at + RECORD_HEAD as usize;
-            let end = usize::try_from(length)
-                .ok()
-                .and_then(|length| start.checked_add(length))?;
-            (end <= data.len()).then_some((head[0], start..end))
-        });
-        Some(match record {
-            Some((opcode, body)) => {
-                at = body.end;
-                Ok((opcode, body))
-            }
-            None => {
-                let error = format!(
-                    "a record at byte {at} of a chunk reaches beyond its {} bytes",
-                    data.len()
-                );
-                at = data.len();
-                Err(error)
-            }
-        })
-    })
-}
-
-/// The records of a chunk record, decompressed and checked.
-fn unpack(bytes: &[u8]) -> Result<Vec<u8>, String> {
-    let Record::Chunk { header, data } = parse(bytes)? else {
-        return Err("expected a chunk here".into());
-    };
-    if header.uncompressed_size > MAX_CHUNK {
-        return Err(format!(
-            "a chunk of {} bytes, more than {MAX_CHUNK}",
-            header.uncompressed_size
-        ));
-    }
-    let size = header.uncompressed_size as usize;
-    let records = match header.compression.as_str() {
-        "" => data.to_vec(),
-        "zstd" => zstd::bulk::decompress(&data, size).map_err(|error| format!("zstd: {error}"))?,
-        _ => by_crate(bytes, size)?,
-    };
-    if records.len() != size {
-        return Err(format!("a chunk of {} bytes, its head says {size}", records.len()));
-    }
-    let crc = header.uncompressed_crc;
-    if crc != 0 && crc != crc32fast::hash(&records) {
-        return Err("a chunk's checksum is wrong".into());
-    }
-    Ok(records)
-}
-
-/// Other compressions, by the `mcap` crate.
-fn by_crate(chunk: &[u8], size: usize) -> Result<Vec<u8>, String> {
-    use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-    let options = LinearReaderOptions::default()
-        .with_skip_start_magic(true)
-        .with_skip_end_magic(true);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut out = Vec::with_capacity(size);
-    let mut left = chunk;
-    while let Some(event) = reader.next_event() {
-        match event.map_err(|error| error.to_string())? {
-            LinearReadEvent::ReadRequest(wanted) => {
-                let n = wanted.min(left.len());
-                reader.insert(wanted)[..n].copy_from_slice(&left[..n]);
-                reader.notify_read(n);
-                left = &left[n..];
-            }
-            LinearReadEvent::Record { opcode, data } => {
-                out.push(opcode);
-                out.extend((data.len() as u64).to_le_bytes());
-                out.extend_from_slice(data);
-            }
-        }
-    }
-    Ok(out)
 }
 
 /// One pass over a file without a usable index.
@@ -460,7 +491,7 @@ impl Scan {
 
     /// Reads a record; false after the last one, an error where the file is cut.
     fn step(&mut self) -> Result<bool, String> {
-        let mut head = [0; RECORD_HEAD as usize];
+        let mut head = [0; HEAD];
         if self.at == self.size {
             return Err("the index at the end is missing".into());
         }
@@ -469,106 +500,83 @@ impl Scan {
             .map_err(|_| "the file ends within a record's head".to_string())?;
         let opcode = head[0];
         let length = u64::from_le_bytes(std::array::from_fn(|i| head[i + 1]));
-        if length > self.size - self.at - RECORD_HEAD {
+        if length > self.size.saturating_sub(self.at + RECORD_HEAD) {
             return Err("the file ends within a record".into());
         }
-        let skipped = matches!(opcode, op::ATTACHMENT | op::MESSAGE_INDEX);
-        if skipped {
-            self.file
-                .seek_relative(length as i64)
-                .map_err(|error| error.to_string())?;
-        } else {
-            let mut bytes = vec![0; (RECORD_HEAD + length) as usize];
-            bytes[..RECORD_HEAD as usize].copy_from_slice(&head);
-            self.file
-                .read_exact(&mut bytes[RECORD_HEAD as usize..])
-                .map_err(|error| error.to_string())?;
-            if opcode == op::FOOTER {
-                return Ok(false);
+        match opcode {
+            op::FOOTER => return Ok(false),
+            // Behind the data, an index that was not believed repeats the definitions.
+            op::CHUNK | op::MESSAGE | op::SCHEMA | op::CHANNEL | op::METADATA | op::DATA_END if !self.all_data => {
+                let mut body = vec![0; length as usize];
+                self.file.read_exact(&mut body).map_err(|error| error.to_string())?;
+                self.note(opcode, &body)?;
             }
-            self.note(opcode, &bytes)?;
+            _ => self
+                .file
+                .seek_relative(length as i64)
+                .map_err(|error| error.to_string())?,
         }
         self.at += RECORD_HEAD + length;
         Ok(true)
     }
 
-    fn note(&mut self, opcode: u8, bytes: &[u8]) -> Result<(), String> {
-        let length = bytes.len() as u64;
-        match opcode {
-            op::CHUNK => {
-                let records_of_chunk = unpack(bytes)?;
-                let mut span = Span {
-                    first: 0,
-                    last: 0,
-                    offset: self.at,
-                    length,
-                    channels: Some(BTreeSet::new()),
-                };
-                for record in records(&records_of_chunk) {
-                    let (opcode, body) = record?;
-                    self.note_inner(
-                        opcode,
-                        &records_of_chunk[body.start - RECORD_HEAD as usize..body.end],
-                        &mut span,
-                    )?;
+    fn note(&mut self, opcode: u8, body: &[u8]) -> Result<(), String> {
+        if !matches!(opcode, op::CHUNK | op::MESSAGE) {
+            return self.note_definition(opcode, body);
+        }
+        let mut span = Span {
+            first: 0,
+            last: 0,
+            offset: self.at,
+            length: RECORD_HEAD + body.len() as u64,
+            channels: Some(BTreeSet::new()),
+        };
+        if opcode == op::MESSAGE {
+            self.note_message(body, &mut span)?;
+        } else {
+            let chunk = unpack(body)?;
+            for record in records(&chunk) {
+                match record? {
+                    (op::MESSAGE, body) => self.note_message(&chunk[body], &mut span)?,
+                    (opcode @ (op::SCHEMA | op::CHANNEL), body) => self.note_definition(opcode, &chunk[body])?,
+                    // Nothing else belongs into a chunk.
+                    _ => {}
                 }
-                self.spans.push(span);
-            }
-            op::MESSAGE => {
-                let mut span = Span {
-                    first: 0,
-                    last: 0,
-                    offset: self.at,
-                    length,
-                    channels: Some(BTreeSet::new()),
-                };
-                self.note_inner(opcode, bytes, &mut span)?;
-                self.spans.push(span);
-            }
-            _ => {
-                let mut none = Span {
-                    first: 0,
-                    last: 0,
-                    offset: 0,
-                    length: 0,
-                    channels: None,
-                };
-                self.note_inner(opcode, bytes, &mut none)?;
             }
         }
+        self.spans.push(span);
         Ok(())
     }
 
-    fn note_inner(&mut self, opcode: u8, bytes: &[u8], span: &mut Span) -> Result<(), String> {
-        if opcode == op::MESSAGE {
-            let (channel, _, time, _) = message_head(&bytes[RECORD_HEAD as usize..])?;
-            let channels = span.channels.get_or_insert_default();
-            (span.first, span.last) = match channels.is_empty() {
-                true => (time, time),
-                false => (span.first.min(time), span.last.max(time)),
-            };
-            channels.insert(channel);
-            self.lanes.entry(self.lane_of(channel)).or_default().note(time);
-            *self.counts.entry(channel).or_default() += 1;
-            return Ok(());
-        }
-        match parse(bytes)? {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+    fn note_message(&mut self, body: &[u8], span: &mut Span) -> Result<(), String> {
+        let MessageRecord { channel, log_time, .. } = MessageRecord::read(body)?;
+        let channels = span.channels.get_or_insert_default();
+        (span.first, span.last) = match channels.is_empty() {
+            true => (log_time, log_time),
+            false => (span.first.min(log_time), span.last.max(log_time)),
+        };
+        channels.insert(channel);
+        self.lanes.entry(self.lane_of(channel)).or_default().note(log_time);
+        *self.counts.entry(channel).or_default() += 1;
+        Ok(())
+    }
+
+    fn note_definition(&mut self, opcode: u8, body: &[u8]) -> Result<(), String> {
+        match opcode {
+            op::SCHEMA => {
+                let schema = SchemaRecord::read(body)?;
+                self.schemas.insert(schema.id, schema.name.into());
             }
-            Record::Channel(channel) => {
-                let info = ChannelInfo {
-                    topic: channel.topic,
-                    schema: String::new(),
-                    encoding: channel.message_encoding,
-                    messages: 0,
-                };
-                self.channels.insert(channel.id, (info, channel.schema_id));
+            op::CHANNEL => {
+                let channel = ChannelRecord::read(body)?;
+                let info = ChannelInfo::new(&channel);
+                self.channels.insert(channel.id, (info, channel.schema));
             }
-            Record::Metadata(record) => {
-                self.metadata.insert(record.name, record.metadata);
+            op::METADATA => {
+                let record = MetadataRecord::read(body)?;
+                self.metadata.insert(record.name, record.entries);
             }
-            Record::DataEnd(_) => self.all_data = true,
+            op::DATA_END => self.all_data = true,
             _ => {}
         }
         Ok(())
@@ -581,18 +589,6 @@ impl Scan {
             .and_then(|(_, schema)| self.schemas.get(schema));
         schema.map_or(Lane::Small, |schema| Lane::of(schema))
     }
-}
-
-fn message_head(body: &[u8]) -> Result<(u16, u32, u64, u64), String> {
-    if body.len() < MESSAGE_HEAD {
-        return Err(format!(
-            "a message of {} bytes, its head alone takes {MESSAGE_HEAD}",
-            body.len()
-        ));
-    }
-    let u64_at = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| body[at + i]));
-    let sequence = u32::from_le_bytes(std::array::from_fn(|i| body[2 + i]));
-    Ok((u16::from_le_bytes([body[0], body[1]]), sequence, u64_at(6), u64_at(14)))
 }
 
 /// A message of a file.
@@ -627,6 +623,8 @@ pub struct Messages {
     channels: BTreeSet<u16>,
     times: Range<u64>,
     heap: BinaryHeap<Reverse<Waiting>>,
+    /// Chunks of which messages wait or are in use.
+    held: Vec<Weak<Vec<u8>>>,
 }
 
 #[derive(Debug)]
@@ -682,35 +680,172 @@ impl Messages {
         span.last >= self.times.start && span.channels.as_ref().is_none_or(wanted)
     }
 
-    fn load(&mut self, span: &Span) -> Result<(), LogError> {
+    /// The records of a chunk, or of a message outside of chunks.
+    fn chunk(&mut self, span: &Span) -> Result<Vec<u8>, LogError> {
         let damaged = |reason: String| LogError::damaged(&self.path, span.offset, reason);
         let size = self.file.metadata().map_err(LogError::io(&self.path, "read"))?.len();
         let bytes = read_at(&mut self.file, span.offset, span.length, size).map_err(damaged)?;
-        let data = match bytes[0] {
-            op::MESSAGE => bytes,
-            _ => unpack(&bytes).map_err(damaged)?,
-        };
-        let chunk = Arc::new(data);
+        match whole_record(&bytes).map_err(damaged)? {
+            (op::MESSAGE, _) => Ok(bytes),
+            (op::CHUNK, body) => unpack(body).map_err(damaged),
+            (other, _) => Err(damaged(format!(
+                "expected a chunk here, found a record of type {other:#04x}"
+            ))),
+        }
+    }
+
+    /// Chunks of one time are unpacked together: a file must not make more of them than of one great chunk.
+    fn hold(&mut self, chunk: &Arc<Vec<u8>>, offset: u64) -> Result<(), LogError> {
+        self.held.retain(|held| held.strong_count() > 0);
+        self.held.push(Arc::downgrade(chunk));
+        let bytes: u64 = self
+            .held
+            .iter()
+            .filter_map(Weak::upgrade)
+            .map(|held| held.len() as u64)
+            .sum();
+        let size = self.file.metadata().map_err(LogError::io(&self.path, "read"))?.len();
+        let most = most_unpacked(size);
+        match bytes <= most {
+            true => Ok(()),
+            false => Err(LogError::damaged(
+                &self.path,
+                offset,
+                format!(
+                    "chunks that overlap in time unpack to {bytes} bytes; of a file of {size} at most {most} are \
+                     believed"
+                ),
+            )),
+        }
+    }
+
+    fn load(&mut self, span: &Span) -> Result<(), LogError> {
+        let path = self.path.clone();
+        let damaged = |reason: String| LogError::damaged(&path, span.offset, reason);
+        let chunk = Arc::new(self.chunk(span)?);
+        self.hold(&chunk, span.offset)?;
         for record in records(&chunk) {
             let (opcode, body) = record.map_err(damaged)?;
             if opcode != op::MESSAGE {
                 continue;
             }
-            let (channel, sequence, log_time, publish_time) = message_head(&chunk[body.clone()]).map_err(damaged)?;
-            if self.channels.contains(&channel) && self.times.contains(&log_time) {
+            let head = MessageRecord::read(&chunk[body.clone()]).map_err(damaged)?;
+            if self.channels.contains(&head.channel) && self.times.contains(&head.log_time) {
                 let order = (span.offset, body.start);
-                let body = body.start + MESSAGE_HEAD..body.end;
                 let message = RawMessage {
-                    channel,
-                    sequence,
-                    log_time,
-                    publish_time,
+                    channel: head.channel,
+                    sequence: head.sequence,
+                    log_time: head.log_time,
+                    publish_time: head.publish_time,
                     chunk: chunk.clone(),
-                    body,
+                    body: body.start + MESSAGE_HEAD..body.end,
                 };
                 self.heap.push(Reverse(Waiting(message, order)));
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stretches_lie_in_the_file_and_apart() {
+        let apart = |stretches: &[(u64, u64)]| are_apart(stretches.to_vec(), 100);
+        assert!(apart(&[]) && apart(&[(8, 9)]) && apart(&[(50, 50), (8, 42)]) && apart(&[(91, 9)]));
+        for wrong in [
+            &[(7, 20)][..],
+            &[(8, 8)],
+            &[(8, 0)],
+            &[(92, 9)],
+            &[(8, 93)],
+            &[(8, 20), (27, 9)],
+            &[(8, 20), (8, 20)],
+            &[(8, u64::MAX)],
+            &[(u64::MAX, 9)],
+        ] {
+            assert!(!apart(wrong), "{wrong:?}");
+        }
+    }
+
+    fn summary() -> Summary {
+        let channel = ChannelInfo {
+            topic: "/x".into(),
+            schema: String::new(),
+            encoding: "cdr".into(),
+            messages: 0,
+        };
+        Summary {
+            stats: Some(Statistics {
+                messages: 3,
+                metadata: 1,
+                chunks: 1,
+                first: 5,
+                last: 6,
+                counts: BTreeMap::from([(0, 1), (1, 2)]),
+            }),
+            channels: BTreeMap::from([(0, channel.clone()), (1, channel)]),
+            chunks: vec![ChunkIndex {
+                first: 5,
+                last: 6,
+                offset: 8,
+                length: 200,
+                channels: BTreeSet::new(),
+                packed: 93,
+                unpacked: 93,
+            }],
+            metadata: vec![MetadataIndex { offset: 208, length: 9 }],
+        }
+    }
+
+    #[test]
+    fn an_index_is_used_only_if_it_fits_the_file() {
+        assert!(summary().fits(217));
+        type Change = fn(&mut Summary, &mut Statistics);
+        let changes: [Change; 14] = [
+            |_, stats| stats.messages = 4,
+            |_, stats| stats.messages = 2,
+            |_, stats| stats.metadata = 0,
+            |_, stats| stats.chunks = 2,
+            |_, stats| stats.first = 7,
+            |_, stats| stats.counts = BTreeMap::from([(0, 1), (2, 2)]),
+            |_, stats| stats.counts = BTreeMap::from([(0, u64::MAX), (1, 4)]),
+            // A message takes 31 bytes.
+            |summary, _| summary.chunks[0].unpacked = 92,
+            |summary, _| summary.chunks[0].unpacked = most_unpacked(93) + 1,
+            |summary, _| summary.chunks[0].packed = 201,
+            |summary, _| summary.chunks[0].offset = 9,
+            |summary, _| summary.metadata[0].length = 10,
+            |summary, _| summary.metadata[0].offset = 207,
+            |summary, _| summary.metadata.clear(),
+        ];
+        for (k, change) in changes.into_iter().enumerate() {
+            let mut changed = summary();
+            let mut stats = changed.stats.take().unwrap();
+            change(&mut changed, &mut stats);
+            changed.stats = Some(stats);
+            assert!(!changed.fits(217), "change {k}");
+        }
+        let bare = Summary {
+            stats: None,
+            ..summary()
+        };
+        assert!(!bare.fits(217) && !summary().fits(216));
+    }
+
+    #[test]
+    fn whole_records_have_the_length_that_they_say() {
+        let record = [&[op::METADATA][..], &3u64.to_le_bytes(), b"abc"].concat();
+        assert_eq!(whole_record(&record), Ok((op::METADATA, &b"abc"[..])));
+        for wrong in [
+            &record[..11],
+            &[&record[..], b"x"].concat(),
+            &[&record[..], &record[..]].concat(),
+            &[],
+        ] {
+            assert!(whole_record(wrong).is_err(), "{wrong:?}");
+        }
     }
 }

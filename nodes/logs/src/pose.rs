@@ -51,6 +51,32 @@ pub fn encode_transform(
     write_isometry(&mut out, parent_from_child);
 }
 
+/// A transform of a `tf2_msgs/msg/TFMessage`.
+pub(crate) struct Transform<'a> {
+    pub stamp: Nanos,
+    pub parent: &'a str,
+    pub child: &'a str,
+    pub parent_from_child: Isometry3<f64>,
+}
+
+/// Reads a `tf2_msgs/msg/TFMessage`.
+pub(crate) fn decode_transforms(payload: &[u8]) -> Result<Vec<Transform<'_>>, CdrError> {
+    let mut input = CdrReader::new(payload)?;
+    let mut transforms = Vec::new();
+    for _ in 0..input.length(70)? {
+        let (stamp, parent) = input.header()?;
+        let child = input.string()?;
+        let parent_from_child = isometry(&input.f64s()?).map_err(|reason| format!("frame `{child}`: {reason}"))?;
+        transforms.push(Transform {
+            stamp,
+            parent,
+            child,
+            parent_from_child,
+        });
+    }
+    Ok(transforms)
+}
+
 /// x y z and the quaternion x y z w.
 pub(crate) fn parts(pose: &Isometry3<f64>) -> [f64; 7] {
     let (t, q) = (&pose.translation, &pose.rotation);

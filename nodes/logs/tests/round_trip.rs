@@ -389,6 +389,47 @@ fn two_agents_of_one_name_in_a_file_are_refused() {
     assert!(error.contains("two agents are named `a`"), "{error}");
 }
 
+#[test]
+fn a_wrong_index_is_not_believed_and_nothing_is_missing() {
+    let (dir, path) = made();
+    let whole = times(&path);
+    let topics = Log::open(&path).unwrap().topics();
+    let bytes = fs::read(&path).unwrap();
+    // The last bytes are the footer's length, the index' start, that of its offsets, its checksum, and the magic.
+    let start = u64::from_le_bytes(bytes[bytes.len() - 28..][..8].try_into().unwrap()) as usize;
+    let other = dir.path().join("other.mcap");
+    let topic = b"/cav1/points";
+    let named = start
+        + bytes[start..]
+            .windows(topic.len())
+            .position(|bytes| bytes == topic)
+            .unwrap();
+    let statistics = (start..bytes.len() - 37)
+        .find(|at| bytes[*at] == mcap::records::op::STATISTICS && bytes[at + 2..at + 9] == [0; 7])
+        .unwrap();
+    for (at, crc) in [
+        (statistics + 9, false),
+        (statistics + 9, true),
+        (named + 5, true),
+        (bytes.len() - 28, true),
+        (bytes.len() - 12, true),
+    ] {
+        let mut changed = bytes.clone();
+        changed[at] ^= 1;
+        if !crc {
+            let end = changed.len() - 12;
+            let sum = crc32fast::hash(&changed[start..end]);
+            changed[end..end + 4].copy_from_slice(&sum.to_le_bytes());
+        }
+        fs::write(&other, changed).unwrap();
+        let log = Log::open(&other).unwrap();
+        assert!(log.truncation().is_none(), "{at}");
+        assert_eq!(log.topics(), topics, "{at}");
+        assert!(times(&other) == whole, "{at}");
+        assert_eq!(log.key_frames().unwrap()["cav1"].len(), SWEEPS / 2);
+    }
+}
+
 fn shared() -> Option<std::path::PathBuf> {
     let shared = std::env::var_os("REALO_SHARED").map(std::path::PathBuf::from);
     if shared.is_none() {

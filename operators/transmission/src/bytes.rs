@@ -26,6 +26,9 @@ pub enum EncodeError {
     /// A number that is not finite, or a quaternion that is not of length 1.
     #[error("{0} is not finite, or its quaternion is not of length 1")]
     NotFinite(&'static str),
+    /// A feature map without elements.
+    #[error("a feature map of {0:?} rows, columns and channels has no elements")]
+    Empty([u32; 3]),
     /// Columns or data whose length is not what the payload says.
     #[error("{field}: {found} bytes of data, its dimensions say {expected}")]
     Length {
@@ -102,15 +105,14 @@ impl<'a> Reader<'a> {
 
     /// The next `count` elements of `size` bytes each; the length is checked before anything is allocated.
     pub fn take(&mut self, count: usize, size: usize, field: &'static str) -> Result<&'a [u8], DecodeError> {
-        let needed = count as u64 * size as u64;
-        if needed > self.rest.len() as u64 {
+        let needed = count.saturating_mul(size);
+        let Some((taken, rest)) = self.rest.split_at_checked(needed) else {
             return Err(DecodeError::Truncated {
                 field,
-                needed,
+                needed: needed as u64,
                 left: self.rest.len(),
             });
-        }
-        let (taken, rest) = self.rest.split_at(needed as usize);
+        };
         self.rest = rest;
         Ok(taken)
     }
@@ -308,18 +310,20 @@ mod tests {
     #[test]
     fn lengths_are_checked_before_anything_is_taken() {
         let mut reader = Reader::new(&[1, 2, 3]);
-        let error = reader.take(usize::MAX / 8, 4, "x").unwrap_err();
-        assert!(
-            matches!(
-                error,
-                DecodeError::Truncated {
-                    field: "x",
-                    left: 3,
-                    ..
-                }
-            ),
-            "{error}"
-        );
+        for (count, size, needed) in [
+            (4, 1, 4),
+            (2, 2, 4),
+            (1 << 40, 4, 1 << 42),
+            (1 << 62, 4, u64::MAX),
+            (usize::MAX, 8, u64::MAX),
+        ] {
+            let (field, left) = ("x", 3);
+            assert_eq!(
+                reader.take(count, size, "x"),
+                Err(DecodeError::Truncated { field, needed, left })
+            );
+        }
+        assert_eq!(reader.take(usize::MAX, 0, "x"), Ok(&[][..]));
         assert_eq!(reader.u16("n"), Ok(0x0201));
         assert_eq!(reader.end(), Err(DecodeError::Trailing(1)));
     }

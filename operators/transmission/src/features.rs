@@ -8,7 +8,11 @@ use crate::bytes::{DecodeError, EncodeError, Reader, put_f64s, put_text};
 const DTYPES: [DType; 4] = [DType::F32, DType::F16, DType::Bf16, DType::U8];
 
 pub(crate) fn write(out: &mut Vec<u8>, map: &FeatureMap) -> Result<(), EncodeError> {
-    let expected = size([map.rows, map.columns, map.channels], map.dtype);
+    let dimensions = [map.rows, map.columns, map.channels];
+    if dimensions.contains(&0) {
+        return Err(EncodeError::Empty(dimensions));
+    }
+    let expected = size(dimensions, map.dtype);
     if map.data.len() as u128 != expected {
         return Err(EncodeError::Length {
             field: "feature map",
@@ -41,6 +45,14 @@ fn size(dimensions: [u32; 3], dtype: DType) -> u128 {
 
 pub(crate) fn read(bytes: &mut Reader) -> Result<FeatureMap, DecodeError> {
     let dimensions = [bytes.u32("rows")?, bytes.u32("columns")?, bytes.u32("channels")?];
+    // Without elements the other dimensions could say anything.
+    if dimensions.contains(&0) {
+        return Err(DecodeError::Value {
+            field: "rows, columns and channels",
+            expected: "at least 1 of each",
+            found: format!("{dimensions:?}"),
+        });
+    }
     let [cell, x, y] = bytes.f64s::<3>("cell and origin")?;
     if cell <= 0.0 {
         return Err(DecodeError::Value {

@@ -8,4 +8,4 @@ mod pcd;
 
 pub use dair::{ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, lidar_height};
 pub use error::ImportError;
-pub use pcd::{PcdCloud, read_pcd};
+pub use pcd::{PcdCloud, parse_pcd, read_pcd};

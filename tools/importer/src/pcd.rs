@@ -1,5 +1,6 @@
 //! PCD files as DAIR-V2X-C has them: `DATA binary_compressed` (LZF, fields one after another), or `DATA binary`.
 
+use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 
@@ -26,19 +27,14 @@ pub struct PcdCloud {
 /// A file that cannot be read; a head, a field or a length that does not fit, by name.
 pub fn read_pcd(path: &Path) -> Result<PcdCloud, ImportError> {
     let bytes = fs::read(path).map_err(ImportError::io(path))?;
-    parse(&bytes).map_err(|reason| ImportError::content(path, reason))
+    parse_pcd(&bytes).map_err(|reason| ImportError::content(path, reason))
 }
 
-struct Field {
-    name: String,
-    size: usize,
-    kind: String,
-    /// First byte of the field's first value, and from one value to the next.
-    start: usize,
-    step: usize,
-}
-
-fn parse(bytes: &[u8]) -> Result<PcdCloud, String> {
+/// Reads the bytes of a PCD file. What they claim is compared with how many they are before anything is allocated.
+///
+/// # Errors
+/// A head, a field or a length that does not fit, by name.
+pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
     let (head, body) = split_head(bytes)?;
     let words = |key: &str| -> Result<Vec<&str>, String> {
         let line = head.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
@@ -69,10 +65,10 @@ fn parse(bytes: &[u8]) -> Result<PcdCloud, String> {
     if words("COUNT").is_ok_and(|counts| counts.iter().any(|count| *count != "1")) {
         return Err("COUNT: expected 1 for every field".into());
     }
-    let point_size = sizes
-        .iter()
-        .try_fold(0usize, |sum, size| sum.checked_add(*size))
-        .unwrap_or(usize::MAX);
+    if let Some(size) = sizes.iter().find(|size| !matches!(size, 1 | 2 | 4 | 8)) {
+        return Err(format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}"));
+    }
+    let point_size: usize = sizes.iter().sum();
     let total = points.checked_mul(point_size).filter(|total| *total < 1 << 31);
     let total = total.ok_or_else(|| format!("{points} points of {point_size} bytes are too many"))?;
     let data = words("DATA")?;
@@ -81,15 +77,15 @@ fn parse(bytes: &[u8]) -> Result<PcdCloud, String> {
         Some("binary") => false,
         other => {
             return Err(format!(
-                "DATA: expected binary_compressed or binary, found `{}`",
+                "DATA: expected binary_compressed or binary, found `{}`; save the cloud as one of these",
                 other.unwrap_or_default()
             ));
         }
     };
     let values = if compressed {
-        decompress_body(body, total)?
+        Cow::Owned(decompress_body(body, total)?)
     } else {
-        body.get(..total).unwrap_or(body).to_vec()
+        Cow::Borrowed(body.get(..total).unwrap_or(body))
     };
     if values.len() != total {
         return Err(format!(
@@ -116,6 +112,15 @@ fn parse(bytes: &[u8]) -> Result<PcdCloud, String> {
         })
         .collect();
     columns(&values, &fields, points)
+}
+
+struct Field {
+    name: String,
+    size: usize,
+    kind: String,
+    /// First byte of the field's first value, and from one value to the next.
+    start: usize,
+    step: usize,
 }
 
 fn split_head(bytes: &[u8]) -> Result<(&str, &[u8]), String> {
@@ -193,8 +198,17 @@ fn decompress_body(body: &[u8], total: usize) -> Result<Vec<u8>, String> {
     lzf(packed, total)
 }
 
+/// Most bytes that one of LZF makes: three say how 264 are copied.
+const LZF_RATIO: usize = 88;
+
 /// Undoes LZF (Marc Lehmann's format): literal runs, and copies from at most 8 KiB back.
 fn lzf(packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
+    if size > packed.len().saturating_mul(LZF_RATIO) {
+        return Err(format!(
+            "expected {size} bytes of points, {} compressed bytes cannot hold them",
+            packed.len()
+        ));
+    }
     let mut out = Vec::with_capacity(size);
     let mut bytes = packed.iter().copied();
     let mut next = || bytes.next().ok_or("the compressed points end early".to_string());
@@ -256,7 +270,7 @@ mod tests {
         let mut file = head("x y z intensity", "4 4 4 4", "F F F F", 2, "binary_compressed");
         file.extend(literals(&values));
         file.extend([0; 3900]);
-        let cloud = parse(&file).unwrap();
+        let cloud = parse_pcd(&file).unwrap();
         assert_eq!(
             (cloud.x, cloud.y, cloud.z),
             (vec![1.0, -2.0], vec![3.0, 4.0], vec![5.0, 6.0])
@@ -270,7 +284,7 @@ mod tests {
         file.extend([1.5f32, 2.5, 3.5].iter().flat_map(|v| v.to_le_bytes()));
         file.push(200);
         file.extend(1626240241.5f64.to_le_bytes());
-        let cloud = parse(&file).unwrap();
+        let cloud = parse_pcd(&file).unwrap();
         assert_eq!(
             (cloud.x[0], cloud.intensity[0], cloud.timestamp),
             (1.5, 200, Some(vec![1626240241.5]))
@@ -283,22 +297,37 @@ mod tests {
         assert_eq!(lzf(&[0, b'x', 0xe0, 3, 0], 13).unwrap(), b"xxxxxxxxxxxxx");
         assert!(lzf(&[0x20, 0], 3).unwrap_err().contains("before their start"));
         assert!(lzf(&[0], 1).unwrap_err().contains("end early"));
+        let longest = [&[0, b'x'][..], &[0xe0, 255, 0].repeat(3)].concat();
+        assert_eq!(lzf(&longest, 793).unwrap(), [b'x'; 793]);
+        assert!(lzf(&longest, 11 * 88).unwrap_err().contains("end early"));
+        assert!(
+            lzf(&longest, 11 * 88 + 1)
+                .unwrap_err()
+                .contains("11 compressed bytes cannot hold them")
+        );
         assert!(lzf(&[1, 1, 2], 1).unwrap_err().contains("unpacked 2"));
     }
 
     #[test]
     fn names_what_does_not_fit() {
-        let error = parse(b"not a cloud").unwrap_err();
+        let error = parse_pcd(b"not a cloud").unwrap_err();
         assert!(error.contains("no line `DATA`"), "{error}");
-        let error = parse(&head("x y", "4 4", "F F", 0, "binary")).unwrap_err();
+        let error = parse_pcd(&head("x y", "4 4", "F F", 0, "binary")).unwrap_err();
         assert!(error.contains("no field `z`"), "{error}");
-        let error = parse(&head("x y z", "4 4 8", "F F F", 0, "binary")).unwrap_err();
+        let error = parse_pcd(&head("x y z", "4 4 8", "F F F", 0, "binary")).unwrap_err();
         assert!(error.contains("field `z`: expected TYPE F SIZE 4"), "{error}");
-        let error = parse(&head("x y z", "4 4 4", "F F F", 3, "binary")).unwrap_err();
+        let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "binary")).unwrap_err();
         assert!(error.contains("expected 36 bytes for 3 points, found 0"), "{error}");
-        let error = parse(&head("x y z", "4 4 4", "F F F", 3, "ascii")).unwrap_err();
+        for size in ["0", "3", "18446744073709551615"] {
+            let error = parse_pcd(&head("x y z", &format!("4 4 {size}"), "F F F", 0, "binary")).unwrap_err();
+            assert_eq!(
+                error,
+                format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}")
+            );
+        }
+        let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "ascii")).unwrap_err();
         assert!(error.contains("found `ascii`"), "{error}");
-        let error = parse(&head("x y z", "4 4 4", "F F F", usize::MAX, "binary_compressed")).unwrap_err();
+        let error = parse_pcd(&head("x y z", "4 4 4", "F F F", usize::MAX, "binary_compressed")).unwrap_err();
         assert!(error.contains("too many"), "{error}");
     }
 }

@@ -346,6 +346,31 @@ fn sweeps_have_their_times_and_stand_on_the_ground() {
     }
 }
 
+#[test]
+fn the_vehicle_has_an_outline_and_no_recorded_label_lies_in_it() {
+    let Some((_dir, log)) = imported(RoadsideStamp::Start) else {
+        return;
+    };
+    let footprint = |agent: &str| log.info().agent(agent).unwrap().footprint;
+    assert_eq!(
+        (footprint(VEHICLE), footprint(ROADSIDE)),
+        (Some([-2.3, 2.3, -0.95, 0.95]), None)
+    );
+    // So the known answers are the same with and without it.
+    let mut nearest = f64::INFINITY;
+    for (ego, other) in sweeps(&log, VEHICLE).iter().zip(&sweeps(&log, ROADSIDE)) {
+        let ego_from_other = ego.map_from_body.inv_mul(&other.map_from_body);
+        for object in &other.detections {
+            let center = ego_from_other * Point3::from(object.center);
+            nearest = nearest.min(center.x.hypot(center.y));
+        }
+    }
+    assert!(
+        (nearest - 21.35).abs() < 0.1,
+        "the roadside unit's label nearest to the vehicle: {nearest} m"
+    );
+}
+
 fn copy(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {

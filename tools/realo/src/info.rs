@@ -1,4 +1,4 @@
-//! `realo info`: what a log holds.
+//! `realo info`: what a log or a recording holds.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use eyre::Result;
 
 use crate::Outcome;
 
-/// Describes a log
+/// Describes a log, or a recording of a run
 #[derive(clap::Args)]
 pub struct Args {
     /// MCAP files
@@ -17,17 +17,17 @@ pub struct Args {
     json: bool,
 }
 
-/// Prints a description of each log; a truncated one is reported and ends with 3.
+/// Prints a description of each file; a truncated one is reported and ends with 3.
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.logs {
-        let description = realo_logs::describe(path)?;
+        let described = realo_logs::describe_any(path)?;
         if args.json {
-            println!("{}", serde_json::to_string_pretty(&description)?);
+            println!("{}", serde_json::to_string_pretty(&described)?);
         } else {
-            println!("{description}");
+            println!("{described}");
         }
-        if description.truncated.is_some() {
+        if described.truncated().is_some() {
             outcome = Outcome::Partial;
         }
     }

@@ -1,0 +1,147 @@
+//! A log that `python/realo_log.py` wrote from numpy arrays is read, described and played as one of ours.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use realo_logs::{Log, Stream, describe};
+use realo_player::{Config, Player};
+use realo_runtime::{Describe, Source};
+use realo_schemas::{Message, Payload};
+
+/// A Python with numpy; one in a virtual environment under the build folder if the system's has none.
+fn python() -> Option<PathBuf> {
+    let venv = Path::new(env!("CARGO_TARGET_TMPDIR")).join("numpy-venv");
+    let own = venv.join("bin/python");
+    let run = |command: &mut Command| command.output().is_ok_and(|out| out.status.success());
+    let has = |python: &Path| run(Command::new(python).args(["-c", "import numpy"]));
+    if let Some(found) = [PathBuf::from("python3"), own.clone()]
+        .into_iter()
+        .find(|python| has(python))
+    {
+        return Some(found);
+    }
+    let made = run(Command::new("python3").args(["-m", "venv"]).arg(&venv))
+        && run(Command::new(&own).args(["-m", "pip", "install", "--quiet", "numpy"]));
+    (made && has(&own)).then_some(own)
+}
+
+const SCRIPT: &str = r#"
+import sys
+import numpy as np
+from realo_log import LogWriter, agent, boxes
+
+S, MS = 1_700_000_000_000_000_000, 1_000_000
+agents = [agent("car", "vehicle", footprint=[-1, 3.5, -0.9, 0.9], sensor="64 beams"), agent("mast", "roadside")]
+with LogWriter(sys.argv[1], agents, source="a test", key_frames="even sweeps") as log:
+    for tick in range(200):
+        now = S + tick * 10 * MS
+        for name in "car", "mast":
+            x = 0.1 * tick if name == "car" else 50.0
+            log.pose(name, now, [x, 2.0, 0.25], [0, 0, 0, 1], ready=now + MS)
+            log.pose(name, now, [x + 0.5, 2.0, 0.25], [0, 0, 0, 1], np.eye(6), ready=now + MS, truth=True)
+            if tick % 10 == 5:
+                k = tick // 10
+                points = np.arange(3 * (20_000 + k), dtype=np.float32).reshape(-1, 3)
+                end = now + 50 * MS
+                log.sweep(name, now, points, intensity=k, time=np.arange(len(points)), ring=np.arange(len(points)) % 64,
+                          ready=end)
+                b = boxes([[10, k, 0.8], [20, 0, 0.8]], [[4.5, 1.9, 1.6]] * 2, [0.25, -3.0], ["car", "bus"],
+                          score=[0.75, 0.5], velocity=[[1, 2, 0], [np.nan] * 3], track=[7, 8])
+                log.detections(name, now, b, ready=end)
+                log.truth(name, now, b, points=[k, 3], key=k % 2 == 0, ready=end)
+try:
+    log.pose("bus", S, [0, 0, 0], [0, 0, 0, 1])
+    sys.exit("an agent that the log does not have was taken")
+except ValueError as error:
+    assert "`bus`" in str(error), error
+"#;
+
+#[test]
+fn a_log_from_numpy_arrays_is_read_and_played() {
+    let Some(python) = python() else {
+        let _ = writeln!(
+            std::io::stderr(),
+            "SKIPPED: no Python 3 with numpy, and pip could not install it: python/realo_log.py is not tested"
+        );
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("python.mcap");
+    let module = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../python");
+    let out = Command::new(python)
+        .env("PYTHONPATH", module)
+        .args(["-B", "-c", SCRIPT])
+        .arg(&path)
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+
+    let log = Log::open(&path).unwrap();
+    assert!(log.truncation().is_none());
+    assert_eq!(log.info().agent("car").unwrap().footprint, Some([-1.0, 3.5, -0.9, 0.9]));
+    assert_eq!(log.key_frames().unwrap()["mast"].len(), 10);
+    let mut reader = log
+        .read_all(&[("mast", Stream::Points), ("car", Stream::PoseTruth)])
+        .unwrap();
+    let (mut sweeps, mut poses) = (0, 0);
+    while let Some(entry) = reader.next().unwrap() {
+        if entry.stream == Stream::PoseTruth {
+            let state = entry.pose().unwrap();
+            assert_eq!(state.map_from_body.translation.x, 0.1 * f64::from(poses) + 0.5);
+            assert_eq!(state.covariance.unwrap()[7], 1.0);
+            poses += 1;
+            continue;
+        }
+        let cloud = entry.cloud().unwrap();
+        assert_eq!((entry.seq(), cloud.len()), (sweeps, 20_000 + sweeps as usize));
+        assert_eq!((cloud.y[2], cloud.z[100]), (7.0, 302.0));
+        assert_eq!(
+            (cloud.intensity[9], cloud.time[70], cloud.ring[70]),
+            (sweeps as u8, 70, 6)
+        );
+        sweeps += 1;
+    }
+    assert_eq!((sweeps, poses), (20, 200));
+    let description = describe(&path).unwrap();
+    assert!((description.topics["/car/points"].rate_hz.unwrap() - 10.0).abs() < 1e-9);
+    assert_eq!(description.topics["/car/ground_truth"].channel.messages, 20);
+    assert_eq!(description.sweeps["car"].problem, None);
+
+    let mut player = Player::new(Config {
+        log: path,
+        ..Config::default()
+    })
+    .unwrap();
+    let mut played: Vec<(&str, Message)> = Vec::new();
+    while let Some((_, port, message)) = player.next().unwrap() {
+        played.push((Player::OUTPUTS[port.0].name, message));
+    }
+    assert_eq!(player.counters(), Default::default());
+    let on = |port: &str| -> Vec<&Message> {
+        let of_port = played.iter().filter(|(name, _)| *name == port);
+        of_port.map(|(_, message)| message).collect()
+    };
+    for port in ["ego_clouds", "clouds", "ego_recorded", "recorded", "truth"] {
+        assert_eq!(on(port).len(), 20, "{port}");
+    }
+    assert_eq!(on("ego_poses").len(), 200);
+    let Payload::Boxes(boxes) = &on("recorded")[4].payload else {
+        panic!("not boxes")
+    };
+    let [first, second] = &boxes.0[..] else {
+        panic!("{boxes:?}")
+    };
+    assert_eq!((first.center, first.yaw, first.score), ([10.0, 4.0, 0.8], 0.25, 0.75));
+    assert_eq!((first.length, first.width, first.height), (4.5, 1.9, 1.6));
+    assert_eq!(
+        (first.velocity, first.track, &*first.class),
+        (Some([1.0, 2.0, 0.0]), Some(7), "car")
+    );
+    assert_eq!((second.velocity, second.yaw, &*second.class), (None, -3.0, "bus"));
+    let Payload::GroundTruth(truth) = &on("truth")[4].payload else {
+        panic!("not truth")
+    };
+    assert_eq!(truth.points, [4, 4, 3, 3]);
+    assert!(truth.key && truth.ego_footprint == Some([-1.0, 3.5, -0.9, 0.9]));
+}
