@@ -151,3 +151,164 @@ impl<T> Set<T> {
         out.send(FUSED, Message::new(self.header, fused));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, Translation3, UnitQuaternion};
+    use realo_schemas::{Boxes, EgoState, Kind, Pose, PoseStatus};
+
+    use super::*;
+
+    fn pose(x: f64, yaw: f64) -> Isometry3<f64> {
+        Isometry3::from_parts(
+            Translation3::new(1e5 + x, -1e5, 3.0),
+            UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+        )
+    }
+
+    fn header(agent: &str, seq: u64) -> Header {
+        let mut header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, seq, 100, 180);
+        header.to = Some("cav1".into());
+        header
+    }
+
+    fn boxes(agent: &str, x: f64) -> Message {
+        let mut header = header(agent, 3);
+        (header.stamp, header.pose) = (40, Some(Pose::exact(pose(x, 0.5))));
+        Message::new(header, Boxes::default())
+    }
+
+    fn ego(seq: u64) -> Message {
+        let mut header = header("cav1", seq);
+        header.pose = Some(Pose::exact(pose(0.0, 0.1)));
+        Message::new(header, Boxes::default())
+    }
+
+    fn selection(query: u64, of: &Message, entries: Vec<Message>) -> Message {
+        Message::new(of.header.clone(), Selection { query, entries })
+    }
+
+    fn agents(set: &Set<Boxes>) -> Vec<&str> {
+        set.collaborators.iter().map(|one| &*one.header.agent).collect()
+    }
+
+    fn paired(entries: Vec<Message>, limit: Option<usize>) -> Set<Boxes> {
+        let mut pairing = Pairing::default();
+        pairing.ego(ego(7));
+        pairing.selection(selection(7, &ego(7), entries), limit).unwrap()
+    }
+
+    #[test]
+    fn a_selection_finds_only_the_message_that_asked_for_it() {
+        let other = |query, agent: &str| {
+            let mut asked = ego(7);
+            asked.header.agent = agent.into();
+            let mut pairing = Pairing::default();
+            pairing.ego(ego(7));
+            let error = pairing.selection::<Boxes>(selection(query, &asked, vec![]), None).err();
+            error.map(|error| error.to_string())
+        };
+        assert_eq!(other(7, "cav1"), None);
+        assert!(other(6, "cav1").unwrap().contains("query 6 of cav1"));
+        assert!(other(7, "cav2").unwrap().contains("query 7 of cav2"));
+        let mut pairing = Pairing::default();
+        let alone = pairing
+            .selection::<Boxes>(selection(7, &ego(7), vec![]), None)
+            .unwrap_err();
+        assert!(alone.to_string().contains("without the ego's message"));
+        pairing.ego(ego(7));
+        pairing.selection::<Boxes>(selection(7, &ego(7), vec![]), None).unwrap();
+        let again = pairing.selection::<Boxes>(selection(7, &ego(7), vec![]), None);
+        assert!(again.is_err(), "the ego's message is used up");
+    }
+
+    #[test]
+    fn collaborators_stand_by_name_and_the_first_fill_the_limit() {
+        let entries = || ["rsu1", "cav3", "cav2"].map(|agent| boxes(agent, 5.0)).to_vec();
+        assert_eq!(agents(&paired(entries(), None)), ["cav2", "cav3", "rsu1"]);
+        let set = paired(entries(), Some(2));
+        assert_eq!(agents(&set), ["cav2", "cav3"]);
+        let left: Vec<_> = set
+            .left_out
+            .iter()
+            .map(|(header, fate)| (&*header.agent, *fate))
+            .collect();
+        assert_eq!(left, [("rsu1", Fate::OverLimit)]);
+        assert_eq!(agents(&paired(entries(), Some(3))).len(), 3);
+    }
+
+    #[test]
+    fn places_a_collaborator_by_the_poses_of_the_two_stamps() {
+        let set = paired(vec![boxes("cav2", 12.0)], None);
+        let point = Point3::new(2.0, -3.0, 1.0);
+        let there = pose(12.0, 0.5) * point;
+        let here = pose(0.0, 0.1) * (set.collaborators[0].ego_from_sender * point);
+        assert!((there - here).norm() < 1e-9);
+    }
+
+    #[test]
+    fn leaves_out_what_has_no_place_or_is_something_else() {
+        let mut lost = boxes("cav2", 1.0);
+        lost.header.pose = None;
+        let state = EgoState {
+            map_from_body: pose(0.0, 0.0),
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Truth,
+        };
+        let other = Message::new(boxes("cav3", 1.0).header, state);
+        let set = paired(vec![lost, other, boxes("rsu1", 1.0)], Some(1));
+        assert_eq!(agents(&set), ["rsu1"], "who is left out takes no place");
+        let left: Vec<_> = set
+            .left_out
+            .iter()
+            .map(|(header, fate)| (&*header.agent, *fate))
+            .collect();
+        assert_eq!(left, [("cav2", Fate::Rejected), ("cav3", Fate::Rejected)]);
+
+        let mut nowhere = ego(7);
+        nowhere.header.pose = None;
+        let mut pairing = Pairing::default();
+        pairing.ego(nowhere);
+        let set: Set<Boxes> = pairing
+            .selection(selection(7, &ego(7), vec![boxes("rsu1", 1.0)]), None)
+            .unwrap();
+        assert!(set.collaborators.is_empty() && set.left_out[0].1 == Fate::Rejected);
+    }
+
+    #[test]
+    fn other_frames_are_left_out_when_points_stay_where_they_are() {
+        let mut projected = boxes("cav2", 1.0);
+        projected.header.frame = ego(7).header.frame;
+        let mut set = paired(vec![projected, boxes("rsu1", 1.0)], None);
+        set.reject_other_frames();
+        assert_eq!(agents(&set), ["cav2"]);
+        assert_eq!((&*set.left_out[0].0.agent, set.left_out[0].1), ("rsu1", Fate::Rejected));
+    }
+
+    #[test]
+    fn sends_with_the_egos_header_and_says_what_became_of_everybody() {
+        let mut lost = boxes("cav3", 1.0);
+        lost.header.pose = None;
+        let set = paired(vec![boxes("cav2", 1.0), lost, boxes("rsu1", 1.0)], Some(1));
+        let mut out = Outputs::at(200);
+        set.send(Boxes::default(), &mut out);
+        let fates: Vec<_> = out
+            .take_fates()
+            .into_iter()
+            .map(|fated| (fated.message.from, fated.fate, fated.r#use.map(|u| (u.query, u.age_ns))))
+            .collect();
+        let expected = [
+            ("cav2".to_string(), Fate::Used, Some((7, 140))),
+            ("cav3".to_string(), Fate::Rejected, None),
+            ("rsu1".to_string(), Fate::OverLimit, None),
+        ];
+        assert_eq!(fates, expected);
+        let counted = ["over_limit_messages", "rejected_messages"].map(|counter| out.counted(counter));
+        assert_eq!(counted, [1, 1]);
+        let sent = out.take_sent();
+        assert_eq!((sent.len(), sent[0].0, sent[0].1.header.seq), (1, FUSED, 7));
+        assert_eq!(&*sent[0].1.header.agent, "cav1");
+    }
+}

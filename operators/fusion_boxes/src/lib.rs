@@ -114,9 +114,9 @@ impl Operator for FusionBoxes {
 mod tests {
     use nalgebra::{Isometry3, Point3};
     use realo_engine::testkit::FusionCase;
-    use realo_fusion::{FUSED, REPORT};
-    use realo_schemas::report::{FusionReport, from_report};
-    use realo_schemas::{Header, Kind, PointCloud, Pose, Report, Selection};
+    use realo_fusion::FUSED;
+    use realo_schemas::report::Fate;
+    use realo_schemas::{Header, Kind, PointCloud, Pose, Selection};
 
     use super::*;
 
@@ -143,15 +143,19 @@ mod tests {
     fn header(agent: &str, seq: u64, map_from_body: Option<Isometry3<f64>>) -> Header {
         let mut header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, seq, 50, 80);
         header.pose = map_from_body.map(Pose::exact);
+        header.to = Some("cav1".into());
         header
     }
+
+    /// Who, and what became of its message.
+    type Told = Vec<(String, Fate)>;
 
     fn boxes(agent: &str, map_from_body: Option<Isometry3<f64>>, boxes: Vec<Box3>) -> Message {
         Message::new(header(agent, 3, map_from_body), Boxes(boxes))
     }
 
     /// Feeds one set of an ego 100 km from the map's origin.
-    fn fuse_set(config: Config, ego_boxes: Vec<Box3>, entries: Vec<Message>) -> (Vec<Box3>, FusionReport, Outputs) {
+    fn fuse_set(config: Config, ego_boxes: Vec<Box3>, entries: Vec<Message>) -> (Vec<Box3>, Told, Outputs) {
         let mut operator = FusionBoxes::new(config).unwrap();
         let mut out = Outputs::at(100);
         let ego = header("cav1", 7, Some(pose(1e5, -1e5, 0.4)));
@@ -161,18 +165,19 @@ mod tests {
             .unwrap();
         operator.on_input(SELECTIONS, selection, &mut out).unwrap();
         let mut sent = out.take_sent();
-        assert_eq!(sent.len(), 2);
-        let (report_port, report) = sent.pop().unwrap();
-        let (boxes_port, fused) = sent.pop().unwrap();
-        assert_eq!((boxes_port, report_port), (FUSED, REPORT));
+        assert_eq!(sent.len(), 1);
+        let (port, fused) = sent.remove(0);
+        assert_eq!(port, FUSED);
         let (fused_header, Boxes(fused)) = fused.into_parts().unwrap();
         assert_eq!(
             (fused_header.agent, fused_header.seq, fused_header.pose),
             (ego.agent, 7, ego.pose)
         );
-        let (report_header, report): (Header, Report) = report.into_parts().unwrap();
-        assert_eq!((report_header.kind, &*report.topic), (Kind::Report, "fusion"));
-        (fused, from_report(&report).unwrap(), out)
+        let told = out
+            .take_fates()
+            .into_iter()
+            .map(|fated| (fated.message.from, fated.fate));
+        (fused, told.collect(), out)
     }
 
     #[test]
@@ -227,20 +232,23 @@ mod tests {
             boxes("rsu1", at, vec![numbered(5)]),
             boxes("cav2", at, vec![numbered(3), numbered(4)]),
         ];
-        let (fused, report, _) = fuse_set(Config::default(), vec![numbered(1), numbered(2)], entries);
+        let (fused, told, _) = fuse_set(Config::default(), vec![numbered(1), numbered(2)], entries);
         assert_eq!(
             fused.iter().map(|b| b.track.unwrap()).collect::<Vec<_>>(),
             [1, 2, 3, 4, 5]
         );
-        assert_eq!((report.query, &*report.agent, report.over_limit.len()), (7, "cav1", 0));
+        assert_eq!(
+            told,
+            [("cav2".to_string(), Fate::Used), ("rsu1".to_string(), Fate::Used)]
+        );
     }
 
     #[test]
     fn passes_the_ego_alone_on_without_entries() {
         let own = object([1.0, 2.0, 0.0], 0.0, 0.5);
-        let (fused, report, _) = fuse_set(Config::default(), vec![own.clone()], vec![]);
+        let (fused, told, _) = fuse_set(Config::default(), vec![own.clone()], vec![]);
         assert_eq!(fused, [own]);
-        assert!(report.over_limit.is_empty() && report.rejected.is_empty());
+        assert_eq!(told, []);
     }
 
     #[test]
@@ -254,9 +262,9 @@ mod tests {
             ego_boxes: false,
             ..Config::default()
         };
-        let (fused, report, _) = fuse_set(config, vec![object([1.0, 2.0, 0.0], 0.0, 0.9)], vec![theirs]);
+        let (fused, told, _) = fuse_set(config, vec![object([1.0, 2.0, 0.0], 0.0, 0.9)], vec![theirs]);
         assert_eq!(fused.iter().map(|b| b.score).collect::<Vec<_>>(), [0.5]);
-        assert_eq!(report.query, 7);
+        assert_eq!(told, [("rsu1".to_string(), Fate::Used)]);
     }
 
     #[test]
@@ -269,14 +277,14 @@ mod tests {
             max_collaborators: Some(1),
             ..Config::default()
         };
-        let (fused, report, out) = fuse_set(config, vec![], entries);
+        let (fused, told, out) = fuse_set(config, vec![], entries);
         assert_eq!(fused.len(), 1);
-        let over: Vec<_> = report
-            .over_limit
-            .iter()
-            .map(|id| (&*id.agent, id.kind, id.seq))
-            .collect();
-        assert_eq!(over, [("cav3", Kind::Boxes, 3), ("rsu1", Kind::Boxes, 3)]);
+        let expected = [
+            ("cav2", Fate::Used),
+            ("cav3", Fate::OverLimit),
+            ("rsu1", Fate::OverLimit),
+        ];
+        assert_eq!(told, expected.map(|(agent, fate)| (agent.to_string(), fate)));
         assert_eq!(out.counted("over_limit_messages"), 2);
     }
 
@@ -284,12 +292,9 @@ mod tests {
     fn rejects_entries_that_have_no_pose_or_are_no_boxes() {
         let cloud = Message::new(header("cav3", 1, Some(pose(0.0, 0.0, 0.0))), PointCloud::empty());
         let entries = vec![boxes("cav2", None, vec![object([0.0; 3], 0.0, 0.5)]), cloud];
-        let (fused, report, out) = fuse_set(Config::default(), vec![object([0.0; 3], 0.0, 0.1)], entries);
+        let (fused, told, out) = fuse_set(Config::default(), vec![object([0.0; 3], 0.0, 0.1)], entries);
         assert_eq!(fused.len(), 1);
-        assert_eq!(
-            report.rejected.iter().map(|id| &*id.agent).collect::<Vec<_>>(),
-            ["cav2", "cav3"]
-        );
+        assert_eq!(told, ["cav2", "cav3"].map(|agent| (agent.to_string(), Fate::Rejected)));
         assert_eq!(out.counted("rejected_messages"), 2);
     }
 

@@ -125,9 +125,10 @@ impl Operator for FusionPoints {
 #[cfg(test)]
 mod tests {
     use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
-    use realo_fusion::{FUSED, REPORT};
-    use realo_schemas::report::{FusionReport, from_report};
-    use realo_schemas::{Boxes, Header, Kind, Pose, Report, Selection};
+    use realo_engine::testkit::FusionCase;
+    use realo_fusion::FUSED;
+    use realo_schemas::report::Fate;
+    use realo_schemas::{Boxes, Header, Kind, Pose, Selection};
 
     use super::*;
 
@@ -149,11 +150,15 @@ mod tests {
     fn header(agent: &str, seq: u64, stamp: Nanos, map_from_body: Option<Isometry3<f64>>) -> Header {
         let mut header = Header::origin(&"run".into(), &agent.into(), Kind::Points, seq, stamp, stamp + 50 * MS);
         header.pose = map_from_body.map(Pose::exact);
+        header.to = Some("cav1".into());
         header
     }
 
+    /// Who, and what became of its message.
+    type Told = Vec<(String, Fate)>;
+
     /// Feeds one set of an ego 100 km from the map's origin.
-    fn fuse(config: Config, entries: Vec<Message>) -> (PointCloud, FusionReport) {
+    fn fuse(config: Config, entries: Vec<Message>) -> (PointCloud, Told) {
         let mut operator = FusionPoints::new(config).unwrap();
         let mut out = Outputs::at(200 * MS);
         let ego = header("cav1", 7, 100 * MS, Some(pose(1e5, -1e5, 0.4)));
@@ -164,10 +169,16 @@ mod tests {
         let mut sent = out.take_sent().into_iter();
         let (port, merged) = sent.next().unwrap();
         assert_eq!((port, merged.header.kind, merged.header.seq), (FUSED, Kind::Points, 7));
-        let (port, report) = sent.next().unwrap();
-        assert_eq!(port, REPORT);
-        let (_, report): (_, Report) = report.into_parts().unwrap();
-        (merged.into_parts().unwrap().1, from_report(&report).unwrap())
+        assert!(sent.next().is_none());
+        let told = out
+            .take_fates()
+            .into_iter()
+            .map(|fated| (fated.message.from, fated.fate));
+        (merged.into_parts().unwrap().1, told.collect())
+    }
+
+    fn told<const N: usize>(expected: [(&str, Fate); N]) -> Told {
+        expected.map(|(agent, fate)| (agent.to_string(), fate)).into()
     }
 
     #[test]
@@ -183,11 +194,9 @@ mod tests {
             Message::new(header("rsu1", 3, 60 * MS, Some(far)), seen_from(far)),
             Message::new(header("cav2", 3, 101 * MS, Some(near)), seen_from(near)),
         ];
-        let (merged, report) = fuse(Config::default(), entries);
-        assert_eq!(
-            (merged.len(), report.over_limit.len(), report.rejected.len()),
-            (3, 0, 0)
-        );
+        let (merged, fates) = fuse(Config::default(), entries);
+        let both = told([("cav2", Fate::Used), ("rsu1", Fate::Used)]);
+        assert_eq!((merged.len(), fates), (3, both));
         assert_eq!([merged.x[0], merged.y[0], merged.z[0]], [1.0, 2.0, 3.0]);
         let expected = map_from_ego.inverse() * still;
         for i in [1, 2] {
@@ -211,9 +220,10 @@ mod tests {
             as_sent: true,
             ..Config::default()
         };
-        let (merged, report) = fuse(config, entries);
+        let (merged, fates) = fuse(config, entries);
         assert_eq!([merged.x[1], merged.y[1], merged.z[1]], [5.0, 6.0, 7.0]);
-        assert_eq!((merged.len(), report.rejected.len()), (2, 1), "rsu2 did not project");
+        let expected = told([("rsu1", Fate::Used), ("rsu2", Fate::Rejected)]);
+        assert_eq!((merged.len(), fates), (2, expected), "rsu2 did not project");
     }
 
     #[test]
@@ -240,11 +250,30 @@ mod tests {
             max_collaborators: Some(1),
             ..Config::default()
         };
-        let (merged, report) = fuse(config, entries);
+        let (merged, fates) = fuse(config, entries);
         assert_eq!(merged.len(), 2);
-        let names =
-            |ids: &[realo_schemas::report::MessageId]| ids.iter().map(|id| id.agent.clone()).collect::<Vec<_>>();
-        assert_eq!(names(&report.rejected), ["cav2", "rsu1"]);
-        assert_eq!(names(&report.over_limit), ["rsu3"]);
+        let expected = told([
+            ("rsu2", Fate::Used),
+            ("cav2", Fate::Rejected),
+            ("rsu1", Fate::Rejected),
+            ("rsu3", Fate::OverLimit),
+        ]);
+        assert_eq!(fates, expected);
+    }
+
+    #[test]
+    fn holds_what_every_fusion_owes_its_graph() {
+        let at = |agent, x| {
+            let header = header(agent, 3, 60 * MS, Some(pose(1e5 + x, -1e5, 0.3)));
+            Message::new(header, cloud(&[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]))
+        };
+        let own = cloud(&[[1.0, 2.0, 3.0]]);
+        let case = FusionCase {
+            args: vec![],
+            ego: Message::new(header("cav1", 7, 100 * MS, Some(pose(1e5, -1e5, 0.4))), own.clone()),
+            entries: vec![at("rsu1", 20.0), at("cav2", -7.0)],
+            alone: own.into(),
+        };
+        case.check::<FusionPoints>();
     }
 }

@@ -34,11 +34,10 @@ fn seqs(entries: &[Message]) -> Vec<(&str, u64)> {
         .collect()
 }
 
-fn fates(report: &BankReport) -> Vec<(&str, u64, Fate)> {
-    report
-        .departed
+fn fates(departed: &Departed) -> Vec<(&str, u64, Fate)> {
+    departed
         .iter()
-        .map(|d| (d.message.agent.as_str(), d.message.seq, d.fate))
+        .map(|(header, fate)| (&*header.agent, header.seq, *fate))
         .collect()
 }
 
@@ -55,12 +54,11 @@ fn takes_the_newest_stamp_of_each_sender_in_the_window() {
     }
     let answer = bank.answer(&header("ego", 3, 200, 250));
     assert_eq!(seqs(&answer.entries), [("a", 9), ("b", 2)]);
-    assert_eq!(answer.report.selected[1].age_ns, 50 * MS);
     assert_eq!(
-        fates(&answer.report),
+        fates(&answer.departed),
         [("b", 0, Fate::Superseded), ("b", 1, Fate::Superseded)]
     );
-    assert_eq!(fates(&bank.close()), [("a", 9, Fate::Unused), ("b", 2, Fate::Unused)]);
+    assert_eq!(fates(&bank.close()), []);
 }
 
 #[test]
@@ -77,8 +75,8 @@ fn window_is_inclusive_and_what_is_older_is_stale() {
     assert_eq!(bank.answer(&header("ego", 2, 600, 700)).entries, []);
     assert_eq!(
         fates(&bank.close()),
-        [("a", 0, Fate::Unused), ("b", 0, Fate::Stale)],
-        "selected counts before stale"
+        [("b", 0, Fate::Stale)],
+        "of what was selected the fusion says what became"
     );
 }
 
@@ -89,10 +87,10 @@ fn a_query_that_waited_does_not_see_what_came_after_it() {
     bank.insert(message("a", 1, 100, 110)).unwrap();
     let answer = bank.answer(&header("ego", 0, 90, 109));
     assert_eq!(seqs(&answer.entries), [("a", 0)]);
-    assert_eq!(fates(&answer.report), []);
+    assert_eq!(fates(&answer.departed), []);
     let answer = bank.answer(&header("ego", 1, 90, 110));
     assert_eq!(seqs(&answer.entries), [("a", 1)]);
-    assert_eq!(fates(&answer.report), [("a", 0, Fate::Unused)]);
+    assert_eq!(fates(&answer.departed), []);
 }
 
 #[test]
@@ -108,7 +106,7 @@ fn copies_and_the_egos_own_messages_are_not_held() {
         Ok(Taken::Repeated),
         "after it was selected, too"
     );
-    assert_eq!(fates(&bank.close()), [("a", 5, Fate::Unused)]);
+    assert_eq!(fates(&bank.close()), []);
 }
 
 #[test]
@@ -171,11 +169,11 @@ fn holds_ten_thousand_agents_and_forgets_them() {
     let error = bank.insert(message("one-more", 0, 200, 205)).unwrap_err().to_string();
     assert!(error.contains("10000") && error.contains("`max_agents`"), "{error}");
     let answer = bank.answer(&header("ego", 0, 200, 210));
-    assert_eq!((answer.entries.len(), answer.report.departed.len()), (10_000, 20_000));
+    assert_eq!((answer.entries.len(), answer.departed.len()), (10_000, 20_000));
     assert!(answer.entries.is_sorted_by_key(|entry| &entry.header.agent));
     let answer = bank.answer(&header("ego", 1, 60_300, 60_300));
     assert_eq!(
-        (answer.entries.len(), answer.report.departed.len(), bank.agents()),
+        (answer.entries.len(), answer.departed.len(), bank.agents()),
         (0, 10_000, 0)
     );
     assert_eq!(bank.insert(message("one-more", 1, 60_300, 60_301)), Ok(Taken::Held));
@@ -188,9 +186,9 @@ fn a_sender_that_nobody_asks_takes_bounded_memory() {
             bank.insert(message("a", seq, 100 * seq as Nanos, 100 * seq as Nanos))
                 .unwrap();
         }
-        let report = bank.close();
-        assert_eq!(report.departed.len(), 10_000);
-        let in_flight = report.departed.iter().filter(|d| d.fate == Fate::InFlight).count();
+        let departed = bank.close();
+        assert_eq!(departed.len(), 10_000);
+        let in_flight = departed.iter().filter(|(_, fate)| *fate == Fate::InFlight).count();
         assert_eq!(
             in_flight,
             if bank.offline { 10_000 } else { 1 },
@@ -237,16 +235,8 @@ fn offline_takes_the_nearest_stamp_within_fifty_milliseconds() {
             bank.insert(message("a", seq as u64, *stamp, *stamp)).unwrap();
         }
         let answer = bank.answer(&header("ego", 0, 1000, 1000));
-        let found = answer
-            .entries
-            .first()
-            .map(|entry| (entry.header.stamp / MS, answer.report.selected[0].age_ns / MS));
-        assert_eq!(
-            found,
-            case.selected.map(|stamp| (stamp, 1000 - stamp)),
-            "{:?}",
-            case.stamps
-        );
+        let found = answer.entries.first().map(|entry| entry.header.stamp / MS);
+        assert_eq!(found, case.selected, "{:?}", case.stamps);
         assert!(
             answer
                 .entries
@@ -265,8 +255,8 @@ fn offline_what_came_while_nobody_asked_is_stale_for_the_next_query() {
     }
     let answer = bank.answer(&header("ego", 0, 2000, 2050));
     assert_eq!(answer.entries.len(), 0, "only the last 16 are held");
-    assert_eq!(fates(&answer.report).len(), 20);
-    assert!(fates(&answer.report).iter().all(|(.., fate)| *fate == Fate::Stale));
+    assert_eq!(fates(&answer.departed).len(), 20);
+    assert!(fates(&answer.departed).iter().all(|(.., fate)| *fate == Fate::Stale));
     assert_eq!(seqs(&bank.answer(&header("ego", 1, 3900, 3950)).entries), [("a", 39)]);
 }
 
@@ -277,21 +267,17 @@ fn offline_fates() {
         bank.insert(message("a", seq, stamp, stamp)).unwrap();
     }
     assert_eq!(
-        fates(&bank.answer(&header("ego", 0, 100, 100)).report),
+        fates(&bank.answer(&header("ego", 0, 100, 100)).departed),
         [("a", 0, Fate::Stale)]
     );
     let answer = bank.answer(&header("ego", 1, 220, 220));
     assert_eq!(seqs(&answer.entries), [("a", 4)]);
     assert_eq!(
-        fates(&answer.report),
-        [
-            ("a", 1, Fate::Superseded),
-            ("a", 2, Fate::Unused),
-            ("a", 3, Fate::Stale)
-        ]
+        fates(&answer.departed),
+        [("a", 1, Fate::Superseded), ("a", 3, Fate::Stale)]
     );
     bank.insert(message("a", 5, 300, 300)).unwrap();
-    assert_eq!(fates(&bank.close()), [("a", 4, Fate::Unused), ("a", 5, Fate::InFlight)]);
+    assert_eq!(fates(&bank.close()), [("a", 5, Fate::InFlight)]);
 }
 
 /// What happens to a bank, in the order in which it happens; times in ms.
@@ -384,7 +370,7 @@ impl Naive {
     }
 
     fn fates(&self) -> Vec<(u8, u64, Fate)> {
-        let all = self.came.iter().enumerate();
+        let all = self.came.iter().enumerate().filter(|(_, came)| !came.selected);
         all.map(|(at, came)| (came.sent.agent, came.sent.seq, self.fate(at, came)))
             .collect()
     }
@@ -393,7 +379,6 @@ impl Naive {
         let order = |at: usize, came: &Came| (came.sent.stamp, at);
         let newer = |(i, c): (usize, &Came)| c.sent.agent == came.sent.agent && order(i, c) > order(at, came);
         match came {
-            Came { selected: true, .. } => Fate::Unused,
             Came { passed_over: true, .. } => Fate::Superseded,
             Came { stale: true, .. } => Fate::Stale,
             _ if !self.offline && self.came.iter().enumerate().any(newer) => Fate::Superseded,
@@ -464,12 +449,10 @@ fn agrees(offline: bool, events: &[Event]) -> Result<(), TestCaseError> {
     };
     let mut departed = Vec::new();
     let agent = |name: &str| name.trim_start_matches('a').parse::<u8>().unwrap();
-    let mut leave = |report: BankReport| {
+    let mut leave = |left: Departed| {
         departed.extend(
-            report
-                .departed
-                .iter()
-                .map(|d| (agent(&d.message.agent), d.message.seq, d.fate)),
+            left.iter()
+                .map(|(header, fate)| (agent(&header.agent), header.seq, *fate)),
         );
     };
     for event in events {
@@ -498,7 +481,7 @@ fn agrees(offline: bool, events: &[Event]) -> Result<(), TestCaseError> {
                     stamp,
                     ready
                 );
-                leave(answer.report);
+                leave(answer.departed);
             }
         }
     }

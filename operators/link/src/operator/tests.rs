@@ -1,7 +1,7 @@
 use arrow::buffer::Buffer;
 use nalgebra::Isometry3;
-use realo_schemas::report::from_report;
-use realo_schemas::{PoseStatus, Report};
+use realo_operator::NodeBooks;
+use realo_schemas::{Kind, PoseStatus};
 
 use super::*;
 
@@ -30,8 +30,51 @@ fn state(agent: &str, at: Nanos, x: f64, y: f64) -> Message {
     Message::new(header(agent, Kind::EgoState, 0, at), state)
 }
 
-fn link(profile: &str) -> Link {
-    Link::new(LinkConfig {
+/// A link, and what it said of its channels.
+struct Watched {
+    link: Link,
+    books: NodeBooks,
+    lost: u64,
+}
+
+/// What is known of a channel.
+struct Seen {
+    from: String,
+    to: String,
+    kind: Kind,
+    sent: u64,
+    bytes: u64,
+    lost: u64,
+    duplicated: u64,
+    out_of_range: u64,
+}
+
+impl Watched {
+    fn new(config: LinkConfig) -> Result<Self, Error> {
+        Ok(Watched {
+            link: Link::new(config)?,
+            books: NodeBooks::default(),
+            lost: 0,
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        let mut own = Outputs::at(out.now());
+        let done = self.link.on_input(port, message, &mut own);
+        self.watch(own, out);
+        done
+    }
+
+    fn watch(&mut self, own: Outputs, out: &mut Outputs) {
+        let mut made = own.into_made();
+        made.traffic.drain(..).for_each(|channel| self.books.carried(channel));
+        self.lost += made.fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;
+        out.take_over(made);
+    }
+}
+
+fn link(profile: &str) -> Watched {
+    Watched::new(LinkConfig {
         profile: profile.into(),
         ego: "cav1".into(),
         ..LinkConfig::default()
@@ -40,7 +83,7 @@ fn link(profile: &str) -> Link {
 }
 
 /// A link that knows all agents to stand at one place.
-fn placed(mut link: Link) -> Link {
+fn placed(mut link: Watched) -> Watched {
     let out = &mut Outputs::at(0);
     link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), out).unwrap();
     for other in ["rsu1", "cav2"] {
@@ -49,16 +92,24 @@ fn placed(mut link: Link) -> Link {
     link
 }
 
-fn report(link: &mut Link) -> Vec<Channel> {
-    let mut out = Outputs::at(99 * MS);
-    link.on_end(&mut out).unwrap();
-    let (port, message) = out.take_sent().remove(0);
-    let (header, report): (Header, Report) = message.into_parts().unwrap();
-    assert_eq!(
-        (port, header.kind, &*header.agent, &*report.topic),
-        (REPORT, Kind::Report, "cav1", "link")
-    );
-    from_report::<LinkReport>(&report).unwrap().channels
+/// The channels at the end, in order; what is lost counts for the first.
+fn report(link: &mut Watched) -> Vec<Seen> {
+    let mut own = Outputs::at(99 * MS);
+    link.link.on_end(&mut own).unwrap();
+    link.watch(own, &mut Outputs::at(99 * MS));
+    let mut channels = link.books.channels.clone();
+    channels.sort_by_key(|channel| (channel.from.clone(), channel.to.clone(), channel.kind));
+    let seen = channels.into_iter().map(|channel| Seen {
+        from: channel.from,
+        to: channel.to,
+        kind: channel.kind,
+        sent: channel.traffic.sent,
+        bytes: channel.traffic.bytes,
+        lost: std::mem::take(&mut link.lost),
+        duplicated: channel.traffic.duplicated,
+        out_of_range: channel.traffic.out_of_range,
+    });
+    seen.collect()
 }
 
 #[test]
@@ -95,7 +146,7 @@ fn paper_delays_by_kind_from_the_time_of_sending() {
 fn range_gate_is_inclusive_and_uses_the_newest_positions() {
     let mut link = link("perfect");
     let mut out = Outputs::at(MS);
-    let mut delivered = |link: &mut Link, states: &[(&str, Nanos, f64, f64)]| {
+    let mut delivered = |link: &mut Watched, states: &[(&str, Nanos, f64, f64)]| {
         for (agent, at, x, y) in states {
             let port = if *agent == "cav1" { EGO_STATE } else { STATES };
             link.on_input(port, state(agent, *at, *x, *y), &mut out).unwrap();
@@ -123,7 +174,7 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
 
 #[test]
 fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() {
-    let hear = |link: &mut Link, at: Nanos, seqs: std::ops::Range<u64>| {
+    let hear = |link: &mut Watched, at: Nanos, seqs: std::ops::Range<u64>| {
         let mut out = Outputs::at(at);
         for seq in seqs {
             link.on_input(OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
@@ -132,7 +183,7 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
         assert_eq!(out.take_sent(), []);
         out.counted("unplaced")
     };
-    let place = |link: &mut Link, agent: &str, at: Nanos| -> Vec<(u64, Nanos)> {
+    let place = |link: &mut Watched, agent: &str, at: Nanos| -> Vec<(u64, Nanos)> {
         let mut out = Outputs::at(at);
         let port = if agent == "cav1" { EGO_STATE } else { STATES };
         link.on_input(port, state(agent, 0, 20.0, 0.0), &mut out).unwrap();
@@ -211,7 +262,7 @@ fn lossy(folder: &tempfile::TempDir) -> String {
 }
 
 /// (seq, ready) of what 200 packets, sent in the given order, become.
-fn delivered(link: &mut Link, order: impl Iterator<Item = u64>) -> BTreeSet<(u64, Nanos)> {
+fn delivered(link: &mut Watched, order: impl Iterator<Item = u64>) -> BTreeSet<(u64, Nanos)> {
     let mut all = BTreeSet::new();
     for seq in order {
         let mut out = Outputs::at(100 * MS * seq as Nanos);
@@ -242,7 +293,7 @@ fn draws_do_not_depend_on_the_order_of_events() {
         seed: 1,
         ..LinkConfig::default()
     };
-    assert_ne!(all, delivered(&mut placed(Link::new(other).unwrap()), 0..200));
+    assert_ne!(all, delivered(&mut placed(Watched::new(other).unwrap()), 0..200));
 }
 
 #[test]
@@ -254,7 +305,7 @@ fn offline_keeps_the_gate_and_the_counts_only() {
         offline: true,
         ..LinkConfig::default()
     };
-    let mut link = placed(Link::new(config).unwrap());
+    let mut link = placed(Watched::new(config).unwrap());
     let all = delivered(&mut link, 0..200);
     assert_eq!(all, (0..200).map(|seq| (seq, 100 * MS * seq as Nanos)).collect());
     let mut out = Outputs::at(0);
@@ -270,13 +321,14 @@ fn offline_keeps_the_gate_and_the_counts_only() {
 
 #[test]
 fn learns_the_ego_and_refuses_what_is_wired_wrongly() {
-    let mut link = Link::new(LinkConfig::default()).unwrap();
+    let mut link = Watched::new(LinkConfig::default()).unwrap();
     let mut out = Outputs::at(0);
     link.on_input(STATES, state("rsu1", 0, 0.0, 0.0), &mut out).unwrap();
     link.on_input(OTHERS, packet("rsu1", Kind::Boxes, 0, 0, 1), &mut out)
         .unwrap();
     assert_eq!((out.take_sent().len(), out.counted("no_receiver")), (0, 1));
-    let mut refuse = |link: &mut Link, port, message| link.on_input(port, message, &mut out).unwrap_err().to_string();
+    let mut refuse =
+        |link: &mut Watched, port, message| link.on_input(port, message, &mut out).unwrap_err().to_string();
     link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut Outputs::at(0))
         .unwrap();
     assert!(refuse(&mut link, OTHERS, packet("cav1", Kind::Boxes, 0, 0, 1)).contains("others' lane"));
