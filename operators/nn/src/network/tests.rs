@@ -1,7 +1,12 @@
+use std::collections::HashMap;
+
 use super::*;
+use crate::conv::Convolution;
+use crate::encoder::Pillarer;
+use crate::layers::Layer;
 use crate::model::{Backbone, Frame, Grid, Shrink};
-use crate::pillar_net::PillarNet;
-use crate::pillars::{Pillariser, Points};
+use crate::part::numbers;
+use crate::pillars::Points;
 use crate::testing::{Numbers, lite, random_tensors, small};
 use crate::vectors::{Vector, assert_near, nhwc};
 use crate::weights::Tensor;
@@ -32,32 +37,34 @@ fn random_canvas(model: &Model, seed: u64) -> Canvas {
     canvas(model, &Numbers::new(seed).list(count))
 }
 
-/// The whole network by the definition of its layers, in f64.
+/// The whole network by the definition of its layers, in f64: scores and deltas side by side.
 fn plain(model: &Model, weights: &Weights, canvas: &Canvas) -> Vec<f64> {
+    let layers = Layers::of(model);
     let size = [canvas.rows(), canvas.columns()];
     let cells = (0..size[0]).flat_map(|row| (0..size[1]).map(move |column| (row, column)));
     let cells = cells
         .flat_map(|(row, column)| canvas.cell(row, column))
         .map(|value| f64::from(*value))
         .collect();
-    let mut map = (size, cells);
-    let mut joined: Option<([usize; 2], Vec<Vec<f64>>)> = None;
-    for (block, deblock) in blocks(model, weights).iter().zip(deblocks(model, weights)) {
-        map = block.iter().fold(map, |map, layer| plain_layer(layer, &map));
-        let (size, up) = plain_layer(&deblock, &map);
-        let up = up.chunks_exact(deblock.outputs).map(<[f64]>::to_vec).collect();
-        joined = Some(match joined {
-            None => (size, up),
-            Some((_, cells)) => (size, cells.into_iter().zip(up).map(|(a, b)| [a, b].concat()).collect()),
-        });
+    let mut maps = HashMap::from([(layers.canvas, (size, cells))]);
+    for step in layers.steps() {
+        let made = match &step.layer {
+            Layer::Points(_) => continue,
+            Layer::Convolution(layer) => plain_layer(&numbers(layer, weights), &maps[&step.from[0]]),
+            Layer::Join => {
+                let (size, _) = maps[&step.from[0]];
+                let cell = |map: &MapId, index: usize| {
+                    let channels = layers.size(*map)[2];
+                    maps[map].1[index * channels..][..channels].to_vec()
+                };
+                let cells =
+                    (0..size[0] * size[1]).flat_map(|index| step.from.iter().flat_map(move |map| cell(map, index)));
+                (size, cells.collect())
+            }
+        };
+        maps.insert(step.to, made);
     }
-    let (size, cells) = joined.unwrap();
-    let layers = shrink_layers(model, weights)
-        .into_iter()
-        .chain([head_layer(model, weights)]);
-    layers
-        .fold((size, cells.concat()), |map, layer| plain_layer(&layer, &map))
-        .1
+    maps.remove(&layers.heads).unwrap().1
 }
 
 type PlainMap = ([usize; 2], Vec<f64>);
@@ -283,7 +290,7 @@ fn the_backbone_matches_the_reference() {
         "network/backbone_1_1_1.safetensors",
         "network/backbone_3_5_8.safetensors",
     ] {
-        let Some(vector) = Vector::open(file) else { return };
+        let vector = Vector::open(file);
         let shape = shape4(&vector, "in.canvas");
         let model = model_of(&vector.config, [shape[2], shape[3]], shape[1]);
         let weights = weights_of(&vector, &model, |key| key.strip_prefix("backbone."));
@@ -306,10 +313,16 @@ fn the_shrink_layers_match_the_reference() {
         ("network/shrink_k1.safetensors", 1),
         ("network/shrink_k3.safetensors", 3),
     ] {
-        let Some(vector) = Vector::open(file) else { return };
+        let vector = Vector::open(file);
         let shape = shape4(&vector, "in.x");
-        let mut model = lite();
-        model.backbone.up_channels = vec![8, 8, 8];
+        let mut model = small(2 * shape[2], 2 * shape[3], false);
+        model.backbone = Backbone {
+            layers: vec![0; 3],
+            strides: vec![2, 1, 1],
+            channels: vec![2; 3],
+            up_strides: vec![1; 3],
+            up_channels: vec![8; 3],
+        };
         model.shrink = vec![
             Shrink { kernel, channels: 16 },
             Shrink {
@@ -317,15 +330,24 @@ fn the_shrink_layers_match_the_reference() {
                 channels: 16,
             },
         ];
-        let layers = shrink_layers(
-            &model,
-            &weights_of(&vector, &model, |key| key.strip_prefix("shrink_conv.")),
-        );
+        let weights = weights_of(&vector, &model, |key| key.strip_prefix("shrink_conv."));
         let inputs = nhwc(&vector.f32("in.x"), shape);
         let expected = nhwc(&vector.f32("out.y"), shape4(&vector, "out.y"));
         for isa in available() {
             let samples = inputs.chunks_exact(inputs.len() / shape[0]);
-            let run = |cells: &[f32]| crate::conv::apply(&layers, isa, 2, [shape[2], shape[3]], cells);
+            let layers = Layers::of(&model);
+            let joined = layers.steps().iter().find(|step| step.layer == Layer::Join).unwrap().to;
+            let ends = [joined, layers.features];
+            let mut section = Section::new(&model, &weights, options(isa, None, 2), ends).unwrap();
+            let run = |data| {
+                let map = BevView {
+                    rows: shape[2],
+                    columns: shape[3],
+                    channels: shape[1],
+                    data,
+                };
+                section.run(map).unwrap().data
+            };
             let found: Vec<f32> = samples.flat_map(run).collect();
             assert_near(&format!("{file} {isa}"), &found, &expected, 1e-4);
         }
@@ -334,9 +356,7 @@ fn the_shrink_layers_match_the_reference() {
 
 #[test]
 fn the_heads_match_the_reference() {
-    let Some(vector) = Vector::open("network/head.safetensors") else {
-        return;
-    };
+    let vector = Vector::open("network/head.safetensors");
     let shape = shape4(&vector, "in.x");
     let [_, channels, rows, columns] = shape;
     let mut model = small(2 * rows, 2 * columns, false);
@@ -366,9 +386,7 @@ fn the_heads_match_the_reference() {
 
 #[test]
 fn scattered_pillars_match_the_reference() {
-    let Some(vector) = Vector::open("network/scatter.safetensors") else {
-        return;
-    };
+    let vector = Vector::open("network/scatter.safetensors");
     let shape = shape4(&vector, "out.canvas");
     let [samples, channels, rows, columns] = shape;
     let mut found = Vec::new();
@@ -392,9 +410,7 @@ fn scattered_pillars_match_the_reference() {
 
 #[test]
 fn the_single_agent_model_matches_the_reference_from_points_on() {
-    let Some(vector) = Vector::open("model/single.safetensors") else {
-        return;
-    };
+    let vector = Vector::open("model/single.safetensors");
     let grid = vector.grid();
     let mut model = model_of(&vector.config["backbone"], [grid.rows(), grid.columns()], 64);
     model.grid = grid;
@@ -410,13 +426,12 @@ fn the_single_agent_model_matches_the_reference_from_points_on() {
         z: &z,
         intensity: Some(&i),
     };
-    let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
-    let mut canvas = Canvas::new(grid.rows(), grid.columns(), model.pillars.channels);
-    PillarNet::of(&model, &weights).run(pillariser.run(&points), &mut canvas);
+    let mut pillarer = Pillarer::new(&model, &weights);
+    let (canvas, _) = pillarer.run(&points);
     let expected = |name: &str| nhwc(&vector.f32(name), shape4(&vector, name));
     for isa in available() {
         let mut network = Network::new(&model, &weights, options(isa, None, 2)).unwrap();
-        let heads = network.forward(&canvas).unwrap();
+        let heads = network.forward(canvas).unwrap();
         assert_near(&format!("scores {isa}"), &heads.scores, &expected("out.psm"), 5e-4);
         assert_near(&format!("deltas {isa}"), &heads.deltas, &expected("out.rm"), 5e-4);
     }
