@@ -202,7 +202,7 @@ impl DetectionHead {
             return Err(format!("expected a map of f32, found {:?}", map.dtype).into());
         }
         let lies_well =
-            map.data.as_ptr().align_offset(align_of::<f32>()) == 0 && map.data.len() % size_of::<f32>() == 0;
+            map.data.as_ptr().align_offset(align_of::<f32>()) == 0 && map.data.len().is_multiple_of(size_of::<f32>());
         if cfg!(target_endian = "little") && lies_well {
             return Ok(Cow::Borrowed(map.data.typed_data()));
         }

@@ -3,7 +3,7 @@
 //! In one process a model is loaded once: who loads the same files for the same instructions gets the same model and
 //! weights, and networks with the same number of threads share the threads. Only the maps are each network's own.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -111,23 +111,24 @@ struct Shared<M = Arc<Model>, W = Arc<Weights>, C = Arc<Core>> {
     core: C,
 }
 
+type Unowned = Shared<Weak<Model>, Weak<Weights>, Weak<Core>>;
+
 /// What is in use in this process.
-#[derive(Default)]
 struct Known {
     /// By identity and instructions.
-    models: Option<HashMap<(String, String), Shared<Weak<Model>, Weak<Weights>, Weak<Core>>>>,
+    models: BTreeMap<(String, String), Unowned>,
     /// By number of threads.
-    pools: Option<HashMap<usize, Weak<Mutex<Pool>>>>,
+    pools: BTreeMap<usize, Weak<Mutex<Pool>>>,
 }
 
 static KNOWN: Mutex<Known> = Mutex::new(Known {
-    models: None,
-    pools: None,
+    models: BTreeMap::new(),
+    pools: BTreeMap::new(),
 });
 
 impl Known {
     fn model(&self, identity: &str, isa: Isa) -> Option<Shared> {
-        let shared = self.models.as_ref()?.get(&(identity.to_string(), isa.to_string()))?;
+        let shared = self.models.get(&(identity.to_string(), isa.to_string()))?;
         Some(Shared {
             model: shared.model.upgrade()?,
             weights: shared.weights.upgrade()?,
@@ -146,24 +147,22 @@ impl Known {
             weights: Arc::new(weights),
             core: Arc::new(core),
         };
-        let models = self.models.get_or_insert_default();
-        models.retain(|_, shared| shared.core.strong_count() > 0);
+        self.models.retain(|_, shared| shared.core.strong_count() > 0);
         let weak = Shared {
             model: Arc::downgrade(&shared.model),
             weights: Arc::downgrade(&shared.weights),
             core: Arc::downgrade(&shared.core),
         };
-        models.insert((identity.to_string(), isa.to_string()), weak);
+        self.models.insert((identity.to_string(), isa.to_string()), weak);
         shared
     }
 
     fn pool(&mut self, threads: usize) -> Arc<Mutex<Pool>> {
-        let pools = self.pools.get_or_insert_default();
-        if let Some(pool) = pools.get(&threads).and_then(Weak::upgrade) {
+        if let Some(pool) = self.pools.get(&threads).and_then(Weak::upgrade) {
             return pool;
         }
         let pool = Arc::new(Mutex::new(Pool::new(threads)));
-        pools.insert(threads, Arc::downgrade(&pool));
+        self.pools.insert(threads, Arc::downgrade(&pool));
         pool
     }
 }

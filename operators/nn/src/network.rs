@@ -197,14 +197,18 @@ pub(crate) struct Core {
 impl Core {
     /// `weights` are those of `model`, which has been checked.
     pub fn new(model: &Model, weights: &Weights, options: &NetworkOptions) -> Result<Self, NetworkError> {
+        Core::of(&Layers::of(model), weights, model, options)
+    }
+
+    /// As [`Core::new`], of layers that need not be the model's.
+    fn of(layers: &Layers, weights: &Weights, model: &Model, options: &NetworkOptions) -> Result<Self, NetworkError> {
         let choice = choose(model, options)?;
-        let layers = Layers::of(model);
         let (canvas, features, heads) = (layers.canvas, layers.features, layers.heads);
         Ok(Core {
             name: model.name.clone(),
             choice,
-            encode: Engine::new(&layers, weights, choice, [canvas, features], Outcome::Own),
-            heads: Engine::new(&layers, weights, choice, [features, heads], Outcome::Single),
+            encode: Engine::new(layers, weights, choice, [canvas, features], Outcome::Own),
+            heads: Engine::new(layers, weights, choice, [features, heads], Outcome::Single),
             canvas: layers.size(canvas),
             features: layers.size(features),
             outputs: [layers.scores, layers.deltas].map(|map| layers.size(map)[2]),

@@ -92,6 +92,11 @@ impl Numbers {
 
 /// Tensors of a model; layers keep the size of what passes through them.
 pub fn random_tensors(model: &Model, seed: u64) -> HashMap<String, Tensor> {
+    random_tensors_of(&Layers::of(model), seed)
+}
+
+/// Tensors of layers.
+pub fn random_tensors_of(layers: &Layers, seed: u64) -> HashMap<String, Tensor> {
     let mut numbers = Numbers::new(seed);
     let tensor = |spec: TensorSpec| {
         let mut data = numbers.list(spec.count());
@@ -105,7 +110,7 @@ pub fn random_tensors(model: &Model, seed: u64) -> HashMap<String, Tensor> {
         let shape = spec.shape;
         (spec.key, Tensor { shape, data })
     };
-    Layers::of(model).tensors().map(tensor).collect()
+    layers.tensors().map(tensor).collect()
 }
 
 /// Writes a model file with the weights of a seed beside it.

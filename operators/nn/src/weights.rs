@@ -122,7 +122,7 @@ impl Weights {
             };
             tensors.insert(key.to_string(), (shape, data));
         }
-        Weights::checked(model, tensors, problems).map_err(|error| WeightsError::File {
+        Weights::checked(&Layers::of(model), &model.name, tensors, problems).map_err(|error| WeightsError::File {
             path: path.into(),
             error: Box::new(error),
         })
@@ -136,17 +136,19 @@ impl Weights {
         let tensors = tensors
             .into_iter()
             .map(|(key, tensor)| (key, (tensor.shape, Some(tensor.data))));
-        Weights::checked(model, tensors.collect(), Vec::new())
+        Weights::checked(&Layers::of(model), &model.name, tensors.collect(), Vec::new())
     }
 
-    fn checked(
-        model: &Model,
+    /// The weights of layers; `name` is for errors. Numbers that are `None` are of another type than F32.
+    pub(crate) fn checked(
+        layers: &Layers,
+        name: &str,
         mut tensors: HashMap<String, (Vec<usize>, Option<Vec<f32>>)>,
         mut problems: Vec<String>,
     ) -> Result<Weights, WeightsError> {
         tensors.retain(|key, _| !is_counter(key));
         let mut fitting = HashMap::new();
-        for spec in Layers::of(model).tensors() {
+        for spec in layers.tensors() {
             let Some((shape, data)) = tensors.remove(&spec.key) else {
                 problems.push(format!("`{}` {:?} is missing", spec.key, spec.shape));
                 continue;
@@ -161,7 +163,7 @@ impl Weights {
             return Ok(Weights { tensors: fitting });
         }
         Err(WeightsError::Mismatch {
-            model: model.name.clone(),
+            model: name.into(),
             problems,
         })
     }

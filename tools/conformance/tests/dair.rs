@@ -94,7 +94,7 @@ fn truth(path: PathBuf, vehicle_from_map: &Isometry3<f64>) -> Vec<Box3> {
             length(edge([[0, 4], [1, 5], [2, 6], [3, 7]])),
         ];
         let heading = along.iter().sum::<nalgebra::Vector3<f64>>();
-        box3(label, center.into(), extent, heading.y.atan2(heading.x))
+        box3(label, center.into(), extent, libm::atan2(heading.y, heading.x))
     };
     let labels = read(path);
     labels

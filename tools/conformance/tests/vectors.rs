@@ -224,7 +224,7 @@ fn anchors(made: &mut Made) {
         .zip(deltas.chunks(7))
         .flat_map(|([x, y, z, h, w, l, yaw], d)| {
             let diagonal = (w * w + l * l).sqrt();
-            let [h1, w1, l1] = [h * d[3].exp(), w * d[4].exp(), l * d[5].exp()];
+            let [h1, w1, l1] = [h * libm::exp(d[3]), w * libm::exp(d[4]), l * libm::exp(d[5])];
             [
                 x + d[0] * diagonal,
                 y + d[1] * diagonal,

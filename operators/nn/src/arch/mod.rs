@@ -2,6 +2,8 @@
 
 mod pointpillars;
 
+#[cfg(test)]
+pub(crate) use pointpillars::heads;
 use serde::{Deserialize, Serialize};
 
 use crate::layers::Layers;

@@ -1,13 +1,16 @@
 use std::collections::HashMap;
 
 use super::*;
+use crate::anchors::Anchors;
+use crate::arch::heads;
 use crate::conv::Convolution;
+use crate::decode::candidates;
 use crate::encoder::Pillarer;
-use crate::layers::Layer;
+use crate::layers::{Builder, ConvLayer, Layer, PointLayer};
 use crate::model::{Backbone, Frame, Grid, Shrink};
 use crate::part::numbers;
 use crate::pillars::Points;
-use crate::testing::{Numbers, lite, random_tensors, small};
+use crate::testing::{Numbers, lite, random_tensors, random_tensors_of, small};
 use crate::vectors::{Vector, assert_near, nhwc};
 use crate::weights::Tensor;
 
@@ -38,8 +41,7 @@ fn random_canvas(model: &Model, seed: u64) -> Canvas {
 }
 
 /// The whole network by the definition of its layers, in f64: scores and deltas side by side.
-fn plain(model: &Model, weights: &Weights, canvas: &Canvas) -> Vec<f64> {
-    let layers = Layers::of(model);
+fn plain(layers: &Layers, weights: &Weights, canvas: &Canvas) -> Vec<f64> {
     let size = [canvas.rows(), canvas.columns()];
     let cells = (0..size[0]).flat_map(|row| (0..size[1]).map(move |column| (row, column)));
     let cells = cells
@@ -115,7 +117,7 @@ fn networks_agree_with_the_definition_of_their_layers() {
     for (rows, columns, odd) in [(8, 12, false), (20, 4, true), (4, 52, true)] {
         let model = small(rows, columns, odd);
         let (weights, canvas) = (weights(&model, 7), random_canvas(&model, 8));
-        let expected = plain(&model, &weights, &canvas);
+        let expected = plain(&Layers::of(&model), &weights, &canvas);
         let size = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
         for isa in available() {
             for (precision, tolerance) in [(Precision::F32, 1e-5), (Precision::Bf16, 0.03)] {
@@ -136,6 +138,122 @@ fn networks_agree_with_the_definition_of_their_layers() {
         }
     }
 }
+
+/// Layers that PointPillars has not: a bottleneck of convolutions with bias and batch norm, whose encoded map is what
+/// agents share. Weights, checks and inference need no more than the list.
+#[test]
+fn another_list_of_layers_is_another_network() {
+    let mut builder = Builder::default();
+    let points = PointLayer {
+        key: "points".into(),
+        norm: "points_norm".into(),
+        channels: 9,
+    };
+    let canvas = builder.points(points, [10, 14]);
+    let (mut map, mut made) = (canvas, Vec::new());
+    for (index, outputs) in [2, 9, 9].into_iter().enumerate() {
+        let layer = ConvLayer {
+            key: format!("bottleneck.{index}"),
+            inputs: builder.size(map)[2],
+            outputs,
+            kernel: 3,
+            stride: 1,
+            transposed: false,
+            bias: true,
+            norm: Some(format!("bottleneck_norm.{index}")),
+            relu: true,
+        };
+        map = builder.convolution(layer, map);
+        made.push(map);
+    }
+    let outputs = heads(&mut builder, &lite(), map);
+    let layers = builder.finish(canvas, made[0], outputs);
+    assert_eq!(layers.size(layers.features), [10, 14, 2]);
+
+    let mut tensors: HashMap<_, _> = random_tensors_of(&layers, 3)
+        .into_iter()
+        .map(|(key, tensor)| (key, (tensor.shape, Some(tensor.data))))
+        .collect();
+    let weights = Weights::checked(&layers, "other", tensors.clone(), Vec::new()).unwrap();
+    let mut cells = Canvas::new(10, 14, 9);
+    for (index, values) in Numbers::new(4).list(10 * 14 * 9).chunks(9).enumerate() {
+        cells.cell_mut(index / 14, index % 14).copy_from_slice(values);
+    }
+    let expected = plain(&layers, &weights, &cells);
+    let size = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
+    for isa in available() {
+        let mut core = Core::of(&layers, &weights, &lite(), &options(isa, Some(Precision::F32), 2)).unwrap();
+        core.name = "other".into();
+        let mut network = Network::sharing(Arc::new(core), Arc::new(Mutex::new(Pool::new(2))));
+        let found = network.forward(&cells).unwrap();
+        let found = found.scores.chunks_exact(18).zip(found.deltas.chunks_exact(42));
+        let found = found.flat_map(|(scores, deltas)| [scores, deltas].concat());
+        assert!(
+            found
+                .zip(&expected)
+                .all(|(found, expected)| (f64::from(found) - expected).abs() < 1e-5 * size)
+        );
+    }
+    tensors.remove("bottleneck_norm.1.running_var");
+    let error = Weights::checked(&layers, "other", tensors, Vec::new())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("model `other`: `bottleneck_norm.1.running_var` [9] is missing"),
+        "{error}"
+    );
+}
+
+/// The arithmetic of the shipped model, on every processor and system.
+#[test]
+fn portable_bits_are_the_same_everywhere() {
+    let model = lite();
+    let weights = Weights::read(Path::new(SHIPPED), &model).unwrap();
+    let mut numbers = Numbers::new(11);
+    let column = |numbers: &mut Numbers, reach: f32| -> Vec<f32> {
+        (0..4000).map(|_| reach * numbers.next() * numbers.next()).collect()
+    };
+    let [x, y, z] = [90.0, 35.0, 2.5].map(|reach| column(&mut numbers, reach));
+    let points = Points {
+        x: &x,
+        y: &y,
+        z: &z,
+        intensity: None,
+    };
+    let mut pillarer = Pillarer::new(&model, &weights);
+    let (canvas, _) = pillarer.run(&points);
+    let sum = |values: &[f32]| {
+        let bits = values.iter().map(|value| u64::from(value.to_bits()));
+        bits.fold(0xcbf2_9ce4_8422_2325u64, |sum, bits| {
+            (sum ^ bits).wrapping_mul(0x100_0000_01b3)
+        })
+    };
+    let mut found = vec![sum(canvas.data())];
+    for precision in [Precision::F32, Precision::Bf16] {
+        let mut network = Network::new(&model, &weights, options(Isa::Portable, Some(precision), 2)).unwrap();
+        let heads = network.forward(canvas).unwrap();
+        found.extend([sum(&heads.scores), sum(&heads.deltas)]);
+        let boxes = candidates(&Anchors::of(&model), &heads.scores, &heads.deltas, 0.05, 1000).detections;
+        assert!(boxes.len() > 10);
+        let numbers = boxes
+            .iter()
+            .flat_map(|found| found.hwl.into_iter().chain([found.score]));
+        found.push(sum(&numbers.collect::<Vec<f32>>()));
+    }
+    assert_eq!(found, EXPECTED, "{found:#x?}");
+}
+
+const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.safetensors");
+/// Of the canvas; then of scores, deltas and boxes in f32, and in bf16.
+const EXPECTED: [u64; 7] = [
+    0x0c59_3003_c7f8_1f58,
+    0x29dd_d5af_85bc_f097,
+    0x3600_ea52_69d4_e95f,
+    0x3540_9ca2_bc36_4379,
+    0x82e4_8bd0_ecb2_92fb,
+    0xa42d_646e_47a2_7e26,
+    0x959d_3617_fa17_460f,
+];
 
 #[test]
 fn bits_do_not_depend_on_threads_on_what_came_before_or_on_the_split() {
