@@ -6,7 +6,7 @@ use std::process::Command;
 
 use realo_logs::{Log, Stream, describe};
 use realo_player::{Config, Player};
-use realo_runtime::{Describe, Source};
+use realo_operator::{Describe, Source};
 use realo_schemas::{Message, Payload};
 
 /// A Python with numpy; one in a virtual environment under the build folder if the system's has none.

@@ -10,11 +10,12 @@
 //! | `over_limit_boxes` | boxes above the threshold beyond the 1,000 best |
 //! | `invalid_boxes` | decoded boxes with numbers that are not finite |
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
-use realo_nn::network::{BevMap, Network};
+use realo_nn::network::{BevView, Network};
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::is_valid;
 use realo_schemas::{Box3, Boxes, DType, FeatureMap, Header, Kind, Message, Name, PayloadType};
@@ -51,10 +52,70 @@ impl Default for Config {
 /// The operator `detection-head`.
 pub struct DetectionHead {
     network: Network,
+    decoder: Decoder,
+    identity: String,
+}
+
+/// From the numbers of the heads to boxes.
+#[derive(Clone, Debug)]
+pub struct Decoder {
     anchors: Anchors,
     classes: Vec<Name>,
     threshold: f32,
-    identity: String,
+}
+
+/// The boxes of a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Decoded {
+    /// Boxes above the threshold, best first.
+    pub boxes: Vec<Box3>,
+    /// Boxes above the threshold beyond the 1,000 best.
+    pub over_limit: u64,
+    /// Boxes with numbers that are not finite.
+    pub invalid: u64,
+}
+
+impl Decoder {
+    /// Boxes that score more than `threshold`, by the anchors of a head.
+    pub fn new(anchors: Anchors, threshold: f32) -> Self {
+        Decoder {
+            classes: anchors.classes.iter().map(|class| class.name.as_str().into()).collect(),
+            anchors,
+            threshold,
+        }
+    }
+
+    /// The boxes of scores and deltas, `[rows, columns, anchors * classes]` and `[rows, columns, anchors * 7]`.
+    ///
+    /// # Panics
+    /// If the maps' sizes are not those of the anchors.
+    pub fn decode(&self, scores: &[f32], deltas: &[f32]) -> Decoded {
+        let found = candidates(&self.anchors, scores, deltas, self.threshold, MOST);
+        let decoded = found.detections.len();
+        let boxes = found.detections.iter().map(|detection| self.boxed(detection));
+        let boxes: Vec<Box3> = boxes.filter(is_valid).collect();
+        Decoded {
+            invalid: (decoded - boxes.len()) as u64,
+            over_limit: found.over_limit,
+            boxes,
+        }
+    }
+
+    fn boxed(&self, detection: &Detection) -> Box3 {
+        let [x, y, z, height, width, length, yaw] = detection.hwl.map(f64::from);
+        Box3 {
+            center: [x, y, z],
+            length,
+            width,
+            height,
+            yaw: realo_schemas::geometry::normalize_yaw(yaw),
+            velocity: None,
+            class: self.classes[detection.class].clone(),
+            score: detection.score,
+            track: None,
+            covariance: None,
+        }
+    }
 }
 
 const FEATURES: PortId = PortId(0);
@@ -95,15 +156,8 @@ impl Operator for DetectionHead {
             return Err(format!("argument `score_threshold`: expected 0 to 1, found {threshold}").into());
         }
         Ok(DetectionHead {
-            anchors: Anchors::of(&loaded.model),
-            classes: loaded
-                .model
-                .classes
-                .iter()
-                .map(|class| class.name.as_str().into())
-                .collect(),
+            decoder: Decoder::new(Anchors::of(&loaded.model), threshold),
             network: loaded.network,
-            threshold,
             identity: loaded.identity,
         })
     }
@@ -113,17 +167,18 @@ impl Operator for DetectionHead {
             return Err(wrong_port(Self::INPUTS, port));
         }
         let (header, map): (Header, FeatureMap) = message.into_parts().map_err(unexpected)?;
-        let heads = self.network.heads(&self.bev(&map)?)?;
-        let found = candidates(&self.anchors, &heads.scores, &heads.deltas, self.threshold, MOST);
+        let data = self.numbers(&map)?;
+        let [rows, columns, channels] = [map.rows, map.columns, map.channels].map(|n| n as usize);
+        let heads = self.network.heads(BevView {
+            rows,
+            columns,
+            channels,
+            data: &data,
+        })?;
+        let found = self.decoder.decode(&heads.scores, &heads.deltas);
         out.count("over_limit_boxes", found.over_limit);
-        let decoded = found.detections.len();
-        let boxes: Vec<Box3> = found
-            .detections
-            .iter()
-            .map(|detection| self.boxed(detection))
-            .filter(is_valid)
-            .collect();
-        out.count("invalid_boxes", (decoded - boxes.len()) as u64);
+        out.count("invalid_boxes", found.invalid);
+        let boxes = found.boxes;
         let header = Header {
             kind: Kind::Boxes,
             ..header
@@ -134,7 +189,8 @@ impl Operator for DetectionHead {
 }
 
 impl DetectionHead {
-    fn bev(&self, map: &FeatureMap) -> Result<BevMap, Error> {
+    /// The numbers of a map of this model: those of the message, or a copy where it does not lie as numbers do.
+    fn numbers<'a>(&self, map: &'a FeatureMap) -> Result<Cow<'a, [f32]>, Error> {
         if *map.model != *self.identity {
             let (found, expected) = (&map.model, &self.identity);
             return Err(format!(
@@ -142,40 +198,16 @@ impl DetectionHead {
             )
             .into());
         }
-        let data = match map.dtype {
-            DType::F32 => map
-                .data
-                .as_chunks::<4>()
-                .0
-                .iter()
-                .copied()
-                .map(f32::from_le_bytes)
-                .collect(),
-            other => return Err(format!("expected a map of f32, found {other:?}").into()),
-        };
-        let [rows, columns, channels] = [map.rows, map.columns, map.channels].map(|n| n as usize);
-        Ok(BevMap {
-            rows,
-            columns,
-            channels,
-            data,
-        })
-    }
-
-    fn boxed(&self, detection: &Detection) -> Box3 {
-        let [x, y, z, height, width, length, yaw] = detection.hwl.map(f64::from);
-        Box3 {
-            center: [x, y, z],
-            length,
-            width,
-            height,
-            yaw: realo_schemas::geometry::normalize_yaw(yaw),
-            velocity: None,
-            class: self.classes[detection.class].clone(),
-            score: detection.score,
-            track: None,
-            covariance: None,
+        if map.dtype != DType::F32 {
+            return Err(format!("expected a map of f32, found {:?}", map.dtype).into());
         }
+        let lies_well =
+            map.data.as_ptr().align_offset(align_of::<f32>()) == 0 && map.data.len().is_multiple_of(size_of::<f32>());
+        if cfg!(target_endian = "little") && lies_well {
+            return Ok(Cow::Borrowed(map.data.typed_data()));
+        }
+        let numbers = map.data.as_chunks::<4>().0.iter().copied();
+        Ok(Cow::Owned(numbers.map(f32::from_le_bytes).collect()))
     }
 }
 
@@ -244,6 +276,25 @@ mod tests {
         assert!(boxes.iter().all(is_valid));
         let (boxes, over) = detected(&mut head(Some(0.999)).unwrap(), map(0.0)).unwrap();
         assert_eq!((boxes.len(), over), (0, 0), "an even map shows nothing");
+    }
+
+    #[test]
+    fn a_map_is_read_where_it_lies_and_copied_only_if_it_lies_askew() {
+        let head = head(None).unwrap();
+        let map = map(0.25);
+        let numbers = head.numbers(&map).unwrap();
+        assert!(matches!(numbers, Cow::Borrowed(_)));
+        let mut bytes = vec![0; 1];
+        bytes.extend_from_slice(&map.data);
+        let start = bytes.len() - map.data.len();
+        let mut askew = FeatureMap {
+            data: bytes.into(),
+            ..map.clone()
+        };
+        askew.data = askew.data.slice(start);
+        let read = head.numbers(&askew).unwrap();
+        assert_eq!(matches!(read, Cow::Owned(_)), askew.data.as_ptr().align_offset(4) != 0);
+        assert!(*read == *numbers);
     }
 
     #[test]

@@ -49,13 +49,6 @@ impl Outline {
         )
     }
 
-    /// The outline of four corners in order around it, m.
-    pub fn from_corners(corners: [[f64; 2]; 4]) -> Self {
-        let footprint = Footprint::from_corners(corners);
-        let [length, width] = footprint.half.map(|half| 2.0 * half);
-        Outline::new(footprint.center, length, width, footprint.yaw())
-    }
-
     /// Centre (x, y), m.
     pub fn center_m(&self) -> [f64; 2] {
         self.center.map(|value| f64::from(value) / METRE)

@@ -31,7 +31,7 @@ pub use collect::{Collector, EvaluationError, evaluate};
 pub use frame::{Detection, Dropped, Evaluation, Frame, Outline, PoolError, Scene, Truth, pool};
 pub use intervals::{Bounds, Intervals};
 pub use matching::{Outcome, Scope, match_frame};
-pub use precision::{average_precision, curve};
+pub use precision::average_precision;
 pub use protocol::{Protocol, ProtocolError, Rule, SuperClass};
 pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, RangeBin, Scores, frame_scores, score};
 pub use table::{Orders, Table};

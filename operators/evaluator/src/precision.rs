@@ -16,31 +16,31 @@ pub fn average_precision(hits: &[bool], total: u64) -> Option<f64> {
     Some(area / total as f64)
 }
 
-/// Recall and the precision envelope after each detection, between the conventional ends (0, envelope) and (1, 0).
-///
-/// Without objects, recall is 0 throughout.
-pub fn curve(hits: &[bool], total: u64) -> (Vec<f64>, Vec<f64>) {
-    let mut recall = vec![0.0];
-    let mut precision = vec![0.0];
-    let mut found = 0u64;
-    for (index, hit) in hits.iter().enumerate() {
-        found += u64::from(*hit);
-        recall.push(if total > 0 { found as f64 / total as f64 } else { 0.0 });
-        precision.push(found as f64 / (index + 1) as f64);
-    }
-    recall.push(1.0);
-    precision.push(0.0);
-    for i in (1..precision.len()).rev() {
-        precision[i - 1] = precision[i - 1].max(precision[i]);
-    }
-    (recall, precision)
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    /// Recall and the precision envelope after each detection, between the conventional ends (0, envelope) and (1, 0).
+    ///
+    /// Without objects, recall is 0 throughout.
+    fn curve(hits: &[bool], total: u64) -> (Vec<f64>, Vec<f64>) {
+        let mut recall = vec![0.0];
+        let mut precision = vec![0.0];
+        let mut found = 0u64;
+        for (index, hit) in hits.iter().enumerate() {
+            found += u64::from(*hit);
+            recall.push(if total > 0 { found as f64 / total as f64 } else { 0.0 });
+            precision.push(found as f64 / (index + 1) as f64);
+        }
+        recall.push(1.0);
+        precision.push(0.0);
+        for i in (1..precision.len()).rev() {
+            precision[i - 1] = precision[i - 1].max(precision[i]);
+        }
+        (recall, precision)
+    }
 
     #[test]
     fn exact_cases() {

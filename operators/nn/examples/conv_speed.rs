@@ -9,8 +9,9 @@ use std::time::Instant;
 
 use realo_nn::canvas::Canvas;
 use realo_nn::conv::Isa;
+use realo_nn::layers::{Layer, Layers, Step};
 use realo_nn::model::{Model, Precision};
-use realo_nn::network::{Network, NetworkOptions, blocks, deblocks, head_layer, shrink_layers};
+use realo_nn::network::{Network, NetworkOptions};
 use realo_nn::weights::{Tensor, Weights, expected};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -28,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         })
         .collect();
     let weights = Weights::new(&model, tensors)?;
-    let work = operations(&model, &weights);
+    let work = operations(&model);
     println!(
         "{}: {:.2} GFLOP a sweep, least and median of {runs} runs",
         model.name,
@@ -87,20 +88,13 @@ fn cpu_seconds() -> Option<f64> {
     Some(nanos / 1e9)
 }
 
-fn operations(model: &Model, weights: &Weights) -> f64 {
-    let mut size = [model.grid.rows(), model.grid.columns()];
-    let mut sum = 0.0;
-    for (block, deblock) in blocks(model, weights).iter().zip(deblocks(model, weights)) {
-        for layer in block {
-            sum += layer.operations(size);
-            size = size.map(|cells| layer.size(cells));
-        }
-        sum += deblock.operations(size);
-    }
-    let last = shrink_layers(model, weights)
-        .into_iter()
-        .chain([head_layer(model, weights)]);
-    sum + last.map(|layer| layer.operations(model.map_size())).sum::<f64>()
+fn operations(model: &Model) -> f64 {
+    let layers = Layers::of(model);
+    let of = |step: &Step| match &step.layer {
+        Layer::Convolution(layer) => layer.operations(layers.size(step.from[0])),
+        _ => 0.0,
+    };
+    layers.steps().iter().map(of).sum()
 }
 
 struct Numbers(u64);

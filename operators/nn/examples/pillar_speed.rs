@@ -2,13 +2,16 @@
 //!
 //! The cloud has the density of a spinning LiDAR: rings of points on flat ground and on walls, nearer ones denser.
 
+#![allow(clippy::disallowed_methods)]
+
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use realo_nn::anchors::{Anchors, Cells};
+use realo_nn::anchors::Anchors;
 use realo_nn::canvas::Canvas;
 use realo_nn::decode::candidates;
 use realo_nn::loss::{HeadMaps, Settings, loss};
-use realo_nn::model::Grid;
+use realo_nn::model::{Grid, Model};
 use realo_nn::pillar_net::PillarNet;
 use realo_nn::pillars::{Pillariser, Pillars, Points};
 use realo_nn::targets::{Object, assign};
@@ -22,7 +25,7 @@ const GRID: Grid = Grid {
 const CHANNELS: usize = 32;
 const RUNS: usize = 101;
 
-fn main() {
+fn main() -> Result<(), realo_nn::model::ModelError> {
     let [x, y, z] = cloud(100_000);
     let points = Points {
         x: &x,
@@ -49,7 +52,8 @@ fn main() {
     let even = even_pillars(10_000, 7);
     report("pillar net, 10,000 pillars of 7 points", || net.run(&even, &mut canvas));
 
-    let anchors = Anchors::v2x_real(Cells::divided(GRID.x, GRID.y, 100, 256));
+    let model = Model::read(Path::new("models/lite.toml"))?;
+    let anchors = Anchors::of(&model);
     let objects: Vec<Object> = (0..100).map(|i| object(&anchors, i)).collect();
     report("targets, 153,600 anchors, 100 objects", || {
         assign(&anchors, &objects);
@@ -76,6 +80,7 @@ fn main() {
         "  {} candidates",
         candidates(&anchors, &scores, &deltas, 0.2, 1000).detections.len()
     );
+    Ok(())
 }
 
 fn report(what: &str, mut step: impl FnMut()) {

@@ -29,8 +29,9 @@ impl Anchors {
         }
     }
 
-    /// The anchors of V2X-Real over a map. Their second heading is 1.57, not π/2; weights depend on it.
-    pub fn v2x_real(cells: Cells) -> Self {
+    /// For tests: the anchors of V2X-Real over a map. Their second heading is 1.57, not π/2; weights depend on it.
+    #[cfg(test)]
+    pub(crate) fn v2x_real(cells: Cells) -> Self {
         let class = |name: &str, [length, width, height]: [f64; 3], z, [unmatched, matched]: [f64; 2]| ClassAnchor {
             name: name.into(),
             length,
@@ -97,8 +98,9 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// The map that `stride` voxels of side `voxel` (m) make one cell of, over x and y ranges; cells cover it all.
-    pub fn new(x: [f64; 2], y: [f64; 2], voxel: f64, stride: usize) -> Self {
+    /// For tests: the map that `stride` voxels of side `voxel` (m) make one cell of, over x and y ranges; cells cover it all.
+    #[cfg(test)]
+    pub(crate) fn new(x: [f64; 2], y: [f64; 2], voxel: f64, stride: usize) -> Self {
         let count = |[from, to]: [f64; 2]| (((to - from) / voxel).round() / stride as f64).ceil() as usize;
         Self::divided(x, y, count(y), count(x))
     }

@@ -1,16 +1,37 @@
 //! The networks: model files and weights, pillars, convolutions, anchors, targets, loss and decoding.
+//!
+//! # Architectures
+//!
+//! A network is described once, as a list of layers ([`layers::Layers`]): which tensors a layer has, which maps it reads,
+//! which one it makes. The names and shapes that a file of weights must have, the plan of inference, the plan of training
+//! and the sizes of maps are all read from that list; nothing else knows an order of layers.
+//!
+//! Another architecture needs
+//! - a file `arch/<name>.rs` that puts its layers together, out of those of `arch/pointpillars.rs` where it shares them,
+//!   checks what does not fit, and holds the settings that only it has;
+//! - its variant of [`arch::Arch`] in `arch/mod.rs`, which makes it a model's `[arch]`;
+//! - if it computes what no layer here does: a variant of [`layers::Layer`] with its tensors, its kernel in `part.rs` and,
+//!   if it is to be trained, its operation in `tools/training/src/network.rs`. The compiler names these places.
+//!
+//! Weights, loading, the operators, training's loop and checkpoints stay as they are.
+
+// Tests may compare with the system's functions.
+#![cfg_attr(test, allow(clippy::disallowed_methods))]
 
 pub mod anchors;
+pub mod arch;
 pub mod canvas;
 pub mod conv;
 pub mod decode;
+mod encoder;
+pub mod layers;
 mod load;
 pub mod loss;
 pub mod model;
 pub mod network;
+mod part;
 pub mod pillar_net;
 pub mod pillars;
-pub mod points;
 mod simd;
 pub mod targets;
 #[cfg(test)]
@@ -18,4 +39,5 @@ mod testing;
 #[cfg(test)]
 mod vectors;
 pub mod weights;
-pub use load::{LoadError, Loaded, load};
+pub use encoder::{Encoder, Pillarer};
+pub use load::{LoadError, Loaded, ReadError, load};

@@ -1,20 +1,27 @@
 //! A model as the operators load it: file, weights and a network that is ready to run.
+//!
+//! In one process a model is loaded once: who loads the same files for the same instructions gets the same model and
+//! weights, and networks with the same number of threads share the threads. Only the maps are each network's own.
 
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use sha2::{Digest, Sha256};
 
-use crate::conv::{Isa, UnknownIsa};
-use crate::model::{Model, ModelError};
-use crate::network::{Network, NetworkError, NetworkOptions};
-use crate::weights::{Weights, WeightsError};
+use crate::conv::{Isa, Pool, UnknownIsa};
+use crate::model::{MOST_BYTES as MOST_MODEL_BYTES, Model, ModelError};
+use crate::network::{Core, Network, NetworkError, NetworkOptions};
+use crate::weights::{MOST_BYTES as MOST_WEIGHTS_BYTES, Weights, WeightsError};
 
 /// A model with its weights and its network.
 pub struct Loaded {
     /// The model file.
-    pub model: Model,
+    pub model: Arc<Model>,
     /// Its weights.
-    pub weights: Weights,
+    pub weights: Arc<Weights>,
     /// Its network.
     pub network: Network,
     /// Name and digest of file and weights: the same only for the same network.
@@ -58,9 +65,6 @@ pub fn load(model_file: &Path, isa: &str, threads: usize) -> Result<Loaded, Load
     if threads > MOST_THREADS {
         return Err(LoadError::Threads(threads));
     }
-    let model = Model::read(model_file)?;
-    let path = model.weights_beside(model_file);
-    let weights = Weights::read(&path, &model)?;
     let mut options = NetworkOptions::default();
     if isa != "auto" {
         options.isa = isa.parse::<Isa>()?;
@@ -68,34 +72,237 @@ pub fn load(model_file: &Path, isa: &str, threads: usize) -> Result<Loaded, Load
     if threads > 0 {
         options.threads = threads;
     }
-    let network = Network::new(&model, &weights, options).map_err(|error| LoadError::Network {
+    let text = read_bounded(model_file, MOST_MODEL_BYTES).map_err(|error| ModelError::Read {
         path: model_file.into(),
         error,
     })?;
-    let identity = format!("{}-{}", model.name, digest(&[model_file, &path])?);
+    let model = Model::parse(&text, model_file)?;
+    let path = model.weights_beside(model_file);
+    let bytes = read_bounded(&path, MOST_WEIGHTS_BYTES).map_err(|error| WeightsError::Read {
+        path: path.clone(),
+        error,
+    })?;
+    let identity = format!("{}-{}", model.name, digest(&[&text, &bytes]));
+
+    let mut known = lock(&KNOWN);
+    let shared = match known.model(&identity, options.isa) {
+        Some(shared) => shared,
+        None => {
+            let weights = Weights::parse(&bytes, &model, &path)?;
+            let core = Core::new(&model, &weights, &options).map_err(|error| LoadError::Network {
+                path: model_file.into(),
+                error,
+            })?;
+            known.add(&identity, options.isa, Shared { model, weights, core })
+        }
+    };
     Ok(Loaded {
-        model,
-        weights,
-        network,
+        model: shared.model,
+        weights: shared.weights,
+        network: Network::sharing(shared.core, known.pool(options.threads)),
         identity,
     })
 }
 
-/// The first 16 digits of the SHA-256 of the files' bytes.
-fn digest(files: &[&Path]) -> Result<String, LoadError> {
-    let mut sum = Sha256::new();
-    for path in files {
-        let bytes = std::fs::read(path).map_err(|error| WeightsError::Read {
-            path: path.into(),
-            error,
-        })?;
-        sum.update((bytes.len() as u64).to_le_bytes());
-        sum.update(&bytes);
+/// What is the same for everybody who loads a model.
+struct Shared<M = Arc<Model>, W = Arc<Weights>, C = Arc<Core>> {
+    model: M,
+    weights: W,
+    core: C,
+}
+
+type Unowned = Shared<Weak<Model>, Weak<Weights>, Weak<Core>>;
+
+/// What is in use in this process.
+struct Known {
+    /// By identity and instructions.
+    models: BTreeMap<(String, String), Unowned>,
+    /// By number of threads.
+    pools: BTreeMap<usize, Weak<Mutex<Pool>>>,
+}
+
+static KNOWN: Mutex<Known> = Mutex::new(Known {
+    models: BTreeMap::new(),
+    pools: BTreeMap::new(),
+});
+
+impl Known {
+    fn model(&self, identity: &str, isa: Isa) -> Option<Shared> {
+        let shared = self.models.get(&(identity.to_string(), isa.to_string()))?;
+        Some(Shared {
+            model: shared.model.upgrade()?,
+            weights: shared.weights.upgrade()?,
+            core: shared.core.upgrade()?,
+        })
     }
-    Ok(sum
-        .finalize()
-        .iter()
-        .take(8)
-        .map(|byte| format!("{byte:02x}"))
-        .collect())
+
+    fn add(
+        &mut self,
+        identity: &str,
+        isa: Isa,
+        Shared { model, weights, core }: Shared<Model, Weights, Core>,
+    ) -> Shared {
+        let shared = Shared {
+            model: Arc::new(model),
+            weights: Arc::new(weights),
+            core: Arc::new(core),
+        };
+        self.models.retain(|_, shared| shared.core.strong_count() > 0);
+        let weak = Shared {
+            model: Arc::downgrade(&shared.model),
+            weights: Arc::downgrade(&shared.weights),
+            core: Arc::downgrade(&shared.core),
+        };
+        self.models.insert((identity.to_string(), isa.to_string()), weak);
+        shared
+    }
+
+    fn pool(&mut self, threads: usize) -> Arc<Mutex<Pool>> {
+        if let Some(pool) = self.pools.get(&threads).and_then(Weak::upgrade) {
+            return pool;
+        }
+        let pool = Arc::new(Mutex::new(Pool::new(threads)));
+        self.pools.insert(threads, Arc::downgrade(&pool));
+        pool
+    }
+}
+
+/// A panic elsewhere leaves no state half changed.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The first 16 digits of the SHA-256 of the files' bytes.
+fn digest(files: &[&[u8]]) -> String {
+    let mut sum = Sha256::new();
+    for bytes in files {
+        sum.update((bytes.len() as u64).to_le_bytes());
+        sum.update(bytes);
+    }
+    let digits = sum.finalize();
+    digits.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Why a file was not read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The system says so.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// It is longer than any such file.
+    #[error("expected at most {most} bytes, found more")]
+    TooLong {
+        /// Bytes that such a file has at most.
+        most: u64,
+    },
+}
+
+/// The bytes of a file, unless there are more than `most`.
+pub(crate) fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, ReadError> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    match bytes.len() as u64 > most {
+        true => Err(ReadError::TooLong { most }),
+        false => Ok(bytes),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::canvas::Canvas;
+    use crate::testing::{small, write};
+
+    fn load_from(folder: &Path, isa: &str, threads: usize) -> Loaded {
+        load(&folder.join("small.toml"), isa, threads).unwrap()
+    }
+
+    fn folder(seed: u64) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let mut model = small(8, 12, true);
+        model.name = "small".into();
+        write(folder.path(), &model, seed);
+        folder
+    }
+
+    #[test]
+    fn a_model_is_loaded_once_and_its_networks_share_weights_and_threads() {
+        let folder = folder(1);
+        let (a, b) = (
+            load_from(folder.path(), "portable", 2),
+            load_from(folder.path(), "portable", 2),
+        );
+        assert!(Arc::ptr_eq(&a.model, &b.model) && Arc::ptr_eq(&a.weights, &b.weights));
+        assert!(a.network.shares_layers_with(&b.network) && a.network.shares_threads_with(&b.network));
+        let other = load_from(folder.path(), "portable", 1);
+        assert!(other.network.shares_layers_with(&a.network) && !other.network.shares_threads_with(&a.network));
+        let auto = load_from(folder.path(), "auto", 2);
+        assert_eq!(
+            auto.network.shares_layers_with(&a.network),
+            Isa::detect() == Isa::Portable
+        );
+        assert_eq!(auto.identity, a.identity);
+    }
+
+    #[test]
+    fn a_file_that_has_changed_is_another_model() {
+        let folder = folder(2);
+        let before = load_from(folder.path(), "auto", 1);
+        write(folder.path(), &before.model, 3);
+        let after = load_from(folder.path(), "auto", 1);
+        assert_ne!(before.identity, after.identity);
+        assert!(!after.network.shares_layers_with(&before.network));
+    }
+
+    #[test]
+    fn nothing_stays_of_a_model_that_nobody_uses() {
+        let folder = folder(4);
+        let loaded = load_from(folder.path(), "auto", 1);
+        let (model, identity) = (Arc::downgrade(&loaded.model), loaded.identity.clone());
+        drop(loaded);
+        assert!(model.upgrade().is_none());
+        assert!(lock(&KNOWN).model(&identity, Isa::detect()).is_none());
+    }
+
+    #[test]
+    fn networks_of_one_model_work_at_the_same_time() {
+        let folder = folder(5);
+        let map = |threads: usize, value: f32| {
+            let mut network = load_from(folder.path(), "auto", threads).network;
+            let mut canvas = Canvas::new(8, 12, 7);
+            canvas.cell_mut(3, 4).fill(value);
+            let map = network.encode(&canvas).unwrap();
+            (network.heads(&map).unwrap(), map)
+        };
+        let expected = [1.0, 2.0].map(|value| map(2, value));
+        let _kept = load_from(folder.path(), "auto", 2);
+        std::thread::scope(|scope| {
+            let runs: Vec<_> = (0..8).map(|i| scope.spawn(move || map(2, [1.0, 2.0][i % 2]))).collect();
+            for (i, run) in runs.into_iter().enumerate() {
+                assert!(run.join().unwrap() == expected[i % 2]);
+            }
+        });
+    }
+
+    #[test]
+    fn errors_name_file_and_field() {
+        let folder = folder(6);
+        let file = folder.path().join("small.toml");
+        let error = |isa: &str, threads: usize| load(&file, isa, threads).err().expect("refused").to_string();
+        assert!(
+            error("sse9", 1).contains("argument `isa`: expected one of"),
+            "{}",
+            error("sse9", 1)
+        );
+        assert!(error("auto", 5000).contains("`threads`: expected at most 1024, found 5000"));
+        let weights = folder.path().join("small.safetensors");
+        std::fs::remove_file(&weights).unwrap();
+        let missing = error("auto", 1);
+        assert!(
+            missing.contains("small.safetensors") && missing.contains("realo train"),
+            "{missing}"
+        );
+        std::fs::write(&weights, [255; 16]).unwrap();
+        assert!(error("auto", 1).contains("small.safetensors"));
+    }
 }

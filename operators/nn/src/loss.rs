@@ -177,9 +177,7 @@ mod tests {
     #[test]
     fn reference_vectors_are_met() {
         for case in 0..2 {
-            let Some(vector) = Vector::open(&format!("loss/point_pillar_loss_{case}.safetensors")) else {
-                continue;
-            };
+            let vector = Vector::open(&format!("loss/point_pillar_loss_{case}.safetensors"));
             let channels_last = |name: &str| nhwc(&vector.f32(name), vector.shape(name).try_into().unwrap());
             let (scores, deltas) = (channels_last("in.psm"), channels_last("in.rm"));
             let (labels, boxes) = (vector.f64("in.labels_byxa"), vector.rows_f64::<7>("in.targets_byxa7"));

@@ -7,7 +7,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-/// A PointPillars detector (Lang et al. 2019) as V2X-Real builds it.
+use crate::arch::Arch;
+use crate::layers::Layers;
+use crate::load::{ReadError, read_bounded};
+
+/// A detector on pillars, with the settings that all architectures share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Model {
@@ -21,6 +25,9 @@ pub struct Model {
     pub rotations: Vec<f64>,
     /// Detections score more than this, 0 to 1.
     pub score_threshold: f32,
+    /// How the layers are put together; a PointPillars detector if the file does not say.
+    #[serde(default, skip_serializing_if = "Arch::is_default")]
+    pub arch: Arch,
     /// Classes in the order of the head's scores, each with its anchor.
     pub classes: Vec<ClassAnchor>,
     /// The pillars' grid.
@@ -164,7 +171,7 @@ pub enum ModelError {
         /// The model file.
         path: PathBuf,
         /// What failed.
-        error: std::io::Error,
+        error: ReadError,
     },
     /// It is not a model file.
     #[error("{}: {error}", path.display())]
@@ -207,11 +214,19 @@ impl Model {
     /// # Errors
     /// [`ModelError::Read`], [`ModelError::Syntax`], and [`ModelError::File`] with what [`Model::validate`] finds.
     pub fn read(path: &Path) -> Result<Model, ModelError> {
-        let text = std::fs::read_to_string(path).map_err(|error| ModelError::Read {
+        let bytes = read_bounded(path, MOST_BYTES).map_err(|error| ModelError::Read {
             path: path.into(),
             error,
         })?;
-        let model: Model = toml::from_str(&text).map_err(|error| ModelError::Syntax {
+        Model::parse(&bytes, path)
+    }
+
+    /// Reads and checks the bytes of a model file; `path` is for errors.
+    ///
+    /// # Errors
+    /// [`ModelError::Syntax`], and [`ModelError::File`] with what [`Model::validate`] finds.
+    pub fn parse(bytes: &[u8], path: &Path) -> Result<Model, ModelError> {
+        let model: Model = toml::from_slice(bytes).map_err(|error| ModelError::Syntax {
             path: path.into(),
             error: Box::new(error),
         })?;
@@ -251,16 +266,15 @@ impl Model {
 
     /// Rows (along y) and columns (along x) of the BEV map and the heads.
     pub fn map_size(&self) -> [usize; 2] {
-        [self.grid.rows(), self.grid.columns()]
-            .map(|pillars| pillars.div_ceil(self.backbone.strides[0]) * self.backbone.up_strides[0])
+        let layers = Layers::of(self);
+        let [rows, columns, _] = layers.size(layers.features);
+        [rows, columns]
     }
 
-    /// Channels of the BEV map, after the backbone and the shrink layers.
+    /// Channels of the BEV map that agents share.
     pub fn map_channels(&self) -> usize {
-        match self.shrink.last() {
-            Some(last) => last.channels,
-            None => self.backbone.up_channels.iter().sum(),
-        }
+        let layers = Layers::of(self);
+        layers.size(layers.features)[2]
     }
 
     /// Whether the parts fit together.
@@ -274,7 +288,13 @@ impl Model {
         self.check_pillars(&mut problems);
         let grid_fits = self.check_grid(&mut problems);
         if self.check_backbone(&mut problems) && grid_fits {
-            self.check_sizes(&mut problems);
+            self.arch.check(self, &mut problems);
+        }
+        if problems.0.is_empty() {
+            let numbers = Layers::of(self).numbers();
+            problems.require(numbers <= MOST_NUMBERS, || {
+                format!("grid, pillars, backbone, shrink: expected maps of at most {MOST_NUMBERS} numbers in all, found {numbers}")
+            });
         }
         if problems.0.is_empty() {
             return Ok(());
@@ -403,40 +423,19 @@ impl Model {
         }
         problems.0.len() == before
     }
-
-    /// Every block's enlarged map has the size of the first's.
-    fn check_sizes(&self, problems: &mut Problems) {
-        let Backbone {
-            strides, up_strides, ..
-        } = &self.backbone;
-        problems.require(strides[0] % up_strides[0] == 0, || {
-            format!(
-                "backbone: expected strides[0] to be a multiple of up_strides[0], found {} and {}",
-                strides[0], up_strides[0]
-            )
-        });
-        let mut size = [self.grid.rows(), self.grid.columns()];
-        for (block, (stride, up)) in strides.iter().zip(up_strides).enumerate() {
-            size = size.map(|cells| cells.div_ceil(*stride));
-            let (found, expected) = (size.map(|cells| cells * up), self.map_size());
-            problems.require(found == expected, || {
-                format!(
-                    "backbone block {block}: expected a map of {}x{} after enlarging, found {}x{}",
-                    expected[0], expected[1], found[0], found[1]
-                )
-            });
-        }
-    }
 }
 
 // Bounds that keep a damaged file from asking for all memory; real networks stay far below.
 const MOST_CHANNELS: usize = 4096;
 const MOST_CELLS: usize = 1 << 24;
+const MOST_NUMBERS: usize = 1 << 28;
+pub(crate) const MOST_BYTES: u64 = 1 << 20;
 
-struct Problems(Vec<String>);
+/// What was found wrong with a model, a line each.
+pub(crate) struct Problems(Vec<String>);
 
 impl Problems {
-    fn require(&mut self, holds: bool, problem: impl FnOnce() -> String) {
+    pub(crate) fn require(&mut self, holds: bool, problem: impl FnOnce() -> String) {
         if !holds {
             self.0.push(problem());
         }
@@ -492,7 +491,7 @@ mod tests {
     #[test]
     fn says_everything_that_does_not_fit() {
         type Change = fn(&mut Model);
-        let cases: [(Change, &str); 13] = [
+        let cases: [(Change, &str); 14] = [
             (|m| m.name = "../lite".into(), "name: expected lower-case"),
             (|m| m.classes.clear(), "number of classes: expected 1 to 64, found 0"),
             (|m| m.classes[1].name = "truck".into(), "class `truck` is listed twice"),
@@ -518,6 +517,10 @@ mod tests {
                 "block 2: expected a map of 100x256 after enlarging, found 50x128",
             ),
             (|m| m.shrink[0].kernel = 5, "shrink[0].kernel: expected 1 or 3, found 5"),
+            (
+                |m| m.pillars.channels = 4096,
+                "expected maps of at most 268435456 numbers in all, found",
+            ),
         ];
         for (change, expected) in cases {
             let mut model = lite();
@@ -555,5 +558,13 @@ mod tests {
         assert!(read(LITE.replace("points = 32\n", "")).contains("missing field `points`"));
         assert!(read(LITE.replace("points = 32\n", "points = -1\n")).contains("invalid value"));
         assert!(read(LITE.replace("kernel = 1", "kernel = 2")).contains("expected 1 or 3, found 2"));
+        let long = read(format!("{LITE}#{}", " ".repeat(MOST_BYTES as usize)));
+        assert!(long.contains("m.toml: expected at most 1048576 bytes"), "{long}");
+        let of = |arch: &str| LITE.replace("[grid]", &format!("[arch]\n{arch}\n\n[grid]"));
+        assert!(read(of("kind = \"dream\"")).contains("unknown variant `dream`, expected `pointpillars`"));
+        assert!(read(of("kind = \"pointpillars\"\nratio = 3")).contains("unknown field `ratio`"));
+        let path = dir.path().join("m.toml");
+        std::fs::write(&path, of("kind = \"pointpillars\"")).unwrap();
+        assert_eq!(Model::read(&path).unwrap(), lite());
     }
 }

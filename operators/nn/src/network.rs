@@ -4,11 +4,15 @@
 
 use std::fmt;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 
 use crate::canvas::Canvas;
-use crate::conv::{Bf16, Convolution, Isa, Kernel, Map, Packed, Pool, View};
+use crate::conv::{Bf16, Isa, Pool, View};
+use crate::layers::{Layers, MapId, MapSize};
+use crate::load::lock;
 use crate::model::{Model, Precision};
-use crate::weights::{Weights, WeightsError, block_keys, deblock_keys, shrink_key};
+use crate::part::{Made, Outcome, Part, Runner, Running};
+use crate::weights::{Weights, WeightsError};
 
 /// How a network computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +48,30 @@ pub struct BevMap {
     pub channels: usize,
     /// `[rows, columns, channels]`.
     pub data: Vec<f32>,
+}
+
+/// A [`BevMap`] to read, wherever its numbers lie.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BevView<'a> {
+    /// Cells along y.
+    pub rows: usize,
+    /// Cells along x.
+    pub columns: usize,
+    /// Features of a cell.
+    pub channels: usize,
+    /// `[rows, columns, channels]`.
+    pub data: &'a [f32],
+}
+
+impl<'a> From<&'a BevMap> for BevView<'a> {
+    fn from(map: &'a BevMap) -> Self {
+        BevView {
+            rows: map.rows,
+            columns: map.columns,
+            channels: map.channels,
+            data: &map.data,
+        }
+    }
 }
 
 /// What the detection head says at every anchor; anchors run by (class, rotation).
@@ -103,20 +131,6 @@ pub enum NetworkError {
     },
 }
 
-/// A network that is ready to run; its maps are kept from one sweep to the next.
-pub struct Network {
-    name: String,
-    choice: Choice,
-    pool: Pool,
-    engine: Engine,
-    /// Rows, columns, channels of the canvas.
-    canvas: [usize; 3],
-    /// Rows, columns, channels of the BEV map.
-    map: [usize; 3],
-    /// Numbers of a cell: scores and deltas.
-    outputs: [usize; 2],
-}
-
 /// What a network was found to compute with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Choice {
@@ -145,9 +159,133 @@ impl fmt::Display for Choice {
     }
 }
 
+/// A part that is ready to run, without its maps.
 enum Engine {
-    Single(Box<Plan<f32>>),
-    Half(Box<Plan<Bf16>>),
+    Single(Arc<Part<f32>>),
+    Half(Arc<Part<Bf16>>),
+}
+
+impl Engine {
+    fn new(layers: &Layers, weights: &Weights, choice: Choice, ends: [MapId; 2], outcome: Outcome) -> Self {
+        match choice.precision {
+            Precision::F32 => Engine::Single(Arc::new(Part::new(layers, weights, choice.isa, ends, outcome))),
+            Precision::Bf16 => Engine::Half(Arc::new(Part::new(layers, weights, choice.isa, ends, outcome))),
+        }
+    }
+
+    fn running(&self) -> Box<dyn Runner> {
+        match self {
+            Engine::Single(part) => Box::new(Running::new(Arc::clone(part))),
+            Engine::Half(part) => Box::new(Running::new(Arc::clone(part))),
+        }
+    }
+}
+
+/// What all networks of a model share: everything but threads and maps.
+pub(crate) struct Core {
+    name: String,
+    choice: Choice,
+    encode: Engine,
+    heads: Engine,
+    canvas: MapSize,
+    features: MapSize,
+    /// Numbers of a cell: scores and deltas.
+    outputs: [usize; 2],
+    result: MapSize,
+}
+
+impl Core {
+    /// `weights` are those of `model`, which has been checked.
+    pub fn new(model: &Model, weights: &Weights, options: &NetworkOptions) -> Result<Self, NetworkError> {
+        Core::of(&Layers::of(model), weights, model, options)
+    }
+
+    /// As [`Core::new`], of layers that need not be the model's.
+    fn of(layers: &Layers, weights: &Weights, model: &Model, options: &NetworkOptions) -> Result<Self, NetworkError> {
+        let choice = choose(model, options)?;
+        let (canvas, features, heads) = (layers.canvas, layers.features, layers.heads);
+        Ok(Core {
+            name: model.name.clone(),
+            choice,
+            encode: Engine::new(layers, weights, choice, [canvas, features], Outcome::Own),
+            heads: Engine::new(layers, weights, choice, [features, heads], Outcome::Single),
+            canvas: layers.size(canvas),
+            features: layers.size(features),
+            outputs: [layers.scores, layers.deltas].map(|map| layers.size(map)[2]),
+            result: layers.size(heads),
+        })
+    }
+}
+
+fn choose(model: &Model, options: &NetworkOptions) -> Result<Choice, NetworkError> {
+    if !options.isa.is_available() {
+        return Err(NetworkError::Isa {
+            asked: options.isa,
+            best: Isa::detect(),
+        });
+    }
+    let has_half = options.isa == Isa::Avx512Bf16;
+    let usual = if has_half { model.precision } else { Precision::F32 };
+    Ok(Choice {
+        isa: options.isa,
+        precision: options.precision.unwrap_or(usual),
+        wanted: model.precision,
+        threads: options.threads.max(1),
+    })
+}
+
+/// The layers from one map of a network to another, by themselves.
+pub struct Section {
+    name: String,
+    from: MapSize,
+    to: MapSize,
+    running: Box<dyn Runner>,
+    pool: Arc<Mutex<Pool>>,
+}
+
+impl Section {
+    /// The layers between two maps of a model.
+    ///
+    /// # Errors
+    /// As [`Network::new`].
+    ///
+    /// # Panics
+    /// If the second map does not follow from the first by convolutions.
+    pub fn new(
+        model: &Model,
+        weights: &Weights,
+        options: NetworkOptions,
+        ends: [MapId; 2],
+    ) -> Result<Self, NetworkError> {
+        model.validate()?;
+        let (layers, choice) = (Layers::of(model), choose(model, &options)?);
+        Ok(Section {
+            name: model.name.clone(),
+            from: layers.size(ends[0]),
+            to: layers.size(ends[1]),
+            running: Engine::new(&layers, weights, choice, ends, Outcome::Single).running(),
+            pool: Arc::new(Mutex::new(Pool::new(choice.threads))),
+        })
+    }
+
+    /// The map that follows from another.
+    ///
+    /// # Errors
+    /// [`NetworkError::Shape`] if the map is not of the model's size, [`NetworkError::Length`] if it is not of its own.
+    pub fn run<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<BevMap, NetworkError> {
+        let view = plain(&self.name, map.into(), self.from)?;
+        let mut pool = lock(&self.pool);
+        let data = self.running.run(&mut pool, view).to_f32(&mut pool);
+        Ok(map_of(self.to, data))
+    }
+}
+
+/// A network that is ready to run; its maps are kept from one sweep to the next.
+pub struct Network {
+    core: Arc<Core>,
+    pool: Arc<Mutex<Pool>>,
+    encode: Box<dyn Runner>,
+    heads: Box<dyn Runner>,
 }
 
 impl Network {
@@ -166,40 +304,37 @@ impl Network {
     /// [`NetworkError::Model`], and [`NetworkError::Isa`] if the CPU lacks what the options ask for.
     pub fn new(model: &Model, weights: &Weights, options: NetworkOptions) -> Result<Network, NetworkError> {
         model.validate()?;
-        if !options.isa.is_available() {
-            return Err(NetworkError::Isa {
-                asked: options.isa,
-                best: Isa::detect(),
-            });
-        }
-        let has_half = options.isa == Isa::Avx512Bf16;
-        let usual = if has_half { model.precision } else { Precision::F32 };
-        let precision = options.precision.unwrap_or(usual);
-        let engine = match precision {
-            Precision::F32 => Engine::Single(Box::new(Plan::new(model, weights, options.isa))),
-            Precision::Bf16 => Engine::Half(Box::new(Plan::new(model, weights, options.isa))),
-        };
-        let [rows, columns] = model.map_size();
+        let core = Core::new(model, weights, &options)?;
         let pool = Pool::new(options.threads);
-        Ok(Network {
-            name: model.name.clone(),
-            choice: Choice {
-                isa: options.isa,
-                precision,
-                wanted: model.precision,
-                threads: pool.threads(),
-            },
+        Ok(Network::sharing(Arc::new(core), Arc::new(Mutex::new(pool))))
+    }
+
+    /// A network with maps of its own, and layers and threads that others use too.
+    pub(crate) fn sharing(core: Arc<Core>, pool: Arc<Mutex<Pool>>) -> Network {
+        Network {
+            encode: core.encode.running(),
+            heads: core.heads.running(),
+            core,
             pool,
-            engine,
-            canvas: [model.grid.rows(), model.grid.columns(), model.pillars.channels],
-            map: [rows, columns, model.map_channels()],
-            outputs: [model.anchors() * model.classes.len(), model.anchors() * 7],
-        })
+        }
+    }
+
+    #[cfg(test)]
+    pub(crate) fn shares_layers_with(&self, other: &Network) -> bool {
+        Arc::ptr_eq(&self.core, &other.core)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn shares_threads_with(&self, other: &Network) -> bool {
+        Arc::ptr_eq(&self.pool, &other.pool)
     }
 
     /// What it computes with.
     pub fn choice(&self) -> Choice {
-        self.choice
+        Choice {
+            threads: lock(&self.pool).threads(),
+            ..self.core.choice
+        }
     }
 
     /// From the canvas to the heads.
@@ -207,12 +342,8 @@ impl Network {
     /// # Errors
     /// [`NetworkError::Shape`] if the canvas is not of the model's size.
     pub fn forward(&mut self, canvas: &Canvas) -> Result<Heads, NetworkError> {
-        self.check_canvas(canvas)?;
-        match &mut self.engine {
-            Engine::Single(plan) => plan.encode(&mut self.pool, canvas),
-            Engine::Half(plan) => plan.encode(&mut self.pool, canvas),
-        }
-        Ok(self.run_heads())
+        let map = self.encode(canvas)?;
+        self.heads(&map)
     }
 
     /// From the canvas to the BEV map that agents share.
@@ -220,54 +351,32 @@ impl Network {
     /// # Errors
     /// [`NetworkError::Shape`] if the canvas is not of the model's size.
     pub fn encode(&mut self, canvas: &Canvas) -> Result<BevMap, NetworkError> {
-        self.check_canvas(canvas)?;
-        let data = match &mut self.engine {
-            Engine::Single(plan) => {
-                plan.encode(&mut self.pool, canvas);
-                plan.features().to_f32()
-            }
-            Engine::Half(plan) => {
-                plan.encode(&mut self.pool, canvas);
-                plan.features().to_f32()
-            }
+        let size = [canvas.rows(), canvas.columns(), canvas.channels()];
+        check_size("the canvas", &self.core.name, size, self.core.canvas)?;
+        let view = View {
+            rows: canvas.rows(),
+            columns: canvas.columns(),
+            stored: canvas.channels(),
+            border: 1,
+            data: canvas.data(),
         };
-        let [rows, columns, channels] = self.map;
-        Ok(BevMap {
-            rows,
-            columns,
-            channels,
-            data,
-        })
+        let mut pool = lock(&self.pool);
+        let data = self.encode.run(&mut pool, view).to_f32(&mut pool);
+        Ok(map_of(self.core.features, data))
     }
 
-    /// From a BEV map to the heads.
+    /// From a BEV map to the heads. The map is read where it lies, unless the network computes in other numbers.
     ///
     /// # Errors
     /// [`NetworkError::Shape`] if the map is not of the model's size, [`NetworkError::Length`] if it is not of its own.
-    pub fn heads(&mut self, map: &BevMap) -> Result<Heads, NetworkError> {
-        self.check("the BEV map", [map.rows, map.columns, map.channels], self.map)?;
-        let expected = self.map.iter().product();
-        if map.data.len() != expected {
-            return Err(NetworkError::Length {
-                what: "the BEV map",
-                expected,
-                found: map.data.len(),
-            });
-        }
-        match &mut self.engine {
-            Engine::Single(plan) => plan.features_mut().fill_with(&mut self.pool, &map.data),
-            Engine::Half(plan) => plan.features_mut().fill_with(&mut self.pool, &map.data),
-        }
-        Ok(self.run_heads())
-    }
-
-    fn run_heads(&mut self) -> Heads {
-        let numbers = match &mut self.engine {
-            Engine::Single(plan) => plan.heads(&mut self.pool),
-            Engine::Half(plan) => plan.heads(&mut self.pool),
+    pub fn heads<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<Heads, NetworkError> {
+        let core = &*self.core;
+        let view = plain(&core.name, map.into(), core.features)?;
+        let mut pool = lock(&self.pool);
+        let Made::Single(numbers) = self.heads.run(&mut pool, view) else {
+            unreachable!("heads are made in f32");
         };
-        let [rows, columns, _] = self.map;
-        let [scores, deltas] = self.outputs;
+        let ([rows, columns, _], [scores, deltas]) = (core.result, core.outputs);
         let cells = rows * columns;
         let mut heads = Heads {
             rows,
@@ -279,274 +388,49 @@ impl Network {
             heads.scores.extend_from_slice(&cell[..scores]);
             heads.deltas.extend_from_slice(&cell[scores..]);
         }
-        heads
-    }
-
-    fn check_canvas(&self, canvas: &Canvas) -> Result<(), NetworkError> {
-        self.check(
-            "the canvas",
-            [canvas.rows(), canvas.columns(), canvas.channels()],
-            self.canvas,
-        )
-    }
-
-    fn check(&self, what: &'static str, found: [usize; 3], expected: [usize; 3]) -> Result<(), NetworkError> {
-        if found == expected {
-            return Ok(());
-        }
-        Err(NetworkError::Shape {
-            what,
-            model: self.name.clone(),
-            expected,
-            found,
-        })
+        Ok(heads)
     }
 }
 
-/// How a number type takes the canvas.
-trait Input: Kernel<Self> + Kernel<f32> {
-    fn take<'a>(canvas: &'a Canvas, copy: &'a mut Option<Map<Self>>, pool: &mut Pool) -> View<'a, Self>;
-}
-
-fn view(canvas: &Canvas) -> View<'_, f32> {
-    View {
-        rows: canvas.rows(),
-        columns: canvas.columns(),
-        stored: canvas.channels(),
-        data: canvas.data(),
+fn map_of([rows, columns, channels]: MapSize, data: Vec<f32>) -> BevMap {
+    BevMap {
+        rows,
+        columns,
+        channels,
+        data,
     }
 }
 
-impl Input for f32 {
-    /// As it lies.
-    fn take<'a>(canvas: &'a Canvas, _: &'a mut Option<Map<f32>>, _: &mut Pool) -> View<'a, f32> {
-        view(canvas)
-    }
-}
-
-impl Input for Bf16 {
-    /// Rounded into a map of its own.
-    fn take<'a>(canvas: &'a Canvas, copy: &'a mut Option<Map<Bf16>>, pool: &mut Pool) -> View<'a, Bf16> {
-        let map = copy.get_or_insert_with(|| Map::new(canvas.rows(), canvas.columns(), canvas.channels()));
-        map.fill_from_view(pool, view(canvas));
-        map.view()
-    }
-}
-
-/// Layers with the maps between them.
-struct Plan<E> {
-    copy: Option<Map<E>>,
-    maps: Vec<Map<E>>,
-    steps: Vec<Step<E>>,
-    /// Index of the map that the heads read.
-    features: usize,
-    head: Packed<E, f32>,
-    outputs: Map<f32>,
-}
-
-struct Step<E> {
-    layer: Packed<E>,
-    /// Index of the map that is read; the canvas if `None`.
-    from: Option<usize>,
-    to: usize,
-    /// First channel written.
-    first: usize,
-}
-
-impl<E: Input> Plan<E> {
-    fn new(model: &Model, weights: &Weights, isa: Isa) -> Self {
-        let [rows, columns] = model.map_size();
-        let mut maker = Maker {
-            isa,
-            maps: Vec::new(),
-            steps: Vec::new(),
-        };
-        let joined = maker.map(rows, columns, model.backbone.up_channels.iter().sum());
-        let mut size = [model.grid.rows(), model.grid.columns()];
-        let (mut from, mut first) = (None, 0);
-        for (block, deblock) in blocks(model, weights).iter().zip(deblocks(model, weights)) {
-            size = size.map(|cells| block[0].size(cells));
-            let maps = [(); 2].map(|()| maker.map(size[0], size[1], block[0].outputs));
-            for (index, layer) in block.iter().enumerate() {
-                let to = maps[index % 2];
-                maker.step(layer, from, to, 0);
-                from = Some(to);
-            }
-            maker.step(&deblock, from, joined, first);
-            first += deblock.outputs;
-        }
-        let mut features = joined;
-        for layer in shrink_layers(model, weights) {
-            let to = maker.map(rows, columns, layer.outputs);
-            maker.step(&layer, Some(features), to, 0);
-            features = to;
-        }
-        let head = head_layer(model, weights);
-        Plan {
-            copy: None,
-            maps: maker.maps,
-            steps: maker.steps,
-            features,
-            outputs: Map::new(rows, columns, head.outputs),
-            head: Packed::new(&head, isa),
-        }
-    }
-
-    fn encode(&mut self, pool: &mut Pool, canvas: &Canvas) {
-        for step in &self.steps {
-            let (from, to) = match step.from {
-                None => (E::take(canvas, &mut self.copy, pool), &mut self.maps[step.to]),
-                Some(from) => {
-                    let (from, to) = two(&mut self.maps, from, step.to);
-                    (from.view(), to)
-                }
-            };
-            step.layer.run(pool, from, to, step.first);
-        }
-    }
-
-    fn heads(&mut self, pool: &mut Pool) -> &Map<f32> {
-        let features = self.maps[self.features].view();
-        self.head.run(pool, features, &mut self.outputs, 0);
-        &self.outputs
-    }
-
-    fn features(&self) -> &Map<E> {
-        &self.maps[self.features]
-    }
-
-    fn features_mut(&mut self) -> &mut Map<E> {
-        &mut self.maps[self.features]
-    }
-}
-
-/// Two different elements, the second to be written.
-fn two<T>(list: &mut [T], read: usize, write: usize) -> (&T, &mut T) {
-    let [read, write] = list
-        .get_disjoint_mut([read, write])
-        .expect("a layer reads one map and writes another");
-    (read, write)
-}
-
-struct Maker<E> {
-    isa: Isa,
-    maps: Vec<Map<E>>,
-    steps: Vec<Step<E>>,
-}
-
-impl<E: Input> Maker<E> {
-    fn map(&mut self, rows: usize, columns: usize, channels: usize) -> usize {
-        self.maps.push(Map::new(rows, columns, channels));
-        self.maps.len() - 1
-    }
-
-    fn step(&mut self, layer: &Convolution, from: Option<usize>, to: usize, first: usize) {
-        let layer = Packed::new(layer, self.isa);
-        self.steps.push(Step { layer, from, to, first });
-    }
-}
-
-/// The convolutions of each block, batch norm folded in.
-pub fn blocks(model: &Model, weights: &Weights) -> Vec<Vec<Convolution>> {
-    let backbone = &model.backbone;
-    let mut inputs = model.pillars.channels;
-    let mut block = |index: usize| {
-        let layer = |layer: usize| {
-            let (key, norm) = block_keys(index, layer);
-            let outputs = backbone.channels[index];
-            let convolution = Convolution {
-                inputs: std::mem::replace(&mut inputs, outputs),
-                outputs,
-                kernel: 3,
-                stride: if layer == 0 { backbone.strides[index] } else { 1 },
-                transposed: false,
-                relu: true,
-                weights: weights.tensor(&format!("{key}.weight")).to_vec(),
-                bias: vec![0.0; outputs],
-            };
-            folded(convolution, &weights.batch_norm(&norm))
-        };
-        (0..=backbone.layers[index]).map(layer).collect()
+/// A map without a border, if it is of the expected size and has as many numbers.
+fn plain<'a>(model: &str, map: BevView<'a>, expected: MapSize) -> Result<View<'a, f32>, NetworkError> {
+    check_size("the BEV map", model, [map.rows, map.columns, map.channels], expected)?;
+    let view = View {
+        rows: map.rows,
+        columns: map.columns,
+        stored: map.channels,
+        border: 0,
+        data: map.data,
     };
-    (0..backbone.layers.len()).map(&mut block).collect()
-}
-
-/// The transposed convolution of each block, batch norm folded in.
-pub fn deblocks(model: &Model, weights: &Weights) -> Vec<Convolution> {
-    let backbone = &model.backbone;
-    let deblock = |index: usize| {
-        let (key, norm) = deblock_keys(index);
-        let convolution = Convolution {
-            inputs: backbone.channels[index],
-            outputs: backbone.up_channels[index],
-            kernel: backbone.up_strides[index],
-            stride: backbone.up_strides[index],
-            transposed: true,
-            relu: true,
-            weights: weights.tensor(&format!("{key}.weight")).to_vec(),
-            bias: vec![0.0; backbone.up_channels[index]],
-        };
-        folded(convolution, &weights.batch_norm(&norm))
-    };
-    (0..backbone.layers.len()).map(deblock).collect()
-}
-
-/// The convolutions after the backbone.
-pub fn shrink_layers(model: &Model, weights: &Weights) -> Vec<Convolution> {
-    let mut inputs = model.backbone.up_channels.iter().sum();
-    let layer = |(index, shrink): (usize, &crate::model::Shrink)| {
-        let key = shrink_key(index);
-        Convolution {
-            inputs: std::mem::replace(&mut inputs, shrink.channels),
-            outputs: shrink.channels,
-            kernel: shrink.kernel,
-            stride: 1,
-            transposed: false,
-            relu: true,
-            weights: weights.tensor(&format!("{key}.weight")).to_vec(),
-            bias: weights.tensor(&format!("{key}.bias")).to_vec(),
-        }
-    };
-    model.shrink.iter().enumerate().map(layer).collect()
-}
-
-/// Both heads as one layer: scores, then deltas.
-pub fn head_layer(model: &Model, weights: &Weights) -> Convolution {
-    let both = |part: &str| {
-        let heads = ["cls_head", "reg_head"].map(|head| weights.tensor(&format!("{head}.{part}")));
-        heads.concat()
-    };
-    let bias = both("bias");
-    Convolution {
-        inputs: model.map_channels(),
-        outputs: bias.len(),
-        kernel: 1,
-        stride: 1,
-        transposed: false,
-        relu: false,
-        weights: both("weight"),
-        bias,
+    match view.numbers() == map.data.len() {
+        true => Ok(view),
+        false => Err(NetworkError::Length {
+            what: "the BEV map",
+            expected: view.numbers(),
+            found: map.data.len(),
+        }),
     }
 }
 
-/// The convolution with its batch norm as weights and bias; computed in f64.
-fn folded(mut layer: Convolution, norm: &[[f64; 2]]) -> Convolution {
-    let taps = layer.kernel * layer.kernel;
-    // Weights of one output lie together, or of one input and output if transposed.
-    let (run, outputs) = match layer.transposed {
-        true => (taps, layer.outputs),
-        false => (taps * layer.inputs, layer.outputs),
-    };
-    for (index, weights) in layer.weights.chunks_exact_mut(run).enumerate() {
-        let [factor, _] = norm[index % outputs];
-        weights
-            .iter_mut()
-            .for_each(|weight| *weight = (f64::from(*weight) * factor) as f32);
+fn check_size(what: &'static str, model: &str, found: MapSize, expected: MapSize) -> Result<(), NetworkError> {
+    if found == expected {
+        return Ok(());
     }
-    for (bias, [factor, summand]) in layer.bias.iter_mut().zip(norm) {
-        *bias = (f64::from(*bias) * factor + summand) as f32;
-    }
-    layer
+    Err(NetworkError::Shape {
+        what,
+        model: model.into(),
+        expected,
+        found,
+    })
 }
 
 #[cfg(test)]

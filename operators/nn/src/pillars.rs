@@ -120,13 +120,6 @@ impl Pillariser {
         }
     }
 
-    /// Takes points that lie exactly on the lower limits as well, as the voxeliser does without the range mask before it.
-    pub fn with_lower_limits(mut self) -> Self {
-        self.lattice.least = 0.0;
-        self.lattice.limit = [f32::INFINITY; 3];
-        self
-    }
-
     /// The pillars of a sweep. They stay until the next one.
     ///
     /// # Panics
@@ -231,8 +224,6 @@ struct Lattice {
     min: [f32; 3],
     /// Extent of a cell along x, y, z, m.
     size: [f32; 3],
-    /// Least distance from the lower limits.
-    least: f32,
     /// Upper limits of x, y, z, m.
     limit: [f32; 3],
 }
@@ -245,7 +236,6 @@ impl Lattice {
             columns: grid.columns() as u32,
             min: axes.map(|[from, _]| from as f32),
             size: [grid.cell as f32, grid.cell as f32, (grid.z[1] - grid.z[0]) as f32],
-            least: f32::from_bits(1),
             limit: axes.map(|[_, to]| to as f32),
         }
     }
@@ -275,7 +265,7 @@ impl Lattice {
         let distance = value - self.min[axis];
         let cell = distance / self.size[axis];
         // False for NaN.
-        let inside = (distance >= self.least) & (value < self.limit[axis]) & (cell < count);
+        let inside = (distance > 0.0) & (value < self.limit[axis]) & (cell < count);
         (cell, inside)
     }
 }
@@ -356,13 +346,10 @@ mod tests {
 
     #[test]
     fn reference_vectors_are_met_exactly() {
-        for case in ["basic", "point_limit", "voxel_limit", "edges"] {
-            let Some(vector) = Vector::open(&format!("pillars/voxelize_{case}.safetensors")) else {
-                continue;
-            };
+        for case in ["basic", "point_limit", "voxel_limit"] {
+            let vector = Vector::open(&format!("pillars/voxelize_{case}.safetensors"));
             let (grid, slots) = (vector.grid(), vector.number("max_points_per_voxel") as usize);
-            let mut pillariser =
-                Pillariser::new(&grid, slots, vector.number("max_voxels") as usize).with_lower_limits();
+            let mut pillariser = Pillariser::new(&grid, slots, vector.number("max_voxels") as usize);
             let found = run(&mut pillariser, &vector.rows::<4>("in.points"));
             let coordinates = vector.rows_f64::<3>("out.coords_zyx");
             let cells = coordinates

@@ -1,11 +1,14 @@
 //! Models and weights for tests.
 
 use std::collections::HashMap;
-use std::io::Write;
-use std::path::PathBuf;
+use std::path::Path;
 
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+
+use crate::layers::{Layers, Role, TensorSpec};
 use crate::model::{Backbone, Frame, Grid, Model, Precision, Shrink};
-use crate::weights::{Tensor, expected};
+use crate::weights::Tensor;
 
 /// The model that ships.
 pub fn lite() -> Model {
@@ -89,37 +92,50 @@ impl Numbers {
 
 /// Tensors of a model; layers keep the size of what passes through them.
 pub fn random_tensors(model: &Model, seed: u64) -> HashMap<String, Tensor> {
-    let mut numbers = Numbers::new(seed);
-    let tensor = |(key, shape): (String, Vec<usize>)| {
-        let count: usize = shape.iter().product();
-        let mut data = numbers.list(count);
-        let inputs = if key.contains(".deblocks.") {
-            shape[0]
-        } else {
-            count / shape[0]
-        };
-        let scale = (6.0 / inputs as f32).sqrt();
-        for value in &mut data {
-            match shape.len() {
-                1 if key.ends_with("running_var") || key.ends_with("weight") => *value = 1.0 + 0.5 * *value,
-                1 => *value *= 0.1,
-                _ => *value *= scale,
-            }
-        }
-        (key, Tensor { shape, data })
-    };
-    expected(model).into_iter().map(tensor).collect()
+    random_tensors_of(&Layers::of(model), seed)
 }
 
-/// The folder of shared vectors; says loudly that a test is skipped where it is not at hand.
-pub fn shared() -> Option<PathBuf> {
-    let folder = std::env::var_os("REALO_SHARED").map(PathBuf::from);
-    if folder.is_none() {
-        // Past the capture of test output, so that nobody misses it.
-        let _ = writeln!(
-            std::io::stderr(),
-            "SKIPPED: set REALO_SHARED to the folder that holds `conformance` to run this test"
-        );
-    }
-    folder
+/// Tensors of layers.
+pub fn random_tensors_of(layers: &Layers, seed: u64) -> HashMap<String, Tensor> {
+    let mut numbers = Numbers::new(seed);
+    let tensor = |spec: TensorSpec| {
+        let mut data = numbers.list(spec.count());
+        for value in &mut data {
+            match spec.role {
+                Role::NormWeight | Role::RunningVariance => *value = 1.0 + 0.5 * *value,
+                Role::Bias | Role::NormBias | Role::RunningMean => *value *= 0.1,
+                Role::Weight { fan_in } => *value *= (6.0 / fan_in as f32).sqrt(),
+            }
+        }
+        let shape = spec.shape;
+        (spec.key, Tensor { shape, data })
+    };
+    layers.tensors().map(tensor).collect()
+}
+
+/// Writes a model file with the weights of a seed beside it.
+pub fn write(folder: &Path, model: &Model, seed: u64) {
+    let path = folder.join(format!("{}.toml", model.name));
+    std::fs::write(&path, toml::to_string(model).unwrap()).unwrap();
+    std::fs::write(model.weights_beside(&path), file_of(model, seed)).unwrap();
+}
+
+/// A file of the weights of a seed.
+pub fn file_of(model: &Model, seed: u64) -> Vec<u8> {
+    let tensors = random_tensors(model, seed);
+    let bytes = |tensor: &Tensor| {
+        tensor
+            .data
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect::<Vec<u8>>()
+    };
+    let all: Vec<_> = tensors
+        .iter()
+        .map(|(key, tensor)| (key, &tensor.shape, bytes(tensor)))
+        .collect();
+    let views = all
+        .iter()
+        .map(|(key, shape, bytes)| (key, TensorView::new(Dtype::F32, shape.to_vec(), bytes).unwrap()));
+    safetensors::serialize(views, None).unwrap()
 }

@@ -1,10 +1,14 @@
-//! Reads conformance vectors for tests, from the folder `conformance` of `$REALO_SHARED`.
+//! Reads conformance vectors for tests, from `tests/data/conformance`.
 
-use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
+
+/// The folder of vectors.
+pub(crate) fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/conformance")
+}
 
 /// A file of tensors with its configuration.
 pub(crate) struct Vector {
@@ -14,22 +18,14 @@ pub(crate) struct Vector {
 }
 
 impl Vector {
-    /// A vector, or `None`, with a line on stderr, where there are no vectors.
-    pub fn open(file: &str) -> Option<Vector> {
-        let Some(shared) = std::env::var_os("REALO_SHARED") else {
-            // Past the capture of test output, so that nobody misses it.
-            let _ = writeln!(
-                std::io::stderr(),
-                "SKIPPED {file}: set REALO_SHARED to the folder that holds `conformance`"
-            );
-            return None;
-        };
-        let path = PathBuf::from(shared).join("conformance").join(file);
+    /// A vector.
+    pub fn open(file: &str) -> Vector {
+        let path = folder().join(file);
         let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();
         let config = &header.metadata().as_ref().unwrap()["config"];
         let config = serde_json::from_str(config).unwrap();
-        Some(Vector { bytes, config })
+        Vector { bytes, config }
     }
 
     /// A tensor's numbers, row-major.

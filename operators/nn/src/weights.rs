@@ -5,50 +5,21 @@ use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
 
+use crate::layers::{Layers, Role, TensorSpec, norm_key};
+use crate::load::{ReadError, read_bounded};
 use crate::model::Model;
 
 /// Added to the variance by every batch norm.
 pub const BATCH_NORM_EPS: f32 = 1e-3;
 
-/// Numbers that describe a point of a pillar: x, y, z, intensity, offsets to the pillar's mean and to its centre.
-pub const POINT_FEATURES: usize = 10;
+/// A file of weights has at most so many bytes; the largest network of the reference has 61 MB.
+pub(crate) const MOST_BYTES: u64 = 1 << 31;
 
 /// Keys and shapes of a model's tensors, in the order of the state dict. Convolutions are `[out, in, k, k]`, transposed
 /// ones `[in, out, k, k]`, linear layers `[out, in]`.
 pub fn expected(model: &Model) -> Vec<(String, Vec<usize>)> {
-    let mut all = Vec::new();
-    let pillars = "pillar_vfe.pfn_layers.0";
-    let mut channels = model.pillars.channels;
-    all.push((format!("{pillars}.linear.weight"), vec![channels, POINT_FEATURES]));
-    norm(&mut all, &format!("{pillars}.norm"), channels);
-    let backbone = &model.backbone;
-    for (block, (layers, out)) in backbone.layers.iter().zip(&backbone.channels).enumerate() {
-        for layer in 0..=*layers {
-            let (conv, norm_key) = block_keys(block, layer);
-            all.push((format!("{conv}.weight"), vec![*out, channels, 3, 3]));
-            norm(&mut all, &norm_key, *out);
-            channels = *out;
-        }
-    }
-    for (block, (up, out)) in backbone.up_strides.iter().zip(&backbone.up_channels).enumerate() {
-        let (conv, norm_key) = deblock_keys(block);
-        all.push((format!("{conv}.weight"), vec![backbone.channels[block], *out, *up, *up]));
-        norm(&mut all, &norm_key, *out);
-    }
-    channels = backbone.up_channels.iter().sum();
-    for (index, shrink) in model.shrink.iter().enumerate() {
-        let shape = vec![shrink.channels, channels, shrink.kernel, shrink.kernel];
-        with_bias(&mut all, &shrink_key(index), shape);
-        channels = shrink.channels;
-    }
-    let anchors = model.anchors();
-    with_bias(
-        &mut all,
-        "cls_head",
-        vec![anchors * model.classes.len(), channels, 1, 1],
-    );
-    with_bias(&mut all, "reg_head", vec![anchors * 7, channels, 1, 1]);
-    all
+    let layers = Layers::of(model);
+    layers.tensors().map(|tensor| (tensor.key, tensor.shape)).collect()
 }
 
 /// The tensors of one model: every key that [`expected`] lists, with its shape, all numbers finite.
@@ -78,7 +49,7 @@ pub enum WeightsError {
         /// The file of weights.
         path: PathBuf,
         /// What failed.
-        error: std::io::Error,
+        error: ReadError,
     },
     /// It is not a safetensors file.
     #[error("{}: {error}", path.display())]
@@ -116,11 +87,19 @@ impl Weights {
     /// [`WeightsError::Read`], [`WeightsError::Syntax`], and [`WeightsError::File`] with that of [`Weights::new`], where a
     /// tensor that is not F32 is a problem too.
     pub fn read(path: &Path, model: &Model) -> Result<Weights, WeightsError> {
-        let bytes = std::fs::read(path).map_err(|error| WeightsError::Read {
+        let bytes = read_bounded(path, MOST_BYTES).map_err(|error| WeightsError::Read {
             path: path.into(),
             error,
         })?;
-        let file = SafeTensors::deserialize(&bytes).map_err(|error| WeightsError::Syntax {
+        Weights::parse(&bytes, model, path)
+    }
+
+    /// Reads the weights of a model from the bytes of a file; `path` is for errors.
+    ///
+    /// # Errors
+    /// As [`Weights::read`], but for reading.
+    pub fn parse(bytes: &[u8], model: &Model, path: &Path) -> Result<Weights, WeightsError> {
+        let file = SafeTensors::deserialize(bytes).map_err(|error| WeightsError::Syntax {
             path: path.into(),
             error,
         })?;
@@ -129,25 +108,21 @@ impl Weights {
         let mut views: Vec<_> = file.iter().filter(|(key, _)| !is_counter(key)).collect();
         views.sort_by_key(|(key, _)| *key);
         for (key, view) in views {
-            if view.dtype() != Dtype::F32 {
-                problems.push(format!("`{key}`: expected F32, found {:?}", view.dtype()));
-            }
-            // A tensor of another type keeps its shape, so that only its type is reported.
-            let data = match view.dtype() {
-                Dtype::F32 => view
-                    .data()
-                    .as_chunks::<4>()
-                    .0
-                    .iter()
-                    .copied()
-                    .map(f32::from_le_bytes)
-                    .collect(),
-                _ => vec![0.0; view.shape().iter().product()],
-            };
             let shape = view.shape().to_vec();
-            tensors.insert(key.to_string(), Tensor { shape, data });
+            let data = match view.dtype() {
+                Dtype::F32 => {
+                    let numbers = view.data().as_chunks::<4>().0.iter().copied();
+                    Some(numbers.map(f32::from_le_bytes).collect())
+                }
+                // Only its type is reported.
+                other => {
+                    problems.push(format!("`{key}`: expected F32, found {other:?}"));
+                    None
+                }
+            };
+            tensors.insert(key.to_string(), (shape, data));
         }
-        Weights::checked(model, tensors, problems).map_err(|error| WeightsError::File {
+        Weights::checked(&Layers::of(model), &model.name, tensors, problems).map_err(|error| WeightsError::File {
             path: path.into(),
             error: Box::new(error),
         })
@@ -158,23 +133,28 @@ impl Weights {
     /// # Errors
     /// [`WeightsError::Mismatch`] with all that differs from what [`expected`] lists.
     pub fn new(model: &Model, tensors: HashMap<String, Tensor>) -> Result<Weights, WeightsError> {
-        Weights::checked(model, tensors, Vec::new())
+        let tensors = tensors
+            .into_iter()
+            .map(|(key, tensor)| (key, (tensor.shape, Some(tensor.data))));
+        Weights::checked(&Layers::of(model), &model.name, tensors.collect(), Vec::new())
     }
 
-    fn checked(
-        model: &Model,
-        mut tensors: HashMap<String, Tensor>,
+    /// The weights of layers; `name` is for errors. Numbers that are `None` are of another type than F32.
+    pub(crate) fn checked(
+        layers: &Layers,
+        name: &str,
+        mut tensors: HashMap<String, (Vec<usize>, Option<Vec<f32>>)>,
         mut problems: Vec<String>,
     ) -> Result<Weights, WeightsError> {
         tensors.retain(|key, _| !is_counter(key));
         let mut fitting = HashMap::new();
-        for (key, shape) in expected(model) {
-            let Some(tensor) = tensors.remove(&key) else {
-                problems.push(format!("`{key}` {shape:?} is missing"));
+        for spec in layers.tensors() {
+            let Some((shape, data)) = tensors.remove(&spec.key) else {
+                problems.push(format!("`{}` {:?} is missing", spec.key, spec.shape));
                 continue;
             };
-            problems.extend(tensor.problem(&key, &shape));
-            fitting.insert(key, tensor.data);
+            problems.extend(problem(&spec, &shape, data.as_deref()));
+            fitting.insert(spec.key, data.unwrap_or_default());
         }
         let mut extra: Vec<String> = tensors.into_keys().collect();
         extra.sort();
@@ -183,7 +163,7 @@ impl Weights {
             return Ok(Weights { tensors: fitting });
         }
         Err(WeightsError::Mismatch {
-            model: model.name.clone(),
+            model: name.into(),
             problems,
         })
     }
@@ -204,13 +184,9 @@ impl Weights {
     /// # Panics
     /// If the model has no batch norm of this key.
     pub fn batch_norm(&self, key: &str) -> Vec<[f64; 2]> {
-        let part = |name: &str| {
-            self.tensor(&format!("{key}.{name}"))
-                .iter()
-                .map(|value| f64::from(*value))
-        };
-        let affine = part("weight").zip(part("bias"));
-        let statistics = part("running_mean").zip(part("running_var"));
+        let part = |role: Role| self.tensor(&norm_key(key, role)).iter().map(|value| f64::from(*value));
+        let affine = part(Role::NormWeight).zip(part(Role::NormBias));
+        let statistics = part(Role::RunningMean).zip(part(Role::RunningVariance));
         affine
             .zip(statistics)
             .map(|((weight, bias), (mean, variance))| {
@@ -221,58 +197,27 @@ impl Weights {
     }
 }
 
-impl Tensor {
-    fn problem(&self, key: &str, shape: &[usize]) -> Option<String> {
-        if self.shape != shape {
-            return Some(format!("`{key}`: expected shape {shape:?}, found {:?}", self.shape));
-        }
-        let numbers = shape.iter().product::<usize>();
-        if self.data.len() != numbers {
-            return Some(format!(
-                "`{key}`: expected {numbers} numbers, found {}",
-                self.data.len()
-            ));
-        }
-        let bad = self.data.iter().filter(|value| !value.is_finite()).count();
-        if bad > 0 {
-            return Some(format!("`{key}`: {bad} of {numbers} numbers are not finite"));
-        }
-        let negative = key.ends_with(".running_var") && self.data.iter().any(|value| *value < 0.0);
-        negative.then(|| format!("`{key}`: a variance is negative"))
+/// What keeps a tensor from being the one that a layer expects; its numbers are `None` if they are of another type.
+fn problem(spec: &TensorSpec, shape: &[usize], data: Option<&[f32]>) -> Option<String> {
+    let (key, numbers) = (&spec.key, spec.count());
+    if shape != spec.shape {
+        return Some(format!("`{key}`: expected shape {:?}, found {shape:?}", spec.shape));
     }
+    let data = data?;
+    if data.len() != numbers {
+        return Some(format!("`{key}`: expected {numbers} numbers, found {}", data.len()));
+    }
+    let bad = data.iter().filter(|value| !value.is_finite()).count();
+    if bad > 0 {
+        return Some(format!("`{key}`: {bad} of {numbers} numbers are not finite"));
+    }
+    let negative = spec.role == Role::RunningVariance && data.iter().any(|value| *value < 0.0);
+    negative.then(|| format!("`{key}`: a variance is negative"))
 }
 
 /// Torch counts the batches that a norm has seen; inference has no use for it.
 fn is_counter(key: &str) -> bool {
     key.ends_with(".num_batches_tracked")
-}
-
-/// Keys of a block's convolution and batch norm; index 0 of a block is padding and every third after it a ReLU.
-pub(crate) fn block_keys(block: usize, layer: usize) -> (String, String) {
-    let key = |index: usize| format!("backbone.blocks.{block}.{index}");
-    (key(1 + 3 * layer), key(2 + 3 * layer))
-}
-
-pub(crate) fn deblock_keys(block: usize) -> (String, String) {
-    let key = |index: usize| format!("backbone.deblocks.{block}.{index}");
-    (key(0), key(1))
-}
-
-/// Every second entry of the list is a ReLU.
-pub(crate) fn shrink_key(index: usize) -> String {
-    format!("shrink_conv.layers.0.double_conv.{}", 2 * index)
-}
-
-fn norm(all: &mut Vec<(String, Vec<usize>)>, key: &str, channels: usize) {
-    for part in ["weight", "bias", "running_mean", "running_var"] {
-        all.push((format!("{key}.{part}"), vec![channels]));
-    }
-}
-
-fn with_bias(all: &mut Vec<(String, Vec<usize>)>, key: &str, shape: Vec<usize>) {
-    let out = shape[0];
-    all.push((format!("{key}.weight"), shape));
-    all.push((format!("{key}.bias"), vec![out]));
 }
 
 #[cfg(test)]
@@ -374,12 +319,11 @@ mod tests {
         }
     }
 
-    /// Keys and shapes of a build of the reference (`state_dict_keys`), where its folder of vectors is at hand.
+    /// Keys and shapes of a build of the reference (`state_dict_keys`).
     #[test]
     fn keys_and_shapes_are_those_of_the_reference() {
-        let Some(shared) = crate::testing::shared() else { return };
         for (file, shrink) in [("early_fusion", vec![]), ("fcooper", vec![(1, 256), (3, 256)])] {
-            let path = shared.join(format!("conformance/state_dict_keys/point_pillar_{file}.json"));
+            let path = crate::vectors::folder().join(format!("state_dict_keys/point_pillar_{file}.json"));
             let document: serde_json::Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
             let entries = document["entries"].as_array().unwrap();
             let reference: Vec<(String, Vec<usize>)> = entries

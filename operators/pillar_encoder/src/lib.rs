@@ -15,10 +15,8 @@
 use std::path::PathBuf;
 
 use arrow::buffer::Buffer;
-use realo_nn::canvas::Canvas;
-use realo_nn::network::Network;
-use realo_nn::pillar_net::PillarNet;
-use realo_nn::pillars::{Dropped, Pillariser, Points};
+use realo_nn::Encoder;
+use realo_nn::pillars::{Dropped, Points};
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{DType, FeatureMap, Header, Kind, Message, Name, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -47,11 +45,7 @@ impl Default for Config {
 
 /// The operator `pillar-encoder`.
 pub struct PillarEncoder {
-    pillariser: Pillariser,
-    pillar_net: PillarNet,
-    canvas: Canvas,
-    network: Network,
-    intensity: bool,
+    encoder: Encoder,
     /// Corner of the maps' first cell in the model's frame, and side of a cell, m.
     origin: [f64; 2],
     cell: f64,
@@ -88,16 +82,12 @@ impl Operator for PillarEncoder {
     fn new(config: Config) -> Result<Self, Error> {
         let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
         loaded.model.check_frame(&config.model)?;
-        let (grid, pillars) = (&loaded.model.grid, &loaded.model.pillars);
+        let grid = &loaded.model.grid;
         Ok(PillarEncoder {
-            pillariser: Pillariser::new(grid, pillars.points, pillars.pillars),
-            pillar_net: PillarNet::of(&loaded.model, &loaded.weights),
-            canvas: Canvas::new(grid.rows(), grid.columns(), pillars.channels),
             origin: [grid.x[0], grid.y[0]],
             cell: grid.cell * loaded.model.stride() as f64,
-            intensity: pillars.intensity,
-            network: loaded.network,
             identity: loaded.identity.as_str().into(),
+            encoder: Encoder::new(loaded),
         })
     }
 
@@ -124,7 +114,8 @@ impl PillarEncoder {
     /// The BEV map of a cloud in the model's frame, and which points it leaves out.
     fn encode(&mut self, cloud: &PointCloud) -> Result<(FeatureMap, Dropped), Error> {
         let intensity: Option<Vec<f32>> = self
-            .intensity
+            .encoder
+            .wants_intensity()
             .then(|| cloud.intensity.iter().map(|value| f32::from(*value) / 255.0).collect());
         let points = Points {
             x: &cloud.x,
@@ -132,10 +123,7 @@ impl PillarEncoder {
             z: &cloud.z,
             intensity: intensity.as_deref(),
         };
-        let pillars = self.pillariser.run(&points);
-        let dropped = pillars.dropped;
-        self.pillar_net.run(pillars, &mut self.canvas);
-        let map = self.network.encode(&self.canvas)?;
+        let (map, dropped) = self.encoder.run(&points)?;
         let map = FeatureMap {
             rows: map.rows as u32,
             columns: map.columns as u32,

@@ -2,7 +2,6 @@
 
 mod boxes;
 mod cloud;
-mod corners;
 mod deskew;
 mod motion;
 mod region;
@@ -10,7 +9,6 @@ mod rotated;
 
 pub use boxes::{bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, transform_box, yaw_of};
 pub use cloud::transform_cloud;
-pub use corners::{Corners, Cuboid, corner_hull, corners_inside, pose_from_carla, transform_corners};
 pub use deskew::Motion;
 pub use motion::{PoseTrack, interpolate};
 pub use region::Region;

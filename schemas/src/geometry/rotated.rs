@@ -34,28 +34,6 @@ impl Footprint {
         Footprint::from_heading(center, [length.abs() / 2.0, width.abs() / 2.0], [cos, sin])
     }
 
-    /// The rectangle of four corners in order around it, in either sense; the heading runs from the last to the first.
-    ///
-    /// Corners that are rounded or sheared a little give the rectangle of the same centre, heading and area.
-    pub fn from_corners(corners: [[f64; 2]; 4]) -> Self {
-        // Differences to the first corner keep their digits far from the origin.
-        let [_, b, c, d] = corners.map(|p| [p[0] - corners[0][0], p[1] - corners[0][1]]);
-        let center = [
-            corners[0][0] + (b[0] + c[0] + d[0]) / 4.0,
-            corners[0][1] + (b[1] + c[1] + d[1]) / 4.0,
-        ];
-        let along = [(b[0] - c[0] - d[0]) / 2.0, (b[1] - c[1] - d[1]) / 2.0];
-        let across = [(b[0] + c[0] - d[0]) / 2.0, (b[1] + c[1] - d[1]) / 2.0];
-        let (length, width) = (along[0].hypot(along[1]), across[0].hypot(across[1]));
-        let heading = match (length > 0.0, width > 0.0) {
-            (true, _) => [along[0] / length, along[1] / length],
-            (false, true) => [across[1] / width, -across[0] / width],
-            (false, false) => [1.0, 0.0],
-        };
-        let width = (heading[0] * across[1] - heading[1] * across[0]).abs();
-        Footprint::from_heading(center, [length / 2.0, width / 2.0], heading)
-    }
-
     fn from_heading(center: [f64; 2], half: [f64; 2], heading: [f64; 2]) -> Self {
         let [cos, sin] = heading.map(f64::abs);
         let hull = [half[0] * cos + half[1] * sin, half[0] * sin + half[1] * cos];
@@ -76,7 +54,8 @@ impl Footprint {
     }
 
     /// Heading, rad.
-    pub fn yaw(&self) -> f64 {
+    #[cfg(test)]
+    fn yaw(&self) -> f64 {
         nalgebra::RealField::atan2(self.heading[1], self.heading[0])
     }
 
@@ -300,26 +279,6 @@ mod tests {
             let b = Footprint::new(center, along, 2.0, a.yaw());
             prop_assert!(iou(&a, &b) < 1e-12);
         }
-
-        #[test]
-        fn is_the_same_from_corners(a in footprint(), first in 0usize..4, reversed: bool) {
-            let mut corners = a.corners();
-            corners.rotate_left(first);
-            if reversed {
-                corners.reverse();
-            }
-            let b = Footprint::from_corners(corners);
-            prop_assert!((iou(&a, &b) - 1.0).abs() < 1e-12);
-            prop_assert!((a.area - b.area).abs() < 1e-9);
-        }
-    }
-
-    #[test]
-    fn corners_keep_length_width_and_heading() {
-        let b = Footprint::from_corners(Footprint::new([3.0, -2.0], 4.0, 1.0, 0.3).corners());
-        for (value, expected) in [(b.half[0], 2.0), (b.half[1], 0.5), (b.yaw(), 0.3), (b.center[0], 3.0)] {
-            assert!((value - expected).abs() < 1e-12, "{value} {expected}");
-        }
     }
 
     #[test]
@@ -351,7 +310,7 @@ mod tests {
     fn what_has_no_area_or_is_not_a_number_overlaps_nothing() {
         let unit = Footprint::new([0.0, 0.0], 2.0, 2.0, 0.0);
         let line = Footprint::new([0.0, 0.0], 2.0, 0.0, 0.5);
-        let point = Footprint::from_corners([[0.5, 0.5]; 4]);
+        let point = Footprint::new([0.5, 0.5], 0.0, 0.0, 0.0);
         let broken = Footprint::new([f64::NAN, 0.0], 2.0, 2.0, 0.0);
         let endless = Footprint::new([0.0, 0.0], f64::INFINITY, 2.0, 0.0);
         for other in [line, point, broken] {

@@ -1,23 +1,21 @@
 use std::collections::BTreeMap;
 
 use realo_evaluator::{
-    Detection, Evaluation, Frame, Outcome, Outline, Protocol, Scene, Scope, Truth, average_precision, curve,
-    match_frame, score,
+    Detection, Evaluation, Frame, Outcome, Outline, Protocol, Scene, Scope, Truth, average_precision, match_frame,
+    score,
 };
-use realo_schemas::geometry::Corners;
 use serde::Deserialize;
 
-use crate::Check;
+use crate::Kind;
+use crate::reference::{Corners, box_of, box_of_corners};
 use crate::vector::{Vector, compare, equal};
 
-pub(crate) fn check(name: &str) -> Option<Check> {
-    match name {
-        "ap_curves" => Some(curves),
-        "single_frame" => Some(single_frame),
-        "frames_20" | "frames_5_dense" => Some(frames),
-        _ => None,
-    }
-}
+pub(crate) const KINDS: &[Kind] = &[
+    Kind::new(&["curves"], curves),
+    Kind::new(&["det_boxes_hwl_class", "gt_boxes_hwl_class", "result"], single_frame),
+    Kind::new(&["in.det_corners", "in.gt_corners", "in.det_per_frame"], frames),
+    Kind::new(&["mAP"], results_of_frames),
+];
 
 #[derive(Deserialize)]
 struct Curves {
@@ -29,8 +27,6 @@ struct Curve {
     tp: Vec<u8>,
     gt: u64,
     ap: f64,
-    mrec: Vec<f64>,
-    mpre: Vec<f64>,
 }
 
 fn curves(vector: &Vector) -> Result<(), String> {
@@ -44,9 +40,6 @@ fn curves(vector: &Vector) -> Result<(), String> {
             Some(expected.ap),
             t,
         )?;
-        let (recall, precision) = curve(&hits, expected.gt);
-        compare(&format!("recall of curve {index}"), &recall, &expected.mrec, t)?;
-        compare(&format!("precision of curve {index}"), &precision, &expected.mpre, t)?;
     }
     Ok(())
 }
@@ -177,8 +170,9 @@ fn class_number(label: f64) -> Result<u8, String> {
 
 fn single_frame(vector: &Vector) -> Result<(), String> {
     let case: SingleFrame = vector.json(None)?;
-    let part = |[x, y, _, _, width, length, yaw, class]: &[f64; 8]| -> Result<(u8, Outline), String> {
-        Ok((class_number(*class)?, Outline::new([*x, *y], *length, *width, *yaw)))
+    let part = |[x, y, z, height, width, length, yaw, class]: [f64; 8]| -> Result<(u8, Outline), String> {
+        let object = box_of([x, y, z, height, width, length, yaw]);
+        Ok((class_number(class)?, Outline::of(&object)))
     };
     let mut frame = Frame {
         key: true,
@@ -186,7 +180,7 @@ fn single_frame(vector: &Vector) -> Result<(), String> {
         ..Frame::default()
     };
     for (object, score) in case.det_boxes_hwl_class.iter().zip(&case.det_scores) {
-        let (class, outline) = part(object)?;
+        let (class, outline) = part(*object)?;
         frame.detections.push(Detection {
             class,
             score: *score,
@@ -194,7 +188,7 @@ fn single_frame(vector: &Vector) -> Result<(), String> {
         });
     }
     for object in &case.gt_boxes_hwl_class {
-        let (class, outline) = part(object)?;
+        let (class, outline) = part(*object)?;
         frame.truths.push(Truth {
             class,
             outline,
@@ -204,16 +198,26 @@ fn single_frame(vector: &Vector) -> Result<(), String> {
     check_scores(vec![frame], &case.result, vector.tolerance()?)
 }
 
-/// Either of the two files of a case names it: the tensors, or the expected values beside them.
+/// The expected values are in the file that the configuration names.
 fn frames(vector: &Vector) -> Result<(), String> {
-    let stem = vector
-        .entry
-        .file
-        .rsplit_once('.')
-        .map_or(vector.entry.file.as_str(), |(stem, _)| stem);
-    let expected: Expected = vector.json(Some(&format!("{stem}.json")))?;
-    let tensors = vector.tensors_of(&format!("{stem}.safetensors"))?;
-    let outline = |corners: &Corners| Outline::from_corners([0, 1, 2, 3].map(|i| [corners[i][0], corners[i][1]]));
+    let result = vector.text("result_file")?;
+    check_frames(vector, &vector.beside(result))
+}
+
+/// The frames are in the vector whose configuration names this file.
+fn results_of_frames(vector: &Vector) -> Result<(), String> {
+    let of = vector.others("in.det_corners").into_iter().find(|other| {
+        let names = other.text("result_file").map(|result| other.beside(result));
+        names.is_ok_and(|result| result == vector.entry.file)
+    });
+    let of = of.ok_or("no vector of the manifest has this as its `result_file`")?;
+    check_frames(&of, &vector.entry.file)
+}
+
+fn check_frames(vector: &Vector, result: &str) -> Result<(), String> {
+    let expected: Expected = vector.json(Some(result))?;
+    let tensors = vector.tensors()?;
+    let outline = |corners: &Corners| Outline::of(&box_of_corners(corners));
     let outlines =
         |name: &str| -> Result<Vec<Outline>, String> { Ok(tensors.corners(name)?.iter().map(outline).collect()) };
     let classes = |name: &str| {

@@ -1,48 +1,50 @@
-use realo_nms::{Config, Index, Ties, keep, order};
-use realo_schemas::geometry::{Corners, Footprint, iou};
+use realo_nms::{Config, Index, Ties, nms, order};
+use realo_schemas::Box3;
+use realo_schemas::geometry::{Footprint, iou};
 
-use crate::Check;
+use crate::Kind;
+use crate::reference::{box_of_corners, upright};
 use crate::vector::{Tensors, Vector, compare, equal};
 
-pub(crate) fn check(name: &str) -> Option<Check> {
-    match name {
-        "random_30" | "random_80" | "degenerate" => Some(pairs_and_keep),
-        "zero_size" => Some(zero_size),
-        "ties" => Some(ties),
-        "top1000" => Some(top_1000),
-        _ => None,
-    }
+pub(crate) const KINDS: &[Kind] = &[
+    Kind::new(&["in.corners", "in.scores", "out.iou"], pairs_and_keep),
+    Kind::new(&["in.corners", "out.iou_nan_where_reference_fails"], zero_size),
+    Kind::new(&["in.corners", "in.scores", "mid.order"], ties),
+    Kind::new(&["in.corners_bev", "in.scores"], many),
+];
+
+fn boxes(tensors: &Tensors) -> Result<Vec<Box3>, String> {
+    Ok(tensors.corners("in.corners")?.iter().map(box_of_corners).collect())
 }
 
-pub(crate) fn footprints(corners: &[Corners]) -> Vec<Footprint> {
-    corners
-        .iter()
-        .map(|corners| Footprint::from_corners([0, 1, 2, 3].map(|i| [corners[i][0], corners[i][1]])))
-        .collect()
-}
-
-fn matrix(footprints: &[Footprint]) -> Vec<f64> {
-    footprints
-        .iter()
-        .flat_map(|a| footprints.iter().map(move |b| iou(a, b)))
-        .collect()
+fn matrix(boxes: &[Box3]) -> Vec<f64> {
+    let footprints: Vec<Footprint> = boxes.iter().map(Footprint::of).collect();
+    let pairs = footprints.iter().flat_map(|a| footprints.iter().map(move |b| (a, b)));
+    pairs.map(|(a, b)| iou(a, b)).collect()
 }
 
 fn pairs_and_keep(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
-    let footprints = footprints(&tensors.corners("in.corners")?);
+    let boxes = boxes(&tensors)?;
     compare(
         "iou",
-        &matrix(&footprints),
+        &matrix(&boxes),
         &tensors.numbers("out.iou")?,
         vector.tolerance()?,
     )?;
-    check_keep(&tensors, &footprints, Ties::First)
+    check_keep(&tensors, boxes, Ties::First)
 }
 
 /// Every list `out.keep_<threshold>`, by each index.
-fn check_keep(tensors: &Tensors, footprints: &[Footprint], ties: Ties) -> Result<(), String> {
+fn check_keep(tensors: &Tensors, mut boxes: Vec<Box3>, ties: Ties) -> Result<(), String> {
     let scores = tensors.singles("in.scores")?;
+    if scores.len() != boxes.len() {
+        return Err(format!("expected {} scores, found {}", boxes.len(), scores.len()));
+    }
+    boxes
+        .iter_mut()
+        .zip(scores)
+        .for_each(|(object, score)| object.score = score);
     let lists = tensors.names("out.keep_")?;
     if lists.is_empty() {
         return Err("the vector has no list `out.keep_…`".into());
@@ -60,7 +62,7 @@ fn check_keep(tensors: &Tensors, footprints: &[Footprint], ties: Ties) -> Result
             };
             equal(
                 &format!("{name} ({index:?})"),
-                &keep(footprints, &scores, &config),
+                &nms(&boxes, &config, None).kept,
                 &expected,
             )?;
         }
@@ -71,13 +73,12 @@ fn check_keep(tensors: &Tensors, footprints: &[Footprint], ties: Ties) -> Result
 /// The reference divides by zero where the vector has NaN; here such boxes overlap nothing.
 fn zero_size(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
-    let footprints = footprints(&tensors.corners("in.corners")?);
     let expected = tensors.numbers("out.iou_nan_where_reference_fails")?;
     let expected: Vec<f64> = expected
         .into_iter()
         .map(|iou| if iou.is_nan() { 0.0 } else { iou })
         .collect();
-    compare("iou", &matrix(&footprints), &expected, vector.tolerance()?)
+    compare("iou", &matrix(&boxes(&tensors)?), &expected, vector.tolerance()?)
 }
 
 fn ties(vector: &Vector) -> Result<(), String> {
@@ -88,12 +89,18 @@ fn ties(vector: &Vector) -> Result<(), String> {
         .map(|index| index as u32)
         .collect();
     equal("order", &order(&tensors.singles("in.scores")?, Ties::Last), &expected)?;
-    check_keep(&tensors, &footprints(&tensors.corners("in.corners")?), Ties::Last)
+    check_keep(&tensors, boxes(&tensors)?, Ties::Last)
 }
 
-fn top_1000(vector: &Vector) -> Result<(), String> {
+fn many(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let rows = tensors.rows::<8>("in.corners_bev")?;
-    let footprint = |row: &[f64; 8]| Footprint::from_corners([0, 1, 2, 3].map(|i| [row[2 * i], row[2 * i + 1]]));
-    check_keep(&tensors, &rows.iter().map(footprint).collect::<Vec<_>>(), Ties::First)
+    let ground = rows
+        .iter()
+        .map(|row| [0, 1, 2, 3].map(|i| [row[2 * i], row[2 * i + 1]]));
+    check_keep(
+        &tensors,
+        ground.map(|corners| box_of_corners(&upright(&corners))).collect(),
+        Ties::First,
+    )
 }

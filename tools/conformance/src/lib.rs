@@ -1,7 +1,9 @@
 //! Runs conformance vectors (inputs and expected outputs of the reference implementation) through the code that the
 //! graphs run: the geometry of `realo-schemas`, `realo-nms`, `realo-nn`, `realo-evaluator`.
 //!
-//! A folder of vectors has a `manifest.json` that lists its files with tolerance and configuration.
+//! A folder of vectors has a `manifest.json` that lists its files with tolerance, configuration, and the tensors of a
+//! safetensors file or the keys of a JSON document. Those alone decide which check a vector goes through, whatever its
+//! name and size.
 
 mod boxes;
 mod evaluation;
@@ -10,6 +12,7 @@ mod loss;
 mod network;
 mod pillars;
 mod postprocess;
+mod reference;
 mod targets;
 mod vector;
 
@@ -70,14 +73,12 @@ pub fn run(dir: &Path) -> Vec<CaseResult> {
             }];
         }
     };
-    let case = |entry: Entry| {
-        let status = status(&Vector { dir, entry: &entry });
-        CaseResult {
-            file: entry.file,
-            status,
-        }
+    let all = &manifest.files[..];
+    let case = |entry: &Entry| CaseResult {
+        file: entry.file.clone(),
+        status: status(&Vector { dir, entry, all }),
     };
-    manifest.files.into_iter().map(case).collect()
+    all.iter().map(case).collect()
 }
 
 const MANIFEST: &str = "manifest.json";
@@ -95,8 +96,45 @@ fn manifest(dir: &Path) -> Result<Manifest, String> {
 
 type Check = fn(&Vector) -> Result<(), String>;
 
+/// Vectors that one check reads.
+struct Kind {
+    /// Tensors or keys that they have.
+    with: &'static [&'static str],
+    /// One that they have not.
+    without: Option<&'static str>,
+    check: Check,
+}
+
+impl Kind {
+    const fn new(with: &'static [&'static str], check: Check) -> Self {
+        let without = None;
+        Kind { with, without, check }
+    }
+
+    const fn without(mut self, name: &'static str) -> Self {
+        self.without = Some(name);
+        self
+    }
+
+    fn takes(&self, entry: &Entry) -> bool {
+        self.with.iter().all(|name| entry.has(name)) && !self.without.is_some_and(|name| entry.has(name))
+    }
+}
+
+/// All kinds; no two take the same vector.
+const KINDS: [&[Kind]; 8] = [
+    boxes::KINDS,
+    iou_nms::KINDS,
+    evaluation::KINDS,
+    pillars::KINDS,
+    targets::KINDS,
+    loss::KINDS,
+    postprocess::KINDS,
+    network::KINDS,
+];
+
 fn status(vector: &Vector) -> Status {
-    match check_of(&vector.entry.file) {
+    match check_of(vector) {
         Ok(check) => match check(vector) {
             Ok(()) => Status::Passed,
             Err(difference) => Status::Failed(difference),
@@ -105,22 +143,24 @@ fn status(vector: &Vector) -> Status {
     }
 }
 
-fn check_of(file: &str) -> Result<Check, String> {
-    let (folder, name) = file.split_once('/').unwrap_or(("", file));
-    let name = name.split('.').next().unwrap_or(name);
-    let check = match folder {
-        "boxes" => boxes::check(name),
-        "iou_nms" => iou_nms::check(name),
-        "evaluation" => evaluation::check(name),
-        "pillars" => pillars::check(name),
-        "targets" => targets::check(name),
-        "loss" => loss::check(name),
-        "postprocess" => postprocess::check(name),
-        "network" => network::check(name),
-        "model" => network::check_model(name),
-        _ => return Err(format!("no part of this version computes `{folder}`")),
+fn check_of(vector: &Vector) -> Result<Check, String> {
+    let entry = vector.entry;
+    let mut kinds = KINDS.into_iter().flatten();
+    if let Some(kind) = kinds.find(|kind| kind.takes(entry)) {
+        return Ok(kind.check);
+    }
+    // Its keys are names of networks.
+    if entry.tensors.is_empty() && boxes::holds_samples(vector) {
+        return Ok(boxes::anchor_samples);
+    }
+    let of = |begin: &str| {
+        let names = entry.tensors.keys().filter(|name| name.starts_with(begin));
+        names.map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
     };
-    check.ok_or_else(|| format!("there is no check for `{name}` of `{folder}`"))
+    Err(match entry.tensors.is_empty() {
+        true => format!("no check reads a document of {:?}", entry.keys),
+        false => format!("no check makes {} of {}", of("out."), of("in.")),
+    })
 }
 
 /// The exit code of a run: 0 if all passed, 1 if one failed or none ran, 3 if some are not supported.
@@ -154,17 +194,49 @@ mod tests {
         assert_eq!(code(&[&passed, &failed, &unsupported]), 1);
     }
 
+    fn entry(json: &str) -> Entry {
+        serde_json::from_str(json).unwrap()
+    }
+
     #[test]
     fn says_what_it_has_no_check_for() {
-        assert!(check_of("boxes/corners.safetensors").is_ok());
-        assert!(check_of("boxes/other.json").unwrap_err().contains("`other` of `boxes`"));
-        assert!(
-            check_of("model/attfuse.safetensors")
-                .unwrap_err()
-                .contains("`attfuse` of `model`")
+        let reason = |json: &str| {
+            let entry = entry(json);
+            let (dir, all) = (Path::new("nowhere"), &[][..]);
+            let vector = Vector {
+                dir,
+                entry: &entry,
+                all,
+            };
+            check_of(&vector).err()
+        };
+        let tensors = r#"{"file": "a", "tolerance": 0, "tensors": {"in.x": 1, "in.psm": 1, "out.corners": 1}}"#;
+        assert_eq!(
+            reason(tensors).unwrap(),
+            "no check makes `out.corners` of `in.psm`, `in.x`"
         );
-        assert!(check_of("dataset/other.json").unwrap_err().contains("`dataset`"));
-        assert!(check_of("loose.json").is_err());
+        assert!(reason(&tensors.replace("in.x", "in.rm")).is_none());
+        let keys = r#"{"file": "a", "tolerance": 0, "keys": ["entries"]}"#;
+        assert_eq!(reason(keys).unwrap(), r#"no check reads a document of ["entries"]"#);
+        assert!(reason(&keys.replace("entries", "curves")).is_none());
+        // The whole network of one agent has no map that agents fused.
+        let whole = r#"{"file": "a", "tolerance": 0, "tensors":
+            {"in.points": 1, "out.psm": 1, "out.rm": 1, "param.cls_head.weight": 1}}"#;
+        assert!(reason(whole).is_none());
+        assert!(reason(&whole.replace("{\"in", "{\"mid.fused\": 1, \"in")).is_some());
+    }
+
+    #[test]
+    fn a_vector_has_one_check_at_most() {
+        let text = std::fs::read(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../../tests/data/conformance/manifest.json"
+        ));
+        let manifest: Manifest = serde_json::from_slice(&text.unwrap()).unwrap();
+        for entry in &manifest.files {
+            let kinds = KINDS.into_iter().flatten().filter(|kind| kind.takes(entry)).count();
+            assert!(kinds <= 1, "{} has {kinds}", entry.file);
+        }
     }
 
     #[test]
@@ -193,9 +265,14 @@ mod tests {
             "boxes/decode.safetensors",
             "evaluation/ap_curves.json",
         ];
-        let entries = files
-            .map(|file| format!(r#"{{"file": "{file}", "tolerance": 1e-9, "config": {{}}}}"#))
-            .join(",");
+        let names = [
+            r#""tensors": {"in.anchors": 1, "in.boxes_hwl": 1, "out.deltas": 1}"#,
+            r#""keys": ["curves"]"#,
+        ];
+        let entries = [0, 0, 1].map(|i| names[i]).into_iter().zip(files);
+        let entries =
+            entries.map(|(names, file)| format!(r#"{{"file": "{file}", "tolerance": 1e-9, "config": {{}}, {names}}}"#));
+        let entries = entries.collect::<Vec<_>>().join(",");
         std::fs::write(dir.path().join("manifest.json"), format!(r#"{{"files": [{entries}]}}"#)).unwrap();
         let results = run(dir.path());
         assert_eq!(exit_code(&results), 1);

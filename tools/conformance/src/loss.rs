@@ -1,15 +1,13 @@
 use realo_nn::loss::{HeadMaps, Loss, Settings, loss};
 use realo_nn::targets::{Positive, Targets};
 
-use crate::Check;
+use crate::Kind;
 use crate::vector::{Vector, compare};
 
-pub(crate) fn check(name: &str) -> Option<Check> {
-    match name {
-        "point_pillar_loss_0" | "point_pillar_loss_1" => Some(value_and_gradient),
-        _ => None,
-    }
-}
+pub(crate) const KINDS: &[Kind] = &[Kind::new(
+    &["in.psm", "in.labels_byxa", "out.grad_psm"],
+    value_and_gradient,
+)];
 
 const CLASSES: usize = 3;
 

@@ -1,36 +1,25 @@
 use std::collections::HashMap;
 
+use realo_nn::Pillarer;
 use realo_nn::canvas::Canvas;
-use realo_nn::conv::{Isa, apply};
-use realo_nn::model::{Backbone, ClassAnchor, Frame, Grid, Model, PillarSettings, Precision, Shrink};
-use realo_nn::network::{BevMap, Network, NetworkOptions, shrink_layers};
-use realo_nn::pillar_net::PillarNet;
-use realo_nn::pillars::{Pillariser, Points};
+use realo_nn::layers::{Layer, Layers};
+use realo_nn::model::{Backbone, Grid, Model, Precision, Shrink};
+use realo_nn::network::{BevMap, BevView, Network, NetworkOptions, Section};
+use realo_nn::pillars::Points;
 use realo_nn::weights::{Tensor, Weights, expected};
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use crate::Check;
+use crate::Kind;
+use crate::reference::{CELL, any_backbone, grid_of, model_of};
 use crate::vector::{Tensors, Vector, compare};
 
-pub(crate) fn check(name: &str) -> Option<Check> {
-    match name {
-        "backbone_1_1_1" | "backbone_3_5_8" => Some(backbone),
-        "shrink_k1" | "shrink_k3" => Some(shrink),
-        "head" => Some(head),
-        "scatter" => Some(scatter),
-        _ => None,
-    }
-}
-
-pub(crate) fn check_model(name: &str) -> Option<Check> {
-    match name {
-        "single" => Some(single),
-        _ => None,
-    }
-}
-
-const CELL: f64 = 0.4;
-const SLOTS: usize = 32;
+pub(crate) const KINDS: &[Kind] = &[
+    Kind::new(&["in.canvas", "out.features", "param.blocks.0.1.weight"], backbone),
+    Kind::new(&["in.x", "out.y", "param.layers.0.double_conv.0.weight"], shrink),
+    Kind::new(&["in.x", "out.psm", "out.rm", "param.cls_head.weight"], head),
+    Kind::new(&["in.pillar_features", "in.coords_bzyx", "out.canvas"], scatter),
+    Kind::new(&["in.points", "out.psm", "out.rm", "param.cls_head.weight"], single).without("mid.fused"),
+];
 
 /// The vectors are f32, so this is too; with the best instructions that the CPU has.
 fn options() -> NetworkOptions {
@@ -40,60 +29,31 @@ fn options() -> NetworkOptions {
     }
 }
 
-/// A model of V2X-Real's heads whose backbone has these settings of a vector.
-fn model(grid: Grid, channels: usize, backbone: &Value) -> Result<Model, String> {
+fn backbone_of(config: &Value) -> Result<Backbone, String> {
     let list = |key: &str| -> Result<Vec<usize>, String> {
-        serde_json::from_value(backbone[key].clone()).map_err(|error| format!("config `{key}`: {error}"))
+        serde_json::from_value(config[key].clone()).map_err(|error| format!("config `{key}`: {error}"))
     };
-    let class = |name: &str| ClassAnchor {
-        name: name.into(),
-        length: 1.0,
-        width: 1.0,
-        height: 1.0,
-        z: 0.0,
-        matched: 0.6,
-        unmatched: 0.45,
-    };
-    let model = Model {
-        name: "vector".into(),
-        frame: Frame::Lidar,
-        precision: Precision::F32,
-        rotations: vec![0.0, 1.57],
-        score_threshold: 0.2,
-        classes: ["vehicle", "pedestrian", "truck"].map(class).into(),
-        grid,
-        pillars: PillarSettings {
-            channels,
-            points: SLOTS,
-            pillars: 640_000,
-            empty_slots: true,
-            intensity: true,
-        },
-        backbone: Backbone {
-            layers: list("layer_nums")?,
-            strides: list("layer_strides")?,
-            channels: list("num_filters")?,
-            up_strides: list("upsample_strides")?,
-            up_channels: list("num_upsample_filter")?,
-        },
-        shrink: Vec::new(),
-    };
-    model.validate().map_err(|error| error.to_string())?;
-    Ok(model)
+    Ok(Backbone {
+        layers: list("layer_nums")?,
+        strides: list("layer_strides")?,
+        channels: list("num_filters")?,
+        up_strides: list("upsample_strides")?,
+        up_channels: list("num_upsample_filter")?,
+    })
 }
 
 /// A grid of so many cells.
 fn grid([rows, columns]: [usize; 2]) -> Grid {
-    Grid {
-        x: [0.0, columns as f64 * CELL],
-        y: [0.0, rows as f64 * CELL],
-        z: [-15.0, 15.0],
-        cell: CELL,
-    }
+    let (x, y) = (columns as f64 * CELL, rows as f64 * CELL);
+    grid_of([0.0, 0.0, -15.0, x, y, 15.0])
 }
 
 /// The vector's parameters, where `part` of a key names one; ones elsewhere, which no check reads.
-fn weights(model: &Model, tensors: &Tensors, part: impl Fn(&str) -> Option<&str>) -> Result<Weights, String> {
+pub(crate) fn weights_of(
+    model: &Model,
+    tensors: &Tensors,
+    part: impl Fn(&str) -> Option<&str>,
+) -> Result<Weights, String> {
     let tensor = |(key, shape): (String, Vec<usize>)| -> Result<(String, Tensor), String> {
         let found = match part(&key) {
             Some(name) => {
@@ -131,8 +91,8 @@ fn compare_map(vector: &Vector, tensors: &Tensors, name: &str, found: &[f32]) ->
 fn backbone(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let (cells, [samples, channels, rows, columns]) = tensors.channels_last("in.canvas")?;
-    let model = model(grid([rows, columns]), channels, &vector.entry.config)?;
-    let weights = weights(&model, &tensors, |key| key.strip_prefix("backbone."))?;
+    let model = model_of(grid([rows, columns]), channels, backbone_of(&vector.entry.config)?)?;
+    let weights = weights_of(&model, &tensors, |key| key.strip_prefix("backbone."))?;
     let mut network = network(&model, &weights)?;
     let mut found = Vec::new();
     for cells in cells.chunks_exact(cells.len() / samples.max(1)) {
@@ -145,21 +105,18 @@ fn backbone(vector: &Vector) -> Result<(), String> {
     compare_map(vector, &tensors, "out.features", &found)
 }
 
-/// A backbone of one block that gives `channels`, for checks of what comes after it.
+/// A model whose backbone gives `channels`, for checks of what comes after it.
 fn before(rows: usize, columns: usize, channels: usize) -> Result<Model, String> {
-    let settings = json!({
-        "layer_nums": [0], "layer_strides": [2], "num_filters": [1], "upsample_strides": [1],
-        "num_upsample_filter": [channels],
-    });
-    model(grid([2 * rows, 2 * columns]), 1, &settings)
+    model_of(grid([2 * rows, 2 * columns]), 1, any_backbone(channels))
 }
 
 fn shrink(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let (cells, [samples, channels, rows, columns]) = tensors.channels_last("in.x")?;
     let mut model = before(rows, columns, channels)?;
-    for index in [0, 2] {
-        let name = format!("param.layers.0.double_conv.{index}.weight");
+    let mut names = tensors.names("param.layers.0.double_conv.")?;
+    names.retain(|name| name.ends_with(".weight"));
+    for name in names {
         let shape = tensors.shape(&name)?;
         let [channels, _, kernel, _] = shape[..] else {
             return Err(format!("`{name}` has shape {shape:?}, not four sizes"));
@@ -167,18 +124,32 @@ fn shrink(vector: &Vector) -> Result<(), String> {
         model.shrink.push(Shrink { kernel, channels });
     }
     model.validate().map_err(|error| error.to_string())?;
-    let weights = weights(&model, &tensors, |key| key.strip_prefix("shrink_conv."))?;
-    let layers = shrink_layers(&model, &weights);
-    let samples = cells.chunks_exact(cells.len() / samples.max(1));
-    let run = |cells| apply(&layers, Isa::detect(), options().threads, [rows, columns], cells);
-    compare_map(vector, &tensors, "out.y", &samples.flat_map(run).collect::<Vec<_>>())
+    let weights = weights_of(&model, &tensors, |key| key.strip_prefix("shrink_conv."))?;
+    let layers = Layers::of(&model);
+    let mut steps = layers.steps().iter();
+    let joined = steps
+        .find(|step| step.layer == Layer::Join)
+        .ok_or("the backbone joins nothing")?;
+    let section = Section::new(&model, &weights, options(), [joined.to, layers.features]);
+    let mut section = section.map_err(|error| error.to_string())?;
+    let mut found = Vec::new();
+    for data in cells.chunks_exact(cells.len() / samples.max(1)) {
+        let map = BevView {
+            rows,
+            columns,
+            channels,
+            data,
+        };
+        found.extend(section.run(map).map_err(|error| error.to_string())?.data);
+    }
+    compare_map(vector, &tensors, "out.y", &found)
 }
 
 fn head(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let (data, [_, channels, rows, columns]) = tensors.channels_last("in.x")?;
     let model = before(rows, columns, channels)?;
-    let weights = weights(&model, &tensors, |key| key.contains("_head.").then_some(key))?;
+    let weights = weights_of(&model, &tensors, |key| key.contains("_head.").then_some(key))?;
     let map = BevMap {
         rows,
         columns,
@@ -216,25 +187,17 @@ fn scatter(vector: &Vector) -> Result<(), String> {
 /// The whole network of one agent, from points on.
 fn single(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
-    let [x0, y0, z0, x1, y1, z1] = vector.setting("range")?;
-    let grid = Grid {
-        x: [x0, x1],
-        y: [y0, y1],
-        z: [z0, z1],
-        cell: CELL,
-    };
+    let grid = grid_of(vector.setting("range")?);
     let channels = tensors.numbers("param.pillar_vfe.pfn_layers.0.norm.bias")?.len();
-    let model = model(grid, channels, &vector.entry.config["backbone"])?;
-    let weights = weights(&model, &tensors, |key| Some(key))?;
+    let model = model_of(grid, channels, backbone_of(&vector.entry.config["backbone"])?)?;
+    let weights = weights_of(&model, &tensors, |key| Some(key))?;
     let points = tensors.rows::<4>("in.points")?;
     let [x, y, z, intensity] = &[0, 1, 2, 3].map(|axis| points.iter().map(|p| p[axis] as f32).collect::<Vec<_>>());
-    let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
     let intensity = Some(&intensity[..]);
-    let pillars = pillariser.run(&Points { x, y, z, intensity });
-    let mut canvas = Canvas::new(grid.rows(), grid.columns(), channels);
-    PillarNet::of(&model, &weights).run(pillars, &mut canvas);
+    let mut pillarer = Pillarer::new(&model, &weights);
+    let (canvas, _) = pillarer.run(&Points { x, y, z, intensity });
     let heads = network(&model, &weights)?
-        .forward(&canvas)
+        .forward(canvas)
         .map_err(|error| error.to_string())?;
     compare_map(vector, &tensors, "out.psm", &heads.scores)?;
     compare_map(vector, &tensors, "out.rm", &heads.deltas)

@@ -1,41 +1,42 @@
+use realo_nn::Pillarer;
 use realo_nn::canvas::Canvas;
-use realo_nn::model::Grid;
+use realo_nn::layers::POINT_FEATURES;
+use realo_nn::model::{Grid, Model};
 use realo_nn::pillar_net::{PillarNet, decorate};
 use realo_nn::pillars::{Pillariser, Pillars, Points};
-use realo_nn::points::{in_range, on_own_body};
+use realo_nn::weights::Weights;
+use realo_schemas::geometry::transform_cloud;
 
-use crate::Check;
+use crate::Kind;
+use crate::boxes::without_own_body;
+use crate::network::weights_of;
+use crate::reference::{SLOTS, any_backbone, grid_of, model_of, transform_of};
 use crate::vector::{Tensors, Vector, compare, equal};
 
-pub(crate) fn check(name: &str) -> Option<Check> {
-    match name {
-        "voxelize_basic" | "voxelize_point_limit" | "voxelize_voxel_limit" | "voxelize_edges" => Some(voxelize),
-        "pillar_features_c8" | "pillar_features_c16" => Some(pillar_features),
-        "points_to_canvas" => Some(points_to_canvas),
-        _ => None,
-    }
-}
+pub(crate) const KINDS: &[Kind] = &[
+    Kind::new(
+        &["in.points", "out.voxels", "out.coords_zyx", "out.num_points"],
+        voxelize,
+    ),
+    Kind::new(
+        &["in.voxels", "out.pillar_features", "mid.decorated_first16"],
+        pillar_features,
+    ),
+    Kind::new(
+        &["in.points_sensor", "mid.matrix_agent_to_ego", "out.canvas"],
+        points_to_canvas,
+    ),
+];
 
-const CELL: f64 = 0.4;
-const SLOTS: usize = 32;
-const BATCH_NORM_EPS: f64 = 1e-3;
+/// The reference's own body: x min, y min, x max, y max, m.
+const OWN_BODY: [f32; 4] = [-1.95, -1.1, 2.95, 1.1];
 
-fn grid(vector: &Vector) -> Result<Grid, String> {
-    let [x0, y0, z0, x1, y1, z1] = vector.setting("range")?;
-    Ok(Grid {
-        x: [x0, x1],
-        y: [y0, y1],
-        z: [z0, z1],
-        cell: CELL,
-    })
-}
-
-fn points(tensors: &Tensors, name: &str) -> Result<Vec<[f32; 4]>, String> {
+pub(crate) fn points(tensors: &Tensors, name: &str) -> Result<Vec<[f32; 4]>, String> {
     let single = |row: [f64; 4]| row.map(|number| number as f32);
     Ok(tensors.rows::<4>(name)?.into_iter().map(single).collect())
 }
 
-fn pillars(pillariser: &mut Pillariser, points: &[[f32; 4]]) -> Pillars {
+pub(crate) fn points_of(pillariser: &mut Pillariser, points: &[[f32; 4]]) -> Pillars {
     let column = |axis: usize| -> Vec<f32> { points.iter().map(|point| point[axis]).collect() };
     let [x, y, z, intensity] = &[0, 1, 2, 3].map(column);
     let intensity = Some(&intensity[..]);
@@ -65,40 +66,52 @@ fn ragged(
     Ok(pillars)
 }
 
-/// The voxeliser alone, which takes points on the lower limits.
+/// The voxeliser behind the range mask: points exactly on the lower limits, which the voxeliser alone takes, are not
+/// there.
 fn voxelize(vector: &Vector) -> Result<(), String> {
-    let (tensors, grid) = (vector.tensors()?, grid(vector)?);
+    let (tensors, grid) = (vector.tensors()?, grid_of(vector.setting("range")?));
     let limit = |key: &str| vector.number(key).map(|number| number as usize);
     let (slots, most) = (limit("max_points_per_voxel")?, limit("max_voxels")?);
-    let mut pillariser = Pillariser::new(&grid, slots, most).with_lower_limits();
-    let found = pillars(&mut pillariser, &points(&tensors, "in.points")?);
+    let given = points(&tensors, "in.points")?;
+    let found = points_of(&mut Pillariser::new(&grid, slots, most), &given);
     let coordinates = tensors.rows::<3>("out.coords_zyx")?;
     let places = coordinates.iter().map(|[_, row, column]| [*row, *column]);
     let counts = tensors.numbers("out.num_points")?;
     let expected = ragged(&points(&tensors, "out.voxels")?, &counts, places, &grid)?;
+    let expected = masked(&expected, &grid, &given);
     equal("cells", &found.cells, &expected.cells)?;
     equal("starts", &found.starts, &expected.starts)?;
     equal("points", &found.points, &expected.points)
 }
 
-fn net(tensors: &Tensors, grid: &Grid) -> Result<PillarNet, String> {
-    let part = |name: &str| tensors.numbers(&format!("param.pfn_layers.0.{name}"));
-    let affine = part("norm.weight")?.into_iter().zip(part("norm.bias")?);
-    let statistics = part("norm.running_mean")?.into_iter().zip(part("norm.running_var")?);
-    let fold = |((weight, bias), (mean, variance)): ((f64, f64), (f64, f64))| {
-        let factor = weight / (variance + BATCH_NORM_EPS).sqrt();
-        [factor, bias - mean * factor]
-    };
-    let norm: Vec<[f64; 2]> = affine.zip(statistics).map(fold).collect();
-    let linear = tensors.singles("param.pfn_layers.0.linear.weight")?;
-    if linear.len() != norm.len() * 10 {
-        return Err(format!(
-            "the linear layer has {} weights for {} channels",
-            linear.len(),
-            norm.len()
-        ));
+/// Pillars without the points on the grid's lower limits, in the order in which the remaining points touch them.
+fn masked(pillars: &Pillars, grid: &Grid, given: &[[f32; 4]]) -> Pillars {
+    let lower = [grid.x, grid.y, grid.z].map(|[from, _]| from as f32);
+    let inside = |point: &&[f32; 4]| point.iter().zip(lower).all(|(value, limit)| *value > limit);
+    let mut left: Vec<(usize, u32, Vec<[f32; 4]>)> = Vec::new();
+    for (index, cell) in pillars.cells.iter().enumerate() {
+        let points: Vec<[f32; 4]> = pillars.points_of(index).iter().filter(inside).copied().collect();
+        if let Some(first) = points.first() {
+            let touched = given.iter().position(|point| point == first).unwrap_or(usize::MAX);
+            left.push((touched, *cell, points));
+        }
     }
-    Ok(PillarNet::new(grid, &linear, &norm, Some(SLOTS), true))
+    left.sort_by_key(|(touched, ..)| *touched);
+    let mut masked = Pillars::empty();
+    for (_, cell, points) in left {
+        masked.cells.push(cell);
+        masked.points.extend(points);
+        masked.starts.push(masked.points.len() as u32);
+    }
+    masked
+}
+
+/// A model and weights whose first layer is the vector's.
+fn first_layer(vector: &Vector, tensors: &Tensors) -> Result<(Model, Weights), String> {
+    let channels = tensors.numbers("param.pfn_layers.0.norm.bias")?.len();
+    let model = model_of(grid_of(vector.setting("range")?), channels, any_backbone(1))?;
+    let weights = weights_of(&model, tensors, |key| key.strip_prefix("pillar_vfe."))?;
+    Ok((model, weights))
 }
 
 fn wide(numbers: &[f32]) -> Vec<f64> {
@@ -106,14 +119,16 @@ fn wide(numbers: &[f32]) -> Vec<f64> {
 }
 
 fn pillar_features(vector: &Vector) -> Result<(), String> {
-    let (tensors, grid, t) = (vector.tensors()?, grid(vector)?, vector.tolerance()?);
+    let (tensors, t) = (vector.tensors()?, vector.tolerance()?);
+    let (model, weights) = first_layer(vector, &tensors)?;
+    let grid = model.grid;
     let counts = tensors.numbers("in.num_points")?;
     let coordinates = tensors.rows::<4>("in.coords_bzyx")?;
     let places = coordinates.iter().map(|[_, _, row, column]| [*row, *column]);
     let pillars = ragged(&points(&tensors, "in.voxels")?, &counts, places, &grid)?;
 
     let decorated = decorate(&grid, &pillars, true);
-    let expected = tensors.rows::<10>("mid.decorated_first16")?;
+    let expected = tensors.rows::<POINT_FEATURES>("mid.decorated_first16")?;
     for (pillar, slots) in expected.chunks(SLOTS).enumerate().take(pillars.len()) {
         let own = pillars.starts[pillar] as usize..pillars.starts[pillar + 1] as usize;
         let expected = &slots[..own.len()];
@@ -126,7 +141,7 @@ fn pillar_features(vector: &Vector) -> Result<(), String> {
         )?;
     }
 
-    let mut net = net(&tensors, &grid)?;
+    let mut net = PillarNet::of(&model, &weights);
     let mut canvas = Canvas::new(grid.rows(), grid.columns(), net.channels());
     net.run(&pillars, &mut canvas);
     let cells = pillars.cells.iter().map(|cell| *cell as usize);
@@ -139,38 +154,28 @@ fn pillar_features(vector: &Vector) -> Result<(), String> {
     )
 }
 
+/// What a sender does before its backbone: own body, transform to the ego's frame, pillars, first layer.
 fn points_to_canvas(vector: &Vector) -> Result<(), String> {
-    let (tensors, grid) = (vector.tensors()?, grid(vector)?);
-    let matrix = tensors.singles("mid.matrix_agent_to_ego")?;
-    if matrix.len() != 16 {
-        return Err("the matrix is not 4×4".into());
-    }
-    let project = |[x, y, z, intensity]: [f32; 4]| {
-        let row = |r: usize| matrix[4 * r] * x + matrix[4 * r + 1] * y + matrix[4 * r + 2] * z + matrix[4 * r + 3];
-        [row(0), row(1), row(2), intensity]
-    };
-    let sensor = points(&tensors, "in.points_sensor")?;
-    let not_own = |point: &[f32; 4]| !on_own_body(*point, [-1.95, -1.1, 2.95, 1.1]);
-    let projected: Vec<[f32; 4]> = sensor.into_iter().filter(not_own).map(project).collect();
-    let range = vector.setting::<6>("range")?.map(|limit| limit as f32);
-    let within: Vec<[f32; 4]> = projected
-        .iter()
-        .copied()
-        .filter(|point| in_range(*point, range))
-        .collect();
-    compare(
-        "points_in_range",
-        &wide(within.as_flattened()),
-        &tensors.numbers("mid.points_in_range")?,
-        vector.tolerance()?,
+    let tensors = vector.tensors()?;
+    let (model, weights) = first_layer(vector, &tensors)?;
+    let ego_from_agent = transform_of(&tensors.numbers("mid.matrix_agent_to_ego")?)?;
+    let given = points(&tensors, "in.points_sensor")?;
+    let cloud = transform_cloud(&ego_from_agent, &without_own_body(&given, OWN_BODY)?);
+    let intensity: Vec<f32> = cloud.time.iter().map(|index| given[*index as usize][3]).collect();
+    let mut pillarer = Pillarer::new(&model, &weights);
+    let (canvas, dropped) = pillarer.run(&Points {
+        x: &cloud.x,
+        y: &cloud.y,
+        z: &cloud.z,
+        intensity: Some(&intensity),
+    });
+    let in_range = cloud.len() - dropped.out_of_range as usize;
+    equal(
+        "number of points in range",
+        &[in_range],
+        &tensors.shape("mid.points_in_range")?[..1],
     )?;
-
-    // The pillar step masks the range by itself.
-    let pillars = pillars(&mut Pillariser::new(&grid, SLOTS, 640_000), &projected);
-    let mut net = net(&tensors, &grid)?;
-    let mut canvas = Canvas::new(grid.rows(), grid.columns(), net.channels());
-    net.run(&pillars, &mut canvas);
-    let cells = (0..grid.rows()).flat_map(|row| (0..grid.columns()).map(move |column| (row, column)));
+    let cells = (0..canvas.rows()).flat_map(|row| (0..canvas.columns()).map(move |column| (row, column)));
     let found: Vec<f32> = cells
         .flat_map(|(row, column)| canvas.cell(row, column))
         .copied()

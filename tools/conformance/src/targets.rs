@@ -1,16 +1,11 @@
 use realo_nn::anchors::Anchors;
 use realo_nn::targets::{Object, assign};
 
-use crate::Check;
-use crate::boxes::cells_of;
+use crate::Kind;
+use crate::reference::anchors_of;
 use crate::vector::{Vector, compare, equal};
 
-pub(crate) fn check(name: &str) -> Option<Check> {
-    match name {
-        "all_classes" | "dense" | "one_class_absent" | "pedestrians_only" | "none" => Some(targets),
-        _ => None,
-    }
-}
+pub(crate) const KINDS: &[Kind] = &[Kind::new(&["in.gt_boxes_hwl_class", "out.labels_yxa"], targets)];
 
 /// The manifest gives this tolerance in words.
 const DELTAS: f64 = 1e-6;
@@ -18,7 +13,7 @@ const DELTAS: f64 = 1e-6;
 /// Labels outside the anchors where rounding decides, and the deltas of those that are positive in both.
 fn targets(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
-    let anchors = Anchors::v2x_real(cells_of(vector.setting("range")?));
+    let anchors = anchors_of(vector.setting("range")?)?;
     let object = |row: &[f64; 8]| Object {
         class: (row[7] as usize).saturating_sub(1),
         hwl: std::array::from_fn(|i| row[i]),
@@ -71,7 +66,7 @@ fn objects_with_an_anchor(
     for (index, object) in objects.iter().enumerate() {
         let alone = assign(anchors, std::slice::from_ref(object));
         let others_nearby = objects.iter().enumerate().any(|(other, near)| {
-            let distance = (near.hwl[0] - object.hwl[0]).hypot(near.hwl[1] - object.hwl[1]);
+            let distance = libm::hypot(near.hwl[0] - object.hwl[0], near.hwl[1] - object.hwl[1]);
             other != index && near.class == object.class && distance < object.hwl[5] + near.hwl[5]
         });
         if !alone.positives.is_empty() && !others_nearby && !taken.contains(&index) {

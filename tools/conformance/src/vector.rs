@@ -1,10 +1,12 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use realo_schemas::geometry::Corners;
 use safetensors::{Dtype, SafeTensors};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+
+use crate::reference::Corners;
 
 /// A line of the manifest.
 #[derive(Clone, Debug, Deserialize)]
@@ -16,12 +18,27 @@ pub struct Entry {
     /// Settings of the case.
     #[serde(default)]
     pub config: Value,
+    /// The tensors of a file of tensors, each with its type and shape.
+    #[serde(default)]
+    pub tensors: BTreeMap<String, Value>,
+    /// The keys of a JSON document.
+    #[serde(default)]
+    pub keys: Vec<String>,
 }
 
-/// One vector on disk.
+impl Entry {
+    /// Whether it has a tensor or a key of this name.
+    pub fn has(&self, name: &str) -> bool {
+        self.tensors.contains_key(name) || self.keys.iter().any(|key| key == name)
+    }
+}
+
+/// One vector on disk, and what lies beside it.
+#[derive(Clone, Copy)]
 pub(crate) struct Vector<'a> {
     pub dir: &'a Path,
     pub entry: &'a Entry,
+    pub all: &'a [Entry],
 }
 
 impl Vector<'_> {
@@ -66,9 +83,26 @@ impl Vector<'_> {
         Tensors::read(&self.dir.join(&self.entry.file))
     }
 
-    /// The tensors of a file beside it.
-    pub fn tensors_of(&self, file: &str) -> Result<Tensors, String> {
-        Tensors::read(&self.dir.join(file))
+    /// The vectors of the manifest that have a tensor or key of this name.
+    pub fn others(&self, name: &str) -> Vec<Vector<'_>> {
+        let others = self.all.iter().filter(|entry| entry.has(name));
+        others.map(|entry| Vector { entry, ..*self }).collect()
+    }
+
+    /// A text of the case's configuration.
+    pub fn text(&self, key: &str) -> Result<&str, String> {
+        let value = &self.entry.config[key];
+        value
+            .as_str()
+            .ok_or_else(|| format!("config `{key}`: expected a text, found {value}"))
+    }
+
+    /// A file in the same folder, below the folder of vectors.
+    pub fn beside(&self, file: &str) -> String {
+        match self.entry.file.rsplit_once('/') {
+            Some((folder, _)) => format!("{folder}/{file}"),
+            None => file.into(),
+        }
     }
 
     /// The document of the file, or of one beside it.
@@ -190,6 +224,11 @@ impl Tensors {
             .map(|row| std::array::from_fn(|i| [row[3 * i], row[3 * i + 1], row[3 * i + 2]]))
             .collect())
     }
+}
+
+/// All numbers of rows.
+pub(crate) fn flat<const N: usize>(rows: &[[f64; N]]) -> Vec<f64> {
+    rows.iter().flatten().copied().collect()
 }
 
 fn each<const N: usize>(data: &[u8], read: impl Fn([u8; N]) -> f64) -> Vec<f64> {

@@ -2,15 +2,13 @@
 //! Reads `$REALO_SHARED/data/dair`, which is in the layout of the original dataset.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion};
 use realo_evaluator::{Evaluation, EvaluationReport, Evaluator, frame_scores};
 use realo_fusion_boxes::FusionBoxes;
 use realo_nms::Nms;
 use realo_operator::{Describe, Operator, Outputs, PortId};
-use realo_schemas::geometry::{Cuboid, transform_corners};
 use realo_schemas::report::from_report;
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Payload, Pose, Report, Selection};
 use serde_json::Value;
@@ -46,14 +44,13 @@ fn is_vehicle(label: &Value) -> bool {
         .any(|class| label["type"].as_str().unwrap().eq_ignore_ascii_case(class))
 }
 
-fn box3(label: &Value, cuboid: Cuboid) -> Box3 {
-    let [length, width, height] = cuboid.extent;
+fn box3(label: &Value, center: [f64; 3], [length, width, height]: [f64; 3], yaw: f64) -> Box3 {
     Box3 {
-        center: cuboid.center,
+        center,
         length,
         width,
         height,
-        yaw: cuboid.yaw,
+        yaw,
         velocity: None,
         class: label["type"].as_str().unwrap().into(),
         score: 1.0,
@@ -64,10 +61,10 @@ fn box3(label: &Value, cuboid: Cuboid) -> Box3 {
 
 /// Boxes of one side, in its sensor's frame.
 fn labels(path: PathBuf) -> Vec<Box3> {
-    let cuboid = |label: &Value| Cuboid {
-        center: ["x", "y", "z"].map(|axis| number(&label["3d_location"][axis])),
-        extent: ["l", "w", "h"].map(|axis| number(&label["3d_dimensions"][axis])),
-        yaw: number(&label["rotation"]),
+    let object = |label: &Value| {
+        let center = ["x", "y", "z"].map(|axis| number(&label["3d_location"][axis]));
+        let extent = ["l", "w", "h"].map(|axis| number(&label["3d_dimensions"][axis]));
+        box3(label, center, extent, number(&label["rotation"]))
     };
     let labels = read(path);
     labels
@@ -75,16 +72,29 @@ fn labels(path: PathBuf) -> Vec<Box3> {
         .unwrap()
         .iter()
         .filter(|label| is_vehicle(label))
-        .map(|label| box3(label, cuboid(label)))
+        .map(object)
         .collect()
 }
 
 /// Cooperative labels: eight points each in the world, front-left first.
 fn truth(path: PathBuf, vehicle_from_map: &Isometry3<f64>) -> Vec<Box3> {
-    let cuboid = |label: &Value| {
-        let points = &label["world_8_points"];
-        let corners = [1, 0, 3, 2, 5, 4, 7, 6].map(|i| [0, 1, 2].map(|axis| number(&points[i as usize][axis])));
-        Cuboid::from_corners(&transform_corners(vehicle_from_map, &corners))
+    let object = |label: &Value| {
+        let points = label["world_8_points"].as_array().unwrap().iter();
+        let points: Vec<Point3<f64>> = points
+            .map(|point| vehicle_from_map * Point3::from([0, 1, 2].map(|axis| number(&point[axis]))))
+            .collect();
+        let center = points.iter().map(|point| point.coords).sum::<nalgebra::Vector3<f64>>() / 8.0;
+        // The mean of the four edges in each direction.
+        let edge = |pairs: [[usize; 2]; 4]| pairs.map(|[from, to]| points[to] - points[from]);
+        let length = |edges: [nalgebra::Vector3<f64>; 4]| edges.iter().map(|edge| edge.norm()).sum::<f64>() / 4.0;
+        let along = edge([[3, 0], [2, 1], [7, 4], [6, 5]]);
+        let extent = [
+            length(along),
+            length(edge([[0, 1], [3, 2], [4, 5], [7, 6]])),
+            length(edge([[0, 4], [1, 5], [2, 6], [3, 7]])),
+        ];
+        let heading = along.iter().sum::<nalgebra::Vector3<f64>>();
+        box3(label, center.into(), extent, libm::atan2(heading.y, heading.x))
     };
     let labels = read(path);
     labels
@@ -92,7 +102,7 @@ fn truth(path: PathBuf, vehicle_from_map: &Isometry3<f64>) -> Vec<Box3> {
         .unwrap()
         .iter()
         .filter(|label| is_vehicle(label))
-        .map(|label| box3(label, cuboid(label)))
+        .map(object)
         .collect()
 }
 
@@ -228,15 +238,10 @@ fn counts(evaluation: &Evaluation, pairs: &[Pair]) -> BTreeMap<String, (u64, u64
 
 #[test]
 fn late_fusion_of_dair_gives_the_known_counts() {
-    let Some(shared) = std::env::var_os("REALO_SHARED") else {
-        // Past the capture of test output, so that nobody misses it.
-        let _ = writeln!(
-            std::io::stderr(),
-            "SKIPPED: set REALO_SHARED to the folder that holds `data/dair` to run this test"
-        );
+    let Some(sample) = skipped::shared("data/dair") else {
         return;
     };
-    let pairs = pairs(&PathBuf::from(shared).join("data/dair"));
+    let pairs = pairs(&sample);
     assert_eq!(pairs.len(), 11);
     let [vehicle, roadside, both] =
         [Who::Vehicle, Who::Roadside, Who::Both].map(|who| counts(&late_fusion(&pairs, who), &pairs));

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use realo_nn::layers::{Layers, TensorSpec};
 use realo_nn::model::Model;
-use realo_nn::weights::expected;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -172,10 +172,12 @@ impl Checkpoint {
                 .collect())
         };
         let mut values = HashMap::new();
-        for (name, shape) in expected(model) {
-            values.insert(name.clone(), read(&name, &shape)?);
+        for spec in Layers::of(model).tensors() {
+            let read = read(&spec.key, &spec.shape)?;
+            values.insert(spec.key, read);
         }
-        let network = Network::with(model, |_, name, _| Ok(values[name].clone())).map_err(|error| error.to_string())?;
+        let mut value = |spec: &TensorSpec| values.remove(&spec.key).expect("every tensor has been read");
+        let network = Network::with(model, &mut value).map_err(|error| error.to_string())?;
         let mut optimizer = AdamW {
             steps,
             ..AdamW::new(&network)

@@ -6,10 +6,11 @@ use std::sync::Arc;
 
 use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
+use realo_nn::layers::{ConvLayer, Layer, Layers, MapId, PointLayer, Role, Step, TensorSpec, norm_key};
 use realo_nn::loss::{HeadMaps, Loss, Settings, loss};
 use realo_nn::model::Model;
 use realo_nn::targets::Targets;
-use realo_nn::weights::{Weights, WeightsError, expected};
+use realo_nn::weights::{Weights, WeightsError};
 
 use crate::layers::{
     Bias, Conv, MapShape, Moments, Norm, PillarBatch, PillarLayer, Pointwise, Statistics, WeightOrder, buffer, tensor,
@@ -37,29 +38,14 @@ pub struct Parameter {
     pub decayed: bool,
 }
 
-/// Layers as indices of their first parameter: weight, or batch norm's weight, bias, running mean, running variance.
-#[derive(Clone, Debug)]
-struct Plan {
-    pillars: Normed,
-    blocks: Vec<Vec<(usize, Normed)>>,
-    deblocks: Vec<Normed>,
-    shrink: Vec<usize>,
-    class_head: usize,
-    box_head: usize,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Normed {
-    weight: usize,
-    norm: usize,
-}
-
-/// The network: its model and all tensors in the order of its weights.
+/// The network: its model, its layers and all tensors in the order of its weights.
 #[derive(Clone, Debug)]
 pub struct Network {
     model: Model,
+    layers: Layers,
     parameters: Vec<Parameter>,
-    plan: Plan,
+    /// Where a key's tensor is.
+    places: HashMap<String, usize>,
 }
 
 /// What the heads give for a batch, as maps with a border.
@@ -68,8 +54,8 @@ pub struct Heads {
     pub scores: Tensor,
     /// Deltas, `[batch, rows + 2, columns + 2, anchors * 7]`.
     pub deltas: Tensor,
-    /// Each batch norm (index of its first parameter) with the statistics that it used.
-    statistics: Vec<(usize, Statistics)>,
+    /// Each batch norm, by its key, with the statistics that it used.
+    statistics: Vec<(String, Statistics)>,
 }
 
 /// Gradients by parameter, in the network's order; `None` for what is not trained.
@@ -89,9 +75,20 @@ impl Network {
     /// # Errors
     /// Those of candle.
     pub fn random(model: &Model, seed: u64) -> candle_core::Result<Self> {
-        Self::with(model, |index, name, shape| {
-            Ok(initial(&mut Stream::new(seed, "weights", index as u64), name, shape))
-        })
+        let layers = Layers::of(model);
+        let mut number = 0..;
+        let mut values = Vec::new();
+        for step in layers.steps() {
+            let of_heads = OfHeads {
+                scores: step.to == layers.scores,
+                deltas: step.to == layers.deltas,
+            };
+            for (spec, number) in step.layer.tensors().into_iter().zip(number.by_ref()) {
+                values.push(initial(&mut Stream::new(seed, "weights", number), &spec, of_heads));
+            }
+        }
+        let mut values = values.into_iter();
+        Self::with(model, |_| values.next().expect("a value for each tensor"))
     }
 
     /// A network with the weights of a file.
@@ -100,28 +97,28 @@ impl Network {
     /// [`WeightsError`] if they do not fit the model.
     pub fn read(model: &Model, path: &Path) -> Result<Self, WeightsError> {
         let weights = Weights::read(path, model)?;
-        let network = Self::with(model, |_, name, _| Ok(weights.tensor(name).to_vec()));
+        let network = Self::with(model, |spec| weights.tensor(&spec.key).to_vec());
         Ok(network.expect("the shapes of weights that fit the model"))
     }
 
-    /// A network of given numbers for each key.
-    pub(crate) fn with(
-        model: &Model,
-        mut values: impl FnMut(usize, &str, &[usize]) -> candle_core::Result<Vec<f32>>,
-    ) -> candle_core::Result<Self> {
-        let mut parameters = Vec::new();
-        for (index, (name, shape)) in expected(model).into_iter().enumerate() {
+    /// A network of given numbers for each tensor, asked for in the order of the weights.
+    pub(crate) fn with(model: &Model, mut values: impl FnMut(&TensorSpec) -> Vec<f32>) -> candle_core::Result<Self> {
+        let layers = Layers::of(model);
+        let (mut parameters, mut places) = (Vec::new(), HashMap::new());
+        for spec in layers.tensors() {
+            places.insert(spec.key.clone(), parameters.len());
             parameters.push(Parameter {
-                value: tensor(values(index, &name, &shape)?, shape.clone())?,
-                trained: !name.contains(".running_"),
-                decayed: shape.len() > 1,
-                name,
+                value: tensor(values(&spec), spec.shape)?,
+                trained: spec.role.is_trained(),
+                decayed: matches!(spec.role, Role::Weight { .. }),
+                name: spec.key,
             });
         }
         Ok(Network {
             model: model.clone(),
-            plan: Plan::of(model),
+            layers,
             parameters,
+            places,
         })
     }
 
@@ -158,35 +155,23 @@ impl Network {
             training,
             statistics: Vec::new(),
         };
-        let plan = &self.plan;
-        let mut map = run.pillars(plan.pillars, batch)?;
-        let mut enlarged = Vec::new();
-        for (block, (layers, deblock)) in plan.blocks.iter().zip(&plan.deblocks).enumerate() {
-            for (index, (_, layer)) in layers.iter().enumerate() {
-                let stride = if index == 0 {
-                    self.model.backbone.strides[block]
-                } else {
-                    1
-                };
-                let conv = run.tape.apply2(Conv { stride }, &map, self.value(layer.weight))?;
-                map = run.norm(layer.norm, conv)?;
-            }
-            let op = Pointwise {
-                order: WeightOrder::Transposed,
+        let layers = &self.layers;
+        let order = layers.between(&[], &[layers.scores, layers.deltas]);
+        let mut maps = Maps::of(&order);
+        for step in order {
+            let made = match &step.layer {
+                Layer::Points(layer) => run.points(layer, batch)?,
+                Layer::Convolution(layer) => run.convolution(layer, &maps.read(step.from[0]))?,
+                Layer::Join => {
+                    let parts: Vec<Tensor> = step.from.iter().map(|map| maps.read(*map)).collect();
+                    run.tape.join(&parts)?
+                }
             };
-            let up = run.tape.apply2(op, &map, self.value(deblock.weight))?;
-            enlarged.push(run.norm(deblock.norm, up)?);
+            maps.made.insert(step.to, made);
         }
-        map = run.tape.join(&enlarged)?;
-        drop(enlarged);
-        for (&weight, shrink) in plan.shrink.iter().zip(&self.model.shrink) {
-            map = run.biased(weight, shrink.kernel, true, &map)?;
-        }
-        let scores = run.biased(plan.class_head, 1, false, &map)?;
-        let deltas = run.biased(plan.box_head, 1, false, &map)?;
         Ok(Heads {
-            scores,
-            deltas,
+            scores: maps.read(layers.scores),
+            deltas: maps.read(layers.deltas),
             statistics: run.statistics,
         })
     }
@@ -230,28 +215,58 @@ impl Network {
     }
 
     /// Moves the running statistics towards a batch's.
-    fn follow(&mut self, statistics: &[(usize, Statistics)]) -> candle_core::Result<()> {
+    fn follow(&mut self, statistics: &[(String, Statistics)]) -> candle_core::Result<()> {
         for (norm, statistics) in statistics {
             let Some(moments) = statistics.moments() else { continue };
             // The running variance estimates that of all data.
             let unbiased = moments.count as f32 / moments.count.saturating_sub(1).max(1) as f32;
             let variance: Vec<f32> = moments.variance.iter().map(|v| v * unbiased).collect();
-            for (index, new) in [(norm + 2, &moments.mean), (norm + 3, &variance)] {
-                let moved = with_numbers(self.value(index), |old| {
+            for (part, new) in [(Role::RunningMean, &moments.mean), (Role::RunningVariance, &variance)] {
+                let key = norm_key(norm, part);
+                let moved = with_numbers(self.value(&key), |old| {
                     Ok(old
                         .iter()
                         .zip(new)
                         .map(|(old, new)| old + MOMENTUM * (new - old))
                         .collect::<Vec<f32>>())
                 })?;
-                self.set(index, moved)?;
+                self.set(self.places[&key], moved)?;
             }
         }
         Ok(())
     }
 
-    fn value(&self, index: usize) -> &Tensor {
-        &self.parameters[index].value
+    fn value(&self, key: &str) -> &Tensor {
+        &self.parameters[self.places[key]].value
+    }
+}
+
+/// The maps of a forward pass; one that nobody reads any more is let go.
+struct Maps {
+    made: HashMap<MapId, Tensor>,
+    readers: HashMap<MapId, usize>,
+}
+
+impl Maps {
+    fn of(order: &[&Step]) -> Self {
+        let mut readers = HashMap::new();
+        for map in order.iter().flat_map(|step| &step.from) {
+            *readers.entry(*map).or_default() += 1;
+        }
+        Maps {
+            made: HashMap::new(),
+            readers,
+        }
+    }
+
+    fn read(&mut self, map: MapId) -> Tensor {
+        let left = self.readers.entry(map).or_default();
+        *left = left.saturating_sub(1);
+        let made = match left {
+            0 => self.made.remove(&map),
+            _ => self.made.get(&map).cloned(),
+        };
+        made.expect("steps in an order in which they can be computed")
     }
 }
 
@@ -260,109 +275,104 @@ struct Run<'a> {
     network: &'a Network,
     tape: &'a mut Tape,
     training: bool,
-    statistics: Vec<(usize, Statistics)>,
+    statistics: Vec<(String, Statistics)>,
 }
 
 impl Run<'_> {
-    fn statistics(&mut self, norm: usize) -> candle_core::Result<Statistics> {
+    fn statistics(&mut self, norm: &str) -> candle_core::Result<Statistics> {
         let statistics = if self.training {
             Statistics::batch()
         } else {
-            let [mean, variance] =
-                [norm + 2, norm + 3].map(|index| with_numbers(self.network.value(index), |values| Ok(values.to_vec())));
+            let [mean, variance] = [Role::RunningMean, Role::RunningVariance].map(|part| {
+                let value = self.network.value(&norm_key(norm, part));
+                with_numbers(value, |values| Ok(values.to_vec()))
+            });
             Statistics::Running(Moments {
                 mean: mean?,
                 variance: variance?,
                 count: 1,
             })
         };
-        self.statistics.push((norm, statistics.clone()));
+        self.statistics.push((norm.to_string(), statistics.clone()));
         Ok(statistics)
     }
 
-    fn pillars(&mut self, layer: Normed, batch: &Arc<PillarBatch>) -> candle_core::Result<Tensor> {
-        let op = PillarLayer::new(batch.clone(), self.statistics(layer.norm)?);
-        let [linear, weight, bias] = [layer.weight, layer.norm, layer.norm + 1].map(|index| self.network.value(index));
-        self.tape.apply3(op, linear, weight, bias)
+    fn points(&mut self, layer: &PointLayer, batch: &Arc<PillarBatch>) -> candle_core::Result<Tensor> {
+        let op = PillarLayer::new(batch.clone(), self.statistics(&layer.norm)?);
+        let network = self.network;
+        let [weight, bias] = norm_keys(&layer.norm).map(|key| network.value(&key));
+        self.tape.apply3(op, network.value(&layer.weight_key()), weight, bias)
     }
 
-    fn norm(&mut self, norm: usize, map: Tensor) -> candle_core::Result<Tensor> {
+    fn convolution(&mut self, layer: &ConvLayer, map: &Tensor) -> candle_core::Result<Tensor> {
+        let network = self.network;
+        let weight = network.value(&layer.weight_key());
+        let made = match (layer.transposed, layer.kernel) {
+            (true, _) => self.pointwise(WeightOrder::Transposed, map, weight),
+            (false, 1) if layer.stride == 1 => self.pointwise(WeightOrder::Plain, map, weight),
+            (false, 3) => self.tape.apply2(Conv { stride: layer.stride }, map, weight),
+            (false, kernel) => candle_core::bail!(
+                "`{}`: there is no training for a kernel of {kernel} at stride {}",
+                layer.key,
+                layer.stride
+            ),
+        }?;
+        let biased = match layer.bias_key() {
+            Some(key) => {
+                let relu = layer.relu && layer.norm.is_none();
+                self.tape.apply2(Bias { relu }, &made, network.value(&key))?
+            }
+            None => made,
+        };
+        match &layer.norm {
+            Some(norm) if layer.relu => self.norm(norm, &biased),
+            None if layer.bias || !layer.relu => Ok(biased),
+            _ => candle_core::bail!(
+                "`{}`: there is no training for a ReLU without bias or a norm without ReLU",
+                layer.key
+            ),
+        }
+    }
+
+    fn pointwise(&mut self, order: WeightOrder, map: &Tensor, weight: &Tensor) -> candle_core::Result<Tensor> {
+        self.tape.apply2(Pointwise { order }, map, weight)
+    }
+
+    /// Batch norm and ReLU.
+    fn norm(&mut self, norm: &str, map: &Tensor) -> candle_core::Result<Tensor> {
         let op = Norm {
             statistics: self.statistics(norm)?,
         };
-        let [weight, bias] = [norm, norm + 1].map(|index| self.network.value(index));
-        self.tape.apply3(op, &map, weight, bias)
-    }
-
-    fn biased(&mut self, weight: usize, kernel: usize, relu: bool, map: &Tensor) -> candle_core::Result<Tensor> {
-        let (w, bias) = (self.network.value(weight), self.network.value(weight + 1));
-        let out = match kernel {
-            1 => self.tape.apply2(
-                Pointwise {
-                    order: WeightOrder::Plain,
-                },
-                map,
-                w,
-            )?,
-            _ => self.tape.apply2(Conv { stride: 1 }, map, w)?,
-        };
-        self.tape.apply2(Bias { relu }, &out, bias)
+        let network = self.network;
+        let [weight, bias] = norm_keys(norm).map(|key| network.value(&key));
+        self.tape.apply3(op, map, weight, bias)
     }
 }
 
-impl Plan {
-    /// Follows the order of [`expected`].
-    fn of(model: &Model) -> Self {
-        let mut next = 0;
-        let mut take = |count: usize| {
-            next += count;
-            next - count
-        };
-        let mut normed = || Normed {
-            weight: take(1),
-            norm: take(4),
-        };
-        let pillars = normed();
-        let blocks = model
-            .backbone
-            .layers
-            .iter()
-            .map(|layers| (0..=*layers).map(|i| (i, normed())).collect())
-            .collect();
-        let deblocks = model.backbone.layers.iter().map(|_| normed()).collect();
-        let shrink = model.shrink.iter().map(|_| take(2)).collect();
-        Plan {
-            pillars,
-            blocks,
-            deblocks,
-            shrink,
-            class_head: take(2),
-            box_head: take(2),
-        }
-    }
+/// What of a batch norm gradients move.
+fn norm_keys(norm: &str) -> [String; 2] {
+    [Role::NormWeight, Role::NormBias].map(|part| norm_key(norm, part))
 }
 
-/// Random numbers for a tensor, by its key and shape.
-fn initial(draws: &mut Stream, name: &str, shape: &[usize]) -> Vec<f32> {
-    let count = shape.iter().product();
+/// Whether a layer makes the scores or the deltas.
+#[derive(Clone, Copy, Debug)]
+struct OfHeads {
+    scores: bool,
+    deltas: bool,
+}
+
+/// Random numbers for a tensor.
+fn initial(draws: &mut Stream, spec: &TensorSpec, of_heads: OfHeads) -> Vec<f32> {
+    let count = spec.count();
     let normal = |draws: &mut Stream, deviation: f64| (0..count).map(|_| (deviation * draws.normal()) as f32).collect();
-    match (name, shape) {
-        ("cls_head.bias", _) => vec![-((1.0 - PRIOR) / PRIOR).ln() as f32; count],
-        ("cls_head.weight" | "reg_head.weight", _) => normal(draws, 0.01),
-        (_, [_]) if name.ends_with("norm.weight") || name.ends_with("running_var") => vec![1.0; count],
-        (_, [_]) if is_norm_weight(name) => vec![1.0; count],
-        (_, [_]) => vec![0.0; count],
-        // Each output of a transposed convolution sees one cell of the input.
-        (_, [ins, _, _, _]) if name.contains("deblocks") => normal(draws, (2.0 / *ins as f64).sqrt()),
+    match spec.role {
+        Role::Bias if of_heads.scores => vec![-((1.0 - PRIOR) / PRIOR).ln() as f32; count],
+        Role::Weight { .. } if of_heads.scores || of_heads.deltas => normal(draws, 0.01),
         // Variance is kept through ReLU (He et al. 2015).
-        (_, [_, rest @ ..]) => normal(draws, (2.0 / rest.iter().product::<usize>() as f64).sqrt()),
-        (_, []) => vec![0.0; count],
+        Role::Weight { fan_in } => normal(draws, (2.0 / fan_in as f64).sqrt()),
+        Role::NormWeight | Role::RunningVariance => vec![1.0; count],
+        Role::Bias | Role::NormBias | Role::RunningMean => vec![0.0; count],
     }
-}
-
-/// One-dimensional weights belong to batch norms.
-fn is_norm_weight(name: &str) -> bool {
-    name.ends_with(".weight")
 }
 
 /// Each sample's loss, and the gradients of their sum as maps with a border.

@@ -19,8 +19,22 @@ pub(crate) struct View<'a, E> {
     pub rows: usize,
     pub columns: usize,
     pub stored: usize,
-    /// `[rows + 2, columns + 2, stored]`.
+    /// Cells of zeros around it: 1, or 0 for what only kernels of 1x1 read.
+    pub border: usize,
+    /// `[rows + 2 * border, columns + 2 * border, stored]`.
     pub data: &'a [E],
+}
+
+impl<E> View<'_, E> {
+    /// Numbers that its size says it has.
+    pub fn numbers(&self) -> usize {
+        (self.rows + 2 * self.border) * self.line()
+    }
+
+    /// Numbers of a row, border included.
+    pub fn line(&self) -> usize {
+        (self.columns + 2 * self.border) * self.stored
+    }
 }
 
 /// Whole rows of a map, border columns included.
@@ -46,6 +60,7 @@ impl<E: Element> Map<E> {
             rows: self.rows,
             columns: self.columns,
             stored: self.stored,
+            border: 1,
             data: &self.data,
         }
     }
@@ -74,6 +89,7 @@ impl<E: Element> Map<E> {
     }
 
     /// Takes all cells from `[rows, columns, channels]`.
+    #[cfg(test)]
     pub fn fill_from(&mut self, cells: &[f32]) {
         self.fill_with(&mut Pool::new(1), cells);
     }
@@ -95,8 +111,8 @@ impl<E: Element> Map<E> {
     pub fn fill_from_view(&mut self, pool: &mut Pool, from: View<f32>) {
         let (rows, length, channels, stored) = (self.rows + 2, self.row_length(), self.channels, self.stored);
         assert_eq!(
-            (from.rows, from.columns, from.stored),
-            (self.rows, self.columns, channels),
+            (from.rows, from.columns, from.stored, from.border),
+            (self.rows, self.columns, channels, 1),
             "size of a map"
         );
         let shares = split(&mut self.data, length, rows, pool.threads(), 1);
@@ -110,9 +126,17 @@ impl<E: Element> Map<E> {
     }
 
     /// All cells as `[rows, columns, channels]`.
-    pub fn to_f32(&self) -> Vec<f32> {
-        let cells = (0..self.rows).flat_map(|row| self.row(row));
-        cells.flatten().map(|value| value.to_f32()).collect()
+    pub fn to_f32(&self, pool: &mut Pool) -> Vec<f32> {
+        let length = self.columns * self.channels;
+        let mut cells = vec![0.0; self.rows * length];
+        pool.each(split(&mut cells, length, self.rows, pool.threads(), 1), |share| {
+            for (row, to) in share.range.zip(share.data.chunks_exact_mut(length)) {
+                for (from, to) in self.row(row).zip(to.chunks_exact_mut(self.channels)) {
+                    from.iter().zip(to).for_each(|(from, to)| *to = from.to_f32());
+                }
+            }
+        });
+        cells
     }
 }
 
@@ -170,7 +194,7 @@ mod tests {
         let mut map = Map::<Bf16>::new(2, 3, 3);
         let cells: Vec<f32> = (1..=18).map(|value| value as f32).collect();
         map.fill_from(&cells);
-        assert_eq!((map.stored, map.to_f32()), (4, cells));
+        assert_eq!((map.stored, map.to_f32(&mut Pool::new(2))), (4, cells));
         assert_eq!(map.data.iter().filter(|value| value.0 != 0).count(), 18);
     }
 }

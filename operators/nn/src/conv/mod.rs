@@ -48,20 +48,12 @@ pub struct Convolution {
 
 impl Convolution {
     /// Rows or columns of the result from those of the input.
+    #[cfg(test)]
     pub fn size(&self, input: usize) -> usize {
         match self.transposed {
             true => input * self.stride,
             false => input.div_ceil(self.stride),
         }
-    }
-
-    /// Multiplications and additions on a map of so many rows and columns.
-    pub fn operations(&self, [rows, columns]: [usize; 2]) -> f64 {
-        let windows = match self.transposed {
-            true => rows * columns,
-            false => self.size(rows) * self.size(columns),
-        };
-        2.0 * (windows * self.kernel * self.kernel * self.inputs * self.outputs) as f64
     }
 
     pub(crate) fn weight(&self, output: usize, input: usize, row: usize, column: usize) -> f32 {
@@ -73,11 +65,12 @@ impl Convolution {
     }
 }
 
-/// Runs convolutions one after the other in f32. `data`: `[rows, columns, channels]`, without a border; so is the result.
+/// Runs convolutions one after the other in f32, for tests. `data`: `[rows, columns, channels]`, without a border; so is the result.
 ///
 /// # Panics
 /// If the sizes do not fit together or the CPU lacks `isa`.
-pub fn apply(layers: &[Convolution], isa: Isa, threads: usize, size: [usize; 2], data: &[f32]) -> Vec<f32> {
+#[cfg(test)]
+pub(crate) fn apply(layers: &[Convolution], isa: Isa, threads: usize, size: [usize; 2], data: &[f32]) -> Vec<f32> {
     assert!(isa.is_available(), "this CPU has no {isa}");
     let mut pool = Pool::new(threads);
     let channels = layers.first().map_or(0, |layer| layer.inputs);
@@ -88,5 +81,5 @@ pub fn apply(layers: &[Convolution], isa: Isa, threads: usize, size: [usize; 2],
         Packed::<f32>::new(layer, isa).run(&mut pool, map.view(), &mut next, 0);
         map = next;
     }
-    map.to_f32()
+    map.to_f32(&mut pool)
 }

@@ -102,6 +102,11 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
         input.div_ceil(self.stride)
     }
 
+    /// Whether windows reach beyond the map.
+    pub fn needs_border(&self) -> bool {
+        self.kernel > 1
+    }
+
     /// Writes channels `first..first + outputs` of `output`.
     ///
     /// # Panics
@@ -114,8 +119,8 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
         assert_eq!([output.rows, output.columns], size, "size of an output map");
         assert!(first + self.outputs <= output.channels, "channels of an output map");
         assert_eq!(input.stored, self.stored(), "channels of an input map");
-        let cells = (input.rows + 2) * (input.columns + 2);
-        assert_eq!(input.data.len(), cells * input.stored, "numbers of an input map");
+        assert!(input.border == 1 || !self.needs_border(), "border of an input map");
+        assert_eq!(input.data.len(), input.numbers(), "numbers of an input map");
         let (row, cell) = (output.row_length(), output.stored);
         let shares = output.shares(pool.threads(), self.up);
         pool.each(shares, |Rows { range, data }| {

@@ -117,7 +117,7 @@ fn run<E: Kernel<O>, O: Element>(layer: &Convolution, case: &Case, isa: Isa, thr
         .map(|value| value.to_f32())
         .filter(|value| *value != 0.0)
         .count();
-    let written = output.to_f32();
+    let written = output.to_f32(&mut Pool::new(1));
     assert_eq!(
         border,
         written.iter().filter(|value| **value != 0.0).count(),

@@ -107,6 +107,7 @@ where
         rows,
         columns,
         stored,
+        border,
         data,
     } = share.input;
     assert!(J * S::LANES == layer.block && layer.bias.len().is_multiple_of(layer.block));
@@ -114,13 +115,9 @@ where
     let weights = layer.up * layer.up * layer.kernel * layer.kernel * stored * layer.bias.len();
     assert_eq!(layer.weights.len(), weights, "packed weights");
     assert_eq!(stored, layer.stored(), "channels of an input map");
-    assert_eq!(
-        data.len(),
-        (rows + 2) * (columns + 2) * stored,
-        "numbers of an input map"
-    );
+    assert_eq!(data.len(), share.input.numbers(), "numbers of an input map");
     assert!(share.rows.end <= layer.windows(rows) && share.columns == layer.windows(columns));
-    assert!(layer.kernel == 3 || layer.kernel == 1);
+    assert!((layer.kernel, border) == (3, 1) || layer.kernel == 1 && border <= 1);
     assert_eq!(
         share.row,
         (share.columns * layer.up + 2) * share.cell,
@@ -153,12 +150,14 @@ unsafe fn windows<S, O, const P: usize, const J: usize>(
         cell,
         block,
     } = at;
-    let View { stored, data, .. } = share.input;
+    let View {
+        stored, border, data, ..
+    } = share.input;
     let (up, first) = (layer.up, block * layer.block);
     let valid = (layer.outputs - first).min(layer.block);
     // A window of 3x3 begins in the border, one of 1x1 behind it.
-    let border = if layer.kernel == 3 { 0 } else { 1 };
-    let line = (share.input.columns + 2) * stored;
+    let border = if layer.kernel == 3 { 0 } else { border };
+    let line = share.input.line();
     let input = &data[(row * layer.stride + border) * line + (columns.start * layer.stride + border) * stored..];
     let output_row = (row - share.rows.start) * up + cell / up;
     let output = &mut share.output[output_row * share.row..(output_row + 1) * share.row];

@@ -1,8 +1,16 @@
+use std::collections::HashMap;
+
 use super::*;
+use crate::anchors::Anchors;
+use crate::arch::heads;
+use crate::conv::Convolution;
+use crate::decode::candidates;
+use crate::encoder::Pillarer;
+use crate::layers::{Builder, ConvLayer, Layer, PointLayer};
 use crate::model::{Backbone, Frame, Grid, Shrink};
-use crate::pillar_net::PillarNet;
-use crate::pillars::{Pillariser, Points};
-use crate::testing::{Numbers, lite, random_tensors, small};
+use crate::part::numbers;
+use crate::pillars::Points;
+use crate::testing::{Numbers, lite, random_tensors, random_tensors_of, small};
 use crate::vectors::{Vector, assert_near, nhwc};
 use crate::weights::Tensor;
 
@@ -32,32 +40,33 @@ fn random_canvas(model: &Model, seed: u64) -> Canvas {
     canvas(model, &Numbers::new(seed).list(count))
 }
 
-/// The whole network by the definition of its layers, in f64.
-fn plain(model: &Model, weights: &Weights, canvas: &Canvas) -> Vec<f64> {
+/// The whole network by the definition of its layers, in f64: scores and deltas side by side.
+fn plain(layers: &Layers, weights: &Weights, canvas: &Canvas) -> Vec<f64> {
     let size = [canvas.rows(), canvas.columns()];
     let cells = (0..size[0]).flat_map(|row| (0..size[1]).map(move |column| (row, column)));
     let cells = cells
         .flat_map(|(row, column)| canvas.cell(row, column))
         .map(|value| f64::from(*value))
         .collect();
-    let mut map = (size, cells);
-    let mut joined: Option<([usize; 2], Vec<Vec<f64>>)> = None;
-    for (block, deblock) in blocks(model, weights).iter().zip(deblocks(model, weights)) {
-        map = block.iter().fold(map, |map, layer| plain_layer(layer, &map));
-        let (size, up) = plain_layer(&deblock, &map);
-        let up = up.chunks_exact(deblock.outputs).map(<[f64]>::to_vec).collect();
-        joined = Some(match joined {
-            None => (size, up),
-            Some((_, cells)) => (size, cells.into_iter().zip(up).map(|(a, b)| [a, b].concat()).collect()),
-        });
+    let mut maps = HashMap::from([(layers.canvas, (size, cells))]);
+    for step in layers.steps() {
+        let made = match &step.layer {
+            Layer::Points(_) => continue,
+            Layer::Convolution(layer) => plain_layer(&numbers(layer, weights), &maps[&step.from[0]]),
+            Layer::Join => {
+                let (size, _) = maps[&step.from[0]];
+                let cell = |map: &MapId, index: usize| {
+                    let channels = layers.size(*map)[2];
+                    maps[map].1[index * channels..][..channels].to_vec()
+                };
+                let cells =
+                    (0..size[0] * size[1]).flat_map(|index| step.from.iter().flat_map(move |map| cell(map, index)));
+                (size, cells.collect())
+            }
+        };
+        maps.insert(step.to, made);
     }
-    let (size, cells) = joined.unwrap();
-    let layers = shrink_layers(model, weights)
-        .into_iter()
-        .chain([head_layer(model, weights)]);
-    layers
-        .fold((size, cells.concat()), |map, layer| plain_layer(&layer, &map))
-        .1
+    maps.remove(&layers.heads).unwrap().1
 }
 
 type PlainMap = ([usize; 2], Vec<f64>);
@@ -108,7 +117,7 @@ fn networks_agree_with_the_definition_of_their_layers() {
     for (rows, columns, odd) in [(8, 12, false), (20, 4, true), (4, 52, true)] {
         let model = small(rows, columns, odd);
         let (weights, canvas) = (weights(&model, 7), random_canvas(&model, 8));
-        let expected = plain(&model, &weights, &canvas);
+        let expected = plain(&Layers::of(&model), &weights, &canvas);
         let size = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
         for isa in available() {
             for (precision, tolerance) in [(Precision::F32, 1e-5), (Precision::Bf16, 0.03)] {
@@ -129,6 +138,122 @@ fn networks_agree_with_the_definition_of_their_layers() {
         }
     }
 }
+
+/// Layers that PointPillars has not: a bottleneck of convolutions with bias and batch norm, whose encoded map is what
+/// agents share. Weights, checks and inference need no more than the list.
+#[test]
+fn another_list_of_layers_is_another_network() {
+    let mut builder = Builder::default();
+    let points = PointLayer {
+        key: "points".into(),
+        norm: "points_norm".into(),
+        channels: 9,
+    };
+    let canvas = builder.points(points, [10, 14]);
+    let (mut map, mut made) = (canvas, Vec::new());
+    for (index, outputs) in [2, 9, 9].into_iter().enumerate() {
+        let layer = ConvLayer {
+            key: format!("bottleneck.{index}"),
+            inputs: builder.size(map)[2],
+            outputs,
+            kernel: 3,
+            stride: 1,
+            transposed: false,
+            bias: true,
+            norm: Some(format!("bottleneck_norm.{index}")),
+            relu: true,
+        };
+        map = builder.convolution(layer, map);
+        made.push(map);
+    }
+    let outputs = heads(&mut builder, &lite(), map);
+    let layers = builder.finish(canvas, made[0], outputs);
+    assert_eq!(layers.size(layers.features), [10, 14, 2]);
+
+    let mut tensors: HashMap<_, _> = random_tensors_of(&layers, 3)
+        .into_iter()
+        .map(|(key, tensor)| (key, (tensor.shape, Some(tensor.data))))
+        .collect();
+    let weights = Weights::checked(&layers, "other", tensors.clone(), Vec::new()).unwrap();
+    let mut cells = Canvas::new(10, 14, 9);
+    for (index, values) in Numbers::new(4).list(10 * 14 * 9).chunks(9).enumerate() {
+        cells.cell_mut(index / 14, index % 14).copy_from_slice(values);
+    }
+    let expected = plain(&layers, &weights, &cells);
+    let size = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
+    for isa in available() {
+        let mut core = Core::of(&layers, &weights, &lite(), &options(isa, Some(Precision::F32), 2)).unwrap();
+        core.name = "other".into();
+        let mut network = Network::sharing(Arc::new(core), Arc::new(Mutex::new(Pool::new(2))));
+        let found = network.forward(&cells).unwrap();
+        let found = found.scores.chunks_exact(18).zip(found.deltas.chunks_exact(42));
+        let found = found.flat_map(|(scores, deltas)| [scores, deltas].concat());
+        assert!(
+            found
+                .zip(&expected)
+                .all(|(found, expected)| (f64::from(found) - expected).abs() < 1e-5 * size)
+        );
+    }
+    tensors.remove("bottleneck_norm.1.running_var");
+    let error = Weights::checked(&layers, "other", tensors, Vec::new())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("model `other`: `bottleneck_norm.1.running_var` [9] is missing"),
+        "{error}"
+    );
+}
+
+/// The arithmetic of the shipped model, on every processor and system.
+#[test]
+fn portable_bits_are_the_same_everywhere() {
+    let model = lite();
+    let weights = Weights::read(Path::new(SHIPPED), &model).unwrap();
+    let mut numbers = Numbers::new(11);
+    let column = |numbers: &mut Numbers, reach: f32| -> Vec<f32> {
+        (0..4000).map(|_| reach * numbers.next() * numbers.next()).collect()
+    };
+    let [x, y, z] = [90.0, 35.0, 2.5].map(|reach| column(&mut numbers, reach));
+    let points = Points {
+        x: &x,
+        y: &y,
+        z: &z,
+        intensity: None,
+    };
+    let mut pillarer = Pillarer::new(&model, &weights);
+    let (canvas, _) = pillarer.run(&points);
+    let sum = |values: &[f32]| {
+        let bits = values.iter().map(|value| u64::from(value.to_bits()));
+        bits.fold(0xcbf2_9ce4_8422_2325u64, |sum, bits| {
+            (sum ^ bits).wrapping_mul(0x100_0000_01b3)
+        })
+    };
+    let mut found = vec![sum(canvas.data())];
+    for precision in [Precision::F32, Precision::Bf16] {
+        let mut network = Network::new(&model, &weights, options(Isa::Portable, Some(precision), 2)).unwrap();
+        let heads = network.forward(canvas).unwrap();
+        found.extend([sum(&heads.scores), sum(&heads.deltas)]);
+        let boxes = candidates(&Anchors::of(&model), &heads.scores, &heads.deltas, 0.05, 1000).detections;
+        assert!(boxes.len() > 10);
+        let numbers = boxes
+            .iter()
+            .flat_map(|found| found.hwl.into_iter().chain([found.score]));
+        found.push(sum(&numbers.collect::<Vec<f32>>()));
+    }
+    assert_eq!(found, EXPECTED, "{found:#x?}");
+}
+
+const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.safetensors");
+/// Of the canvas; then of scores, deltas and boxes in f32, and in bf16.
+const EXPECTED: [u64; 7] = [
+    0x0c59_3003_c7f8_1f58,
+    0x29dd_d5af_85bc_f097,
+    0x3600_ea52_69d4_e95f,
+    0x3540_9ca2_bc36_4379,
+    0x82e4_8bd0_ecb2_92fb,
+    0xa42d_646e_47a2_7e26,
+    0x959d_3617_fa17_460f,
+];
 
 #[test]
 fn bits_do_not_depend_on_threads_on_what_came_before_or_on_the_split() {
@@ -283,7 +408,7 @@ fn the_backbone_matches_the_reference() {
         "network/backbone_1_1_1.safetensors",
         "network/backbone_3_5_8.safetensors",
     ] {
-        let Some(vector) = Vector::open(file) else { return };
+        let vector = Vector::open(file);
         let shape = shape4(&vector, "in.canvas");
         let model = model_of(&vector.config, [shape[2], shape[3]], shape[1]);
         let weights = weights_of(&vector, &model, |key| key.strip_prefix("backbone."));
@@ -306,10 +431,16 @@ fn the_shrink_layers_match_the_reference() {
         ("network/shrink_k1.safetensors", 1),
         ("network/shrink_k3.safetensors", 3),
     ] {
-        let Some(vector) = Vector::open(file) else { return };
+        let vector = Vector::open(file);
         let shape = shape4(&vector, "in.x");
-        let mut model = lite();
-        model.backbone.up_channels = vec![8, 8, 8];
+        let mut model = small(2 * shape[2], 2 * shape[3], false);
+        model.backbone = Backbone {
+            layers: vec![0; 3],
+            strides: vec![2, 1, 1],
+            channels: vec![2; 3],
+            up_strides: vec![1; 3],
+            up_channels: vec![8; 3],
+        };
         model.shrink = vec![
             Shrink { kernel, channels: 16 },
             Shrink {
@@ -317,15 +448,24 @@ fn the_shrink_layers_match_the_reference() {
                 channels: 16,
             },
         ];
-        let layers = shrink_layers(
-            &model,
-            &weights_of(&vector, &model, |key| key.strip_prefix("shrink_conv.")),
-        );
+        let weights = weights_of(&vector, &model, |key| key.strip_prefix("shrink_conv."));
         let inputs = nhwc(&vector.f32("in.x"), shape);
         let expected = nhwc(&vector.f32("out.y"), shape4(&vector, "out.y"));
         for isa in available() {
             let samples = inputs.chunks_exact(inputs.len() / shape[0]);
-            let run = |cells: &[f32]| crate::conv::apply(&layers, isa, 2, [shape[2], shape[3]], cells);
+            let layers = Layers::of(&model);
+            let joined = layers.steps().iter().find(|step| step.layer == Layer::Join).unwrap().to;
+            let ends = [joined, layers.features];
+            let mut section = Section::new(&model, &weights, options(isa, None, 2), ends).unwrap();
+            let run = |data| {
+                let map = BevView {
+                    rows: shape[2],
+                    columns: shape[3],
+                    channels: shape[1],
+                    data,
+                };
+                section.run(map).unwrap().data
+            };
             let found: Vec<f32> = samples.flat_map(run).collect();
             assert_near(&format!("{file} {isa}"), &found, &expected, 1e-4);
         }
@@ -334,9 +474,7 @@ fn the_shrink_layers_match_the_reference() {
 
 #[test]
 fn the_heads_match_the_reference() {
-    let Some(vector) = Vector::open("network/head.safetensors") else {
-        return;
-    };
+    let vector = Vector::open("network/head.safetensors");
     let shape = shape4(&vector, "in.x");
     let [_, channels, rows, columns] = shape;
     let mut model = small(2 * rows, 2 * columns, false);
@@ -366,9 +504,7 @@ fn the_heads_match_the_reference() {
 
 #[test]
 fn scattered_pillars_match_the_reference() {
-    let Some(vector) = Vector::open("network/scatter.safetensors") else {
-        return;
-    };
+    let vector = Vector::open("network/scatter.safetensors");
     let shape = shape4(&vector, "out.canvas");
     let [samples, channels, rows, columns] = shape;
     let mut found = Vec::new();
@@ -392,9 +528,7 @@ fn scattered_pillars_match_the_reference() {
 
 #[test]
 fn the_single_agent_model_matches_the_reference_from_points_on() {
-    let Some(vector) = Vector::open("model/single.safetensors") else {
-        return;
-    };
+    let vector = Vector::open("model/single.safetensors");
     let grid = vector.grid();
     let mut model = model_of(&vector.config["backbone"], [grid.rows(), grid.columns()], 64);
     model.grid = grid;
@@ -410,13 +544,12 @@ fn the_single_agent_model_matches_the_reference_from_points_on() {
         z: &z,
         intensity: Some(&i),
     };
-    let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
-    let mut canvas = Canvas::new(grid.rows(), grid.columns(), model.pillars.channels);
-    PillarNet::of(&model, &weights).run(pillariser.run(&points), &mut canvas);
+    let mut pillarer = Pillarer::new(&model, &weights);
+    let (canvas, _) = pillarer.run(&points);
     let expected = |name: &str| nhwc(&vector.f32(name), shape4(&vector, name));
     for isa in available() {
         let mut network = Network::new(&model, &weights, options(isa, None, 2)).unwrap();
-        let heads = network.forward(&canvas).unwrap();
+        let heads = network.forward(canvas).unwrap();
         assert_near(&format!("scores {isa}"), &heads.scores, &expected("out.psm"), 5e-4);
         assert_near(&format!("deltas {isa}"), &heads.deltas, &expected("out.rm"), 5e-4);
     }

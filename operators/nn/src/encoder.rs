@@ -1,0 +1,72 @@
+//! From points to the BEV map: pillars, pillar layer, backbone.
+
+use crate::canvas::Canvas;
+use crate::load::Loaded;
+use crate::model::Model;
+use crate::network::{BevMap, Network, NetworkError};
+use crate::pillar_net::PillarNet;
+use crate::pillars::{Dropped, Pillariser, Points};
+use crate::weights::Weights;
+
+/// From points to the canvas of a model; buffers serve one sweep after another.
+pub struct Pillarer {
+    pillariser: Pillariser,
+    net: PillarNet,
+    canvas: Canvas,
+    intensity: bool,
+}
+
+impl Pillarer {
+    /// The first steps of a model.
+    pub fn new(model: &Model, weights: &Weights) -> Self {
+        let (grid, pillars) = (&model.grid, &model.pillars);
+        Pillarer {
+            pillariser: Pillariser::new(grid, pillars.points, pillars.pillars),
+            net: PillarNet::of(model, weights),
+            canvas: Canvas::new(grid.rows(), grid.columns(), pillars.channels),
+            intensity: pillars.intensity,
+        }
+    }
+
+    /// Whether it looks at the points' intensity.
+    pub fn wants_intensity(&self) -> bool {
+        self.intensity
+    }
+
+    /// The canvas of points in the model's frame, and how many were left out.
+    pub fn run(&mut self, points: &Points) -> (&Canvas, Dropped) {
+        let pillars = self.pillariser.run(points);
+        self.net.run(pillars, &mut self.canvas);
+        (&self.canvas, pillars.dropped)
+    }
+}
+
+/// From points to the BEV map of a model.
+pub struct Encoder {
+    pillarer: Pillarer,
+    network: Network,
+}
+
+impl Encoder {
+    /// The encoder of a model that was loaded.
+    pub fn new(loaded: Loaded) -> Self {
+        Encoder {
+            pillarer: Pillarer::new(&loaded.model, &loaded.weights),
+            network: loaded.network,
+        }
+    }
+
+    /// Whether it looks at the points' intensity.
+    pub fn wants_intensity(&self) -> bool {
+        self.pillarer.wants_intensity()
+    }
+
+    /// The BEV map of points in the model's frame, and how many were left out.
+    ///
+    /// # Errors
+    /// Those of [`Network::encode`].
+    pub fn run(&mut self, points: &Points) -> Result<(BevMap, Dropped), NetworkError> {
+        let (canvas, dropped) = self.pillarer.run(points);
+        Ok((self.network.encode(canvas)?, dropped))
+    }
+}

@@ -1,0 +1,433 @@
+//! A network as a list of layers: the one description that its weights, inference and training read.
+//!
+//! A layer knows its tensors; a step says which maps the layer reads and which one it makes. What is computed before
+//! what follows from that alone ([`Layers::between`]).
+
+use crate::model::Model;
+
+/// Numbers that describe a point of a pillar: x, y, z, intensity, offsets to the pillar's mean and to its centre.
+pub const POINT_FEATURES: usize = 10;
+
+/// A map of a network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MapId(usize);
+
+/// Rows (along y), columns (along x) and channels of a map.
+pub type MapSize = [usize; 3];
+
+/// The layers of a network.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Layers {
+    maps: Vec<MapSize>,
+    steps: Vec<Step>,
+    /// The pillars' features.
+    pub canvas: MapId,
+    /// The BEV map: what agents share.
+    pub features: MapId,
+    /// Logits, `anchors * classes` for each cell.
+    pub scores: MapId,
+    /// Boxes as deltas to their anchors, `anchors * 7` for each cell.
+    pub deltas: MapId,
+    /// `scores`, then `deltas`.
+    pub heads: MapId,
+}
+
+/// A layer and its place in the network.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    /// What is computed.
+    pub layer: Layer,
+    /// Maps that it reads; the pillar layer reads points instead.
+    pub from: Vec<MapId>,
+    /// The map that it makes.
+    pub to: MapId,
+}
+
+/// What a step computes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Layer {
+    /// From points to the features of pillars.
+    Points(PointLayer),
+    /// A convolution of one map.
+    Convolution(ConvLayer),
+    /// Several maps side by side in their channels.
+    Join,
+}
+
+/// A linear layer with batch norm and ReLU on every point, and the maximum over a pillar's points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PointLayer {
+    /// Key of the linear layer.
+    pub key: String,
+    /// Key of the batch norm.
+    pub norm: String,
+    /// Features that it gives.
+    pub channels: usize,
+}
+
+/// A convolution: 1x1 or 3x3 with zeros around the map, or transposed with a kernel as wide as its stride.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConvLayer {
+    /// Key.
+    pub key: String,
+    /// Channels that it reads.
+    pub inputs: usize,
+    /// Channels that it gives.
+    pub outputs: usize,
+    /// Side of the kernel.
+    pub kernel: usize,
+    /// Cells from one window to the next, or the factor of enlargement.
+    pub stride: usize,
+    /// Whether it enlarges the map.
+    pub transposed: bool,
+    /// Whether it has biases.
+    pub bias: bool,
+    /// Key of the batch norm after it.
+    pub norm: Option<String>,
+    /// Whether negative results become zero.
+    pub relu: bool,
+}
+
+/// A tensor of a layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TensorSpec {
+    /// Key in the file of weights.
+    pub key: String,
+    /// Size of each dimension.
+    pub shape: Vec<usize>,
+    /// What it is.
+    pub role: Role,
+}
+
+/// What a tensor is in its layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Factors of a layer; each result is a sum of `fan_in` products.
+    Weight {
+        /// Products of a sum.
+        fan_in: usize,
+    },
+    /// Summands of a layer.
+    Bias,
+    /// Factors of a batch norm.
+    NormWeight,
+    /// Summands of a batch norm.
+    NormBias,
+    /// Running mean of a batch norm.
+    RunningMean,
+    /// Running variance of a batch norm.
+    RunningVariance,
+}
+
+/// The parts of a batch norm, in the order of the state dict.
+const NORM_PARTS: [(&str, Role); 4] = [
+    ("weight", Role::NormWeight),
+    ("bias", Role::NormBias),
+    ("running_mean", Role::RunningMean),
+    ("running_var", Role::RunningVariance),
+];
+
+/// Key of a part of a batch norm.
+///
+/// # Panics
+/// If a batch norm has no such part.
+pub fn norm_key(norm: &str, part: Role) -> String {
+    let named = NORM_PARTS.iter().find(|(_, role)| *role == part);
+    let (name, _) = named.expect("a part of a batch norm");
+    format!("{norm}.{name}")
+}
+
+impl Role {
+    /// Whether gradients move it; running statistics follow the batches instead.
+    pub fn is_trained(self) -> bool {
+        !matches!(self, Role::RunningMean | Role::RunningVariance)
+    }
+}
+
+impl TensorSpec {
+    /// Numbers that it holds.
+    pub fn count(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    fn norm(key: &str, channels: usize) -> impl Iterator<Item = TensorSpec> {
+        NORM_PARTS.into_iter().map(move |(part, role)| TensorSpec {
+            key: format!("{key}.{part}"),
+            shape: vec![channels],
+            role,
+        })
+    }
+}
+
+impl PointLayer {
+    /// Key of the linear layer's weights, `[channels, 10]`.
+    pub fn weight_key(&self) -> String {
+        format!("{}.weight", self.key)
+    }
+
+    fn tensors(&self) -> Vec<TensorSpec> {
+        let weight = TensorSpec {
+            key: self.weight_key(),
+            shape: vec![self.channels, POINT_FEATURES],
+            role: Role::Weight { fan_in: POINT_FEATURES },
+        };
+        std::iter::once(weight)
+            .chain(TensorSpec::norm(&self.norm, self.channels))
+            .collect()
+    }
+}
+
+impl ConvLayer {
+    /// Key of the weights: `[outputs, inputs, kernel, kernel]`, `[inputs, outputs, kernel, kernel]` if transposed.
+    pub fn weight_key(&self) -> String {
+        format!("{}.weight", self.key)
+    }
+
+    /// Key of the biases, if there are any.
+    pub fn bias_key(&self) -> Option<String> {
+        self.bias.then(|| format!("{}.bias", self.key))
+    }
+
+    /// Size of the map that it makes.
+    pub fn size(&self, [rows, columns, _]: MapSize) -> MapSize {
+        let along = |cells: usize| match self.transposed {
+            true => cells * self.stride,
+            false => cells.div_ceil(self.stride),
+        };
+        [along(rows), along(columns), self.outputs]
+    }
+
+    /// Multiplications and additions on a map of this size.
+    pub fn operations(&self, from: MapSize) -> f64 {
+        let [rows, columns, _] = if self.transposed { from } else { self.size(from) };
+        2.0 * (rows * columns * self.kernel * self.kernel * self.inputs * self.outputs) as f64
+    }
+
+    fn tensors(&self) -> Vec<TensorSpec> {
+        let (taps, side) = (self.kernel * self.kernel, self.kernel);
+        // Every output of a transposed convolution sees one cell of the input.
+        let (shape, fan_in) = match self.transposed {
+            true => (vec![self.inputs, self.outputs, side, side], self.inputs),
+            false => (vec![self.outputs, self.inputs, side, side], self.inputs * taps),
+        };
+        let weight = TensorSpec {
+            key: self.weight_key(),
+            shape,
+            role: Role::Weight { fan_in },
+        };
+        let bias = self.bias_key().map(|key| TensorSpec {
+            key,
+            shape: vec![self.outputs],
+            role: Role::Bias,
+        });
+        let norm = self.norm.iter().flat_map(|key| TensorSpec::norm(key, self.outputs));
+        std::iter::once(weight).chain(bias).chain(norm).collect()
+    }
+}
+
+impl Layer {
+    /// Its tensors, in the order of the state dict.
+    pub fn tensors(&self) -> Vec<TensorSpec> {
+        match self {
+            Layer::Points(layer) => layer.tensors(),
+            Layer::Convolution(layer) => layer.tensors(),
+            Layer::Join => Vec::new(),
+        }
+    }
+}
+
+impl Layers {
+    /// The layers of a model that fits together.
+    pub fn of(model: &Model) -> Layers {
+        model.arch.layers(model)
+    }
+
+    /// Size of a map.
+    pub fn size(&self, map: MapId) -> MapSize {
+        self.maps[map.0]
+    }
+
+    /// All steps, in the order of the state dict.
+    pub fn steps(&self) -> &[Step] {
+        &self.steps
+    }
+
+    /// All tensors, in the order of the state dict.
+    pub fn tensors(&self) -> impl Iterator<Item = TensorSpec> {
+        self.steps.iter().flat_map(|step| step.layer.tensors())
+    }
+
+    /// The layer that reads points.
+    pub fn points(&self) -> Option<&PointLayer> {
+        self.steps.iter().find_map(|step| match &step.layer {
+            Layer::Points(layer) => Some(layer),
+            _ => None,
+        })
+    }
+
+    /// Numbers of all maps together.
+    pub fn numbers(&self) -> usize {
+        let each = self.maps.iter().map(|size| size.iter().product());
+        each.fold(0, usize::saturating_add)
+    }
+
+    /// The steps that lead from the given maps to the wanted ones, in an order in which they can be computed: of those
+    /// that could be next, the one listed last, so that a map is read while it is in the caches.
+    ///
+    /// # Panics
+    /// If a wanted map does not follow from the given ones.
+    pub fn between(&self, given: &[MapId], wanted: &[MapId]) -> Vec<&Step> {
+        let mut is_there = vec![false; self.maps.len()];
+        given.iter().for_each(|map| is_there[map.0] = true);
+        let mut is_needed = vec![false; self.maps.len()];
+        wanted.iter().for_each(|map| is_needed[map.0] = !is_there[map.0]);
+        // A step reads only maps of steps before it.
+        let mut left: Vec<&Step> = Vec::new();
+        for step in self.steps.iter().rev().filter(|step| !is_there[step.to.0]) {
+            if is_needed[step.to.0] {
+                step.from.iter().for_each(|map| is_needed[map.0] |= !is_there[map.0]);
+                left.push(step);
+            }
+        }
+        let mut order = Vec::with_capacity(left.len());
+        while !left.is_empty() {
+            let ready = |step: &&Step| step.from.iter().all(|map| is_there[map.0]);
+            let next = left
+                .iter()
+                .position(ready)
+                .expect("a map that follows from the given ones");
+            let step = left.remove(next);
+            is_there[step.to.0] = true;
+            order.push(step);
+        }
+        order
+    }
+}
+
+/// Puts layers together; every map comes from a step before it.
+#[derive(Debug, Default)]
+pub struct Builder {
+    maps: Vec<MapSize>,
+    steps: Vec<Step>,
+}
+
+impl Builder {
+    /// Adds the layer that reads points, and the canvas that it fills.
+    pub fn points(&mut self, layer: PointLayer, [rows, columns]: [usize; 2]) -> MapId {
+        let size = [rows, columns, layer.channels];
+        self.step(Layer::Points(layer), Vec::new(), size)
+    }
+
+    /// Adds a convolution.
+    ///
+    /// # Panics
+    /// If it reads another number of channels than the map has.
+    pub fn convolution(&mut self, layer: ConvLayer, from: MapId) -> MapId {
+        let size = self.size(from);
+        assert_eq!(size[2], layer.inputs, "channels that `{}` reads", layer.key);
+        let made = layer.size(size);
+        self.step(Layer::Convolution(layer), vec![from], made)
+    }
+
+    /// Adds a map of others side by side; nobody else may read them but a training's loss.
+    ///
+    /// # Panics
+    /// If there are none, or their rows and columns differ.
+    pub fn join(&mut self, from: Vec<MapId>) -> MapId {
+        let [rows, columns, _] = self.size(from[0]);
+        let sizes = from.iter().map(|map| self.size(*map));
+        let channels = sizes
+            .map(|size| {
+                assert_eq!([size[0], size[1]], [rows, columns], "rows and columns of joined maps");
+                size[2]
+            })
+            .sum();
+        self.step(Layer::Join, from, [rows, columns, channels])
+    }
+
+    /// Size of a map so far.
+    pub fn size(&self, map: MapId) -> MapSize {
+        self.maps[map.0]
+    }
+
+    /// The network from `canvas` over `features` to its heads.
+    pub fn finish(mut self, canvas: MapId, features: MapId, [scores, deltas]: [MapId; 2]) -> Layers {
+        let heads = self.join(vec![scores, deltas]);
+        Layers {
+            maps: self.maps,
+            steps: self.steps,
+            canvas,
+            features,
+            scores,
+            deltas,
+            heads,
+        }
+    }
+
+    fn step(&mut self, layer: Layer, from: Vec<MapId>, size: MapSize) -> MapId {
+        let to = MapId(self.maps.len());
+        self.maps.push(size);
+        self.steps.push(Step { layer, from, to });
+        to
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{lite, small};
+
+    #[test]
+    fn steps_run_as_soon_as_their_maps_are_there_and_the_last_listed_first() {
+        let layers = Layers::of(&small(8, 12, false));
+        let names = |steps: Vec<&Step>| -> Vec<String> {
+            let name = |step: &Step| match &step.layer {
+                Layer::Points(layer) => layer.key.clone(),
+                Layer::Convolution(layer) => layer.key.replace("backbone.", ""),
+                Layer::Join => "join".into(),
+            };
+            steps.into_iter().map(name).collect()
+        };
+        let encode = names(layers.between(&[layers.canvas], &[layers.features]));
+        assert_eq!(
+            encode,
+            [
+                "blocks.0.1",
+                "blocks.0.4",
+                "deblocks.0.0",
+                "blocks.1.1",
+                "blocks.1.4",
+                "blocks.1.7",
+                "deblocks.1.0",
+                "join",
+                "shrink_conv.layers.0.double_conv.0",
+                "shrink_conv.layers.0.double_conv.2",
+            ]
+        );
+        let mut all = names(layers.between(&[], &[layers.scores, layers.deltas]));
+        assert_eq!(all.remove(0), "pillar_vfe.pfn_layers.0.linear");
+        assert_eq!(all[..encode.len()], encode[..]);
+        all[encode.len()..].sort();
+        assert_eq!(all[encode.len()..], ["cls_head", "reg_head"]);
+        assert!(layers.between(&[layers.features], &[layers.features]).is_empty());
+    }
+
+    #[test]
+    fn the_model_that_ships_has_its_maps_and_tensors() {
+        let layers = Layers::of(&lite());
+        assert_eq!(layers.size(layers.canvas), [200, 512, 32]);
+        assert_eq!(layers.size(layers.features), [100, 256, 64]);
+        assert_eq!(layers.size(layers.heads), [100, 256, 60]);
+        assert_eq!(layers.tensors().map(|tensor| tensor.count()).sum::<usize>(), 991_164);
+        assert_eq!(layers.points().unwrap().channels, 32);
+    }
+
+    #[test]
+    #[should_panic(expected = "a map that follows from the given ones")]
+    fn a_map_from_nowhere_is_a_bug() {
+        let layers = Layers::of(&lite());
+        let mut cut = layers.clone();
+        cut.steps.remove(1);
+        cut.between(&[layers.canvas], &[layers.features]);
+    }
+}
