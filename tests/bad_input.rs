@@ -90,8 +90,14 @@ fn what_the_log_does_not_have_is_named_with_what_it_has() {
             &["--log", &log, "--coop", "v2v", "--ego", "rsu1"],
             &["rsu1", "v2v", "cav1"],
         ),
-        (&["--log", &log, "--set", "bank.windowms=3"], &["windowms", "window_ms"]),
-        (&["--log", &log, "--set", "bnak.window_ms=3"], &["bnak", "bank"]),
+        (
+            &["--log", &log, "--set", "fusion.bank.windowms=3"],
+            &["windowms", "window_ms"],
+        ),
+        (
+            &["--log", &log, "--set", "fusion.bnak.window_ms=3"],
+            &["fusion.bnak", "fusion.bank"],
+        ),
         (&["--log", "nowhere.mcap"], &["nowhere.mcap"]),
     ];
     for (args, named) in cases {
@@ -123,7 +129,7 @@ fn a_network_on_a_log_without_points_is_refused() {
     let output = realo(["run", &graph("no_fusion"), "--offline", "--log", &log.to_string_lossy()]);
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
-    for named in ["without points", "`ego-detect.encoder`", "--recorded-detections"] {
+    for named in ["without points", "`ego.encoder`", "--recorded-detections"] {
         assert!(said.contains(named), "`{named}` in: {said}");
     }
 }
@@ -147,7 +153,8 @@ fn options_that_exclude_each_other_are_refused() {
 /// Late fusion of recorded detections, wired anew.
 fn rewired(name: &str, change: impl FnOnce(&mut FlatGraph)) -> PathBuf {
     let graph = Graph::load(Path::new(&graph("late_fusion"))).expect("the graph can be read");
-    let mut flat = graph.with_detection("recorded").expand().expect("it can be expanded");
+    let flat = graph.with_detection("recorded").expand().expect("it can be expanded");
+    let mut flat = flat.apart();
     change(&mut flat);
     let dir = folder(name);
     std::os::unix::fs::symlink(flat.types(), dir.join("types")).expect("links can be made");
@@ -179,35 +186,21 @@ fn run_rewired(path: &Path) -> std::process::Output {
 }
 
 #[test]
-fn a_message_of_the_wrong_type_ends_the_run_and_names_the_port() {
-    let path = rewired("wrong_type", |flat| {
-        wire(flat, ["decoder", "packets"], ["state.link", "to_ego"], "Packet");
-    });
-    let output = run_rewired(&path);
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    for named in [
-        "`bank`",
-        "input `others`",
-        "PointCloud or FeatureMap or Boxes",
-        "found EgoState",
-        "`decoder`",
-    ] {
-        assert!(said.contains(named), "`{named}` in: {said}");
-    }
-}
-
-#[test]
 fn what_cannot_be_fused_with_the_egos_data_is_rejected_in_the_books() {
     let path = rewired("wrong_payload", |flat| {
         wire(
             flat,
-            ["encoder", "messages"],
-            ["others.localization", "clouds"],
+            ["others.sender", "messages"],
+            ["others.sense.localization", "clouds"],
             "PointCloud",
         );
-        wire(flat, ["bank", "others"], ["decoder", "messages"], "PointCloud");
-        let decoder = flat.nodes.iter_mut().find(|node| node.id == "decoder");
+        wire(
+            flat,
+            ["fusion.bank", "others"],
+            ["fusion.receiver", "messages"],
+            "PointCloud",
+        );
+        let decoder = flat.nodes.iter_mut().find(|node| node.id == "fusion.receiver");
         let types = &mut decoder.expect("the graph has a decoder").output_types;
         types.insert("messages".into(), "realo/v1/PointCloud".into());
     });
@@ -223,19 +216,23 @@ fn what_cannot_be_fused_with_the_egos_data_is_rejected_in_the_books() {
 fn a_link_that_is_not_told_where_the_agents_are_is_refused() {
     for missing in ["ego_state", "states"] {
         let path = rewired("no_states", |flat| {
-            let link = flat.nodes.iter_mut().find(|node| node.id == "link").expect("a link");
+            let link = flat
+                .nodes
+                .iter_mut()
+                .find(|node| node.id == "v2x.link")
+                .expect("a link");
             link.inputs.remove(missing);
             link.input_types.remove(missing);
         });
         let findings = validate(&FlatGraph::load(&path).expect("it can be read"), &registry());
         let found = findings
             .iter()
-            .any(|f| f.severity == Severity::Error && f.node == "link" && f.port.as_deref() == Some(missing));
+            .any(|f| f.severity == Severity::Error && f.node == "v2x.link" && f.port.as_deref() == Some(missing));
         assert!(found, "{missing}: {findings:?}");
         let output = run_rewired(&path);
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{missing}: {said}");
-        assert!(said.contains("`link`") && said.contains(missing), "{said}");
+        assert!(said.contains("`v2x.link`") && said.contains(missing), "{said}");
     }
 }
 
@@ -330,7 +327,7 @@ fn points_that_are_no_numbers_are_dropped_and_counted() {
         [5.0, 5.0, f32::NEG_INFINITY],
     ];
     let (_, result) = run_odd(&odd("odd_points", &cloud(&points), Some(&[])));
-    assert_eq!(result["nodes"]["ego.sync"]["counters"]["nan_points"], 3 * SWEEPS);
+    assert_eq!(result["nodes"]["ego.sense.sync"]["counters"]["nan_points"], 3 * SWEEPS);
     assert_eq!(result["frames"]["processed"], SWEEPS);
 }
 
@@ -351,10 +348,7 @@ fn boxes_without_extent_or_with_nan_are_dropped_and_counted() {
         good,
     ];
     let (_, result) = run_odd(&odd("odd_boxes", &cloud(&[[10.0, 0.0, 1.0]]), Some(&boxes)));
-    assert_eq!(
-        result["nodes"]["ego-detect.recorded"]["counters"]["invalid_boxes"],
-        3 * SWEEPS
-    );
+    assert_eq!(result["nodes"]["ego.recorded"]["counters"]["invalid_boxes"], 3 * SWEEPS);
     assert_eq!(
         common::counts(&result, "vehicle", "0.5"),
         (SWEEPS as u64, 0, SWEEPS as u64)
@@ -410,7 +404,7 @@ fn a_full_disk_while_recording_fails_the_run_by_name() {
         "--out",
         &out,
         "--set",
-        "recorder.path=/dev/full",
+        "score.recorder.path=/dev/full",
     ]);
     assert_eq!(code, Some(1), "{said}");
     assert!(
@@ -435,7 +429,7 @@ fn a_log_that_is_played_is_never_recorded_into() {
             "--out",
             "unused",
             "--set",
-            &format!("recorder.path={log_name}"),
+            &format!("score.recorder.path={log_name}"),
         ],
     ];
     for args in cases {
@@ -483,8 +477,8 @@ fn what_an_option_decides_cannot_be_set_beside_it() {
     let log = log.to_string_lossy();
     for (set, option) in [
         ("player.ego=rsu1", "--ego"),
-        ("link.ego=rsu1", "--ego"),
-        ("results.out=elsewhere", "--out"),
+        ("v2x.link.ego=rsu1", "--ego"),
+        ("score.results.out=elsewhere", "--out"),
     ] {
         let (code, said) = run(&["--log", &log, "--ego", "cav1", "--set", set]);
         assert_eq!(code, Some(1), "{set}: {said}");

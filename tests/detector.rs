@@ -161,7 +161,7 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
         "early_fusion",
         &["--link", "paper", "--project", "sender"],
     );
-    let encoder = &late["nodes"]["encoder"]["counters"];
+    let encoder = &late["nodes"]["others.sender"]["counters"];
     assert!(
         encoder["no_ego_state"].as_u64() > Some(0),
         "nothing is sent before the first state: {encoder}"
@@ -172,16 +172,16 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
 fn late_fusion_detects_in_both_lanes() {
     let protocol = root().join("operators/evaluator/protocols/default.yml");
     assert!(protocol.is_file(), "{}", protocol.display());
-    let set = format!("evaluator.protocol={}", protocol.display());
-    let changes = ["--set", "joint-nms.threshold=0.2", "--set", &set];
+    let set = format!("score.evaluator.protocol={}", protocol.display());
+    let changes = ["--set", "fusion.nms.threshold=0.2", "--set", &set];
     let result = run("detector_late", "late_fusion", &[&["--offline"], &changes[..]].concat());
     assert_eq!(
-        result["set"], "evaluator.protocol=default.yml, joint-nms.threshold=0.2",
+        result["set"], "fusion.nms.threshold=0.2, score.evaluator.protocol=default.yml",
         "a result holds no path"
     );
     assert_eq!(result["links"]["rsu1-cav1"]["boxes"]["used"], 5);
-    assert_eq!(result["nodes"]["detect.head"]["operator"], "detection-head");
-    assert_eq!(result["nodes"]["ego-detect.head"]["operator"], "detection-head");
+    assert_eq!(result["nodes"]["others.head"]["operator"], "detection-head");
+    assert_eq!(result["nodes"]["ego.head"]["operator"], "detection-head");
 }
 
 #[test]

@@ -73,7 +73,7 @@ fn dair_roadside_alone_gives_the_known_counts() {
     let Some(log) = dair("dair_roadside_alone_gives_the_known_counts") else {
         return;
     };
-    let args = [&DAIR_OFFLINE[..], &["--set", "fusion.ego_boxes=false"]].concat();
+    let args = [&DAIR_OFFLINE[..], &["--set", "fusion.fusion.ego_boxes=false"]].concat();
     let result = run_virtual("dair_roadside", "late_fusion", &log, &args);
     assert_eq!(counts(&result, "vehicle", "0.5"), (89, 7, 171));
 }
@@ -135,7 +135,7 @@ fn late_fusion_of_exact_boxes_finds_the_whole_truth_and_nothing_else() {
             ("i2i", vec!["--coop", "i2i"]),
         ] {
             let args = [
-                &["--offline", "--recorded-detections", "--set", "link.range_m=1000"][..],
+                &["--offline", "--recorded-detections", "--set", "v2x.link.range_m=1000"][..],
                 &["--protocol", &protocol],
                 &args,
             ]
@@ -176,12 +176,67 @@ fn no_fusion_of_exact_boxes_is_what_the_ego_has_points_on() {
 }
 
 #[test]
+fn networks_give_the_same_bytes_on_any_number_of_threads() {
+    let log = simulated(
+        "bytes_of_networks",
+        &[
+            "--seed",
+            "907",
+            "--seconds",
+            "0.6",
+            "--key-hz",
+            "10",
+            "--agents",
+            "cav1,rsu1",
+        ],
+    );
+    let run = |threads: &str| {
+        let out = common::folder(&format!("network_bytes_{threads}"));
+        let output = std::process::Command::new(common::REALO)
+            .args([
+                "run",
+                &common::graph("early_fusion"),
+                "--mode",
+                "virtual",
+                "--ego",
+                "cav1",
+            ])
+            .args(["--set", &format!("fusion.encoder.threads={threads}")])
+            .args(["--set", &format!("fusion.head.threads={threads}"), "--log"])
+            .arg(&log)
+            .arg("--out")
+            .arg(&out)
+            .env("RAYON_NUM_THREADS", threads)
+            .output()
+            .expect("realo can be started");
+        assert!(output.status.success(), "{}", common::text(&output.stderr));
+        let samples = common::json(&out.join("evaluation.json"));
+        let frames = samples["evaluation"]["scenes"][0]["frames"]
+            .as_array()
+            .cloned()
+            .unwrap_or_default();
+        let found = frames.iter().filter_map(|frame| frame["detections"].as_array());
+        let boxes: usize = found.map(Vec::len).sum();
+        (
+            std::fs::read(out.join("evaluation.json")).expect("there are results"),
+            boxes,
+        )
+    };
+    let (one, boxes) = run("1");
+    assert!(boxes > 20, "the network finds something: {boxes}");
+    assert!(
+        one == run("2").0 && one == run("3").0,
+        "evaluation.json differs between numbers of threads"
+    );
+}
+
+#[test]
 fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
     let args = ["--seed", "902", "--seconds", "3", "--no-clouds", "--phase", "spread"];
     let log = simulated("bytes", &args);
     let compute = common::folder("bytes_compute").join("slow.toml");
     // Stages that take longer than a sweep, so that they pass messages over.
-    let nodes = "ego-detect.recorded = 30_000_000\nfusion = 150_000_000\nnms = 30_000_000\n";
+    let nodes = "ego.recorded = 30_000_000\nfusion.fusion = 150_000_000\nothers.nms = 30_000_000\n";
     std::fs::write(&compute, nodes).expect("the profile can be written");
     let lossy = common::folder("bytes_link").join("lossy.toml");
     let profile = "[default]\nfixed_ms = 20.0\njitter = { gaussian_ms = 15.0 }\nloss = 0.1\nduplicate = 0.05\n";

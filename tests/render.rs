@@ -33,7 +33,13 @@ fn log() -> PathBuf {
 /// A virtual run of late fusion over the small log, made once.
 fn run() -> PathBuf {
     once("render_run", |_| {
-        let args = ["--recorded-detections", "--link", "paper", "--set", "link.range_m=1000"];
+        let args = [
+            "--recorded-detections",
+            "--link",
+            "paper",
+            "--set",
+            "v2x.link.range_m=1000",
+        ];
         run_virtual("render_run", "late_fusion", &log(), &args);
     })
 }
@@ -257,7 +263,7 @@ fn a_run_without_recording_and_a_log_of_another_run_are_refused() {
     let (code, said) = render(&dir, &dir.join("x.svg"), &["--log", &log]);
     assert_eq!(code, Some(1), "{said}");
     assert!(
-        said.contains("recording.mcap") && said.contains("node `recorder`"),
+        said.contains("recording.mcap") && said.contains("node `score.recorder`"),
         "{said}"
     );
 

@@ -27,10 +27,8 @@ pub struct Fusion {
     pub ready: Nanos,
     /// How many boxes.
     pub boxes: usize,
-    /// Beyond the number that it takes.
-    pub over_limit: Vec<Id>,
-    /// Without a pose.
-    pub rejected: Vec<Id>,
+    /// What took part, and how old that was for the query.
+    pub used: Vec<(Id, Nanos)>,
 }
 
 /// The books of one channel to the ego.

@@ -4,15 +4,13 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use realo_operator::{
-    Argument, Books, ComputeProfile, Describe, Error, Port, PortId, Registration, Sink, Source, Wiring, virtual_time,
-};
+use realo_host::{ComputeProfile, Stages, virtual_time};
+use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Registration, Sink, Source, wrong_port};
 use realo_results::{Ledger, LinkBooks, link_books};
-use realo_schemas::report::{BankReport, Channel, FusionReport, LinkReport, MessageId, from_report};
+use realo_schemas::report::Fated;
 use realo_schemas::{
-    Box3, Boxes, EgoState, Header, Kind, Message, Nanos, Payload, PayloadType, Pose, PoseStatus, Report, Selection,
+    Box3, Boxes, EgoState, Header, Kind, Message, Nanos, Payload, PayloadType, Pose, PoseStatus, Selection,
 };
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::account::{Account, Answer, Fusion, Id, Line};
@@ -20,7 +18,6 @@ use crate::world::{EGO, Fix, STAGES, Sweep, World};
 
 const BOXES: &[PayloadType] = &[PayloadType::Boxes];
 const STATES: &[PayloadType] = &[PayloadType::EgoState];
-const REPORTS: &[PayloadType] = &[PayloadType::Report];
 
 /// Settings of [`Log`].
 #[derive(Default, Serialize, Deserialize)]
@@ -125,15 +122,19 @@ fn state(fix: &Fix) -> Message {
 
 thread_local! {
     /// What the last run of this thread closed with.
-    static CLOSED: RefCell<BTreeMap<String, BTreeMap<String, LinkBooks>>> = const { RefCell::new(BTreeMap::new()) };
+    static CLOSED: RefCell<Closed> = RefCell::default();
+}
+
+/// What a run closed with.
+#[derive(Default)]
+struct Closed {
+    links: BTreeMap<String, BTreeMap<String, LinkBooks>>,
+    fates: Vec<Fated>,
 }
 
 /// Closes the books as the node `results` does, without its files.
 #[derive(Default)]
-struct Closing {
-    ledger: Ledger,
-    channels: Vec<Channel>,
-}
+struct Closing(Vec<Fated>);
 
 #[derive(Default, Serialize, Deserialize)]
 struct Nothing {}
@@ -143,11 +144,7 @@ impl Describe for Closing {
     const NAME: &'static str = "closing";
     const ABOUT: &'static str = "closes the books";
     const ARGUMENTS: &'static [Argument] = &[];
-    const INPUTS: &'static [Port] = &[
-        Port::new("bank", REPORTS, ""),
-        Port::new("fusion", REPORTS, ""),
-        Port::new("link", REPORTS, ""),
-    ];
+    const INPUTS: &'static [Port] = &[Port::new("boxes", BOXES, "")];
     const OUTPUTS: &'static [Port] = &[];
 }
 
@@ -156,31 +153,27 @@ impl Sink for Closing {
         Ok(Closing::default())
     }
 
-    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
+    fn accept(&mut self, port: PortId, _: Message) -> Result<(), Error> {
         match port {
-            PortId(0) => self.ledger.bank(document(&message)),
-            PortId(1) => self.ledger.fusion(document(&message)),
-            _ => self.channels.extend(document::<LinkReport>(&message).channels),
+            PortId(0) => Ok(()),
+            _ => Err(wrong_port(Self::INPUTS, port)),
         }
+    }
+
+    fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
+        self.0.extend_from_slice(fates);
         Ok(())
     }
 
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
-        let (fates, _) = std::mem::take(&mut self.ledger).close();
-        CLOSED.set(link_books(&self.channels, EGO, Some(&fates), books));
+        let mut ledger = Ledger::default();
+        self.0.iter().for_each(|fated| ledger.take(fated));
+        CLOSED.set(Closed {
+            links: link_books(&ledger.close().0, books),
+            fates: std::mem::take(&mut self.0),
+        });
         Ok(())
     }
-}
-
-fn document<T: DeserializeOwned>(message: &Message) -> T {
-    let Payload::Report(Report { json, .. }) = &message.payload else {
-        panic!("a report port sends reports, found {}", message.header);
-    };
-    from_report(&Report {
-        topic: "".into(),
-        json: json.clone(),
-    })
-    .expect("reports can be read")
 }
 
 static LOG: Registration = Registration::source::<Log>();
@@ -194,7 +187,7 @@ static CLOSING: Registration = Registration::sink::<Closing>();
 static RESULTS: Registration = Registration::sink::<realo_results::Results>();
 
 /// Late fusion from the detections on; `results`: a folder for the node of that name, where it is to run as well.
-fn wiring(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Wiring, String> {
+fn stages(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Stages, String> {
     let profile = folder.join("profile.toml");
     std::fs::write(&profile, world.profile()).map_err(|error| error.to_string())?;
     let link = vec![
@@ -212,11 +205,11 @@ fn wiring(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Wiri
     let limit = world
         .max_collaborators
         .map_or("null".to_string(), |limit| limit.to_string());
-    let mut wiring = Wiring::default();
-    let mut add = |id: &str, node, args: Vec<String>, inputs: &[_]| wiring.add(id, node, args, inputs);
+    let mut stages = Stages::default();
+    let mut add = |id: &str, node, args: Vec<String>, inputs: &[_]| stages.add(id, node, args, inputs);
     add("log", &LOG, vec![format!("seed={seed}")], &[])?;
-    add("ego-nms", &NMS, vec![], &[("boxes", "log", "ego_boxes")])?;
-    add("nms", &NMS, vec![], &[("boxes", "log", "boxes")])?;
+    add("ego-nms", &NMS, vec![], &[("proposals", "log", "ego_boxes")])?;
+    add("nms", &NMS, vec![], &[("proposals", "log", "boxes")])?;
     add("encoder", &ENCODER, vec![], &[("messages", "nms", "boxes")])?;
     let inputs = [
         ("others", "encoder", "packets"),
@@ -238,25 +231,13 @@ fn wiring(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Wiri
     )?;
     let inputs = [("ego", "ego-nms", "boxes"), ("selections", "bank", "selections")];
     add("fusion", &FUSION, vec![format!("max_collaborators={limit}")], &inputs)?;
-    let reports = [
-        ("bank", "bank", "report"),
-        ("fusion", "fusion", "report"),
-        ("link", "link", "report"),
-    ];
-    add("closing", &CLOSING, vec![], &reports)?;
+    let boxes = [("boxes", "fusion", "proposals")];
+    add("closing", &CLOSING, vec![], &boxes)?;
     if results {
-        let args = vec![
-            format!("out={}", folder.join("results").display()),
-            format!("ego={EGO}"),
-        ];
-        add(
-            "results",
-            &RESULTS,
-            args,
-            &[&reports[..], &[("boxes", "fusion", "boxes")]].concat(),
-        )?;
+        let args = vec![format!("out={}", folder.join("results").display())];
+        add("results", &RESULTS, args, &boxes)?;
     }
-    Ok(wiring)
+    Ok(stages)
 }
 
 /// Runs a world. `folder` is for files; with `results` the node `results` runs as well and must say the same.
@@ -264,34 +245,30 @@ fn wiring(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Wiri
 /// # Errors
 /// What failed, or does not fit together.
 pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Account, String> {
-    let wiring = wiring(seed, world, folder, results)?;
+    let stages = stages(seed, world, folder, results)?;
     let mut account = Account::default();
-    let mut boxes = BTreeMap::new();
+    let mut asked: BTreeMap<u64, Nanos> = BTreeMap::new();
     let compute = ComputeProfile {
-        nodes: world.compute.clone(),
+        nanos: world.compute.clone(),
     };
-    let books = virtual_time::run(&wiring, &compute, &mut |node, output, message| match (node, output) {
-        ("bank", "report") => {
-            let report: BankReport = document(message);
-            account.selections.extend(answer(&report, message.header.ready));
+    let observer = |node: &str, output: &str, message: &Message| match (node, output) {
+        ("ego-nms", "boxes") => {
+            asked.insert(message.header.seq, message.header.ready);
         }
-        ("bank", "selections") => check_selection(message, account.selections.last()),
-        ("fusion", "report") => account.fusions.push(fusion(document(message), message.header.ready)),
-        ("fusion", "boxes") => {
-            let Payload::Boxes(Boxes(list)) = &message.payload else {
-                panic!("no boxes: {}", message.header)
-            };
-            boxes.insert(message.header.seq, list.len());
-        }
+        ("bank", "selections") => account.selections.push(answer(message, &asked)),
+        ("fusion", "proposals") => account.fusions.push(fusion(message)),
         _ => {}
-    })
-    .map_err(|error| error.to_string())?;
-    for fusion in &mut account.fusions {
-        fusion.boxes = boxes
-            .remove(&fusion.query)
-            .ok_or_else(|| format!("fusion {} gave no boxes", fusion.query))?;
+    };
+    let books = virtual_time::run(&stages, &compute, Some(Box::new(observer))).map_err(|error| error.to_string())?;
+    let Closed { links: closed, fates } = CLOSED.take();
+    for fated in fates {
+        let Some(r#use) = fated.r#use else { continue };
+        let fusion = account.fusions.iter_mut().find(|fusion| fusion.query == r#use.query);
+        let fusion = fusion.ok_or_else(|| format!("a use in fusion {}, which did not take place", r#use.query))?;
+        fusion
+            .used
+            .push(((fated.message.from, fated.message.seq), r#use.age_ns));
     }
-    let closed = CLOSED.take();
     if results {
         let run = realo_results::read_run(folder.join("results")).map_err(|error| error.to_string())?;
         if run.result.links != closed {
@@ -317,46 +294,32 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
     Ok(account)
 }
 
-fn id(message: &MessageId) -> Id {
-    (message.agent.clone(), message.seq)
-}
-
-fn answer(report: &BankReport, ready: Nanos) -> Option<Answer> {
-    let entries = report
-        .selected
-        .iter()
-        .map(|selected| (id(&selected.message), selected.age_ns));
-    Some(Answer {
-        query: report.query?,
-        ready,
-        entries: entries.collect(),
-    })
-}
-
-/// The report comes before its Selection; both must hold the same.
-fn check_selection(message: &Message, reported: Option<&Answer>) {
+/// What the bank answered; `asked`: when each of the ego's messages was ready.
+fn answer(message: &Message, asked: &BTreeMap<u64, Nanos>) -> Answer {
     let Payload::Selection(Selection { query, entries }) = &message.payload else {
         panic!("no Selection: {}", message.header);
     };
-    let entries: Vec<Id> = entries
-        .iter()
-        .map(|entry| (entry.header.agent.to_string(), entry.header.seq))
-        .collect();
-    let reported = reported.expect("the report comes before the Selection");
-    let ids: Vec<Id> = reported.entries.iter().map(|(id, _)| id.clone()).collect();
-    assert_eq!(
-        (*query, message.header.ready, entries),
-        (reported.query, reported.ready, ids)
-    );
+    let entries = entries.iter().map(|entry| {
+        let id: Id = (entry.header.agent.to_string(), entry.header.seq);
+        (id, asked[query] - entry.header.stamp)
+    });
+    Answer {
+        query: *query,
+        ready: message.header.ready,
+        entries: entries.collect(),
+    }
 }
 
-fn fusion(report: FusionReport, ready: Nanos) -> Fusion {
+/// A fusion that took place; what it used the fates say.
+fn fusion(message: &Message) -> Fusion {
+    let Payload::Boxes(Boxes(list)) = &message.payload else {
+        panic!("no boxes: {}", message.header)
+    };
     Fusion {
-        query: report.query,
-        ready,
-        boxes: 0,
-        over_limit: report.over_limit.iter().map(id).collect(),
-        rejected: report.rejected.iter().map(id).collect(),
+        query: message.header.seq,
+        ready: message.header.ready,
+        boxes: list.len(),
+        used: Vec::new(),
     }
 }
 

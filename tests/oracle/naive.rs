@@ -302,63 +302,54 @@ fn fuse<'w>(world: &World, asked: &[Asked<'w>]) -> (Vec<At<'w>>, u64) {
     (fused, (sets.len() - complete.len() + skipped.len()) as u64)
 }
 
-/// What one fusion did with what was selected for it.
-fn fusion(world: &World, set: &At, entries: &[&Sweep]) -> Fusion {
+/// What one fusion did with what was selected for it: what it used, what was beyond its limit, what it could not take.
+fn fusion(world: &World, set: &At, asked_at: Nanos, entries: &[&Sweep]) -> (Fusion, Vec<Id>, Vec<Id>) {
     let (placed, rejected): (Vec<&Sweep>, Vec<&Sweep>) =
         entries.iter().partition(|entry| entry.posed && set.sweep.posed);
     let limit = world.max_collaborators.unwrap_or(usize::MAX).min(placed.len());
     let (taken, over_limit) = placed.split_at(limit);
-    Fusion {
+    let fusion = Fusion {
         query: set.sweep.seq,
         ready: set.ready,
         boxes: set.sweep.boxes + taken.iter().map(|sweep| sweep.boxes).sum::<usize>(),
-        over_limit: over_limit.iter().map(|sweep| id(sweep)).collect(),
-        rejected: rejected.into_iter().map(id).collect(),
-    }
+        used: taken.iter().map(|sweep| (id(sweep), asked_at - sweep.stamp)).collect(),
+    };
+    let ids = |sweeps: &[&Sweep]| sweeps.iter().map(|sweep| id(sweep)).collect();
+    (fusion, ids(over_limit), ids(&rejected))
 }
 
 /// Everything that ever happened to messages, by which each has its term.
 #[derive(Default)]
 struct History {
     selected: BTreeSet<Id>,
-    in_fusion: BTreeSet<Id>,
     used: BTreeSet<Id>,
+    /// By the decoder, or in a Selection that no fusion took up.
+    passed_over: BTreeSet<Id>,
     over_limit: BTreeSet<Id>,
     stale: BTreeSet<Id>,
     superseded: BTreeSet<Id>,
-    held: BTreeSet<Id>,
-    refused: BTreeSet<Id>,
-    passed_over: BTreeSet<Id>,
+    /// By the decoder, the bank or a fusion.
+    rejected: BTreeSet<Id>,
 }
 
 impl History {
-    /// Adds the message to the first term that fits. Of several copies the one that came furthest is the message.
+    /// Adds the message to the first term that fits.
     fn count(&self, sent: &Sent, line: &mut Line) {
         let id = id(sent.sweep);
-        let only_passed_over = if self.held.contains(&id) {
-            self.selected.contains(&id) && !self.in_fusion.contains(&id)
-        } else {
-            self.passed_over.contains(&id) && !self.refused.contains(&id)
-        };
-        let term = if self.used.contains(&id) {
-            &mut line.used
-        } else if only_passed_over {
-            &mut line.skipped
-        } else if self.over_limit.contains(&id) {
-            &mut line.over_limit
-        } else if self.stale.contains(&id) && !self.selected.contains(&id) {
-            &mut line.stale
-        } else if self.superseded.contains(&id) && !self.selected.contains(&id) {
-            &mut line.superseded
-        } else if sent.arrivals.first.is_none() {
-            &mut line.lost
-        } else if self.selected.contains(&id) || !self.held.contains(&id) {
-            // In fusions that could not take it, or a stage on the way could not.
-            &mut line.rejected
-        } else {
-            &mut line.in_flight
-        };
-        *term += 1;
+        let asked_for = self.selected.contains(&id);
+        let terms = [
+            (self.used.contains(&id), &mut line.used),
+            (self.passed_over.contains(&id), &mut line.skipped),
+            (self.over_limit.contains(&id), &mut line.over_limit),
+            (self.stale.contains(&id) && !asked_for, &mut line.stale),
+            (self.superseded.contains(&id) && !asked_for, &mut line.superseded),
+            (sent.arrivals.first.is_none(), &mut line.lost),
+            (self.rejected.contains(&id), &mut line.rejected),
+            (true, &mut line.in_flight),
+        ];
+        if let Some((_, term)) = terms.into_iter().find(|(fits, _)| *fits) {
+            *term += 1;
+        }
     }
 }
 
@@ -409,18 +400,15 @@ pub fn account(world: &World) -> Account {
         })
     });
     let (decoded, undecoded) = serve_latest(&copies.collect::<Vec<_>>(), compute(world, "decoder"));
-    let fitting: Vec<At> = decoded
-        .into_iter()
-        .filter(|at| bytes(at.sweep) <= world.max_bytes)
-        .collect();
+    let (fitting, too_large): (Vec<At>, Vec<At>) =
+        decoded.into_iter().partition(|at| bytes(at.sweep) <= world.max_bytes);
     let (held, refused, asked) = bank(world, &fitting, &queries);
     let (fused, not_fused) = fuse(world, &asked);
 
     let ids = |list: &[&Sweep]| list.iter().map(|sweep| id(sweep)).collect::<Vec<_>>();
     let mut history = History {
         selected: asked.iter().flat_map(|asked| ids(&asked.entries)).collect(),
-        held: held.iter().map(|held| id(held.at.sweep)).collect(),
-        refused: refused.iter().map(|at| id(at.sweep)).collect(),
+        rejected: refused.iter().chain(&too_large).map(|at| id(at.sweep)).collect(),
         passed_over: undecoded.iter().map(|at| id(at.sweep)).collect(),
         ..History::default()
     };
@@ -431,13 +419,17 @@ pub fn account(world: &World) -> Account {
     let mut fusions = Vec::new();
     for set in &fused {
         let asked = asked.iter().find(|asked| asked.query.sweep == set.sweep);
-        let entries = &asked.expect("a set has its query").entries;
-        let fusion = fusion(world, set, entries);
-        let not_used = |id: &Id| fusion.over_limit.contains(id) || fusion.rejected.contains(id);
-        history.in_fusion.extend(ids(entries));
-        history.used.extend(ids(entries).into_iter().filter(|id| !not_used(id)));
-        history.over_limit.extend(fusion.over_limit.iter().cloned());
+        let asked = asked.expect("a set has its query");
+        let (fusion, over_limit, rejected) = fusion(world, set, asked.query.ready, &asked.entries);
+        history.used.extend(fusion.used.iter().map(|(id, _)| id.clone()));
+        history.over_limit.extend(over_limit);
+        history.rejected.extend(rejected);
         fusions.push(fusion);
+    }
+    for asked in &asked {
+        if !fused.iter().any(|set| set.sweep == asked.query.sweep) {
+            history.passed_over.extend(ids(&asked.entries));
+        }
     }
 
     let mut channels: BTreeMap<String, Line> = BTreeMap::new();

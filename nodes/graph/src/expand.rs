@@ -201,6 +201,7 @@ impl Expansion<'_> {
         leave_out(&mut stages, &outlets);
         for stage in &mut stages {
             stage.part = Part::In(node.id.clone());
+            stage.path.clone_from(&node.path);
         }
         for setting in settings {
             set_inner(&mut stages, &node.id, setting).map_err(&wrong)?;

@@ -362,6 +362,13 @@ impl FlatGraph {
         self.nodes.iter().find(|node| node.id == id)
     }
 
+    /// The same graph with a process for each stage.
+    pub fn apart(mut self) -> Self {
+        self.nodes.iter_mut().for_each(|node| node.host = None);
+        self.hosts.clear();
+        self
+    }
+
     /// The processes that dora starts, in the order of their first stages.
     pub fn processes(&self) -> Vec<&FlatNode> {
         let mut processes: Vec<&FlatNode> = Vec::new();

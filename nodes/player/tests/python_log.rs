@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use realo_logs::{Log, Stream, describe};
-use realo_player::{Config, Player};
 use realo_operator::{Describe, Source};
+use realo_player::{Config, Player};
 use realo_schemas::{Message, Payload};
 
 /// A Python with numpy; one in a virtual environment under the build folder if the system's has none.

@@ -1,8 +1,10 @@
+use std::collections::BTreeMap;
+
 use arrow::buffer::Buffer;
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
-use realo_schemas::{EgoState, Header, Message, Packet, Payload, PayloadType, Pose};
+use realo_schemas::{EgoState, Header, Message, Name, Packet, Payload, PayloadType, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::{CODEC, Columns, encode};
@@ -42,8 +44,8 @@ pub enum Project {
 pub struct TransmissionEncoder {
     columns: Columns,
     project: Project,
-    /// The ego's newest state.
-    ego: Option<Known>,
+    /// The ego's newest state, by who received it; under no name what crossed no link and holds for everybody.
+    ego: BTreeMap<Option<Name>, Known>,
 }
 
 /// A state of the ego that has arrived.
@@ -94,7 +96,7 @@ impl Operator for TransmissionEncoder {
                 ring: config.ring,
             },
             project: config.project,
-            ego: None,
+            ego: BTreeMap::new(),
         })
     }
 
@@ -103,11 +105,9 @@ impl Operator for TransmissionEncoder {
             MESSAGES => self.encode(message, out),
             STATE => {
                 let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
-                if self
-                    .ego
-                    .as_ref()
-                    .is_some_and(|known| known.header.stamp >= header.stamp)
-                {
+                let receiver = header.to.clone();
+                let known = self.ego.get(&receiver);
+                if known.is_some_and(|known| known.header.stamp >= header.stamp) {
                     out.tell(&header, Fate::Superseded);
                     return Ok(());
                 }
@@ -116,8 +116,9 @@ impl Operator for TransmissionEncoder {
                     state,
                     used: false,
                 };
-                self.forget(Fate::Superseded, out);
-                self.ego = Some(known);
+                if let Some(older) = self.ego.insert(receiver, known) {
+                    older.leave(Fate::Superseded, out);
+                }
                 Ok(())
             }
             _ => Err(wrong_port(Self::INPUTS, port)),
@@ -125,23 +126,33 @@ impl Operator for TransmissionEncoder {
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        self.forget(Fate::InFlight, out);
+        let left = std::mem::take(&mut self.ego).into_values();
+        left.for_each(|known| known.leave(Fate::InFlight, out));
         Ok(())
     }
 }
 
-impl TransmissionEncoder {
-    /// Gives up the state; `unused` is the fate of one that nothing was projected with.
-    fn forget(&mut self, unused: Fate, out: &mut Outputs) {
-        if let Some(known) = self.ego.take().filter(|known| !known.used) {
-            out.tell(&known.header, unused);
+impl Known {
+    /// Is given up; `unused` is the fate of one that nothing was projected with.
+    fn leave(self, unused: Fate, out: &mut Outputs) {
+        if !self.used {
+            out.tell(&self.header, unused);
         }
+    }
+}
+
+impl TransmissionEncoder {
+    /// The newest state of the ego that an agent has received.
+    fn known_to(&mut self, agent: &Name) -> Option<&mut Known> {
+        let own = Some(agent.clone());
+        let key = if self.ego.contains_key(&own) { own } else { None };
+        self.ego.get_mut(&key)
     }
 
     fn encode(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let message = match (self.project, &message.payload) {
             (Project::Sender, Payload::PointCloud(_)) => {
-                let Some(known) = &mut self.ego else {
+                let Some(known) = self.known_to(&message.header.agent) else {
                     out.count("no_ego_state", 1);
                     return Ok(());
                 };

@@ -1,7 +1,7 @@
 //! A dora node that passes messages on, but drops, repeats and swaps some of them; for tests of what receivers notice.
 //!
-//! Of ten messages it drops the 4th, sends the 6th twice and the 8th behind the 9th. Writes what it did to the file
-//! that its argument names.
+//! Of ten messages it drops the 4th, sends the 6th twice and the 8th behind the 9th; with `shuffle` it drops none. Writes
+//! what it did to the file that its first argument names.
 
 use dora_node_api::dora_core::config::DataId;
 use dora_node_api::{DoraArray, DoraNode, Event};
@@ -10,14 +10,15 @@ use realo_schemas::{Payload, wire};
 fn main() -> eyre::Result<()> {
     let report = std::env::args()
         .nth(1)
-        .ok_or_else(|| eyre::eyre!("usage: tamper REPORT"))?;
+        .ok_or_else(|| eyre::eyre!("usage: tamper REPORT all|shuffle"))?;
+    let drops = std::env::args().nth(2).as_deref() != Some("shuffle");
     let (mut node, mut events) = DoraNode::init_from_env()?;
     let output = DataId::from("out".to_string());
     let (mut n, mut dropped, mut repeated, mut swapped) = (0u64, 0u64, 0u64, 0u64);
     let mut held: Option<DoraArray> = None;
     while let Some(event) = events.recv() {
         let Event::Input { data, .. } = event else { continue };
-        if !is_boxes(&data) {
+        if !is_packet(&data) {
             // Marks of the driver, which are no messages of the stream.
             node.send_output(output.clone(), Default::default(), data)?;
             continue;
@@ -25,7 +26,7 @@ fn main() -> eyre::Result<()> {
         n += 1;
         let behind = held.take();
         match n % 10 {
-            4 => dropped += 1,
+            4 if drops => dropped += 1,
             6 => {
                 repeated += 1;
                 node.send_output(output.clone(), Default::default(), data.clone())?;
@@ -48,6 +49,6 @@ fn main() -> eyre::Result<()> {
     Ok(())
 }
 
-fn is_boxes(data: &DoraArray) -> bool {
-    wire::from_arrow(data.as_array().as_ref()).is_ok_and(|message| matches!(message.payload, Payload::Boxes(_)))
+fn is_packet(data: &DoraArray) -> bool {
+    wire::from_arrow(data.as_array().as_ref()).is_ok_and(|message| matches!(message.payload, Payload::Packet(_)))
 }

@@ -1,8 +1,8 @@
 use std::path::Path;
 
 use realo_evaluator::{EvaluationReport, Protocol, evaluate, score};
-use realo_operator::{InputBooks, NodeBooks, Tally};
-use realo_schemas::report::{BankReport, Departed, Fate, FusionReport, MessageId, Selected, to_report};
+use realo_operator::{InputBooks, NodeBooks};
+use realo_schemas::report::{Channel, Crossing, Fate, Traffic, Use, to_report};
 use realo_schemas::{Box3, Clock, Kind, Nanos, TraceEntry};
 
 use super::*;
@@ -59,74 +59,35 @@ fn a_report<T: Serialize>(topic: &str, document: &T) -> Message {
     Message::new(header(0, Kind::Report), to_report(topic, document))
 }
 
-fn id(seq: u64) -> MessageId {
-    MessageId {
-        agent: "rsu1".into(),
-        kind: Kind::Boxes,
-        seq,
+/// What became of a message of rsu1; data that were used are 30 ms old.
+fn fated(kind: Kind, seq: u64, fate: Fate) -> Fated {
+    let r#use = Use {
+        query: seq,
+        age_ns: 30 * MS,
+    };
+    Fated {
+        message: Crossing {
+            from: "rsu1".into(),
+            to: "cav1".into(),
+            kind,
+            seq,
+        },
+        fate,
+        r#use: (fate == Fate::Used).then_some(r#use),
     }
 }
 
-/// A query that selects a message of its number, 30 ms old; the one before departs.
-fn bank(query: u64) -> Message {
-    let selected = Selected {
-        message: id(query),
-        age_ns: 30 * MS,
-    };
-    let departed = query.checked_sub(1).map(|seq| Departed {
-        message: id(seq),
-        fate: Fate::Unused,
-    });
-    let report = BankReport {
-        query: Some(query),
-        agent: "cav1".into(),
-        selected: vec![selected],
-        departed: departed.into_iter().collect(),
-    };
-    a_report("bank", &report)
-}
-
-fn bank_end(departed: &[(u64, Fate)]) -> Message {
-    let departed = departed.iter().map(|(seq, fate)| Departed {
-        message: id(*seq),
-        fate: *fate,
-    });
-    let report = BankReport {
-        query: None,
-        agent: "cav1".into(),
-        selected: vec![],
-        departed: departed.collect(),
-    };
-    a_report("bank", &report)
-}
-
-fn fusion(query: u64, over_limit: Vec<MessageId>) -> Message {
-    let report = FusionReport {
-        query,
-        agent: "cav1".into(),
-        over_limit,
-        rejected: vec![],
-    };
-    a_report("fusion", &report)
-}
-
-fn link(kind: Kind, sent: u64, lost: u64) -> Message {
-    let channel = Channel {
+fn channel(kind: Kind, sent: u64) -> Channel {
+    Channel {
         from: "rsu1".into(),
         to: "cav1".into(),
         kind,
-        sent,
-        bytes: 1000 * sent,
-        lost,
-        duplicated: 0,
-        out_of_range: 0,
-    };
-    a_report(
-        "link",
-        &LinkReport {
-            channels: vec![channel],
+        traffic: Traffic {
+            sent,
+            bytes: 1000 * sent,
+            ..Traffic::default()
         },
-    )
+    }
 }
 
 fn evaluation(sweeps: u64, skipped: &[u64]) -> Message {
@@ -141,77 +102,109 @@ fn evaluation(sweeps: u64, skipped: &[u64]) -> Message {
     a_report(TOPIC, &report)
 }
 
-/// Books of a graph in which the decoder passed over one delivered message and could not read another.
-fn books(ports: &[&str]) -> Books {
-    let one = Tally([("rsu1".to_string(), [(Kind::Boxes, 1)].into())].into());
-    let packets = InputBooks {
-        skipped: one.clone(),
-        delivered_skipped: one.clone(),
-        delivered_rejected: one,
-        ..InputBooks::default()
+/// Books of a graph whose bank takes what a link brought, and whose decoder could not read one of them.
+fn books(channels: &[Channel]) -> Books {
+    let link = NodeBooks {
+        name: "link".into(),
+        channels: channels.to_vec(),
+        ..NodeBooks::default()
     };
     let mut decoder = NodeBooks {
         name: "transmission-decoder".into(),
-        inputs: [("packets".into(), packets)].into(),
         errors: 1,
         ..NodeBooks::default()
     };
-    decoder.compute.record(2 * MS);
-    let own = NodeBooks {
-        name: "results".into(),
-        inputs: ports
-            .iter()
-            .map(|port| (port.to_string(), InputBooks::default()))
-            .collect(),
+    decoder
+        .compute
+        .entry("packets > messages".into())
+        .or_default()
+        .record(2 * MS);
+    let others = InputBooks {
+        accounts: vec![Kind::Points, Kind::Boxes],
+        receivers: ["cav1".to_string()].into(),
+        ..InputBooks::default()
+    };
+    let bank = NodeBooks {
+        name: "feature-bank".into(),
+        inputs: [("others".into(), others)].into(),
         ..NodeBooks::default()
     };
     Books {
-        nodes: [("decoder".into(), decoder), ("results".into(), own)].into(),
+        nodes: [
+            ("link".into(), link),
+            ("decoder".into(), decoder),
+            ("bank".into(), bank),
+        ]
+        .into(),
     }
 }
 
-const ALL: [&str; 7] = ["boxes", "truth", "evaluation", "bank", "fusion", "link", "link_state"];
+/// Of the ten sweeps: what two links carried.
+fn both() -> Books {
+    books(&[channel(Kind::Boxes, 17), channel(Kind::EgoState, 100)])
+}
 
 fn sink(out: &Path) -> Results {
+    let told = Told {
+        log: "intersection".into(),
+        settings: Settings {
+            graph: "late_fusion".into(),
+            ..Settings::default()
+        },
+    };
+    let path = out.join("told.json");
+    std::fs::write(&path, serde_json::to_string(&told).unwrap()).unwrap();
     Results::new(Config {
         out: out.into(),
-        graph: "late_fusion".into(),
-        log: "intersection".into(),
-        ..Config::default()
+        told: path,
     })
     .unwrap()
 }
 
-/// Ten sweeps; sweep 3 is skipped, the fusion takes no more at 5, the rest uses what was selected. Sent are the ten that
-/// were selected, one that the decoder passed over, one that it rejected, two that were lost, one each of the bank's.
+/// Ten sweeps; sweep 3 is skipped.
 fn ten_sweeps() -> Vec<(PortId, Message)> {
     let mut messages = Vec::new();
     for seq in 0..10 {
         messages.push((TRUTH, Message::new(header(seq, Kind::Truth), truth())));
-        messages.push((BANK, bank(seq)));
         if seq != 3 {
-            messages.push((FUSION, fusion(seq, if seq == 5 { vec![id(5)] } else { vec![] })));
             messages.push((BOXES, boxes(seq)));
         }
     }
-    let departed = [
-        (9, Fate::Unused),
-        (20, Fate::Stale),
-        (21, Fate::Superseded),
-        (22, Fate::InFlight),
-    ];
-    messages.push((BANK, bank_end(&departed)));
-    messages.push((LINK, link(Kind::Boxes, 17, 2)));
-    messages.push((LINK_STATE, link(Kind::EgoState, 100, 7)));
     messages.push((EVALUATION, evaluation(10, &[3])));
     messages
 }
 
-fn run_in(out: &Path, messages: Vec<(PortId, Message)>, books: &Books) -> Run {
+/// Of the ten sweeps: sweep 3 is passed over, the fusion takes no more at 5, the rest uses what was selected; one message
+/// each is passed over, rejected, stale, superseded, in flight, and two are lost.
+fn ten_fates() -> Vec<Fated> {
+    let selected = (0..10).map(|seq| match seq {
+        3 => Fate::Skipped,
+        5 => Fate::OverLimit,
+        _ => Fate::Used,
+    });
+    let others = [
+        Fate::Skipped,
+        Fate::Rejected,
+        Fate::Stale,
+        Fate::Superseded,
+        Fate::InFlight,
+        Fate::Lost,
+        Fate::Lost,
+    ];
+    let all = selected.chain(others).zip(0..);
+    let mut fates: Vec<_> = all.map(|(fate, seq)| fated(Kind::Boxes, seq, fate)).collect();
+    // What several stages say of a message is joined.
+    fates.push(fated(Kind::Boxes, 2, Fate::Superseded));
+    fates.extend((0..7).map(|seq| fated(Kind::EgoState, seq, Fate::Lost)));
+    fates
+}
+
+fn run_in(out: &Path, messages: Vec<(PortId, Message)>, fates: &[Fated], books: &Books) -> Run {
     let mut sink = sink(out);
     messages
         .into_iter()
         .for_each(|(port, message)| sink.accept(port, message).unwrap());
+    sink.fates(fates).unwrap();
     assert!(
         matches!(read_run(out), Err(FilesError::Incomplete { .. })),
         "no result before the end"
@@ -223,7 +216,7 @@ fn run_in(out: &Path, messages: Vec<(PortId, Message)>, books: &Books) -> Run {
 #[test]
 fn accounts_for_every_message() {
     let folder = tempfile::tempdir().unwrap();
-    let Run { result, samples, .. } = run_in(folder.path(), ten_sweeps(), &books(&ALL));
+    let Run { result, samples, .. } = run_in(folder.path(), ten_sweeps(), &ten_fates(), &both());
     let expected = LinkBooks {
         sent: 17,
         bytes: 17_000,
@@ -267,7 +260,7 @@ fn accounts_for_every_message() {
 #[test]
 fn scores_are_those_of_the_evaluator() {
     let folder = tempfile::tempdir().unwrap();
-    let Run { result, samples, .. } = run_in(folder.path(), ten_sweeps(), &books(&ALL));
+    let Run { result, samples, .. } = run_in(folder.path(), ten_sweeps(), &ten_fates(), &both());
     let frames = Frames {
         total: 10,
         key: 10,
@@ -293,7 +286,7 @@ fn scores_are_those_of_the_evaluator() {
 #[test]
 fn a_result_in_virtual_time_names_no_run_place_or_date() {
     let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let _ = run_in(one.path(), ten_sweeps(), &books(&ALL));
+    let _ = run_in(one.path(), ten_sweeps(), &ten_fates(), &both());
     let again: Vec<_> = ten_sweeps()
         .into_iter()
         .map(|(port, mut message)| {
@@ -301,7 +294,7 @@ fn a_result_in_virtual_time_names_no_run_place_or_date() {
             (port, message)
         })
         .collect();
-    let _ = run_in(other.path(), again, &books(&ALL));
+    let _ = run_in(other.path(), again, &ten_fates(), &both());
     for file in ["result.json", "timing.json", "evaluation.json"] {
         let read = |folder: &Path| std::fs::read_to_string(folder.join(file)).unwrap();
         assert_eq!(read(one.path()), read(other.path()), "{file}");
@@ -320,7 +313,7 @@ fn times_are_those_of_the_way_of_the_boxes() {
             rate: 2.0,
         });
     }
-    let Run { timing, result, .. } = run_in(folder.path(), messages, &books(&ALL));
+    let Run { timing, result, .. } = run_in(folder.path(), messages, &ten_fates(), &both());
     assert_eq!(result.settings.mode, "realtime");
     let p50 = |stage: &str| (timing.latency_ms[stage].p50.unwrap() * 10.0).round() / 10.0;
     assert_eq!(
@@ -328,7 +321,8 @@ fn times_are_those_of_the_way_of_the_boxes() {
         [2.0, 1.0, 3.0, 3.0]
     );
     assert_eq!(timing.rate_hz, Some(9.0));
-    assert!((timing.compute_profile().of("decoder") - 2 * MS).abs() < 2 * MS / 500);
+    let decoding = timing.compute_ns["decoder"]["packets > messages"];
+    assert!((decoding - 2 * MS).abs() < 2 * MS / 500);
 }
 
 #[test]
@@ -339,7 +333,7 @@ fn without_fusion_there_are_no_links() {
         (BOXES, boxes(0)),
         (EVALUATION, evaluation(1, &[])),
     ];
-    let Run { result, .. } = run_in(folder.path(), messages, &books(&["boxes", "truth", "evaluation"]));
+    let Run { result, .. } = run_in(folder.path(), messages, &[], &books(&[]));
     assert!(result.links.is_empty());
     assert_eq!(
         (result.age_ms.all.count, result.age_ms.all.p50, result.frames.processed),
@@ -348,10 +342,11 @@ fn without_fusion_there_are_no_links() {
 }
 
 #[test]
-fn says_nothing_about_fates_that_it_does_not_hear_of() {
+fn says_nothing_about_fates_where_nobody_takes_what_crossed() {
     let folder = tempfile::tempdir().unwrap();
-    let messages = vec![(BOXES, boxes(0)), (LINK, link(Kind::Boxes, 5, 1))];
-    let Run { result, .. } = run_in(folder.path(), messages, &books(&["boxes", "bank", "link"]));
+    let mut books = books(&[channel(Kind::Boxes, 5)]);
+    books.nodes.remove("bank");
+    let Run { result, .. } = run_in(folder.path(), vec![(BOXES, boxes(0))], &[], &books);
     assert_eq!(result.links["rsu1-cav1"]["boxes"].accounted, None);
     assert_eq!(result.accuracy, None);
 }
@@ -359,29 +354,23 @@ fn says_nothing_about_fates_that_it_does_not_hear_of() {
 #[test]
 fn tells_what_dora_lost_and_what_is_missing_for_it() {
     let folder = tempfile::tempdir().unwrap();
-    let mut books = books(&ALL);
-    let bank = InputBooks {
+    let mut books = books(&[channel(Kind::Boxes, 19)]);
+    let lossy = InputBooks {
         transport_lost: 2,
         transport_reordered: 1,
         ..InputBooks::default()
     };
-    let node = NodeBooks {
-        name: "feature-bank".into(),
-        inputs: [("others".into(), bank)].into(),
-        ..NodeBooks::default()
-    };
-    books.nodes.insert("bank".into(), node);
-    let mut messages = ten_sweeps();
-    messages.retain(|(port, _)| *port != LINK);
-    messages.push((LINK, link(Kind::Boxes, 19, 2)));
-    let Run { result, .. } = run_in(folder.path(), messages, &books);
+    if let Some(bank) = books.nodes.get_mut("bank") {
+        bank.inputs.insert("ego".into(), lossy);
+    }
+    let Run { result, .. } = run_in(folder.path(), ten_sweeps(), &ten_fates(), &books);
     let edge = EdgeBooks {
         lost: 2,
         repeated: 0,
         reordered: 1,
     };
     assert_eq!((result.transport.total_lost, result.transport.edges.len()), (2, 1));
-    assert_eq!(result.transport.edges["bank.others"], edge);
+    assert_eq!(result.transport.edges["bank.ego"], edge);
     assert_eq!(result.links["rsu1-cav1"]["boxes"].accounted.unwrap().unaccounted, 2);
     assert!(result.notes[0].contains("dora lost 2 messages"), "{:?}", result.notes);
     assert!(
@@ -396,13 +385,16 @@ fn tells_what_dora_lost_and_what_is_missing_for_it() {
 fn refuses_reports_of_another_topic_or_form() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = sink(folder.path());
-    let error = sink.accept(BANK, fusion(0, vec![])).unwrap_err().to_string();
-    assert!(error.contains("`bank`") && error.contains("`fusion`"), "{error}");
-    let error = sink.accept(LINK, a_report("link", &["x"])).unwrap_err().to_string();
-    assert!(error.contains("report `link`"), "{error}");
-    let error = sink.accept(BOXES, fusion(0, vec![])).unwrap_err().to_string();
+    let error = sink.accept(EVALUATION, a_report("fusion", &1)).unwrap_err().to_string();
+    assert!(error.contains("`evaluation`") && error.contains("`fusion`"), "{error}");
+    let error = sink
+        .accept(EVALUATION, a_report(TOPIC, &["x"]))
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("report `evaluation`"), "{error}");
+    let error = sink.accept(BOXES, a_report(TOPIC, &1)).unwrap_err().to_string();
     assert!(error.contains("expected a Boxes"), "{error}");
-    assert!(sink.accept(PortId(7), boxes(0)).is_err());
+    assert!(sink.accept(PortId(3), boxes(0)).is_err());
     sink.accept(EVALUATION, evaluation(1, &[])).unwrap();
     let error = sink.accept(EVALUATION, evaluation(1, &[])).unwrap_err().to_string();
     assert!(error.contains("second report"), "{error}");
@@ -423,6 +415,31 @@ fn refuses_a_folder_of_somebody_else_before_the_run() {
         ..Config::default()
     };
     assert!(Results::new(empty).err().unwrap().to_string().contains("`out`"));
+}
+
+#[test]
+fn without_being_told_the_graph_is_named_as_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("my_graph");
+    let config = Config {
+        out: out.clone(),
+        ..Config::default()
+    };
+    let mut sink = Results::new(config).unwrap();
+    sink.accept(BOXES, boxes(0)).unwrap();
+    sink.finish(&Books::default()).unwrap();
+    let settings = read_run(&out).unwrap().result.settings;
+    assert_eq!(
+        (&*settings.graph, &*settings.mode, &*settings.ego),
+        ("my_graph", "virtual", "cav1")
+    );
+    for (text, expected) in [("{", "not what a run tells"), ("{\"lag\": 1}", "lag")] {
+        let told = folder.path().join("bad.json");
+        std::fs::write(&told, text).unwrap();
+        let config = Config { out: out.clone(), told };
+        let error = Results::new(config).err().unwrap().to_string();
+        assert!(error.contains("`told`") && error.contains(expected), "{error}");
+    }
 }
 
 #[test]

@@ -174,7 +174,8 @@ fn holds_ten_thousand_agents_and_forgets_them() {
     let answer = bank.answer(&header("ego", 1, 60_300, 60_300));
     assert_eq!(
         (answer.entries.len(), answer.departed.len(), bank.agents()),
-        (0, 10_000, 0)
+        (0, 0, 0),
+        "forgotten, and all of it was selected before"
     );
     assert_eq!(bank.insert(message("one-more", 1, 60_300, 60_301)), Ok(Taken::Held));
 }

@@ -192,7 +192,7 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     };
     let most = EARLY as u64 + 2;
     for offline in [false, true] {
-        let mut link = Link::new(LinkConfig {
+        let mut link = Watched::new(LinkConfig {
             profile: "paper".into(),
             ego: "cav1".into(),
             offline,

@@ -87,12 +87,12 @@ fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
     let text = fs::read_to_string(log).unwrap_or_default();
     if !status.success() {
         let culprits = culprits(&text);
-        let who = if culprits.is_empty() {
-            format!("dora ended with {status}")
-        } else {
-            culprits.join("\n  ")
-        };
-        bail!("{}: the run failed:\n  {who}\n  see {}", cell.name, log.display());
+        let who: String = culprits.iter().map(|line| format!("\n  {line}")).collect();
+        bail!(
+            "{}: the run failed: dora ended with {status}{who}\n  see {}",
+            cell.name,
+            log.display()
+        );
     }
     if !cell.out.join("result.json").exists() {
         bail!(
