@@ -263,7 +263,7 @@ fn a_run_without_recording_and_a_log_of_another_run_are_refused() {
     let (code, said) = render(&dir, &dir.join("x.svg"), &["--log", &log]);
     assert_eq!(code, Some(1), "{said}");
     assert!(
-        said.contains("recording.mcap") && said.contains("node `score.recorder`"),
+        said.contains("recording.mcap") && said.contains("node `recorder`"),
         "{said}"
     );
 
