@@ -24,7 +24,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
 use realo_logs::{Log, LogError, Stream};
-use realo_operator::{Argument, Describe, Error, Port, PortId, Source};
+use realo_operator::{Argument, Decided, Describe, Error, Port, PortId, Source};
 use realo_schemas::{Message, Nanos, PayloadType, from_seconds};
 use serde::{Deserialize, Serialize};
 
@@ -224,6 +224,7 @@ impl Describe for Player {
             "ground truth for each of the ego's sweeps",
         ),
     ];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Log, "log"), (Decided::Ego, "ego"), (Decided::Coop, "coop"), (Decided::Agents, "agents"), (Decided::Offline, "offline"), (Decided::Rate, "rate"), (Decided::Points, "points"), (Decided::Detections, "detections")];
 }
 
 impl Source for Player {

@@ -18,7 +18,7 @@ mod recording;
 
 use std::path::PathBuf;
 
-use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Sink};
+use realo_operator::{Argument, Books, Decided, Describe, Error, Port, PortId, Sink};
 use realo_schemas::report::Fated;
 use realo_schemas::{Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -81,6 +81,7 @@ impl Describe for Recorder {
         Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps").optional(),
     ];
     const OUTPUTS: &'static [Port] = &[];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Recording, "path")];
 }
 
 impl Sink for Recorder {

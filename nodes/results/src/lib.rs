@@ -20,6 +20,7 @@ mod distribution;
 mod files;
 mod ledger;
 mod links;
+mod progress;
 mod result;
 mod run;
 mod sink;

@@ -1,12 +1,13 @@
 use std::path::PathBuf;
 
 use realo_evaluator::{EvaluationReport, TOPIC};
-use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Sink, unexpected, wrong_port};
+use realo_operator::{Argument, Books, Decided, Describe, Error, Port, PortId, Sink, unexpected, wrong_port};
 use realo_schemas::report::{Fated, from_report};
 use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
     EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Settings, Timing, TimingSamples, add_name, claim,
@@ -73,6 +74,8 @@ pub struct Results {
     boxes: Pace,
     truth: Pace,
     realtime: bool,
+    /// Where nobody prepared the run, it speaks for itself.
+    progress: Option<Progress>,
 }
 
 const BOXES: PortId = PortId(0);
@@ -103,6 +106,7 @@ impl Describe for Results {
         .optional(),
     ];
     const OUTPUTS: &'static [Port] = &[];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Out, "out"), (Decided::Told, "told")];
 }
 
 impl Sink for Results {
@@ -113,7 +117,6 @@ impl Sink for Results {
         claim(&config.out)?;
         let Told { log, settings } = config.told()?;
         Ok(Results {
-            out: config.out,
             log,
             result: RunResult::new(settings),
             samples: Samples::default(),
@@ -122,6 +125,8 @@ impl Sink for Results {
             boxes: Pace::default(),
             truth: Pace::default(),
             realtime: false,
+            progress: config.told.as_os_str().is_empty().then(Progress::new),
+            out: config.out,
         })
     }
 
@@ -129,6 +134,9 @@ impl Sink for Results {
         match port {
             BOXES => {
                 let (header, _): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
+                if let (Some(progress), Some(_)) = (&mut self.progress, header.clock) {
+                    progress.boxes(header.stamp);
+                }
                 self.take_boxes(&header);
             }
             TRUTH => {
@@ -146,6 +154,9 @@ impl Sink for Results {
 
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
         fates.iter().for_each(|fated| self.ledger.take(fated));
+        if let Some(progress) = &mut self.progress {
+            progress.fates(fates);
+        }
         Ok(())
     }
 

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
 use realo_nn::network::{BevView, Network};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::is_valid;
 use realo_schemas::{Box3, Boxes, DType, FeatureMap, Header, Kind, Message, Name, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -146,6 +146,7 @@ impl Describe for DetectionHead {
     const INPUTS: &'static [Port] =
         &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps of the model").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("proposals", &[PayloadType::Boxes], "detections, best first")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Model, "model"), (Decided::Isa, "isa")];
 }
 
 impl Operator for DetectionHead {

@@ -22,7 +22,7 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::report::to_report;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -100,6 +100,7 @@ impl Describe for Evaluator {
         &[PayloadType::Report],
         "topic `evaluation`, at the end: the scores and their frames",
     )];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Protocol, "protocol")];
 }
 
 impl Operator for Evaluator {

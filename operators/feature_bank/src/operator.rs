@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{Header, Message, Nanos, PayloadType, Selection};
 use serde::{Deserialize, Serialize};
 
@@ -86,6 +86,7 @@ impl Describe for FeatureBank {
         &[PayloadType::Selection],
         "one for each query, with the query's header",
     )];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Offline, "offline")];
 }
 
 impl FeatureBank {

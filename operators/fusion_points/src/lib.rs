@@ -95,6 +95,8 @@ impl Describe for FusionPoints {
         &[PayloadType::PointCloud],
         "the ego's points, then the collaborators', in the ego's frame",
     )];
+    // V2X-ReaLO, Table III: early fusion.
+    const PAPER_INFERENCE: Option<Nanos> = Some(80_900_000);
 }
 
 impl Operator for FusionPoints {

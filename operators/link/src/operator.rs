@@ -1,6 +1,6 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::report::{Fate, Traffic};
 use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -108,6 +108,7 @@ impl Describe for Link {
             "the ego's packets, a copy for each other agent that is known",
         ),
     ];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "ego"), (Decided::Offline, "offline"), (Decided::Link, "profile"), (Decided::Seed, "seed")];
 }
 
 impl Link {

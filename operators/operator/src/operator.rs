@@ -36,6 +36,49 @@ pub trait Describe {
     const INPUTS: &'static [Port];
     /// Outputs.
     const OUTPUTS: &'static [Port];
+    /// What of a run decides which argument, in place of the graph.
+    const DECIDED: &'static [(Decided, &'static str)] = &[];
+    /// What the paper measured for the whole inference of the method that this fusion stands for.
+    const PAPER_INFERENCE: Option<Nanos> = None;
+}
+
+/// What whoever prepares a run knows, and a graph need not say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Decided {
+    /// The log that is played, a path.
+    Log,
+    /// The ego's name.
+    Ego,
+    /// Who cooperates.
+    Coop,
+    /// The agents that take part.
+    Agents,
+    /// Whether there are no delays.
+    Offline,
+    /// Seconds of log time per second.
+    Rate,
+    /// Whether sweeps have points.
+    Points,
+    /// Whether the log's detections are played.
+    Detections,
+    /// Channel model of a link.
+    Link,
+    /// Seed of what is drawn.
+    Seed,
+    /// How boxes are scored.
+    Protocol,
+    /// Model file of a network.
+    Model,
+    /// Kernels of a network.
+    Isa,
+    /// Who brings what crosses a link to the ego's frame.
+    Project,
+    /// Folder of the results.
+    Out,
+    /// What the results tell of the run, a file.
+    Told,
+    /// Path of the recording.
+    Recording,
 }
 
 /// A pure stage of a graph: messages in, messages out.

@@ -67,6 +67,8 @@ pub struct Port {
     pub join: Option<&'static str>,
     /// Whether the way of what crossed a link ends here, and the stage says what became of it (inputs).
     pub accounts: bool,
+    /// An argument and its value with which a graph must wire an optional input.
+    pub needed: Option<(&'static str, &'static str)>,
 }
 
 impl Port {
@@ -81,6 +83,7 @@ impl Port {
             required: true,
             join: None,
             accounts: false,
+            needed: None,
         }
     }
 
@@ -129,6 +132,13 @@ impl Port {
     /// Is assembled with the other ports of the group.
     pub const fn joined(mut self, group: &'static str) -> Self {
         self.join = Some(group);
+        self
+    }
+
+    /// May stay unwired unless `argument` is `value`.
+    pub const fn needed_when(mut self, argument: &'static str, value: &'static str) -> Self {
+        self.required = false;
+        self.needed = Some((argument, value));
         self
     }
 

@@ -5,7 +5,7 @@ use realo_schemas::{Message, Nanos};
 use serde_json::Value;
 
 use crate::config::{ConfigError, defaults, nearest_name, parse};
-use crate::{Argument, Books, Error, Operator, Outputs, Port, PortId, Sink, Source};
+use crate::{Argument, Books, Decided, Error, Operator, Outputs, Port, PortId, Sink, Source};
 
 /// What a node is to its graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,6 +109,10 @@ pub struct Registration {
     pub outputs: &'static [Port],
     /// What its arguments mean.
     pub arguments: &'static [Argument],
+    /// What of a run decides which argument.
+    pub decided: &'static [(Decided, &'static str)],
+    /// What the paper measured for the inference of the method, ns.
+    pub paper_inference: Option<Nanos>,
     /// Keys of its configuration with their defaults.
     pub defaults: fn() -> serde_json::Map<String, Value>,
     /// Whether it takes these arguments; opens nothing.
@@ -128,6 +132,8 @@ macro_rules! registration {
                 inputs: T::INPUTS,
                 outputs: T::OUTPUTS,
                 arguments: T::ARGUMENTS,
+                decided: T::DECIDED,
+                paper_inference: T::PAPER_INFERENCE,
                 defaults: defaults::<T::Config>,
                 check: |args| parse::<T::Config>(args).map(|_| ()),
                 build: |args| Ok($built(Box::new(T::new(parse(args)?)?))),
@@ -156,6 +162,12 @@ impl Registration {
             Role::Operator => "operator",
             Role::Source | Role::Sink => "node",
         }
+    }
+
+    /// The argument that something of a run decides.
+    pub fn argument(&self, decided: Decided) -> Option<&'static str> {
+        let of = |(known, argument): &(Decided, &'static str)| (*known == decided).then_some(*argument);
+        self.decided.iter().find_map(of)
     }
 
     /// An input by its name.

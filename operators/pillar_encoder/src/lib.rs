@@ -17,7 +17,7 @@ use std::path::PathBuf;
 use arrow::buffer::Buffer;
 use realo_nn::Encoder;
 use realo_nn::pillars::{Dropped, Points};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{DType, FeatureMap, Header, Kind, Message, Name, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
 
@@ -76,6 +76,7 @@ impl Describe for PillarEncoder {
     const INPUTS: &'static [Port] =
         &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the model's frame").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Model, "model"), (Decided::Isa, "isa")];
 }
 
 impl Operator for PillarEncoder {

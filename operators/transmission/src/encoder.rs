@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use arrow::buffer::Buffer;
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
 use realo_schemas::{EgoState, Header, Message, Name, Packet, Payload, PayloadType, Pose};
@@ -83,9 +83,10 @@ impl Describe for TransmissionEncoder {
         Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
             .state()
             .accounting()
-            .optional(),
+            .needed_when("project", "sender"),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Project, "project")];
 }
 
 impl Operator for TransmissionEncoder {

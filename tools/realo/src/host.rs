@@ -1,9 +1,13 @@
 //! `realo host`, `realo operator`, `realo node` and `realo program`: what dora starts.
 
+use std::path::Path;
+
 use eyre::Result;
 use realo_graph::FlatNode;
 use realo_host::dora::{self, Hosted};
+use realo_operator::Decided;
 
+use crate::run::{argument, decided_argument, lexically_normal};
 use crate::{Outcome, demo, registry};
 
 /// Hosts the stages of a module as one process of a graph (dora starts this)
@@ -44,10 +48,14 @@ pub struct ProgramArgs {
 
 /// Hosts the stages of a module until their streams end.
 pub fn module(args: &ModuleArgs) -> Result<Outcome> {
-    run(Hosted::Module {
+    let here = std::env::current_dir()?;
+    let hosted = Hosted::Module {
         file: &args.module,
         settings: &args.settings,
-    })
+    };
+    dora::run(hosted, &registry())?;
+    let graph = realo_graph::hosted("realo", &args.module, &args.settings, None, &[], &here)?;
+    report(&graph.nodes, &here)
 }
 
 /// Hosts an operator until its streams end.
@@ -66,16 +74,29 @@ pub fn program(args: &ProgramArgs) -> Result<Outcome> {
 }
 
 fn stage(word: &str, name: &str, args: &[String]) -> Result<Outcome> {
+    let here = std::env::current_dir()?;
     let words: Vec<String> = [word, name]
         .map(String::from)
         .into_iter()
         .chain(args.iter().cloned())
         .collect();
-    demo::make_if_missing(&FlatNode::alone(name, &words, &[]))?;
-    run(Hosted::Stage(&words))
+    let stage = FlatNode::alone(name, &words, &[]);
+    demo::make_if_missing(&stage)?;
+    dora::run(Hosted::Stage(&words), &registry())?;
+    report(std::slice::from_ref(&stage), &here)
 }
 
-fn run(hosted: Hosted) -> Result<Outcome> {
-    dora::run(hosted, &registry())?;
+/// Prints the table of a run that nobody else reports on: dora started its graph.
+fn report(stages: &[FlatNode], folder: &Path) -> Result<Outcome> {
+    for stage in stages {
+        let value = |decided| argument(stage, decided_argument(stage, decided)?);
+        let (Some(out), Some("")) = (value(Decided::Out), value(Decided::Told).as_deref()) else {
+            continue;
+        };
+        let out = lexically_normal(&folder.join(out));
+        let run = realo_results::read_run(&out)?;
+        let name = run.result.settings.graph.clone();
+        println!("{}results in {}", realo_report::table(&[(&name, &run)]), out.display());
+    }
     Ok(Outcome::Complete)
 }

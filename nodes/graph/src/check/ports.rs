@@ -58,18 +58,30 @@ pub(super) fn declared(node: &FlatNode, stage: Option<&'static Registration>, fi
     let inputs = stage.map(|stage| stage.inputs).unwrap_or_default();
     for port in inputs
         .iter()
-        .filter(|port| port.required && !node.inputs.contains_key(port.name))
+        .filter(|port| is_needed(node, port) && !node.inputs.contains_key(port.name))
     {
         let mend = format!("wire it under `inputs`: {} ({})", port.about, names(port));
         findings.port(
             Severity::Error,
             node,
             port.name,
-            "a wire to this required input",
+            match port.needed {
+                Some((argument, value)) => format!("a wire to this input, which {argument}={value} needs"),
+                None => "a wire to this required input".into(),
+            },
             "none".into(),
             mend,
         );
     }
+}
+
+/// Whether a graph must wire an input: always, or with one of the node's arguments.
+fn is_needed(node: &FlatNode, port: &Port) -> bool {
+    let given = |(argument, value): (&str, &str)| {
+        let setting = format!("{argument}={value}");
+        node.settings().iter().any(|given| *given == setting)
+    };
+    port.required || port.needed.is_some_and(given)
 }
 
 fn typed(

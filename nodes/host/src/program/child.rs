@@ -272,6 +272,8 @@ static NOBODY: Registration = Registration {
     inputs: &[],
     outputs: &[],
     arguments: &[],
+    decided: &[],
+    paper_inference: None,
     defaults: serde_json::Map::new,
     check: |_| Ok(()),
     build: |_| Err("a program that has not said hello".into()),

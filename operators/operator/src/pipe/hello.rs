@@ -105,6 +105,8 @@ fn register(name: &str, ports: Ports) -> Result<&'static Registration, String> {
             inputs: leaked_ports(inputs),
             outputs: leaked_ports(outputs),
             arguments: &[],
+            decided: &[],
+            paper_inference: None,
             defaults: serde_json::Map::new,
             check: |_| Ok::<(), ConfigError>(()),
             build: |_| Err("a program of its own cannot be built in this process".into()),
@@ -128,6 +130,7 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         required: port.words.required,
         join: port.words.join.as_deref().map(leaked),
         accounts: port.words.accounts,
+        needed: None,
     });
     Box::leak(ports.collect())
 }
@@ -236,6 +239,8 @@ mod tests {
             inputs: PORTS,
             outputs: &PORTS[1..],
             arguments: &[],
+            decided: &[],
+            paper_inference: None,
             defaults: serde_json::Map::new,
             check: |_| Ok(()),
             build: |_| Err("".into()),

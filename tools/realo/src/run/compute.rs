@@ -1,10 +1,34 @@
-//! The compute profile of a realtime run: what its stages really took.
+//! Compute profiles: of a realtime run, what its stages really took; of the paper, its inference times.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use eyre::Result;
+use eyre::{Result, bail, eyre};
+use realo_graph::{FlatGraph, FlatNode};
 use realo_host::ComputeProfile;
+use realo_operator::Decided;
 use realo_results::Run;
+use realo_schemas::Nanos;
+
+use super::nodes::{decided_argument, deciding};
+use crate::registry;
+
+/// Name of the profile that charges what the paper measured.
+const PAPER: &str = "paper";
+/// V2X-ReaLO, Table III: the network of no fusion and of late fusion, ns.
+const NETWORK: Nanos = 43_700_000;
+
+/// The profile that is asked for: a file, or `paper`; without one computing takes no time.
+///
+/// # Errors
+/// A file that is no profile; `paper` for a graph without a network.
+pub fn profile(named: Option<&Path>, graph: &FlatGraph) -> Result<ComputeProfile> {
+    match named {
+        None => Ok(ComputeProfile::default()),
+        Some(name) if name == Path::new(PAPER) => paper(graph),
+        Some(path) => ComputeProfile::read(path).map_err(|error| eyre!(error)),
+    }
+}
 
 /// Writes `compute.toml`: the median duration of each stage's calls, by what triggered them.
 pub fn write(dir: &Path, run: &Run) -> Result<()> {
@@ -13,4 +37,69 @@ pub fn write(dir: &Path, run: &Run) -> Result<()> {
         "# Median duration of each stage's calls in a realtime run, ns. For `realo run --mode virtual --compute`.\n";
     std::fs::write(dir.join("compute.toml"), format!("{head}{profile}"))?;
     Ok(())
+}
+
+/// The paper's inference time of the method, charged to the ego's last network stage.
+fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
+    let own = of_the_ego(graph);
+    let ranks = graph.ranks()?;
+    let networks = graph.nodes.iter().enumerate().filter(|(index, node)| {
+        own.contains(index) && decided_argument(node, Decided::Model).is_some()
+    });
+    let Some((_, last)) = networks.max_by_key(|(index, _)| ranks[*index]) else {
+        bail!(
+            "--compute {PAPER}: {} has no network of the ego whose time the paper tells: drop it, or --recorded-detections",
+            graph.file.display()
+        );
+    };
+    let method = own.iter().filter_map(|index| graph.nodes[*index].registration(&registry())?.paper_inference);
+    let nanos = method.max().unwrap_or(NETWORK);
+    Ok(ComputeProfile {
+        nanos: BTreeMap::from([(last.id.clone(), nanos)]),
+    })
+}
+
+/// The stages whose outputs reach the results without crossing a link.
+fn of_the_ego(graph: &FlatGraph) -> BTreeSet<usize> {
+    let place = |id: &str| graph.nodes.iter().position(|node| node.id == id);
+    let mut open: Vec<usize> = deciding(graph, Decided::Out).filter_map(|node| place(&node.id)).collect();
+    let mut own = BTreeSet::new();
+    let is_link = |node: &FlatNode| decided_argument(node, Decided::Link).is_some();
+    while let Some(index) = open.pop() {
+        let node = &graph.nodes[index];
+        if is_link(node) || !own.insert(index) {
+            continue;
+        }
+        let sources = node.inputs.values().filter_map(|input| input.output());
+        open.extend(sources.filter_map(|(source, _)| place(source)));
+    }
+    own
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_graph::Graph;
+
+    use super::*;
+
+    fn graph(name: &str) -> FlatGraph {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        FlatGraph::load(&root.join(format!("dataflows/{name}.yml"))).unwrap()
+    }
+
+    #[test]
+    fn the_papers_time_is_charged_to_the_egos_last_network_stage() {
+        let cases = [
+            ("no_fusion", "ego.head", 43_700_000),
+            ("late_fusion", "ego.head", 43_700_000),
+            ("early_fusion", "fusion.head", 80_900_000),
+        ];
+        for (name, stage, nanos) in cases {
+            let profile = profile(Some(Path::new("paper")), &graph(name)).unwrap();
+            assert_eq!(profile.nanos, [(stage.to_string(), nanos)].into(), "{name}");
+        }
+        let recorded = Graph::load(Path::new(&graph("late_fusion").file)).unwrap().with_detection("recorded");
+        let error = profile(Some(Path::new("paper")), &recorded.expand().unwrap()).unwrap_err();
+        assert!(error.to_string().contains("no network of the ego"), "{error}");
+    }
 }

@@ -20,7 +20,7 @@ use networks::Networks;
 use prepare::Cell;
 
 pub use dora::find as find_dora;
-pub(crate) use nodes::argument;
+pub(crate) use nodes::{argument, decided_argument, lexically_normal};
 pub use replay::replay;
 
 /// Runs graphs over logs and prints what came out, side by side
@@ -53,7 +53,7 @@ pub struct Args {
     /// Channel model of the links: a name or a file
     #[arg(long)]
     pub link: Option<String>,
-    /// How long stages take in virtual time: a TOML file of node id = ns
+    /// How long stages take in virtual time: a TOML file of stage = ns (a realtime run leaves a compute.toml), or `paper`
     #[arg(long)]
     pub compute: Option<PathBuf>,
     /// Evaluation protocol: a name or a file [default: the log's]
@@ -65,6 +65,9 @@ pub struct Args {
     /// Model file of every detector [default: each node's own]
     #[arg(long)]
     pub model: Option<PathBuf>,
+    /// Kernels of the networks: auto, portable (the same bits on every machine), avx2, avx512, avx512bf16 [default: auto]
+    #[arg(long)]
+    pub isa: Option<String>,
     /// Who brings what crosses the link to the ego's frame: its receiver, or its sender with the ego's newest known state
     #[arg(long, value_enum)]
     pub project: Option<Project>,

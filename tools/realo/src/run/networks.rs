@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use eyre::{Result, WrapErr, bail};
 use realo_graph::{FlatGraph, InputSource};
 
-use super::nodes::{HEAD, argument, is_network, nodes_of};
+use realo_operator::Decided;
+
+use super::nodes::{argument, decided_argument, deciding};
 
 /// What is known of a network: its identity and the kernels that it runs on.
 type Known = (String, String);
@@ -39,24 +41,22 @@ impl Networks {
     /// Loads every network of a graph.
     ///
     /// # Errors
-    /// A model or weights that cannot be had, kernels that this processor lacks, and a head behind the encoder of
+    /// A model or weights that cannot be had, kernels that this processor lacks, and a part of a network behind one of
     /// another model; each names the node.
     pub fn check(&mut self, graph: &FlatGraph) -> Result<Words> {
         let mut identities: BTreeMap<&str, (PathBuf, String)> = BTreeMap::new();
         let mut kernels = BTreeSet::new();
-        for node in &graph.nodes {
-            if !is_network(node) {
-                continue;
-            }
-            let path = PathBuf::from(argument(node, "model").unwrap_or_default());
-            let isa = argument(node, "isa").unwrap_or_default();
+        for node in deciding(graph, Decided::Model) {
+            let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
+            let path = PathBuf::from(value(Decided::Model).unwrap_or_default());
+            let isa = value(Decided::Isa).unwrap_or_default();
             let (identity, runs_on) = self
                 .known(&path, &isa)
                 .wrap_err_with(|| format!("node `{}`", node.id))?;
             kernels.insert(runs_on.clone());
             identities.insert(&node.id, (path, identity.clone()));
         }
-        for node in nodes_of(graph, HEAD) {
+        for node in deciding(graph, Decided::Model) {
             for input in node.inputs.values() {
                 let InputSource::Output { node: source, .. } = &input.source else {
                     continue;

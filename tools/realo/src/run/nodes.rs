@@ -1,34 +1,50 @@
-//! The nodes of a graph: which stage each runs, and its arguments.
+//! The stages of a graph: which have an argument that something of a run decides, and their arguments.
 
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
 use eyre::{Result, bail};
 use realo_graph::{FlatGraph, FlatNode};
+use realo_operator::{Decided, Registration};
 
 use crate::registry;
 
-/// The operator that can project.
-pub const SENDER: &str = "transmission-encoder";
-/// The first stage of a network.
-pub const PILLARS: &str = "pillar-encoder";
-/// The last stage of a network.
-pub const HEAD: &str = "detection-head";
-
-/// The stage that a node runs; `None` for a program of its own.
-pub fn stage_of(node: &FlatNode) -> Option<&'static str> {
-    node.registration(&registry()).map(|known| known.name)
+fn registration(node: &FlatNode) -> Option<&'static Registration> {
+    node.registration(&registry())
 }
 
-/// The nodes of a stage.
-pub fn nodes_of<'g>(graph: &'g FlatGraph, stage: &str) -> impl Iterator<Item = &'g FlatNode> {
-    graph.nodes.iter().filter(move |node| stage_of(node) == Some(stage))
+/// The argument of a node that something of a run decides.
+pub fn decided_argument(node: &FlatNode, decided: Decided) -> Option<&'static str> {
+    registration(node)?.argument(decided)
 }
 
-/// Sets an argument of every node of a stage.
-pub fn set_all(graph: &mut FlatGraph, stage: &str, key: &str, value: &str) {
-    let nodes = graph.nodes.iter_mut().filter(|node| stage_of(node) == Some(stage));
-    nodes.for_each(|node| node.set(key, value));
+/// The nodes with an argument that something of a run decides.
+pub fn deciding(graph: &FlatGraph, decided: Decided) -> impl Iterator<Item = &FlatNode> {
+    graph.nodes.iter().filter(move |node| decided_argument(node, decided).is_some())
+}
+
+/// Names of the registered operators and nodes that would take it.
+pub fn takers(decided: Decided) -> String {
+    let takes = |known: &&Registration| known.argument(decided).is_some();
+    let names: Vec<&str> = registry().0.iter().filter(takes).map(|known| known.name).collect();
+    names.join(" or ")
+}
+
+/// Sets what something of a run decides, wherever it does.
+pub fn decide(graph: &mut FlatGraph, decided: Decided, value: &str) {
+    for node in &mut graph.nodes {
+        if let Some(argument) = decided_argument(node, decided) {
+            node.set(argument, value);
+        }
+    }
+}
+
+/// What the nodes have for something that a run decides, each value once.
+pub fn values(graph: &FlatGraph, decided: Decided, named: impl Fn(&str) -> String) -> String {
+    let nodes = deciding(graph, decided);
+    let value = |node: &FlatNode| argument(node, decided_argument(node, decided)?);
+    let values: BTreeSet<String> = nodes.filter_map(value).map(|value| named(&value)).collect();
+    values.into_iter().collect::<Vec<_>>().join(", ")
 }
 
 /// Gives every network one model file, seen from where the user is.
@@ -36,19 +52,22 @@ pub fn set_all(graph: &mut FlatGraph, stage: &str, key: &str, value: &str) {
 /// # Errors
 /// A graph without a network.
 pub fn set_model(graph: &mut FlatGraph, path: &Path) -> Result<()> {
-    if !graph.nodes.iter().any(is_network) {
+    if deciding(graph, Decided::Model).next().is_none() {
         let file = graph.file.display();
         bail!("--model: {file} has no node that runs a network (recorded detections take its place): drop --model");
     }
-    let path = std::path::absolute(path)?;
-    let networks = graph.nodes.iter_mut().filter(|node| is_network(node));
-    networks.for_each(|node| node.set("model", &path.to_string_lossy()));
+    decide(graph, Decided::Model, &std::path::absolute(path)?.to_string_lossy());
     Ok(())
 }
 
-/// Whether a node can bring what it sends to the ego's frame.
-pub fn takes_states(node: &FlatNode) -> bool {
-    stage_of(node) == Some(SENDER) && node.inputs.contains_key("state")
+/// Whether a node can bring what it sends to the ego's frame: what it needs for that is wired.
+pub fn can_project(node: &FlatNode) -> bool {
+    let Some(argument) = decided_argument(node, Decided::Project) else {
+        return false;
+    };
+    let ports = registration(node).map(|known| known.inputs).unwrap_or_default();
+    let needed = |port: &&realo_operator::Port| port.needed.is_some_and(|(known, _)| known == argument);
+    ports.iter().filter(needed).all(|port| node.inputs.contains_key(port.name))
 }
 
 /// An argument of a node as the graph has it.
@@ -60,27 +79,29 @@ pub fn given<'a>(node: &'a FlatNode, key: &str) -> Option<&'a str> {
 /// An argument of a stage: the graph's, or else its default.
 pub fn argument(node: &FlatNode, key: &str) -> Option<String> {
     let default = || {
-        let default = (node.registration(&registry())?.defaults)().get(key)?.clone();
+        let default = (registration(node)?.defaults)().get(key)?.clone();
         Some(default.as_str().map_or_else(|| default.to_string(), str::to_string))
     };
     given(node, key).map(str::to_string).or_else(default)
 }
 
 /// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
-/// own, from which they are seen. A value that begins with `./` or `../` is one, and the model of a network always.
+/// own, from which they are seen. A value that begins with `./` or `../` is one, and so are the model of a network and the
+/// program of a plug-in.
 pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
-        if let Some(program) = node.program().filter(|path| is_relative_path(path)) {
+        if let Some(program) = node.program().filter(|path| Path::new(path).components().count() > 1) {
             let path = lexically_normal(&folder.join(program));
             node.set_program(&path.to_string_lossy());
         }
-        let own = node.registration(&registry()).map(|known| (known.defaults)());
+        let own = registration(node).map(|known| (known.defaults)());
         let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
         let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
         let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();
+        let model = decided_argument(node, Decided::Model);
         for key in keys {
-            let is_path = |value: &String| is_relative_path(value) || (key == "model" && is_network(node));
+            let is_path = |value: &String| is_relative_path(value) || model == Some(key.as_str());
             if let Some(path) = argument(node, &key).filter(is_path) {
                 node.set(&key, &lexically_normal(&folder.join(path)).to_string_lossy());
             }
@@ -101,22 +122,7 @@ pub fn lexically_normal(path: &Path) -> PathBuf {
     normal
 }
 
-/// What nodes of one stage have for an argument, each value once.
-pub fn values(nodes: &[&FlatNode], key: &str, named: impl Fn(&str) -> String) -> String {
-    let values: BTreeSet<String> = nodes
-        .iter()
-        .filter_map(|node| argument(node, key))
-        .map(|value| named(&value))
-        .collect();
-    values.into_iter().collect::<Vec<_>>().join(", ")
-}
-
 /// Whether a value is a path that is seen from somewhere.
 pub fn is_relative_path(value: &str) -> bool {
     value.starts_with("./") || value.starts_with("../")
-}
-
-/// Whether a node runs a network.
-pub fn is_network(node: &FlatNode) -> bool {
-    stage_of(node).is_some_and(|stage| [PILLARS, HEAD].contains(&stage))
 }

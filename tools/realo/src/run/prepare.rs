@@ -7,14 +7,15 @@ use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity};
 use realo_host::ComputeProfile;
 use realo_logs::{Log, Stream};
+use realo_operator::Decided;
 use realo_results::{Settings, Told as ToldFile};
 
 use super::networks::Networks;
 use super::nodes::{
-    PILLARS, SENDER, anchor_paths, argument, given, is_relative_path, lexically_normal, nodes_of, set_all, set_model,
-    stage_of, takes_states, values,
+    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_relative_path, lexically_normal,
+    set_model, takers, values,
 };
-use super::{Args, Mode, dir_of};
+use super::{Args, Mode, compute, dir_of};
 use crate::{demo, registry};
 
 /// One run: a graph over a log with an ego.
@@ -47,27 +48,22 @@ impl Cell {
     }
 }
 
-/// What options of their own decide: node, argument, option.
-const OWNED: &[(&str, &str, &str)] = &[
-    ("player", "log", "--log"),
-    ("player", "ego", "--ego"),
-    ("player", "coop", "--coop"),
-    ("player", "agents", "--agents"),
-    ("player", "offline", "--offline"),
-    ("link", "ego", "--ego"),
-    ("link", "offline", "--offline"),
-    ("feature-bank", "offline", "--offline"),
-    ("results", "", "--out, --link, --seed and the like"),
+/// What options of their own decide, and the option.
+const OWNED: &[(Decided, &str)] = &[
+    (Decided::Log, "--log"),
+    (Decided::Ego, "--ego"),
+    (Decided::Coop, "--coop"),
+    (Decided::Agents, "--agents"),
+    (Decided::Offline, "--offline"),
+    (Decided::Out, "--out"),
+    (Decided::Told, "--link, --seed and the like"),
 ];
 
 /// The runs of one graph.
 pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cell>> {
     let set: Vec<Setting> = args.set.iter().map(|text| setting(text)).collect::<Result<_>>()?;
     let graph = base_graph(args, &set, path)?;
-    let compute = match &args.compute {
-        Some(path) => ComputeProfile::read(path).map_err(|error| eyre!(error))?,
-        None => ComputeProfile::default(),
-    };
+    let compute = compute::profile(args.compute.as_deref(), &graph)?;
     let logs = logs(args, &graph)?;
     let mut cells = Vec::new();
     let mut networks = Networks::default();
@@ -144,24 +140,23 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     };
     let mut flat = graph.expand()?;
     anchor_paths(&mut flat)?;
-    if args.project.is_some() && !flat.nodes.iter().any(takes_states) {
+    if args.project.is_some() && !flat.nodes.iter().any(can_project) {
         bail!(
-            "--project: {} has no {SENDER} whose input `state` gets the ego's states, so no sender can project",
-            flat.file.display()
+            "--project: {} has no {} that gets the ego's states, so no sender can project",
+            flat.file.display(),
+            takers(Decided::Project)
         );
     }
-    for needed in ["player", "results"] {
-        if nodes_of(&flat, needed).next().is_none() {
-            let file = flat.file.display();
-            bail!("{file}: expected a node `{needed}`, found none; without it, start the graph with `dora run`");
+    for needed in [Decided::Log, Decided::Out] {
+        if deciding(&flat, needed).next().is_none() {
+            let (file, node) = (flat.file.display(), takers(needed));
+            bail!("{file}: expected a node `{node}`, found none; without it, start the graph with `dora run`");
         }
     }
     for setting in set {
-        let stage = flat.node(&setting.node).and_then(stage_of);
-        let owner = OWNED
-            .iter()
-            .find(|(name, key, _)| Some(*name) == stage && (key.is_empty() || *key == setting.key));
-        if let Some((_, _, option)) = owner {
+        let node = flat.node(&setting.node);
+        let decides = |decided| node.and_then(|node| decided_argument(node, decided)) == Some(&*setting.key);
+        if let Some((_, option)) = OWNED.iter().find(|(decided, _)| decides(*decided)) {
             bail!("--set {}.{}: decided by {option}", setting.node, setting.key);
         }
         flat.set(&setting.node, &setting.key, &setting.value)?;
@@ -172,8 +167,9 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
 /// Refuses a graph that would record into a log that is played.
 fn spare(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
     let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-    for node in nodes_of(graph, "recorder") {
-        let path = PathBuf::from(given(node, "path").unwrap_or_default());
+    for node in deciding(graph, Decided::Recording) {
+        let argument = decided_argument(node, Decided::Recording).unwrap_or_default();
+        let path = PathBuf::from(given(node, argument).unwrap_or_default());
         if let Some(log) = logs.iter().find(|log| same(log, &path)) {
             let (id, log) = (&node.id, log.display());
             bail!("node `{id}` would record into {log}, which is played: choose another --out");
@@ -191,8 +187,8 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
             .map(|log| std::path::absolute(log).wrap_err_with(|| format!("{}", log.display())))
             .collect();
     }
-    let log = nodes_of(graph, "player").find_map(|player| argument(player, "log"));
-    let log = log.ok_or_else(|| eyre!("{}: no node `player` to play a log", graph.file.display()))?;
+    let log = deciding(graph, Decided::Log).find_map(|node| argument(node, decided_argument(node, Decided::Log)?));
+    let log = log.ok_or_else(|| eyre!("{}: no node plays a log", graph.file.display()))?;
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     let log = lexically_normal(&folder.join(log));
     if log.ends_with(demo::FILE) {
@@ -215,42 +211,36 @@ struct Told<'a> {
     out: &'a Path,
 }
 
-/// A stage, one of its arguments, a value.
-type Told3 = (&'static str, &'static str, String);
-
 impl Told<'_> {
     /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
     fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
         let mut graph = graph.clone();
         let told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
-        for (stage, key, value) in told {
-            set_all(&mut graph, stage, key, &value);
+        for (decided, value) in told {
+            decide(&mut graph, decided, &value);
         }
         if let Some(model) = &self.args.model {
             set_model(&mut graph, model)?;
         }
         if let Some(project) = self.args.project {
-            let encoders = graph.nodes.iter_mut().filter(|node| takes_states(node));
-            encoders.for_each(|node| node.set("project", project.as_str()));
+            for node in graph.nodes.iter_mut().filter(|node| can_project(node)) {
+                if let Some(argument) = decided_argument(node, Decided::Project) {
+                    node.set(argument, project.as_str());
+                }
+            }
         }
-        for recorder in graph.nodes.iter_mut().filter(|node| stage_of(node) == Some("recorder")) {
-            let path = PathBuf::from(given(recorder, "path").unwrap_or("recording.mcap"));
-            let name = path.file_name().unwrap_or_default();
-            recorder.set("path", &self.out.join(name).to_string_lossy());
+        for node in &mut graph.nodes {
+            if let Some(argument) = decided_argument(node, Decided::Recording) {
+                let path = PathBuf::from(given(node, argument).unwrap_or("recording.mcap"));
+                let name = path.file_name().unwrap_or_default();
+                node.set(argument, &self.out.join(name).to_string_lossy());
+            }
         }
         for setting in set {
             graph.set(&setting.node, &setting.key, &setting.value)?;
         }
-        for node in &graph.nodes {
-            if given(node, "project") == Some("sender") && !node.inputs.contains_key("state") {
-                bail!(
-                    "node `{}`: project=sender needs the input `state`, the ego's states, and it is not wired",
-                    node.id
-                );
-            }
-        }
-        let links: Vec<&FlatNode> = nodes_of(&graph, "link").collect();
-        let projectors: Vec<&FlatNode> = graph.nodes.iter().filter(|node| takes_states(node)).collect();
+        let mut projecting = graph.clone();
+        projecting.nodes.retain(can_project);
         let changes: BTreeMap<String, String> = set.iter().map(change_in_words).collect();
         let changes: Vec<String> = changes
             .into_iter()
@@ -266,53 +256,53 @@ impl Told<'_> {
             mode: mode.into(),
             coop: self.coop.into(),
             ego: self.ego.into(),
-            link: values(&links, "profile", |value| stem(Path::new(value))),
+            link: values(&graph, Decided::Link, |value| stem(Path::new(value))),
             compute: self.args.compute.as_deref().map(stem).unwrap_or_default(),
-            seed: values(&links, "seed", str::to_string),
-            project: values(&projectors, "project", str::to_string),
+            seed: values(&graph, Decided::Seed, str::to_string),
+            project: values(&projecting, Decided::Project, str::to_string),
             set: changes.join(", "),
             ..Settings::default()
         };
         Ok((graph, settings))
     }
 
-    fn of_run(&self) -> Vec<Told3> {
+    fn of_run(&self) -> Vec<(Decided, String)> {
         vec![
-            ("player", "log", self.log_path.to_string_lossy().into_owned()),
-            ("player", "ego", self.ego.into()),
-            ("player", "coop", self.coop.into()),
-            ("player", "agents", self.args.agents.join(",")),
-            ("link", "ego", self.ego.into()),
-            ("results", "out", self.out.to_string_lossy().into_owned()),
-            ("results", "told", self.out.join(TOLD).to_string_lossy().into_owned()),
+            (Decided::Log, self.log_path.to_string_lossy().into_owned()),
+            (Decided::Ego, self.ego.into()),
+            (Decided::Coop, self.coop.into()),
+            (Decided::Agents, self.args.agents.join(",")),
+            (Decided::Out, self.out.to_string_lossy().into_owned()),
+            (Decided::Told, self.out.join(TOLD).to_string_lossy().into_owned()),
         ]
     }
 
-    fn of_options(&self) -> Result<Vec<Told3>> {
+    fn of_options(&self) -> Result<Vec<(Decided, String)>> {
         let args = self.args;
-        let mut told: Vec<Told3> = Vec::new();
+        let mut told = Vec::new();
         if args.offline {
-            told.extend(["player", "link", "feature-bank"].map(|stage| (stage, "offline", "true".into())));
+            told.push((Decided::Offline, "true".into()));
         }
         if args.recorded_detections {
-            told.push(("player", "detections", "required".into()));
+            told.push((Decided::Detections, "required".into()));
         }
-        told.extend(args.rate.map(|rate| ("player", "rate", rate.to_string())));
-        told.extend(args.seed.map(|seed| ("link", "seed", seed.to_string())));
+        told.extend(args.rate.map(|rate| (Decided::Rate, rate.to_string())));
+        told.extend(args.seed.map(|seed| (Decided::Seed, seed.to_string())));
+        told.extend(args.isa.iter().map(|isa| (Decided::Isa, isa.clone())));
         if let Some(profile) = &args.link {
-            told.push(("link", "profile", name_or_file(profile)?));
+            told.push((Decided::Link, name_or_file(profile)?));
         }
         Ok(told)
     }
 
-    fn of_log(&self, graph: &FlatGraph) -> Result<Vec<Told3>> {
+    fn of_log(&self, graph: &FlatGraph) -> Result<Vec<(Decided, String)>> {
         let info = self.log.info();
         let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
-        let mut told = vec![("evaluator", "protocol", name_or_file(protocol)?)];
+        let mut told = vec![(Decided::Protocol, name_or_file(protocol)?)];
         let has = |stream| info.agents.iter().any(|agent| self.log.has(&agent.name, stream));
         if has(Stream::Sweeps) && !has(Stream::Points) {
             let stem = stem(self.log_path);
-            if let Some(node) = nodes_of(graph, PILLARS).next() {
+            if let Some(node) = deciding(graph, Decided::Model).next() {
                 let id = &node.id;
                 bail!(
                     "{stem}: a log without points, in which node `{id}` sees nothing: take a log with points, or a graph \
@@ -320,7 +310,7 @@ impl Told<'_> {
                 );
             }
             eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
-            told.push(("player", "points", "false".into()));
+            told.push((Decided::Points, "false".into()));
         }
         Ok(told)
     }
