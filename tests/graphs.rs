@@ -135,10 +135,21 @@ fn a_broken_graph_is_refused_with_what_mends_it() {
             "modules/fuse.boxes.yml nns.threshold=0.2",
             "`nms`",
         ),
+        (
+            "modules/fuse.boxes.yml",
+            "modules/fuse.boxes.yml nms.threshold=1.5",
+            "an IoU lies in [0, 1], found 1.5",
+        ),
         ("modules/fuse.boxes.yml", "modules/fuse.boxen.yml", "fuse.boxen.yml"),
+        (
+            "path: bin/realo\n    args: host modules/v2x.yml",
+            "path: ../bin/radio",
+            "bin/radio",
+        ),
+        ("host modules/v2x.yml", "program ../my/links", "my/links"),
         ("{ ego: ego/boxes", "{ ego: others/packets", "`ego`"),
         ("outputs: [to_ego, to_others]", "outputs: [to_ego, to_all]", "to_others"),
-        ("modules/detect.network.yml", "detect.away.yml", "models/away.toml"),
+        ("modules/detect.network.yml", "detect.away.yml", "--model"),
     ];
     let detect = std::fs::read_to_string(root().join("dataflows/modules/detect.network.yml")).expect("it can be read");
     let away = detect

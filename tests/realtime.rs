@@ -251,6 +251,42 @@ fn realised_age_is_that_of_an_independent_calculation() {
     assert!(share(99) <= 5_000_000 + 4 * noise, "p99 {} ms", millis(share(99)));
 }
 
+#[test]
+fn a_measured_profile_gives_the_latency_of_each_stage_in_virtual_time() {
+    let _alone = alone();
+    let log = simulated(
+        "measured",
+        &["--seed", "908", "--seconds", "2", "--agents", "cav1,rsu1"],
+    );
+    let out = folder("measured");
+    run_realtime(&out, &log, &[]);
+    let profile = out.join("compute.toml");
+    let profile = profile.to_string_lossy();
+    let args = ["--recorded-detections", "--ego", EGO, "--compute", &profile];
+    run_virtual("measured_virtual", "late_fusion", &log, &args);
+    let latencies = |dir: &Path| json(&dir.join("timing.json"))["latency_ms"].take();
+    let realtime = latencies(&out);
+    let replayed = latencies(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("measured_virtual"));
+    let mut compared = 0;
+    for (stage, spread) in realtime.as_object().expect("latencies") {
+        let (Some(a), Some(b)) = (spread["p50"].as_f64(), replayed[stage]["p50"].as_f64()) else {
+            continue;
+        };
+        // Stages of microseconds are as long as the threads' hand-over.
+        if stage.contains('.') && a > 1.0 {
+            assert!((a - b).abs() <= 0.15 * a, "{stage}: {a} ms in realtime, {b} ms charged");
+            compared += 1;
+        }
+    }
+    let sync = replayed["ego.sense.sync"]["p50"].as_f64().expect("sync");
+    let measured = realtime["ego.sense.sync"]["p50"].as_f64().expect("sync");
+    assert!(
+        (sync - measured).abs() <= 0.15 * measured + 0.2,
+        "sync: {measured} ms, {sync} ms charged"
+    );
+    println!("{compared} stages of more than 1 ms");
+}
+
 /// Late fusion with a node between the others and the links that does something to messages; `what`: see the example.
 fn tampered(dir: &Path, report: &Path, what: &str) -> PathBuf {
     let example = Path::new(common::REALO).with_file_name("examples").join("tamper");

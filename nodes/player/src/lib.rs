@@ -224,7 +224,16 @@ impl Describe for Player {
             "ground truth for each of the ego's sweeps",
         ),
     ];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Log, "log"), (Decided::Ego, "ego"), (Decided::Coop, "coop"), (Decided::Agents, "agents"), (Decided::Offline, "offline"), (Decided::Rate, "rate"), (Decided::Points, "points"), (Decided::Detections, "detections")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[
+        (Decided::Log, "log"),
+        (Decided::Ego, "ego"),
+        (Decided::Coop, "coop"),
+        (Decided::Agents, "agents"),
+        (Decided::Offline, "offline"),
+        (Decided::Rate, "rate"),
+        (Decided::Points, "points"),
+        (Decided::Detections, "detections"),
+    ];
 }
 
 impl Source for Player {

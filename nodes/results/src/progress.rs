@@ -47,7 +47,8 @@ impl Progress {
 
     /// Takes what was said of messages over links.
     pub fn fates(&mut self, fates: &[Fated]) {
-        self.ages.extend(fates.iter().filter_map(|fated| Some(fated.r#use?.age_ns)));
+        self.ages
+            .extend(fates.iter().filter_map(|fated| Some(fated.r#use?.age_ns)));
         self.told += fates.len() as u64;
         self.lost += fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;
     }

@@ -108,7 +108,12 @@ impl Describe for Link {
             "the ego's packets, a copy for each other agent that is known",
         ),
     ];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "ego"), (Decided::Offline, "offline"), (Decided::Link, "profile"), (Decided::Seed, "seed")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[
+        (Decided::Ego, "ego"),
+        (Decided::Offline, "offline"),
+        (Decided::Link, "profile"),
+        (Decided::Seed, "seed"),
+    ];
 }
 
 impl Link {

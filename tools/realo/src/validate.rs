@@ -22,16 +22,20 @@ pub struct Args {
     model: Option<PathBuf>,
 }
 
-/// Prints the findings of each graph, and what is wrong with the networks that it runs; errors fail.
+/// Prints the findings of each graph, and what is wrong with the networks and operators that it runs; errors fail.
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.graphs {
         let graph = FlatGraph::load(path)?;
-        let findings = check(&graph, args.no_start);
+        let missing = crate::run::missing_programs(&graph);
+        for program in &missing {
+            println!("{}: error: {program}", path.display());
+        }
+        let findings = check(&graph, args.no_start || !missing.is_empty());
         for finding in &findings {
             println!("{}: {finding}", path.display());
         }
-        if findings.iter().any(|finding| finding.severity == Severity::Error) {
+        if !missing.is_empty() || findings.iter().any(|finding| finding.severity == Severity::Error) {
             outcome = Outcome::Failed;
         } else if !args.no_start
             && let Err(error) = crate::run::check_networks(graph, args.model.as_deref())

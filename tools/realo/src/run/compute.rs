@@ -43,16 +43,20 @@ pub fn write(dir: &Path, run: &Run) -> Result<()> {
 fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
     let own = of_the_ego(graph);
     let ranks = graph.ranks()?;
-    let networks = graph.nodes.iter().enumerate().filter(|(index, node)| {
-        own.contains(index) && decided_argument(node, Decided::Model).is_some()
-    });
+    let networks = graph
+        .nodes
+        .iter()
+        .enumerate()
+        .filter(|(index, node)| own.contains(index) && decided_argument(node, Decided::Model).is_some());
     let Some((_, last)) = networks.max_by_key(|(index, _)| ranks[*index]) else {
         bail!(
             "--compute {PAPER}: {} has no network of the ego whose time the paper tells: drop it, or --recorded-detections",
             graph.file.display()
         );
     };
-    let method = own.iter().filter_map(|index| graph.nodes[*index].registration(&registry())?.paper_inference);
+    let method = own
+        .iter()
+        .filter_map(|index| graph.nodes[*index].registration(&registry())?.paper_inference);
     let nanos = method.max().unwrap_or(NETWORK);
     Ok(ComputeProfile {
         nanos: BTreeMap::from([(last.id.clone(), nanos)]),
@@ -62,7 +66,9 @@ fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
 /// The stages whose outputs reach the results without crossing a link.
 fn of_the_ego(graph: &FlatGraph) -> BTreeSet<usize> {
     let place = |id: &str| graph.nodes.iter().position(|node| node.id == id);
-    let mut open: Vec<usize> = deciding(graph, Decided::Out).filter_map(|node| place(&node.id)).collect();
+    let mut open: Vec<usize> = deciding(graph, Decided::Out)
+        .filter_map(|node| place(&node.id))
+        .collect();
     let mut own = BTreeSet::new();
     let is_link = |node: &FlatNode| decided_argument(node, Decided::Link).is_some();
     while let Some(index) = open.pop() {
@@ -98,7 +104,9 @@ mod tests {
             let profile = profile(Some(Path::new("paper")), &graph(name)).unwrap();
             assert_eq!(profile.nanos, [(stage.to_string(), nanos)].into(), "{name}");
         }
-        let recorded = Graph::load(Path::new(&graph("late_fusion").file)).unwrap().with_detection("recorded");
+        let recorded = Graph::load(Path::new(&graph("late_fusion").file))
+            .unwrap()
+            .with_detection("recorded");
         let error = profile(Some(Path::new("paper")), &recorded.expand().unwrap()).unwrap_err();
         assert!(error.to_string().contains("no network of the ego"), "{error}");
     }

@@ -12,10 +12,11 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
-use realo_graph::FlatGraph;
+use realo_graph::{FlatGraph, FlatNode};
+use realo_operator::{Decided, Role};
 use realo_results::Run;
 
-use crate::Outcome;
+use crate::{Outcome, registry};
 use networks::Networks;
 use prepare::Cell;
 
@@ -177,17 +178,51 @@ impl Args {
     }
 }
 
-/// Loads the networks of a graph as its nodes would, all from one model file if there is one.
+/// Loads the networks of a graph as its nodes would, all from one model file if there is one, and builds its operators.
 ///
 /// # Errors
 /// A model or weights that cannot be had, a model file for a graph without a network, kernels that this processor lacks,
-/// models that do not fit together.
+/// models that do not fit together, a value that an operator does not take.
 pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
     nodes::anchor_paths(&mut graph)?;
     if let Some(model) = model {
         nodes::set_model(&mut graph, model)?;
     }
-    Networks::default().check(&graph).map(|_| ())
+    Networks::default().check(&graph)?;
+    graph.nodes.iter().try_for_each(build)
+}
+
+/// Builds an operator as its process would; networks are looked at once for all, and sources and sinks open files.
+fn build(node: &FlatNode) -> Result<()> {
+    let known = node.registration(&registry());
+    let Some(known) = known.filter(|known| known.role == Role::Operator) else {
+        return Ok(());
+    };
+    if known.argument(Decided::Model).is_some() {
+        return Ok(());
+    }
+    let built = (known.build)(node.settings());
+    built.map(|_| ()).map_err(|error| eyre!("node `{}`: {error}", node.id))
+}
+
+/// Processes whose program is not there, and is not this one.
+pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
+    let is_missing = |process: &&FlatNode| {
+        let named_by_path = process.path.components().count() > 1;
+        !process.is_realo() && named_by_path && !process.path.exists()
+    };
+    let missing = graph.processes().into_iter().filter(is_missing);
+    let programs = missing.map(|process| (&process.id, process.path.display().to_string()));
+    let folder = graph.file.parent().unwrap_or(Path::new("/"));
+    let plug_ins = graph.nodes.iter().filter_map(|node| {
+        let path = folder.join(node.program()?);
+        (!path.exists()).then(|| (&node.id, path.display().to_string()))
+    });
+    let all = programs.chain(plug_ins);
+    all.map(|(id, path)| {
+        format!("node `{id}`: no program {path}: build it, or correct the path, which is seen from the graph's folder")
+    })
+    .collect()
 }
 
 /// Runs every graph over every log and ego, pools, and prints.

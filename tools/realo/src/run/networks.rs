@@ -30,6 +30,9 @@ impl Networks {
     fn known(&mut self, path: &Path, isa: &str) -> Result<&Known> {
         let key = (path.to_path_buf(), isa.to_string());
         if !self.0.contains_key(&key) {
+            if !path.exists() {
+                bail!("{}: no such model file; --model FILE names another one", path.display());
+            }
             let loaded = realo_nn::load(path, isa, 1)?;
             let choice = loaded.network.choice();
             let kernels = format!("{} on {}", choice.precision, choice.isa);

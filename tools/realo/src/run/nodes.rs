@@ -20,7 +20,10 @@ pub fn decided_argument(node: &FlatNode, decided: Decided) -> Option<&'static st
 
 /// The nodes with an argument that something of a run decides.
 pub fn deciding(graph: &FlatGraph, decided: Decided) -> impl Iterator<Item = &FlatNode> {
-    graph.nodes.iter().filter(move |node| decided_argument(node, decided).is_some())
+    graph
+        .nodes
+        .iter()
+        .filter(move |node| decided_argument(node, decided).is_some())
 }
 
 /// Names of the registered operators and nodes that would take it.
@@ -67,7 +70,10 @@ pub fn can_project(node: &FlatNode) -> bool {
     };
     let ports = registration(node).map(|known| known.inputs).unwrap_or_default();
     let needed = |port: &&realo_operator::Port| port.needed.is_some_and(|(known, _)| known == argument);
-    ports.iter().filter(needed).all(|port| node.inputs.contains_key(port.name))
+    ports
+        .iter()
+        .filter(needed)
+        .all(|port| node.inputs.contains_key(port.name))
 }
 
 /// An argument of a node as the graph has it.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
-use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity};
+use realo_graph::{FlatGraph, Graph, Setting, Severity};
 use realo_host::ComputeProfile;
 use realo_logs::{Log, Stream};
 use realo_operator::Decided;
@@ -338,6 +338,10 @@ fn change_in_words(setting: &Setting) -> (String, String) {
 
 /// Refuses a graph with errors and prints its warnings.
 fn check(graph: &FlatGraph) -> Result<()> {
+    let missing = super::missing_programs(graph);
+    if !missing.is_empty() {
+        bail!("{} cannot run:\n  {}", graph.file.display(), missing.join("\n  "));
+    }
     let findings = realo_graph::validate(graph, &registry());
     let warnings = findings.iter().filter(|f| f.severity == Severity::Warning);
     warnings.for_each(|finding| eprintln!("realo: {}: {finding}", graph.file.display()));
