@@ -17,8 +17,8 @@ pub const OUTSIDE: &str = "_outside";
 
 /// The stages of a module that a process of this id hosts, with `inner.key=value` settings.
 ///
-/// `inputs`, `outputs`: the ports that the graph gives the process (`None`: every input of the module); its inputs come
-/// from [`OUTSIDE`]. The module's file is seen from `folder`.
+/// `ports`: the inputs and outputs that the graph gives the process (`None`: all of the module); its inputs come from
+/// [`OUTSIDE`]. The module's file is seen from `folder`.
 ///
 /// # Errors
 /// [`GraphError`] for a module that cannot be read or does not have these ports, or a setting of none of its stages.
@@ -26,16 +26,16 @@ pub fn hosted(
     id: &str,
     module: &str,
     settings: &[String],
-    inputs: Option<&[String]>,
-    outputs: &[String],
+    ports: Option<(&[String], &[String])>,
     folder: &Path,
 ) -> Result<FlatGraph, GraphError> {
     let file = paths::absolute(&folder.join(module))?;
-    let inputs = match inputs {
-        Some(inputs) => inputs.to_vec(),
+    let (inputs, outputs) = match ports {
+        Some((inputs, outputs)) => (inputs.to_vec(), outputs.to_vec()),
         None => {
             let declared = read::module(&file)?;
-            declared.inputs.into_iter().chain(declared.inputs_optional).collect()
+            let inputs = declared.inputs.into_iter().chain(declared.inputs_optional);
+            (inputs.collect(), declared.outputs.into_iter().collect())
         }
     };
     let outside = |port: &String| (port.clone(), Input::from_outside(port));
@@ -50,7 +50,7 @@ pub fn hosted(
         path: Some("realo".into()),
         args: Some(args),
         inputs: inputs.iter().map(outside).collect(),
-        outputs: outputs.iter().cloned().collect(),
+        outputs: outputs.into_iter().collect(),
         ..Node::default()
     };
     let graph = Graph {

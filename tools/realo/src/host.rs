@@ -54,7 +54,7 @@ pub fn module(args: &ModuleArgs) -> Result<Outcome> {
         settings: &args.settings,
     };
     dora::run(hosted, &registry())?;
-    let graph = realo_graph::hosted("realo", &args.module, &args.settings, None, &[], &here)?;
+    let graph = realo_graph::hosted("realo", &args.module, &args.settings, None, &here)?;
     report(&graph.nodes, &here)
 }
 

@@ -90,7 +90,7 @@ impl Hosted<'_> {
         let inputs: Vec<String> = plan.inputs.keys().cloned().collect();
         match self {
             Hosted::Module { file, settings } => {
-                let graph = realo_graph::hosted(id, file, settings, Some(&inputs), &plan.outputs, &here);
+                let graph = realo_graph::hosted(id, file, settings, Some((&inputs, &plan.outputs)), &here);
                 let graph = graph.map_err(|error| error.to_string())?;
                 let mut stages = Stages::of(&graph, registry)?;
                 for (name, (stage, output)) in graph.hosts.iter().flat_map(|host| &host.outlets) {
