@@ -30,7 +30,7 @@ pub struct Cuboid {
 impl Cuboid {
     /// Its corners.
     pub fn corners(&self) -> Corners {
-        let (sin, cos) = self.yaw.sin_cos();
+        let (sin, cos) = libm::sincos(self.yaw);
         SIGNS.map(|sign| {
             let [x, y, z] = [0, 1, 2].map(|axis| sign[axis] * self.extent[axis] / 2.0);
             [
@@ -57,7 +57,7 @@ impl Cuboid {
         Cuboid {
             center: [mean(0), mean(1), mean(2)],
             extent: [length(&lengthwise), length(&across), length(&upright)],
-            yaw: nalgebra::RealField::atan2(direction[1], direction[0]),
+            yaw: libm::atan2(direction[1], direction[0]),
         }
     }
 }

@@ -30,7 +30,7 @@ impl Footprint {
 
     /// The rectangle of a centre, extents along and across the heading (the sign does not matter) and a yaw in rad.
     pub fn new(center: [f64; 2], length: f64, width: f64, yaw: f64) -> Self {
-        let (sin, cos) = yaw.sin_cos();
+        let (sin, cos) = libm::sincos(yaw);
         Footprint::from_heading(center, [length.abs() / 2.0, width.abs() / 2.0], [cos, sin])
     }
 
@@ -46,7 +46,7 @@ impl Footprint {
         ];
         let along = [(b[0] - c[0] - d[0]) / 2.0, (b[1] - c[1] - d[1]) / 2.0];
         let across = [(b[0] + c[0] - d[0]) / 2.0, (b[1] + c[1] - d[1]) / 2.0];
-        let (length, width) = (along[0].hypot(along[1]), across[0].hypot(across[1]));
+        let (length, width) = (libm::hypot(along[0], along[1]), libm::hypot(across[0], across[1]));
         let heading = match (length > 0.0, width > 0.0) {
             (true, _) => [along[0] / length, along[1] / length],
             (false, true) => [across[1] / width, -across[0] / width],
@@ -77,7 +77,7 @@ impl Footprint {
 
     /// Heading, rad.
     pub fn yaw(&self) -> f64 {
-        nalgebra::RealField::atan2(self.heading[1], self.heading[0])
+        libm::atan2(self.heading[1], self.heading[0])
     }
 
     /// Area that both axis-aligned hulls share.
