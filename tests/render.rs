@@ -218,11 +218,12 @@ fn wrong_input_is_named_with_what_helps() {
         &["--log", &log],
         &["gone/x.png", "cannot be written", "-o"],
     );
+    let moved = told_of_log(&dir.join("moved"), Some(&dir.join(format!("away/{LOG}.mcap"))));
     check(
-        &run,
+        &moved,
         &file,
         &[],
-        &[&format!("log `{LOG}`"), &format!("{LOG}.mcap"), "--log"],
+        &[&format!("log `{LOG}`"), &format!("away/{LOG}.mcap"), "--log"],
     );
     let gone = dir.join("gone.mcap");
     check(&run, &file, &["--log", &gone.to_string_lossy()], &["gone.mcap"]);
@@ -243,6 +244,92 @@ fn wrong_input_is_named_with_what_helps() {
         &["render_other.mcap", "no agent `cav1`", "--log"],
     );
     assert!(!file.exists(), "nothing is written beside an error");
+}
+
+/// A copy of the run in which this stands as the path of its log.
+fn told_of_log(copy: &Path, log: Option<&Path>) -> PathBuf {
+    let cell = copy.join(LOG).join("cav1");
+    fs::create_dir_all(&cell).expect("the folder can be made");
+    for file in ["result.json", "timing.json", "evaluation.json", "recording.mcap"] {
+        fs::copy(run().join(LOG).join("cav1").join(file), cell.join(file)).expect("the run can be copied");
+    }
+    let mut timing = json(&cell.join("timing.json"));
+    timing["log_path"] = log.map(|log| log.to_string_lossy()).into();
+    fs::write(cell.join("timing.json"), timing.to_string()).expect("the file can be written");
+    copy.into()
+}
+
+#[test]
+fn a_log_that_has_not_moved_is_found() {
+    let dir = folder("render_found");
+    let told = told_of_log(&dir.join("told"), Some(&log()));
+    let (code, said) = render(&told, &dir.join("x.svg"), &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let untold = told_of_log(&dir.join("untold"), None);
+    let (code, said) = render(&untold, &dir.join("y.svg"), &[]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains(&format!("target/realo/{LOG}.mcap")) && said.contains("--log"),
+        "{said}"
+    );
+    // A file of a run names its folder.
+    let file = told.join(LOG).join("cav1/result.json");
+    let (code, said) = render(&file, &dir.join("z.svg"), &[]);
+    assert_eq!(code, Some(0), "{said}");
+}
+
+#[test]
+fn a_wrong_log_without_points_is_refused() {
+    let bare = |name: &str, seed: &str| {
+        let args = ["--seed", seed, "--seconds", "1", "--no-clouds", "--agents", "cav1,rsu1"];
+        simulated(name, &args)
+    };
+    let (played, other) = (bare("render_bare", "903"), bare("render_bare_other", "905"));
+    run_virtual(
+        "render_bare_wrong",
+        "no_fusion",
+        &played,
+        &["--recorded-detections", "--ego", "cav1"],
+    );
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_bare_wrong");
+    let file = folder("render_bare_wrong_out").join("x.svg");
+    let (code, said) = render(&dir, &file, &["--log", &other.to_string_lossy()]);
+    assert_eq!(code, Some(1), "{said}");
+    for part in [
+        "render_bare_other.mcap",
+        "expected the log `render_bare`",
+        "ground truth is another",
+        "--log",
+    ] {
+        assert!(said.contains(part), "no `{part}` in: {said}");
+    }
+    let late = bare_and_late(&played);
+    let (code, said) = render(&dir, &file, &["--log", &late.to_string_lossy()]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("no sweep of the ego") && said.contains("render_bare_late.mcap"),
+        "{said}"
+    );
+    assert!(!file.exists());
+}
+
+/// A log of the same agents whose sweeps, which have no points, are an hour later.
+fn bare_and_late(played: &Path) -> PathBuf {
+    once("render_bare_late.mcap", |path| {
+        let log = Log::open(played).expect("the log can be read");
+        let mut writer = LogWriter::create_atomic(path, log.info()).expect("the log can be written");
+        let mut poses = log.read_all(&[("cav1", Stream::Pose)]).expect("it has poses");
+        while let Some(entry) = poses.next().expect("they can be read") {
+            let (stamp, pose) = (entry.stamp(), entry.pose().expect("a pose"));
+            writer.pose("cav1", stamp, stamp, &pose).expect("it can be written");
+        }
+        let mut sweeps = log.read_all(&[("cav1", Stream::Sweeps)]).expect("it has sweeps");
+        while let Some(entry) = sweeps.next().expect("they can be read") {
+            let (stamp, ready) = (entry.stamp() + HOUR, entry.ready() + HOUR);
+            writer.sweep("cav1", stamp, ready).expect("it can be written");
+        }
+        writer.finish().expect("the log can be finished");
+    })
 }
 
 #[test]

@@ -222,3 +222,19 @@ fn what_was_dropped_adds_up_over_scenes() {
     assert_eq!(scores.dropped_truths, dropped(30));
     assert_eq!(scores.boxes_without_truth, 3);
 }
+
+#[test]
+fn the_protocol_of_the_page_has_every_key() {
+    let page = include_str!("../../../docs/protocols.md");
+    let text = page.split("```yaml").nth(1).and_then(|rest| rest.split("```").next());
+    let protocol = Protocol::parse("page", text.expect("the page has an example")).unwrap();
+    assert_eq!((&*protocol.name, protocol.class_of("walker")), ("mine", Some(1)));
+    let keys = serde_json::to_value(&protocol).unwrap();
+    for key in keys.as_object().unwrap().keys() {
+        assert!(page.contains(&format!("| `{key}` |")), "the page explains `{key}`");
+    }
+    for rule in [Rule::AllBottomCorners, Rule::Center] {
+        let name = serde_json::to_value(rule).unwrap();
+        assert!(page.contains(&format!("`{}`", name.as_str().unwrap())), "{name}");
+    }
+}
