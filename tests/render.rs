@@ -33,7 +33,13 @@ fn log() -> PathBuf {
 /// A virtual run of late fusion over the small log, made once.
 fn run() -> PathBuf {
     once("render_run", |_| {
-        let args = ["--recorded-detections", "--link", "paper", "--set", "link.range_m=1000"];
+        let args = [
+            "--recorded-detections",
+            "--link",
+            "paper",
+            "--set",
+            "v2x.link.range_m=1000",
+        ];
         run_virtual("render_run", "late_fusion", &log(), &args);
     })
 }
@@ -280,11 +286,16 @@ fn a_log_that_has_not_moved_is_found() {
 
 #[test]
 fn a_wrong_log_without_points_is_refused() {
-    let bare = |name: &str, seed: &str| {
-        let args = ["--seed", seed, "--seconds", "1", "--no-clouds", "--agents", "cav1,rsu1"];
-        simulated(name, &args)
-    };
-    let (played, other) = (bare("render_bare", "903"), bare("render_bare_other", "905"));
+    let args = [
+        "--seed",
+        "903",
+        "--seconds",
+        "1",
+        "--no-clouds",
+        "--agents",
+        "cav1,rsu1",
+    ];
+    let played = simulated("render_bare", &args);
     run_virtual(
         "render_bare_wrong",
         "no_fusion",
@@ -293,43 +304,48 @@ fn a_wrong_log_without_points_is_refused() {
     );
     let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_bare_wrong");
     let file = folder("render_bare_wrong_out").join("x.svg");
-    let (code, said) = render(&dir, &file, &["--log", &other.to_string_lossy()]);
-    assert_eq!(code, Some(1), "{said}");
-    for part in [
-        "render_bare_other.mcap",
-        "expected the log `render_bare`",
-        "ground truth is another",
-        "--log",
-    ] {
-        assert!(said.contains(part), "no `{part}` in: {said}");
-    }
-    let late = bare_and_late(&played);
-    let (code, said) = render(&dir, &file, &["--log", &late.to_string_lossy()]);
-    assert_eq!(code, Some(1), "{said}");
-    assert!(
-        said.contains("no sweep of the ego") && said.contains("render_bare_late.mcap"),
-        "{said}"
-    );
+    let refused = |name: &str, later: Nanos, by_m: f64, expected: &str| {
+        let other = once(name, |path| bare(&played, path, later, by_m));
+        let (code, said) = render(&dir, &file, &["--log", &other.to_string_lossy()]);
+        assert_eq!(code, Some(1), "{said}");
+        for part in [name, "expected the log `render_bare`", expected, "--log"] {
+            assert!(said.contains(part), "no `{part}` in: {said}");
+        }
+    };
+    refused("render_bare_late.mcap", HOUR, 0.0, "no sweep of the ego");
+    // The same times, and another world.
+    refused("render_bare_moved.mcap", 0, 0.5, "ground truth is another");
     assert!(!file.exists());
+    // What was played needs no points.
+    let same = once("render_bare_same.mcap", |path| bare(&played, path, 0, 0.0));
+    let (code, said) = render(&dir, &file, &["--log", &same.to_string_lossy()]);
+    assert_eq!(code, Some(0), "{said}");
 }
 
-/// A log of the same agents whose sweeps, which have no points, are an hour later.
-fn bare_and_late(played: &Path) -> PathBuf {
-    once("render_bare_late.mcap", |path| {
-        let log = Log::open(played).expect("the log can be read");
-        let mut writer = LogWriter::create_atomic(path, log.info()).expect("the log can be written");
-        let mut poses = log.read_all(&[("cav1", Stream::Pose)]).expect("it has poses");
-        while let Some(entry) = poses.next().expect("they can be read") {
-            let (stamp, pose) = (entry.stamp(), entry.pose().expect("a pose"));
-            writer.pose("cav1", stamp, stamp, &pose).expect("it can be written");
-        }
-        let mut sweeps = log.read_all(&[("cav1", Stream::Sweeps)]).expect("it has sweeps");
-        while let Some(entry) = sweeps.next().expect("they can be read") {
-            let (stamp, ready) = (entry.stamp() + HOUR, entry.ready() + HOUR);
-            writer.sweep("cav1", stamp, ready).expect("it can be written");
-        }
-        writer.finish().expect("the log can be finished");
-    })
+/// A log of the ego alone, whose sweeps have no points and are so much later, and whose objects stand that far off.
+fn bare(played: &Path, path: &Path, later: Nanos, by_m: f64) {
+    let log = Log::open(played).expect("the log can be read");
+    let mut writer = LogWriter::create_atomic(path, log.info()).expect("the log can be written");
+    let entries = |stream| {
+        let mut reader = log.read_all(&[("cav1", stream)]).expect("it has the stream");
+        std::iter::from_fn(move || reader.next().expect("it can be read"))
+    };
+    for entry in entries(Stream::Pose) {
+        let (stamp, pose) = (entry.stamp() + later, entry.pose().expect("a pose"));
+        writer.pose("cav1", stamp, stamp, &pose).expect("it can be written");
+    }
+    let truth = entries(Stream::GroundTruth).zip(entries(Stream::GroundTruthInfo));
+    for (boxes, info) in truth {
+        let (stamp, ready) = (boxes.stamp() + later, boxes.ready() + later);
+        let mut objects = boxes.boxes().expect("boxes");
+        let info = info.info(&mut objects).expect("their companion");
+        objects.0.iter_mut().for_each(|object| object.center[0] += by_m);
+        writer.sweep("cav1", stamp, ready).expect("it can be written");
+        let points = info.points.as_deref();
+        let written = writer.truth("cav1", stamp, ready, &objects.0, points, info.key);
+        written.expect("it can be written");
+    }
+    writer.finish().expect("the log can be finished");
 }
 
 #[test]
