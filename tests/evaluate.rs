@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use common::{folder, realo, realo_ok, run_virtual, simulated, text};
@@ -76,6 +77,136 @@ fn a_recording_of_another_log_is_refused() {
     for named in ["evaluated_912.mcap", "recording.mcap", "another log", "sweep 0 of cav1"] {
         assert!(said.contains(named), "`{named}` in: {said}");
     }
+}
+
+/// A copy without its last part.
+fn cut(from: &Path, to: &Path, share: f64) -> PathBuf {
+    let bytes = fs::read(from).expect("the file can be read");
+    fs::write(to, &bytes[..(bytes.len() as f64 * share) as usize]).expect("the file can be written");
+    to.into()
+}
+
+#[test]
+fn a_cut_recording_is_scored_up_to_the_cut_and_says_so() {
+    let log = log("911");
+    run_virtual("evaluate_cut", "late_fusion", &log, &["--recorded-detections"]);
+    let whole = recording("evaluate_cut", &log);
+    let cut = cut(&whole, &folder("evaluate_cut_copy").join("recording.mcap"), 0.5);
+    let lines = |recording: &Path| {
+        let mut args = evaluate(&log, recording).to_vec();
+        args.push("--frames".into());
+        let output = realo(args);
+        let lines: Vec<String> = text(&output.stdout).lines().map(String::from).collect();
+        (output.status.code(), lines, text(&output.stderr))
+    };
+    let (code, all, _) = lines(&whole);
+    assert_eq!(code, Some(0));
+    let (code, some, said) = lines(&cut);
+    assert_eq!(code, Some(3), "{said}");
+    assert!(
+        1 < some.len() && some.len() < all.len(),
+        "{} of {}",
+        some.len(),
+        all.len()
+    );
+    // What is left scores as it did: no frame is missed because its boxes were cut off.
+    assert_eq!(some[..], all[..some.len()]);
+    for part in [
+        "recording.mcap",
+        "cut at byte",
+        "was scored",
+        "of 20 of cav1 in the log",
+    ] {
+        assert!(said.contains(part), "no `{part}` in: {said}");
+    }
+    let output = realo(evaluate(&log, &cut));
+    assert!(text(&output.stdout).contains("cut at byte"), "the table says it too");
+}
+
+#[test]
+fn a_recording_of_a_whole_log_is_refused_beside_the_cut_one() {
+    let log = log("911");
+    run_virtual("evaluate_cut_log", "late_fusion", &log, &["--recorded-detections"]);
+    let short = cut(&log, &folder("evaluate_cut_log_copy").join("evaluated_911.mcap"), 0.5);
+    let output = realo(evaluate(&short, &recording("evaluate_cut_log", &log)));
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in [
+        "evaluated_911.mcap is cut at byte",
+        "goes on behind the cut",
+        "the whole log",
+    ] {
+        assert!(said.contains(part), "no `{part}` in: {said}");
+    }
+    assert!(!said.contains("another log"), "{said}");
+    // What was played of the cut log is scored against it.
+    let out = "evaluate_cut_played";
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(out);
+    let run = realo([
+        "run".into(),
+        common::graph("late_fusion"),
+        "--mode".into(),
+        "virtual".into(),
+        "--recorded-detections".into(),
+        "--log".into(),
+        short.to_string_lossy().into_owned(),
+        "--out".into(),
+        dir.to_string_lossy().into_owned(),
+    ]);
+    assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+    assert!(
+        text(&run.stdout).contains("the log evaluated_911 is cut"),
+        "{}",
+        text(&run.stdout)
+    );
+    let output = realo(evaluate(&short, &recording(out, &short)));
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
+}
+
+#[test]
+fn without_a_log_that_of_the_run_is_taken() {
+    let log = log("911");
+    run_virtual("evaluate_alone", "late_fusion", &log, &["--recorded-detections"]);
+    let recording = recording("evaluate_alone", &log);
+    let args = ["evaluate".into(), "--detections".into(), recording.clone()];
+    let timing = recording.with_file_name("timing.json");
+    let tell = |path: Option<&Path>| {
+        let mut document = common::json(&timing);
+        document["log_path"] = path.map(|path| path.to_string_lossy()).into();
+        fs::write(&timing, document.to_string()).expect("the file can be written");
+    };
+    tell(Some(&log));
+    assert_eq!(realo_ok(args.clone()), realo_ok(evaluate(&log, &recording)));
+    tell(Some(Path::new("/nowhere/evaluated_911.mcap")));
+    let said = text(&realo(args.clone()).stderr);
+    for part in ["recording.mcap", "/nowhere/evaluated_911.mcap", "realo evaluate LOG"] {
+        assert!(said.contains(part), "no `{part}` in: {said}");
+    }
+    let lone = folder("evaluate_lone").join("recording.mcap");
+    fs::copy(&recording, &lone).expect("the recording can be copied");
+    let said = text(&realo(["evaluate".into(), "--detections".into(), lone]).stderr);
+    assert!(
+        said.contains("no finished run beside it") && said.contains("realo evaluate LOG"),
+        "{said}"
+    );
+}
+
+#[test]
+fn compare_says_what_differs_and_takes_the_file_for_its_folder() {
+    let logs = [log("911"), log("912")];
+    let dirs = ["compare_one", "compare_other"].map(|out| Path::new(env!("CARGO_TARGET_TMPDIR")).join(out));
+    run_virtual("compare_one", "late_fusion", &logs[0], &["--recorded-detections"]);
+    run_virtual("compare_other", "no_fusion", &logs[1], &["--recorded-detections"]);
+    let compare = |a: PathBuf, b: PathBuf| realo_ok(["compare".into(), a, b]);
+    let table = compare(dirs[0].clone(), dirs[1].clone());
+    assert_eq!(
+        table.lines().next(),
+        Some("note: logs differ: evaluated_911 in compare_one; evaluated_912 in compare_other"),
+        "{table}"
+    );
+    assert_eq!(compare(dirs[0].join("result.json"), dirs[1].clone()), table);
+    let same = compare(dirs[0].clone(), dirs[0].clone());
+    assert!(!same.contains("note: "), "{same}");
 }
 
 #[test]

@@ -224,11 +224,12 @@ fn wrong_input_is_named_with_what_helps() {
         &["--log", &log],
         &["gone/x.png", "cannot be written", "-o"],
     );
+    let moved = told_of_log(&dir.join("moved"), Some(&dir.join(format!("away/{LOG}.mcap"))));
     check(
-        &run,
+        &moved,
         &file,
         &[],
-        &[&format!("log `{LOG}`"), &format!("{LOG}.mcap"), "--log"],
+        &[&format!("log `{LOG}`"), &format!("away/{LOG}.mcap"), "--log"],
     );
     let gone = dir.join("gone.mcap");
     check(&run, &file, &["--log", &gone.to_string_lossy()], &["gone.mcap"]);
@@ -249,6 +250,102 @@ fn wrong_input_is_named_with_what_helps() {
         &["render_other.mcap", "no agent `cav1`", "--log"],
     );
     assert!(!file.exists(), "nothing is written beside an error");
+}
+
+/// A copy of the run in which this stands as the path of its log.
+fn told_of_log(copy: &Path, log: Option<&Path>) -> PathBuf {
+    let cell = copy.join(LOG).join("cav1");
+    fs::create_dir_all(&cell).expect("the folder can be made");
+    for file in ["result.json", "timing.json", "evaluation.json", "recording.mcap"] {
+        fs::copy(run().join(LOG).join("cav1").join(file), cell.join(file)).expect("the run can be copied");
+    }
+    let mut timing = json(&cell.join("timing.json"));
+    timing["log_path"] = log.map(|log| log.to_string_lossy()).into();
+    fs::write(cell.join("timing.json"), timing.to_string()).expect("the file can be written");
+    copy.into()
+}
+
+#[test]
+fn a_log_that_has_not_moved_is_found() {
+    let dir = folder("render_found");
+    let told = told_of_log(&dir.join("told"), Some(&log()));
+    let (code, said) = render(&told, &dir.join("x.svg"), &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let untold = told_of_log(&dir.join("untold"), None);
+    let (code, said) = render(&untold, &dir.join("y.svg"), &[]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains(&format!("target/realo/{LOG}.mcap")) && said.contains("--log"),
+        "{said}"
+    );
+    // A file of a run names its folder.
+    let file = told.join(LOG).join("cav1/result.json");
+    let (code, said) = render(&file, &dir.join("z.svg"), &[]);
+    assert_eq!(code, Some(0), "{said}");
+}
+
+#[test]
+fn a_wrong_log_without_points_is_refused() {
+    let args = [
+        "--seed",
+        "903",
+        "--seconds",
+        "1",
+        "--no-clouds",
+        "--agents",
+        "cav1,rsu1",
+    ];
+    let played = simulated("render_bare", &args);
+    run_virtual(
+        "render_bare_wrong",
+        "no_fusion",
+        &played,
+        &["--recorded-detections", "--ego", "cav1"],
+    );
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_bare_wrong");
+    let file = folder("render_bare_wrong_out").join("x.svg");
+    let refused = |name: &str, later: Nanos, by_m: f64, expected: &str| {
+        let other = once(name, |path| bare(&played, path, later, by_m));
+        let (code, said) = render(&dir, &file, &["--log", &other.to_string_lossy()]);
+        assert_eq!(code, Some(1), "{said}");
+        for part in [name, "expected the log `render_bare`", expected, "--log"] {
+            assert!(said.contains(part), "no `{part}` in: {said}");
+        }
+    };
+    refused("render_bare_late.mcap", HOUR, 0.0, "no sweep of the ego");
+    // The same times, and another world.
+    refused("render_bare_moved.mcap", 0, 0.5, "ground truth is another");
+    assert!(!file.exists());
+    // What was played needs no points.
+    let same = once("render_bare_same.mcap", |path| bare(&played, path, 0, 0.0));
+    let (code, said) = render(&dir, &file, &["--log", &same.to_string_lossy()]);
+    assert_eq!(code, Some(0), "{said}");
+}
+
+/// A log of the ego alone, whose sweeps have no points and are so much later, and whose objects stand that far off.
+fn bare(played: &Path, path: &Path, later: Nanos, by_m: f64) {
+    let log = Log::open(played).expect("the log can be read");
+    let mut writer = LogWriter::create_atomic(path, log.info()).expect("the log can be written");
+    let entries = |stream| {
+        let mut reader = log.read_all(&[("cav1", stream)]).expect("it has the stream");
+        std::iter::from_fn(move || reader.next().expect("it can be read"))
+    };
+    for entry in entries(Stream::Pose) {
+        let (stamp, pose) = (entry.stamp() + later, entry.pose().expect("a pose"));
+        writer.pose("cav1", stamp, stamp, &pose).expect("it can be written");
+    }
+    let truth = entries(Stream::GroundTruth).zip(entries(Stream::GroundTruthInfo));
+    for (boxes, info) in truth {
+        let (stamp, ready) = (boxes.stamp() + later, boxes.ready() + later);
+        let mut objects = boxes.boxes().expect("boxes");
+        let info = info.info(&mut objects).expect("their companion");
+        objects.0.iter_mut().for_each(|object| object.center[0] += by_m);
+        writer.sweep("cav1", stamp, ready).expect("it can be written");
+        let points = info.points.as_deref();
+        let written = writer.truth("cav1", stamp, ready, &objects.0, points, info.key);
+        written.expect("it can be written");
+    }
+    writer.finish().expect("the log can be finished");
 }
 
 #[test]

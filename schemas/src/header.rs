@@ -168,7 +168,7 @@ pub struct TraceEntry {
 /// What every message says of itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
-    /// Names the run; messages of another run are refused.
+    /// Names the run, so that recordings and reports can be told apart; no stage looks at it.
     pub run: Name,
     /// The agent that measured.
     pub agent: Name,

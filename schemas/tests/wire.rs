@@ -198,3 +198,173 @@ fn big_columns_are_shared_not_copied() {
     let (_, back): (Header, PointCloud) = back.into_parts().expect("a cloud");
     assert_eq!(back.x.as_ptr(), pointer);
 }
+
+fn column<A: Array + 'static>(array: A) -> ArrayRef {
+    Arc::new(array)
+}
+
+/// One list that holds all values.
+fn list(values: ArrayRef) -> ArrayRef {
+    use arrow::array::ListArray;
+    use arrow::buffer::OffsetBuffer;
+    let field = Arc::new(Field::new("item", values.data_type().clone(), true));
+    column(ListArray::new(
+        field,
+        OffsetBuffer::from_lengths([values.len()]),
+        values,
+        None,
+    ))
+}
+
+fn numbers(values: &[f64]) -> ArrayRef {
+    list(column(arrow::array::Float64Array::from(values.to_vec())))
+}
+
+fn times(values: &[i64]) -> ArrayRef {
+    list(column(arrow::array::Int64Array::from(values.to_vec())))
+}
+
+fn word(text: &str) -> ArrayRef {
+    column(arrow::array::StringArray::from(vec![text]))
+}
+
+/// The message of a payload type, as it travels.
+fn row_of(payload: PayloadType) -> StructArray {
+    let (kind, payload) = payloads()
+        .into_iter()
+        .find(|(_, known)| known.payload_type() == payload)
+        .expect("every type has an example");
+    to_arrow(&Message {
+        header: header(kind),
+        payload,
+    })
+}
+
+#[test]
+fn every_field_is_held_to_its_content() {
+    use PayloadType::*;
+    use arrow::array::UInt32Array;
+    let f32s = |n: usize| list(column(Float32Array::from(vec![0.0; n])));
+    let u32s = |values: &[u32]| list(column(UInt32Array::from(values.to_vec())));
+    let size = |n: u32| column(UInt32Array::from(vec![n]));
+    let cases: Vec<(PayloadType, &str, ArrayRef, &str)> = vec![
+        (Boxes, "payload", word("Cars"), "payload"),
+        (Boxes, "kind", word("cars"), "unknown message kind `cars`"),
+        (Boxes, "clock_origins", times(&[5]), "2 origins"),
+        (Boxes, "clock_origins", times(&[]), "2 origins"),
+        (Boxes, "clock_rate", numbers(&[0.0]), "a positive rate"),
+        (Boxes, "clock_rate", numbers(&[-1.0]), "a positive rate"),
+        (Boxes, "clock_rate", numbers(&[f64::INFINITY]), "a positive rate"),
+        (Boxes, "clock_rate", numbers(&[]), "a positive rate"),
+        (Boxes, "pose", numbers(&[0.0; 6]), "7 numbers, found 6"),
+        (Boxes, "pose", numbers(&[0.0; 7]), "not a finite pose"),
+        (Boxes, "pose_covariance", numbers(&[0.0; 35]), "36 numbers, found 35"),
+        (Boxes, "trace_input", times(&[]), "0 times for 1 nodes"),
+        (Boxes, "trace_start", times(&[1, 2]), "2 times for 1 nodes"),
+        (Boxes, "trace_done", times(&[]), "0 times for 1 nodes"),
+        (Boxes, "trace_ready", times(&[]), "0 times for 1 nodes"),
+        (Boxes, "score", f32s(1), "differ in length"),
+        (Boxes, "yaw", numbers(&[0.0; 3]), "differ in length"),
+        (Boxes, "velocity", numbers(&[0.0; 2]), "expected FixedSizeListArray"),
+        (PointCloud, "y", f32s(3), "differ in length"),
+        (EgoState, "map_from_body", numbers(&[]), "needs a pose"),
+        (EgoState, "velocity", numbers(&[1.0]), "3 numbers, found 1"),
+        (EgoState, "angular_rate", numbers(&[1.0, 2.0]), "3 numbers, found 2"),
+        (EgoState, "status", word("guessed"), "unknown status `guessed`"),
+        (FeatureMap, "dtype", word("f64"), "unknown element type `f64`"),
+        (FeatureMap, "dtype", word("f32"), "[2, 1, 2] needs 16 bytes, found 8"),
+        (FeatureMap, "rows", size(3), "[3, 1, 2] needs 12 bytes, found 8"),
+        (FeatureMap, "origin", numbers(&[1.0]), "x and y"),
+        (Selection, "entry_1", word("x"), "an entry is a struct"),
+        (
+            GroundTruth,
+            "points",
+            u32s(&[1, 2, 3]),
+            "3 counts for 2 objects and 2 agents",
+        ),
+        (GroundTruth, "ego_footprint", numbers(&[1.0; 3]), "4 numbers, found 3"),
+    ];
+    for (payload, field, content, expected) in cases {
+        let error = from_arrow(&replace(&row_of(payload), field, Some(content)));
+        let error = error.expect_err(field).to_string();
+        assert!(error.contains(expected), "{payload} {field}: {error}");
+    }
+    let huge = replace(&row_of(FeatureMap), "rows", Some(size(u32::MAX)));
+    let huge = replace(&huge, "columns", Some(size(u32::MAX)));
+    let error = from_arrow(&huge).unwrap_err().to_string();
+    assert!(error.contains("no possible shape"), "{error}");
+}
+
+#[test]
+fn every_column_of_boxes_counts() {
+    for field in ["y", "z", "length", "width", "height", "yaw"] {
+        let short = replace(&row_of(PayloadType::Boxes), field, Some(numbers(&[0.0])));
+        let error = from_arrow(&short).expect_err(field).to_string();
+        assert!(error.contains("differ in length"), "{field}: {error}");
+    }
+}
+
+#[test]
+fn a_selection_holds_no_selection() {
+    let inner = row_of(PayloadType::Selection);
+    let error = from_arrow(&replace(&inner, "entry_0", Some(column(inner.clone()))));
+    let error = error.unwrap_err().to_string();
+    assert!(
+        error.contains("entry_0") && error.contains("within a Selection"),
+        "{error}"
+    );
+    // What is wrong in an entry names the entry.
+    let entry = replace(&row_of(PayloadType::Boxes), "kind", Some(word("cars")));
+    let error = from_arrow(&replace(&inner, "entry_1", Some(column(entry))));
+    let error = error.unwrap_err().to_string();
+    assert!(
+        error.contains("entry_1") && error.contains("unknown message kind"),
+        "{error}"
+    );
+}
+
+#[test]
+fn every_element_type_and_status_survives() {
+    for (dtype, bytes) in [(DType::F32, 16), (DType::F16, 8), (DType::Bf16, 8), (DType::U8, 4)] {
+        let map = FeatureMap {
+            rows: 2,
+            columns: 1,
+            channels: 2,
+            cell: 0.4,
+            origin: [-1.0, -2.0],
+            dtype,
+            data: vec![7u8; bytes].into(),
+            model: "m".into(),
+        };
+        let message = Message::new(header(Kind::Features), map);
+        assert_eq!(from_arrow(&to_arrow(&message)).as_ref(), Ok(&message));
+    }
+    for status in [PoseStatus::Truth, PoseStatus::Recorded, PoseStatus::Extrapolated] {
+        let state = EgoState {
+            map_from_body: Isometry3::translation(1.0, 2.0, 3.0),
+            covariance: Some(Box::new([0.5; 36])),
+            velocity: None,
+            angular_rate: Some(Vector3::new(0.1, 0.2, 0.3)),
+            status,
+        };
+        let message = Message::new(header(Kind::EgoState), state);
+        assert_eq!(from_arrow(&to_arrow(&message)).as_ref(), Ok(&message));
+    }
+}
+
+#[test]
+fn columns_that_are_slices_are_read_where_they_lie() {
+    use arrow::array::ListArray;
+    // Two lists in one column, of which the row has the second.
+    let whole = replace(&row_of(PayloadType::Boxes), "yaw", None);
+    let lists = [numbers(&[9.0; 3]), numbers(&[0.25, 0.5])];
+    let both = arrow::compute::concat(&[&*lists[0], &*lists[1]]).expect("lists of one type");
+    let second: ArrayRef = column(both.as_any().downcast_ref::<ListArray>().expect("a list").slice(1, 1));
+    let mut fields: Vec<Field> = whole.fields().iter().map(|field| field.as_ref().clone()).collect();
+    fields.push(Field::new("yaw", second.data_type().clone(), true));
+    let columns = whole.columns().iter().cloned().chain([second]).collect();
+    let row = StructArray::new(Fields::from(fields), columns, None);
+    let (_, Boxes(boxes)) = from_arrow(&row).expect("a message").into_parts().expect("boxes");
+    let yaws: Vec<f64> = boxes.iter().map(|object| object.yaw).collect();
+    assert_eq!(yaws, [0.25, 0.5]);
+}

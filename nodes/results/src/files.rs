@@ -28,6 +28,12 @@ pub enum FilesError {
         /// As it was asked for.
         folder: PathBuf,
     },
+    /// A file that is none of a run.
+    #[error("{file}: expected the folder of a run or its `{RESULT_FILE}`, found a file of another name")]
+    NoRunFile {
+        /// As it was asked for.
+        file: PathBuf,
+    },
     /// A folder in which no run has come to its end.
     #[error(
         "{folder}: there is no `{RESULT_FILE}`: no run has come to its end here{hint}; expected the folder of a complete run"
@@ -92,12 +98,15 @@ pub enum FilesError {
     },
 }
 
-/// Reads the folder of a complete run.
+/// Reads the folder of a complete run; one of its three files names it too.
 ///
 /// # Errors
 /// [`FilesError`] names the file and what was expected.
 pub fn read_run(folder: impl AsRef<Path>) -> Result<Run, FilesError> {
-    let folder = folder.as_ref();
+    let folder = &run_folder(folder.as_ref());
+    if folder.is_file() {
+        return Err(FilesError::NoRunFile { file: folder.into() });
+    }
     if !folder.is_dir() {
         return Err(FilesError::NoFolder { folder: folder.into() });
     }
@@ -112,6 +121,20 @@ pub fn read_run(folder: impl AsRef<Path>) -> Result<Run, FilesError> {
         timing: read(&folder.join(TIMING_FILE), TIMING)?,
         samples: read(&folder.join(SAMPLES_FILE), SAMPLES)?,
     })
+}
+
+/// The folder that is meant by a path: that of a run's file, else the path itself.
+pub fn run_folder(path: &Path) -> PathBuf {
+    let is_of_run = path
+        .file_name()
+        .is_some_and(|name| FILES.iter().any(|(file, _)| name == *file));
+    match path.parent() {
+        Some(folder) if is_of_run && !path.is_dir() => match folder.as_os_str().is_empty() {
+            true => ".".into(),
+            false => folder.into(),
+        },
+        _ => path.into(),
+    }
 }
 
 /// Folders below that hold a run, which may be the ones that were meant.
@@ -268,6 +291,33 @@ mod tests {
             .collect();
         names.sort();
         names
+    }
+
+    #[test]
+    fn a_file_of_a_run_names_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        write_run(folder.path(), &run("one")).unwrap();
+        for (file, _) in FILES {
+            assert_eq!(read_run(folder.path().join(file)).unwrap(), run("one"), "{file}");
+        }
+        assert_eq!(run_folder(Path::new("result.json")), Path::new("."));
+        assert_eq!(run_folder(Path::new("a/b")), Path::new("a/b"));
+        // A folder may have any name.
+        let odd = folder.path().join("odd/timing.json");
+        write_run(&odd, &run("two")).unwrap();
+        assert_eq!(read_run(&odd).unwrap(), run("two"));
+        let other = folder.path().join("recording.mcap");
+        std::fs::write(&other, "").unwrap();
+        let error = read_run(&other).unwrap_err().to_string();
+        assert!(
+            error.contains("recording.mcap") && error.contains("`result.json`"),
+            "{error}"
+        );
+        // The folder that lacks the file is named.
+        let error = read_run(folder.path().join("gone/result.json"))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("gone: no such folder"), "{error}");
     }
 
     #[test]

@@ -10,6 +10,11 @@ pub const VERSION: u32 = 1;
 /// Names `result.json`.
 pub const RESULT: &str = "realo/result";
 
+/// The player's counter of runs over a cut log.
+const LOG_CUT: &str = "log_truncated";
+/// So many cut logs are named; the field `logs_cut` has all.
+const CUT_NAMED: usize = 5;
+
 /// What a run gave: `result.json`. In virtual time it is the same bit by bit on every run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunResult {
@@ -26,6 +31,9 @@ pub struct RunResult {
     pub runs: u64,
     /// Names of the logs, where they are known.
     pub logs: Vec<String>,
+    /// Those of them that are cut: what lies before the cut was played.
+    #[serde(default)]
+    pub logs_cut: Vec<String>,
     /// The egos.
     pub egos: Vec<String>,
     /// The agents of the mode, ego first.
@@ -242,6 +250,7 @@ impl RunResult {
             settings,
             runs: 1,
             logs: Vec::new(),
+            logs_cut: Vec::new(),
             egos: Vec::new(),
             agents: Vec::new(),
             protocol: None,
@@ -264,6 +273,9 @@ impl RunResult {
     /// Fills in all that follows from the samples and from what was counted: scores, ages and notes.
     pub fn conclude(&mut self, samples: &Samples) {
         self.age_ms = samples.ages();
+        if self.runs == 1 && self.counter(LOG_CUT) > 0 {
+            self.logs_cut.clone_from(&self.logs);
+        }
         self.notes = self.own_notes();
         if let Some(evaluation) = &samples.evaluation {
             self.take_scores(score(evaluation));
@@ -295,6 +307,25 @@ impl RunResult {
         self.nodes.values().filter_map(|node| node.counters.get(name)).sum()
     }
 
+    /// Several runs over a cut log (one for each ego) do not make it several.
+    fn note_of_cut_logs(&self) -> Option<String> {
+        let (cut, all) = (self.logs_cut.len(), self.logs.len());
+        let runs = self.counter(LOG_CUT);
+        let which = match cut {
+            0 if runs == 0 => return None,
+            // Nobody told the names.
+            0 if self.runs == 1 => "the log is cut".into(),
+            0 => format!("{runs} of {} runs played a cut log", self.runs),
+            _ if all == 1 => format!("the log {} is cut", self.logs_cut[0]),
+            1..=CUT_NAMED => format!("{cut} of {all} logs are cut ({})", self.logs_cut.join(", ")),
+            _ => format!(
+                "{cut} of {all} logs are cut ({}, …)",
+                self.logs_cut[..CUT_NAMED].join(", ")
+            ),
+        };
+        Some(format!("{which}: what lies before the cut was played"))
+    }
+
     fn own_notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         let mut note = |condition: bool, text: String| {
@@ -307,14 +338,8 @@ impl RunResult {
             lost > 0,
             format!("dora lost {lost} messages between nodes: the scores are those of a disturbed run"),
         );
-        let cut = self.counter("log_truncated");
-        note(
-            cut > 0,
-            format!(
-                "{cut} of {} logs are cut: what lies before the cut was played",
-                self.runs
-            ),
-        );
+        let cut = self.note_of_cut_logs();
+        note(cut.is_some(), cut.unwrap_or_default());
         let alone = self.counter("runs_alone");
         note(
             alone > 0,
@@ -353,5 +378,85 @@ impl RunResult {
         self.links
             .iter()
             .flat_map(|(link, kinds)| kinds.iter().map(move |(kind, books)| (&**link, &**kind, books)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run_over(log: &str) -> RunResult {
+        let mut result = RunResult::new(Settings::default());
+        result.logs = [log]
+            .into_iter()
+            .filter(|log| !log.is_empty())
+            .map(String::from)
+            .collect();
+        let player = NodeSummary {
+            counters: [(LOG_CUT.to_string(), 1)].into(),
+            ..NodeSummary::default()
+        };
+        result.nodes.insert("player".into(), player);
+        result.conclude(&Samples::default());
+        result
+    }
+
+    #[test]
+    fn a_cut_log_is_named() {
+        let said = |result: &RunResult| result.notes.join("; ");
+        assert_eq!(
+            said(&run_over("a")),
+            "the log a is cut: what lies before the cut was played"
+        );
+        assert_eq!(
+            said(&run_over("")),
+            "the log is cut: what lies before the cut was played"
+        );
+        let whole = RunResult::new(Settings::default());
+        assert_eq!(whole.note_of_cut_logs(), None);
+    }
+
+    #[test]
+    fn logs_are_counted_not_runs() {
+        // Two egos on each of two logs; one log is cut.
+        let mut pooled = RunResult::new(Settings::default());
+        pooled.runs = 4;
+        pooled.logs = vec!["a".into(), "b".into()];
+        pooled.logs_cut = vec!["b".into()];
+        pooled.nodes = run_over("b").nodes;
+        pooled
+            .nodes
+            .get_mut("player")
+            .unwrap()
+            .counters
+            .insert(LOG_CUT.into(), 2);
+        pooled.conclude(&Samples::default());
+        assert!(
+            pooled.notes[0].starts_with("1 of 2 logs are cut (b): "),
+            "{:?}",
+            pooled.notes
+        );
+        pooled.logs_cut.clear();
+        pooled.conclude(&Samples::default());
+        assert!(
+            pooled.notes[0].starts_with("2 of 4 runs played a cut log: "),
+            "{:?}",
+            pooled.notes
+        );
+        let names = |n: usize| (0..n).map(|i| format!("log{i}")).collect::<Vec<_>>();
+        (pooled.logs, pooled.logs_cut) = (names(9), names(5));
+        assert!(
+            pooled
+                .note_of_cut_logs()
+                .unwrap()
+                .starts_with("5 of 9 logs are cut (log0, log1, log2, log3, log4): ")
+        );
+        pooled.logs_cut = names(6);
+        assert!(
+            pooled
+                .note_of_cut_logs()
+                .unwrap()
+                .starts_with("6 of 9 logs are cut (log0, log1, log2, log3, log4, …): ")
+        );
     }
 }

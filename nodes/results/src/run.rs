@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use realo_evaluator::Evaluation;
 use realo_schemas::Kind;
@@ -85,11 +86,49 @@ impl Run {
             samples,
         }
     }
+
+    /// Where the log of a run over one log may lie, likeliest first: where it was played from, then under its name in
+    /// each of the folders.
+    pub fn log_candidates(&self, folders: &[PathBuf]) -> Vec<PathBuf> {
+        let name = self.result.logs.first().filter(|name| !name.is_empty());
+        let named = name.map(|name| folders.iter().map(move |folder| folder.join(format!("{name}.mcap"))));
+        let mut candidates: Vec<PathBuf> = self.timing.log_path.iter().map(PathBuf::from).collect();
+        for path in named.into_iter().flatten() {
+            if !candidates.contains(&path) {
+                candidates.push(path);
+            }
+        }
+        candidates
+    }
 }
 
 /// Adds a name to a list that names everything once, in order of appearance.
 pub fn add_name(names: &mut Vec<String>, name: &str) {
     if !name.is_empty() && !names.iter().any(|known| known == name) {
         names.push(name.into());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_is_looked_for_where_it_was_played_from_then_by_its_name() {
+        let mut run = Run {
+            result: RunResult::new(Settings::default()),
+            timing: Timing::default(),
+            samples: Samples::default(),
+        };
+        let folders = [PathBuf::from("here"), PathBuf::from("logs"), PathBuf::from("here")];
+        let found = |run: &Run| -> Vec<String> {
+            let paths = run.log_candidates(&folders).into_iter();
+            paths.map(|path| path.to_string_lossy().into_owned()).collect()
+        };
+        assert_eq!(found(&run), [""; 0], "a log without a name is nowhere");
+        run.result.logs.push("demo".into());
+        assert_eq!(found(&run), ["here/demo.mcap", "logs/demo.mcap"]);
+        run.timing.log_path = Some("/far/demo.mcap".into());
+        assert_eq!(found(&run), ["/far/demo.mcap", "here/demo.mcap", "logs/demo.mcap"]);
     }
 }

@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use realo_evaluator::{EvaluationReport, TOPIC};
 use realo_operator::{Argument, Books, Decided, Describe, Error, Port, PortId, Sink, unexpected, wrong_port};
@@ -38,7 +38,8 @@ impl Default for Config {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Told {
-    /// Name of the log, by which pooled runs are resampled.
+    /// The log's path, or its name alone, by which pooled runs are resampled. The name stands in the result, the path in
+    /// `timing.json` only.
     pub log: String,
     /// What was run.
     pub settings: Settings,
@@ -67,6 +68,7 @@ impl Config {
 pub struct Results {
     out: PathBuf,
     log: String,
+    log_path: Option<String>,
     result: RunResult,
     samples: Samples,
     timing: TimingSamples,
@@ -116,8 +118,10 @@ impl Sink for Results {
         }
         claim(&config.out)?;
         let Told { log, settings } = config.told()?;
+        let (log, log_path) = name_and_path(log);
         Ok(Results {
             log,
+            log_path,
             result: RunResult::new(settings),
             samples: Samples::default(),
             timing: TimingSamples::default(),
@@ -163,6 +167,15 @@ impl Sink for Results {
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
         let run = self.close(books);
         Ok(write_run(&self.out, &run)?)
+    }
+}
+
+/// A log's name, and its path if that was told.
+fn name_and_path(log: String) -> (String, Option<String>) {
+    let path = Path::new(&log);
+    match path.file_stem().filter(|_| path.components().count() > 1) {
+        Some(stem) => (stem.to_string_lossy().into_owned(), Some(log)),
+        None => (log, None),
     }
 }
 
@@ -235,7 +248,10 @@ impl Results {
         timing.duration_ns = sweeps.duration();
         Run {
             result,
-            timing: Timing::of(timing),
+            timing: Timing {
+                log_path: self.log_path.take(),
+                ..Timing::of(timing)
+            },
             samples: std::mem::take(&mut self.samples),
         }
     }

@@ -20,6 +20,9 @@ pub struct Timing {
     pub schema: String,
     /// [`VERSION`].
     pub version: u32,
+    /// Where the log lay that was played; `None` where nobody told, and of runs over several logs.
+    #[serde(default)]
+    pub log_path: Option<String>,
     /// By stage: from its start to its end; and [`END_TO_END`] and [`FRAMEWORK`].
     pub latency_ms: BTreeMap<String, Spread>,
     /// By stage: from when its last input was ready until its start: transport, queue, busy stage.
@@ -159,6 +162,7 @@ impl Timing {
         Timing {
             schema: TIMING.into(),
             version: VERSION,
+            log_path: None,
             latency_ms,
             waiting_ms: of_stages(|stage| &stage.waiting),
             joining_ms: of_stages(|stage| &stage.joining),

@@ -16,6 +16,7 @@ mod intervals;
 mod matching;
 mod precision;
 mod protocol;
+mod same;
 mod scores;
 mod sequence;
 mod table;
@@ -33,6 +34,7 @@ pub use intervals::{Bounds, Intervals};
 pub use matching::{Outcome, Scope, match_frame};
 pub use precision::average_precision;
 pub use protocol::{Protocol, ProtocolError, Rule, SuperClass};
+pub use same::{TruthMismatch, same_truth};
 pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, RangeBin, Scores, frame_scores, score};
 pub use table::{Orders, Table};
 

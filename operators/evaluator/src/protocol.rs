@@ -187,7 +187,7 @@ impl Protocol {
 
     /// The range bin of a place, by its distance from the ego.
     pub(crate) fn range_bin(&self, [x, y]: [f64; 2]) -> usize {
-        let range = x.hypot(y);
+        let range = libm::hypot(x, y);
         self.range_edges.iter().rposition(|edge| range >= *edge).unwrap_or(0)
     }
 

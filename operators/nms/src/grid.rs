@@ -104,3 +104,93 @@ pub(crate) fn suppress(footprints: &[Footprint], order: &[u32], threshold: f64) 
     }
     kept
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(x: f64, y: f64) -> Footprint {
+        Footprint::new([x, y], 4.0, 4.0, 0.0)
+    }
+
+    fn grid(footprints: &[Footprint]) -> Grid<'_> {
+        let order: Vec<u32> = (0..footprints.len() as u32).collect();
+        Grid::new(footprints, &order)
+    }
+
+    #[test]
+    fn cells_are_a_little_wider_than_two_hulls_can_reach() {
+        // 100 boxes of reach 2 m over 40 x 12 m.
+        let footprints: Vec<Footprint> = (0..100)
+            .map(|i| Footprint::new([f64::from(i % 11) * 4.0, f64::from(i % 4) * 4.0], 4.0, 2.0, 0.0))
+            .collect();
+        let grid = grid(&footprints);
+        assert_eq!((grid.columns, grid.rows, grid.heads.len()), (10, 3, 12 * 5));
+        assert!(grid.per_metre < 0.25 && grid.per_metre > 0.2499, "{}", grid.per_metre);
+        // A border of empty cells on every side.
+        let cell = |x: f64, y: f64| grid.cell(&square(x, y));
+        assert_eq!([cell(0.0, 0.0), cell(40.0, 12.0)], [12 + 1, 3 * 12 + 10]);
+        assert_eq!(
+            [cell(4.1, 0.0), cell(3.9, 0.0), cell(0.0, 4.1)],
+            [12 + 2, 12 + 1, 2 * 12 + 1]
+        );
+    }
+
+    #[test]
+    fn there_are_about_four_cells_a_box_however_far_apart_they_lie() {
+        let corners = [[0.0, 0.0], [1e6, 1e6], [0.0, 1e6], [1e6, 0.0]];
+        let footprints = corners.map(|[x, y]| square(x, y));
+        let wide = grid(&footprints);
+        // The root of 4 * 4 + 16 is 5.7.
+        assert_eq!((wide.columns, wide.rows), (6, 6));
+        let row = [0.0, 1e6, 2e6, 3e6].map(|y| square(5.0, y));
+        let row = grid(&row);
+        assert_eq!((row.columns, row.rows), (1, 6));
+    }
+
+    #[test]
+    fn what_has_no_place_or_extent_gets_the_first_cell() {
+        let footprints = [square(f64::NAN, 3.0), square(2.0, 3.0), square(30.0, 3.0)];
+        let some = grid(&footprints);
+        assert_eq!(some.least, [2.0, 3.0]);
+        assert_eq!(some.cell(&footprints[0]), some.cell(&footprints[1]));
+        let points = [Footprint::new([7.0, 7.0], 0.0, 0.0, 0.0); 3];
+        let points = grid(&points);
+        assert_eq!((points.per_metre, points.columns, points.rows), (0.0, 1, 1));
+        let none = grid(&[]);
+        assert_eq!((none.per_metre, none.columns, none.rows), (0.0, 1, 1));
+    }
+
+    #[test]
+    fn neighbours_are_found_in_every_direction() {
+        // Cells of 4 m from (-40, -40) on; these lie in the middle one of nine, near its sides.
+        let far = [square(-40.0, -40.0), square(40.0, 40.0)];
+        let at = |step: i32| match step {
+            -1 => (0.3, -0.3),
+            1 => (3.7, 4.3),
+            _ => (2.0, 2.0),
+        };
+        for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
+            let ((x, beside_x), (y, beside_y)) = (at(dx), at(dy));
+            let footprints = [far[0], far[1], square(beside_x, beside_y), square(x, y)];
+            let grid = grid(&footprints);
+            let cells = [2, 3].map(|i| grid.cell(&footprints[i]) as i64);
+            let width = grid.columns as i64 + 2;
+            assert_eq!(cells[0] - cells[1], i64::from(dx) + i64::from(dy) * width, "{dx} {dy}");
+            assert_eq!(suppress(&footprints, &[0, 1, 2, 3], 0.15), [0, 1, 2], "{dx} {dy}");
+        }
+    }
+
+    #[test]
+    fn all_that_a_cell_holds_is_asked() {
+        let mut footprints = vec![square(-40.0, -40.0), square(40.0, 40.0)];
+        // Three that do not overlap in one cell, then one on each of them.
+        let thin = |x: f64| Footprint::new([x, 2.0], 0.5, 0.5, 0.0);
+        footprints.extend([0.5, 1.5, 2.5, 0.6, 1.6, 2.6].map(thin));
+        let order: Vec<u32> = (0..8).collect();
+        let grid = Grid::new(&footprints, &order);
+        let cells: Vec<usize> = footprints[2..].iter().map(|object| grid.cell(object)).collect();
+        assert!(cells.iter().all(|cell| *cell == cells[0]), "{cells:?}");
+        assert_eq!(suppress(&footprints, &order, 0.15), [0, 1, 2, 3, 4]);
+    }
+}

@@ -12,11 +12,7 @@ pub fn relative(map_from_to: &Isometry3<f64>, map_from_from: &Isometry3<f64>) ->
 /// Heading of a rotation: the direction of its x axis on the ground plane, rad.
 pub fn yaw_of(rotation: &UnitQuaternion<f64>) -> f64 {
     let x = rotation * Vector3::x();
-    libm_atan2(x.y, x.x)
-}
-
-fn libm_atan2(y: f64, x: f64) -> f64 {
-    nalgebra::RealField::atan2(y, x)
+    libm::atan2(x.y, x.x)
 }
 
 /// The same heading in (-π, π].
@@ -28,11 +24,11 @@ pub fn normalize_yaw(yaw: f64) -> f64 {
 /// A box brought to another frame. Boxes stay gravity-aligned: tilt moves the centre and turns the heading only.
 pub fn transform_box(to_from_from: &Isometry3<f64>, object: &Box3) -> Box3 {
     let center = to_from_from * Point3::from(object.center);
-    let (sin, cos) = object.yaw.sin_cos();
+    let (sin, cos) = libm::sincos(object.yaw);
     let heading = to_from_from.rotation * Vector3::new(cos, sin, 0.0);
     Box3 {
         center: center.into(),
-        yaw: libm_atan2(heading.y, heading.x),
+        yaw: libm::atan2(heading.y, heading.x),
         velocity: object
             .velocity
             .map(|v| (to_from_from.rotation * Vector3::from(v)).into()),
@@ -52,7 +48,7 @@ fn rotate_covariance(covariance: &[f64; 9], yaw: f64) -> [f64; 9] {
 
 /// (x, y) of the four bottom corners: front-left, front-right, rear-right, rear-left.
 pub fn bottom_corners(object: &Box3) -> [[f64; 2]; 4] {
-    let (sin, cos) = object.yaw.sin_cos();
+    let (sin, cos) = libm::sincos(object.yaw);
     let (l, w) = (object.length / 2.0, object.width / 2.0);
     [(l, w), (l, -w), (-l, -w), (-l, w)].map(|(x, y)| {
         [
@@ -64,7 +60,7 @@ pub fn bottom_corners(object: &Box3) -> [[f64; 2]; 4] {
 
 /// Whether (x, y) lies on the box's footprint, edges included.
 pub fn footprint_contains(object: &Box3, [x, y]: [f64; 2]) -> bool {
-    let (sin, cos) = object.yaw.sin_cos();
+    let (sin, cos) = libm::sincos(object.yaw);
     let (dx, dy) = (x - object.center[0], y - object.center[1]);
     (dx * cos + dy * sin).abs() <= object.length / 2.0 && (dy * cos - dx * sin).abs() <= object.width / 2.0
 }

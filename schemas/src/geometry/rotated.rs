@@ -30,7 +30,7 @@ impl Footprint {
 
     /// The rectangle of a centre, extents along and across the heading (the sign does not matter) and a yaw in rad.
     pub fn new(center: [f64; 2], length: f64, width: f64, yaw: f64) -> Self {
-        let (sin, cos) = yaw.sin_cos();
+        let (sin, cos) = libm::sincos(yaw);
         Footprint::from_heading(center, [length.abs() / 2.0, width.abs() / 2.0], [cos, sin])
     }
 
@@ -56,7 +56,7 @@ impl Footprint {
     /// Heading, rad.
     #[cfg(test)]
     fn yaw(&self) -> f64 {
-        nalgebra::RealField::atan2(self.heading[1], self.heading[0])
+        libm::atan2(self.heading[1], self.heading[0])
     }
 
     /// Area that both axis-aligned hulls share.

@@ -1,17 +1,18 @@
 //! `realo compare`: finished runs side by side.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use eyre::Result;
+use realo_results::run_folder;
 
 use crate::Outcome;
 
-/// Prints finished runs side by side
+/// Prints finished runs side by side, and what differs between them besides the strategy
 #[derive(clap::Args)]
 pub struct Args {
-    /// Folders that `realo run` wrote
+    /// Folders that `realo run` wrote, or the `result.json` in them
     #[arg(required = true)]
-    dirs: Vec<PathBuf>,
+    runs: Vec<PathBuf>,
     /// As JSON
     #[arg(long)]
     json: bool,
@@ -19,18 +20,67 @@ pub struct Args {
 
 /// Prints the table of the runs.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let mut runs = Vec::new();
-    for dir in &args.dirs {
-        let name = dir
-            .file_name()
-            .map_or_else(|| dir.display().to_string(), |name| name.to_string_lossy().into());
-        runs.push((name, realo_results::read_run(dir)?));
-    }
-    let named: Vec<(&str, &realo_results::Run)> = runs.iter().map(|(name, run)| (name.as_str(), run)).collect();
+    let names = names(&args.runs);
+    let runs: Vec<realo_results::Run> = args
+        .runs
+        .iter()
+        .map(realo_results::read_run)
+        .collect::<Result<_, _>>()?;
+    let named: Vec<(&str, &realo_results::Run)> = names.iter().map(String::as_str).zip(&runs).collect();
     if args.json {
         println!("{}", realo_report::json(&named));
     } else {
         print!("{}", realo_report::table(&named));
     }
     Ok(Outcome::Complete)
+}
+
+/// A name for each run: its folder's, with as many of the folders above as it takes to tell them apart.
+fn names(runs: &[PathBuf]) -> Vec<String> {
+    let folders: Vec<PathBuf> = runs
+        .iter()
+        .map(|run| {
+            let folder = run_folder(run);
+            // A folder that says its name keeps it, though it may be a link.
+            let whole = match folder.file_name() {
+                Some(_) => std::path::absolute(&folder),
+                None => folder.canonicalize(),
+            };
+            whole.unwrap_or(folder)
+        })
+        .collect();
+    let longest = folders.iter().map(|folder| folder.components().count()).max();
+    let tails = |parts: usize| folders.iter().map(|folder| tail(folder, parts)).collect::<Vec<_>>();
+    let distinct = |names: &Vec<String>| names.iter().enumerate().all(|(i, name)| !names[..i].contains(name));
+    (1..=longest.unwrap_or(1))
+        .map(tails)
+        .find(distinct)
+        .unwrap_or_else(|| tails(1))
+}
+
+/// The last parts of a path.
+fn tail(path: &Path, parts: usize) -> String {
+    let all: Vec<_> = path.components().collect();
+    let last: PathBuf = all[all.len().saturating_sub(parts)..].iter().collect();
+    last.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn named(runs: &[&str]) -> Vec<String> {
+        names(&runs.iter().map(PathBuf::from).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn runs_are_named_by_their_folders() {
+        assert_eq!(named(&["gone/a", "gone/b/result.json"]), ["a", "b"]);
+        assert_eq!(named(&["x/gone/late", "y/gone/late"]), ["x/gone/late", "y/gone/late"]);
+        assert_eq!(named(&["gone/a", "gone/a"]), ["a", "a"], "the same run twice");
+        let here = std::env::current_dir().expect("a folder");
+        let here = here.file_name().expect("its name").to_string_lossy();
+        assert_eq!(named(&["."]), [here.clone()]);
+        assert_eq!(named(&["result.json"]), [here]);
+    }
 }

@@ -10,7 +10,7 @@ use crate::{Outcome, demo};
 /// Draws a frame of a run from above: truth, boxes, each agent's points, and what only cooperation saw
 #[derive(clap::Args)]
 pub struct Args {
-    /// A folder that `realo run` wrote
+    /// A folder that `realo run` wrote: of a graph, or of a log and an ego in it
     run: PathBuf,
     /// Number of the ego's sweep [default: the scored one where cooperation added most]
     #[arg(long)]
@@ -18,7 +18,7 @@ pub struct Args {
     /// The ego [default: any]
     #[arg(long)]
     ego: Option<String>,
-    /// The log that was played [default: found by its name]
+    /// The log that was played [default: where the run says that it was, else by its name here or in target/realo]
     #[arg(long)]
     log: Option<PathBuf>,
     /// The picture to write: .svg or .png
@@ -57,7 +57,7 @@ fn in_words(scene: &Scene) -> String {
 }
 
 /// Where logs usually are: here, and where the demo log is made.
-fn log_folders() -> Vec<PathBuf> {
+pub(crate) fn log_folders() -> Vec<PathBuf> {
     let demo = PathBuf::from("target").join(demo::FILE);
     let folder = demo.parent().map(PathBuf::from).unwrap_or_default();
     vec![PathBuf::new(), folder]

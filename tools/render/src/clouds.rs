@@ -1,7 +1,7 @@
 use nalgebra::{Isometry3, Point3};
 use realo_logs::{Entry, Log, LogError, Stream};
 use realo_schemas::geometry::{Motion, PoseTrack, relative};
-use realo_schemas::{Nanos, PointCloud};
+use realo_schemas::{GroundTruth, Nanos, PointCloud};
 
 /// A sweep further from the ego's says nothing about the same scene.
 const WINDOW: Nanos = 500_000_000;
@@ -28,6 +28,51 @@ pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<PoseTr
         track.insert(entry.stamp(), entry.pose()?.map_from_body);
     }
     Ok(track)
+}
+
+/// Whether an agent has a sweep of this stamp, with points or without.
+pub fn has_sweep(log: &Log, agent: &str, stamp: Nanos) -> Result<bool, LogError> {
+    let Some(stream) = [Stream::Sweeps, Stream::Points]
+        .into_iter()
+        .find(|stream| log.has(agent, *stream))
+    else {
+        return Ok(false);
+    };
+    Ok(at(log, agent, stream, stamp)?.is_some())
+}
+
+/// What the log says is there at an agent's sweep, with the agent's own points; nothing where it does not say.
+pub fn truth(log: &Log, agent: &str, stamp: Nanos) -> Result<GroundTruth, LogError> {
+    let mut truth = GroundTruth {
+        agents: vec![agent.into()],
+        ..GroundTruth::default()
+    };
+    if !log.has(agent, Stream::GroundTruth) {
+        return Ok(truth);
+    }
+    let (boxes, info) = (
+        at(log, agent, Stream::GroundTruth, stamp)?,
+        at(log, agent, Stream::GroundTruthInfo, stamp)?,
+    );
+    if let Some((boxes, info)) = boxes.zip(info) {
+        let mut found = boxes.boxes()?;
+        let info = info.info(&mut found)?;
+        (truth.boxes, truth.key) = (found.0, info.key);
+        truth.points = info.points.unwrap_or_default();
+    }
+    Ok(truth)
+}
+
+/// The message of a stream that the agent has, of this stamp.
+fn at(log: &Log, agent: &str, stream: Stream, stamp: Nanos) -> Result<Option<Entry>, LogError> {
+    let (from, until) = (stamp.saturating_sub(WINDOW), stamp.saturating_add(2 * WINDOW));
+    let mut reader = log.read(&[(agent, stream)], from, until)?;
+    while let Some(entry) = reader.next()? {
+        if entry.stamp() == stamp {
+            return Ok(Some(entry));
+        }
+    }
+    Ok(None)
 }
 
 /// The sweep of an agent whose stamp is nearest, the earlier one of equals; `None` without any nearby.

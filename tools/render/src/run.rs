@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use realo_evaluator::{Collector, Evaluation, Frame, Protocol};
 use realo_logs::Log;
 use realo_recorder::{read_boxes, read_truth};
-use realo_results::{Run, RunResult, read_run};
+use realo_results::{Run, RunResult, read_run, run_folder};
 use realo_schemas::report::Crossing;
 use realo_schemas::{Boxes, GroundTruth, Header, Nanos};
 
@@ -22,7 +22,7 @@ pub struct Request {
     pub frame: Option<u64>,
     /// The ego; `None`: any.
     pub ego: Option<String>,
-    /// The log that was played; `None`: looked for in `log_folders` by the name that the run knows.
+    /// The log that was played; `None`: looked for where the run says that it was, then by its name in `log_folders`.
     pub log: Option<PathBuf>,
     /// Where logs usually are.
     pub log_folders: Vec<PathBuf>,
@@ -55,6 +55,8 @@ pub struct Chosen {
     pub has_truth: bool,
     /// Header of its boxes, or of its truth where no boxes came.
     pub header: Header,
+    /// What is there, as it was recorded.
+    pub truth: Option<GroundTruth>,
     /// Messages that were fused, and their ages, ns from their stamps to when the ego asked.
     pub fused: Vec<(Crossing, Nanos)>,
     /// What was detected and what is there.
@@ -117,6 +119,7 @@ fn runs(request: &Request) -> Result<Vec<(PathBuf, Run)>, RenderError> {
 
 /// The folders of single runs: this one, or `<log>/<ego>` below.
 fn folders(run: &Path) -> Result<Vec<PathBuf>, RenderError> {
+    let run = &*run_folder(run);
     if run.join(RECORDING).exists() {
         return Ok(vec![run.into()]);
     }
@@ -155,7 +158,7 @@ impl Cell {
         if !recording.exists() {
             return Err(RenderError::NoRecording { file: recording });
         }
-        let log = open_log(&run.result, request)?;
+        let log = open_log(&run, request)?;
         let by_seq = |header: &Header| header.seq;
         let mut boxes = BTreeMap::new();
         for message in read_boxes(&recording)? {
@@ -247,7 +250,8 @@ impl Cell {
         if agents.is_empty() {
             agents.push(self.ego.clone());
         }
-        let header = boxes.map(|(header, _)| header).or(truth.map(|(header, _)| header));
+        let (of_truth, truth) = truth.unzip();
+        let header = boxes.map(|(header, _)| header).or(of_truth);
         let header = header.expect("a chosen sweep has boxes or truth");
         Chosen {
             result: self.result,
@@ -262,6 +266,7 @@ impl Cell {
             processed: frame.processed,
             has_truth,
             header,
+            truth,
             fused: self.fused.remove(&seq).unwrap_or_default(),
             judged,
         }
@@ -300,11 +305,11 @@ impl Cell {
     }
 }
 
-fn open_log(result: &RunResult, request: &Request) -> Result<Log, RenderError> {
-    let name = result.logs.first().cloned().unwrap_or_default();
+fn open_log(run: &Run, request: &Request) -> Result<Log, RenderError> {
+    let result = &run.result;
     let path = match &request.log {
         Some(path) => path.clone(),
-        None => find_log(&name, &request.log_folders)?,
+        None => find_log(run, &request.log_folders)?,
     };
     let log = Log::open(&path)?;
     let ego = &result.settings.ego;
@@ -312,24 +317,28 @@ fn open_log(result: &RunResult, request: &Request) -> Result<Log, RenderError> {
         let has: Vec<&str> = log.info().agents.iter().map(|agent| &*agent.name).collect();
         return Err(RenderError::OtherLog {
             log: path,
-            name,
+            name: name_of_log(run),
             reason: format!("it has no agent `{ego}` (it has: {})", has.join(", ")),
         });
     }
     Ok(log)
 }
 
-fn find_log(name: &str, folders: &[PathBuf]) -> Result<PathBuf, RenderError> {
-    let candidates: Vec<PathBuf> = folders
-        .iter()
-        .map(|folder| folder.join(format!("{name}.mcap")))
-        .collect();
+fn name_of_log(run: &Run) -> String {
+    run.result.logs.first().cloned().unwrap_or_default()
+}
+
+fn find_log(run: &Run, folders: &[PathBuf]) -> Result<PathBuf, RenderError> {
+    let candidates = run.log_candidates(folders);
     let found = candidates.iter().find(|path| path.exists()).cloned();
     found.ok_or_else(|| {
         let tried: Vec<String> = candidates.iter().map(|path| path.display().to_string()).collect();
         RenderError::NoLog {
-            name: name.into(),
-            tried: tried.join(", "),
+            name: name_of_log(run),
+            tried: match tried.is_empty() {
+                true => "nothing: the run does not name it".into(),
+                false => tried.join(", "),
+            },
         }
     })
 }

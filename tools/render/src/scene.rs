@@ -1,5 +1,6 @@
 use nalgebra::Isometry3;
-use realo_logs::{AgentKind, Stream};
+use realo_evaluator::same_truth;
+use realo_logs::AgentKind;
 use realo_schemas::geometry::{Region, relative, yaw_of};
 use realo_schemas::{Kind, Nanos};
 
@@ -65,6 +66,7 @@ impl Scene {
     /// # Errors
     /// A log that cannot be read; a log that does not hold the ego's sweep of that stamp.
     pub fn of(chosen: Chosen) -> Result<Self, RenderError> {
+        check_log(&chosen)?;
         let exact = chosen.result.settings.mode == "offline";
         let map_from_ego = ego_pose(&chosen, exact)?;
         let mut agents = Vec::new();
@@ -111,6 +113,22 @@ fn ego_pose(chosen: &Chosen, exact: bool) -> Result<Isometry3<f64>, RenderError>
         .ok_or_else(|| other_log(chosen, "it has no pose of the ego"))
 }
 
+/// Refuses a log that does not have the ego's sweep, or has it with other objects than were recorded.
+fn check_log(chosen: &Chosen) -> Result<(), RenderError> {
+    let (log, ego, stamp) = (&chosen.log, &*chosen.ego, chosen.stamp);
+    if !clouds::has_sweep(log, ego, stamp)? {
+        return Err(other_log(chosen, "it has no sweep of the ego"));
+    }
+    let Some(recorded) = &chosen.truth else {
+        return Ok(());
+    };
+    let logged = clouds::truth(log, ego, stamp)?;
+    same_truth(recorded, &logged).map_err(|reason| {
+        let what = format!("the ground truth is another ({reason}) at the sweep of the ego");
+        other_log(chosen, &what)
+    })
+}
+
 fn other_log(chosen: &Chosen, what: &str) -> RenderError {
     RenderError::OtherLog {
         log: chosen.log.path().into(),
@@ -139,9 +157,6 @@ fn agent(
     let Some(map_from_agent) = at(chosen.stamp).or_else(|| at(stamp?)) else {
         return Ok(None);
     };
-    if is_ego && log.has(name, Stream::Points) && stamp != Some(chosen.stamp) {
-        return Err(other_log(chosen, "it has no sweep of the ego"));
-    }
     let points = match sweep.as_ref().zip(sweep.as_ref().and_then(|sweep| at(sweep.stamp()))) {
         Some((sweep, pose)) => clouds::in_ego_frame(&sweep.cloud()?, sweep.stamp(), &track, map_from_ego, &pose),
         None => Vec::new(),

@@ -62,9 +62,14 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
             runs.len()
         ));
     }
+    let mut timing = Timing::of(timing);
+    let path = &first.timing.log_path;
+    if runs.iter().all(|run| run.timing.log_path == *path) {
+        timing.log_path.clone_from(path);
+    }
     Ok(Run {
         result,
-        timing: Timing::of(timing),
+        timing,
         samples,
     })
 }
@@ -118,6 +123,7 @@ fn pool_samples(runs: &[&Run]) -> Result<Samples, PoolError> {
 fn add(sum: &mut RunResult, run: &RunResult) {
     sum.runs += run.runs;
     run.logs.iter().for_each(|log| add_name(&mut sum.logs, log));
+    run.logs_cut.iter().for_each(|log| add_name(&mut sum.logs_cut, log));
     run.egos.iter().for_each(|ego| add_name(&mut sum.egos, ego));
     run.agents.iter().for_each(|agent| add_name(&mut sum.agents, agent));
     sum.frames.add(&run.frames);

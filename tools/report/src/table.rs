@@ -1,6 +1,7 @@
 use realo_results::Run;
 
 use crate::cells::NONE;
+use crate::differences;
 use crate::sections::{Section, sections};
 
 /// Columns of the terminal.
@@ -8,7 +9,8 @@ const WIDTH: usize = 100;
 /// Between columns.
 const GAP: usize = 3;
 
-/// Runs side by side, each under its name. More runs than fit in 100 columns follow in further tables.
+/// Runs side by side, each under its name. More runs than fit in 100 columns follow in further tables. What else than
+/// the strategy differs between them stands above.
 pub fn table(runs: &[(&str, &Run)]) -> String {
     let sections = sections(&runs.iter().map(|(_, run)| *run).collect::<Vec<_>>());
     let names: Vec<&str> = runs.iter().map(|(name, _)| *name).collect();
@@ -19,6 +21,9 @@ pub fn table(runs: &[(&str, &Run)]) -> String {
         .map(|row| width_of(&row.label) + 2);
     let labels = labels.max().unwrap_or(0);
     let mut text = String::new();
+    for difference in differences(runs) {
+        text.push_str(&wrapped(&format!("note: {difference}")));
+    }
     let mut from = 0;
     while from < names.len() {
         let to = columns_that_fit(&widths, from, labels);

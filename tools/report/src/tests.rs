@@ -267,3 +267,133 @@ fn json_gives_the_files_without_samples() {
     assert_eq!(entry["result"]["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"], ap(&one));
     assert!(entry["timing"]["latency_ms"]["end_to_end"]["p50"].is_number() && entry["timing"].get("samples").is_none());
 }
+
+#[test]
+fn runs_of_one_thing_differ_in_nothing() {
+    let (mut one, mut other) = (run("a", "cav1", 1), run("a", "cav1", 2));
+    assert_eq!(differences(&[("one", &one), ("other", &other)]), [""; 0]);
+    assert_eq!(differences(&[]), [""; 0]);
+    // What others have on an object decides only whether it counts.
+    other.samples.evaluation.as_mut().unwrap().scenes[0].frames[0].truths[0].points = Some([99, 30]);
+    // Nor does it matter in which order they were read.
+    (one.result.logs, other.result.logs) = (names(["a", "b"]), names(["b", "a"]));
+    assert_eq!(differences(&[("one", &one), ("other", &other)]), [""; 0]);
+    assert!(!table(&[("one", &one), ("other", &other)]).contains("note: "));
+}
+
+fn names<const N: usize>(names: [&str; N]) -> Vec<String> {
+    names.map(String::from).to_vec()
+}
+
+#[test]
+fn what_makes_runs_hard_to_compare_stands_above_the_table() {
+    let (one, same) = (run("a", "cav1", 1), run("a", "cav1", 2));
+    let mut other = run("b", "cav2", 1);
+    other.result.agents = names(["cav2", "rsu1"]);
+    let (mut one, mut same) = (one, same);
+    one.result.agents = names(["cav1", "rsu1"]);
+    same.result.agents = names(["rsu1", "cav1"]);
+    let runs = [("one", &one), ("same", &same), ("other", &other)];
+    let found = differences(&runs);
+    let expected = [
+        "logs differ: a in one, same; b in other",
+        "egos differ: cav1 in one, same; cav2 in other",
+        "agents differ: cav1 in one, same; cav2 in other beside the 1 of all",
+    ];
+    assert_eq!(found, expected);
+    let text = table(&runs);
+    let above: Vec<&str> = text.lines().take_while(|line| line.starts_with("note: ")).collect();
+    assert_eq!(above.len(), 3, "{text}");
+    assert_eq!(above[0], format!("note: {}", expected[0]));
+    let document: Value = serde_json::from_str(&json(&runs)).unwrap();
+    assert_eq!(document["differences"][1], expected[1]);
+}
+
+#[test]
+fn long_lists_are_cut_short_and_lacks_are_told() {
+    let (mut one, mut other) = (run("a", "cav1", 1), run("a", "cav1", 2));
+    one.result.logs = (0..9).map(|i| format!("log{i}")).collect();
+    other.result.logs = names(["log8"]);
+    let found = differences(&[("one", &one), ("other", &other)]);
+    assert_eq!(
+        found,
+        ["logs differ: log0, log1, log2, log3, log4 and 3 more in one; none in other beside the 1 of all"]
+    );
+    one.result.logs.truncate(5);
+    other.result.logs.clear();
+    let found = differences(&[("one", &one), ("other", &other)]);
+    assert_eq!(
+        found,
+        ["logs differ: log0, log1, log2, log3, log4 in one; none in other"]
+    );
+}
+
+#[test]
+fn protocols_are_compared_by_what_they_say() {
+    let (one, mut other, mut silent) = (run("a", "cav1", 1), run("a", "cav1", 2), run("a", "cav1", 3));
+    other.samples.evaluation.as_mut().unwrap().protocol.min_points = 6;
+    let found = differences(&[("one", &one), ("other", &other)]);
+    assert_eq!(
+        found,
+        ["protocols differ: both are named `default`, but `min_points` is not the same in one and other"]
+    );
+    (silent.result.protocol, silent.samples.evaluation) = (None, None);
+    let found = differences(&[("one", &one), ("silent", &silent)]);
+    assert_eq!(found, ["protocols differ: default in one; no evaluation in silent"]);
+}
+
+#[test]
+fn truth_is_compared_object_by_object() {
+    let one = run("a", "cav1", 1);
+    let changed = |change: fn(&mut Evaluation)| {
+        let mut other = run("a", "cav1", 2);
+        change(other.samples.evaluation.as_mut().unwrap());
+        differences(&[("one", &one), ("other", &other)]).join("; ")
+    };
+    let missing = changed(|evaluation| _ = evaluation.scenes[0].frames[3].truths.pop());
+    assert_eq!(
+        missing,
+        "truth differs, first in log `a`, ego cav1: 18 objects in 6 scored frames in one; 17 objects in 6 scored frames \
+         in other"
+    );
+    let fewer = changed(|evaluation| _ = evaluation.scenes[0].frames.pop());
+    assert!(fewer.contains("15 objects in 5 scored frames in other"), "{fewer}");
+    let unscored = changed(|evaluation| evaluation.scenes[0].frames[0].key = false);
+    assert!(
+        unscored.contains("15 objects in 5 scored frames in other"),
+        "{unscored}"
+    );
+    let moved = "as many, but not the same objects: 18 objects in 6 scored frames in one, other";
+    let cases: [fn(&mut Evaluation); 4] = [
+        |evaluation| evaluation.scenes[0].frames[2].truths[1].outline.yaw += 1,
+        |evaluation| evaluation.scenes[0].frames[2].truths[1].class = 1,
+        |evaluation| evaluation.scenes[0].frames[2].truths[1].points = Some([30, 29]),
+        |evaluation| evaluation.scenes[0].frames[2].stamp += 1,
+    ];
+    for change in cases {
+        let found = changed(change);
+        assert!(found.ends_with(moved), "{found}");
+    }
+    // Scenes that only one of them has are told as logs.
+    assert_eq!(changed(|evaluation| evaluation.scenes[0].name = "b".into()), "");
+    // Of two protocols the objects are never the same.
+    let other = changed(|evaluation| {
+        evaluation.protocol.min_points = 7;
+        evaluation.scenes[0].frames.pop();
+    });
+    assert!(!other.contains("truth differs"), "{other}");
+}
+
+#[test]
+fn a_pooled_run_names_the_log_of_all_its_runs_and_the_cut_ones() {
+    let mut runs = [run("a", "cav1", 1), run("a", "cav2", 2)];
+    for run in &mut runs {
+        run.timing.log_path = Some("/logs/a.mcap".into());
+        run.result.logs_cut = names(["a"]);
+    }
+    let pooled = pool(&runs).unwrap();
+    assert_eq!(pooled.timing.log_path.as_deref(), Some("/logs/a.mcap"));
+    assert_eq!(pooled.result.logs_cut, ["a"]);
+    runs[1].timing.log_path = Some("/logs/b.mcap".into());
+    assert_eq!(pool(&runs).unwrap().timing.log_path, None);
+}

@@ -2,24 +2,27 @@
 
 mod played;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_evaluator::{Evaluation, Protocol, frame_scores};
+use realo_logs::{Log, McapFile};
 use realo_operator::Source;
 use realo_player::{Coop, Player};
 use realo_results::{Run, Settings};
 use realo_schemas::{Boxes, GroundTruth, Kind};
 
 use crate::Outcome;
-use played::{Sweep, Sweeps};
+use crate::render::log_folders;
+use played::{Misfit, Sweep, Sweeps};
 
 /// Scores a recording's boxes against a log's ground truth: the table of the run, without model or graph
 #[derive(clap::Args)]
 pub struct Args {
-    /// The log that was played
-    log: PathBuf,
-    /// The recording of the run
+    /// The log that was played [default: where the run beside the recording says that it was, else by its name here or in
+    /// target/realo]
+    log: Option<PathBuf>,
+    /// The recording of the run: `recording.mcap` in the folder of a log and an ego
     #[arg(long)]
     detections: PathBuf,
     /// Protocol: a name or a file [default: the log's]
@@ -38,50 +41,117 @@ pub struct Args {
 
 /// Prints the table.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let log = realo_logs::Log::open(&args.log)?;
+    let log = Log::open(log_path(args)?)?;
     let protocol = Protocol::load(args.protocol.as_deref().unwrap_or(&log.info().protocol))?;
     let recorded = realo_recorder::read_boxes(&args.detections)?;
+    let recording = McapFile::open(&args.detections)?;
+    let shown = args.detections.display();
     let Some(first) = recorded.first() else {
-        bail!(
-            "{}: no final boxes in this recording: was it of a graph with a recorder on its last boxes?",
-            args.detections.display()
-        );
+        match recording.truncation() {
+            Some(cut) => bail!("{shown}: {cut}: no final boxes are left in this recording; run again"),
+            None => {
+                bail!("{shown}: no final boxes in this recording: was it of a graph with a recorder on its last boxes?")
+            }
+        }
     };
     let ego = first.header.agent.to_string();
-    let played = recorded_truth(args)?;
+    let mut played = recorded_truth(args)?;
     let agents = match args.agents.is_empty() {
         true => played[0].1.agents.iter().map(|agent| agent.to_string()).collect(),
         false => args.agents.clone(),
     };
+    if recording.truncation().is_some() {
+        // Truth reaches further than the boxes that came of its sweeps: that those are missing says nothing.
+        let last = recorded.iter().map(|message| message.header.seq).max();
+        played.retain(|(header, _)| Some(header.seq) <= last);
+    }
+    let logged = truths(&log, &ego, &agents)?;
+    let notes = notes_of_cuts(&log, &recording, played.len(), &ego, logged.len());
     let per_pass = realo_player::sweeps_per_pass(&log, &ego);
-    let truths = Sweeps::new(truths(args, &ego, &agents)?, per_pass)
+    let truths = Sweeps::new(logged, per_pass)
         .played(&played)
-        .wrap_err_with(|| not_of_log(args))?;
+        .map_err(|misfit| not_of_log(args, &log, misfit))?;
     let boxes = recorded
         .into_iter()
         .map(|message| message.into_parts::<Boxes>())
         .collect::<Result<Vec<_>, _>>()?;
     let mut evaluation = realo_evaluator::evaluate(truths, boxes, &protocol)?;
     for scene in &mut evaluation.scenes {
-        scene.name = args.log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        scene.name = log
+            .path()
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
     }
+    print(args, ego, evaluation, &notes);
+    notes.iter().for_each(|note| eprintln!("realo: {note}"));
+    Ok(match notes.is_empty() {
+        true => Outcome::Complete,
+        false => Outcome::Partial,
+    })
+}
+
+fn print(args: &Args, ego: String, evaluation: Evaluation, notes: &[String]) {
     if args.frames {
         print!("{}", frames_table(&evaluation));
-        return Ok(Outcome::Complete);
+        return;
     }
     let settings = Settings {
         graph: "recording".into(),
         ego,
         ..Settings::default()
     };
-    let run = Run::of_evaluation(settings, evaluation);
+    let mut run = Run::of_evaluation(settings, evaluation);
+    run.result.notes.extend_from_slice(notes);
     let named = [("recording", &run)];
     if args.json {
         println!("{}", realo_report::json(&named));
     } else {
         print!("{}", realo_report::table(&named));
     }
-    Ok(Outcome::Complete)
+}
+
+/// The log that was given, or that of the run in whose folder the recording lies.
+fn log_path(args: &Args) -> Result<PathBuf> {
+    if let Some(log) = &args.log {
+        return Ok(log.clone());
+    }
+    let shown = args.detections.display();
+    let give = "give the log that was played: realo evaluate LOG --detections …";
+    // A recording that is not there is the first thing to say.
+    McapFile::open(&args.detections)?;
+    let folder = args.detections.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let run = realo_results::read_run(folder.unwrap_or(Path::new(".")))
+        .wrap_err_with(|| format!("{shown}: no finished run beside it says which log was played; {give}"))?;
+    let candidates = run.log_candidates(&log_folders());
+    let tried: Vec<String> = candidates.iter().map(|path| path.display().to_string()).collect();
+    let found = candidates.into_iter().find(|path| path.exists());
+    found.ok_or_else(|| match tried.is_empty() {
+        true => eyre!("{shown}: the run beside it does not say which log was played; {give}"),
+        false => eyre!(
+            "{shown}: its log is not where it was (looked for {}); {give}",
+            tried.join(", ")
+        ),
+    })
+}
+
+/// What a reader must know where the log or the recording ends early.
+fn notes_of_cuts(log: &Log, recording: &McapFile, scored: usize, ego: &str, sweeps: usize) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some(cut) = recording.truncation() {
+        notes.push(format!(
+            "{}: {cut}; what lies before the cut was scored: {scored} sweeps, of {sweeps} of {ego} in the log",
+            recording.path().display()
+        ));
+    }
+    if let Some(cut) = log.truncation() {
+        notes.push(format!(
+            "{}: {cut}; what lies before the cut was scored",
+            log.path().display()
+        ));
+    }
+    notes
 }
 
 /// A line for each scored frame and class.
@@ -126,18 +196,21 @@ fn recorded_truth(args: &Args) -> Result<Vec<Sweep>> {
     Ok(parts.collect::<Result<_, _>>()?)
 }
 
-fn not_of_log(args: &Args) -> String {
-    format!(
-        "{} is a recording of another log than {}; give the log that was played",
-        args.detections.display(),
-        args.log.display()
-    )
+fn not_of_log(args: &Args, log: &Log, misfit: Misfit) -> eyre::Report {
+    let (recording, path) = (args.detections.display(), log.path().display());
+    // Of a log that was cut the beginning fits, or nothing is left to tell by.
+    let cut = log.truncation().filter(|_| misfit.fitted > 0 || misfit.beyond);
+    let what = match cut {
+        Some(cut) => format!("{path} is {cut}: {recording} goes on behind the cut; give the whole log that was played"),
+        None => format!("{recording} is a recording of another log than {path}; give the log that was played"),
+    };
+    misfit.reason.wrap_err(what)
 }
 
 /// What the player tells the evaluator of a run of these agents.
-fn truths(args: &Args, ego: &str, agents: &[String]) -> Result<Vec<Sweep>> {
+fn truths(log: &Log, ego: &str, agents: &[String]) -> Result<Vec<Sweep>> {
     let config = realo_player::Config {
-        log: args.log.clone(),
+        log: log.path().into(),
         ego: ego.into(),
         agents: agents.to_vec(),
         coop: Coop::All,

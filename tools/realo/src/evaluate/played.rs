@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use eyre::{Result, bail, ensure, eyre};
-use realo_schemas::geometry::is_valid;
-use realo_schemas::{Box3, GroundTruth, Header, Nanos};
+use eyre::{Result, ensure, eyre};
+use realo_evaluator::same_truth;
+use realo_schemas::{GroundTruth, Header, Nanos};
 
 /// Truth of a sweep.
 pub type Sweep = (Header, GroundTruth);
@@ -32,8 +32,16 @@ impl Sweeps {
     ///
     /// # Errors
     /// A recorded sweep that the log does not have, or has at another time or with other objects.
-    pub fn played(mut self, recorded: &[Sweep]) -> Result<Vec<Sweep>> {
-        recorded.iter().map(|sweep| self.find(sweep)).collect()
+    pub fn played(mut self, recorded: &[Sweep]) -> Result<Vec<Sweep>, Misfit> {
+        let mut found = Vec::with_capacity(recorded.len());
+        for sweep in recorded {
+            found.push(self.find(sweep).map_err(|reason| Misfit {
+                fitted: found.len(),
+                beyond: self.by_seq.keys().next_back().is_none_or(|last| sweep.0.seq > *last),
+                reason,
+            })?);
+        }
+        Ok(found)
     }
 
     fn find(&mut self, (header, recorded): &Sweep) -> Result<Sweep> {
@@ -57,7 +65,8 @@ impl Sweeps {
         if pass > 0 {
             self.period = Some(shift / pass as Nanos);
         }
-        same(header, recorded, truth)?;
+        same_truth(recorded, truth)
+            .map_err(|reason| eyre!("the truth of sweep {} of {}: {reason}", header.seq, header.agent))?;
         Ok((header.clone(), truth.clone()))
     }
 
@@ -79,46 +88,21 @@ fn later(pass: u64) -> String {
     }
 }
 
-/// Whether two truths of a sweep are of one log: the same objects, and the ego's points on them.
-///
-/// The others' points are not asked for: they depend on who took part.
-fn same(header: &Header, recorded: &GroundTruth, logged: &GroundTruth) -> Result<()> {
-    let (found, expected) = (recorded.boxes.len(), logged.boxes.len());
-    if (found, recorded.key) != (expected, logged.key) {
-        let scored = |key: bool| if key { "scored" } else { "not scored" };
-        bail!(
-            "the truth of sweep {} of {} has {found} objects ({}) in the recording, {expected} ({}) in the log",
-            header.seq,
-            header.agent,
-            scored(recorded.key),
-            scored(logged.key)
-        );
-    }
-    for index in 0..expected {
-        let object = &logged.boxes[index];
-        ensure!(
-            same_box(&recorded.boxes[index], object) && recorded.points_of_ego(index) == logged.points_of_ego(index),
-            "object {index} in the truth of sweep {} of {} differs: a `{}` at {:.2?} m in the recording, a `{}` at {:.2?} m in the log",
-            header.seq,
-            header.agent,
-            recorded.boxes[index].class,
-            recorded.boxes[index].center,
-            object.class,
-            object.center
-        );
-    }
-    Ok(())
-}
-
-/// Boxes that no protocol counts, such as those with NaN, cannot be compared.
-fn same_box(a: &Box3, b: &Box3) -> bool {
-    a == b || !(is_valid(a) || is_valid(b))
+/// A recorded sweep that the log does not have as it was recorded.
+#[derive(Debug)]
+pub struct Misfit {
+    /// Recorded sweeps before it that the log has.
+    pub fitted: usize,
+    /// Whether its number lies beyond all that the log has.
+    pub beyond: bool,
+    /// What differs.
+    pub reason: eyre::Report,
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use realo_schemas::Kind;
+    use realo_schemas::{Box3, Kind};
 
     const PER_PASS: u64 = 4;
     const PERIOD: Nanos = 1_900;
@@ -155,7 +139,7 @@ mod tests {
         Sweeps::new(sweeps.collect(), PER_PASS)
     }
 
-    fn numbers(recorded: &[Sweep]) -> Result<Vec<(u64, Nanos, f64)>> {
+    fn numbers(recorded: &[Sweep]) -> Result<Vec<(u64, Nanos, f64)>, Misfit> {
         let played = log().played(recorded)?;
         let number = |(header, truth): &Sweep| (header.seq, header.stamp, truth.boxes[0].center[0]);
         Ok(played.iter().map(number).collect())
@@ -199,7 +183,7 @@ mod tests {
             (vec![sweep(5, 2_000, 1.0), sweep(6, 2_101, 2.0)], "2101 ns"),
         ];
         for (recorded, named) in cases {
-            let error = numbers(&recorded).unwrap_err().to_string();
+            let error = numbers(&recorded).unwrap_err().reason.to_string();
             assert!(error.contains(named), "`{named}` in: {error}");
         }
     }
@@ -207,10 +191,14 @@ mod tests {
     #[test]
     fn a_sweep_that_the_log_lacks_is_named() {
         let short = Sweeps::new(vec![sweep(0, 0, 0.0)], PER_PASS);
-        let error = short.played(&[sweep(2, 200, 2.0)]).unwrap_err().to_string();
+        let misfit = short.played(&[sweep(0, 0, 0.0), sweep(2, 200, 2.0)]).unwrap_err();
+        let error = misfit.reason.to_string();
         assert!(
             error.contains("sweep 2 of cav1") && error.contains("not in the log"),
             "{error}"
         );
+        assert_eq!((misfit.fitted, misfit.beyond), (1, true));
+        let misfit = log().played(&[sweep(3, 301, 3.0)]).unwrap_err();
+        assert_eq!((misfit.fitted, misfit.beyond), (0, false));
     }
 }
