@@ -401,14 +401,16 @@ impl Engine {
         let lines = running.stage.count(&mut called);
         self.complaints.extend(lines);
         self.tell(called.made.fates);
-        for time in called.made.wakes {
+        // Nobody is woken after the end.
+        let ends = self.stages[ticket.stage].life == Life::Ending;
+        for time in called.made.wakes.into_iter().filter(|_| !ends) {
             if self.stages[ticket.stage].wakes.insert((time, ticket.server.clone())) {
                 let key = self.key(time, ticket.stage, Order::Wake, PortId(0), ticket.server.clone());
                 self.push(key, What::Wake);
             }
         }
         self.dispatch(ticket.stage, called.made.sent, ticket.input, ticket.start, done);
-        if self.stages[ticket.stage].life == Life::Ending {
+        if ends {
             self.end(ticket.stage, done);
         }
         Ok(())

@@ -15,7 +15,7 @@ pub(crate) struct Work {
 }
 
 /// Order of waiting work: as the events of virtual time.
-type Place = (Nanos, Class, PortId, Name, u64, u64);
+type Place = (Nanos, Class, PortId, Name, Kind, u64, u64);
 
 /// An [`Queue::All`] port that ran over.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -235,6 +235,7 @@ impl Intake {
             class,
             port,
             agent,
+            work.calls[0].1.header.kind,
             work.calls[0].1.header.seq,
             self.arrivals,
         );
@@ -388,5 +389,93 @@ mod tests {
         );
         assert_eq!(seqs(intake.next("x").unwrap()), [(2, 0)]);
         assert_eq!(seqs(intake.next("x").unwrap()), [(2, 1)]);
+    }
+
+    #[test]
+    fn a_part_that_comes_again_replaces_the_first_and_counts() {
+        let (mut intake, x) = (intake(), Name::from("x"));
+        intake.offer(&x, PortId(0), message("x", 1)).unwrap();
+        intake.offer(&x, PortId(0), message("x", 1)).unwrap();
+        assert_eq!(intake.books()["a"].unjoined.total(), 1);
+        intake.offer(&x, PortId(1), message("x", 1)).unwrap();
+        assert_eq!(intake.books()["a"].received.total(), 2);
+        assert!(!intake.is_idle());
+        assert_eq!(seqs(intake.next("x").unwrap()), [(0, 1), (1, 1)]);
+        assert_eq!(intake.take_passed_over().len(), 1);
+        assert!(intake.take_passed_over().is_empty());
+    }
+
+    #[test]
+    fn a_complete_set_takes_the_slot_and_newer_parts_stay() {
+        let (mut intake, x) = (intake(), Name::from("x"));
+        intake.offer(&x, PortId(0), message("x", 3)).unwrap();
+        for seq in [1, 2] {
+            intake.offer(&x, PortId(0), message("x", seq)).unwrap();
+            intake.offer(&x, PortId(1), message("x", seq)).unwrap();
+        }
+        // The older set was complete and waited: it is skipped, both parts of it.
+        assert_eq!(
+            (intake.books()["a"].skipped.total(), intake.books()["b"].skipped.total()),
+            (1, 1)
+        );
+        assert_eq!(intake.books()["a"].unjoined.total(), 0);
+        assert_eq!(intake.first("x"), Some((205, Class::Data)));
+        assert_eq!(seqs(intake.next("x").unwrap()), [(0, 2), (1, 2)]);
+        intake.offer(&x, PortId(1), message("x", 3)).unwrap();
+        assert_eq!(seqs(intake.next("x").unwrap()), [(0, 3), (1, 3)]);
+        intake.close();
+        assert!(intake.take_passed_over().len() == 2 && intake.first("x").is_none());
+    }
+
+    #[test]
+    fn sets_of_one_stamp_are_not_taken_twice_and_of_parts_only_so_many_are_held() {
+        let (mut intake, x) = (intake(), Name::from("x"));
+        let mut same = message("x", 2);
+        same.header.stamp = 100;
+        intake.offer(&x, PortId(0), same).unwrap();
+        intake.offer(&x, PortId(0), message("x", 1)).unwrap();
+        intake.offer(&x, PortId(1), message("x", 1)).unwrap();
+        assert_eq!(intake.books()["a"].unjoined.total(), 1, "a part as old as the set");
+        let more = Queue::CAPACITY as u64;
+        for seq in 10..10 + more {
+            intake.offer(&x, PortId(0), message("x", seq)).unwrap();
+        }
+        assert_eq!(intake.books()["a"].unjoined.total(), 1);
+        intake.offer(&x, PortId(0), message("x", 10 + more)).unwrap();
+        assert_eq!(intake.books()["a"].unjoined.total(), 2, "the oldest went");
+        assert_eq!(of(&intake.take_passed_over()[1]), ("x".into(), 10));
+    }
+
+    #[test]
+    fn a_queue_has_room_again_for_what_was_taken_or_replaced() {
+        let (mut intake, x) = (intake(), Name::from("x"));
+        for seq in 0..3 * Queue::CAPACITY as u64 {
+            intake.offer(&x, PortId(3), message("x", seq)).unwrap();
+            intake.offer(&x, PortId(2), message("x", seq)).unwrap();
+            assert_eq!(intake.next("x").unwrap().calls[0].0, PortId(2), "port by port");
+        }
+        assert_eq!(seqs(intake.next("x").unwrap()).len(), 1);
+        assert!(intake.next("x").is_none() && intake.is_idle());
+    }
+
+    #[test]
+    fn an_accounting_input_says_of_which_kinds_and_for_whom() {
+        const ENDS: &[Port] = &[
+            Port::new("ends", &[realo_schemas::PayloadType::Boxes], "").accounting(),
+            Port::new("passes", &[realo_schemas::PayloadType::Boxes], ""),
+            Port::new("open", &[realo_schemas::PayloadType::Boxes], ""),
+        ];
+        let (mut intake, x) = (Intake::new(ENDS, vec![true, true, false]), Name::from("x"));
+        let mut crossed = message("x", 0);
+        crossed.header.to = Some("ego".into());
+        for port in [0, 0, 1] {
+            intake.offer(&x, PortId(port), crossed.clone()).unwrap();
+        }
+        intake.offer(&x, PortId(0), message("x", 1)).unwrap();
+        let books = intake.books();
+        assert_eq!(books.keys().copied().collect::<Vec<_>>(), ["ends", "passes"]);
+        assert_eq!(books["ends"].accounts, [Kind::Boxes]);
+        assert_eq!(books["ends"].receivers.iter().collect::<Vec<_>>(), ["ego"]);
+        assert!(books["passes"].accounts.is_empty() && books["passes"].receivers.is_empty());
     }
 }

@@ -9,6 +9,8 @@ mod event;
 mod intake;
 mod stage;
 pub mod testkit;
+#[cfg(test)]
+mod tests;
 mod wiring;
 
 pub use engine::{Engine, EngineError, Leaving, Servers, Step, Task, Ticket};

@@ -170,10 +170,10 @@ impl Stage {
     /// Stamps an outgoing message: its number on the output, when it is ready, and this stage in its trace.
     ///
     /// The operator saw the call begin at `start`; a `ready` beyond that is a delay which follows the computation.
+    /// Before the first message `start` may be the least time there is.
     pub fn stamp(&mut self, port: PortId, message: &mut Message, input: Nanos, start: Nanos, done: Nanos) {
         let header = &mut message.header;
-        let delay = (header.ready - start).max(0);
-        header.ready = done + delay;
+        header.ready = header.ready.max(start) + (done - start);
         header.hop = self.hops[port.0];
         self.hops[port.0] += 1;
         header.trace.push(TraceEntry {
@@ -188,5 +188,220 @@ impl Stage {
             Some(tally) => tally.add(message),
             None => self.books.outputs.entry(output.into()).or_default().add(message),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use realo_operator::{AnyOperator, AnySink, AnySource, Books, Port, Role};
+    use realo_schemas::{Boxes, Header, Kind, PayloadType, Selection};
+
+    use super::*;
+
+    static PORTS: Registration = Registration {
+        name: "test",
+        about: "",
+        role: Role::Operator,
+        inputs: &[Port::new("in", &[PayloadType::Boxes], "")],
+        outputs: &[
+            Port::new("one", &[PayloadType::Boxes], ""),
+            Port::new("two", &[PayloadType::Boxes], ""),
+        ],
+        arguments: &[],
+        defaults: Default::default,
+        check: |_| Ok(()),
+        build: |_| Err("built by the test".into()),
+    };
+
+    fn message(seq: u64) -> Message {
+        let mut header = Header::origin(&"r".into(), &"a".into(), Kind::Boxes, seq, 10, 20);
+        header.to = Some("ego".into());
+        Message::new(header, Boxes::default())
+    }
+
+    /// Fails with every message of an odd number, and is gone with number 9.
+    struct Moody {
+        gone: bool,
+    }
+
+    impl AnyOperator for Moody {
+        fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+            match message.header.seq {
+                9 => return Err(Box::new(Gone("dead".into()))),
+                odd if odd % 2 == 1 => return Err("odd".into()),
+                _ => out.tell(&message.header, Fate::Used),
+            }
+            out.send(port, message);
+            Ok(())
+        }
+        fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+            out.count("wakes", now as u64);
+            match self.gone {
+                true => Err(Box::new(Gone("asleep".into()))),
+                false => Err("tired".into()),
+            }
+        }
+        fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+            out.send(PortId(0), message(4));
+            Ok(())
+        }
+    }
+
+    fn call(call: Call) -> Called {
+        let mut built = Built::Operator(Box::new(Moody { gone: false }));
+        call.make(&mut built, &PORTS, 7, &[])
+    }
+
+    fn inputs(seqs: &[u64]) -> Call {
+        Call::Inputs(seqs.iter().map(|seq| (PortId(0), message(*seq))).collect())
+    }
+
+    fn fates(called: &Called) -> Vec<(u64, Fate)> {
+        let fates = called.made.fates.iter();
+        fates.map(|fated| (fated.message.seq, fated.fate)).collect()
+    }
+
+    #[test]
+    fn what_an_operator_cannot_take_is_rejected_and_the_set_goes_on() {
+        let called = call(inputs(&[1, 2, 3]));
+        assert_eq!(
+            fates(&called),
+            [(2, Fate::Used), (1, Fate::Rejected), (3, Fate::Rejected)]
+        );
+        assert_eq!(called.errors.len(), 2);
+        assert_eq!(called.errors[0], format!("input `in`, {}: odd", message(1).header));
+        assert_eq!(called.made.sent.len(), 1);
+        assert!(called.gone.is_none());
+        assert_eq!(called.trigger("in", &PORTS), "in > one");
+        let strange = call(Call::Inputs(vec![(PortId(7), message(1))]));
+        assert!(strange.errors[0].starts_with("input `?`"), "{:?}", strange.errors);
+        let selection = Selection {
+            query: 1,
+            entries: vec![message(4), message(6)],
+        };
+        let mut ego = Message::new(message(1).header, selection);
+        ego.header.to = None;
+        let called = call(Call::Inputs(vec![(PortId(0), ego)]));
+        assert_eq!(fates(&called), [(4, Fate::Rejected), (6, Fate::Rejected)]);
+    }
+
+    #[test]
+    fn a_stage_that_is_gone_is_called_no_more() {
+        let called = call(inputs(&[2, 9, 1]));
+        assert_eq!(called.gone.as_ref().map(ToString::to_string), Some("dead".into()));
+        assert_eq!((called.errors.len(), fates(&called)), (0, vec![(2, Fate::Used)]));
+        let mut built = Built::Operator(Box::new(Moody { gone: true }));
+        let called = Call::Wake.make(&mut built, &PORTS, 7, &[]);
+        assert!(called.gone.is_some() && called.errors.is_empty());
+    }
+
+    #[test]
+    fn wakes_and_the_end_are_calls_like_others() {
+        let woken = call(Call::Wake);
+        assert_eq!(woken.errors, ["wake at 7 ns: tired"]);
+        assert_eq!(woken.made.counts["wakes"], 7);
+        assert_eq!(woken.trigger("wake", &PORTS), "wake");
+        let ended = call(Call::End(Box::default()));
+        assert!(ended.errors.is_empty() && ended.gone.is_none());
+        assert_eq!(ended.made.sent[0].1.header.ready, 20);
+    }
+
+    /// Writes down what it is given; fails with number 9.
+    #[derive(Clone, Default)]
+    struct Notes(Arc<Mutex<Vec<String>>>);
+
+    impl AnySink for Notes {
+        fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
+            self.0
+                .lock()
+                .unwrap()
+                .push(format!("{} {}", port.0, message.header.seq));
+            match message.header.seq {
+                9 => Err("full".into()),
+                _ => Ok(()),
+            }
+        }
+        fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
+            self.0.lock().unwrap().push(format!("{} fates", fates.len()));
+            match fates.len() {
+                2 => Err("too many".into()),
+                _ => Ok(()),
+            }
+        }
+        fn finish(&mut self, books: &Books) -> Result<(), Error> {
+            self.0.lock().unwrap().push(format!("{} books", books.nodes.len()));
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_sink_hears_of_fates_first_and_its_errors_fail_the_run() {
+        let notes = Notes::default();
+        let mut built = Built::Sink(Box::new(notes.clone()));
+        let fate: Vec<Fated> = told(crossings(&message(0)), Fate::Lost).collect();
+        let mut make = |call: Call, fates: &[Fated]| {
+            let called = call.make(&mut built, &PORTS, 7, fates);
+            let said = std::mem::take(&mut *notes.0.lock().unwrap());
+            (said, called.gone.map(|error| error.to_string()))
+        };
+        let said = |lines: &[&str]| lines.iter().map(|line| line.to_string()).collect::<Vec<_>>();
+        assert_eq!(make(inputs(&[3, 4]), &fate), (said(&["1 fates", "0 3", "0 4"]), None));
+        assert_eq!(
+            make(inputs(&[9, 4]), &[]),
+            (said(&["0 fates", "0 9"]), Some("full".into()))
+        );
+        let two = [fate.clone(), fate.clone()].concat();
+        assert_eq!(make(inputs(&[3]), &two), (said(&["2 fates"]), Some("too many".into())));
+        assert_eq!(make(Call::Wake, &fate), (said(&["1 fates"]), None));
+        let mut books = Books::default();
+        books.nodes.insert("x".into(), NodeBooks::default());
+        assert_eq!(
+            make(Call::End(Box::new(books)), &[]),
+            (said(&["0 fates", "1 books"]), None)
+        );
+    }
+
+    struct Nothing;
+
+    impl AnySource for Nothing {
+        fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
+            Err("nobody calls it here".into())
+        }
+        fn rate(&self) -> f64 {
+            1.0
+        }
+        fn counters(&self) -> std::collections::BTreeMap<String, u64> {
+            Default::default()
+        }
+    }
+
+    #[test]
+    fn a_source_is_not_called() {
+        let called = inputs(&[1]).make(&mut Built::Source(Box::new(Nothing)), &PORTS, 7, &[]);
+        assert!(called.gone.is_none() && called.errors.is_empty() && called.made.sent.is_empty());
+    }
+
+    #[test]
+    fn a_delay_follows_the_computation() {
+        let mut stage = Stage::new("s".into(), &PORTS);
+        // ready, start, done -> ready.
+        let cases = [
+            (20, 20, 20, 20),
+            (20, 25, 30, 30),
+            (45, 25, 30, 50),
+            (7, Nanos::MIN, Nanos::MIN, 7),
+        ];
+        for (hop, (ready, start, done, expected)) in (0..).zip(cases) {
+            let mut sent = message(0);
+            sent.header.ready = ready;
+            stage.stamp(PortId(1), &mut sent, 3, start, done);
+            assert_eq!((sent.header.ready, sent.header.hop), (expected, hop));
+            let traced = sent.header.trace.last().unwrap();
+            assert_eq!((&*traced.node, traced.input, traced.start), ("s", 3, start));
+            assert_eq!((traced.done, traced.ready), (done, expected));
+        }
+        assert_eq!((stage.hops, stage.books.outputs["two"].total()), (vec![0, 4], 4));
     }
 }

@@ -82,16 +82,12 @@ fn unused_modules(dataflows: &Path) -> Result<Vec<String>, GraphError> {
     let mut used = BTreeSet::new();
     for file in graphs(dataflows)? {
         let (_, nodes) = read::dataflow(&read::text_of(&file)?, &file)?;
-        used.extend(nodes.iter().filter_map(|node| Some(dataflows.join(module_of(node)?))));
+        used.extend(nodes.iter().filter_map(|node| module_of(node, dataflows, dataflows)));
     }
     for file in &modules {
         let folder = file.parent().unwrap_or(dataflows);
-        used.extend(
-            read::module(file)?
-                .nodes
-                .iter()
-                .filter_map(|node| Some(folder.join(module_of(node)?))),
-        );
+        let inner = read::module(file)?.nodes;
+        used.extend(inner.iter().filter_map(|node| module_of(node, folder, dataflows)));
     }
     // Where one module of detection is used, any other can take its place.
     let detects = |file: &Path| {
@@ -166,12 +162,16 @@ mod tests {
         write(root.join("modules/unused.yml"), "module: { name: unused }\nnodes: []");
         write(
             root.join("late.yml"),
-            &GRAPH.replacen("queue_size: 200", "queue_size: 3", 1),
+            &GRAPH.replacen(
+                "proposals: ego-detect/proposals",
+                "proposals: { source: ego-detect/proposals, input_timeout: 1 }",
+                1,
+            ),
         );
         write(root.join("worse.yml"), "nodes: [{ id: a, module: modules/none.yml }]");
         let found = audit(&REGISTRY, root);
         let expected = [
-            "late.yml: warning: node `ego-detect`, port `clouds`: expected `queue_size` ≥ 200, found 3",
+            "late.yml: warning: node `ego-nms`, port `proposals`: expected no `input_timeout`, found one",
             "worse.yml: module node `a`: its file",
             "unused.yml: no graph uses this module",
             "used.yml: no graph uses this module",

@@ -73,20 +73,27 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
         swapped: 0,
         open: Vec::new(),
         host: None,
+        hosts: BTreeMap::new(),
     };
-    let nodes = expansion.nodes(graph.nodes.clone(), &root, &graph.file)?;
+    let (mut nodes, _) = expansion.level(graph.nodes.clone(), &root, &graph.file)?;
     if graph.detection.is_some() && expansion.swapped == 0 {
         return Err(GraphError::NoDetectModule {
             file: graph.file.clone(),
         });
     }
-    let mut ids = BTreeSet::new();
-    let named = nodes.iter().filter(|node| node.part != Part::Host);
-    if let Some(node) = named.into_iter().find(|node| !ids.insert(&node.id)) {
-        return Err(GraphError::Duplicate {
-            file: graph.file.clone(),
-            id: node.id.clone(),
-        });
+    let (mut stages, mut processes) = (BTreeSet::new(), BTreeSet::new());
+    for node in &nodes {
+        let (is_stage, is_process) = (node.part != Part::Host, !matches!(node.part, Part::In(_)));
+        if is_stage && !stages.insert(&node.id) || is_process && !processes.insert(&node.id) {
+            return Err(GraphError::Duplicate {
+                file: graph.file.clone(),
+                id: node.id.clone(),
+            });
+        }
+    }
+    // dora knows the outputs of a process, stages know whose they are.
+    for node in nodes.iter_mut().filter(|node| node.part != Part::Host) {
+        rewire(node, &expansion.hosts, &graph.file)?;
     }
     FlatGraph::new(graph.file.clone(), graph.settings.clone(), nodes)
 }
@@ -102,29 +109,27 @@ struct Expansion<'a> {
     open: Vec<PathBuf>,
     /// The process that hosts what is being expanded.
     host: Option<String>,
+    /// By process: where its outputs come from.
+    hosts: BTreeMap<String, Outlets>,
 }
 
 impl Expansion<'_> {
-    /// The flat nodes of a graph whose modules' files are named relative to `base`.
-    fn nodes(&mut self, nodes: Vec<Node>, base: &Path, file: &Path) -> Result<Vec<Node>, GraphError> {
-        self.level(nodes, base, file).map(|(nodes, _)| nodes)
-    }
-
-    /// Replaces the modules among `nodes`; gives the flat nodes, and for each output name all that produce it.
+    /// Replaces the modules among `nodes`, whose files are named relative to `base`; gives the flat nodes, and for each
+    /// output name all that produce it.
     fn level(&mut self, nodes: Vec<Node>, base: &Path, file: &Path) -> Result<(Vec<Node>, Producers), GraphError> {
         let mut flat = Vec::new();
         let mut producers = Producers::new();
-        let (mut modules, mut hosts) = (BTreeMap::new(), BTreeMap::new());
+        let mut modules = BTreeMap::new();
         for node in nodes {
             if let Some(hosted) = hosted_by(&node, file)? {
-                let (inner, outlets) = self.host(&node, &hosted, base, file)?;
+                let (inner, outlets) = self.host(&node, &hosted, file)?;
                 for output in outlets.keys() {
                     producers
                         .entry(output.clone())
                         .or_default()
                         .push((node.id.clone(), output.clone()));
                 }
-                hosts.insert(node.id.clone(), outlets);
+                self.hosts.insert(node.id.clone(), outlets);
                 flat.extend(inner);
                 continue;
             }
@@ -153,20 +158,15 @@ impl Expansion<'_> {
         }
         for node in &mut flat {
             rewire(node, &modules, file)?;
-            // dora knows the outputs of a process, stages know whose they are.
-            if node.part != Part::Host {
-                rewire(node, &hosts, file)?;
-            }
         }
         Ok((flat, producers))
     }
 
-    /// The process of a host, and its stages.
+    /// The process of a host, and its stages. Its module's file is seen from the graph's folder, where dora starts it.
     fn host(
         &mut self,
         node: &Node,
         Hosted { module, settings }: &Hosted,
-        base: &Path,
         file: &Path,
     ) -> Result<(Vec<Node>, Outlets), GraphError> {
         let wrong = |reason| GraphError::Module {
@@ -186,7 +186,7 @@ impl Expansion<'_> {
             ..node.clone()
         };
         self.host = Some(node.id.clone());
-        let expanded = self.module(&outer, &module, base, &wrong);
+        let expanded = self.module(&outer, &module, self.root, &wrong);
         self.host = None;
         let (mut stages, mut outlets) = expanded?;
         if let Some(output) = node.outputs.iter().find(|output| !outlets.contains_key(*output)) {
@@ -199,14 +199,25 @@ impl Expansion<'_> {
         }
         outlets.retain(|output, _| node.outputs.contains(output));
         leave_out(&mut stages, &outlets);
+        let is_left = |stage: &String| stages.iter().any(|left| left.id == *stage);
+        if let Some((output, (stage, _))) = outlets.iter().find(|(_, (stage, _))| !is_left(stage)) {
+            return Err(wrong(format!(
+                "nothing comes out of its output `{output}`: nobody feeds the stage `{stage}` behind it; wire the optional \
+                 inputs that it needs, or take the output away"
+            )));
+        }
+        past_the_module(node, &stages).map_err(&wrong)?;
         for stage in &mut stages {
             stage.part = Part::In(node.id.clone());
-            stage.path.clone_from(&node.path);
+            // A program that is not realo is refused by the checks under its own name.
+            if stage.path.as_deref().is_some_and(is_realo) {
+                stage.path.clone_from(&node.path);
+            }
         }
         for setting in settings {
             set_inner(&mut stages, &node.id, setting).map_err(&wrong)?;
         }
-        let file = paths::hosted_module(&module, base).map_err(&wrong)?;
+        let file = paths::hosted_module(&module, self.root).map_err(&wrong)?;
         let named = Path::new(&module).file_name().unwrap_or_default();
         let words = [
             "host".to_string(),
@@ -311,10 +322,13 @@ struct Hosted {
     settings: Vec<String>,
 }
 
+fn is_realo(path: &str) -> bool {
+    Path::new(path).file_name().is_some_and(|name| name == "realo")
+}
+
 /// The module that a node's process hosts; `None` for any other node.
 fn hosted_by(node: &Node, file: &Path) -> Result<Option<Hosted>, GraphError> {
-    let is_realo = |path: &String| Path::new(path).file_name().is_some_and(|name| name == "realo");
-    if !node.path.as_ref().is_some_and(is_realo) {
+    if !node.path.as_deref().is_some_and(is_realo) {
         return Ok(None);
     }
     let words = shlex::split(node.args.as_deref().unwrap_or_default()).unwrap_or_default();
@@ -335,10 +349,12 @@ fn hosted_by(node: &Node, file: &Path) -> Result<Option<Hosted>, GraphError> {
     }
 }
 
-/// The file of the module that a node stands for or hosts.
-pub(super) fn module_of(node: &Node) -> Option<String> {
-    let hosted = || Some(hosted_by(node, Path::new("")).ok()??.module);
-    node.module.clone().or_else(hosted)
+/// The file of the module that a node stands for or hosts; `folder` holds the file in which the node is written.
+pub(super) fn module_of(node: &Node, folder: &Path, graphs: &Path) -> Option<PathBuf> {
+    match &node.module {
+        Some(module) => Some(folder.join(module)),
+        None => Some(graphs.join(hosted_by(node, graphs).ok()??.module)),
+    }
 }
 
 /// Leaves out the stages that do nothing for this process: those that nobody feeds, and those of which nobody outside takes
@@ -369,6 +385,25 @@ fn leave_out(stages: &mut Vec<Node>, outlets: &Outlets) {
         needed.insert(id);
     }
     stages.retain(|stage| needed.contains(&stage.id));
+}
+
+/// dora gives a process what its own inputs name and nothing else.
+fn past_the_module(host: &Node, stages: &[Node]) -> Result<(), String> {
+    for stage in stages {
+        for (port, input) in &stage.inputs {
+            let InputSource::Output { node, .. } = &input.source else {
+                continue;
+            };
+            let inside = stages.iter().any(|known| known.id == *node);
+            if !inside && !host.inputs.values().any(|wire| wire.source == input.source) {
+                return Err(format!(
+                    "its stage `{}` takes `{}` for its input `{port}` past the module's inputs; give the module an input for it",
+                    stage.id, input.source
+                ));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Changes an argument of a hosted stage: `inner.key=value`.

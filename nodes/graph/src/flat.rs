@@ -238,7 +238,7 @@ impl FlatNode {
         }
     }
 
-    /// The `key=value` arguments of a stage; a program of its own has nothing before them.
+    /// The `key=value` arguments of a stage; those of another program are all its own.
     pub fn settings(&self) -> &[String] {
         let first = if self.is_realo() { 2 } else { 0 };
         self.args.get(first..).unwrap_or_default()

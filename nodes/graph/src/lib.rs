@@ -19,6 +19,8 @@ mod read;
 #[cfg(test)]
 mod dora_tests;
 #[cfg(test)]
+mod host_tests;
+#[cfg(test)]
 mod types_tests;
 
 use std::path::{Path, PathBuf};

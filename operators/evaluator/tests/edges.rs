@@ -62,17 +62,6 @@ fn outlines_are_in_micrometres_and_ten_nanoradians() {
     };
     assert_eq!(car, expected);
     assert_eq!(car.center_m(), [10.0, -2.5]);
-    let corner = |x: f64, y: f64| [10.0 + x, -2.5 + y];
-    let corners = [
-        corner(2.0, 1.0),
-        corner(2.0, -1.0),
-        corner(-2.0, -1.0),
-        corner(-2.0, 1.0),
-    ];
-    assert_eq!(
-        Outline::from_corners(corners),
-        Outline::new([10.0, -2.5], 4.0, 2.0, 0.0)
-    );
     let far = Outline::new([1e9, -1e9], 1e9, 2.0, 7.0);
     assert_eq!((far.center, far.length), ([i32::MAX, i32::MIN], i32::MAX));
     assert_eq!(far.yaw, ((7.0 - std::f64::consts::TAU) * 1e8).round() as i32);

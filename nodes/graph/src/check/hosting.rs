@@ -3,7 +3,7 @@
 use serde_yaml::Value;
 
 use super::{Answer, Findings, FlatNode, Severity};
-use realo_operator::{Registration, Registry, Role};
+use realo_operator::{Registration, Registry};
 
 /// The stage that a node hosts, its arguments checked; `None` for foreign nodes and unknown names.
 pub(super) fn stage(
@@ -61,11 +61,18 @@ pub(super) fn stage(
 
 /// A program that only dora runs.
 fn foreign(node: &FlatNode, findings: &mut Findings) {
-    let program = node.path.display();
-    let mend =
-        "dora runs it, virtual time does not; a plug-in is a node with `path: bin/realo` and `args: program PATH`";
-    let found = format!("the program {program}");
-    findings.node(Severity::Note, node, "a stage of realo", found, mend);
+    let found = format!("the program {}", node.path.display());
+    let (severity, mend) = match node.host {
+        None => (
+            Severity::Note,
+            "dora runs it, virtual time does not; a plug-in is a node with `path: bin/realo` and `args: program PATH`",
+        ),
+        Some(_) => (
+            Severity::Error,
+            "a host runs stages of realo and plug-ins, which have `path: bin/realo` and `args: program PATH`",
+        ),
+    };
+    findings.node(severity, node, "a stage of realo", found, mend);
 }
 
 /// What a plug-in says of its ports.
@@ -91,32 +98,21 @@ fn plug_in(node: &FlatNode, answer: Answer, findings: &mut Findings) -> Option<&
     None
 }
 
-/// Keys that make dora treat a node as it must not be treated.
-pub(super) fn keys(node: &FlatNode, stage: Option<&'static Registration>, findings: &mut Findings) {
-    let sink = stage.map_or(node.outputs.is_empty(), |stage| stage.role == Role::Sink);
-    if sink && node.other.contains_key("health_check_timeout") {
+/// Keys that make dora treat a process as it must not be treated; `ours`: whether stages of realo run in it.
+pub(super) fn keys(process: &FlatNode, ours: bool, is_sink: bool, findings: &mut Findings) {
+    if is_sink && process.other.contains_key("health_check_timeout") {
         let mend = "take it away: dora counts what a node sends, so it kills a healthy sink";
-        findings.node(
-            Severity::Error,
-            node,
-            "no `health_check_timeout` on a sink",
-            "one".into(),
-            mend,
-        );
+        let expected = "no `health_check_timeout` on a sink";
+        findings.node(Severity::Error, process, expected, "one".into(), mend);
     }
-    let restarts = node
+    let restarts = process
         .other
         .get("restart_policy")
         .and_then(Value::as_str)
         .filter(|policy| *policy != "never");
-    if let Some(policy) = restarts.filter(|_| stage.is_some()) {
+    if let Some(policy) = restarts.filter(|_| ours) {
         let mend = "take it away: a stage that starts again has forgotten what it counted";
-        findings.node(
-            Severity::Warning,
-            node,
-            "no `restart_policy`",
-            format!("`{policy}`"),
-            mend,
-        );
+        let found = format!("`{policy}`");
+        findings.node(Severity::Warning, process, "no `restart_policy`", found, mend);
     }
 }

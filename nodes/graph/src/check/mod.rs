@@ -10,7 +10,7 @@ use std::fmt;
 use serde_yaml::Value;
 
 use super::{FlatGraph, FlatNode};
-use realo_operator::{Registration, Registry};
+use realo_operator::{Registration, Registry, Role};
 
 pub(super) use lanes::check_tables;
 
@@ -92,7 +92,11 @@ pub fn validate_asking(
     for (node, stage) in graph.nodes.iter().zip(&stages) {
         ports::declared(node, *stage, &mut findings);
         ports::wires(graph, node, *stage, &mut findings);
-        hosting::keys(node, *stage, &mut findings);
+        let is_sink = stage.map_or(node.outputs.is_empty(), |stage| stage.role == Role::Sink);
+        // Of a hosted stage dora knows nothing.
+        if node.host.is_none() {
+            hosting::keys(node, stage.is_some(), is_sink, &mut findings);
+        }
     }
     processes::check(graph, &mut findings);
     match graph.ranks() {

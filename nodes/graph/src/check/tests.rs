@@ -91,9 +91,9 @@ stage!(
     Detect,
     "recorded-detections",
     [port("clouds", CLOUDS), port("recorded", BOXES)],
-    [port("boxes", BOXES)]
+    [port("proposals", BOXES)]
 );
-stage!(operator, Nms, "nms", [port("boxes", BOXES)], [port("boxes", BOXES)]);
+stage!(operator, Nms, "nms", [port("proposals", BOXES)], [port("boxes", BOXES)]);
 stage!(
     operator,
     Encoder,
@@ -199,91 +199,80 @@ nodes:
       ego_poses: realo/v1/EgoState
       poses: realo/v1/EgoState
       truth: realo/v1/GroundTruth
-    shared_memory_pool_size: 128MB
   - id: ego-detect
     path: bin/realo
     args: operator recorded-detections
     inputs:
-      clouds: { source: player/ego_clouds, queue_size: 200 }
-      recorded: { source: player/ego_recorded, queue_size: 200 }
-    input_types: { clouds: realo/v1/PointCloud, recorded: realo/v1/Boxes }
-    outputs: [boxes]
-    output_types: { boxes: realo/v1/Boxes }
+      clouds: player/ego_clouds
+      recorded: player/ego_recorded
+    outputs: [proposals]
+    output_types: { proposals: realo/v1/Boxes }
   - id: ego-nms
     path: bin/realo
     args: operator nms threshold=0.15
-    inputs: { boxes: { source: ego-detect/boxes, queue_size: 200 } }
-    input_types: { boxes: realo/v1/Boxes }
+    inputs: { proposals: ego-detect/proposals }
     outputs: [boxes]
     output_types: { boxes: realo/v1/Boxes }
   - id: detect
     path: bin/realo
     args: operator recorded-detections
     inputs:
-      clouds: { source: player/clouds, queue_size: 200 }
-      recorded: { source: player/recorded, queue_size: 200 }
-    input_types: { clouds: realo/v1/PointCloud, recorded: realo/v1/Boxes }
-    outputs: [boxes]
-    output_types: { boxes: realo/v1/Boxes }
+      clouds: player/clouds
+      recorded: player/recorded
+    outputs: [proposals]
+    output_types: { proposals: realo/v1/Boxes }
   - id: encoder
     path: bin/realo
     args: operator transmission-encoder
-    inputs: { data: { source: detect/boxes, queue_size: 200 } }
-    input_types: { data: realo/v1/Boxes }
+    inputs: { data: detect/proposals }
     outputs: [packets]
     output_types: { packets: realo/v1/Packet }
   - id: link
     path: bin/realo
     args: operator link
     inputs:
-      others: { source: encoder/packets, queue_size: 200 }
-      ego_state: { source: player/ego_poses, queue_size: 200 }
-      states: { source: player/poses, queue_size: 200 }
-    input_types: { others: realo/v1/Packet, ego_state: realo/v1/EgoState, states: realo/v1/EgoState }
+      others: encoder/packets
+      ego_state: player/ego_poses
+      states: player/poses
     outputs: [to_ego, report]
     output_types: { to_ego: realo/v1/Packet, report: realo/v1/Report }
   - id: decoder
     path: bin/realo
     args: operator transmission-decoder
-    inputs: { packets: { source: link/to_ego, queue_size: 200 } }
-    input_types: { packets: realo/v1/Packet }
+    inputs: { packets: link/to_ego }
     outputs: [data]
     output_types: { data: realo/v1/Boxes }
   - id: bank
     path: bin/realo
     args: operator feature-bank
     inputs:
-      ego: { source: ego-nms/boxes, queue_size: 200 }
-      others: { source: decoder/data, queue_size: 200 }
-    input_types: { ego: realo/v1/Boxes, others: realo/v1/Boxes }
+      ego: ego-nms/boxes
+      others: decoder/data
     outputs: [selections, report]
     output_types: { selections: realo/v1/Selection, report: realo/v1/Report }
   - id: fusion
     path: bin/realo
     args: operator fusion-boxes
     inputs:
-      ego: { source: ego-nms/boxes, queue_size: 200 } # fusion
-      selections: { source: bank/selections, queue_size: 200 }
-    input_types: { ego: realo/v1/Boxes, selections: realo/v1/Selection }
+      ego: ego-nms/boxes # fusion
+      selections: bank/selections
     outputs: [boxes, report]
     output_types: { boxes: realo/v1/Boxes, report: realo/v1/Report }
   - id: evaluator
     path: bin/realo
     args: operator evaluator
     inputs:
-      truth: { source: player/truth, queue_size: 200 }
-      boxes: { source: fusion/boxes, queue_size: 200 } # evaluator
-    input_types: { truth: realo/v1/GroundTruth, boxes: realo/v1/Boxes }
+      truth: player/truth
+      boxes: fusion/boxes # evaluator
     outputs: [report]
     output_types: { report: realo/v1/Report }
   - id: results
     path: bin/realo
     args: node results
     inputs:
-      boxes: { source: fusion/boxes, queue_size: 200 } # results
-      truth: { source: player/truth, queue_size: 200 }
-      evaluation: { source: evaluator/report, queue_size: 200 }
-    input_types: { boxes: realo/v1/Boxes, truth: realo/v1/GroundTruth, evaluation: realo/v1/Report }
+      boxes: fusion/boxes # results
+      truth: player/truth
+      evaluation: evaluator/report
 "#;
 
 fn findings(text: &str) -> Vec<Finding> {
@@ -345,7 +334,7 @@ const CASES: &[(&str, &str, &[&str])] = &[
         &[
             "port `data`",
             "found `realo/v1/Box` (did you mean `realo/v1/Boxes`?)",
-            "port `others`: expected `realo/v1/Boxes`, found `realo/v1/Box`",
+            "port `others`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/EgoState`, found `realo/v1/Box` from `decoder/data`",
         ],
     ),
     (
@@ -353,50 +342,67 @@ const CASES: &[(&str, &str, &[&str])] = &[
         "output_types: { data: realo/v1/Packet }",
         &[
             "port `data`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/EgoState`, found `realo/v1/Packet`",
-            "port `others`: expected `realo/v1/Boxes`",
+            "port `others`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/EgoState`, found `realo/v1/Packet`",
         ],
     ),
     (
-        "ego-detect/boxes, queue_size: 200",
-        "ego-detect/boxes, queue_size: 20",
-        &["warning: node `ego-nms`, port `boxes`: expected `queue_size` ≥ 200, found 20"],
+        "proposals: ego-detect/proposals",
+        "proposals: { source: ego-detect/proposals, queue_policy: backpressure }",
+        &["warning: node `ego-nms`, port `proposals`: expected no `queue_policy`, found `backpressure`"],
     ),
     (
-        "{ source: ego-detect/boxes, queue_size: 200 }",
-        "ego-detect/boxes",
-        &["found none, which means 10; write `{ source: ego-detect/boxes, queue_size: 200 }`"],
+        "proposals: ego-detect/proposals",
+        "proposals: { source: ego-detect/proposals, input_timeout: 0.5 }",
+        &["warning: node `ego-nms`, port `proposals`: expected no `input_timeout`, found one"],
     ),
     (
-        "ego-detect/boxes, queue_size: 200",
-        "ego-detect/boxes, queue_size: 200, queue_policy: backpressure",
-        &["found `backpressure`"],
+        "proposals: ego-detect/proposals",
+        "proposals: dora/timer/millis/100",
+        &["error: node `ego-nms`, port `proposals`: expected an output of a node, found `dora/timer/millis/100`"],
     ),
     (
-        "ego-detect/boxes",
+        "inputs: { proposals: ego-detect/proposals }",
+        "inputs: { proposals: ego-detect/proposals }\n    input_types: { proposals: realo/v1/PointCloud }",
+        &[
+            "node `ego-nms`, port `proposals`: expected `realo/v1/Boxes`, found `realo/v1/PointCloud`; correct the type",
+            "port `proposals`: expected `realo/v1/PointCloud`, found `realo/v1/Boxes` from `ego-detect/proposals`",
+        ],
+    ),
+    (
+        "inputs: { proposals: ego-detect/proposals }",
+        "inputs: { proposals: ego-detect/proposals }\n    input_types: { box: realo/v1/Boxes }",
+        &["port `box`: expected a port of the node, found only its entry in `input_types`"],
+    ),
+    (
+        "proposals: ego-detect/proposals",
+        "proposals: player/ego_clouds",
+        &["port `proposals`: expected `realo/v1/Boxes`, found `realo/v1/PointCloud` from `player/ego_clouds`"],
+    ),
+    (
+        "ego-detect/proposals",
         "ego-detct/boxes",
-        &["port `boxes`", "no node `ego-detct` (did you mean `ego-detect`?)"],
+        &["port `proposals`", "no node `ego-detct` (did you mean `ego-detect`?)"],
     ),
     (
-        "ego-detect/boxes",
-        "ego-detect/box",
-        &["found `ego-detect/box` (did you mean `boxes`?)"],
+        "ego-detect/proposals",
+        "ego-detect/proposal",
+        &["found `ego-detect/proposal` (did you mean `proposals`?)"],
     ),
     (
-        "ego-detect/boxes",
+        "ego-detect/proposals",
         "ego-nms/boxes",
         &["error: graph: expected no cycle, found", "ego-nms > ego-nms"],
     ),
     (
-        "      selections: { source: bank/selections, queue_size: 200 }\n",
+        "      selections: bank/selections\n",
         "",
         &[
-            "port `selections`: expected a wire to this required input",
-            "only its entry in `input_types`",
+            "port `selections`: expected a wire to this required input, found none; wire it under `inputs`: what a test needs",
         ],
     ),
     (
-        "      selections: {",
-        "      selection: {",
+        "      selections:",
+        "      selection:",
         &[
             "port `selection`: expected an input of `fusion-boxes`: ego, selections, found `selection` (did you mean `selections`?)",
             "required",
@@ -406,19 +412,6 @@ const CASES: &[(&str, &str, &[&str])] = &[
         "outputs: [to_ego, report]",
         "outputs: [to_ego, report, to_egos]",
         &["port `to_egos`: expected an output of `link`"],
-    ),
-    (
-        "    shared_memory_pool_size: 128MB\n",
-        "",
-        &[
-            "warning: node `player`: expected `shared_memory_pool_size: 128MB`",
-            "clouds",
-        ],
-    ),
-    (
-        "shared_memory_pool_size: 128MB",
-        "shared_memory_pool_size: 8 mb",
-        &["node `player`", "8 mb"],
     ),
     (
         "args: node results",
@@ -440,14 +433,14 @@ const CASES: &[(&str, &str, &[&str])] = &[
     ),
     (
         "decoder/data",
-        "detect/boxes",
+        "detect/proposals",
         &[
-            "node `bank`, port `others`: expected the others' data, through a link, found the others' data, from `detect/boxes`; what the others send must cross a link",
+            "node `bank`, port `others`: expected the others' data, through a link, found the others' data, from `detect/proposals`; what the others send must cross a link",
         ],
     ),
     (
-        "detect/boxes, queue_size: 200 } }\n    input_types: { data",
-        "ego-nms/boxes, queue_size: 200 } }\n    input_types: { data",
+        "data: detect/proposals",
+        "data: ego-nms/boxes",
         &["node `link`, port `others`: expected the others' data, found the ego's data"],
     ),
     (
@@ -456,31 +449,31 @@ const CASES: &[(&str, &str, &[&str])] = &[
         &["node `link`, port `ego_state`: expected the ego's data"],
     ),
     (
-        "ego: { source: ego-nms/boxes, queue_size: 200 }\n",
-        "ego: { source: decoder/data, queue_size: 200 }\n",
+        "ego: ego-nms/boxes\n",
+        "ego: decoder/data\n",
         &[
             "node `bank`, port `ego`: expected the ego's data",
             "node `fusion`, port `ego`: expected `decoder/data`, which asks `bank`",
         ],
     ),
     (
-        "ego-nms/boxes, queue_size: 200 } # fusion",
-        "ego-detect/boxes, queue_size: 200 }",
+        "ego-nms/boxes # fusion",
+        "ego-detect/proposals",
         &[
-            "node `fusion`, port `ego`: expected `ego-nms/boxes`, which asks `bank` for the selections, found `ego-detect/boxes`",
+            "node `fusion`, port `ego`: expected `ego-nms/boxes`, which asks `bank` for the selections, found `ego-detect/proposals`",
         ],
     ),
     (
-        "fusion/boxes, queue_size: 200 } # evaluator",
-        "detect/boxes, queue_size: 200 }",
+        "fusion/boxes # evaluator",
+        "detect/proposals",
         &[
             "node `evaluator`, port `boxes`: expected the ego's data, found the others' data",
-            "node `results`, port `boxes`: expected `detect/boxes`",
+            "node `results`, port `boxes`: expected `detect/proposals`",
         ],
     ),
     (
-        "fusion/boxes, queue_size: 200 } # results",
-        "ego-nms/boxes, queue_size: 200 }",
+        "fusion/boxes # results",
+        "ego-nms/boxes",
         &["node `results`, port `boxes`: expected `fusion/boxes`, as `evaluator` takes it, found `ego-nms/boxes`"],
     ),
 ];
@@ -501,42 +494,77 @@ fn finds_what_is_wrong_and_says_how_to_mend_it() {
     }
 }
 
+/// Nodes beside the sound graph, and all that is found then.
 #[test]
-fn a_foreign_node_is_noted_and_its_ports_must_be_typed() {
-    let foreign = r#"
-  - id: viewer
-    path: viewer.py
-    inputs: { boxes: { source: fusion/boxes, queue_size: 200 }, tick: dora/timer/millis/100 }
-    input_types: { boxes: realo/v1/Boxes }
-"#;
-    let found = findings(&format!("{GRAPH}{foreign}"));
-    assert_eq!(
-        found.iter().map(|finding| finding.severity).collect::<Vec<_>>(),
-        [Severity::Note],
+fn other_programs_are_noted_and_plug_ins_asked() {
+    let asked = |more: &str, answer: Answer| {
+        let graph = Graph::parse(&format!("{GRAPH}{more}"), Path::new("/graphs/g.yml")).unwrap();
+        let mut paths = Vec::new();
+        let found = validate_asking(&graph.expand().unwrap(), &REGISTRY, &mut |node| {
+            paths.push(node.program().unwrap().to_string());
+            answer.clone()
+        });
+        (found.iter().map(Finding::to_string).collect::<Vec<_>>(), paths)
+    };
+    let viewer = "  - { id: viewer, path: viewer.py, inputs: { boxes: fusion/boxes, tick: dora/timer/millis/100 } }\n";
+    let (found, paths) = asked(viewer, None);
+    assert!(paths.is_empty(), "only plug-ins are asked");
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(
+        found[0].starts_with("note: node `viewer`: expected a stage of realo, found the program viewer.py"),
         "{found:?}"
     );
-    let untyped = foreign.replace("    input_types: { boxes: realo/v1/Boxes }\n", "");
-    let found = findings(&format!("{GRAPH}{untyped}"));
-    let ports: Vec<Option<&str>> = found.iter().map(|finding| finding.port.as_deref()).collect();
-    assert_eq!(ports, [None, Some("boxes")], "{found:?}");
+
+    let plug_in =
+        "  - { id: mine, path: bin/realo, args: program bin/mine x=1, inputs: { proposals: fusion/boxes } }\n";
+    let (found, paths) = asked(plug_in, None);
+    assert_eq!(paths, ["bin/mine"]);
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(found[0].starts_with("note: node `mine`") && found[0].contains("without starting it"));
+    let (found, _) = asked(plug_in, Some(Err("it said nothing".into())));
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(
+        found[0].starts_with("error: node `mine`: expected a program that hosts an operator, found it said nothing"),
+        "{found:?}"
+    );
+    let nms = REGISTRY.find("operator", "nms").unwrap();
+    assert_eq!(asked(plug_in, Some(Ok(nms))), (vec![], vec!["bin/mine".to_string()]));
+    let wrong = plug_in.replace("proposals: fusion", "proposal: fusion");
+    let (found, _) = asked(&wrong, Some(Ok(nms)));
+    assert!(
+        found
+            .iter()
+            .any(|line| line.contains("found `proposal` (did you mean `proposals`?)")),
+        "{found:?}"
+    );
 }
 
 #[test]
-fn packets_of_clouds_need_a_pool_too() {
-    let clouds = GRAPH
-        .replace("source: detect/boxes", "source: player/clouds")
-        .replace(
-            "input_types: { data: realo/v1/Boxes }",
-            "input_types: { data: realo/v1/PointCloud }",
-        )
-        .replace(
-            "output_types: { data: realo/v1/Boxes }",
-            "output_types: { data: realo/v1/PointCloud }",
-        );
-    let pools: Vec<String> = findings(&clouds)
-        .into_iter()
-        .filter(|finding| finding.expected.contains("shared_memory_pool_size"))
-        .map(|finding| finding.node)
-        .collect();
-    assert_eq!(pools, ["encoder", "link", "decoder", "bank"]);
+fn ports_that_differ_from_what_a_program_declares_are_named() {
+    let text = "nodes: [{ id: a, path: bin/realo, args: program p, inputs: { proposal: b/o }, outputs: [boxes], \
+                output_types: { boxes: realo/v1/Boxes } }]";
+    let graph = Graph::parse(text, Path::new("/g.yml")).unwrap().expand().unwrap();
+    let found = misdeclared(&graph.nodes[0], REGISTRY.find("operator", "nms").unwrap());
+    let ports: Vec<Option<&str>> = found.iter().map(|finding| finding.port.as_deref()).collect();
+    assert_eq!(ports, [Some("proposal"), Some("proposals")], "{found:?}");
+}
+
+#[test]
+fn one_results_node_and_no_more() {
+    let (head, results) = GRAPH.split_at(GRAPH.find("  - id: results").unwrap());
+    let found = findings(head);
+    assert_eq!(found.len(), 1, "{found:?}");
+    let said = found[0].to_string();
+    assert!(
+        said.starts_with("warning: graph: expected a `results` node, found none"),
+        "{said}"
+    );
+    let twice = format!("{GRAPH}{}", results.replace("id: results", "id: again"));
+    let found = findings(&twice);
+    assert_eq!(found.len(), 1, "{found:?}");
+    let said = found[0].to_string();
+    assert!(
+        said.starts_with("error: graph: expected one `results` node, found 2"),
+        "{said}"
+    );
 }
