@@ -210,6 +210,8 @@ mod tests {
             Port::new("two", &[PayloadType::Boxes], ""),
         ],
         arguments: &[],
+        decided: &[],
+        paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
         build: |_| Err("built by the test".into()),

@@ -23,6 +23,8 @@ const fn stage(name: &'static str, role: Role, inputs: &'static [Port], outputs:
         inputs,
         outputs,
         arguments: &[],
+        decided: &[],
+        paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
         build: |_| Err("a test answers its calls".into()),

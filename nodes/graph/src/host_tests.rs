@@ -363,7 +363,7 @@ fn a_process_reads_the_stages_that_the_graph_gives_it() {
         let (module, settings) = (&process.args[1], &process.args[2..]);
         let inputs: Vec<String> = process.inputs.keys().cloned().collect();
         let outputs: Vec<String> = process.outputs.iter().cloned().collect();
-        let read = hosted(&process.id, module, settings, Some(&inputs), &outputs, folder.path()).unwrap();
+        let read = hosted(&process.id, module, settings, Some((&inputs, &outputs)), folder.path()).unwrap();
         assert_eq!(read.hosts[0].outlets, process.outlets);
         let stages: Vec<&FlatNode> = graph
             .nodes
@@ -388,7 +388,6 @@ fn a_process_reads_the_stages_that_the_graph_gives_it() {
         "modules/detect.network.yml",
         &[],
         None,
-        &texts(&["packets"]),
         folder.path(),
     )
     .unwrap();
@@ -402,8 +401,7 @@ fn a_process_reads_the_stages_that_the_graph_gives_it() {
             "x",
             module,
             &texts(settings),
-            Some(&texts(inputs)),
-            &texts(outputs),
+            Some((&texts(inputs), &texts(outputs))),
             folder.path(),
         );
         read.unwrap_err().to_string()

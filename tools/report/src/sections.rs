@@ -90,7 +90,7 @@ pub fn sections(runs: &[&Run]) -> Vec<Section> {
         section("sent per frame: messages / KB".into(), &volume),
     ]);
     for kind in kinds(runs) {
-        sections.push(section(format!("messages to the ego: {kind}"), &|rows| {
+        sections.push(section(format!("messages over links: {kind}"), &|rows| {
             accounting(rows, &kind)
         }));
     }

@@ -110,7 +110,7 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 truncated: log.truncation().is_some(),
                 compute: compute.clone(),
                 told: ToldFile {
-                    log: stem.clone(),
+                    log: log_path.to_string_lossy().into_owned(),
                     settings,
                 },
                 out,
