@@ -163,8 +163,8 @@ mod tests {
 
     #[test]
     fn neighbours_are_found_in_every_direction() {
-        // Cells of 4 m from (-40, -40) on; these lie in the middle one of nine, near its sides.
-        let far = [square(-40.0, -40.0), square(40.0, 40.0)];
+        // Nine cells of 4 m from (-4, -4) on; one box lies in the middle, the other beside it.
+        let far = [square(-4.0, -4.0), square(8.0, 8.0)];
         let at = |step: i32| match step {
             -1 => (0.3, -0.3),
             1 => (3.7, 4.3),
