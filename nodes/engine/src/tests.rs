@@ -613,7 +613,7 @@ fn a_source_releases_on_time_and_says_when_it_was_late() {
     rig.engine.set_clock(Clock { rate: 2.0, ..clock });
     assert_eq!(rig.engine.clock(), Some(clock), "the first one stays");
     rig.engine.release(0, PortId(0), message("a", 1, 20), 20, 23);
-    rig.engine.release(0, PortId(0), message("a", 2, 30), 30, 29);
+    rig.engine.release(0, PortId(0), message("a", 2, 28), 30, 29);
     assert_eq!(rig.rest(), ["23 relay in 0.a1", "30 relay in 0.a2"]);
     let left = rig.left();
     let header = &left[0].2.header;
