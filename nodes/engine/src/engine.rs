@@ -306,10 +306,9 @@ impl Engine {
     }
 
     /// Releases a source's message that was due at `time`, now.
-    pub fn release(&mut self, stage: usize, port: PortId, mut message: Message, time: Nanos, now: Nanos) {
-        let done = now.max(time);
+    pub fn release(&mut self, stage: usize, port: PortId, message: Message, time: Nanos, now: Nanos) {
         // A source that could not keep up says so: what it releases late is ready late.
-        message.header.ready = message.header.ready.max(done);
+        let done = now.max(time);
         if self.run.is_empty() {
             self.run = message.header.run.clone();
         }

@@ -377,6 +377,32 @@ fn agents_have_servers_of_their_own_or_share_one() {
 }
 
 #[test]
+fn a_call_under_way_holds_its_server_and_the_end() {
+    let mut engine = Engine::new(&alone(&RELAY), Servers::PerAgent);
+    for (agent, seq) in [("a", 0), ("a", 1), ("b", 0)] {
+        engine.deliver(0, PortId(0), message(agent, seq, 0));
+    }
+    engine.end_input(0, PortId(0), 0);
+    let call = |engine: &mut Engine| match engine.step(5) {
+        Ok(Some(Step::Call(task))) => Some(task.ticket),
+        _ => None,
+    };
+    let (a, b) = (call(&mut engine).unwrap(), call(&mut engine).unwrap());
+    assert!(call(&mut engine).is_none(), "a is called, and so is b");
+    let done = |engine: &mut Engine, ticket: &Ticket| {
+        engine.complete(ticket, Called::default(), 5, 0).unwrap();
+        engine.free(ticket, 5, 5);
+    };
+    done(&mut engine, &b);
+    assert!(call(&mut engine).is_none(), "the end waits for a");
+    done(&mut engine, &a);
+    let second = call(&mut engine).unwrap();
+    assert!(!second.is_end() && call(&mut engine).is_none());
+    done(&mut engine, &second);
+    assert!(call(&mut engine).is_some_and(|ticket| ticket.is_end()));
+}
+
+#[test]
 fn a_wake_that_comes_late_stands_in_line_by_its_time() {
     // The wake is due at 10, the stage is busy until 20; what else waits is ready at …
     for (port, ready, wake_first) in [
@@ -589,7 +615,7 @@ fn a_source_releases_on_time_and_says_when_it_was_late() {
     rig.engine.set_clock(Clock { rate: 2.0, ..clock });
     assert_eq!(rig.engine.clock(), Some(clock), "the first one stays");
     rig.engine.release(0, PortId(0), message("a", 1, 20), 20, 23);
-    rig.engine.release(0, PortId(0), message("a", 2, 30), 30, 29);
+    rig.engine.release(0, PortId(0), message("a", 2, 28), 30, 29);
     assert_eq!(rig.rest(), ["23 relay in 0.a1", "30 relay in 0.a2"]);
     let left = rig.left();
     let header = &left[0].2.header;

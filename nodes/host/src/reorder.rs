@@ -17,6 +17,8 @@ pub(crate) struct Reorder<T> {
 impl<T> Reorder<T> {
     /// How long a missing hop is waited for, ns.
     pub const PATIENCE: i64 = 20_000_000;
+    /// Hops that were given up and would be known if they came.
+    const REMEMBERED: u64 = 4096;
 
     pub fn new() -> Self {
         Reorder {
@@ -81,8 +83,9 @@ impl<T> Reorder<T> {
 
     fn give_up_before(&mut self, hop: u64, books: &mut InputBooks) {
         books.transport_lost += hop - self.next;
-        self.given_up.extend(self.next..hop);
-        while self.given_up.len() > 4096 {
+        self.given_up
+            .extend(self.next.max(hop.saturating_sub(Self::REMEMBERED))..hop);
+        while self.given_up.len() as u64 > Self::REMEMBERED {
             self.given_up.pop_first();
         }
         self.next = hop;
@@ -132,6 +135,53 @@ mod tests {
             (order, books.transport_lost, books.transport_repeated),
             (vec![0, 2, 3], 1, 0)
         );
+    }
+
+    #[test]
+    fn a_gap_of_any_size_is_given_up_at_once() {
+        let far = 1 << 60;
+        let (order, books) = feed(
+            &[
+                (0, 0),
+                (1, far),
+                (Reorder::<u64>::PATIENCE + 1, far + 1),
+                (0, far - 1),
+                (0, 5),
+            ],
+            far + 2,
+        );
+        assert_eq!((order, books.transport_lost), (vec![0, far, far + 1], far - 1));
+        assert_eq!(
+            books.transport_repeated, 1,
+            "of what was given up long ago nothing is known"
+        );
+    }
+
+    #[test]
+    fn an_edge_is_complete_when_its_last_hop_came_and_waits_for_the_missing_ones() {
+        let (mut reorder, mut books, mut ready) = (Reorder::new(), InputBooks::default(), Vec::new());
+        assert!(reorder.is_complete(0, 3) && reorder.deadline().is_none());
+        reorder.offer(0, 0, 5, &mut books, &mut ready);
+        assert!(reorder.is_complete(1, 6));
+        assert!(!reorder.is_complete(2, 7));
+        assert_eq!(reorder.deadline(), Some(7 + Reorder::<u64>::PATIENCE));
+        assert!(!reorder.is_complete(2, 9));
+        assert_eq!(
+            reorder.deadline(),
+            Some(7 + Reorder::<u64>::PATIENCE),
+            "since it was first missed"
+        );
+        reorder.offer(2, 2, 20, &mut books, &mut ready);
+        assert_eq!(reorder.deadline(), Some(7 + Reorder::<u64>::PATIENCE));
+        reorder.expire(6 + Reorder::<u64>::PATIENCE, &mut books, &mut ready);
+        assert_eq!(ready, [0]);
+        reorder.expire(7 + Reorder::<u64>::PATIENCE, &mut books, &mut ready);
+        assert_eq!(
+            (ready.as_slice(), books.transport_lost, reorder.deadline()),
+            (&[0, 2][..], 1, None)
+        );
+        reorder.offer(2, 2, 30, &mut books, &mut ready);
+        assert_eq!((books.transport_repeated, ready.len()), (1, 2));
     }
 
     proptest! {

@@ -171,3 +171,153 @@ fn identify(
         false => Err(wrong.join("\n  ")),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use realo_graph::Graph;
+    use realo_operator::{AnyOperator, Error, Outputs, Port, Role};
+    use realo_schemas::{Message, Nanos, PayloadType};
+
+    use super::*;
+
+    struct Nothing;
+
+    impl AnyOperator for Nothing {
+        fn on_input(&mut self, _: PortId, _: Message, _: &mut Outputs) -> Result<(), Error> {
+            Ok(())
+        }
+        fn on_wake(&mut self, _: Nanos, _: &mut Outputs) -> Result<(), Error> {
+            Ok(())
+        }
+        fn on_end(&mut self, _: &mut Outputs) -> Result<(), Error> {
+            Ok(())
+        }
+    }
+
+    const BOXES: &[PayloadType] = &[PayloadType::Boxes];
+
+    static RELAY: Registration = Registration {
+        name: "relay",
+        about: "",
+        role: Role::Operator,
+        inputs: &[
+            Port::new("in", BOXES, "boxes"),
+            Port::new("more", BOXES, "boxes").optional(),
+        ],
+        outputs: &[Port::new("out", BOXES, ""), Port::new("aside", BOXES, "")],
+        arguments: &[],
+        defaults: Default::default,
+        check: |_| Ok(()),
+        build: |args| match args {
+            [] => Ok(Built::Operator(Box::new(Nothing))),
+            args => Err(args.join(" ").into()),
+        },
+    };
+    static REGISTRY: Registry = Registry(&[RELAY]);
+
+    fn stages(nodes: &str) -> Result<Stages, String> {
+        let text = format!("nodes: [{nodes}]");
+        let graph = Graph::parse(&text, Path::new("/nowhere/g.yml"))
+            .unwrap()
+            .expand()
+            .unwrap();
+        Stages::of(&graph, &REGISTRY)
+    }
+
+    fn relay(id: &str, rest: &str) -> String {
+        format!("{{ id: {id}, path: bin/realo, args: operator relay, outputs: [out, aside], {rest} }}")
+    }
+
+    fn problem(nodes: &str) -> String {
+        match stages(nodes) {
+            Ok(_) => panic!("{nodes} should be refused"),
+            Err(problem) => problem,
+        }
+    }
+
+    #[test]
+    fn stages_stand_in_topological_order_with_their_wires() {
+        let nodes = [
+            relay("z", "inputs: { in: b/out, more: a/aside }"),
+            relay("a", "inputs: { in: _outside/boxes, more: _outside/boxes }"),
+            relay("b", "inputs: { in: a/out }"),
+            relay("lonely", "inputs: { more: _outside/other }"),
+        ];
+        let stages = stages(&nodes.join(", ")).unwrap();
+        let ids: Vec<&str> = stages.wiring.stages.iter().map(|stage| &*stage.id).collect();
+        assert_eq!(ids, ["a", "lonely", "b", "z"]);
+        let consumers = |from: usize, port: usize| stages.wiring.consumers(from, PortId(port));
+        assert_eq!(
+            (consumers(0, 0), consumers(0, 1)),
+            (vec![(2, PortId(0))], vec![(3, PortId(1))])
+        );
+        assert_eq!(stages.entries["boxes"], [(0, PortId(0)), (0, PortId(1))]);
+        assert_eq!(stages.entries["other"], [(1, PortId(1))]);
+        assert_eq!(stages.open_inputs(), ["lonely: input `in` must be wired: boxes"]);
+        assert!(stages.exits.is_empty());
+        assert_eq!(stages.build().map(|built| built.len()), Ok(4));
+    }
+
+    #[test]
+    fn outputs_leave_under_a_name() {
+        let mut stages = stages(&relay("a", "inputs: { in: _outside/boxes }")).unwrap();
+        stages.let_out("boxes", "a", "aside").unwrap();
+        assert_eq!(stages.exits["boxes"], (0, PortId(1)));
+        assert_eq!(stages.wiring.stages[0].leaves, [false, true]);
+        let mut error = |stage, output| stages.let_out("boxes", stage, output).unwrap_err();
+        assert_eq!(error("b", "out"), "output `boxes`: no stage `b`");
+        assert_eq!(error("a", "oot"), "output `boxes`: stage `a` has no output `oot`");
+    }
+
+    #[test]
+    fn what_cannot_be_hosted_is_named() {
+        let cases = [
+            (
+                "{ id: a, path: viewer.py }".to_string(),
+                "node `a`: viewer.py is no stage of realo, and only dora runs it",
+            ),
+            (
+                "{ id: a, path: bin/realo, args: operator rely x=1 }".into(),
+                "node `a`: no operator or node of `realo operators`: `operator rely x=1`",
+            ),
+            (
+                relay("a", "inputs: { in: dora/timer/millis/5 }"),
+                "node `a`: input `in` comes from dora/timer/millis/5",
+            ),
+            (
+                relay("a", "inputs: { into: _outside/boxes }"),
+                "node `a`: relay has no input `into`",
+            ),
+            (relay("a", "inputs: { in: b/out }"), "no node `b`"),
+            (
+                format!(
+                    "{}, {}",
+                    relay("a", "inputs: { in: b/oot }"),
+                    relay("b", "inputs: { in: _outside/x }")
+                ),
+                "node `b` has no output `oot`",
+            ),
+            (
+                "{ id: a, path: bin/realo, args: program no/such/file }".into(),
+                "node `a`",
+            ),
+        ];
+        for (nodes, expected) in cases {
+            let found = problem(&nodes);
+            assert!(found.contains(expected), "{nodes}\n{found}");
+        }
+    }
+
+    #[test]
+    fn a_stage_that_cannot_be_built_is_named() {
+        let mut stages = Stages::default();
+        stages.add("a", &RELAY, vec![], &[]).unwrap();
+        stages
+            .add("b", &RELAY, vec!["no".into(), "weights".into()], &[])
+            .unwrap();
+        let error = stages.build().map(|_| ()).unwrap_err();
+        assert_eq!(error.to_string(), "node `b`: no weights");
+        assert!(stages.add("c", &RELAY, vec![], &[("in", "d", "out")]).is_err());
+        assert_eq!(stages.wiring.stages.len(), 2);
+    }
+}

@@ -1,9 +1,13 @@
 //! Virtual time by small graphs whose answer can be worked out by hand.
 
-use std::collections::BTreeMap;
+use std::sync::Mutex;
 
-use realo_runtime::virtual_time::{RunError, run};
-use realo_runtime::*;
+use realo_graph::Graph;
+use realo_host::virtual_time::{self, RunError};
+use realo_host::{ComputeProfile, Stages};
+use realo_operator::{
+    Argument, Books, Describe, Error, Operator, Outputs, Port, PortId, Registration, Registry, Sink, Source,
+};
 use realo_schemas::{Boxes, Header, Kind, Message, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
 
@@ -27,13 +31,15 @@ macro_rules! describe {
 struct Sweeps {
     count: u64,
     agents: Vec<String>,
+    fails: bool,
 }
-struct Clockwork(Vec<(Nanos, Message)>);
+/// A sweep of every agent each period; may fail in the end.
+struct Clockwork(Vec<(Nanos, Message)>, bool);
 describe!(
     Clockwork,
     "clockwork",
     Sweeps,
-    ["count", "agents"],
+    ["count", "agents", "fails"],
     &[],
     &[Port::new("out", BOXES, "")]
 );
@@ -47,10 +53,16 @@ impl Source for Clockwork {
                 messages.push((time, Message::new(header, Boxes::default())));
             }
         }
-        Ok(Clockwork(messages))
+        Ok(Clockwork(messages, config.fails))
     }
     fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
-        Ok(self.0.pop().map(|(time, message)| (time, PortId(0), message)))
+        match self.0.pop() {
+            None if self.1 => Err("the disk is gone".into()),
+            next => Ok(next.map(|(time, message)| (time, PortId(0), message))),
+        }
+    }
+    fn counters(&self) -> std::collections::BTreeMap<String, u64> {
+        [("left".to_string(), self.0.len() as u64)].into()
     }
 }
 
@@ -58,6 +70,7 @@ impl Source for Clockwork {
 struct Delayed {
     delay: Nanos,
 }
+/// Sends every message of an even number on, later.
 struct Delay(Nanos);
 describe!(
     Delay,
@@ -72,14 +85,17 @@ impl Operator for Delay {
         Ok(Delay(config.delay))
     }
     fn on_input(&mut self, _: PortId, mut message: Message, out: &mut Outputs) -> Result<(), Error> {
-        message.header.ready = out.now() + self.0;
-        out.send(PortId(0), message);
+        if message.header.seq != 77 {
+            message.header.ready = out.now() + self.0;
+            out.send(PortId(0), message);
+        }
         Ok(())
     }
 }
 
 #[derive(Serialize, Deserialize, Default)]
 struct Nothing {}
+/// Sends each message on 30 ns later; takes no message number 3.
 #[derive(Default)]
 struct Echo(Option<Message>);
 describe!(
@@ -88,7 +104,7 @@ describe!(
     Nothing,
     [],
     &[Port::new("in", BOXES, "")],
-    &[Port::new("out", BOXES, "")]
+    &[Port::new("echoed", BOXES, "")]
 );
 impl Operator for Echo {
     fn new(_: Nothing) -> Result<Self, Error> {
@@ -110,90 +126,154 @@ impl Operator for Echo {
     }
 }
 
-static REGISTRY: &[Registration] = &[
+/// What the sink of [`sinks_are_called_in_order_and_end_with_the_books`] was given.
+static GIVEN: Mutex<Vec<String>> = Mutex::new(Vec::new());
+struct Notes;
+describe!(Notes, "notes", Nothing, [], &[Port::new("in", BOXES, "")], &[]);
+impl Sink for Notes {
+    fn new(_: Nothing) -> Result<Self, Error> {
+        Ok(Notes)
+    }
+    fn accept(&mut self, _: PortId, message: Message) -> Result<(), Error> {
+        if message.header.agent == "full".into() {
+            return Err("no space left".into());
+        }
+        GIVEN
+            .lock()
+            .unwrap()
+            .push(format!("{} at {}", message.header.seq, message.header.ready));
+        Ok(())
+    }
+    fn finish(&mut self, books: &Books) -> Result<(), Error> {
+        let names: Vec<&str> = books.nodes.keys().map(String::as_str).collect();
+        GIVEN.lock().unwrap().push(names.join(" "));
+        Ok(())
+    }
+}
+
+static REGISTRY: Registry = Registry(&[
     Registration::source::<Clockwork>(),
     Registration::operator::<Delay>(),
     Registration::operator::<Echo>(),
-];
+    Registration::sink::<Notes>(),
+]);
 
-fn node(word: &str, name: &str) -> &'static Registration {
-    Registry(REGISTRY).find(word, name).expect("registered")
+fn stage(word: &str, name: &str) -> &'static Registration {
+    REGISTRY.find(word, name).expect("registered")
 }
 
 type Sent = Vec<(String, String, u64, Nanos)>;
 
-fn simulate(wiring: &Wiring, compute: &[(&str, Nanos)]) -> Result<(Sent, Books), RunError> {
-    let nodes = compute
-        .iter()
-        .map(|(node, nanos)| (node.to_string(), *nanos))
-        .collect::<BTreeMap<_, _>>();
+fn simulate(stages: &Stages, compute: &[(&str, Nanos)]) -> Result<(Sent, Books), RunError> {
+    let nanos = compute.iter().map(|(key, nanos)| (key.to_string(), *nanos)).collect();
     let mut sent = Vec::new();
-    let books = run(wiring, &ComputeProfile { nodes }, &mut |node, _, message| {
-        sent.push((
-            node.into(),
-            message.header.agent.to_string(),
-            message.header.seq,
-            message.header.ready,
-        ));
-    })?;
+    let observer = Box::new(|stage: &str, output: &str, message: &Message| {
+        assert_eq!(output == "echoed", stage.contains("echo"));
+        let header = &message.header;
+        sent.push((stage.into(), header.agent.to_string(), header.seq, header.ready));
+    });
+    let books = virtual_time::run(stages, &ComputeProfile { nanos }, Some(observer))?;
     Ok((sent, books))
 }
 
-fn chain(count: u64, agents: &str, delay: Nanos) -> Wiring {
-    let mut wiring = Wiring::default();
-    let args = vec![format!("count={count}"), format!("agents={agents}")];
-    wiring.add("source", node("node", "clockwork"), args, &[]).unwrap();
-    wiring
-        .add(
-            "delay",
-            node("operator", "delay"),
-            vec![format!("delay={delay}")],
-            &[("in", "source", "out")],
-        )
-        .unwrap();
-    wiring
-        .add("echo", node("operator", "echo"), vec![], &[("in", "delay", "out")])
-        .unwrap();
-    wiring
+fn failure(stages: &Stages, compute: &[(&str, Nanos)]) -> String {
+    match simulate(stages, compute) {
+        Ok(_) => panic!("the run should fail"),
+        Err(error) => error.to_string(),
+    }
 }
 
-fn of<'a>(sent: &'a Sent, node: &'a str) -> impl Iterator<Item = (&'a str, u64, Nanos)> {
-    sent.iter()
-        .filter(move |s| s.0 == node)
-        .map(|s| (s.1.as_str(), s.2, s.3))
+fn source(args: &[&str]) -> Stages {
+    let mut stages = Stages::default();
+    let args = args.iter().map(|arg| arg.to_string()).collect();
+    stages.add("source", stage("node", "clockwork"), args, &[]).unwrap();
+    stages
+}
+
+/// source > delay > echo.
+fn chain(count: u64, agents: &str, delay: &str) -> Stages {
+    let mut stages = source(&[&format!("count={count}"), &format!("agents={agents}")]);
+    let wire = [("in", "source", "out")];
+    stages
+        .add("delay", stage("operator", "delay"), vec![delay.into()], &wire)
+        .unwrap();
+    stages
+        .add("echo", stage("operator", "echo"), vec![], &[("in", "delay", "out")])
+        .unwrap();
+    stages
+}
+
+fn of<'a>(sent: &'a Sent, stage: &str) -> Vec<(&'a str, u64, Nanos)> {
+    let of_stage = sent.iter().filter(|sent| sent.0 == stage);
+    of_stage
+        .map(|(_, agent, seq, ready)| (agent.as_str(), *seq, *ready))
+        .collect()
 }
 
 #[test]
 fn delays_follow_computation_and_wakes_fire_on_time() {
-    let (sent, books) = simulate(&chain(3, "a", 41), &[("delay", 7)]).unwrap();
-    assert_eq!(
-        of(&sent, "delay").collect::<Vec<_>>(),
-        [("a", 0, 48), ("a", 1, 148), ("a", 2, 248)]
-    );
-    assert_eq!(
-        of(&sent, "echo").collect::<Vec<_>>(),
-        [("a", 0, 78), ("a", 1, 178), ("a", 2, 278)]
-    );
-    assert_eq!(books.nodes["delay"].compute.quantile(0.5), Some(7));
+    let (sent, books) = simulate(&chain(3, "a", "delay=41"), &[("delay", 7)]).unwrap();
+    assert_eq!(of(&sent, "source"), [("a", 0, 0), ("a", 1, 100), ("a", 2, 200)]);
+    assert_eq!(of(&sent, "delay"), [("a", 0, 48), ("a", 1, 148), ("a", 2, 248)]);
+    assert_eq!(of(&sent, "echo"), [("a", 0, 78), ("a", 1, 178), ("a", 2, 278)]);
+    assert_eq!(books.nodes["delay"].compute["in > out"].quantile(0.5), Some(7));
     assert_eq!(books.nodes["echo"].inputs["in"].received.total(), 3);
+    assert_eq!(books.nodes["source"].counters["left"], 0);
+    assert_eq!(books.nodes["source"].late.count(), 0);
+}
+
+#[test]
+fn a_call_is_charged_by_what_triggers_it_and_what_it_sends() {
+    // Echo takes its input without an answer and answers when it is woken, 30 later.
+    let compute = [
+        ("delay", 2),
+        ("delay.in > out", 9),
+        ("echo.in", 10),
+        ("echo.wake > echoed", 5),
+        ("echo", 1000),
+    ];
+    let (sent, books) = simulate(&chain(1, "a", "delay=0"), &compute).unwrap();
+    assert_eq!(of(&sent, "delay"), [("a", 0, 9)]);
+    // In at 9, asks for 39, is busy until 19, woken at 39, done at 44.
+    assert_eq!(of(&sent, "echo"), [("a", 0, 44)]);
+    let charged = |stage: &str| {
+        let compute = books.nodes[stage].compute.iter();
+        compute
+            .map(|(trigger, took)| (trigger.clone(), took.max().unwrap()))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(charged("delay"), [("in > out".to_string(), 9)]);
+    assert_eq!(
+        charged("echo"),
+        [("in".to_string(), 10), ("wake > echoed".to_string(), 5)]
+    );
+
+    // A stage that is charged for what it receives, whatever it sends; one that is busy is woken when it is done.
+    let (sent, _) = simulate(
+        &chain(1, "a", "delay=0"),
+        &[("delay.in", 4), ("echo.in", 50), ("echo.wake", 6)],
+    )
+    .unwrap();
+    assert_eq!(of(&sent, "delay"), [("a", 0, 4)]);
+    assert_eq!(of(&sent, "echo"), [("a", 0, 60)]);
 }
 
 #[test]
 fn a_busy_stage_keeps_the_newest_and_counts_what_it_passes_over() {
-    let (sent, books) = simulate(&chain(6, "a", 0), &[("delay", 250)]).unwrap();
+    let (sent, books) = simulate(&chain(6, "a", "delay=0"), &[("delay", 250)]).unwrap();
     // Busy 0–250 with 0 (1 is replaced by 2), 250–500 with 2 (3 is replaced by 4), 500– with 4 (5 waits: it came at 500).
     assert_eq!(
-        of(&sent, "delay").map(|s| (s.1, s.2)).collect::<Vec<_>>(),
-        [(0, 250), (2, 500), (4, 750), (5, 1000)]
+        of(&sent, "delay"),
+        [("a", 0, 250), ("a", 2, 500), ("a", 4, 750), ("a", 5, 1000)]
     );
     assert_eq!(books.nodes["delay"].inputs["in"].skipped.total(), 2);
 }
 
 #[test]
 fn every_agent_has_a_server_of_its_own() {
-    let (sent, books) = simulate(&chain(2, "a,b", 0), &[("delay", 90)]).unwrap();
+    let (sent, books) = simulate(&chain(2, "a,b", "delay=0"), &[("delay", 90)]).unwrap();
     assert_eq!(
-        of(&sent, "delay").collect::<Vec<_>>(),
+        of(&sent, "delay"),
         [("a", 0, 90), ("b", 0, 90), ("a", 1, 190), ("b", 1, 190)]
     );
     assert_eq!(books.nodes["delay"].inputs["in"].skipped.total(), 0);
@@ -201,27 +281,84 @@ fn every_agent_has_a_server_of_its_own() {
 
 #[test]
 fn an_error_in_one_message_is_counted_and_the_run_goes_on() {
-    let (sent, books) = simulate(&chain(5, "a", 0), &[]).unwrap();
-    assert_eq!(of(&sent, "echo").map(|s| s.1).collect::<Vec<_>>(), [0, 1, 2, 4]);
+    let (sent, books) = simulate(&chain(5, "a", "delay=0"), &[]).unwrap();
+    let numbers: Vec<u64> = of(&sent, "echo").iter().map(|sent| sent.1).collect();
+    assert_eq!(numbers, [0, 1, 2, 4]);
     assert_eq!(books.nodes["echo"].errors, 1);
 }
 
 #[test]
-fn a_queue_that_runs_over_fails_the_run_by_name() {
-    let error = simulate(&chain(2000, "a", 0), &[("echo", 1_000_000)])
-        .map(|_| ())
-        .unwrap_err()
-        .to_string();
+fn what_cannot_go_on_is_named() {
+    let error = failure(&chain(2000, "a", "delay=0"), &[("echo", 1_000_000)]);
     assert!(error.contains("`echo`") && error.contains("`in`"), "{error}");
-}
-
-#[test]
-fn a_node_that_cannot_be_built_is_named() {
-    let mut wiring = chain(1, "a", 0);
-    wiring.nodes[1].args = vec!["dealy=3".into()];
-    let error = simulate(&wiring, &[]).map(|_| ()).unwrap_err().to_string();
+    let error = failure(&chain(1, "a", "dealy=3"), &[]);
     assert!(
         error.contains("`delay`") && error.contains("did you mean `delay`"),
         "{error}"
     );
+    let error = failure(&source(&["count=2", "agents=a", "fails=true"]), &[]);
+    assert_eq!(error, "node `source` failed: the disk is gone");
+    let error = failure(&source(&["count=0", "fails=true"]), &[]);
+    assert_eq!(error, "node `source` failed: the disk is gone");
+    let mut stages = source(&["count=1", "agents=full"]);
+    stages
+        .add("notes", stage("node", "notes"), vec![], &[("in", "source", "out")])
+        .unwrap();
+    assert_eq!(failure(&stages, &[]), "node `notes` failed: no space left");
+}
+
+#[test]
+fn sinks_are_called_in_order_and_end_with_the_books() {
+    let mut stages = chain(2, "a", "delay=200");
+    stages
+        .add("notes", stage("node", "notes"), vec![], &[("in", "delay", "out")])
+        .unwrap();
+    let books = virtual_time::run(&stages, &ComputeProfile::default(), None).unwrap();
+    let given = std::mem::take(&mut *GIVEN.lock().unwrap());
+    assert_eq!(given, ["0 at 200", "1 at 300", "delay echo notes source"]);
+    assert_eq!(books.nodes.len(), 4);
+}
+
+#[test]
+fn a_source_that_has_nothing_ends_the_run() {
+    let (sent, books) = simulate(&chain(0, "a", "delay=0"), &[]).unwrap();
+    assert!(sent.is_empty() && books.nodes.len() == 3);
+}
+
+#[test]
+fn a_graph_gives_the_same_in_one_process_or_in_many() {
+    let folder = tempfile::tempdir().unwrap();
+    let lane = "
+module: { name: lane, inputs: [in], outputs: [echoed] }
+nodes:
+  - { id: delay, path: ../bin/realo, args: operator delay delay=41, inputs: { in: _mod/in }, outputs: [out] }
+  - { id: inner, module: echo.yml, inputs: { in: delay/out } }
+";
+    let echo = "
+module: { name: echo, inputs: [in], outputs: [echoed] }
+nodes:
+  - { id: echo, path: ../bin/realo, args: operator echo, inputs: { in: _mod/in }, outputs: [echoed] }
+";
+    std::fs::create_dir_all(folder.path().join("modules")).unwrap();
+    for (name, text) in [("lane.yml", lane), ("echo.yml", echo)] {
+        std::fs::write(folder.path().join("modules").join(name), text).unwrap();
+    }
+    let run = |lane: &str| {
+        let text = format!(
+            "nodes: [{{ id: last, path: bin/realo, args: operator delay, inputs: {{ in: lane/echoed }}, outputs: [out] }}, \
+             {{ id: source, path: bin/realo, args: 'node clockwork count=3 agents=a', outputs: [out] }}, \
+             {{ id: lane, {lane}, inputs: {{ in: source/out }} }}]"
+        );
+        let graph = Graph::parse(&text, &folder.path().join("g.yml"))
+            .unwrap()
+            .expand()
+            .unwrap();
+        let stages = Stages::of(&graph, &REGISTRY).unwrap();
+        simulate(&stages, &[("lane.delay", 7), ("lane.inner.echo.wake", 3)]).unwrap()
+    };
+    let many = run("module: modules/lane.yml");
+    let one = run("path: bin/realo, args: host modules/lane.yml, outputs: [echoed]");
+    assert_eq!(of(&one.0, "lane.inner.echo")[..2], [("a", 0, 81), ("a", 1, 181)]);
+    assert_eq!(of(&one.0, "last").len(), 3);
+    assert_eq!(one, many);
 }

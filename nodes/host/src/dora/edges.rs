@@ -72,3 +72,94 @@ impl Edge {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use realo_schemas::{Boxes, Header, Kind};
+
+    use super::*;
+
+    /// Seconds of wall time, ns.
+    const SECOND: Nanos = 1_000_000_000;
+
+    struct Rig {
+        edge: Edge,
+        books: InputBooks,
+        ready: Vec<Message>,
+    }
+
+    impl Rig {
+        fn new() -> Self {
+            Rig {
+                edge: Edge::new("boxes", "far.away/out", Vec::new()),
+                books: InputBooks::default(),
+                ready: Vec::new(),
+            }
+        }
+
+        fn hear(&mut self, hop: u64, now: Nanos) {
+            let header = Header::origin(&"run".into(), &"a".into(), Kind::Boxes, hop, 0, 0);
+            let message = Message::new(header, Boxes::default());
+            let Rig { edge, books, ready } = self;
+            edge.reorder.offer(hop, message, now, books, ready);
+        }
+
+        fn settle(&mut self, now: Nanos) -> Result<bool, String> {
+            let Rig { edge, books, ready } = self;
+            let settled = edge.settle("me", now, books, ready);
+            settled.map(|()| edge.complete).map_err(|error| error.to_string())
+        }
+
+        fn hops(&self) -> Vec<u64> {
+            self.ready.iter().map(|message| message.header.seq).collect()
+        }
+    }
+
+    #[test]
+    fn an_edge_is_complete_with_its_last_message_and_its_end() {
+        let mut rig = Rig::new();
+        rig.hear(0, 0);
+        rig.hear(1, 0);
+        assert_eq!(rig.settle(100 * SECOND), Ok(false), "it may go on");
+        rig.edge.end = Some(2);
+        rig.edge.closed = Some(0);
+        assert_eq!(rig.settle(100 * SECOND), Ok(true));
+        assert_eq!((rig.hops(), rig.books.transport_lost), (vec![0, 1], 0));
+    }
+
+    #[test]
+    fn what_is_missing_at_the_end_is_waited_for_and_given_up() {
+        let mut rig = Rig::new();
+        rig.hear(0, 0);
+        rig.edge.end = Some(3);
+        assert_eq!(rig.settle(SECOND), Ok(false));
+        let deadline = rig.edge.reorder.deadline().unwrap();
+        assert_eq!(deadline, SECOND + Reorder::<Message>::PATIENCE);
+        assert_eq!(rig.settle(deadline - 1), Ok(false));
+        assert_eq!(rig.settle(deadline), Ok(true));
+        assert_eq!((rig.hops(), rig.books.transport_lost), (vec![0], 2));
+    }
+
+    #[test]
+    fn a_hop_that_is_missing_on_the_way_is_given_up_before_the_end() {
+        let mut rig = Rig::new();
+        rig.hear(1, 0);
+        assert_eq!((rig.settle(1), rig.hops()), (Ok(false), vec![]));
+        assert_eq!(rig.settle(Reorder::<Message>::PATIENCE), Ok(false));
+        assert_eq!((rig.hops(), rig.books.transport_lost), (vec![1], 1));
+    }
+
+    #[test]
+    fn an_input_that_closes_without_an_end_fails_the_process_after_a_grace() {
+        let mut rig = Rig::new();
+        rig.edge.closed = Some(SECOND);
+        assert_eq!(rig.settle(SECOND + GRACE), Ok(false));
+        let error = rig.settle(SECOND + GRACE + 1).unwrap_err();
+        assert_eq!(
+            error,
+            "me: node `far.away` failed: its output far.away/out closed without an end"
+        );
+        rig.edge.end = Some(0);
+        assert_eq!(rig.settle(SECOND + GRACE + 1), Ok(true), "the end came after all");
+    }
+}

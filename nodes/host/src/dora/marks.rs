@@ -83,3 +83,87 @@ impl Mark {
 fn to_json<T: Serialize>(document: &T) -> String {
     serde_json::to_string(document).expect("marks have text keys only")
 }
+
+#[cfg(test)]
+mod tests {
+    use realo_operator::NodeBooks;
+    use realo_schemas::report::{Crossing, Fate};
+    use realo_schemas::{Boxes, wire};
+
+    use super::*;
+
+    const CLOCK: Clock = Clock {
+        wall_origin: 5,
+        log_origin: 7,
+        rate: 0.5,
+    };
+
+    /// A mark after its way over dora.
+    fn sent(mark: Mark, hop: u64) -> (Mark, Header) {
+        let message = wire::from_arrow(&wire::to_arrow(&mark.into_message(hop, Some(CLOCK)))).unwrap();
+        (Mark::of(&message).unwrap().unwrap(), message.header)
+    }
+
+    #[test]
+    fn marks_survive_the_wire() {
+        let (hello, header) = sent(Mark::Hello, 0);
+        assert!(matches!(hello, Mark::Hello));
+        assert_eq!((header.clock, header.hop), (Some(CLOCK), 0));
+
+        let mut books = Books::default();
+        let node = NodeBooks {
+            name: "nms".into(),
+            errors: 3,
+            ..NodeBooks::default()
+        };
+        books.nodes.insert("ego.nms".into(), node);
+        let end = End {
+            hops: 9,
+            books: books.clone(),
+        };
+        let (Mark::End(end), _) = sent(Mark::End(end), 4) else {
+            panic!("an end")
+        };
+        assert_eq!((end.hops, end.books), (9, books));
+
+        let message = Crossing {
+            from: "a".into(),
+            to: "ego".into(),
+            kind: Kind::Boxes,
+            seq: 7,
+        };
+        let fates = Fates {
+            origin: "fusion".into(),
+            number: 2,
+            fates: vec![Fated {
+                message,
+                fate: Fate::Stale,
+                r#use: None,
+            }],
+        };
+        let (Mark::Fates(read), header) = sent(Mark::Fates(fates.clone()), 4) else {
+            panic!("fates")
+        };
+        assert_eq!((read, header.hop), (fates, 4));
+    }
+
+    #[test]
+    fn messages_of_stages_are_no_marks_and_broken_marks_are_named() {
+        let header = Header::origin(&"run".into(), &"a".into(), Kind::Report, 0, 0, 0);
+        let of = |topic: &str, json: &str| {
+            let (topic, json) = (topic.into(), json.to_string());
+            Mark::of(&Message::new(header.clone(), Report { topic, json }))
+        };
+        assert!(matches!(of("evaluation", "{}"), Ok(None)));
+        assert!(matches!(
+            Mark::of(&Message::new(header.clone(), Boxes::default())),
+            Ok(None)
+        ));
+        for topic in [END, FATES] {
+            let Err(error) = of(topic, "{\"hops\": 3}") else {
+                panic!("a broken mark")
+            };
+            assert!(error.starts_with(&format!("`{topic}`: ")), "{error}");
+        }
+    }
+}
