@@ -137,7 +137,8 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
     })?;
     let Plan { id, inputs, .. } = &plan;
     let wrong = |reason| HostError::Wiring { id: id.clone(), reason };
-    let stages = hosted.stages(&plan, registry).map_err(wrong)?;
+    let mut stages = hosted.stages(&plan, registry).map_err(wrong)?;
+    stages.run_in_realtime();
     let open = stages.open_inputs();
     if !open.is_empty() {
         return Err(wrong(open.join("; ")));
