@@ -25,9 +25,8 @@ class Port:
 
     def document(self):
         """As the pipe protocol declares it."""
-        words = dict(vars(self))
-        types = [self.types] if isinstance(self.types, str) else list(self.types)
-        return {**words, "types": types, "class": words.pop("class_")}
+        words = {name.rstrip("_"): value for name, value in vars(self).items()}
+        return {**words, "types": [self.types] if isinstance(self.types, str) else list(self.types)}
 
 
 class Operator:

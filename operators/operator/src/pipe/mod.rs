@@ -31,6 +31,7 @@ mod serve;
 pub mod words;
 
 pub use frame::{FRAME_LIMIT, FrameError, SHARED_FROM};
+pub use row::is_reading;
 pub use serve::serve;
 
 /// The version of the protocol; both sides must have the same.

@@ -1,5 +1,6 @@
 //! One row of Arrow as bytes, and the columns that the protocol's frames need.
 
+use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -55,6 +56,15 @@ impl Row {
     }
 }
 
+thread_local! {
+    static READING: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether this thread reads what another process sent: a panic is caught then, and becomes an error.
+pub fn is_reading() -> bool {
+    READING.get()
+}
+
 /// A row that another process sent.
 pub(super) struct Received(StructArray);
 
@@ -65,7 +75,9 @@ impl Received {
     /// Why it is none.
     pub fn from_bytes(mut bytes: Buffer) -> Result<Self, String> {
         // Arrow checks what it reads, but asserts on some lengths instead of returning an error.
+        READING.set(true);
         let read = catch_unwind(AssertUnwindSafe(|| StreamDecoder::new().decode(&mut bytes)));
+        READING.set(false);
         let batch = match read {
             Ok(Ok(Some(batch))) => batch,
             Ok(Ok(None)) => return Err("expected an Arrow stream of one batch, found none in it".into()),
