@@ -12,14 +12,15 @@ fn guide() -> String {
     fs::read_to_string(root().join("docs/compose.md")).expect("the guide can be read")
 }
 
-/// The user's folder with the files of a section, beside a link `realo` to the checkout.
-pub fn folder(name: &str, section: &str) -> PathBuf {
+/// The user's folder with the files of sections, beside a link `realo` to the checkout.
+pub fn folder(name: &str, sections: &[&str]) -> PathBuf {
     let parent = build::workspace_target().join("plugins").join(name);
     let mine = parent.join("mine");
     let _ = fs::remove_dir_all(&parent);
     fs::create_dir_all(&mine).expect("the folder can be made");
     symlink(root(), parent.join("realo")).expect("links can be made");
-    for part in of(section).split("<!-- file: ").skip(1) {
+    let text: String = sections.iter().map(|section| of(section)).collect();
+    for part in text.split("<!-- file: ").skip(1) {
         let (name, rest) = part.split_once(" -->").expect("a file's mark ends");
         let content = rest.split("```").nth(1).and_then(|fenced| fenced.split_once('\n'));
         let (_, content) = content.expect("a file's content follows its mark");
@@ -43,7 +44,9 @@ pub fn share_target(mine: &Path) {
 /// A section of the guide, to the next of its level.
 fn of(section: &str) -> String {
     let guide = guide();
-    let (_, text) = guide.split_once(&format!("\n## {section}\n")).expect("the guide has the section");
+    let (_, text) = guide
+        .split_once(&format!("\n## {section}\n"))
+        .expect("the guide has the section");
     text.split("\n## ").next().unwrap_or_default().into()
 }
 

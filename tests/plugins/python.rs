@@ -27,7 +27,10 @@ pub fn bin(test: &str) -> Option<PathBuf> {
         ];
         let said: Vec<String> = steps.into_iter().flatten().map(|output| text(&output.stderr)).collect();
         if !works() {
-            eprintln!("SKIPPED {test}: numpy and pyarrow cannot be installed: {}", said.join("\n"));
+            eprintln!(
+                "SKIPPED {test}: numpy and pyarrow cannot be installed: {}",
+                said.join("\n")
+            );
             return None;
         }
     }
