@@ -99,7 +99,7 @@ fn a_rust_fusion_of_its_own_runs_beside_shipped_operators() {
     assert!(said.contains("fine"), "{said}");
 
     let expected = run("plugin_shipped", &shipped("late_fusion"), &VIRTUAL);
-    let all = ["--mode", "virtual", "--set", "fusion.threshold=1"];
+    let all = ["--mode", "virtual", "--set", "fusion.fusion.threshold=1"];
     let first = run("plugin_all", &graph, &all);
     assert_same(&first, &expected);
     let again = run("plugin_again", &graph, &all);
@@ -131,32 +131,33 @@ fn a_rust_fusion_gives_the_same_boxes_on_dora() {
 
 #[test]
 fn the_examples_own_tests_pass() {
-    build::cargo(&build::example(), &["test", "--lib"]);
+    build::cargo(&build::example(), &["test", "--release", "--lib"]);
 }
 
-/// The example's graph with other words in it.
+const PROGRAM: &str = "target/release/fusion-nearest";
+
+/// The example's graph and module, with other words in the module.
 fn changed(name: &str, changes: &[(&str, &str)]) -> String {
-    fusion_nearest();
     let dir = folder(name).join("graph");
     fs::create_dir(&dir).expect("a folder can be made");
     for link in ["../models", "modules", "types", "bin"] {
         std::os::unix::fs::symlink(root().join("dataflows").join(link), dir.join(link)).expect("links can be made");
     }
-    let mut graph = fs::read_to_string(example("fusion_nearest/late_nearest.yml")).expect("the graph can be read");
+    let read = |file: &str| fs::read_to_string(example(file)).expect("the example can be read");
+    let mut module = read("fusion_nearest/fuse.nearest.yml");
     for (from, to) in changes {
-        assert!(graph.contains(from), "{from}");
-        graph = graph.replace(from, to);
+        assert!(module.contains(from), "{from}");
+        module = module.replace(from, to);
     }
+    fs::write(dir.join("fuse.nearest.yml"), module).expect("the module can be written");
     let path = dir.join("graph.yml");
-    fs::write(&path, graph).expect("the graph can be written");
+    fs::write(&path, read("fusion_nearest/late_nearest.yml")).expect("the graph can be written");
     path.to_string_lossy().into_owned()
 }
 
-const PROGRAM: &str = "../../target/release/fusion-nearest";
-
 /// A graph whose fusion is a script; `$PLUGIN` in it stands for the example.
 fn scripted(name: &str, script: &str) -> String {
-    let graph = changed(name, &[(PROGRAM, "./plugin.sh")]);
+    let graph = changed(name, &[(PROGRAM, "plugin.sh")]);
     let path = Path::new(&graph).with_file_name("plugin.sh");
     let plugin = format!("PLUGIN='{}'", fusion_nearest().display());
     fs::write(&path, format!("#!/bin/sh\n{plugin}\n{script}\n")).expect("the script can be written");
@@ -164,13 +165,17 @@ fn scripted(name: &str, script: &str) -> String {
     graph
 }
 
-/// A run in virtual time that must fail by the node's name, saying all of `expected`.
+/// A run in virtual time that must fail by the stage's name, saying all of `expected`.
 fn fails(graph: &str, expected: &[&str]) {
-    let out = Path::new(graph).with_file_name("out");
-    let output = realo(run_args(&out, graph, &VIRTUAL));
+    fails_in(graph, &VIRTUAL, expected);
+}
+
+fn fails_in(graph: &str, mode: &[&str], expected: &[&str]) {
+    let out = Path::new(graph).with_file_name(format!("out{}", mode.len()));
+    let output = realo(run_args(&out, graph, mode));
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("node `fusion`"), "{said}");
+    assert!(said.contains("node `fusion.fusion`"), "{said}");
     for part in expected {
         assert!(said.contains(part), "no `{part}` in\n{said}");
     }
@@ -180,82 +185,80 @@ fn fails(graph: &str, expected: &[&str]) {
 #[test]
 fn a_program_that_speaks_no_protocol_is_refused_by_name() {
     let exits = scripted("plugin_exits", "echo 'no licence' >&2; exit 3");
-    fails(
-        &exits,
-        &["exit status: 3", "no licence", "run any other graph in realtime"],
-    );
-    fails(
-        &scripted("plugin_prints", "echo 'hello, world'"),
-        &["\"hell\"", "standard error"],
-    );
-    let missing = changed("plugin_missing", &[(PROGRAM, "./no-such-program")]);
+    fails(&exits, &["exit status: 3", "no licence", "realo_operator::run"]);
+    let prints = scripted("plugin_prints", "echo 'hello, world'");
+    fails(&prints, &["\"hell\"", "standard error"]);
+    let missing = changed("plugin_missing", &[(PROGRAM, "no-such-program")]);
     fails(&missing, &["cannot start", "no-such-program"]);
-    let said = realo_ok(["validate", &missing]);
+    let output = realo(["validate", &missing]);
+    assert_eq!(output.status.code(), Some(1));
     assert!(
-        said.contains("cannot start"),
-        "dora may find it, a note is enough: {said}"
+        text(&output.stdout).contains("cannot start"),
+        "{}",
+        text(&output.stdout)
     );
 }
 
+/// Hands on the first calls, then nothing more: the program's calls end within a frame.
+const CUT: &str = "dd bs=1 count=30000 2>/dev/null | \"$PLUGIN\" \"$@\"";
+
 #[test]
 fn a_program_that_fails_in_mid_run_fails_it_with_its_code_and_words() {
-    // The program's calls end within a frame; what the script does then is its failure.
-    let cut = "dd bs=1 count=30000 2>/dev/null | \"$PLUGIN\" \"$@\"";
-    let dies = format!("{cut}; echo 'out of memory' >&2; exit 9");
-    fails(
-        &scripted("plugin_dies", &dies),
-        &["exit status: 9", "the end of the stream", "out of memory"],
-    );
-    let hangs_up = format!("{cut}; exec sleep 60 >&-");
-    fails(
-        &scripted("plugin_hangs_up", &hangs_up),
-        &["closed its standard output", "it was stopped"],
-    );
-    let babbles = format!("{cut}; echo 'nonsense, nonsense'");
+    let dies = format!("{CUT}; echo 'out of memory' >&2; exit 9");
+    let expected = ["exit status: 9", "the end of the stream", "out of memory"];
+    fails(&scripted("plugin_dies", &dies), &expected);
+    let hangs_up = format!("{CUT}; exec sleep 60 >&-");
+    let expected = ["closed its standard output", "it was stopped"];
+    fails(&scripted("plugin_hangs_up", &hangs_up), &expected);
+    let babbles = format!("{CUT}; echo 'nonsense, nonsense'");
     fails(&scripted("plugin_babbles", &babbles), &["no reply", "\"nons\""]);
     let late = "\"$PLUGIN\" \"$@\"; exit 5";
     fails(&scripted("plugin_late", late), &["after its end", "exit status: 5"]);
 }
 
 #[test]
+fn a_program_that_fails_in_mid_run_fails_it_on_dora_too() {
+    let dies = format!("{CUT}; echo 'out of memory' >&2; exit 9");
+    let dies = scripted("plugin_dies_on_dora", &dies);
+    let hangs = scripted("plugin_hangs_on_dora", &format!("{CUT}; exec sleep 120"));
+    let babbles = scripted("plugin_babbles_on_dora", &format!("{CUT}; echo 'nonsense, nonsense'"));
+    let _alone = alone();
+    fails_in(&dies, &[], &["exit status: 9", "closed its standard output"]);
+    fails_in(&babbles, &[], &["no reply", "\"nons\""]);
+    // Without an end the realtime limit of silence ends the run, long before the 10 minutes of virtual time.
+    fails_in(&hangs, &[], &["no reply within 10 s", "it was stopped"]);
+}
+
+#[test]
 fn ports_and_arguments_that_do_not_fit_are_refused() {
-    let changes = [(
-        "      selections: { source: bank/selections",
-        "      chosen: { source: bank/selections",
-    )];
-    let types = (
-        "ego: realo/v1/Boxes, selections: realo/v1/Selection",
-        "ego: realo/v1/Boxes, chosen: realo/v1/Selection",
-    );
-    let graph = changed(
-        "plugin_port",
-        &[changes[0], types, (PROGRAM, &fusion_nearest().to_string_lossy())],
-    );
-    fails(&graph, &["port `chosen`", "`fusion-nearest`: ego, selections"]);
+    let program = fusion_nearest().to_string_lossy().into_owned();
+    let at = (PROGRAM, program.as_str());
+    let port = ("ego: _mod/ego, selections: bank", "ego: _mod/ego, chosen: bank");
+    let graph = changed("plugin_port", &[port, at]);
+    fails(&graph, &["`chosen`", "ego, selections"]);
     let output = realo(["validate", &graph]);
     let said = text(&output.stdout);
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(
-        said.contains("error: node `fusion`, port `selections`: expected a wire"),
-        "{said}"
-    );
+    assert!(said.contains("`fusion.fusion`, port `selections`"), "{said}");
 
-    let types = (
-        "{ boxes: realo/v1/Boxes, report: realo/v1/Report }",
-        "{ boxes: realo/v1/Report, report: realo/v1/Report }",
-    );
-    let graph = changed("plugin_type", &[types, (PROGRAM, &fusion_nearest().to_string_lossy())]);
-    let output = realo(["validate", &graph]);
+    let types = ("proposals: realo/v1/Boxes }", "proposals: realo/v1/Report }");
+    let output = realo(["validate", &changed("plugin_type", &[types, at])]);
     let said = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(
-        said.contains("node `fusion`, port `boxes`: expected `realo/v1/Boxes`"),
+        said.contains("`fusion.fusion`, port `proposals`: expected `realo/v1/Boxes`"),
         "{said}"
     );
 
-    let threshold = ("args: threshold=0.15\n", "args: treshold=0.15\n");
     let graph = changed(
         "plugin_argument",
-        &[threshold, (PROGRAM, &fusion_nearest().to_string_lossy())],
+        &[
+            (
+                " threshold=0.15\n    inputs: { ego",
+                " treshold=0.15\n    inputs: { ego",
+            ),
+            at,
+        ],
     );
     fails(&graph, &["did you mean `threshold`?", "exit status: 1"]);
 }
@@ -344,14 +347,32 @@ fn the_python_modules_own_tests_pass() {
 }
 
 #[test]
-fn the_guide_to_a_fusion_of_ones_own_can_be_followed() {
-    let mine = guide::folder();
-    build::cargo(&mine, &["test"]);
-    build::cargo(&mine, &["build"]);
-    let said = guide::shell(&mine, "## 2. The graph", |_| true);
+fn the_guide_can_be_followed_in_rust() {
+    let mine = guide::folder("guide_rust", &["1. The crate", "2. The graph"]);
+    fusion_nearest();
+    guide::share_target(&mine);
+    {
+        let _compiling = compiling();
+        let said = guide::shell(&mine, "1. The crate", None);
+        assert!(said.contains("holds_what_every_fusion_owes_its_graph ... ok"), "{said}");
+        assert!(!said.contains("Compiling dora"), "a plug-in never links dora: {said}");
+    }
+    let said = guide::shell(&mine, "2. The graph", None);
     assert!(said.contains("late_fill.yml: fine"), "{said}");
-    // Runs on dora are tested above.
-    let said = guide::shell(&mine, "## 3. Runs", |line| !line.contains("in realtime"));
+    let _alone = alone();
+    let said = guide::shell(&mine, "3. Runs", None);
     assert!(said.contains("late_fusion") && said.contains("late_fill"), "{said}");
-    println!("{said}");
+}
+
+#[test]
+fn the_guide_can_be_followed_in_python() {
+    let Some(bin) = python::bin("the_guide_can_be_followed_in_python") else {
+        return;
+    };
+    let mine = guide::folder("guide_python", &["In Python"]);
+    let _alone = alone();
+    let said = guide::shell(&mine, "In Python", Some(&bin));
+    assert!(said.contains("late_fill.yml: fine"), "{said}");
+    let result = |out: &str| json(&mine.join(out).join("result.json"));
+    assert!(result("virtual")["accuracy"].is_object() && result("realtime")["accuracy"].is_object());
 }

@@ -1,24 +1,25 @@
-"""Hosts an operator of a realo graph that is written in Python, under both drivers.
+"""Operators of realo graphs that are written in Python.
 
     class Mine(Operator):
         NAME = "mine"
         DEFAULTS = {"threshold": 0.15}
         INPUTS = [Port("boxes", "Boxes", queue="latest")]
-        OUTPUTS = [Port("boxes", "Boxes")]
+        OUTPUTS = [Port("proposals", "Boxes")]
 
         def on_input(self, port, message, out):
-            out.send("boxes", message)
+            out.send("proposals", message)
 
     if __name__ == "__main__":
         run(Mine)
 
-On dora the process joins the dataflow that started it (this needs the wheel `dora-rs`). With `REALO_DRIVER=pipe` in its
-environment it answers a run in virtual time over its standard streams. The host keeps order, holds messages until they
-are ready, joins, counts and ends; the operator does none of it, reads no clock and does not know which driver runs it.
+A graph names such a program by `path: bin/realo` and `args: program mine.py threshold=0.3`. Its host, on dora or in
+virtual time, starts it, keeps order, holds messages until they are ready, joins, counts and ends; the operator does none
+of it, reads no clock and does not know which driver runs it. `print` goes to standard error.
 """
 
-from .main import run
+from . import geometry
 from .message import Header, Message
 from .operator import Operator, Outputs, Port
+from .pipe import run
 
-__all__ = ["Header", "Message", "Operator", "Outputs", "Port", "run"]
+__all__ = ["Header", "Message", "Operator", "Outputs", "Port", "geometry", "run"]

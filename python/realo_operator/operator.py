@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 
-from .message import PAYLOADS, Message
+from .message import Header, Message
 
 
 @dataclass(frozen=True)
 class Port:
     """One input or output. What follows `about` matters for inputs only.
 
-    types: name of a payload, or several; queue: `all` keeps every message in order (at most 1,024 may wait), `latest`
-    one for each agent; class_: of messages that are ready at one time `state` goes first, then `data`, then `query`;
-    join: ports of one group are assembled by (agent, seq) into one set.
+    queue: `all` keeps every message in order (at most 1,024 may wait), `latest` one for each agent; class_: of messages
+    that are ready at one time `state` goes first, then `data`, then `query`; join: ports of one group are assembled by
+    (agent, seq); accounts: the way of what crossed a link ends here, and the stage tells what became of it.
     """
 
     name: str
@@ -21,32 +21,12 @@ class Port:
     class_: str = "data"
     required: bool = True
     join: str | None = None
-
-    def __post_init__(self):
-        types = (self.types,) if isinstance(self.types, str) else tuple(self.types)
-        object.__setattr__(self, "types", types)
-        for field, value, known in [
-            *(("types", name, PAYLOADS) for name in types),
-            ("queue", self.queue, ("all", "latest")),
-            ("class_", self.class_, CLASSES),
-        ]:
-            if value not in known:
-                raise ValueError(f"port `{self.name}`, {field}: expected one of {', '.join(known)}, found `{value}`")
+    accounts: bool = False
 
     def document(self):
         """As the pipe protocol declares it."""
-        return {
-            "name": self.name,
-            "types": list(self.types),
-            "about": self.about,
-            "queue": self.queue,
-            "class": self.class_,
-            "required": self.required,
-            "join": self.join,
-        }
-
-
-CLASSES = ("state", "data", "query")
+        words = {name.rstrip("_"): value for name, value in vars(self).items()}
+        return {**words, "types": [self.types] if isinstance(self.types, str) else list(self.types)}
 
 
 class Operator:
@@ -75,28 +55,30 @@ class Operator:
 class Outputs:
     """What an operator hands to its host during one call, which begins at `now` (ns, on the log's time line)."""
 
-    def __init__(self, operator, now):
-        self._types = {port.name: port.types for port in operator.OUTPUTS}
-        self.now = now
-        self.sent = []
-        self.wakes = set()
-        self.counts = {}
+    def __init__(self, now=0):
+        self.now, self.sent, self.rows, self.wakes, self.counts, self.fates = now, [], [], set(), {}, []
 
     def send(self, port, message: Message):
         """Sends a message whose header derives from those of the inputs that made it. A `ready` before now becomes
         now; a later one is kept and delays the message."""
-        if port not in self._types:
-            raise ValueError(f"expected an output, one of {', '.join(self._types)}, found `{port}`")
-        if message.type not in self._types[port]:
-            raise ValueError(f"output `{port}` carries {' or '.join(self._types[port])}, found a {message.type}")
-        message.header.ready = max(message.header.ready, self.now)
+        self.rows.append(message.write())
         self.sent.append((port, message))
+
+    def used(self, header: Header, query: Header):
+        """Says that a collaborator's message took part in a fusion with the ego's message `query`."""
+        self.tell(header, "used", use={"query": query.seq, "age_ns": query.ready - header.stamp})
+
+    def tell(self, header: Header, fate, **more):
+        """Says what became of a message that crossed a link: `used`, `skipped`, `over_limit`, `stale`, `superseded`,
+        `lost`, `rejected` or `in_flight`. Only whoever ends a message's way says so; of any other nothing is said."""
+        if header.to:
+            crossing = {"from": header.agent, "to": header.to, "kind": header.kind, "seq": header.seq}
+            self.fates.append({**crossing, "fate": fate, **more})
 
     def wake_at(self, time):
         """Asks for a call of `on_wake` at `time`, ns; the past means now."""
-        self.wakes.add(max(int(time), self.now))
+        self.wakes.add(int(time))
 
     def count(self, counter, n=1):
         """Adds to a counter of the node."""
-        if n > 0:
-            self.counts[counter] = self.counts.get(counter, 0) + int(n)
+        self.counts[counter] = self.counts.get(counter, 0) + int(n)

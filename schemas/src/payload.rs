@@ -1,4 +1,4 @@
-use arrow::buffer::{Buffer, ScalarBuffer};
+use arrow_buffer::{Buffer, ScalarBuffer};
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 

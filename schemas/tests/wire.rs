@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use arrow::array::{Array, ArrayRef, Float32Array, StructArray, UInt64Array};
-use arrow::datatypes::{DataType, Field, Fields};
+use arrow_array::{Array, ArrayRef, Float32Array, StructArray, UInt64Array};
+use arrow_schema::{DataType, Field, Fields};
 use nalgebra::{Isometry3, Vector3};
 use realo_schemas::wire::{WireError, from_arrow, to_arrow};
 use realo_schemas::*;
@@ -183,7 +183,7 @@ fn refuses_what_is_no_message_by_field() {
         matches!(&error, WireError::Content { field, .. } if field == "seq"),
         "{error}"
     );
-    let empty = arrow::array::new_empty_array(&DataType::Struct(row.fields().clone()));
+    let empty = arrow_array::new_empty_array(&DataType::Struct(row.fields().clone()));
     assert!(matches!(from_arrow(empty.as_ref()), Err(WireError::Shape(_))));
 }
 

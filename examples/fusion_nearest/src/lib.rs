@@ -4,14 +4,13 @@
 //! |---|---|---|
 //! | in `ego` | Boxes | the ego's detections; joined with `selections` by (agent, seq) |
 //! | in `selections` | Selection | what the bank chose for the ego's message of that seq |
-//! | out `boxes` | Boxes | the ego's boxes, then those of the collaborators by agent name, in the ego's frame |
-//! | out `report` | Report | topic `fusion`: one for each fusion that took place |
+//! | out `proposals` | Boxes | the ego's boxes, then those of the collaborators by agent name, in the ego's frame |
 
 use nalgebra::{Isometry3, Vector3};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::geometry::{Footprint, iou_exceeds, relative, transform_box};
-use realo_schemas::report::{FusionReport, MessageId, to_report};
-use realo_schemas::{Box3, Boxes, Header, Kind, Message, Payload, PayloadType, Selection};
+use realo_fusion::{EGO, Pairing, SELECTIONS, Set};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::geometry::{Footprint, iou_exceeds, transform_box};
+use realo_schemas::{Box3, Boxes, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionNearest`].
@@ -39,10 +38,10 @@ pub struct Seen {
 
 impl Seen {
     /// A box of a sender, brought to the ego's frame.
-    fn new(object: &Box3, ego_from_sender: Option<&Isometry3<f64>>) -> Self {
+    fn new(object: &Box3, ego_from_sender: &Isometry3<f64>) -> Self {
         Seen {
             range_m: Vector3::from(object.center).norm(),
-            object: ego_from_sender.map_or_else(|| object.clone(), |transform| transform_box(transform, object)),
+            object: transform_box(ego_from_sender, object),
         }
     }
 }
@@ -67,14 +66,8 @@ pub fn keep_nearest(seen: Vec<Seen>, threshold: f64) -> Vec<Box3> {
 /// The operator `fusion-nearest`.
 pub struct FusionNearest {
     config: Config,
-    /// The ego's part of a set, until its selection comes.
-    ego: Option<(Header, Boxes)>,
+    pairing: Pairing,
 }
-
-const EGO: PortId = PortId(0);
-const SELECTIONS: PortId = PortId(1);
-const BOXES: PortId = PortId(0);
-const REPORT: PortId = PortId(1);
 
 impl Describe for FusionNearest {
     type Config = Config;
@@ -84,26 +77,12 @@ impl Describe for FusionNearest {
         name: "threshold",
         about: "IoU above which two boxes are one object, in [0, 1]; 1: every box stays",
     }];
-    const INPUTS: &'static [Port] = &[
-        Port::new("ego", &[PayloadType::Boxes], "the ego's detections")
-            .latest()
-            .joined("frame"),
-        Port::new(
-            "selections",
-            &[PayloadType::Selection],
-            "what the bank chose for that message",
-        )
-        .latest()
-        .joined("frame"),
-    ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new("boxes", &[PayloadType::Boxes], "the joint list, in the ego's frame"),
-        Port::new(
-            "report",
-            &[PayloadType::Report],
-            "topic `fusion`: one for each fusion that took place",
-        ),
-    ];
+    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::Boxes]);
+    const OUTPUTS: &'static [Port] = &[Port::new(
+        "proposals",
+        &[PayloadType::Boxes],
+        "the joint list, in the ego's frame",
+    )];
 }
 
 impl Operator for FusionNearest {
@@ -115,80 +94,46 @@ impl Operator for FusionNearest {
             )
             .into());
         }
-        Ok(FusionNearest { config, ego: None })
+        Ok(FusionNearest {
+            config,
+            pairing: Pairing::default(),
+        })
     }
 
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         match port {
-            EGO => {
-                self.ego = Some(message.into_parts().map_err(unexpected)?);
-                Ok(())
+            EGO => self.pairing.ego(message),
+            SELECTIONS => {
+                let set: Set<Boxes> = self.pairing.selection(message, None)?;
+                let seen = all_seen(&set);
+                let all = seen.len();
+                let kept = keep_nearest(seen, self.config.threshold);
+                out.count("farther_boxes", (all - kept.len()) as u64);
+                set.send(Boxes(kept), out);
             }
-            SELECTIONS => self.fuse(message, out),
-            _ => Err(wrong_port(Self::INPUTS, port)),
+            _ => return Err(wrong_port(Self::INPUTS, port)),
         }
-    }
-}
-
-impl FusionNearest {
-    fn fuse(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        let (asked, Selection { query, mut entries }): (Header, Selection) =
-            message.into_parts().map_err(unexpected)?;
-        let own = self
-            .ego
-            .take()
-            .filter(|(header, _)| (&header.agent, header.seq) == (&asked.agent, query));
-        let Some((header, Boxes(boxes))) = own else {
-            return Err(format!("a selection for query {query} without the ego's boxes of that seq ({asked})").into());
-        };
-        entries.sort_by(|a, b| a.header.agent.cmp(&b.header.agent));
-        let mut seen: Vec<Seen> = boxes.iter().map(|object| Seen::new(object, None)).collect();
-        let mut rejected = Vec::new();
-        for entry in &entries {
-            match placed(&header, entry) {
-                Some(theirs) => seen.extend(theirs),
-                None => rejected.push(MessageId::of(&entry.header)),
-            }
-        }
-        let all = seen.len();
-        let kept = keep_nearest(seen, self.config.threshold);
-        out.count("farther_boxes", (all - kept.len()) as u64);
-        out.count("rejected_messages", rejected.len() as u64);
-        let report = FusionReport {
-            query,
-            agent: header.agent.to_string(),
-            over_limit: Vec::new(),
-            rejected,
-        };
-        let report_header = Header {
-            kind: Kind::Report,
-            ..header.clone()
-        };
-        out.send(BOXES, Message::new(header, Boxes(kept)));
-        out.send(REPORT, Message::new(report_header, to_report("fusion", &report)));
         Ok(())
     }
 }
 
-/// The boxes of an entry in the ego's frame; `None` if a pose is missing or it carries something else.
-fn placed(ego: &Header, entry: &Message) -> Option<Vec<Seen>> {
-    let (map_from_ego, map_from_sender) = (ego.pose.as_ref()?, entry.header.pose.as_ref()?);
-    let Payload::Boxes(Boxes(boxes)) = &entry.payload else {
-        return None;
-    };
-    let ego_from_sender = relative(&map_from_ego.map_from_frame, &map_from_sender.map_from_frame);
-    Some(
-        boxes
-            .iter()
-            .map(|object| Seen::new(object, Some(&ego_from_sender)))
-            .collect(),
-    )
+/// What anybody of a set saw, in the ego's frame.
+fn all_seen(set: &Set<Boxes>) -> Vec<Seen> {
+    let own = set.ego.0.iter().map(|object| Seen {
+        range_m: Vector3::from(object.center).norm(),
+        object: object.clone(),
+    });
+    let theirs = set.collaborators.iter().flat_map(|collaborator| {
+        let boxes = collaborator.payload.0.iter();
+        boxes.map(|object| Seen::new(object, &collaborator.ego_from_sender))
+    });
+    own.chain(theirs).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use realo_engine::testkit::FusionCase;
-    use realo_schemas::Pose;
+    use realo_schemas::{Header, Kind, Pose};
 
     use super::*;
 

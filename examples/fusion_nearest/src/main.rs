@@ -1,4 +1,4 @@
-//! Hosts the operator on dora and in virtual time.
+//! Serves the operator to the host that starts it.
 
 fn main() -> std::process::ExitCode {
     realo_operator::run::<fusion_nearest::FusionNearest>()

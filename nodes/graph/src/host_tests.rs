@@ -383,14 +383,7 @@ fn a_process_reads_the_stages_that_the_graph_gives_it() {
             assert_eq!(read.inputs.len(), stage.inputs.len(), "{}", read.id);
         }
     }
-    let all = hosted(
-        "x",
-        "modules/detect.network.yml",
-        &[],
-        None,
-        folder.path(),
-    )
-    .unwrap();
+    let all = hosted("x", "modules/detect.network.yml", &[], None, folder.path()).unwrap();
     assert_eq!(ids(&all.nodes), ["x.sense.sync", "x.nms", "x.receiver", "x.sender"]);
     assert_eq!(
         all.node("x.receiver").unwrap().inputs["packets"].output(),

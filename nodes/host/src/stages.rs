@@ -96,6 +96,12 @@ impl Stages {
         Ok(())
     }
 
+    /// Has nobody wait long for plug-ins that do not answer.
+    pub(crate) fn run_in_realtime(&mut self) {
+        let programs = self.recipes.iter_mut().filter_map(|recipe| recipe.program.as_mut());
+        programs.for_each(Program::run_in_realtime);
+    }
+
     /// Builds every stage, files and weights included.
     ///
     /// # Errors
@@ -206,6 +212,8 @@ mod tests {
         ],
         outputs: &[Port::new("out", BOXES, ""), Port::new("aside", BOXES, "")],
         arguments: &[],
+        decided: &[],
+        paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
         build: |args| match args {

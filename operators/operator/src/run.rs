@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use crate::pipe::{self, DRIVER, DRIVER_VARIABLE};
+use crate::pipe::{self, DRIVER, DRIVER_VARIABLE, MEMORY_VARIABLE, memory};
 use crate::{Operator, Registration};
 
 /// The whole `main` of a plug-in: serves an operator with the arguments of the command line (`key=value`, as in the
@@ -50,5 +50,6 @@ fn serve(registration: &'static Registration, args: &[String]) -> Result<(), Str
     }
     let built = (registration.build)(args).map_err(|error| error.to_string())?;
     let (calls, replies) = (std::io::stdin().lock(), std::io::stdout().lock());
-    pipe::serve(registration, built, calls, std::io::BufWriter::new(replies))
+    let shares = std::env::var(MEMORY_VARIABLE).is_ok_and(|probe| memory::reaches(&probe));
+    pipe::serve(registration, built, calls, std::io::BufWriter::new(replies), shares)
 }

@@ -1,7 +1,7 @@
 //! Building and reading the columns of a one-row struct array.
 
 use super::*;
-use arrow::buffer::Buffer;
+use arrow_buffer::Buffer;
 
 /// Collects the columns of one row.
 #[derive(Default)]

@@ -127,8 +127,10 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
     // A panic that only unwinds a thread would look like a normal end to the nodes below.
     let print = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        print(panic);
-        std::process::exit(101);
+        if !realo_operator::pipe::is_reading() {
+            print(panic);
+            std::process::exit(101);
+        }
     }));
     memory::keep_freed_pages();
     let plan = Plan::of_this_process().map_err(|reason| HostError::Dora {
@@ -137,7 +139,8 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
     })?;
     let Plan { id, inputs, .. } = &plan;
     let wrong = |reason| HostError::Wiring { id: id.clone(), reason };
-    let stages = hosted.stages(&plan, registry).map_err(wrong)?;
+    let mut stages = hosted.stages(&plan, registry).map_err(wrong)?;
+    stages.run_in_realtime();
     let open = stages.open_inputs();
     if !open.is_empty() {
         return Err(wrong(open.join("; ")));

@@ -7,15 +7,15 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use arrow::buffer::Buffer;
 use realo_schemas::{Message, Nanos};
 
 use realo_engine::Gone;
+use realo_operator::pipe::hello::{self, Hello};
 use realo_operator::pipe::words::{Call, Reply};
-use realo_operator::pipe::{FrameError, frame, hello};
+use realo_operator::pipe::{FrameError, frame};
 use realo_operator::{AnyOperator, Error, Made, Outputs, PortId, Registration};
 
-/// How long one call may take; a program that is silent for longer hangs.
-const SILENCE: Duration = Duration::from_secs(600);
 /// How long a program may take to exit once it has nothing left to do, and to say why it failed.
 const FAREWELL: Duration = Duration::from_secs(10);
 /// What is quoted of its standard error, bytes from the end.
@@ -24,14 +24,29 @@ const QUOTED: usize = 2048;
 /// A program that hosts an operator, ready for the next call.
 pub struct Child {
     process: Process,
-    calls: Option<SyncSender<Vec<u8>>>,
+    calls: Option<SyncSender<Frame>>,
     written: Receiver<Result<(), FrameError>>,
-    replies: Receiver<Result<Vec<u8>, FrameError>>,
+    replies: Receiver<Result<Buffer, FrameError>>,
     said: Arc<Mutex<Vec<u8>>>,
-    /// How long one call may take.
-    silence: Duration,
+    silence: Silence,
+    /// Whether it has answered a call.
+    answered: bool,
+    /// Whether it reads shared memory.
+    shares: bool,
     listener: JoinHandle<()>,
     registration: &'static Registration,
+}
+
+/// A frame's parts, and whether it may go through shared memory.
+type Frame = (Vec<Buffer>, bool);
+
+/// How long a call may take; a program that is silent for longer hangs.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Silence {
+    /// The first one, for which many a program still prepares.
+    pub first: Duration,
+    /// Any other.
+    pub later: Duration,
 }
 
 impl Child {
@@ -58,11 +73,15 @@ impl Child {
             }
         });
         // On a thread, because a program that does not read would hold up whoever writes.
-        let (calls, asked) = sync_channel::<Vec<u8>>(1);
+        let (calls, asked) = sync_channel::<Frame>(1);
         let (reports, written) = sync_channel(1);
         std::thread::spawn(move || {
-            while let Ok(call) = asked.recv() {
-                if reports.send(frame::write(&mut stdin, &call)).is_err() {
+            // What was lent is there until the next call, which comes after the reply.
+            let mut lent = None;
+            while let Ok((call, shared)) = asked.recv() {
+                drop(lent.take());
+                let written = frame::write(&mut stdin, &call, shared).map(|memory| lent = memory);
+                if reports.send(written).is_err() {
                     return;
                 }
             }
@@ -76,16 +95,26 @@ impl Child {
             process,
             calls: Some(calls),
             written,
-            silence: SILENCE,
+            silence: Silence {
+                first: patience,
+                later: patience,
+            },
+            answered: false,
+            shares: false,
             replies,
             said,
             listener,
             registration: &NOBODY,
         };
-        child.registration = child
-            .wait_for_hello(patience)
-            .map_err(|reason| format!("node `{node}`: {reason}"))?;
+        let hello = child.wait_for_hello(patience);
+        let Hello { registration, shares } = hello.map_err(|reason| format!("node `{node}`: {reason}"))?;
+        (child.registration, child.shares) = (registration, shares);
         Ok(child)
+    }
+
+    /// Sets how long calls may take.
+    pub(crate) fn limit_silence(&mut self, silence: Silence) {
+        self.silence = silence;
     }
 
     /// What the program declares of itself.
@@ -93,7 +122,7 @@ impl Child {
         self.registration
     }
 
-    fn wait_for_hello(&mut self, patience: Duration) -> Result<&'static Registration, String> {
+    fn wait_for_hello(&mut self, patience: Duration) -> Result<Hello, String> {
         const MEND: &str = "a plug-in is a program whose main is `realo_operator::run`, or that uses the Python module \
                             `realo_operator`";
         let frame = match self.replies.recv_timeout(patience) {
@@ -113,8 +142,8 @@ impl Child {
 
     /// One call, and what came of it.
     fn ask(&mut self, call: &Call, out: &mut Outputs) -> Result<(), Error> {
-        let bytes = call.to_bytes(out.now())?;
-        let answered = self.exchange(bytes).and_then(|reply| self.take(reply, out));
+        let parts = call.to_parts(out.now())?;
+        let answered = self.exchange(parts).and_then(|reply| self.take(reply, out));
         match answered {
             Ok(None) => Ok(()),
             Ok(Some(error)) => Err(error.into()),
@@ -122,16 +151,24 @@ impl Child {
         }
     }
 
-    fn exchange(&mut self, call: Vec<u8>) -> Result<Reply, String> {
+    fn exchange(&mut self, call: Vec<Buffer>) -> Result<Reply, String> {
+        let silence = if self.answered {
+            self.silence.later
+        } else {
+            self.silence.first
+        };
         let calls = self.calls.as_ref().ok_or("it was called after its end")?;
-        calls.send(call).map_err(|_| "nobody writes to it any more")?;
+        calls
+            .send((call, self.shares))
+            .map_err(|_| "nobody writes to it any more")?;
         // Whether the program has gone, and how, its answer tells better than the pipe to it.
-        let reply = match self.replies.recv_timeout(self.silence) {
+        let reply = match self.replies.recv_timeout(silence) {
             Ok(reply) => reply.map_err(|error| format!("no reply: {error}"))?,
-            Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", self.silence.as_secs())),
+            Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", silence.as_secs())),
             Err(RecvTimeoutError::Disconnected) => return Err("it closed its standard output".into()),
         };
-        let written = self.written.recv_timeout(self.silence);
+        self.answered = true;
+        let written = self.written.recv_timeout(silence);
         written
             .map_err(|error| error.to_string())?
             .map_err(|error| error.to_string())?;
@@ -311,10 +348,13 @@ mod tests {
             ..NOBODY
         };
         let hello = tempfile::NamedTempFile::new().unwrap();
-        frame::write(&mut hello.as_file(), &hello::write(&DEAF).unwrap()).unwrap();
+        frame::write(&mut hello.as_file(), &hello::write(&DEAF, false).unwrap(), false).unwrap();
         let script = format!("cat '{}'; exec sleep 60", hello.path().display());
         let mut child = shell(&script, Duration::from_secs(60)).unwrap();
-        child.silence = Duration::from_millis(100);
+        child.limit_silence(Silence {
+            first: Duration::from_millis(100),
+            later: Duration::from_secs(60),
+        });
         // More than a pipe holds.
         const POINTS: usize = 100_000;
         let axis = || vec![0.0; POINTS];

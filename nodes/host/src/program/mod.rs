@@ -13,12 +13,23 @@ use serde_yaml::Value;
 
 use realo_graph::FlatNode;
 use realo_operator::Registration;
-use realo_operator::pipe::{DRIVER, DRIVER_VARIABLE};
+use realo_operator::pipe::{DRIVER, DRIVER_VARIABLE, MEMORY_VARIABLE, memory};
 
 pub use child::Child;
+use child::Silence;
 
 /// How long a program may take to say hello: it loads its weights before, and Python its packages.
 const PATIENCE: Duration = Duration::from_secs(120);
+/// How long a call may take in virtual time, which waits for whatever is slow.
+const VIRTUAL: Silence = Silence {
+    first: Duration::from_secs(600),
+    later: Duration::from_secs(600),
+};
+/// How long a call may take in realtime.
+const REALTIME: Silence = Silence {
+    first: PATIENCE,
+    later: Duration::from_secs(10),
+};
 
 /// A program that hosts an operator, as a node of a graph names it.
 #[derive(Clone)]
@@ -28,6 +39,7 @@ pub struct Program {
     args: Vec<String>,
     env: BTreeMap<String, OsString>,
     folder: PathBuf,
+    silence: Silence,
     /// One that was started to ask for its ports and has not been used yet.
     waiting: Arc<Mutex<Option<Child>>>,
 }
@@ -46,8 +58,14 @@ impl Program {
                 .map(|(name, value)| (name.clone(), expanded(value)))
                 .collect(),
             folder: folder.to_path_buf(),
+            silence: VIRTUAL,
             waiting: Arc::default(),
         })
+    }
+
+    /// Has nobody wait long for what the program does not answer.
+    pub(crate) fn run_in_realtime(&mut self) {
+        self.silence = REALTIME;
     }
 
     /// What the program declares of itself; it is started for that, and kept for [`Program::start`].
@@ -66,10 +84,13 @@ impl Program {
     /// # Errors
     /// As [`Program::ask`].
     pub fn start(&self) -> Result<Child, String> {
-        if let Some(child) = self.waiting().take() {
-            return Ok(child);
-        }
-        Child::start(&self.node, self.command(), PATIENCE)
+        let waiting = self.waiting().take();
+        let mut child = match waiting {
+            Some(child) => child,
+            None => Child::start(&self.node, self.command(), PATIENCE)?,
+        };
+        child.limit_silence(self.silence);
+        Ok(child)
     }
 
     fn waiting(&self) -> MutexGuard<'_, Option<Child>> {
@@ -93,6 +114,10 @@ impl Program {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
+        match memory::probe() {
+            Some(place) => command.env(MEMORY_VARIABLE, place.to_string()),
+            None => command.env_remove(MEMORY_VARIABLE),
+        };
         command
     }
 }

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
-use arrow::array::UInt32Array;
+use arrow_array::UInt32Array;
+use arrow_buffer::Buffer;
 use realo_schemas::PayloadType;
 use serde::{Deserialize, Serialize};
 
@@ -53,8 +54,25 @@ struct Ports {
     outputs: Vec<PortWords>,
 }
 
-/// The first frame of a program that hosts a stage.
-pub fn write(registration: &Registration) -> Result<Vec<u8>, String> {
+/// How frames of a program travel that has no memory to share.
+const PIPE: &str = "pipe";
+/// How big frames of a program travel that has.
+const MEMFD: &str = "memfd";
+
+/// What a program says of itself.
+#[derive(Clone, Copy)]
+pub struct Hello {
+    /// What it hosts.
+    pub registration: &'static Registration,
+    /// Whether big frames go through shared memory, both ways.
+    pub shares: bool,
+}
+
+/// The first frame of a program that hosts a stage, in parts.
+///
+/// # Errors
+/// What Arrow cannot write.
+pub fn write(registration: &Registration, shares: bool) -> Result<Vec<Buffer>, String> {
     let ports = Ports {
         inputs: registration.inputs.iter().map(PortWords::of).collect(),
         outputs: registration.outputs.iter().map(PortWords::of).collect(),
@@ -63,15 +81,16 @@ pub fn write(registration: &Registration) -> Result<Vec<u8>, String> {
     Row::default()
         .put("version", UInt32Array::from(vec![VERSION]))
         .text("name", registration.name)
+        .text("memory", if shares { MEMFD } else { PIPE })
         .text("ports", &json)
-        .into_bytes()
+        .into_parts()
 }
 
 /// What the first frame of a program declares.
 ///
 /// # Errors
 /// Another version, or ports that cannot be.
-pub fn read(bytes: Vec<u8>) -> Result<&'static Registration, String> {
+pub fn read(bytes: Buffer) -> Result<Hello, String> {
     let row = Received::from_bytes(bytes)?;
     let version = row.u32("version")?;
     if version != VERSION {
@@ -85,7 +104,17 @@ pub fn read(bytes: Vec<u8>) -> Result<&'static Registration, String> {
     }
     let ports: Ports =
         serde_json::from_str(row.text("ports")?).map_err(|error| format!("the declaration of ports: {error}"))?;
-    register(name, ports)
+    let shares = match row.text("memory")? {
+        MEMFD => true,
+        PIPE => false,
+        other => {
+            return Err(format!(
+                "column `memory`: expected `{MEMFD}` or `{PIPE}`, found `{other}`"
+            ));
+        }
+    };
+    let registration = register(name, ports)?;
+    Ok(Hello { registration, shares })
 }
 
 /// Declarations live as long as the process, each distinct one once.
@@ -212,12 +241,23 @@ fn class_word(class: Class) -> &'static str {
 mod tests {
     use super::*;
 
-    fn said(ports: &str) -> Result<&'static Registration, String> {
+    fn whole(parts: Result<Vec<Buffer>, String>) -> Buffer {
+        Buffer::from_vec(
+            parts
+                .unwrap()
+                .iter()
+                .flat_map(|part| part.to_vec())
+                .collect::<Vec<u8>>(),
+        )
+    }
+
+    fn said(ports: &str) -> Result<Hello, String> {
         let row = Row::default()
             .put("version", UInt32Array::from(vec![VERSION]))
             .text("name", "mine")
+            .text("memory", PIPE)
             .text("ports", ports);
-        read(row.into_bytes().unwrap())
+        read(whole(row.into_parts()))
     }
 
     #[test]
@@ -245,11 +285,14 @@ mod tests {
             check: |_| Ok(()),
             build: |_| Err("".into()),
         };
-        let back = read(write(&registration).unwrap()).unwrap();
+        let hello = read(whole(write(&registration, true))).unwrap();
+        let back = hello.registration;
+        assert!(hello.shares);
         assert_eq!(format!("{:?}", back.inputs), format!("{PORTS:?}"));
         assert_eq!((back.name, back.outputs.len()), ("mine", 1));
-        let again = read(write(&registration).unwrap()).unwrap();
-        assert!(std::ptr::eq(back, again), "a declaration is kept once");
+        let again = read(whole(write(&registration, false))).unwrap();
+        assert!(std::ptr::eq(back, again.registration), "a declaration is kept once");
+        assert!(!again.shares);
     }
 
     #[test]
@@ -280,8 +323,8 @@ mod tests {
         }
         let newer = Row::default()
             .put("version", UInt32Array::from(vec![VERSION + 1]))
-            .into_bytes();
-        let error = read(newer.unwrap()).map(|_| ()).unwrap_err();
+            .into_parts();
+        let error = read(whole(newer)).map(|_| ()).unwrap_err();
         assert!(error.contains("version 2") && error.contains("found 3"), "{error}");
     }
 }

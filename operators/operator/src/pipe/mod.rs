@@ -5,12 +5,17 @@
 //! output, so the program must print nothing else there; what it writes to standard error is passed on, and quoted if
 //! it fails.
 //!
-//! Both directions carry frames: the length as 4 bytes, little endian, at most [`FRAME_LIMIT`], then an Arrow IPC
-//! stream of one batch with one row.
+//! Both directions carry frames: an Arrow IPC stream of one batch with one row. On the pipe lies its length as 4 bytes,
+//! little endian, at most [`FRAME_LIMIT`], then the stream; or, of one above [`SHARED_FROM`], four such numbers: 0xffffffff,
+//! the process that lends it, the number of an open file there, the length. That file is in memory (`memfd_create`) and
+//! sealed against every change, so that its reader maps `/proc/PROCESS/fd/NUMBER` and copies nothing; its writer keeps it
+//! until the next frame comes or the pipe ends. A host that has such memory puts the place of some into the program's
+//! environment ([`MEMORY_VARIABLE`]: process, file, length); only a program that can read it, and has some too, says
+//! `memfd` in its hello, and only then frames take this way.
 //!
 //! | frame | direction | columns |
 //! |---|---|---|
-//! | hello | first from the program | `version` (u32), `name`, `ports` (JSON: `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`) |
+//! | hello | first from the program | `version` (u32), `name`, `memory` (`memfd` or `pipe`), `ports` (JSON: `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`, `accounts`) |
 //! | call | to the program | `call` (`input`, `wake` or `end`), `port`, `now` (i64, ns), for an input `message` (struct) |
 //! | reply | one for each call | `error` (empty: none), `ports` (list), `message_0`, `message_1`, … (structs; one for each of `ports`), `wakes` (list of i64, ns), `counters` (list), `counts` (list of u64), `told` (JSON: `fates` and `traffic`, what the operator says of messages that cross links) |
 //!
@@ -20,11 +25,13 @@
 
 pub mod frame;
 pub mod hello;
+pub mod memory;
 mod row;
 mod serve;
 pub mod words;
 
-pub use frame::{FRAME_LIMIT, FrameError};
+pub use frame::{FRAME_LIMIT, FrameError, SHARED_FROM};
+pub use row::is_reading;
 pub use serve::serve;
 
 /// The version of the protocol; both sides must have the same.
@@ -32,6 +39,9 @@ pub const VERSION: u32 = 2;
 
 /// Is set to [`DRIVER`] for a program that is to serve the protocol.
 pub const DRIVER_VARIABLE: &str = "REALO_DRIVER";
+
+/// Names memory of the host, for a program to try whether it can read it.
+pub const MEMORY_VARIABLE: &str = "REALO_MEMORY";
 
 /// The value of [`DRIVER_VARIABLE`].
 pub const DRIVER: &str = "pipe";

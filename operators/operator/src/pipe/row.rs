@@ -1,15 +1,16 @@
 //! One row of Arrow as bytes, and the columns that the protocol's frames need.
 
+use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use arrow::array::{
+use arrow_array::{
     Array, ArrayRef, Int64Array, ListArray, RecordBatch, StringArray, StructArray, UInt32Array, UInt64Array,
 };
-use arrow::buffer::{Buffer, OffsetBuffer};
-use arrow::datatypes::{Field, Fields};
-use arrow::ipc::reader::StreamDecoder;
-use arrow::ipc::writer::StreamWriter;
+use arrow_buffer::{Buffer, OffsetBuffer};
+use arrow_ipc::reader::StreamDecoder;
+use arrow_ipc::writer::StreamEncoder;
+use arrow_schema::{ArrowError, Field, Fields};
 
 /// A row under construction.
 #[derive(Default)]
@@ -39,19 +40,29 @@ impl Row {
         self.list(name, StringArray::from_iter_values(texts))
     }
 
-    /// The row as an Arrow IPC stream.
+    /// The row as an Arrow IPC stream, in parts that share the columns' memory.
     ///
     /// # Errors
     /// What Arrow cannot write.
-    pub fn into_bytes(self) -> Result<Vec<u8>, String> {
+    pub fn into_parts(self) -> Result<Vec<Buffer>, String> {
         let batch = RecordBatch::from(StructArray::new(Fields::from(self.fields), self.columns, None));
         let write = || {
-            let mut writer = StreamWriter::try_new(Vec::new(), &batch.schema())?;
-            writer.write(&batch)?;
-            writer.into_inner()
+            let mut encoder = StreamEncoder::try_new(&batch.schema())?;
+            let mut parts = encoder.encode(&batch)?;
+            parts.extend(encoder.finish()?);
+            Ok(parts)
         };
-        write().map_err(|error| format!("Arrow: {error}"))
+        write().map_err(|error: ArrowError| format!("Arrow: {error}"))
     }
+}
+
+thread_local! {
+    static READING: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether this thread reads what another process sent: a panic is caught then, and becomes an error.
+pub fn is_reading() -> bool {
+    READING.get()
 }
 
 /// A row that another process sent.
@@ -62,10 +73,11 @@ impl Received {
     ///
     /// # Errors
     /// Why it is none.
-    pub fn from_bytes(bytes: Vec<u8>) -> Result<Self, String> {
-        let mut bytes = Buffer::from_vec(bytes);
+    pub fn from_bytes(mut bytes: Buffer) -> Result<Self, String> {
         // Arrow checks what it reads, but asserts on some lengths instead of returning an error.
+        READING.set(true);
         let read = catch_unwind(AssertUnwindSafe(|| StreamDecoder::new().decode(&mut bytes)));
+        READING.set(false);
         let batch = match read {
             Ok(Ok(Some(batch))) => batch,
             Ok(Ok(None)) => return Err("expected an Arrow stream of one batch, found none in it".into()),

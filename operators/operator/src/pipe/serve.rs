@@ -8,6 +8,8 @@ use crate::{AnyOperator, Built, Outputs, PortId, Registration};
 
 /// Answers a driver's calls to an operator until the driver closes the pipe or has called the end.
 ///
+/// `shares`: whether the host reads shared memory, and this program too.
+///
 /// # Errors
 /// A pipe that fails, a call that is none, an input that the operator does not have.
 pub fn serve(
@@ -15,6 +17,7 @@ pub fn serve(
     built: Built,
     mut calls: impl Read,
     mut replies: impl Write,
+    shares: bool,
 ) -> Result<(), String> {
     let Built::Operator(mut operator) = built else {
         return Err(format!(
@@ -23,13 +26,18 @@ pub fn serve(
         ));
     };
     let pipe = |error: FrameError| error.to_string();
-    frame::write(&mut replies, &hello::write(registration)?).map_err(pipe)?;
+    frame::write(&mut replies, &hello::write(registration, shares)?, false).map_err(pipe)?;
+    // A reply in shared memory is there until the driver says more.
+    let mut lent = None;
     while let Some(bytes) = frame::read(&mut calls).map_err(pipe)? {
         let (call, now) = Call::from_bytes(bytes)?;
         let ends = call == Call::End;
         let reply = answer(registration, operator.as_mut(), call, now)?;
-        frame::write(&mut replies, &reply.to_bytes()?).map_err(pipe)?;
+        drop(lent);
+        lent = frame::write(&mut replies, &reply.to_parts()?, shares).map_err(pipe)?;
         if ends {
+            // The driver closes the pipe once it has read the last reply.
+            frame::read(&mut calls).map_err(pipe)?;
             break;
         }
     }

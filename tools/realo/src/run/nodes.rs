@@ -92,12 +92,12 @@ pub fn argument(node: &FlatNode, key: &str) -> Option<String> {
 }
 
 /// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
-/// own, from which they are seen. A value that begins with `./` or `../` is one, and so are the model of a network and the
-/// program of a plug-in.
+/// own, from which they are seen. A value that begins with `./` or `../` is one; the model of a network and the program of a
+/// plug-in always.
 pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
-        if let Some(program) = node.program().filter(|path| Path::new(path).components().count() > 1) {
+        if let Some(program) = node.program() {
             let path = lexically_normal(&folder.join(program));
             node.set_program(&path.to_string_lossy());
         }

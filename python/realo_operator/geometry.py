@@ -1,0 +1,96 @@
+"""Frames, boxes and clouds: x forward, y left, z up, yaw from +x towards +y; metres, radians, poses as 4×4 matrices.
+
+`to_from_from @ point_in_from`, so poses compose by `@`. Boxes and clouds are dicts of columns.
+"""
+
+import numpy as np
+
+
+def matrix(pose):
+    """The matrix of a pose `x y z qx qy qz qw`."""
+    x, y, z, w = np.array(pose[3:]) / np.linalg.norm(pose[3:])
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    out[:3, 3] = pose[:3]
+    return out
+
+
+def relative(map_from_to, map_from_from):
+    """`to_from_from` of two frames that are given in `map`."""
+    turn, out = map_from_to[:3, :3].T, np.eye(4)
+    # The difference first: it keeps its digits far from the map's origin.
+    out[:3, :3], out[:3, 3] = turn @ map_from_from[:3, :3], turn @ (map_from_from[:3, 3] - map_from_to[:3, 3])
+    return out
+
+
+def inverse(b_from_a):
+    """`a_from_b`."""
+    return relative(b_from_a, np.eye(4))
+
+
+def transform_boxes(to_from_from, boxes):
+    """Boxes in another frame. They stay gravity-aligned: tilt moves the centre and turns the heading only."""
+    turn, yaw = to_from_from[:3, :3], boxes["yaw"]
+    center = np.stack([boxes[axis] for axis in "xyz"], axis=-1) @ turn.T + to_from_from[:3, 3]
+    heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1) @ turn.T
+    angle = np.arctan2(turn[1, 0], turn[0, 0])
+    flat = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    moved = {axis: center[:, i] for i, axis in enumerate("xyz")}
+    moved |= {"yaw": np.arctan2(heading[:, 1], heading[:, 0]), "velocity": boxes["velocity"] @ turn.T}
+    return {**boxes, **moved, "covariance": (flat @ boxes["covariance"].reshape(-1, 3, 3) @ flat.T).reshape(-1, 9)}
+
+
+def transform_cloud(to_from_from, cloud):
+    """A cloud in another frame; the other columns are shared."""
+    rows = zip("xyz", to_from_from.astype(np.float32))
+    return {**cloud, **{axis: a * cloud["x"] + b * cloud["y"] + c * cloud["z"] + d for axis, (a, b, c, d) in rows}}
+
+
+def select(columns, which):
+    """Some of the boxes or points: a mask, or their numbers."""
+    return {name: values[which] for name, values in columns.items()}
+
+
+def join(parts):
+    """The boxes or points of several, in order."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def iou(a, b):
+    """Intersection over union on the ground plane of each box of `a` (rows) with each of `b` (columns), in [0, 1]."""
+    names = ("x", "y", "length", "width", "yaw")
+    first, second = ([np.asarray(boxes[n])[at] for n in names] for boxes, at in ((a, np.s_[:, None]), (b, np.s_[None])))
+    areas = [np.abs(boxes[2] * boxes[3]) for boxes in (first, second)]
+    shared = np.clip(_shared(*first, *second), 0, np.minimum(*areas))
+    return np.divide(shared, areas[0] + areas[1] - shared, out=np.zeros_like(shared), where=shared > 0)
+
+
+def _shared(x, y, length, width, yaw, other_x, other_y, other_length, other_width, other_yaw):
+    """Area that boxes share: around the other, in this one's frame, the integral of clamped y over clamped x."""
+    cos, sin, turn = np.cos(yaw), np.sin(yaw), other_yaw - yaw
+    dx, dy = other_x - x, other_y - y
+    x, y = dx * cos + dy * sin, dy * cos - dx * sin
+    lx, ly = (np.abs(other_length) / 2 * along for along in (np.cos(turn), np.sin(turn)))
+    wx, wy = (np.abs(other_width) / 2 * along for along in (-np.sin(turn), np.cos(turn)))
+    # Against the sense of yaw, so that the upper edges add and the lower ones subtract.
+    ways = (-1, 1), (1, 1), (1, -1), (-1, -1)
+    corners = [(x + l * lx + w * wx, y + l * ly + w * wy) for l, w in ways]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return sum(_edge(corners[i - 1], corners[i], np.abs(length) / 2, np.abs(width) / 2) for i in range(4))
+
+
+def _edge(start, end, length, width):
+    """Integral of y over x along an edge, x clamped to ±length and y to ±width."""
+    left, right = np.clip(start[0], -length, length), np.clip(end[0], -length, length)
+    slope = (end[1] - start[1]) / (end[0] - start[0])
+    low, high = (start[1] + (x - start[0]) * slope for x in (left, right))
+    # The shares of the way at which y meets -width and width; `fmin` and `fmax` take 0/0 to a side.
+    one, other = (-width - low) / (high - low), (width - low) / (high - low)
+    enters, leaves = (np.fmin(np.fmax(share, 0), 1) for share in (np.fmin(one, other), np.fmax(one, other)))
+    y = lambda share: np.clip(low + share * (high - low), -width, width)  # noqa: E731
+    mean = enters * y(0) + (leaves - enters) * 0.5 * (y(enters) + y(leaves)) + (1 - leaves) * y(1)
+    return np.where(left == right, 0, (right - left) * mean)

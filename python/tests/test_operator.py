@@ -1,0 +1,187 @@
+"""What the module does, by cases that can be worked out by hand."""
+
+import contextlib
+import io
+import math
+import os
+import random
+import unittest
+
+import numpy as np
+import pyarrow as pa
+from realo_operator import Header, Message, Operator, Outputs, Port, geometry, pipe
+from realo_operator.pipe import configuration
+
+
+class Echo(Operator):
+    NAME = "echo"
+    DEFAULTS = {"score": 0.5, "most": None, "names": ["a"], "deep": False, "ego": "cav1"}
+    INPUTS = [Port("clouds", "PointCloud")]
+    OUTPUTS = [Port("clouds", "PointCloud")]
+
+    def on_input(self, port, message, out):
+        if message.header.seq == 13:
+            raise ValueError("no luck")
+        out.used(message.header, Header(seq=5, ready=100))
+        out.send("clouds", message)
+
+
+def cloud(points, seq=0):
+    columns = {axis: np.arange(points, dtype=np.float32) for axis in "xyz"}
+    kinds = {"intensity": np.uint8, "time": np.int32, "ring": np.uint16}
+    columns.update({name: np.ones(points, kind) for name, kind in kinds.items()})
+    return Message(Header(agent="cav2", to="cav1", kind="points", seq=seq, stamp=40), "PointCloud", columns)
+
+
+def boxes(*rows):
+    """Boxes of (x, y, length, width, yaw)."""
+    columns = {name: np.array(values, float) for name, values in zip(("x", "y", "length", "width", "yaw"), zip(*rows))}
+    n = len(rows)
+    unknown = {"velocity": np.full((n, 3), np.nan), "covariance": np.full((n, 9), np.nan)}
+    texts = {"class": np.array(["Car"] * n, object), "track": np.array([None] * n, object)}
+    return {**columns, "z": np.zeros(n), "height": np.ones(n), "score": np.ones(n, np.float32), **unknown, **texts}
+
+
+class TestMessage(unittest.TestCase):
+    def test_payloads_come_back_and_numbers_share_memory(self):
+        columns = boxes((1, 2, 4, 2, 0.1), (3, 4, 4, 2, 0.2))
+        columns["velocity"][1] = [1, 2, 3]
+        columns["track"][0] = 2**64 - 1
+        header = Header(agent="cav1", kind="boxes", seq=3, pose=[1, 2, 3, 0, 0, 0, 1])
+        row = Message(header, "Boxes", columns).write()
+        back = Message.read(row)
+        self.assertEqual((back.header.seq, back.header.pose, back.header.to), (3, header.pose, ""))
+        for name, values in columns.items():
+            np.testing.assert_array_equal(back.payload[name], values, name)
+        again = Message.read(back.write())
+        np.testing.assert_array_equal(again.payload["velocity"], columns["velocity"])
+        self.assertFalse(back.payload["x"].flags.writeable)
+        selection = Message(header, "Selection", {"query": 3, "entries": [back, cloud(2)]})
+        entries = Message.read(selection.write()).payload["entries"]
+        self.assertEqual([entry.type for entry in entries], ["Boxes", "PointCloud"])
+
+    def test_feature_maps_have_their_shape(self):
+        data = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+        payload = {"rows": 2, "columns": 3, "channels": 4, "cell": 0.4, "origin": [0, 0], "dtype": "f32", "model": "m"}
+        back = Message.read(Message(Header(), "FeatureMap", {**payload, "data": data}).write())
+        np.testing.assert_array_equal(back.payload["data"], data)
+
+    def test_says_what_does_not_fit(self):
+        with self.assertRaisesRegex(ValueError, "a PointCloud needs the column `x`"):
+            Message(Header(), "PointCloud", {}).write()
+        with self.assertRaisesRegex(ValueError, "field `seq`"):
+            cloud(1, seq="many").write()
+
+
+class TestPipe(unittest.TestCase):
+    def answers(self, messages, shares):
+        """What a stage answers to calls with these messages, over real pipes."""
+        (call_end, calls), (replies, reply_end) = os.pipe(), os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            os.close(calls), os.close(replies)
+            with os.fdopen(call_end, "rb") as read, os.fdopen(reply_end, "wb") as write:
+                pipe.serve(Echo(configuration(Echo, [])), read, write, shares)
+            os._exit(0)
+        os.close(call_end), os.close(reply_end)
+        found = []
+        with os.fdopen(calls, "wb") as write, os.fdopen(replies, "rb") as read:
+            hello = pipe.read(read)
+            found.append(hello.column("memory")[0].as_py())
+            for message in messages:
+                with contextlib.ExitStack() as lent:
+                    call = {"call": ["input"], "port": ["clouds"], "now": [7], "message": message.write()}
+                    pipe.write(write, call, lent if shares else None)
+                    found.append(pipe.read(read))
+            pipe.write(write, {"call": ["end"], "port": [""], "now": [8]}, None)
+            found.append(pipe.read(read))
+        self.assertEqual(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), 0)
+        return found
+
+    def test_answers_over_the_pipe_and_through_shared_memory(self):
+        for shares, points in [(False, 10), (False, 100_000), (hasattr(os, "memfd_create"), 100_000)]:
+            memory, one, bad, end = self.answers([cloud(points), cloud(points, seq=13)], shares)
+            self.assertEqual(memory, "memfd" if shares else "pipe")
+            back = Message.read(one.column("message_0"))
+            np.testing.assert_array_equal(back.payload["x"], cloud(points).payload["x"])
+            self.assertIn('"fate": "used", "use": {"query": 5, "age_ns": 60}', one.column("told")[0].as_py())
+            self.assertEqual(bad.column("error")[0].as_py(), "no luck")
+            self.assertEqual(end.column("ports")[0].as_py(), [])
+
+    def test_memory_that_could_change_is_refused(self):
+        file = os.memfd_create("test", os.MFD_ALLOW_SEALING)
+        os.ftruncate(file, 10)
+        with self.assertRaisesRegex(ValueError, "sealed memory of 10 bytes"):
+            pipe.opened(os.getpid(), file, 10)
+        os.close(file)
+        self.assertFalse(pipe.reaches("") or pipe.reaches("1 2 3") or pipe.reaches(f"{os.getpid()} {file} 10"))
+
+    def test_cut_frames_are_errors(self):
+        with self.assertRaisesRegex(ValueError, "9 bytes, found 1"):
+            pipe.read(io.BytesIO(b"\x09\0\0\0x"))
+        self.assertIsNone(pipe.read(io.BytesIO()))
+
+
+class TestConfiguration(unittest.TestCase):
+    def test_reads_values_over_defaults(self):
+        found = configuration(Echo, ["score=1", "most=3", "names=a, b", "deep=true", "ego=7"])
+        self.assertEqual(vars(found), {"score": 1.0, "most": 3, "names": ["a", "b"], "deep": True, "ego": "7"})
+        self.assertIs(type(found.score), float)
+
+    def test_refuses_with_the_nearest_name(self):
+        cases = {"scor=1": "did you mean `score`", "score=x": "`x` is no value", "score": "not of the form"}
+        for arg, expected in {**cases, "deep=1": "expected a value like `false`"}.items():
+            with self.assertRaisesRegex(ValueError, expected):
+                configuration(Echo, [arg])
+
+
+class TestOutputs(unittest.TestCase):
+    def test_fates_are_told_of_what_crossed_a_link_only(self):
+        out = Outputs()
+        out.tell(Header(agent="cav1"), "rejected")
+        out.tell(Header(agent="cav2", to="cav1", kind="boxes", seq=4), "stale")
+        self.assertEqual(out.fates, [{"from": "cav2", "to": "cav1", "kind": "boxes", "seq": 4, "fate": "stale"}])
+
+
+class TestGeometry(unittest.TestCase):
+    def test_poses_compose_and_invert(self):
+        a = geometry.matrix([1, 2, 3, 0, 0, math.sin(0.3), math.cos(0.3)])
+        b = geometry.matrix([-4, 5, 0.5, 0.1, -0.2, 0.3, 0.9])
+        np.testing.assert_allclose(a @ geometry.inverse(a), np.eye(4), atol=1e-15)
+        np.testing.assert_allclose(geometry.relative(a, b), geometry.inverse(a) @ b, atol=1e-14)
+
+    def test_boxes_and_clouds_move(self):
+        quarter = geometry.matrix([10, 0, 0, 0, 0, math.sqrt(0.5), math.sqrt(0.5)])
+        moved = geometry.transform_boxes(quarter, boxes((1, 0, 4, 2, 0)))
+        np.testing.assert_allclose([moved[n][0] for n in ("x", "y", "yaw")], [10, 1, math.pi / 2], atol=1e-15)
+        self.assertTrue(np.isnan(moved["velocity"]).all())
+        points = geometry.transform_cloud(quarter, cloud(3).payload)
+        np.testing.assert_allclose([points["x"], points["y"]], [[10, 9, 8], [0, 1, 2]], atol=1e-6)
+
+    def test_iou_of_cases_by_hand(self):
+        one = boxes((0, 0, 4, 2, 0))
+        cases = [((0, 0, 4, 2, 0), 1), ((2, 0, 4, 2, 0), 1 / 3), ((0, 0, 4, 2, math.pi / 2), 1 / 3)]
+        cases += [((5, 0, 4, 2, 0), 0), ((0, 0, 4, 0, 1), 0), ((0, 0, 1, 1, 0.7), 1 / 8)]
+        found = geometry.iou(one, boxes(*(box for box, _ in cases)))
+        np.testing.assert_allclose(found, [[iou for _, iou in cases]], atol=1e-12)
+
+    def test_iou_agrees_with_counting(self):
+        draw = random.Random(3)
+        rows = [(draw.uniform(-3, 3), draw.uniform(-3, 3), draw.uniform(1, 5), draw.uniform(1, 3), draw.uniform(-3, 3))]
+        rows += [tuple(draw.uniform(*span) for span in ((-3, 3), (-3, 3), (1, 5), (1, 3), (-3, 3))) for _ in range(7)]
+        grid = np.stack(np.meshgrid(*[np.arange(-6, 6, 0.02)] * 2), -1).reshape(-1, 2)
+
+        def inside(x, y, length, width, yaw):
+            d = grid - [x, y]
+            along, across = d @ [math.cos(yaw), math.sin(yaw)], d @ [-math.sin(yaw), math.cos(yaw)]
+            return (np.abs(along) <= length / 2) & (np.abs(across) <= width / 2)
+
+        masks = [inside(*row) for row in rows]
+        counted = [[(a & b).sum() / (a | b).sum() for b in masks] for a in masks]
+        found = geometry.iou(boxes(*rows), boxes(*rows))
+        np.testing.assert_allclose(found, counted, atol=0.01)
+        np.testing.assert_allclose(found, found.T, atol=1e-12)
+
+
+if __name__ == "__main__":
+    unittest.main()
