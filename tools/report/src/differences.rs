@@ -6,10 +6,13 @@ use realo_results::{Run, RunResult};
 /// So many names are listed; what there is beside is counted.
 const NAMED: usize = 5;
 
+/// Picks a list of names.
+type Names = fn(&RunResult) -> &Vec<String>;
+
 /// What differs between runs although a comparison of strategies wants it alike: logs, egos, agents, protocol, truth. One
 /// sentence each, which names the runs; nothing where all is alike.
 pub fn differences(runs: &[(&str, &Run)]) -> Vec<String> {
-    let lists: [(&str, fn(&RunResult) -> &Vec<String>); 3] = [
+    let lists: [(&str, Names); 3] = [
         ("logs", |result| &result.logs),
         ("egos", |result| &result.egos),
         ("agents", |result| &result.agents),

@@ -79,7 +79,7 @@ pub(super) fn declared(node: &FlatNode, stage: Option<&'static Registration>, fi
 fn is_needed(node: &FlatNode, port: &Port) -> bool {
     let given = |(argument, value): (&str, &str)| {
         let setting = format!("{argument}={value}");
-        node.settings().iter().any(|given| *given == setting)
+        node.settings().contains(&setting)
     };
     port.required || port.needed.is_some_and(given)
 }
