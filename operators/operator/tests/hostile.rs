@@ -193,7 +193,8 @@ fn changed_frames_are_errors_and_cost_little() {
     let registration = const { &Registration::operator::<Mine>() };
     let port = "ego".to_string();
     let message = Box::new(boxes("cav1", 2));
-    let sorts: [(&str, Vec<u8>, fn(Buffer) -> bool); 3] = [
+    type Reads = fn(Buffer) -> bool;
+    let sorts: [(&str, Vec<u8>, Reads); 3] = [
         ("hello", whole(hello::write(registration, true)), |bytes| {
             hello::read(bytes).is_ok()
         }),
