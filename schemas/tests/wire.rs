@@ -205,8 +205,8 @@ fn column<A: Array + 'static>(array: A) -> ArrayRef {
 
 /// One list that holds all values.
 fn list(values: ArrayRef) -> ArrayRef {
-    use arrow::array::ListArray;
-    use arrow::buffer::OffsetBuffer;
+    use arrow_array::ListArray;
+    use arrow_buffer::OffsetBuffer;
     let field = Arc::new(Field::new("item", values.data_type().clone(), true));
     column(ListArray::new(
         field,
@@ -217,15 +217,15 @@ fn list(values: ArrayRef) -> ArrayRef {
 }
 
 fn numbers(values: &[f64]) -> ArrayRef {
-    list(column(arrow::array::Float64Array::from(values.to_vec())))
+    list(column(arrow_array::Float64Array::from(values.to_vec())))
 }
 
 fn times(values: &[i64]) -> ArrayRef {
-    list(column(arrow::array::Int64Array::from(values.to_vec())))
+    list(column(arrow_array::Int64Array::from(values.to_vec())))
 }
 
 fn word(text: &str) -> ArrayRef {
-    column(arrow::array::StringArray::from(vec![text]))
+    column(arrow_array::StringArray::from(vec![text]))
 }
 
 /// The message of a payload type, as it travels.
@@ -243,7 +243,7 @@ fn row_of(payload: PayloadType) -> StructArray {
 #[test]
 fn every_field_is_held_to_its_content() {
     use PayloadType::*;
-    use arrow::array::UInt32Array;
+    use arrow_array::UInt32Array;
     let f32s = |n: usize| list(column(Float32Array::from(vec![0.0; n])));
     let u32s = |values: &[u32]| list(column(UInt32Array::from(values.to_vec())));
     let size = |n: u32| column(UInt32Array::from(vec![n]));
@@ -354,7 +354,7 @@ fn every_element_type_and_status_survives() {
 
 #[test]
 fn columns_that_are_slices_are_read_where_they_lie() {
-    use arrow::array::ListArray;
+    use arrow_array::ListArray;
     // Two lists in one column, of which the row has the second.
     let whole = replace(&row_of(PayloadType::Boxes), "yaw", None);
     let lists = [numbers(&[9.0; 3]), numbers(&[0.25, 0.5])];
