@@ -357,9 +357,11 @@ fn columns_that_are_slices_are_read_where_they_lie() {
     use arrow_array::ListArray;
     // Two lists in one column, of which the row has the second.
     let whole = replace(&row_of(PayloadType::Boxes), "yaw", None);
-    let lists = [numbers(&[9.0; 3]), numbers(&[0.25, 0.5])];
-    let both = arrow::compute::concat(&[&*lists[0], &*lists[1]]).expect("lists of one type");
-    let second: ArrayRef = column(both.as_any().downcast_ref::<ListArray>().expect("a list").slice(1, 1));
+    let values = arrow_array::Float64Array::from(vec![9.0, 9.0, 9.0, 0.25, 0.5]);
+    let item = Arc::new(Field::new("item", values.data_type().clone(), true));
+    let offsets = arrow_buffer::OffsetBuffer::from_lengths([3, 2]);
+    let both = ListArray::new(item, offsets, column(values), None);
+    let second: ArrayRef = column(both.slice(1, 1));
     let mut fields: Vec<Field> = whole.fields().iter().map(|field| field.as_ref().clone()).collect();
     fields.push(Field::new("yaw", second.data_type().clone(), true));
     let columns = whole.columns().iter().cloned().chain([second]).collect();
