@@ -189,11 +189,11 @@ fn a_program_that_speaks_no_protocol_is_refused_by_name() {
     let prints = scripted("plugin_prints", "echo 'hello, world'");
     fails(&prints, &["\"hell\"", "standard error"]);
     let missing = changed("plugin_missing", &[(PROGRAM, "no-such-program")]);
-    fails(&missing, &["cannot start", "no-such-program"]);
+    fails(&missing, &["no program", "no-such-program"]);
     let output = realo(["validate", &missing]);
     assert_eq!(output.status.code(), Some(1));
     assert!(
-        text(&output.stdout).contains("cannot start"),
+        text(&output.stdout).contains("no-such-program"),
         "{}",
         text(&output.stdout)
     );

@@ -441,6 +441,9 @@ impl FlatGraph {
     /// A process with all the arguments of the stages that it hosts.
     fn told(&self, process: &FlatNode) -> FlatNode {
         let mut process = process.clone();
+        for input in process.inputs.values_mut() {
+            input.source = self.as_dora_has_it(&input.source);
+        }
         let inner = format!("{}.", process.id);
         for stage in self
             .nodes
@@ -456,6 +459,24 @@ impl FlatGraph {
             }
         }
         process
+    }
+
+    /// The sending end of a wire by its process: dora knows no stages within one.
+    fn as_dora_has_it(&self, source: &InputSource) -> InputSource {
+        let InputSource::Output { node, output } = source else {
+            return source.clone();
+        };
+        let host = self.node(node).and_then(|stage| stage.host.as_ref());
+        let host = host.and_then(|host| self.hosts.iter().find(|process| process.id == *host));
+        let made = (node.clone(), output.clone());
+        let outlet = host.and_then(|host| {
+            let (name, _) = host.outlets.iter().find(|(_, behind)| **behind == made)?;
+            Some((host.id.clone(), name.clone()))
+        });
+        match outlet {
+            Some((node, output)) => InputSource::Output { node, output },
+            None => source.clone(),
+        }
     }
 
     /// The folder of type definitions that dora looks for beside the graph.
@@ -504,6 +525,25 @@ mod tests {
         assert_eq!(again, graph);
         let error = graph.set("ego", "threshold", "1").unwrap_err().to_string();
         assert!(error.contains("no node `ego` (did you mean `ego.nms`?)"), "{error}");
+    }
+
+    #[test]
+    fn a_node_of_its_own_takes_from_the_process_of_a_stage() {
+        let folder = tempfile::tempdir().unwrap();
+        let module = "module: { name: m, outputs: [boxes] }\nnodes: [{ id: nms, path: realo, args: operator nms, outputs: [boxes] }]";
+        std::fs::write(folder.path().join("m.yml"), module).unwrap();
+        let text = "nodes: [{ id: ego, path: /x/realo, args: host m.yml, outputs: [boxes] }, { id: mine, path: /x/mine, inputs: { \
+                    in: ego/boxes } }]";
+        let flat = Graph::parse(text, &folder.path().join("g.yml"))
+            .unwrap()
+            .expand()
+            .unwrap();
+        assert_eq!(
+            flat.node("mine").unwrap().inputs["in"].output(),
+            Some(("ego.nms", "boxes"))
+        );
+        let written = flat.to_yaml().unwrap();
+        assert!(written.contains("in: ego/boxes"), "{written}");
     }
 
     #[test]

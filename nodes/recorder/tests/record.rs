@@ -5,7 +5,8 @@ use std::path::Path;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{Log, LogError, McapFile};
 use realo_operator::{Books, Describe, NodeBooks, PortId, Sink};
-use realo_recorder::{Config, Recorder, read_boxes, read_reports, read_truth};
+use realo_recorder::{Config, FATES, Recorder, read_boxes, read_reports, read_truth};
+use realo_schemas::report::{Crossing, Fate, Fated, Use};
 use realo_schemas::{
     Box3, Boxes, EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, Pose,
     PoseStatus, Report,
@@ -95,10 +96,10 @@ fn record(recorder: &mut Recorder, seq: u64) -> Result<(), realo_operator::Error
     send("other_boxes", detections)?;
     send("boxes", boxes(seq))?;
     let report = Report {
-        topic: "bank".into(),
+        topic: "evaluation".into(),
         json: format!("{{\"query\":{seq}}}"),
     };
-    send("bank", Message::new(header("cav1", Kind::Report, seq), report))?;
+    send("evaluation", Message::new(header("cav1", Kind::Report, seq), report))?;
     let n = 5_000;
     let x: Vec<f32> = (0..n)
         .map(|i| ((i * 7919 + seq as usize * 104_729) % 10_007) as f32 * 0.0137)
@@ -111,6 +112,22 @@ fn config(path: &Path, clouds: bool) -> Config {
     Config {
         path: path.into(),
         clouds,
+    }
+}
+
+fn fated() -> Fated {
+    Fated {
+        message: Crossing {
+            from: "rsu1".into(),
+            to: "cav1".into(),
+            kind: Kind::Boxes,
+            seq: 3,
+        },
+        fate: Fate::Used,
+        r#use: Some(Use {
+            query: 4,
+            age_ns: 93_000_000,
+        }),
     }
 }
 
@@ -139,6 +156,8 @@ fn boxes_come_back_bit_for_bit_with_reports_and_the_rest() {
     for seq in 0..30 {
         record(&mut recorder, seq).unwrap();
     }
+    recorder.fates(&[]).unwrap();
+    recorder.fates(std::slice::from_ref(&fated())).unwrap();
     recorder.finish(&books()).unwrap();
     let expected: Vec<Message> = (0..30).map(boxes).collect();
     assert_eq!(read_boxes(&path).unwrap(), expected);
@@ -157,12 +176,15 @@ fn boxes_come_back_bit_for_bit_with_reports_and_the_rest() {
     }
     assert_eq!(read_truth(&path).unwrap(), (0..30).map(truth).collect::<Vec<_>>());
     let reports = read_reports(&path).unwrap();
-    assert_eq!(reports.len(), 31);
+    assert_eq!(reports.len(), 32);
     assert_eq!(
         reports[4],
-        serde_json::json!({"topic": "bank", "agent": "cav1", "report": {"query": 4}})
+        serde_json::json!({"topic": "evaluation", "agent": "cav1", "report": {"query": 4}})
     );
-    assert_eq!(reports[30]["report"]["nodes"]["nms"]["name"], "nms");
+    assert_eq!(reports[30]["topic"], FATES);
+    let fates: Vec<Fated> = serde_json::from_value(reports[30]["report"].clone()).unwrap();
+    assert_eq!(fates, [fated()]);
+    assert_eq!(reports[31]["report"]["nodes"]["nms"]["name"], "nms");
     let expected = [
         "/cav1/boxes",
         "/cav1/boxes_info",

@@ -39,6 +39,8 @@ pub(super) struct Joined {
     pub built: Vec<Built>,
     /// By input: `node/output` behind it.
     pub froms: BTreeMap<String, String>,
+    /// Outputs from which a way leads back to this process.
+    pub returning: BTreeSet<String>,
     pub inbox: Inbox,
 }
 
@@ -71,6 +73,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         stages,
         built,
         froms,
+        returning,
         inbox,
     } = joined;
     let edges = froms.iter().map(|(name, from)| {
@@ -82,6 +85,8 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         exits.entry(*output).or_default().push(DataId::from(name.clone()));
     }
     let edges: Vec<Edge> = edges.collect();
+    let outputs = returning.iter().filter_map(|name| stages.exits.get(name));
+    let returning: BTreeSet<(usize, PortId)> = outputs.copied().collect();
     let shared = Arc::new(Shared {
         id,
         state: Mutex::new(State {
@@ -106,6 +111,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         number: 0,
         known: BTreeMap::new(),
         ends: BTreeMap::new(),
+        returning,
     };
     let ended = host.run();
     let mut state = shared.lock();
@@ -278,6 +284,8 @@ struct Host {
     known: BTreeMap<String, BTreeSet<u64>>,
     /// By output: the end that is being said.
     ends: BTreeMap<(usize, PortId), Ending>,
+    /// Outputs from which a way leads back to this process.
+    returning: BTreeSet<(usize, PortId)>,
 }
 
 /// An output that ends.
@@ -460,8 +468,8 @@ impl Host {
         Ok(())
     }
 
-    /// Ends the outputs whose stages have ended; the last one waits for all stages, for it takes their books along.
-    /// Whether all of them have ended.
+    /// Ends outputs: all together once every stage has ended, for they take the books along; but one from which a way leads
+    /// back as soon as its own stage has, for other stages may wait for that. Whether all of them have ended.
     fn end_outputs(&mut self) -> Result<bool, HostError> {
         let shared = self.shared.clone();
         loop {
@@ -471,10 +479,12 @@ impl Host {
                 .keys()
                 .filter(|exit| !self.ends.contains_key(exit))
                 .collect();
-            let next = open.iter().find(|exit| state.engine.has_ended(exit.0));
-            let Some(exit) = next.filter(|_| open.len() > 1 || state.engine.is_done()) else {
-                break;
+            let all = state.engine.is_done();
+            let may_end = |exit: &&&(usize, PortId)| {
+                let ended = state.engine.has_ended(exit.0);
+                ended && (all || self.returning.contains(exit))
             };
+            let Some(exit) = open.iter().find(may_end) else { break };
             drop(state);
             self.pass_fates(true)?;
             let state = shared.lock();

@@ -157,6 +157,7 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
         stages,
         built,
         froms: inputs.clone(),
+        returning: plan.returning.clone(),
         inbox: Inbox::new(events),
     })
 }

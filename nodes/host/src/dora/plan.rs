@@ -1,6 +1,6 @@
 //! What the graph asks of this process, known before it joins dora.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde_yaml::Value;
 
@@ -13,7 +13,12 @@ pub(super) struct Plan {
     /// By input: `node/output` behind it.
     pub inputs: BTreeMap<String, String>,
     pub outputs: Vec<String>,
+    /// Outputs from which a way leads back to this process.
+    pub returning: BTreeSet<String>,
 }
+
+/// A process of the graph: its id, and `node/output` behind each of its inputs.
+type Process = (String, Vec<String>);
 
 impl Plan {
     /// What dora tells this process.
@@ -40,19 +45,73 @@ impl Plan {
             ))
         });
         let outputs = run.get("outputs").and_then(Value::as_sequence).into_iter().flatten();
+        let id = id.ok_or("expected a text `node_id`, found none")?;
+        let outputs: Vec<String> = outputs
+            .filter_map(|output| Some(output.as_str()?.to_string()))
+            .collect();
+        let graph = processes(&config);
+        let returns = |output: &&String| leads_back(&graph, id, output);
         Ok(Plan {
-            id: id.ok_or("expected a text `node_id`, found none")?.into(),
+            id: id.into(),
             inputs: inputs.collect(),
-            outputs: outputs
-                .filter_map(|output| Some(output.as_str()?.to_string()))
-                .collect(),
+            returning: outputs.iter().filter(returns).cloned().collect(),
+            outputs,
         })
     }
+}
+
+/// The processes of the graph that this one is part of.
+fn processes(config: &Value) -> Vec<Process> {
+    let nodes = config.get("dataflow_descriptor").and_then(|graph| graph.get("nodes"));
+    let nodes = nodes.and_then(Value::as_sequence).into_iter().flatten();
+    let read = nodes.filter_map(|node| {
+        let inputs = node.get("inputs").and_then(Value::as_mapping).into_iter().flatten();
+        let sources = inputs.filter_map(|(_, input)| input.get("source").unwrap_or(input).as_str());
+        Some((
+            node.get("id")?.as_str()?.to_string(),
+            sources.map(String::from).collect(),
+        ))
+    });
+    read.collect()
+}
+
+/// Whether what a process sends on an output can come back to it.
+fn leads_back(graph: &[Process], id: &str, output: &str) -> bool {
+    let takes = |(_, sources): &&Process, wanted: &dyn Fn(&str) -> bool| sources.iter().any(|source| wanted(source));
+    let direct = format!("{id}/{output}");
+    let first = graph
+        .iter()
+        .filter(|process| takes(process, &|source| source == direct));
+    let mut open: Vec<&str> = first.map(|(id, _)| id.as_str()).collect();
+    let mut seen = BTreeSet::new();
+    while let Some(reached) = open.pop() {
+        if reached == id {
+            return true;
+        }
+        if seen.insert(reached) {
+            let from = format!("{reached}/");
+            let next = graph
+                .iter()
+                .filter(|process| takes(process, &|source| source.starts_with(&from)));
+            open.extend(next.map(|(id, _)| id.as_str()));
+        }
+    }
+    false
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn knows_which_outputs_lead_back() {
+        let text = "node_id: v2x\nrun_config: { outputs: [to_ego, to_others] }\ndataflow_descriptor:\n  nodes:\n  - { id: others, \
+                    inputs: { from_ego: { source: v2x/to_others, queue_size: 3 } } }\n  - { id: v2x, inputs: { packets: \
+                    others/packets } }\n  - { id: fusion, inputs: { packets: v2x/to_ego } }\n  - { id: score, inputs: { boxes: \
+                    fusion/boxes } }\n";
+        let plan = Plan::read(text).unwrap();
+        assert_eq!(plan.returning, ["to_others".to_string()].into());
+    }
 
     #[test]
     fn reads_what_dora_writes() {
@@ -63,6 +122,7 @@ mod tests {
         assert_eq!(plan.inputs["clouds"], "player/ego_clouds");
         assert_eq!(plan.inputs["poses"], "player/ego_poses");
         assert_eq!(plan.outputs, ["boxes", "state"]);
+        assert!(plan.returning.is_empty());
         assert!(Plan::read("node_id: 3").is_err() && Plan::read("[").is_err());
     }
 }
