@@ -331,7 +331,7 @@ fn what_the_transport_does_to_messages_is_seen_and_counted() {
 }
 
 #[test]
-fn repeated_and_swapped_messages_change_no_box() {
+fn repeated_messages_change_no_box() {
     let _alone = alone();
     let dir = folder("shuffled");
     let log = spread();
@@ -343,13 +343,10 @@ fn repeated_and_swapped_messages_change_no_box() {
     );
     let out = dir.join("out");
     let report = dir.join("tampered.json");
-    let file = tampered(&dir, &report, "shuffle");
+    let file = tampered(&dir, &report, "repeat");
     let result = run_realtime_file(&file, &out, &log, &["--rate", "0.1"]);
     let did = json(&report);
-    assert!(
-        did["repeated"].as_u64() > Some(0) && did["swapped"].as_u64() > Some(0),
-        "{did}"
-    );
+    assert!(did["repeated"].as_u64() > Some(0), "{did}");
     assert_eq!(result["transport"]["total_lost"], 0, "{}", result["transport"]);
     let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("shuffled_virtual");
     assert!(

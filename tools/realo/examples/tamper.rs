@@ -1,6 +1,6 @@
 //! A dora node that passes messages on, but drops, repeats and swaps some of them; for tests of what receivers notice.
 //!
-//! Of ten messages it drops the 4th, sends the 6th twice and the 8th behind the 9th; with `shuffle` it drops none. Writes
+//! Of ten messages it drops the 4th, sends the 6th twice and the 8th behind the 9th; with `repeat` it only repeats. Writes
 //! what it did to the file that its first argument names.
 
 use dora_node_api::dora_core::config::DataId;
@@ -10,8 +10,8 @@ use realo_schemas::{Payload, wire};
 fn main() -> eyre::Result<()> {
     let report = std::env::args()
         .nth(1)
-        .ok_or_else(|| eyre::eyre!("usage: tamper REPORT all|shuffle"))?;
-    let drops = std::env::args().nth(2).as_deref() != Some("shuffle");
+        .ok_or_else(|| eyre::eyre!("usage: tamper REPORT all|repeat"))?;
+    let all = std::env::args().nth(2).as_deref() != Some("repeat");
     let (mut node, mut events) = DoraNode::init_from_env()?;
     let output = DataId::from("out".to_string());
     let (mut n, mut dropped, mut repeated, mut swapped) = (0u64, 0u64, 0u64, 0u64);
@@ -26,13 +26,13 @@ fn main() -> eyre::Result<()> {
         n += 1;
         let behind = held.take();
         match n % 10 {
-            4 if drops => dropped += 1,
+            4 if all => dropped += 1,
             6 => {
                 repeated += 1;
                 node.send_output(output.clone(), Default::default(), data.clone())?;
                 node.send_output(output.clone(), Default::default(), data)?;
             }
-            8 => {
+            8 if all => {
                 swapped += 1;
                 held = Some(data);
             }
