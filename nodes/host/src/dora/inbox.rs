@@ -1,3 +1,4 @@
+use std::collections::VecDeque;
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,8 +27,14 @@ pub(super) enum Heard {
 }
 
 /// Takes events from dora on the thread that waits for them: one more thread would cost a change of threads at every hop.
+///
+/// dora holds ten events of an input and drops the oldest in silence. All that are there are taken before one is looked
+/// into: a burst of clouds, each a few milliseconds to read, would cost poses that came meanwhile.
 pub(super) struct Inbox {
     events: EventStream,
+    taken: VecDeque<Heard>,
+    /// The stream has ended.
+    over: bool,
     waker: Waker,
     nudge: Nudge,
 }
@@ -62,6 +69,8 @@ impl Inbox {
         let here = std::thread::current();
         Inbox {
             events,
+            taken: VecDeque::new(),
+            over: false,
             waker: Waker::from(Arc::new(Unpark(here.clone()))),
             nudge: Nudge(Arc::new((here, AtomicBool::new(false)))),
         }
@@ -75,35 +84,27 @@ impl Inbox {
     /// The next event before wall time `until`; `None` when that time has come, or after a nudge.
     pub fn wait(&mut self, until: Nanos) -> Option<Heard> {
         loop {
-            match self.next() {
-                Poll::Ready(Some(event)) => {
-                    if let Some(heard) = heard(event) {
-                        return Some(heard);
-                    }
-                }
-                // The stream is closed; the time still has to pass for what is held.
-                Poll::Ready(None) | Poll::Pending => {
-                    if self.nudge.taken() {
-                        return None;
-                    }
-                    std::thread::park_timeout(left(until)?);
-                }
+            if let Some(heard) = self.poll() {
+                return Some(heard);
             }
+            // Once the stream is closed, the time still has to pass for what is held.
+            if self.nudge.taken() {
+                return None;
+            }
+            std::thread::park_timeout(left(until)?);
         }
     }
 
     /// An event that is there already.
     pub fn poll(&mut self) -> Option<Heard> {
-        loop {
+        while !self.over {
             match self.next() {
-                Poll::Ready(Some(event)) => {
-                    if let Some(heard) = heard(event) {
-                        return Some(heard);
-                    }
-                }
-                _ => return None,
+                Poll::Ready(Some(event)) => self.taken.extend(heard(event)),
+                Poll::Ready(None) => self.over = true,
+                Poll::Pending => break,
             }
         }
+        self.taken.pop_front()
     }
 
     /// The next event; where there is none yet, the waker is called when one comes.
