@@ -1,6 +1,6 @@
 //! The bank itself: which message a query takes, and where every message went.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use realo_schemas::{Header, Message, Name, Nanos, PayloadType, to_millis};
 
@@ -157,18 +157,27 @@ impl Bank {
         if !sender.is_new(header) {
             return Ok(Taken::Repeated);
         }
+        sender.follow(header);
         sender.hold(message, self.held, self.offline, &mut self.departed);
         Ok(Taken::Held)
     }
 
-    /// Answers a query of the ego. Queries come in the order in which they are ready (offline: of their stamps).
-    pub fn answer(&mut self, query: &Header) -> Answer {
+    /// Senders of whom a message is to be expected within `patience` of a query.
+    pub fn awaited(&self, query: &Header, patience: Nanos) -> BTreeSet<Name> {
+        let senders = self.senders.iter().filter(|(name, _)| **name != query.agent);
+        let due = senders.filter(|(_, sender)| sender.is_due(query.ready, self.window, patience));
+        due.map(|(name, _)| name.clone()).collect()
+    }
+
+    /// Answers a query of the ego with what was ready at `asked` (offline: near its stamp). Queries come in the order of
+    /// `asked` (offline: of their stamps).
+    pub fn answer(&mut self, query: &Header, asked: Nanos) -> Answer {
         self.learn_ego(&query.agent);
         let mut entries = Vec::new();
         for sender in self.senders.values_mut() {
             let selected = match self.offline {
                 true => sender.nearest(query.stamp, OFFLINE_REACH, &mut self.departed),
-                false => sender.newest(query.ready, self.window, &mut self.departed),
+                false => sender.newest(asked, self.window, &mut self.departed),
             };
             entries.extend(selected);
         }

@@ -1,23 +1,26 @@
 //! The feature bank: holds what collaborators sent, of any payload, and answers each message of the ego with what to
-//! fuse. Nobody waits for a collaborator online.
+//! fuse. Online nobody waits for a collaborator, unless the graph gives the bank patience.
 //!
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
 //! | `ego` | in, all, query | PointCloud, FeatureMap, Boxes | what the ego says of itself; each message is a query |
 //! | `others` | in, all | PointCloud, FeatureMap, Boxes | what collaborators say |
 //! | `selections` | out | Selection | exactly one for each query, with the query's header |
-//! | `report` | out | Report | topic `bank`: one for each query, and one that closes the books |
 //!
 //! **Online** a query takes, of each sender, the message of newest stamp that was ready when the query was, unless it
 //! is older than the window (age = the query's ready - the message's stamp).
+//! With `patience_ms` a query of whose senders one is due (a whole number of its periods after its newest message, at most
+//! the patience before or after the query) waits until all those have sent, the next query comes, or the patience ends,
+//! and then takes the newest that are there. A sender's period is the difference of stamps of its two newest messages, by
+//! that of their seq; one whose newest is older than the window is not waited for.
+//!
 //! **Offline** it takes the message of least |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
 //! 50 ms after its stamp.
 //!
-//! Every message that enters `others` departs exactly once, in a report; its fate is the first that fits:
+//! What becomes of a message that enters `others` is said once; the first that fits:
 //!
 //! | fate | meaning |
 //! |---|---|
-//! | `unused` | it was in a Selection; the reports of fusion say whether it was used |
 //! | `stale` | too old when a query asked its sender: online beyond the window, offline more than 50 ms before the query and never within reach of one |
 //! | `superseded` | online a newer one of its sender was there before any query, offline a nearer one was taken |
 //! | `rejected` | it came before the first query, which has another payload |

@@ -1,7 +1,7 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{Header, Message, Nanos, PayloadType, Selection};
+use realo_schemas::{Header, Message, Name, Nanos, PayloadType, Selection};
 use serde::{Deserialize, Serialize};
 
 use crate::{Bank, OFFLINE_REACH, Taken};
@@ -20,6 +20,8 @@ const NANOS_PER_MILLI: Nanos = 1_000_000;
 pub struct BankConfig {
     /// Greatest age of what is selected, ms.
     pub window_ms: u32,
+    /// How long a query waits online for a message that its sender's rhythm announces, ms.
+    pub patience_ms: u32,
     /// Nearest stamp within ±50 ms instead of the newest ready message.
     pub offline: bool,
     /// How far a stamp may lie after its message's arrival, ms.
@@ -34,6 +36,7 @@ impl Default for BankConfig {
     fn default() -> Self {
         BankConfig {
             window_ms: 400,
+            patience_ms: 0,
             offline: false,
             ahead_ms: 1000,
             max_agents: 256,
@@ -45,10 +48,18 @@ impl Default for BankConfig {
 /// Holds what collaborators sent and answers the ego's queries.
 pub struct FeatureBank {
     bank: Bank,
-    /// Offline: queries that wait for what is up to 50 ms younger, by stamp and arrival.
-    pending: BTreeMap<(Nanos, u64), Header>,
+    patience: Nanos,
+    /// Queries that wait, by the time at which they are answered at the latest, and arrival.
+    pending: BTreeMap<(Nanos, u64), Waiting>,
     /// Queries so far.
     queries: u64,
+}
+
+/// A query that waits.
+struct Waiting {
+    query: Header,
+    /// Online: senders whose next message would let it go on; offline it waits out its time.
+    awaited: BTreeSet<Name>,
 }
 
 impl Describe for FeatureBank {
@@ -59,6 +70,10 @@ impl Describe for FeatureBank {
         Argument {
             name: "window_ms",
             about: "greatest age of what is selected online, ms",
+        },
+        Argument {
+            name: "patience_ms",
+            about: "how long a query waits online for a message that its sender's rhythm announces, ms; 0 = nobody waits",
         },
         Argument {
             name: "offline",
@@ -90,8 +105,47 @@ impl Describe for FeatureBank {
 }
 
 impl FeatureBank {
+    fn ask(&mut self, query: Header, out: &mut Outputs) {
+        let (until, awaited) = if self.bank.offline {
+            (query.stamp.saturating_add(OFFLINE_REACH), BTreeSet::new())
+        } else {
+            // Selections leave in the order of the queries.
+            for waiting in std::mem::take(&mut self.pending).into_values() {
+                self.answer(waiting.query, out);
+            }
+            let awaited = match self.patience {
+                0 => BTreeSet::new(),
+                patience => self.bank.awaited(&query, patience),
+            };
+            if awaited.is_empty() {
+                return self.answer(query, out);
+            }
+            (query.ready.saturating_add(self.patience), awaited)
+        };
+        out.wake_at(until);
+        self.pending.insert((until, self.queries), Waiting { query, awaited });
+        self.queries += 1;
+    }
+
+    /// A message has come: who has waited for it, and for nobody else, goes on.
+    fn go_on(&mut self, sender: &Name, out: &mut Outputs) {
+        let Some(mut first) = self.pending.first_entry() else {
+            return;
+        };
+        let came = first.get_mut().awaited.remove(sender);
+        if came && first.get().awaited.is_empty() {
+            let waiting = first.remove();
+            self.answer(waiting.query, out);
+        }
+    }
+
     fn answer(&mut self, query: Header, out: &mut Outputs) {
-        let answer = self.bank.answer(&query);
+        // A query that has only waited for its turn must not see what became ready after it.
+        let asked = match self.patience {
+            0 => query.ready,
+            _ => query.ready.max(out.now()),
+        };
+        let answer = self.bank.answer(&query, asked);
         out.count("entries", answer.entries.len() as u64);
         answer
             .departed
@@ -121,6 +175,7 @@ impl Operator for FeatureBank {
         let bank = Bank::new(window, config.offline, ahead, config.max_agents, forget);
         Ok(FeatureBank {
             bank,
+            patience: nanos(config.patience_ms),
             pending: BTreeMap::new(),
             queries: 0,
         })
@@ -130,38 +185,32 @@ impl Operator for FeatureBank {
         match port {
             EGO => {
                 self.bank.expect(message.payload.payload_type());
-                let query = message.header;
-                if self.bank.offline {
-                    out.wake_at(query.stamp.saturating_add(OFFLINE_REACH));
-                    self.pending.insert((query.stamp, self.queries), query);
-                    self.queries += 1;
-                } else {
-                    self.answer(query, out);
+                self.ask(message.header, out);
+            }
+            OTHERS => {
+                let sender = message.header.agent.clone();
+                match self.bank.insert(message)? {
+                    Taken::Held => self.go_on(&sender, out),
+                    Taken::Repeated => out.count("repeated", 1),
+                    Taken::FromEgo => out.count("from_ego", 1),
                 }
             }
-            OTHERS => match self.bank.insert(message)? {
-                Taken::Held => {}
-                Taken::Repeated => out.count("repeated", 1),
-                Taken::FromEgo => out.count("from_ego", 1),
-            },
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         Ok(())
     }
 
     fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
-        let later = self
-            .pending
-            .split_off(&(now.saturating_sub(OFFLINE_REACH).saturating_add(1), 0));
-        for query in std::mem::replace(&mut self.pending, later).into_values() {
-            self.answer(query, out);
+        let later = self.pending.split_off(&(now.saturating_add(1), 0));
+        for waiting in std::mem::replace(&mut self.pending, later).into_values() {
+            self.answer(waiting.query, out);
         }
         Ok(())
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        for query in std::mem::take(&mut self.pending).into_values() {
-            self.answer(query, out);
+        for waiting in std::mem::take(&mut self.pending).into_values() {
+            self.answer(waiting.query, out);
         }
         let departed = self.bank.close();
         departed.iter().for_each(|(header, fate)| out.tell(header, *fate));

@@ -34,6 +34,16 @@ impl Held {
     }
 }
 
+/// The newest message of a sender, and how far apart its messages come.
+#[derive(Clone, Copy)]
+struct Rhythm {
+    stamp: Nanos,
+    ready: Nanos,
+    seq: u64,
+    /// From one stamp to the next, ns; 0 until two messages have come.
+    period: Nanos,
+}
+
 /// One collaborator.
 pub(crate) struct Sender {
     /// By stamp; of one stamp the latest arrival last.
@@ -41,6 +51,7 @@ pub(crate) struct Sender {
     /// Offline: beyond the limit, without their content; the next query or the end decides their fate.
     dropped: Vec<Held>,
     seen: VecDeque<(Kind, u64, Nanos)>,
+    rhythm: Option<Rhythm>,
     /// When it was last heard of.
     pub last: Nanos,
 }
@@ -51,6 +62,7 @@ impl Sender {
             held: Vec::new(),
             dropped: Vec::new(),
             seen: VecDeque::new(),
+            rhythm: None,
             last: Nanos::MIN,
         }
     }
@@ -66,6 +78,44 @@ impl Sender {
         }
         self.seen.push_back(id);
         true
+    }
+
+    /// Learns when messages of this sender come.
+    pub fn follow(&mut self, header: &Header) {
+        let Header { stamp, ready, seq, .. } = *header;
+        let mut period = 0;
+        if let Some(before) = self.rhythm {
+            if before.stamp >= stamp {
+                return;
+            }
+            let messages = Nanos::try_from(seq.saturating_sub(before.seq).max(1)).unwrap_or(Nanos::MAX);
+            period = stamp.saturating_sub(before.stamp) / messages;
+        }
+        self.rhythm = Some(Rhythm {
+            stamp,
+            ready,
+            seq,
+            period,
+        });
+    }
+
+    /// Whether its next message is to be expected within `patience` of `time`; of one whose newest message is older than
+    /// the window nothing is.
+    pub fn is_due(&self, time: Nanos, window: Nanos, patience: Nanos) -> bool {
+        let Some(Rhythm {
+            stamp, ready, period, ..
+        }) = self.rhythm.filter(|rhythm| rhythm.period > 0)
+        else {
+            return false;
+        };
+        if time.saturating_sub(stamp) > window {
+            return false;
+        }
+        // As many periods after the newest message as come nearest to the time, but at least one.
+        let since = time.saturating_sub(ready);
+        let periods = (since.saturating_add(period / 2) / period).max(1);
+        let from_time = period.saturating_mul(periods).saturating_sub(since);
+        from_time.abs() <= patience
     }
 
     /// Holds a message. Which one a query takes is decided when it asks, because a query that has waited for its turn

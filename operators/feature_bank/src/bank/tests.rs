@@ -27,6 +27,11 @@ fn offline() -> Bank {
     }
 }
 
+/// A query that is answered at once.
+fn ask(bank: &mut Bank, query: &Header) -> Answer {
+    bank.answer(query, query.ready)
+}
+
 fn seqs(entries: &[Message]) -> Vec<(&str, u64)> {
     entries
         .iter()
@@ -52,7 +57,7 @@ fn takes_the_newest_stamp_of_each_sender_in_the_window() {
     ] {
         assert_eq!(bank.insert(message), Ok(Taken::Held));
     }
-    let answer = bank.answer(&header("ego", 3, 200, 250));
+    let answer = ask(&mut bank, &header("ego", 3, 200, 250));
     assert_eq!(seqs(&answer.entries), [("a", 9), ("b", 2)]);
     assert_eq!(
         fates(&answer.departed),
@@ -65,14 +70,14 @@ fn takes_the_newest_stamp_of_each_sender_in_the_window() {
 fn window_is_inclusive_and_what_is_older_is_stale() {
     let mut bank = online();
     bank.insert(message("a", 0, 100, 110)).unwrap();
-    assert_eq!(seqs(&bank.answer(&header("ego", 0, 480, 500)).entries), [("a", 0)]);
+    assert_eq!(seqs(&ask(&mut bank, &header("ego", 0, 480, 500)).entries), [("a", 0)]);
     let late = Header {
         ready: 500 * MS + 1,
         ..header("ego", 1, 480, 500)
     };
-    assert_eq!(bank.answer(&late).entries, []);
+    assert_eq!(ask(&mut bank, &late).entries, []);
     bank.insert(message("b", 0, 10, 20)).unwrap();
-    assert_eq!(bank.answer(&header("ego", 2, 600, 700)).entries, []);
+    assert_eq!(ask(&mut bank, &header("ego", 2, 600, 700)).entries, []);
     assert_eq!(
         fates(&bank.close()),
         [("b", 0, Fate::Stale)],
@@ -85,10 +90,10 @@ fn a_query_that_waited_does_not_see_what_came_after_it() {
     let mut bank = online();
     bank.insert(message("a", 0, 0, 10)).unwrap();
     bank.insert(message("a", 1, 100, 110)).unwrap();
-    let answer = bank.answer(&header("ego", 0, 90, 109));
+    let answer = ask(&mut bank, &header("ego", 0, 90, 109));
     assert_eq!(seqs(&answer.entries), [("a", 0)]);
     assert_eq!(fates(&answer.departed), []);
-    let answer = bank.answer(&header("ego", 1, 90, 110));
+    let answer = ask(&mut bank, &header("ego", 1, 90, 110));
     assert_eq!(seqs(&answer.entries), [("a", 1)]);
     assert_eq!(fates(&answer.departed), []);
 }
@@ -99,7 +104,7 @@ fn copies_and_the_egos_own_messages_are_not_held() {
     bank.insert(message("a", 5, 100, 110)).unwrap();
     bank.insert(message("ego", 5, 100, 110)).unwrap();
     assert_eq!(bank.insert(message("a", 5, 100, 130)), Ok(Taken::Repeated));
-    assert_eq!(seqs(&bank.answer(&header("ego", 0, 100, 140)).entries), [("a", 5)]);
+    assert_eq!(seqs(&ask(&mut bank, &header("ego", 0, 100, 140)).entries), [("a", 5)]);
     assert_eq!(bank.insert(message("ego", 6, 100, 150)), Ok(Taken::FromEgo));
     assert_eq!(
         bank.insert(message("a", 5, 100, 150)),
@@ -119,11 +124,11 @@ fn a_restarted_peer_is_heard_and_one_from_the_future_is_not() {
         error.contains("`ahead_ms`") && error.contains("boxes of a, seq 1"),
         "{error}"
     );
-    assert_eq!(seqs(&bank.answer(&header("ego", 0, 1500, 1610)).entries), [("a", 0)]);
+    assert_eq!(seqs(&ask(&mut bank, &header("ego", 0, 1500, 1610)).entries), [("a", 0)]);
     // The peer's clock jumps back: its messages are too old, and it is heard again when the clock is right.
     bank.insert(message("a", 2, 100, 1700)).unwrap();
     bank.insert(message("a", 3, 2000, 2010)).unwrap();
-    assert_eq!(seqs(&bank.answer(&header("ego", 1, 2000, 2010)).entries), [("a", 3)]);
+    assert_eq!(seqs(&ask(&mut bank, &header("ego", 1, 2000, 2010)).entries), [("a", 3)]);
 }
 
 #[test]
@@ -139,11 +144,14 @@ fn extreme_stamps_do_no_harm() {
             assert_eq!(taken.is_err(), stamp == Nanos::MAX);
         }
         for (seq, stamp) in [Nanos::MIN, -1, Nanos::MAX].into_iter().enumerate() {
-            bank.answer(&Header {
-                stamp,
-                ready: stamp,
-                ..header("ego", seq as u64, 0, 0)
-            });
+            ask(
+                &mut bank,
+                &Header {
+                    stamp,
+                    ready: stamp,
+                    ..header("ego", seq as u64, 0, 0)
+                },
+            );
         }
         bank.close();
     }
@@ -168,10 +176,10 @@ fn holds_ten_thousand_agents_and_forgets_them() {
     }
     let error = bank.insert(message("one-more", 0, 200, 205)).unwrap_err().to_string();
     assert!(error.contains("10000") && error.contains("`max_agents`"), "{error}");
-    let answer = bank.answer(&header("ego", 0, 200, 210));
+    let answer = ask(&mut bank, &header("ego", 0, 200, 210));
     assert_eq!((answer.entries.len(), answer.departed.len()), (10_000, 20_000));
     assert!(answer.entries.is_sorted_by_key(|entry| &entry.header.agent));
-    let answer = bank.answer(&header("ego", 1, 60_300, 60_300));
+    let answer = ask(&mut bank, &header("ego", 1, 60_300, 60_300));
     assert_eq!(
         (answer.entries.len(), answer.departed.len(), bank.agents()),
         (0, 0, 0),
@@ -235,7 +243,7 @@ fn offline_takes_the_nearest_stamp_within_fifty_milliseconds() {
         for (seq, stamp) in case.stamps.iter().enumerate() {
             bank.insert(message("a", seq as u64, *stamp, *stamp)).unwrap();
         }
-        let answer = bank.answer(&header("ego", 0, 1000, 1000));
+        let answer = ask(&mut bank, &header("ego", 0, 1000, 1000));
         let found = answer.entries.first().map(|entry| entry.header.stamp / MS);
         assert_eq!(found, case.selected, "{:?}", case.stamps);
         assert!(
@@ -254,11 +262,14 @@ fn offline_what_came_while_nobody_asked_is_stale_for_the_next_query() {
         bank.insert(message("a", seq, 100 * seq as Nanos, 100 * seq as Nanos))
             .unwrap();
     }
-    let answer = bank.answer(&header("ego", 0, 2000, 2050));
+    let answer = ask(&mut bank, &header("ego", 0, 2000, 2050));
     assert_eq!(answer.entries.len(), 0, "only the last 16 are held");
     assert_eq!(fates(&answer.departed).len(), 20);
     assert!(fates(&answer.departed).iter().all(|(.., fate)| *fate == Fate::Stale));
-    assert_eq!(seqs(&bank.answer(&header("ego", 1, 3900, 3950)).entries), [("a", 39)]);
+    assert_eq!(
+        seqs(&ask(&mut bank, &header("ego", 1, 3900, 3950)).entries),
+        [("a", 39)]
+    );
 }
 
 #[test]
@@ -268,10 +279,10 @@ fn offline_fates() {
         bank.insert(message("a", seq, stamp, stamp)).unwrap();
     }
     assert_eq!(
-        fates(&bank.answer(&header("ego", 0, 100, 100)).departed),
+        fates(&ask(&mut bank, &header("ego", 0, 100, 100)).departed),
         [("a", 0, Fate::Stale)]
     );
-    let answer = bank.answer(&header("ego", 1, 220, 220));
+    let answer = ask(&mut bank, &header("ego", 1, 220, 220));
     assert_eq!(seqs(&answer.entries), [("a", 4)]);
     assert_eq!(
         fates(&answer.departed),
@@ -470,7 +481,7 @@ fn agrees(offline: bool, events: &[Event]) -> Result<(), TestCaseError> {
                 naive.insert(sent);
             }
             Event::Query { stamp, ready } => {
-                let answer = bank.answer(&header("ego", 0, *stamp, *ready));
+                let answer = ask(&mut bank, &header("ego", 0, *stamp, *ready));
                 let found: Vec<_> = seqs(&answer.entries)
                     .iter()
                     .map(|(name, seq)| (agent(name), *seq))

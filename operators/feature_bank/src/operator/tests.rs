@@ -162,3 +162,137 @@ fn arguments_are_the_keys_of_the_configuration() {
             .collect::<Vec<_>>()
     );
 }
+
+/// A bank that waits at most 30 ms.
+fn patient() -> FeatureBank {
+    FeatureBank::new(BankConfig {
+        patience_ms: 30,
+        ..BankConfig::default()
+    })
+    .unwrap()
+}
+
+/// Gives a message at a time; what was answered, and the wakes that were asked for, in ms.
+fn give(bank: &mut FeatureBank, port: PortId, message: Message) -> (Vec<Answered>, Vec<Nanos>) {
+    let mut out = Outputs::at(message.header.ready);
+    bank.on_input(port, message, &mut out).unwrap();
+    let wakes = out.take_wakes().into_iter().map(|time| time / MS).collect();
+    (outcome(&mut out).0, wakes)
+}
+
+/// Messages 0 and 1 of `agent`, 100 ms apart, ready 60 ms after their stamps.
+fn two_of(bank: &mut FeatureBank, agent: &str) {
+    for seq in [0, 1] {
+        let stamp = 100 * seq as Nanos;
+        assert_eq!(
+            give(bank, OTHERS, message(agent, seq, stamp, stamp + 60)),
+            (vec![], vec![])
+        );
+    }
+}
+
+#[test]
+fn patient_queries_go_on_as_soon_as_all_that_is_expected_has_come() {
+    let mut bank = patient();
+    two_of(&mut bank, "rsu1");
+    two_of(&mut bank, "rsu2");
+    // Both are due at 260.
+    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)), (vec![], vec![280]));
+    assert_eq!(give(&mut bank, OTHERS, message("rsu1", 2, 200, 262)), (vec![], vec![]));
+    let (answered, _) = give(&mut bank, OTHERS, message("rsu2", 2, 200, 270));
+    assert_eq!(answered[0].2, ["rsu1:2", "rsu2:2"]);
+    assert_eq!(answered[0].0.ready, 270 * MS);
+    let mut out = Outputs::at(280 * MS);
+    bank.on_wake(280 * MS, &mut out).unwrap();
+    assert_eq!(outcome(&mut out), (vec![], vec![]), "once only");
+}
+
+#[test]
+fn patience_ends_with_what_is_there() {
+    let mut bank = patient();
+    two_of(&mut bank, "rsu1");
+    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)), (vec![], vec![280]));
+    for (now, answers) in [(279, vec![]), (280, vec!["rsu1:1".to_string()])] {
+        let mut out = Outputs::at(now * MS);
+        bank.on_wake(now * MS, &mut out).unwrap();
+        let entries: Vec<String> = outcome(&mut out)
+            .0
+            .into_iter()
+            .flat_map(|answered| answered.2)
+            .collect();
+        assert_eq!(entries, answers, "{now}");
+    }
+    let (answered, wakes) = give(&mut bank, OTHERS, message("rsu1", 2, 200, 281));
+    assert_eq!((answered, wakes), (vec![], vec![]), "too late for the query");
+}
+
+#[test]
+fn nobody_waits_for_what_is_not_expected_within_the_patience() {
+    // When the ego asks; the messages of rsu1, whose next is due 100 ms after the last; whether the ego waits.
+    let last_at = |ready| vec![message("rsu1", 0, 0, ready - 100), message("rsu1", 1, 100, ready)];
+    let cases = [
+        (250, last_at(180), true),
+        (250, last_at(181), false),
+        (250, last_at(120), true),
+        (250, last_at(119), false),
+        // A message was lost: the one after it is expected all the same.
+        (350, last_at(160), true),
+        // Where one is missing between two messages the period is half of what lies between their stamps.
+        (210, last_at(160), false),
+        (210, vec![message("rsu1", 0, 0, 60), message("rsu1", 2, 100, 160)], true),
+        // One message has no rhythm, and what is older than the window no future.
+        (250, vec![message("rsu1", 1, 100, 160)], false),
+        (500, last_at(190), true),
+        (501, last_at(190), false),
+        // It is there already.
+        (250, last_at(249), false),
+    ];
+    for (at, messages, waits) in cases {
+        let mut bank = patient();
+        let told = format!(
+            "{at}: {:?}",
+            messages.iter().map(|m| m.header.ready / MS).collect::<Vec<_>>()
+        );
+        for message in messages {
+            give(&mut bank, OTHERS, message);
+        }
+        let (answered, wakes) = give(&mut bank, EGO, message("cav1", 2, 200, at));
+        assert_eq!((answered.is_empty(), !wakes.is_empty()), (waits, waits), "{told}");
+    }
+}
+
+#[test]
+fn a_query_waits_no_longer_than_until_the_next_one() {
+    let mut bank = patient();
+    two_of(&mut bank, "rsu1");
+    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)).0, []);
+    let (answered, wakes) = give(&mut bank, EGO, message("cav1", 3, 210, 260));
+    assert_eq!(answered.iter().map(|answered| answered.1).collect::<Vec<_>>(), [2]);
+    assert_eq!(wakes, [290]);
+    let mut out = Outputs::at(265 * MS);
+    bank.on_end(&mut out).unwrap();
+    assert_eq!(outcome(&mut out).0[0].1, 3);
+}
+
+#[test]
+fn a_query_that_had_to_wait_for_its_turn_takes_what_came_meanwhile_if_it_is_patient() {
+    for (patience_ms, taken) in [(0, "rsu1:0"), (30, "rsu1:1")] {
+        let mut bank = FeatureBank::new(BankConfig {
+            patience_ms,
+            ..BankConfig::default()
+        })
+        .unwrap();
+        give(&mut bank, OTHERS, message("rsu1", 0, 100, 160));
+        give(&mut bank, OTHERS, message("rsu1", 1, 200, 255));
+        let mut out = Outputs::at(257 * MS);
+        bank.on_input(EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+        assert_eq!(outcome(&mut out).0[0].2, [taken]);
+    }
+}
+
+#[test]
+fn the_ego_does_not_wait_for_itself() {
+    let mut bank = patient();
+    two_of(&mut bank, "cav1");
+    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)).0.len(), 1);
+}
