@@ -170,7 +170,7 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
 
 #[test]
 fn late_fusion_detects_in_both_lanes() {
-    let protocol = root().join("operators/evaluator/protocols/default.yml");
+    let protocol = root().join("operators/scoring/protocols/default.yml");
     assert!(protocol.is_file(), "{}", protocol.display());
     let set = format!("score.evaluator.protocol={}", protocol.display());
     let changes = ["--set", "fusion.nms.threshold=0.2", "--set", &set];

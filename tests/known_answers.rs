@@ -113,7 +113,7 @@ fn exact(name: &str, scenario: &str) -> PathBuf {
 /// The default protocol, but one point is enough to be there and to be seen.
 fn one_point() -> String {
     let path = common::folder(&format!("protocol_{:?}", std::thread::current().id())).join("one_point.yml");
-    let text = std::fs::read_to_string(common::root().join("operators/evaluator/protocols/default.yml"));
+    let text = std::fs::read_to_string(common::root().join("operators/scoring/protocols/default.yml"));
     let text = text
         .expect("the protocol can be read")
         .replace("min_points: 5", "min_points: 1");

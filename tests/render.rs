@@ -6,10 +6,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use common::{folder, json, once, realo, realo_ok, run_virtual, simulated, text};
-use realo_evaluator::{Evaluation, Outcome, Scope, match_frame};
 use realo_logs::{Log, LogInfo, LogWriter, Stream};
 use realo_render::{Request, Scene};
 use realo_schemas::Nanos;
+use realo_scoring::{Evaluation, Outcome, Scope, match_frame};
 use serde_json::Value;
 
 const LOG: &str = "render_small";

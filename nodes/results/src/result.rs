@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_evaluator::{Accuracy, Dropped, Intervals, Orders, RangeBin, Scores, Table, score};
+use realo_scoring::{Accuracy, Dropped, Intervals, Orders, RangeBin, Scores, Table, score};
 use serde::{Deserialize, Serialize};
 
 use crate::{Fates, Samples, Spread};

@@ -1,8 +1,8 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use realo_evaluator::Evaluation;
 use realo_schemas::Kind;
+use realo_scoring::Evaluation;
 use serde::{Deserialize, Serialize};
 
 use crate::{AgeTable, Ages, RunResult, Settings, Spread, Timing, VERSION};

@@ -1,9 +1,9 @@
 use std::path::{Path, PathBuf};
 
-use realo_evaluator::{EvaluationReport, TOPIC};
 use realo_operator::{Argument, Books, Decided, Describe, Error, Port, PortId, Sink, unexpected, wrong_port};
 use realo_schemas::report::{Fated, from_report};
 use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
+use realo_scoring::{EvaluationReport, TOPIC};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use realo_evaluator::{Detection, Outline, Truth};
 use realo_results::{Run, RunResult, Samples, Settings, Timing};
+use realo_scoring::{Detection, Outline, Truth};
 
 const PAGE: &str = include_str!("../../../docs/results.md");
 

@@ -1,54 +1,19 @@
-//! Average precision of detections against ground truth, by a protocol file; in a graph and after the fact.
+//! Scores boxes against ground truth by a protocol, in a graph.
 //!
 //! | port | type | content |
 //! |---|---|---|
 //! | in `truth` | GroundTruth | one for every sweep of the ego, in its true body frame |
 //! | in `boxes` | Boxes | what was detected, in the ego's body frame; joined with `truth` by (agent, seq) |
 //! | out `report` | Report | topic `evaluation`, at the end: an [`EvaluationReport`] |
-//!
-//! - A [`Protocol`] says what counts: region, rule, classes, IoUs, points.
-//! - A [`Collector`] joins the messages into [`Frame`]s; the frames of several runs can be [`pool`]ed exactly.
-//! - [`score`] makes the table: two orders of detections, objects of all agents and those that the ego sees.
 
-mod collect;
-mod frame;
-mod intervals;
-mod matching;
-mod precision;
-mod protocol;
-mod same;
-mod scores;
-mod sequence;
-mod table;
 #[cfg(test)]
 mod tests;
 
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::report::to_report;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, PayloadType};
+use realo_scoring::{Collector, EvaluationReport, Protocol, TOPIC};
 use serde::{Deserialize, Serialize};
-
-pub use collect::{Collector, EvaluationError, evaluate};
-pub use frame::{Detection, Dropped, Evaluation, Frame, Outline, PoolError, Scene, Truth, pool};
-pub use intervals::{Bounds, Intervals};
-pub use matching::{Outcome, Scope, match_frame};
-pub use precision::average_precision;
-pub use protocol::{Protocol, ProtocolError, Rule, SuperClass};
-pub use same::{TruthMismatch, same_truth};
-pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, RangeBin, Scores, frame_scores, score};
-pub use table::{Orders, Table};
-
-/// Topic of the operator's report.
-pub const TOPIC: &str = "evaluation";
-
-/// The document of the report.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EvaluationReport {
-    /// The table of this run.
-    pub scores: Scores,
-    /// What it was made from, so that runs can be pooled.
-    pub evaluation: Evaluation,
-}
 
 /// Settings of [`Evaluator`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -135,11 +100,7 @@ impl Operator for Evaluator {
         let (Some(collector), Some(last)) = (self.collector.take(), self.last.take()) else {
             return Ok(());
         };
-        let evaluation = collector.finish();
-        let report = EvaluationReport {
-            scores: score(&evaluation),
-            evaluation,
-        };
+        let report = EvaluationReport::from(collector.finish());
         out.count("boxes_without_truth", report.scores.boxes_without_truth);
         let header = Header {
             kind: Kind::Report,

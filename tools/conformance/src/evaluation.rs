@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_evaluator::{
+use realo_scoring::{
     Detection, Evaluation, Frame, Outcome, Outline, Protocol, Scene, Scope, Truth, average_precision, match_frame,
     score,
 };

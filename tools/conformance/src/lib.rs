@@ -1,5 +1,5 @@
 //! Runs conformance vectors (inputs and expected outputs of the reference implementation) through the code that the
-//! graphs run: the geometry of `realo-schemas`, `realo-nms`, `realo-nn`, `realo-evaluator`.
+//! graphs run: the geometry of `realo-schemas`, `realo-nms`, `realo-nn`, `realo-scoring`.
 //!
 //! A folder of vectors has a `manifest.json` that lists its files with tolerance, configuration, and the tensors of a
 //! safetensors file or the keys of a JSON document. Those alone decide which check a vector goes through, whatever its

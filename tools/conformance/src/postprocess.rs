@@ -1,9 +1,9 @@
 use nalgebra::Isometry3;
 use realo_detection_head::Decoder;
-use realo_evaluator::Protocol;
 use realo_nms::{Config, nms};
 use realo_schemas::Box3;
 use realo_schemas::geometry::transform_box;
+use realo_scoring::Protocol;
 
 use crate::Kind;
 use crate::boxes::compare_boxes;

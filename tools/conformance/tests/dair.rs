@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion};
-use realo_evaluator::{Evaluation, EvaluationReport, Evaluator, frame_scores};
+use realo_evaluator::Evaluator;
 use realo_fusion_boxes::FusionBoxes;
 use realo_nms::Nms;
 use realo_operator::{Describe, Operator, Outputs, PortId};
 use realo_schemas::report::from_report;
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Payload, Pose, Report, Selection};
+use realo_scoring::{Evaluation, EvaluationReport, frame_scores};
 use serde_json::Value;
 
 struct Pair {

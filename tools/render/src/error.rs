@@ -1,9 +1,9 @@
 use std::path::PathBuf;
 
-use realo_evaluator::{EvaluationError, ProtocolError};
 use realo_logs::LogError;
 use realo_results::FilesError;
 use realo_schemas::UnexpectedPayload;
+use realo_scoring::{EvaluationError, ProtocolError};
 
 /// Why there is no picture.
 #[derive(Debug, thiserror::Error)]

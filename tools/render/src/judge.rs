@@ -1,4 +1,4 @@
-use realo_evaluator::{Frame, Outcome, Outline, Protocol, Scope, match_frame};
+use realo_scoring::{Frame, Outcome, Outline, Protocol, Scope, match_frame};
 
 /// A box that was detected, and whether it is right.
 #[derive(Clone, Debug, PartialEq)]
@@ -113,7 +113,7 @@ impl Judged {
 
 #[cfg(test)]
 mod tests {
-    use realo_evaluator::{Detection, Truth};
+    use realo_scoring::{Detection, Truth};
 
     use super::*;
 

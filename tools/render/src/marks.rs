@@ -1,8 +1,8 @@
 //! Shapes of boxes and agents.
 
-use realo_evaluator::Outline;
 use realo_logs::AgentKind;
 use realo_schemas::geometry::Footprint;
+use realo_scoring::Outline;
 
 use crate::scene::Agent;
 use crate::view::{Px, Rect, View, footprint, line, polygon};

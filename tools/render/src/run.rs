@@ -1,12 +1,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use realo_evaluator::{Collector, Evaluation, Frame, Protocol};
 use realo_logs::Log;
 use realo_recorder::{read_boxes, read_truth};
 use realo_results::{Run, RunResult, read_run, run_folder};
 use realo_schemas::report::Crossing;
 use realo_schemas::{Boxes, GroundTruth, Header, Nanos};
+use realo_scoring::{Collector, Evaluation, Frame, Protocol};
 
 use crate::fused::{Fused, fused};
 use crate::{Judged, RenderError};

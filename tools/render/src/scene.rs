@@ -1,8 +1,8 @@
 use nalgebra::Isometry3;
-use realo_evaluator::same_truth;
 use realo_logs::AgentKind;
 use realo_schemas::geometry::{Region, relative, yaw_of};
 use realo_schemas::{Kind, Nanos};
+use realo_scoring::same_truth;
 
 use crate::{Chosen, Judged, RenderError, clouds};
 

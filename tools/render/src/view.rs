@@ -1,5 +1,5 @@
-use realo_evaluator::Outline;
 use realo_schemas::geometry::{Footprint, Region};
+use realo_scoring::Outline;
 
 /// Width of a picture, px.
 pub const WIDTH: f64 = 1600.0;

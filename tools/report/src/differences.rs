@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 
-use realo_evaluator::{Evaluation, Frame, Protocol, Scene};
 use realo_results::{Run, RunResult};
+use realo_scoring::{Evaluation, Frame, Protocol, Scene};
 
 /// So many names are listed; what there is beside is counted.
 const NAMED: usize = 5;

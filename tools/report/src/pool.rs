@@ -28,7 +28,7 @@ pub enum PoolError {
     },
     /// Evaluations that do not fit together.
     #[error(transparent)]
-    Evaluation(#[from] realo_evaluator::PoolError),
+    Evaluation(#[from] realo_scoring::PoolError),
 }
 
 /// Several logs and egos as one run, whatever their order: sums are added, distributions merged, and all frames scored
@@ -106,7 +106,7 @@ fn pool_samples(runs: &[&Run]) -> Result<Samples, PoolError> {
     }
     let evaluations: Vec<_> = runs.iter().filter_map(|run| run.samples.evaluation.clone()).collect();
     if !evaluations.is_empty() {
-        let evaluation = realo_evaluator::pool(evaluations)?;
+        let evaluation = realo_scoring::pool(evaluations)?;
         let mut known = BTreeSet::new();
         for scene in evaluation.scenes.iter().filter(|scene| !scene.name.is_empty()) {
             if !known.insert((&scene.name, &scene.ego)) {

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use realo_evaluator::{Accuracy, Counts, Orders, RangeBin, Table};
 use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult};
+use realo_scoring::{Accuracy, Counts, Orders, RangeBin, Table};
 
 use crate::cells::{NONE, count, fraction, share, spread, values};
 use crate::pool::Setting;

@@ -1,6 +1,6 @@
-use realo_evaluator::{Evaluation, Protocol, evaluate, score};
 use realo_results::{Accounted, Ages, Fates, LinkBooks, NodeSummary, Run, Settings, Timing, TimingSamples};
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Nanos};
+use realo_scoring::{Evaluation, Protocol, evaluate, score};
 
 use super::*;
 

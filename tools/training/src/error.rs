@@ -88,7 +88,7 @@ pub enum TrainError {
         /// The log.
         path: PathBuf,
         /// What is wrong with its protocol.
-        error: realo_evaluator::ProtocolError,
+        error: realo_scoring::ProtocolError,
     },
     /// The loss, the gradient or a weight is no number any more.
     #[error(

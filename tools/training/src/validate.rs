@@ -163,7 +163,7 @@ impl Ledger {
         let mut found = self.found.clone();
         found.sort_by(|a, b| b.0.total_cmp(&a.0));
         let hits: Vec<bool> = found.into_iter().map(|(_, hit)| hit).collect();
-        realo_evaluator::average_precision(&hits, self.objects as u64)
+        realo_scoring::average_precision(&hits, self.objects as u64)
     }
 }
 

@@ -1,9 +1,9 @@
 use std::path::Path;
 
-use realo_evaluator::{EvaluationReport, Protocol, evaluate, score};
 use realo_operator::{InputBooks, NodeBooks};
 use realo_schemas::report::{Channel, Crossing, Fate, Traffic, Use, to_report};
 use realo_schemas::{Box3, Clock, Kind, Nanos, TraceEntry};
+use realo_scoring::{EvaluationReport, Protocol, evaluate, score};
 
 use super::*;
 use crate::{Accounted, Fates, FilesError, Frames, LinkBooks, read_run};

@@ -5,12 +5,12 @@ mod played;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
-use realo_evaluator::{Evaluation, Protocol, frame_scores};
 use realo_logs::{Log, McapFile};
 use realo_operator::Source;
 use realo_player::{Coop, Player};
 use realo_results::{Run, Settings};
 use realo_schemas::{Boxes, GroundTruth, Kind};
+use realo_scoring::{Evaluation, Protocol, frame_scores};
 
 use crate::Outcome;
 use crate::render::log_folders;
@@ -75,7 +75,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         .into_iter()
         .map(|message| message.into_parts::<Boxes>())
         .collect::<Result<Vec<_>, _>>()?;
-    let mut evaluation = realo_evaluator::evaluate(truths, boxes, &protocol)?;
+    let mut evaluation = realo_scoring::evaluate(truths, boxes, &protocol)?;
     for scene in &mut evaluation.scenes {
         scene.name = log
             .path()

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use eyre::{Result, ensure, eyre};
-use realo_evaluator::same_truth;
 use realo_schemas::{GroundTruth, Header, Nanos};
+use realo_scoring::same_truth;
 
 /// Truth of a sweep.
 pub type Sweep = (Header, GroundTruth);

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Isometry3;
-use realo_evaluator::Protocol;
 use realo_logs::{AgentKind, Log, Stream};
 use realo_schemas::geometry::{PoseTrack, transform_box};
 use realo_schemas::{Box3, Boxes, Nanos, PointCloud, from_seconds};
+use realo_scoring::Protocol;
 
 use super::frame::{AgentSweep, Frame, Seen};
 use super::frames::Frames;

@@ -1,8 +1,8 @@
 //! Frames from simulator seeds.
 
-use realo_evaluator::Protocol;
 use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{Box3, Nanos, PointCloud, from_seconds};
+use realo_scoring::Protocol;
 use realo_simulator::{AgentKind, Options, Phase, Scenario, Simulation, Sweep};
 use realo_sync::{OwnBody, clean};
 

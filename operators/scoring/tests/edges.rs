@@ -1,7 +1,7 @@
 //! What lies on an edge: of an overlap, a region, a footprint, a protocol.
 
-use realo_evaluator::*;
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind};
+use realo_scoring::*;
 
 fn outline(x: f64, length: f64, width: f64) -> Outline {
     Outline::new([x, 0.0], length, width, 0.0)

@@ -1,0 +1,488 @@
+use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind};
+
+use super::*;
+
+fn object(class: &str, x: f64, y: f64, score: f32) -> Box3 {
+    Box3 {
+        center: [x, y, 0.8],
+        length: 4.0,
+        width: 2.0,
+        height: 1.5,
+        yaw: 0.0,
+        velocity: None,
+        class: class.into(),
+        score,
+        track: None,
+        covariance: None,
+    }
+}
+
+fn car(x: f64, score: f32) -> Box3 {
+    object("Car", x, 0.0, score)
+}
+
+fn header(seq: u64, kind: Kind) -> Header {
+    let stamp = 1_000 + 100 * seq as i64;
+    Header::origin(&"run".into(), &"cav1".into(), kind, seq, stamp, stamp + 50)
+}
+
+fn truth(boxes: Vec<Box3>) -> GroundTruth {
+    GroundTruth {
+        boxes,
+        agents: vec!["cav1".into()],
+        points: vec![],
+        ego_footprint: None,
+        key: true,
+    }
+}
+
+/// Truth with points of (all others, the ego) on each object.
+fn truth_with_points(boxes: Vec<Box3>, points: &[[u32; 2]]) -> GroundTruth {
+    let points = points.iter().flat_map(|[others, ego]| [*ego, *others]).collect();
+    GroundTruth {
+        agents: vec!["cav1".into(), "rsu1".into()],
+        points,
+        ..truth(boxes)
+    }
+}
+
+/// What a collector hears.
+#[derive(Clone)]
+enum Fed {
+    Truth(Header, GroundTruth),
+    Boxes(Header, Boxes),
+}
+
+fn with_truth(seq: u64, truth: GroundTruth) -> Fed {
+    Fed::Truth(header(seq, Kind::Truth), truth)
+}
+
+fn with_boxes(seq: u64, boxes: Vec<Box3>) -> Fed {
+    Fed::Boxes(header(seq, Kind::Boxes), Boxes(boxes))
+}
+
+fn feed(collector: &mut Collector, fed: Fed) -> Result<(), EvaluationError> {
+    match fed {
+        Fed::Truth(header, truth) => collector.add_truth(&header, &truth),
+        Fed::Boxes(header, boxes) => collector.add_boxes(&header, boxes),
+    }
+}
+
+fn run(protocol: &str, messages: Vec<Fed>) -> EvaluationReport {
+    let mut collector = Collector::new(Protocol::load(protocol).unwrap());
+    for message in messages {
+        feed(&mut collector, message).unwrap();
+    }
+    collector.finish().into()
+}
+
+fn counts(scores: &Scores, class: &str, iou: &str) -> (u64, u64, u64) {
+    let counts = scores.accuracy.sorted.counts[class][iou];
+    assert_eq!(scores.accuracy.v2x_real.counts[class][iou], counts);
+    (counts.hits, counts.misses, counts.total)
+}
+
+#[test]
+fn the_report_has_the_shape_that_scripts_rely_on() {
+    let report = run(
+        "default",
+        vec![
+            with_truth(0, truth(vec![car(10.0, 1.0)])),
+            with_boxes(0, vec![car(10.0, 0.9)]),
+        ],
+    );
+    let json = serde_json::to_value(&report.scores).unwrap();
+    for table in ["accuracy", "accuracy_seen", "accuracy_processed"] {
+        for order in ["sorted", "v2x-real"] {
+            let accuracy = &json[table][order];
+            for class in ["vehicle", "pedestrian", "truck"] {
+                for iou in ["0.3", "0.5"] {
+                    assert!(
+                        accuracy["AP"][class].get(iou).is_some(),
+                        "{table} {order} {class} {iou}"
+                    );
+                    for count in ["true", "false", "total"] {
+                        assert!(accuracy["counts"][class][iou][count].is_u64());
+                    }
+                }
+            }
+            assert!(accuracy["mAP"].get("0.5").is_some());
+        }
+    }
+    assert_eq!(json["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"], 1.0);
+    assert!(json["accuracy"]["sorted"]["AP"]["truck"]["0.5"].is_null());
+    assert!(json["accuracy"]["sorted"]["mAP"]["0.5"].is_null());
+    assert!(
+        report
+            .scores
+            .notes
+            .iter()
+            .any(|note| note.contains("`pedestrian`, `truck`")),
+        "{:?}",
+        report.scores.notes
+    );
+}
+
+#[test]
+fn the_two_orders_differ_where_frames_differ_in_score() {
+    let messages = vec![
+        with_truth(0, truth(vec![car(10.0, 1.0)])),
+        with_boxes(0, vec![car(50.0, 0.2), car(10.0, 0.3)]),
+        with_truth(1, truth(vec![car(10.0, 1.0)])),
+        with_boxes(1, vec![car(10.0, 0.9)]),
+    ];
+    let scores = run("default", messages).scores;
+    assert_eq!(scores.accuracy.sorted.ap["vehicle"]["0.5"], Some(1.0));
+    // Frame 0 first: true, false, then frame 1: true.
+    assert_eq!(
+        scores.accuracy.v2x_real.ap["vehicle"]["0.5"],
+        Some(0.5 + 0.5 * 2.0 / 3.0)
+    );
+}
+
+#[test]
+fn a_key_frame_without_boxes_misses_all_its_objects() {
+    let messages = vec![
+        with_truth(0, truth(vec![car(10.0, 1.0)])),
+        with_truth(1, truth(vec![car(10.0, 1.0), car(20.0, 1.0), car(30.0, 1.0)])),
+        with_boxes(0, vec![car(10.0, 0.9)]),
+    ];
+    let scores = run("default", messages).scores;
+    assert_eq!(counts(&scores, "vehicle", "0.5"), (1, 0, 4));
+    assert_eq!(scores.accuracy.sorted.ap["vehicle"]["0.5"], Some(0.25));
+    assert_eq!(scores.accuracy_processed.sorted.ap["vehicle"]["0.5"], Some(1.0));
+    assert_eq!(
+        scores.frames,
+        FrameCounts {
+            total: 2,
+            key: 2,
+            skipped: 1
+        }
+    );
+}
+
+#[test]
+fn a_frame_without_truth_never_counts() {
+    let silent = GroundTruth {
+        key: false,
+        ..truth(vec![])
+    };
+    let messages = vec![
+        with_truth(0, truth(vec![car(10.0, 1.0)])),
+        with_boxes(0, vec![car(10.0, 0.9)]),
+        with_truth(1, silent),
+        with_boxes(1, vec![car(10.0, 0.95)]),
+        with_boxes(2, vec![car(10.0, 0.95)]),
+    ];
+    let scores = run("default", messages).scores;
+    assert_eq!(counts(&scores, "vehicle", "0.5"), (1, 0, 1));
+    assert_eq!(
+        scores.frames,
+        FrameCounts {
+            total: 2,
+            key: 1,
+            skipped: 0
+        }
+    );
+    assert_eq!(scores.boxes_without_truth, 1);
+    let scores = run(
+        "default",
+        vec![with_truth(
+            0,
+            GroundTruth {
+                key: false,
+                ..truth(vec![])
+            },
+        )],
+    )
+    .scores;
+    assert_eq!(scores.notes, ["no frame has ground truth: nothing is scored"]);
+}
+
+#[test]
+fn a_key_frame_without_objects_makes_detections_false() {
+    let messages = vec![
+        with_truth(0, truth(vec![car(10.0, 1.0)])),
+        with_boxes(0, vec![car(10.0, 0.5)]),
+        with_truth(1, truth(vec![])),
+        with_boxes(1, vec![car(10.0, 0.9)]),
+    ];
+    let scores = run("default", messages).scores;
+    assert_eq!(counts(&scores, "vehicle", "0.3"), (1, 1, 1));
+    assert_eq!(scores.accuracy.sorted.ap["vehicle"]["0.3"], Some(0.5));
+}
+
+#[test]
+fn the_order_of_arrival_does_not_matter() {
+    let messages = vec![
+        with_truth(0, truth(vec![car(10.0, 1.0)])),
+        with_truth(1, truth(vec![car(30.0, 1.0)])),
+        with_boxes(0, vec![car(10.0, 0.9), car(50.0, 0.8)]),
+        with_boxes(1, vec![car(30.0, 0.9)]),
+    ];
+    let mut other = messages.clone();
+    other.reverse();
+    let (one, other) = (run("default", messages), run("default", other));
+    assert_eq!(one, other);
+}
+
+#[test]
+fn drops_what_the_protocol_does_not_count() {
+    let footprint = Some([-1.0, 4.0, -1.0, 1.0]);
+    let objects = vec![
+        car(10.0, 1.0),
+        car(98.5, 1.0),
+        object("FireHydrant", 5.0, 5.0, 1.0),
+        car(f64::NAN, 1.0),
+    ];
+    let detections = vec![
+        car(10.0, 0.9),
+        car(2.0, 0.9),
+        object("Car", 20.0, 39.5, 0.9),
+        object("traffic_light", 20.0, 0.0, 0.9),
+        Box3 {
+            length: 0.0,
+            ..car(30.0, 0.9)
+        },
+    ];
+    let key = GroundTruth {
+        ego_footprint: footprint,
+        ..truth(objects)
+    };
+    let report = run("default", vec![with_truth(0, key), with_boxes(0, detections)]);
+    assert_eq!(counts(&report.scores, "vehicle", "0.5"), (1, 0, 1));
+    let dropped = &report.scores.dropped_detections;
+    assert_eq!((dropped.invalid, dropped.outside, dropped.own_body), (1, 1, 1));
+    assert_eq!(dropped.classes, [("traffic_light".to_string(), 1)].into());
+    let dropped = &report.scores.dropped_truths;
+    assert_eq!((dropped.invalid, dropped.outside, dropped.own_body), (1, 1, 0));
+    assert_eq!(dropped.classes, [("FireHydrant".to_string(), 1)].into());
+}
+
+#[test]
+fn objects_with_few_points_do_not_count_and_unseen_ones_are_ignored_in_seen() {
+    let objects = vec![car(10.0, 1.0), car(20.0, 1.0), car(30.0, 1.0), car(40.0, 1.0)];
+    // Seen by the ego; by the others only; by nobody enough; by both a little.
+    let key = truth_with_points(objects, &[[0, 10], [300, 9], [4, 0], [3, 2]]);
+    let detections = vec![car(10.0, 0.9), car(20.0, 0.8), car(50.0, 0.7)];
+    let scores = run("default", vec![with_truth(0, key), with_boxes(0, detections)]).scores;
+    assert_eq!(counts(&scores, "vehicle", "0.5"), (2, 1, 3));
+    assert_eq!(scores.dropped_truths.few_points, 1);
+    let seen = scores.accuracy_seen.sorted.counts["vehicle"]["0.5"];
+    assert_eq!((seen.hits, seen.misses, seen.total), (1, 1, 1));
+    assert_eq!(scores.accuracy_seen.sorted.ap["vehicle"]["0.5"], Some(1.0));
+}
+
+#[test]
+fn seen_needs_to_know_the_points() {
+    let scores = run(
+        "default",
+        vec![
+            with_truth(0, truth(vec![car(10.0, 1.0)])),
+            with_boxes(0, vec![car(10.0, 0.9)]),
+        ],
+    )
+    .scores;
+    let seen = &scores.accuracy_seen.sorted;
+    assert_eq!(
+        (seen.ap["vehicle"]["0.5"], seen.counts["vehicle"]["0.5"].total),
+        (None, 0)
+    );
+    assert!(
+        scores.notes[0].contains("1 of 1 scenes do not say how many points"),
+        "{:?}",
+        scores.notes
+    );
+}
+
+#[test]
+fn dair_counts_one_class_whatever_the_case() {
+    let objects = vec![object("car", 10.0, 0.0, 1.0), object("bus", 30.0, 0.0, 1.0)];
+    let detections = vec![object("Car", 10.0, 0.0, 1.0), object("Van", 30.0, 0.0, 1.0)];
+    let scores = run("dair", vec![with_truth(0, truth(objects)), with_boxes(0, detections)]).scores;
+    assert_eq!(counts(&scores, "vehicle", "0.5"), (2, 0, 2));
+    assert_eq!(scores.accuracy.sorted.mean_ap["0.5"], Some(1.0));
+}
+
+#[test]
+fn range_bins_count_an_object_where_it_is() {
+    let objects = vec![car(29.0, 1.0), car(60.0, 1.0), car(-70.0, 1.0)];
+    // The first detection lies beyond the edge, its object before.
+    let detections = vec![car(30.5, 0.9), car(60.0, 0.8), car(40.0, 0.7)];
+    let scores = run(
+        "default",
+        vec![with_truth(0, truth(objects)), with_boxes(0, detections)],
+    )
+    .scores;
+    let bins = &scores.by_range["vehicle"]["0.3"];
+    let values: Vec<_> = bins
+        .iter()
+        .map(|bin| (bin.from, bin.to, bin.precision, bin.recall))
+        .collect();
+    assert_eq!(
+        values,
+        [
+            (0.0, Some(30.0), Some(1.0), Some(1.0)),
+            (30.0, Some(50.0), Some(0.0), None),
+            (50.0, None, Some(1.0), Some(0.5))
+        ]
+    );
+}
+
+#[test]
+fn boxes_and_truth_of_two_times_are_refused_in_either_order() {
+    let later = Header {
+        stamp: header(0, Kind::Boxes).stamp + 1,
+        ..header(0, Kind::Boxes)
+    };
+    for boxes_first in [false, true] {
+        let mut collector = Collector::new(Protocol::load("default").unwrap());
+        let add_truth =
+            |collector: &mut Collector| collector.add_truth(&header(0, Kind::Truth), &truth(vec![car(10.0, 1.0)]));
+        let add_boxes = |collector: &mut Collector| collector.add_boxes(&later, Boxes(vec![car(10.0, 0.9)]));
+        let refused = if boxes_first {
+            add_boxes(&mut collector).unwrap();
+            add_truth(&mut collector)
+        } else {
+            add_truth(&mut collector).unwrap();
+            add_boxes(&mut collector)
+        };
+        let expected = EvaluationError::Stamps {
+            agent: "cav1".into(),
+            seq: 0,
+            truth: 1_000,
+            boxes: 1_001,
+        };
+        assert_eq!(refused, Err(expected));
+        let scenes = collector.finish().scenes;
+        assert!(!scenes[0].frames[0].processed, "its objects are missed");
+    }
+}
+
+#[test]
+fn refuses_second_messages_and_boxes_of_another_frame() {
+    let mut collector = Collector::new(Protocol::load("default").unwrap());
+    feed(&mut collector, with_truth(0, truth(vec![car(10.0, 1.0)]))).unwrap();
+    let error = feed(&mut collector, with_truth(0, truth(vec![])))
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("second message of truth for sweep 0"), "{error}");
+    feed(&mut collector, with_boxes(0, vec![])).unwrap();
+    let error = feed(&mut collector, with_boxes(0, vec![])).unwrap_err().to_string();
+    assert!(error.contains("second message of boxes"), "{error}");
+    feed(&mut collector, with_truth(1, truth(vec![car(10.0, 1.0)]))).unwrap();
+    let elsewhere = Header {
+        frame: "rsu1/body".into(),
+        ..header(1, Kind::Boxes)
+    };
+    let boxes = Boxes(vec![car(10.0, 0.9)]);
+    let error = collector.add_boxes(&elsewhere, boxes).unwrap_err().to_string();
+    assert!(
+        error.contains("`cav1/body`") && error.contains("`rsu1/body`"),
+        "{error}"
+    );
+    let report = EvaluationReport::from(collector.finish());
+    assert_eq!(report.scores.frames.skipped, 1);
+    assert_eq!(counts(&report.scores, "vehicle", "0.5"), (0, 0, 2));
+}
+
+/// A log of ten frames in which the detections' luck depends on `luck`.
+fn evaluation(name: &str, luck: u64) -> Evaluation {
+    let frame = |seq: u64| {
+        let objects: Vec<_> = (0..4)
+            .map(|i| car(10.0 * f64::from(i) + 7.123456789 / 3.0, 1.0))
+            .collect();
+        let detections = (0..4u64).map(|i| {
+            let off = if (seq + i).is_multiple_of(luck) {
+                3.0
+            } else {
+                0.1 * (1.0 / 3.0)
+            };
+            car(
+                objects[i as usize].center[0] + off,
+                ((seq * 7 + i * 3 + luck) % 11) as f32 / 11.0,
+            )
+        });
+        (
+            (header(seq, Kind::Truth), truth(objects.clone())),
+            (header(seq, Kind::Boxes), Boxes(detections.collect())),
+        )
+    };
+    let (truths, boxes): (Vec<_>, Vec<_>) = (0..10).map(frame).unzip();
+    let mut evaluation = evaluate(truths, boxes, &Protocol::load("default").unwrap()).unwrap();
+    evaluation.scenes[0].name = name.into();
+    evaluation
+}
+
+#[test]
+fn evaluations_survive_json_bit_by_bit() {
+    let evaluation = evaluation("a", 3);
+    let text = serde_json::to_string(&evaluation).unwrap();
+    assert_eq!(serde_json::from_str::<Evaluation>(&text).unwrap(), evaluation);
+}
+
+#[test]
+fn pooling_is_scoring_all_frames_at_once() {
+    let (a, b) = (evaluation("a", 3), evaluation("b", 4));
+    let pooled = pool(vec![b.clone(), a.clone()]).unwrap();
+    assert_eq!(pooled, pool(vec![a.clone(), b.clone()]).unwrap());
+    // The same frames as one log: the same accuracies.
+    let mut joined = a.clone();
+    let shifted = b.scenes[0].frames.iter().map(|frame| Frame {
+        seq: frame.seq + 10,
+        ..frame.clone()
+    });
+    joined.scenes[0].frames.extend(shifted);
+    assert_eq!(score(&pooled).accuracy, score(&joined).accuracy);
+    let mut other = b.clone();
+    other.protocol = Protocol::load("dair").unwrap();
+    assert_eq!(
+        pool(vec![a, other]).unwrap_err(),
+        PoolError::Protocols("default".into(), "dair".into())
+    );
+    assert_eq!(pool(vec![]).unwrap_err(), PoolError::Empty);
+}
+
+#[test]
+fn intervals_need_two_logs_and_hold_the_value() {
+    assert!(score(&evaluation("a", 3)).intervals.is_none());
+    let pooled = pool((2..9).map(|luck| evaluation(&format!("log{luck}"), luck)).collect()).unwrap();
+    let scores = score(&pooled);
+    assert_eq!(scores, score(&pooled));
+    let intervals = scores.intervals.unwrap();
+    for (bounds, accuracy) in [
+        (&intervals.accuracy.sorted, &scores.accuracy.sorted),
+        (&intervals.accuracy.v2x_real, &scores.accuracy.v2x_real),
+    ] {
+        let [low, high] = bounds.ap["vehicle"]["0.5"].unwrap();
+        let value = accuracy.ap["vehicle"]["0.5"].unwrap();
+        assert!(
+            low < value && value < high && low > 0.0 && high <= 1.0,
+            "{low} {value} {high}"
+        );
+        assert_eq!(bounds.ap["truck"]["0.5"], None);
+        assert_eq!(bounds.mean_ap["0.5"], None);
+    }
+    // Logs that are all alike leave nothing to chance.
+    let alike = pool(vec![evaluation("a", 3), evaluation("b", 3)]).unwrap();
+    let scores = score(&alike);
+    let [low, high] = scores.intervals.unwrap().accuracy.sorted.ap["vehicle"]["0.5"].unwrap();
+    assert!((high - low).abs() < 0.05, "{low} {high}");
+}
+
+#[test]
+fn frame_scores_add_up() {
+    let evaluation = evaluation("a", 3);
+    let scores = score(&evaluation);
+    let frames = frame_scores(&evaluation);
+    assert_eq!(frames.len(), 10);
+    let sum = |pick: fn(&Counts) -> u64| {
+        frames
+            .iter()
+            .map(|frame| pick(&frame.counts["vehicle"]["0.5"]))
+            .sum::<u64>()
+    };
+    let sums = (sum(|c| c.hits), sum(|c| c.misses), sum(|c| c.total));
+    assert_eq!(sums, counts(&scores, "vehicle", "0.5"));
+    assert_eq!((frames[3].seq, frames[3].stamp, &*frames[3].ego), (3, 1300, "cav1"));
+}
