@@ -115,15 +115,84 @@ fn processed(result: &Path) -> u64 {
     result["frames"]["processed"].as_u64().expect("frames.processed")
 }
 
-#[test]
-fn a_broken_graph_is_refused_with_what_mends_it() {
-    let home = folder("broken_graph");
-    let text_of = std::fs::read_to_string(graph("late_fusion")).expect("the graph can be read");
+/// A folder for graphs in `home`, from which all that the shipped ones name is seen.
+fn dataflows_in(home: &Path) -> PathBuf {
     let dir = home.join("dataflows");
-    std::fs::create_dir(&dir).expect("a folder can be made");
-    for name in ["models", "dataflows/modules", "dataflows/types", "dataflows/bin"] {
+    // A module that another names must lie in the graph's folder, not behind a link.
+    std::fs::create_dir_all(dir.join("modules")).expect("a folder can be made");
+    for module in std::fs::read_dir(root().join("dataflows/modules")).expect("modules can be listed") {
+        let module = module.expect("an entry");
+        std::fs::copy(module.path(), dir.join("modules").join(module.file_name())).expect("it can be copied");
+    }
+    for name in ["models", "dataflows/types", "dataflows/bin"] {
         std::os::unix::fs::symlink(root().join(name), home.join(name)).expect("links can be made");
     }
+    dir
+}
+
+/// A graph with `module:` wherever it hosts one, so that dora starts a process for each stage.
+fn with_a_process_for_each_stage(hosted: &str) -> String {
+    let mut inside = false;
+    let mut lines = Vec::new();
+    for line in hosted.lines() {
+        if let Some(args) = line.strip_prefix("    args: host ") {
+            assert_eq!(lines.pop().as_deref(), Some("    path: bin/realo"));
+            let (file, settings) = args.split_once(' ').unwrap_or((args, ""));
+            assert!(settings.is_empty() || file.ends_with("score.yml"), "{args}");
+            lines.push(format!("    module: {file}"));
+            inside = true;
+            continue;
+        }
+        inside &= !line.starts_with("  - id:");
+        // A module says itself what goes out.
+        if !(inside && line.trim_start().starts_with("output")) {
+            lines.push(line.into());
+        }
+    }
+    lines.join("\n")
+}
+
+#[test]
+fn a_module_runs_as_a_process_or_as_a_process_for_each_stage() {
+    let home = folder("apart");
+    let hosted = std::fs::read_to_string(graph("late_fusion")).expect("the graph can be read");
+    let apart = dataflows_in(&home).join("apart.yml");
+    std::fs::write(&apart, with_a_process_for_each_stage(&hosted)).expect("the graph can be written");
+    let flat = FlatGraph::load(&apart).expect("it can be read");
+    assert_eq!(flat.processes().len(), flat.nodes.len());
+    dora_ok(&["validate", "--strict-types"], &apart);
+    let apart = apart.to_string_lossy();
+    let run = |name: &str, graph: &str, more: &[&str]| {
+        let out = home.join(name);
+        let args = ["run", graph, "--recorded-detections", "--ego", "cav1", "--out"];
+        realo_ok(args.iter().chain(&[&*out.to_string_lossy()]).chain(more));
+        json(&out.join("result.json"))
+    };
+    let virtually = |name: &str, graph: &str| run(name, graph, &["--mode", "virtual", "--link", "paper"]);
+    let (one, mut each) = (virtually("one", &graph("late_fusion")), virtually("each", &apart));
+    // A host leaves out the stage that sends to nobody.
+    let idle = each["nodes"]
+        .as_object_mut()
+        .and_then(|nodes| nodes.remove("ego.sender"));
+    assert!(idle.is_some());
+    for (field, value) in one
+        .as_object()
+        .expect("an object")
+        .iter()
+        .filter(|(field, _)| *field != "graph")
+    {
+        assert!(each[field] == *value, "{field}: {value} and {}", each[field]);
+    }
+    let result = run("dora", &apart, &[]);
+    assert_eq!(result["complete"], true);
+    let processed = result["frames"]["processed"].as_u64().expect("frames.processed");
+    assert!(processed > 50, "{processed} of 100 sweeps");
+}
+
+#[test]
+fn a_broken_graph_is_refused_with_what_mends_it() {
+    let text_of = std::fs::read_to_string(graph("late_fusion")).expect("the graph can be read");
+    let dir = dataflows_in(&folder("broken_graph"));
     let cases = [
         (
             "modules/fuse.boxes.yml",
