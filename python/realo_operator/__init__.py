@@ -17,7 +17,7 @@ virtual time, starts it, keeps order, holds messages until they are ready, joins
 of it, reads no clock and does not know which driver runs it. `print` goes to standard error.
 """
 
-from . import geometry
+import realo_geometry as geometry
 from .message import Header, Message
 from .operator import Operator, Outputs, Port
 from .pipe import run

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
-
-from . import geometry
+import realo_geometry as geometry
 
 _HEADER = "run agent kind frame to: string; seq hop: uint64; stamp ready: int64; clock_rate pose pose_covariance: [double]"
 _HEADER += "; trace_node: [string]; clock_origins trace_input trace_start trace_done trace_ready: [int64]"
