@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 
 pub use feed::sweeps_per_pass;
 use feed::{Counters, Feed, Release, Script};
-pub use plan::{Coop, Plan, PlanError, PlannedRun, plan};
+pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
 
 /// Messages that are read ahead.
 const AHEAD: usize = 256;

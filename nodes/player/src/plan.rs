@@ -66,7 +66,7 @@ impl FromStr for Coop {
 
 /// The runs that a mode means on a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Plan {
+pub struct PlannedRuns {
     /// The mode.
     pub coop: Coop,
     /// A run for each ego, in the log's order of agents; at least one.
@@ -124,7 +124,7 @@ pub enum PlanError {
 ///
 /// # Errors
 /// Names that the log does not have; a mode without an ego.
-pub fn plan(log: &Log, ego: &str, coop: Coop, agents: &[String]) -> Result<Plan, PlanError> {
+pub fn plan(log: &Log, ego: &str, coop: Coop, agents: &[String]) -> Result<PlannedRuns, PlanError> {
     for name in agents
         .iter()
         .map(String::as_str)
@@ -169,7 +169,7 @@ pub fn plan(log: &Log, ego: &str, coop: Coop, agents: &[String]) -> Result<Plan,
             collaborators: others.map(|agent| agent.name.clone()).collect(),
         }
     });
-    Ok(Plan {
+    Ok(PlannedRuns {
         coop,
         runs: runs.collect(),
     })

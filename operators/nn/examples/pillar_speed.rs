@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use realo_nn::anchors::Anchors;
 use realo_nn::canvas::Canvas;
 use realo_nn::decode::candidates;
-use realo_nn::loss::{HeadMaps, Settings, loss};
+use realo_nn::loss::{HeadMaps, LossWeights, loss};
 use realo_nn::model::{Grid, Model};
 use realo_nn::pillar_net::PillarNet;
 use realo_nn::pillars::{Pillariser, Pillars, Points};
@@ -71,7 +71,7 @@ fn main() -> Result<(), realo_nn::model::ModelError> {
             scores: &mut by_scores[..],
             deltas: &mut by_deltas[..],
         };
-        loss(&maps, &targets, &Settings::default(), 1, &mut gradient);
+        loss(&maps, &targets, &LossWeights::default(), 1, &mut gradient);
     });
     report("candidates, 153,600 anchors", || {
         candidates(&anchors, &scores, &deltas, 0.2, 1000);

@@ -7,7 +7,7 @@ use crate::targets::{Positive, Targets};
 
 /// How the parts of the loss are weighted. The exponent of the focal loss is 2.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
+pub struct LossWeights {
     /// Weight of scores that should be 1; those that should be 0 have 1 - alpha.
     pub alpha: f32,
     /// Difference of deltas at which the loss goes from quadratic to linear.
@@ -18,10 +18,10 @@ pub struct Settings {
     pub box_weight: f32,
 }
 
-impl Default for Settings {
+impl Default for LossWeights {
     /// V2X-Real's.
     fn default() -> Self {
-        Settings {
+        LossWeights {
             alpha: 0.25,
             beta: 1.0 / 9.0,
             class_weight: 1.0,
@@ -66,7 +66,7 @@ pub struct HeadMaps<T> {
 pub fn loss(
     maps: &HeadMaps<&[f32]>,
     targets: &Targets,
-    settings: &Settings,
+    settings: &LossWeights,
     batch: usize,
     gradient: &mut HeadMaps<&mut [f32]>,
 ) -> Loss {
@@ -151,7 +151,7 @@ mod tests {
         let loss = loss(
             &HeadMaps { scores, deltas },
             targets,
-            &Settings::default(),
+            &LossWeights::default(),
             batch,
             &mut out,
         );

@@ -43,12 +43,12 @@ impl Default for SyncConfig {
 
 /// Orders and stamps each agent's streams.
 pub struct Sync {
-    settings: Settings,
+    settings: SweepRules,
     lanes: BTreeMap<Name, Lane>,
 }
 
 #[derive(Clone, Copy)]
-struct Settings {
+struct SweepRules {
     own_body: Option<OwnBody>,
     deskew: bool,
     patience: Nanos,
@@ -144,7 +144,7 @@ impl Sync {
     }
 }
 
-impl Settings {
+impl SweepRules {
     /// Sends an agent's sweeps that can go on, oldest first; none overtakes another.
     fn release(self, lane: &mut Lane, out: &mut Outputs, at_end: bool) {
         while let Some((until, header, cloud)) = lane.waiting.front() {
@@ -230,7 +230,7 @@ impl Operator for Sync {
         };
         let nanos = |millis: u32| Nanos::from(millis) * NANOS_PER_MILLI;
         let (patience, max_gap) = (nanos(config.patience_ms), nanos(config.max_gap_ms));
-        let settings = Settings {
+        let settings = SweepRules {
             own_body,
             deskew: config.deskew,
             patience,

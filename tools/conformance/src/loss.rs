@@ -1,4 +1,4 @@
-use realo_nn::loss::{HeadMaps, Loss, Settings, loss};
+use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
 use realo_nn::targets::{Positive, Targets};
 
 use crate::Kind;
@@ -11,12 +11,12 @@ pub(crate) const KINDS: &[Kind] = &[Kind::new(
 
 const CLASSES: usize = 3;
 
-fn settings(vector: &Vector) -> Result<Settings, String> {
+fn settings(vector: &Vector) -> Result<LossWeights, String> {
     let number = |key: &str| vector.number(key).map(|number| number as f32);
     if number("gamma")? != 2.0 {
         return Err("the focal loss is there with exponent 2 only".into());
     }
-    Ok(Settings {
+    Ok(LossWeights {
         alpha: number("alpha")?,
         beta: number("beta")?,
         class_weight: number("cls_weight")?,

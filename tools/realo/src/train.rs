@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use eyre::{Result, bail, eyre};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_training::data::Augmentation;
-use realo_training::optimizer::Settings;
+use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, Progress, TrainOptions, Validation, train};
 
 use crate::Outcome;
@@ -109,9 +109,9 @@ impl Args {
             half_range: self.half_range,
             checkpoint_minutes: self.checkpoint_minutes,
             validate_every: self.validate_every,
-            optimizer: Settings {
+            optimizer: OptimizerSettings {
                 rate: self.rate,
-                ..Settings::default()
+                ..OptimizerSettings::default()
             },
             augmentation: Augmentation::default(),
             threads: self.threads,

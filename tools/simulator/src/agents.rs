@@ -5,7 +5,7 @@ use realo_schemas::{EgoState, Name, Nanos, PoseStatus, from_seconds, to_seconds}
 
 use crate::options::{AGENTS, EPOCH, Options, Phase, SWEEP_PERIOD};
 use crate::path::Pose2;
-use crate::place::Place;
+use crate::place::Scenery;
 use crate::random::Stream;
 use crate::sensor::Sensor;
 use crate::traffic::Traffic;
@@ -70,7 +70,7 @@ pub(crate) struct BodyState {
 
 impl Agent {
     /// The agents that options ask for, in their fixed order.
-    pub fn all(options: &Options, place: &Place, traffic: &Traffic) -> Vec<Agent> {
+    pub fn all(options: &Options, place: &Scenery, traffic: &Traffic) -> Vec<Agent> {
         let phases = phases(options);
         (0..AGENTS.len())
             .filter(|i| options.agents.iter().any(|name| name == AGENTS[*i]))
@@ -78,7 +78,7 @@ impl Agent {
             .collect()
     }
 
-    fn new(number: usize, phase: Nanos, place: &Place, traffic: &Traffic) -> Agent {
+    fn new(number: usize, phase: Nanos, place: &Scenery, traffic: &Traffic) -> Agent {
         let vehicle = number < 2;
         let user = vehicle.then(|| traffic.cavs[number]);
         let sensor = match number {
@@ -123,7 +123,7 @@ impl Agent {
     }
 
     /// The body frame `t` seconds after [`EPOCH`].
-    pub fn body(&self, place: &Place, traffic: &Traffic, t: f64) -> BodyState {
+    pub fn body(&self, place: &Scenery, traffic: &Traffic, t: f64) -> BodyState {
         let Some(user) = self.user.map(|user| &traffic.users[user]) else {
             let (pose, z) = self.stands;
             let position = [pose.x, pose.y, z];
@@ -158,7 +158,7 @@ impl Agent {
 
 impl BodyState {
     /// The state as a message says it, exact.
-    pub fn to_ego_state(self, place: &Place, map_offset: [f64; 2]) -> EgoState {
+    pub fn to_ego_state(self, place: &Scenery, map_offset: [f64; 2]) -> EgoState {
         let (sin, cos) = libm::sincos(place.heading);
         let turn = |x: f64, y: f64| (x * cos - y * sin, x * sin + y * cos);
         let (x, y) = turn(self.position[0], self.position[1]);

@@ -7,7 +7,7 @@ use crate::agents::{Agent, AgentInfo, BodyState, since_epoch};
 use crate::cast::{Cast, Casting, World, cast};
 use crate::detections::detect;
 use crate::options::{Error, Options, SWEEP_PERIOD};
-use crate::place::Place;
+use crate::place::Scenery;
 use crate::poses::{PoseSample, poses};
 use crate::random::Stream;
 use crate::traffic::{Demand, Traffic, User};
@@ -15,7 +15,7 @@ use crate::traffic::{Demand, Traffic, User};
 /// A place, its traffic, and the agents that record it.
 pub struct Simulation {
     options: Options,
-    place: Place,
+    place: Scenery,
     traffic: Traffic,
     agents: Vec<Agent>,
     /// Class names, shared by all boxes.
@@ -58,7 +58,7 @@ impl Simulation {
     pub fn new(options: &Options) -> Result<Self, Error> {
         options.check()?;
         let options = options.clone();
-        let place = Place::new(options.scenario, options.place.unwrap_or(options.seed));
+        let place = Scenery::new(options.scenario, options.place.unwrap_or(options.seed));
         let demand = Demand {
             place: &place,
             seed: options.seed,

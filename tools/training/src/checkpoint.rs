@@ -14,7 +14,7 @@ use crate::curve::{Curve, Point};
 use crate::data::{Augmentation, write_whole};
 use crate::layers::with_numbers;
 use crate::network::Network;
-use crate::optimizer::{AdamW, Settings};
+use crate::optimizer::{AdamW, OptimizerSettings};
 
 /// Everything that the next step depends on, and how it came to this.
 #[derive(Clone, Debug)]
@@ -26,13 +26,13 @@ pub struct Checkpoint {
     /// Loss and learning rate of all steps so far.
     pub curve: Curve,
     /// What must not change between the parts of a training.
-    pub plan: Plan,
+    pub plan: TrainingPlan,
 }
 
 /// The settings that decide what every step does, but the learning rate, which a training that diverged needs lower.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Plan {
+pub struct TrainingPlan {
     /// The model.
     pub model: Model,
     /// Of all draws.
@@ -44,19 +44,19 @@ pub struct Plan {
     /// Probability that a step sees half of the range.
     pub half_range: f64,
     /// How weights are moved; its rate does not count.
-    pub optimizer: Settings,
+    pub optimizer: OptimizerSettings,
     /// How samples are drawn.
     pub augmentation: Augmentation,
     /// Where frames come from, in words.
     pub data: String,
 }
 
-impl Plan {
+impl TrainingPlan {
     /// In which settings two plans differ, as `name: was, now asked for`; empty for the same plan.
-    pub fn differences(&self, asked: &Plan) -> Vec<String> {
+    pub fn differences(&self, asked: &TrainingPlan) -> Vec<String> {
         let mut asked = asked.clone();
         asked.optimizer.rate = self.optimizer.rate;
-        let plain = |plan: &Plan| serde_json::to_value(plan).expect("plans are plain data");
+        let plain = |plan: &TrainingPlan| serde_json::to_value(plan).expect("plans are plain data");
         let mut found = Vec::new();
         differ("", &plain(self), &plain(&asked), &mut found);
         found
@@ -147,7 +147,7 @@ impl Checkpoint {
         let (_, about) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
         let about = about.metadata().clone().unwrap_or_default();
         let field = |key: &str| about.get(key).ok_or(format!("it has no `{key}`"));
-        let plan: Plan = serde_json::from_str(field("plan")?).map_err(|error| error.to_string())?;
+        let plan: TrainingPlan = serde_json::from_str(field("plan")?).map_err(|error| error.to_string())?;
         let steps = field("steps")?
             .parse()
             .map_err(|_| "`steps` is no number".to_string())?;

@@ -15,7 +15,7 @@ pub mod tape;
 mod train;
 mod validate;
 
-pub use checkpoint::{Checkpoint, Plan, write_weights};
+pub use checkpoint::{Checkpoint, TrainingPlan, write_weights};
 pub use curve::{Curve, Point};
 pub use error::TrainError;
 pub use train::{Data, Progress, TrainOptions, Trained, train, validation_frames};

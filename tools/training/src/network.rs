@@ -7,7 +7,7 @@ use std::sync::Arc;
 use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
 use realo_nn::layers::{ConvLayer, Layer, Layers, MapId, PointLayer, Role, Step, TensorSpec, norm_key};
-use realo_nn::loss::{HeadMaps, Loss, Settings, loss};
+use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
 use realo_nn::model::Model;
 use realo_nn::targets::Targets;
 use realo_nn::weights::{Weights, WeightsError};
@@ -184,7 +184,7 @@ impl Network {
         &mut self,
         batch: &Arc<PillarBatch>,
         targets: &[Targets],
-        settings: &Settings,
+        settings: &LossWeights,
     ) -> candle_core::Result<Pass> {
         let mut tape = Tape::new();
         let heads = self.forward(&mut tape, batch, true)?;
@@ -376,7 +376,11 @@ fn initial(draws: &mut Stream, spec: &TensorSpec, of_heads: OfHeads) -> Vec<f32>
 }
 
 /// Each sample's loss, and the gradients of their sum as maps with a border.
-fn losses(heads: &Heads, targets: &[Targets], settings: &Settings) -> candle_core::Result<(Vec<Loss>, Tensor, Tensor)> {
+fn losses(
+    heads: &Heads,
+    targets: &[Targets],
+    settings: &LossWeights,
+) -> candle_core::Result<(Vec<Loss>, Tensor, Tensor)> {
     let (scores, deltas) = (MapShape::of(heads.scores.shape())?, MapShape::of(heads.deltas.shape())?);
     if scores.batch != targets.len() {
         candle_core::bail!("{} samples have {} targets", scores.batch, targets.len());

@@ -9,7 +9,7 @@ use crate::network::{Gradients, Network};
 /// How weights are moved.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Settings {
+pub struct OptimizerSettings {
     /// Greatest learning rate.
     pub rate: f64,
     /// Share of the steps in which the rate rises.
@@ -20,9 +20,9 @@ pub struct Settings {
     pub clip: f64,
 }
 
-impl Default for Settings {
+impl Default for OptimizerSettings {
     fn default() -> Self {
-        Settings {
+        OptimizerSettings {
             rate: 2e-3,
             warm_up: 0.1,
             decay: 0.01,
@@ -31,7 +31,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl OptimizerSettings {
     /// The learning rate of a step of so many: from a tenth up to the greatest, then down to a thousandth, along cosines
     /// (Smith 2018).
     pub fn rate_at(&self, step: u64, steps: u64) -> f64 {
@@ -82,7 +82,7 @@ impl AdamW {
         network: &mut Network,
         gradients: &Gradients,
         rate: f64,
-        how: &Settings,
+        how: &OptimizerSettings,
     ) -> candle_core::Result<f64> {
         self.steps += 1;
         let squares = |g: &Vec<f32>| g.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>();
@@ -139,7 +139,7 @@ mod tests {
 
     #[test]
     fn the_rate_rises_and_falls() {
-        let how = Settings::default();
+        let how = OptimizerSettings::default();
         let at = |step| how.rate_at(step, 1000);
         assert!((at(0) - how.rate * 0.1).abs() < 1e-12);
         assert!((at(100) - how.rate).abs() < 1e-12);
@@ -150,9 +150,9 @@ mod tests {
 
     #[test]
     fn a_first_step_is_as_long_as_the_rate_whatever_the_gradient() {
-        let how = Settings {
+        let how = OptimizerSettings {
             decay: 0.0,
-            ..Settings::default()
+            ..OptimizerSettings::default()
         };
         for gradient in [1e-3, -50.0] {
             let mut network = network();
@@ -182,9 +182,9 @@ mod tests {
         let mut network = network();
         let before = values(&network);
         let none = gradients(&network, 0.0);
-        let how = Settings {
+        let how = OptimizerSettings {
             decay: 0.5,
-            ..Settings::default()
+            ..OptimizerSettings::default()
         };
         AdamW::new(&network).step(&mut network, &none, 0.1, &how).unwrap();
         for ((parameter, before), after) in network.parameters().iter().zip(&before).zip(&values(&network)) {

@@ -10,11 +10,11 @@ use realo_nn::loss;
 use realo_nn::model::Model;
 
 use crate::TrainError;
-use crate::checkpoint::{Checkpoint, Plan, write_weights};
+use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
 use crate::data::{Augmentation, Batch, Frames, LoggedFrames, Recipe, SimulatedFrames, write_whole};
 use crate::network::Network;
-use crate::optimizer::{AdamW, Settings};
+use crate::optimizer::{AdamW, OptimizerSettings};
 use crate::validate::{Validation, validate};
 
 /// Simulated frames that are searched for an object of each class before training begins; of logs all are.
@@ -49,7 +49,7 @@ pub struct TrainOptions {
     /// Steps from one validation to the next; none without.
     pub validate_every: Option<u64>,
     /// How weights are moved.
-    pub optimizer: Settings,
+    pub optimizer: OptimizerSettings,
     /// How samples are drawn.
     pub augmentation: Augmentation,
     /// Threads of the layers; all cores by default.
@@ -273,7 +273,7 @@ impl<'a> Training<'a> {
             });
         }
         let source = Source::open(&options.data)?;
-        let plan = Plan {
+        let plan = TrainingPlan {
             model: model.clone(),
             seed: options.seed,
             batch: options.batch,
@@ -422,7 +422,7 @@ impl<'a> Training<'a> {
         } = &mut self.state;
         let step = optimizer.steps;
         let how = &self.options.optimizer;
-        let pass = network.pass(&batch.pillars, &batch.targets, &loss::Settings::default())?;
+        let pass = network.pass(&batch.pillars, &batch.targets, &loss::LossWeights::default())?;
         let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
         let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
         if !(class + regression).is_finite() {
@@ -482,7 +482,7 @@ pub fn validation_frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
     Ok(Arc::new(SimulatedFrames::new(cache, 800..812, 1)?))
 }
 
-fn state(options: &TrainOptions, model: &Model, plan: Plan, path: &Path) -> Result<Checkpoint, TrainError> {
+fn state(options: &TrainOptions, model: &Model, plan: TrainingPlan, path: &Path) -> Result<Checkpoint, TrainError> {
     let refuse = |reason: String| TrainError::Checkpoint {
         path: path.into(),
         reason,

@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use realo_nn::model::Model;
 use realo_nn::weights::Weights;
 use realo_training::data::Augmentation;
-use realo_training::optimizer::Settings;
+use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, TrainError, TrainOptions, train};
 use safetensors::SafeTensors;
 
@@ -70,9 +70,9 @@ impl Folder {
             half_range: 0.5,
             checkpoint_minutes: 0.0,
             validate_every: None,
-            optimizer: Settings {
+            optimizer: OptimizerSettings {
                 rate: 2e-3,
-                ..Settings::default()
+                ..OptimizerSettings::default()
             },
             augmentation: Augmentation::default(),
             threads: Some(2),

@@ -74,7 +74,7 @@ pub(super) unsafe fn share<S, O, const P: usize, const J: usize>(
             for part in 0..layer.up * layer.up * blocks {
                 let weights = &layer.weights[part * size..(part + 1) * size];
                 for row in first_row..(first_row + rows).min(end) {
-                    let at = Place {
+                    let at = Window {
                         row,
                         columns: columns.clone(),
                         cell: part / blocks,
@@ -89,7 +89,7 @@ pub(super) unsafe fn share<S, O, const P: usize, const J: usize>(
 }
 
 /// Neighbouring windows of one row, for one block of outputs and one of the cells that an input cell becomes.
-struct Place {
+struct Window {
     row: usize,
     columns: Range<usize>,
     cell: usize,
@@ -138,13 +138,13 @@ where
 unsafe fn windows<S, O, const P: usize, const J: usize>(
     layer: &Packed<S::Element, O>,
     share: &mut Share<S::Element, O>,
-    at: Place,
+    at: Window,
     weights: &[S::Element],
 ) where
     S: Store<O>,
     O: Element,
 {
-    let Place {
+    let Window {
         row,
         columns,
         cell,

@@ -4,7 +4,7 @@ use std::io::{ErrorKind, Read, Write};
 
 use arrow_buffer::Buffer;
 
-use super::memory::{self, Lent, Place};
+use super::memory::{self, FrameAt, Lent};
 
 /// Bytes of a frame, at most.
 pub const FRAME_LIMIT: usize = 256 << 20;
@@ -53,7 +53,7 @@ pub fn write(to: &mut impl Write, parts: &[Buffer], shared: bool) -> Result<Opti
     check(length, "")?;
     if shared && length > SHARED_FROM {
         let lent = memory::lend(parts).map_err(|error| FrameError::Memory(error.to_string()))?;
-        let Place { pid, fd, length } = lent.place();
+        let FrameAt { pid, fd, length } = lent.place();
         for number in [SHARED, pid, fd, length] {
             to.write_all(&number.to_le_bytes())?;
         }
@@ -97,7 +97,7 @@ fn read_shared(from: &mut impl Read) -> Result<Buffer, FrameError> {
             .rev()
             .fold(0, |word, byte| word << 8 | u32::from(*byte))
     };
-    let place = Place {
+    let place = FrameAt {
         pid: word(0),
         fd: word(4),
         length: word(8),

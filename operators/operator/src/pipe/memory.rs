@@ -12,7 +12,7 @@ use arrow_buffer::Buffer;
 
 /// Where a frame lies: an open file of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct FrameAt {
     /// The process.
     pub pid: u32,
     /// The file's number there.
@@ -21,20 +21,20 @@ pub struct Place {
     pub length: u32,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for FrameAt {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "{} {} {}", self.pid, self.fd, self.length)
     }
 }
 
-impl FromStr for Place {
+impl FromStr for FrameAt {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || format!("expected the numbers of a process, a file and its bytes, found `{text}`");
         let numbers: Vec<u32> = text.split(' ').filter_map(|number| number.parse().ok()).collect();
         let [pid, fd, length] = numbers[..].try_into().map_err(|_| wrong())?;
-        Ok(Place { pid, fd, length })
+        Ok(FrameAt { pid, fd, length })
     }
 }
 
@@ -43,18 +43,18 @@ impl FromStr for Place {
 pub struct Lent {
     #[allow(dead_code, reason = "is kept open for the other side")]
     file: File,
-    place: Place,
+    place: FrameAt,
 }
 
 impl Lent {
     /// Where the other side finds it.
-    pub fn place(&self) -> Place {
+    pub fn place(&self) -> FrameAt {
         self.place
     }
 }
 
 /// What a host lends to a program to try whether it can read the host's memory; `None` where there is none to share.
-pub fn probe() -> Option<Place> {
+pub fn probe() -> Option<FrameAt> {
     static PROBE: OnceLock<Option<Lent>> = OnceLock::new();
     let probe = PROBE.get_or_init(|| lend(&[Buffer::from(b"realo")]).ok());
     probe.as_ref().map(Lent::place)
@@ -67,7 +67,7 @@ pub fn works() -> bool {
 
 /// Whether this process can read what a host lent it to try, and can lend memory itself.
 pub fn reaches(probe: &str) -> bool {
-    probe.parse().is_ok_and(|place: Place| open(place).is_ok()) && works()
+    probe.parse().is_ok_and(|place: FrameAt| open(place).is_ok()) && works()
 }
 
 /// Writes a frame to a file in memory and seals it.
@@ -89,7 +89,7 @@ pub fn lend(parts: &[Buffer]) -> io::Result<Lent> {
     }
     fcntl_add_seals(&file, seals())?;
     let wide = |_| io::Error::from(io::ErrorKind::FileTooLarge);
-    let place = Place {
+    let place = FrameAt {
         pid: std::process::id(),
         fd: file.as_raw_fd().unsigned_abs(),
         length: length.try_into().map_err(wide)?,
@@ -102,10 +102,10 @@ pub fn lend(parts: &[Buffer]) -> io::Result<Lent> {
 /// # Errors
 /// A file that is not there, not sealed, or of another length.
 #[cfg(target_os = "linux")]
-pub fn open(place: Place) -> io::Result<Buffer> {
+pub fn open(place: FrameAt) -> io::Result<Buffer> {
     use rustix::fs::{Mode, OFlags, fcntl_get_seals};
 
-    let Place { pid, fd, length } = place;
+    let FrameAt { pid, fd, length } = place;
     // Whatever the other side names, opening it must not wait.
     let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = File::from(rustix::fs::open(format!("/proc/{pid}/fd/{fd}"), flags, Mode::empty())?);
@@ -145,7 +145,7 @@ pub fn lend(_: &[Buffer]) -> io::Result<Lent> {
 /// # Errors
 /// Always.
 #[cfg(not(target_os = "linux"))]
-pub fn open(_: Place) -> io::Result<Buffer> {
+pub fn open(_: FrameAt) -> io::Result<Buffer> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
@@ -157,13 +157,13 @@ mod tests {
 
     #[test]
     fn a_place_survives_as_text() {
-        let place = Place {
+        let place = FrameAt {
             pid: 1,
             fd: 2,
             length: u32::MAX,
         };
         assert_eq!(place.to_string().parse(), Ok(place));
-        assert!("1 2".parse::<Place>().is_err() && "1 2 -3".parse::<Place>().is_err());
+        assert!("1 2".parse::<FrameAt>().is_err() && "1 2 -3".parse::<FrameAt>().is_err());
         assert!(works() && reaches(&probe().unwrap().to_string()));
         assert!(!reaches("") && !reaches("1 2 3"));
     }
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn refuses_what_could_still_change() {
         let open_at = |file: &File, length| {
-            open(Place {
+            open(FrameAt {
                 pid: std::process::id(),
                 fd: file.as_raw_fd().unsigned_abs(),
                 length,
@@ -200,7 +200,7 @@ mod tests {
                 .contains("not sealed")
         );
         let lent = lend(&[Buffer::from(&[1; 10])]).unwrap();
-        let error = open(Place {
+        let error = open(FrameAt {
             length: 11,
             ..lent.place()
         });

@@ -4,7 +4,7 @@ use std::path::Path;
 use eyre::Result;
 use realo_nn::model::Model;
 use realo_training::data::{Augmentation, Frames, SimulatedFrames};
-use realo_training::optimizer::Settings;
+use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, TrainOptions, train};
 use serde::Serialize;
 use serde_json::json;
@@ -72,7 +72,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             half_range: 0.0,
             checkpoint_minutes: 60.0,
             validate_every: None,
-            optimizer: Settings::default(),
+            optimizer: OptimizerSettings::default(),
             augmentation: Augmentation::default(),
             threads: None,
         };

@@ -5,7 +5,7 @@ mod instances;
 use std::f64::consts::{PI, TAU};
 
 use crate::agents::{Agent, since_epoch};
-use crate::place::Place;
+use crate::place::Scenery;
 use crate::random::{mix, normal_of, unit_of};
 use crate::sensor::{DROPOUT, Optics};
 use crate::solid::Hit;
@@ -19,7 +19,7 @@ const GRID: f64 = 1.0 / 1024.0;
 /// What there is to be seen.
 #[derive(Clone, Copy)]
 pub(crate) struct World<'a> {
-    pub place: &'a Place,
+    pub place: &'a Scenery,
     pub traffic: &'a Traffic,
 }
 

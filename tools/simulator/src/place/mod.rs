@@ -13,7 +13,7 @@ use crate::solid::{Hit, Solid};
 use terrain::Terrain;
 
 /// Everything that does not move.
-pub(crate) struct Place {
+pub(crate) struct Scenery {
     pub roads: Roads,
     pub terrain: Terrain,
     pub fixtures: Vec<Fixture>,
@@ -29,13 +29,13 @@ pub(crate) struct Fixture {
     pub solid: Solid,
 }
 
-impl Place {
+impl Scenery {
     pub fn new(scenario: Scenario, number: u64) -> Self {
         let roads = Roads::new(scenario, number);
         let terrain = Terrain::new(number);
         let heading = Stream::new(number, "heading", 0).between(-std::f64::consts::PI, std::f64::consts::PI);
         let fixtures = fixtures::build(&roads, &terrain, number);
-        Place {
+        Scenery {
             roads,
             terrain,
             fixtures,

@@ -7,12 +7,12 @@ mod walkers;
 mod zones;
 
 use lights::Lights;
-use vehicles::{Driven, Plan, drive};
+use vehicles::{Driven, TrafficPlan, drive};
 
 use crate::Scenario;
 use crate::bodies::Class;
 use crate::path::{Course, Pose2, State};
-use crate::place::{BAY, BAYS, Place};
+use crate::place::{BAY, BAYS, Scenery};
 use crate::random::Stream;
 use crate::solid::Solid;
 
@@ -43,13 +43,13 @@ pub(crate) struct Footing {
 
 impl User {
     /// The ground under the user at a state.
-    pub fn footing(&self, place: &Place, state: &State) -> Footing {
+    pub fn footing(&self, place: &Scenery, state: &State) -> Footing {
         footing(place, self.class, self.size, state.pose)
     }
 }
 
 /// Walkers stand upright on pavement and road; vehicles lie on the road's slope between their wheels.
-pub(crate) fn footing(place: &Place, class: Class, size: [f64; 3], pose: Pose2) -> Footing {
+pub(crate) fn footing(place: &Scenery, class: Class, size: [f64; 3], pose: Pose2) -> Footing {
     let Pose2 { x, y, heading } = pose;
     if class.walks() {
         return Footing {
@@ -70,7 +70,7 @@ pub(crate) fn footing(place: &Place, class: Class, size: [f64; 3], pose: Pose2) 
 
 /// What the traffic of a simulation depends on.
 pub(crate) struct Demand<'a> {
-    pub place: &'a Place,
+    pub place: &'a Scenery,
     pub seed: u64,
     pub dense: bool,
     /// Length of the log, s.
@@ -92,7 +92,7 @@ impl Traffic {
         let until = seconds + 0.5;
         let gap = gap(roads.scenario, dense);
         let (walkers, crossings) = walkers::walk(roads, &lights, seed, dense, until);
-        let plan = |seed: u64, until: f64, stay| Plan {
+        let plan = |seed: u64, until: f64, stay| TrafficPlan {
             network: &network,
             lights: &lights,
             crossings: &crossings,
@@ -161,7 +161,7 @@ fn over_before(course: &Course, t: f64) -> bool {
 
 /// Draws traffic until two of its cars make good cavs: both near the junction, in sight of each other and of the
 /// first roadside unit for most of the first ten seconds. Returns the traffic's own seed and the cars' numbers.
-fn choose_traffic(place: &Place, seed: u64, seconds: f64, run: impl Fn(u64, f64) -> Vec<Driven>) -> (u64, [u64; 2]) {
+fn choose_traffic(place: &Scenery, seed: u64, seconds: f64, run: impl Fn(u64, f64) -> Vec<Driven>) -> (u64, [u64; 2]) {
     const GOOD: f64 = 1.05;
     const ATTEMPTS: u64 = 10;
     let horizon = seconds.min(10.0);
@@ -181,7 +181,7 @@ fn choose_traffic(place: &Place, seed: u64, seconds: f64, run: impl Fn(u64, f64)
     (best.1, best.2)
 }
 
-fn best_pair(place: &Place, driven: &[Driven], horizon: f64) -> Option<(f64, [u64; 2])> {
+fn best_pair(place: &Scenery, driven: &[Driven], horizon: f64) -> Option<(f64, [u64; 2])> {
     let (rsu, _) = place.roadside(false);
     let times: Vec<f64> = (0..=20).map(|k| horizon * f64::from(k) / 20.0).collect();
     let track = |vehicle: &Driven| -> Option<Vec<[f64; 2]>> {
@@ -240,7 +240,7 @@ fn best_pair(place: &Place, driven: &[Driven], horizon: f64) -> Option<(f64, [u6
 }
 
 /// Cars and vans in the bays.
-fn parked(place: &Place, seed: u64, dense: bool) -> Vec<(Class, [f64; 3], Pose2)> {
+fn parked(place: &Scenery, seed: u64, dense: bool) -> Vec<(Class, [f64; 3], Pose2)> {
     let mut all = Vec::new();
     let share = match (place.roads.scenario, dense) {
         (_, false) => 0.25,

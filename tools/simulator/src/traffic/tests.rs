@@ -7,7 +7,7 @@ const SCENARIOS: [Scenario; 2] = [Scenario::Intersection, Scenario::Corridor];
 const SECONDS: f64 = 20.0;
 
 struct Sample {
-    place: Place,
+    place: Scenery,
     traffic: Traffic,
     seed: u64,
     dense: bool,
@@ -20,7 +20,7 @@ fn samples() -> &'static [Sample] {
         let mut all = Vec::new();
         for scenario in SCENARIOS {
             for seed in 0..4 {
-                let (place, dense) = (Place::new(scenario, seed), seed % 2 == 0);
+                let (place, dense) = (Scenery::new(scenario, seed), seed % 2 == 0);
                 let traffic = Traffic::new(&Demand {
                     place: &place,
                     seed,
@@ -39,7 +39,7 @@ fn samples() -> &'static [Sample] {
     })
 }
 
-fn for_each_traffic(check: impl Fn(&Place, &Traffic, u64)) {
+fn for_each_traffic(check: impl Fn(&Scenery, &Traffic, u64)) {
     samples()
         .iter()
         .for_each(|sample| check(&sample.place, &sample.traffic, sample.seed));
@@ -76,7 +76,7 @@ fn hardly_anybody_has_to_be_left_out_for_that() {
         let lights = Lights::new(place.roads.scenario, seed);
         let network = network::Network::new(&place.roads);
         let (walkers, crossings) = walkers::walk(&place.roads, &lights, seed, dense, 10.5);
-        let plan = Plan {
+        let plan = TrafficPlan {
             network: &network,
             lights: &lights,
             crossings: &crossings,
@@ -130,7 +130,7 @@ fn nobody_touches_what_stands_beside_the_road() {
 }
 
 /// Front of a vehicle as (arm, distance from the centre) while it comes in.
-fn coming_in(place: &Place, user: &User, state: &State) -> Option<(usize, f64)> {
+fn coming_in(place: &Scenery, user: &User, state: &State) -> Option<(usize, f64)> {
     let Pose2 { x, y, heading } = state.pose;
     let (sin, cos) = libm::sincos(heading);
     let (x, y) = (x + 0.5 * user.size[0] * cos, y + 0.5 * user.size[0] * sin);
@@ -264,7 +264,7 @@ fn cavs_come_by_two_arms_and_stay_near_each_other() {
 
 #[test]
 fn cavs_turn_round_and_stay_for_minutes() {
-    let place = Place::new(Scenario::Intersection, 5);
+    let place = Scenery::new(Scenario::Intersection, 5);
     let traffic = Traffic::new(&Demand {
         place: &place,
         seed: 5,

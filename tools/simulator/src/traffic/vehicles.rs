@@ -30,7 +30,7 @@ pub(crate) struct Crossing {
 }
 
 /// What the traffic is made of.
-pub(crate) struct Plan<'a> {
+pub(crate) struct TrafficPlan<'a> {
     pub network: &'a Network,
     pub lights: &'a Lights,
     pub crossings: &'a [Crossing],
@@ -91,7 +91,7 @@ impl Vehicle {
 }
 
 /// Simulates the traffic from `-WARM_UP` to `plan.until`.
-pub(crate) fn drive(plan: &Plan) -> Vec<Driven> {
+pub(crate) fn drive(plan: &TrafficPlan) -> Vec<Driven> {
     let mut traffic = Traffic::new(plan);
     let steps = ((plan.until + WARM_UP) / TICK).round() as i64;
     for step in 0..=steps {
@@ -120,7 +120,7 @@ fn finish(vehicle: Vehicle) -> Driven {
 }
 
 struct Traffic<'a> {
-    plan: &'a Plan<'a>,
+    plan: &'a TrafficPlan<'a>,
     vehicles: Vec<Vehicle>,
     left: Vec<Driven>,
     /// Next arrival on each lane, and the lane's draws.
@@ -129,7 +129,7 @@ struct Traffic<'a> {
 }
 
 impl<'a> Traffic<'a> {
-    fn new(plan: &'a Plan) -> Self {
+    fn new(plan: &'a TrafficPlan) -> Self {
         let mut traffic = Traffic {
             plan,
             vehicles: Vec::new(),
