@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use realo_schemas::PayloadType;
 use serde_yaml::Value;
 
-use super::check::check_tables;
 use super::expand::{is_detection, module_of};
 use super::{FlatGraph, Graph, GraphError, TYPE_PREFIX, read, validate};
 use realo_operator::Registry;
@@ -14,10 +13,9 @@ use realo_operator::Registry;
 /// Everything in which the graphs of a folder, its `types/realo/v1.yml` and the registered stages disagree.
 ///
 /// Empty if every graph expands and [`validate`] finds neither error nor warning nor foreign node, with each
-/// `modules/detect.*.yml` where it detects; if the types are the payload types; if every module is used; and if the
-/// tables of the checks name ports that exist.
+/// `modules/detect.*.yml` where it detects; if the types are the payload types; and if every module is used.
 pub fn audit(registry: &Registry, dataflows: &Path) -> Vec<String> {
-    let mut wrong = check_tables(registry);
+    let mut wrong = Vec::new();
     match graphs(dataflows) {
         Ok(files) if files.is_empty() => wrong.push(format!("{}: no graphs", dataflows.display())),
         Ok(files) => {

@@ -24,7 +24,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
 use realo_logs::{Log, LogError, Stream};
-use realo_operator::{Argument, Decided, Describe, Error, Port, PortId, Source};
+use realo_operator::{Argument, Decided, Describe, Error, Lane, Port, PortId, Source};
 use realo_schemas::{Message, Nanos, PayloadType, from_seconds};
 use serde::{Deserialize, Serialize};
 
@@ -204,25 +204,28 @@ impl Describe for Player {
     ];
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
-        Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps"),
-        Port::new("ego_poses", &[PayloadType::EgoState], "the ego's poses"),
+        Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps").of(Lane::Ego),
+        Port::new("ego_poses", &[PayloadType::EgoState], "the ego's poses").of(Lane::Ego),
         Port::new(
             "ego_recorded",
             &[PayloadType::Boxes],
             "detections recorded for the ego's sweeps",
-        ),
-        Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps"),
-        Port::new("poses", &[PayloadType::EgoState], "the collaborators' poses"),
+        )
+        .of(Lane::Ego),
+        Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps").of(Lane::Others),
+        Port::new("poses", &[PayloadType::EgoState], "the collaborators' poses").of(Lane::Others),
         Port::new(
             "recorded",
             &[PayloadType::Boxes],
             "detections recorded for the collaborators' sweeps",
-        ),
+        )
+        .of(Lane::Others),
         Port::new(
             "truth",
             &[PayloadType::GroundTruth],
             "ground truth for each of the ego's sweeps",
-        ),
+        )
+        .of(Lane::Ego),
     ];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Log, "log"),

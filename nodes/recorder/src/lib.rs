@@ -18,7 +18,7 @@ mod recording;
 
 use std::path::PathBuf;
 
-use realo_operator::{Argument, Books, Decided, Describe, Error, Port, PortId, Sink};
+use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink};
 use realo_schemas::report::Fated;
 use realo_schemas::{Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -69,16 +69,34 @@ impl Describe for Recorder {
         },
     ];
     const INPUTS: &'static [Port] = &[
-        Port::new("boxes", &[PayloadType::Boxes], "the final boxes").optional(),
-        Port::new("ego_boxes", &[PayloadType::Boxes], "what the ego detected alone").optional(),
-        Port::new("other_boxes", &[PayloadType::Boxes], "what the collaborators detected").optional(),
-        Port::new("ego_state", &[PayloadType::EgoState], "the ego's poses").optional(),
-        Port::new("states", &[PayloadType::EgoState], "the collaborators' poses").optional(),
-        Port::new("truth", &[PayloadType::GroundTruth], "ground truth").optional(),
+        Port::new("boxes", &[PayloadType::Boxes], "the final boxes")
+            .optional()
+            .of(Lane::Ego),
+        Port::new("ego_boxes", &[PayloadType::Boxes], "what the ego detected alone")
+            .optional()
+            .of(Lane::Ego),
+        Port::new("other_boxes", &[PayloadType::Boxes], "what the collaborators detected")
+            .optional()
+            .of(Lane::Others),
+        Port::new("ego_state", &[PayloadType::EgoState], "the ego's poses")
+            .optional()
+            .of(Lane::Ego),
+        Port::new("states", &[PayloadType::EgoState], "the collaborators' poses")
+            .optional()
+            .of(Lane::Others),
+        Port::new("truth", &[PayloadType::GroundTruth], "ground truth")
+            .optional()
+            .of(Lane::Ego),
         Port::new("packets", &[PayloadType::Packet], "what crossed the link").optional(),
-        Port::new("evaluation", &[PayloadType::Report], "the evaluator's report").optional(),
-        Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps").optional(),
-        Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps").optional(),
+        Port::new("evaluation", &[PayloadType::Report], "the evaluator's report")
+            .optional()
+            .of(Lane::Ego),
+        Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps")
+            .optional()
+            .of(Lane::Ego),
+        Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps")
+            .optional()
+            .of(Lane::Others),
     ];
     const OUTPUTS: &'static [Port] = &[];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Recording, "path")];

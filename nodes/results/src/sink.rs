@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use realo_operator::{Argument, Books, Decided, Describe, Error, Port, PortId, Sink, unexpected, wrong_port};
+use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink, unexpected, wrong_port};
 use realo_schemas::report::{Fated, from_report};
 use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
@@ -98,14 +98,20 @@ impl Describe for Results {
         },
     ];
     const INPUTS: &'static [Port] = &[
-        Port::new("boxes", &[PayloadType::Boxes], "the final boxes"),
-        Port::new("truth", &[PayloadType::GroundTruth], "one for every sweep of the ego").optional(),
+        Port::new("boxes", &[PayloadType::Boxes], "the final boxes")
+            .of(Lane::Ego)
+            .on_wire("the boxes that are scored"),
+        Port::new("truth", &[PayloadType::GroundTruth], "one for every sweep of the ego")
+            .optional()
+            .of(Lane::Ego)
+            .on_wire("the truth that is scored"),
         Port::new(
             "evaluation",
             &[PayloadType::Report],
             "topic `evaluation`, of the evaluator",
         )
-        .optional(),
+        .optional()
+        .of(Lane::Ego),
     ];
     const OUTPUTS: &'static [Port] = &[];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Out, "out"), (Decided::Told, "told")];

@@ -9,7 +9,9 @@
 #[cfg(test)]
 mod tests;
 
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{
+    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+};
 use realo_schemas::report::to_report;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, PayloadType};
 use realo_scoring::{Collector, EvaluationReport, Protocol, TOPIC};
@@ -55,12 +57,16 @@ impl Describe for Evaluator {
             "truth",
             &[PayloadType::GroundTruth],
             "one for every sweep of the ego, in its true body frame",
-        ),
+        )
+        .of(Lane::Ego)
+        .on_wire("the truth that is scored"),
         Port::new(
             "boxes",
             &[PayloadType::Boxes],
             "what was detected, in the ego's body frame",
-        ),
+        )
+        .of(Lane::Ego)
+        .on_wire("the boxes that are scored"),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new(
         "report",

@@ -1,6 +1,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{Header, Message, Name, Nanos, PayloadType, Selection};
 use serde::{Deserialize, Serialize};
 
@@ -93,14 +93,19 @@ impl Describe for FeatureBank {
         },
     ];
     const INPUTS: &'static [Port] = &[
-        Port::new("ego", FUSABLE, "what the ego says of itself; each message is a query").query(),
-        Port::new("others", FUSABLE, "what collaborators say").accounting(),
+        Port::new("ego", FUSABLE, "what the ego says of itself; each message is a query")
+            .query()
+            .of(Lane::Ego),
+        Port::new("others", FUSABLE, "what collaborators say")
+            .accounting()
+            .of(Lane::OthersReceived),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new(
         "selections",
         &[PayloadType::Selection],
         "one for each query, with the query's header",
-    )];
+    )
+    .of(Lane::Ego)];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Offline, "offline")];
 }
 

@@ -4,7 +4,7 @@
 //! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group ([`inputs`]), and the output [`FUSED`].
 
 use nalgebra::Isometry3;
-use realo_operator::{Error, Outputs, Port, PortId, unexpected};
+use realo_operator::{Error, Lane, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::relative;
 use realo_schemas::report::Fate;
 use realo_schemas::{Header, Message, Payload, PayloadType, Selection, UnexpectedPayload};
@@ -19,10 +19,14 @@ pub const FUSED: PortId = PortId(0);
 /// The inputs of a fusion of payloads of these types.
 pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
     [
-        Port::new("ego", types, "the ego's own").latest().joined("frame"),
+        Port::new("ego", types, "the ego's own")
+            .latest()
+            .joined("frame")
+            .of(Lane::Ego),
         Port::new("selections", &[PayloadType::Selection], "what the bank chose for it")
             .latest()
-            .joined("frame"),
+            .joined("frame")
+            .of(Lane::Ego),
     ]
 }
 

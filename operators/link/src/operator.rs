@@ -1,6 +1,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{
+    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+};
 use realo_schemas::report::{Fate, Traffic};
 use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -91,22 +93,32 @@ impl Describe for Link {
         },
     ];
     const INPUTS: &'static [Port] = &[
-        Port::new("ego_state", &[PayloadType::EgoState], "where the ego is").state(),
-        Port::new("states", &[PayloadType::EgoState], "where the others are").state(),
-        Port::new("ego", &[PayloadType::Packet], "what the ego sends").optional(),
-        Port::new("others", &[PayloadType::Packet], "what the others send").optional(),
+        Port::new("ego_state", &[PayloadType::EgoState], "where the ego is")
+            .state()
+            .of(Lane::Ego),
+        Port::new("states", &[PayloadType::EgoState], "where the others are")
+            .state()
+            .of(Lane::Others),
+        Port::new("ego", &[PayloadType::Packet], "what the ego sends")
+            .optional()
+            .of(Lane::Ego),
+        Port::new("others", &[PayloadType::Packet], "what the others send")
+            .optional()
+            .of(Lane::Others),
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::new(
             "to_ego",
             &[PayloadType::Packet],
             "the others' packets, delivered to the ego",
-        ),
+        )
+        .of(Lane::OthersReceived),
         Port::new(
             "to_others",
             &[PayloadType::Packet],
             "the ego's packets, a copy for each other agent that is known",
-        ),
+        )
+        .of(Lane::EgoReceived),
     ];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Ego, "ego"),

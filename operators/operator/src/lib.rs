@@ -15,6 +15,6 @@ mod run;
 
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
 pub use operator::{Argument, Decided, Describe, Error, Made, Operator, Outputs, Sink, Source, unexpected, wrong_port};
-pub use port::{Class, Port, PortId, Queue, WrongType};
+pub use port::{Class, Lane, Port, PortId, Queue, WrongType};
 pub use registry::{AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 pub use run::run;

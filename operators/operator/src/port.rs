@@ -1,3 +1,5 @@
+use std::fmt;
+
 use realo_schemas::{Message, Name, PayloadType};
 
 /// Index of a port in its operator's `INPUTS` or `OUTPUTS`.
@@ -27,6 +29,30 @@ pub enum Class {
     Data,
     /// Asks for what is there; sees everything that is ready at the same instant.
     Query,
+}
+
+/// Whose data a wire carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lane {
+    /// The ego's own.
+    Ego,
+    /// The other agents', where they are made.
+    Others,
+    /// The other agents', after a link brought it to the ego.
+    OthersReceived,
+    /// The ego's, after a link brought it to the others.
+    EgoReceived,
+}
+
+impl fmt::Display for Lane {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(match self {
+            Lane::Ego => "the ego's data",
+            Lane::Others => "the others' data",
+            Lane::OthersReceived => "the others' data, through a link",
+            Lane::EgoReceived => "the ego's data, through a link",
+        })
+    }
 }
 
 /// A message of a type that an input does not take.
@@ -69,6 +95,11 @@ pub struct Port {
     pub accounts: bool,
     /// An argument and its value with which a graph must wire an optional input.
     pub needed: Option<(&'static str, &'static str)>,
+    /// Whose data it carries, whatever the other ports do; of the others all inputs carry those of one lane, and so do
+    /// the outputs.
+    pub lane: Option<Lane>,
+    /// Inputs of a graph that say the same word here hang on one wire.
+    pub wire: Option<&'static str>,
 }
 
 impl Port {
@@ -84,6 +115,8 @@ impl Port {
             join: None,
             accounts: false,
             needed: None,
+            lane: None,
+            wire: None,
         }
     }
 
@@ -139,6 +172,18 @@ impl Port {
     pub const fn needed_when(mut self, argument: &'static str, value: &'static str) -> Self {
         self.required = false;
         self.needed = Some((argument, value));
+        self
+    }
+
+    /// Carries this lane, where lanes begin, meet or cross.
+    pub const fn of(mut self, lane: Lane) -> Self {
+        self.lane = Some(lane);
+        self
+    }
+
+    /// Hangs on the same wire as all inputs that say the same word.
+    pub const fn on_wire(mut self, word: &'static str) -> Self {
+        self.wire = Some(word);
         self
     }
 

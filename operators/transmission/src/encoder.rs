@@ -1,7 +1,9 @@
 use std::collections::BTreeMap;
 
 use arrow::buffer::Buffer;
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{
+    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+};
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
 use realo_schemas::{EgoState, Header, Message, Name, Packet, Payload, PayloadType, Pose};
@@ -83,7 +85,8 @@ impl Describe for TransmissionEncoder {
         Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
             .state()
             .accounting()
-            .needed_when("project", "sender"),
+            .needed_when("project", "sender")
+            .of(Lane::EgoReceived),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Project, "project")];

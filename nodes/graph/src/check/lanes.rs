@@ -1,123 +1,13 @@
-//! Whose data a wire carries, and where it may go.
+//! Whose data a wire carries, and where it may go, as ports declare it.
 
 use std::collections::BTreeMap;
-use std::fmt;
+
+use realo_operator::Lane::{Ego, EgoReceived, Others, OthersReceived};
+use realo_operator::{Class, Lane, Port, Registration};
+use realo_schemas::PayloadType;
 
 use super::{Findings, FlatGraph, FlatNode, Severity};
-use realo_operator::{Registration, Registry};
-
-/// Whose data a wire carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Lane {
-    /// The ego's own.
-    Ego,
-    /// The other agents', where they are made.
-    Others,
-    /// The other agents', after a link brought it to the ego.
-    OthersReceived,
-    /// The ego's, after a link brought it to the others.
-    EgoReceived,
-}
-use Lane::{Ego, EgoReceived, Others, OthersReceived};
-
-impl fmt::Display for Lane {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str(match self {
-            Ego => "the ego's data",
-            Others => "the others' data",
-            OthersReceived => "the others' data, through a link",
-            EgoReceived => "the ego's data, through a link",
-        })
-    }
-}
-
-/// Stands for every output.
-const ALL: &str = "*";
-
-/// What a stage demands of its inputs and makes of its outputs; ports that are not named are free and carry no lane.
-struct Rule {
-    /// Name of the operator or node; `x-*` stands for all that begin with `x-`.
-    stage: &'static str,
-    inputs: &'static [(&'static str, Lane)],
-    outputs: &'static [(&'static str, Lane)],
-}
-
-/// Stages where lanes begin, meet or cross. Any other stage takes one lane and passes it on.
-const RULES: &[Rule] = &[
-    Rule {
-        stage: "player",
-        inputs: &[],
-        outputs: &[
-            ("ego_clouds", Ego),
-            ("ego_poses", Ego),
-            ("ego_recorded", Ego),
-            ("truth", Ego),
-            ("clouds", Others),
-            ("poses", Others),
-            ("recorded", Others),
-        ],
-    },
-    Rule {
-        stage: "link",
-        inputs: &[("ego", Ego), ("others", Others), ("ego_state", Ego), ("states", Others)],
-        outputs: &[("to_ego", OthersReceived), ("to_others", EgoReceived)],
-    },
-    Rule {
-        stage: "feature-bank",
-        inputs: &[("ego", Ego), ("others", OthersReceived)],
-        outputs: &[("selections", Ego)],
-    },
-    Rule {
-        stage: "fusion-*",
-        inputs: &[("ego", Ego), ("selections", Ego)],
-        outputs: &[(ALL, Ego)],
-    },
-    Rule {
-        stage: "evaluator",
-        inputs: &[("truth", Ego), ("boxes", Ego)],
-        outputs: &[],
-    },
-    Rule {
-        stage: "results",
-        inputs: &[("boxes", Ego), ("truth", Ego)],
-        outputs: &[],
-    },
-    Rule {
-        stage: "recorder",
-        inputs: &[
-            ("boxes", Ego),
-            ("ego_boxes", Ego),
-            ("other_boxes", Others),
-            ("ego_state", Ego),
-            ("states", Others),
-            ("truth", Ego),
-            ("ego_clouds", Ego),
-            ("clouds", Others),
-        ],
-        outputs: &[],
-    },
-];
-
-/// Inputs that tell a stage of another lane than the one it works for: stage, port, lane.
-const ASIDE: &[(&str, &str, Lane)] = &[("transmission-encoder", "state", EgoReceived)];
-
-/// Pairs of inputs that must hang on the same wire: (stage, input) and (stage, input), and why.
-const SAME_WIRE: &[(&str, &str, &str, &str, &str)] = &[
-    (
-        "evaluator",
-        "boxes",
-        "results",
-        "boxes",
-        "the boxes that are scored are those that are kept",
-    ),
-    (
-        "evaluator",
-        "truth",
-        "results",
-        "truth",
-        "both speak of the same frames",
-    ),
-];
+use crate::flat::InputSource;
 
 /// Checks every wire of the graph against the rules.
 pub(super) fn check(
@@ -131,69 +21,39 @@ pub(super) fn check(
     let mut lanes: BTreeMap<(&str, &str), Lane> = BTreeMap::new();
     for index in order {
         let node = &graph.nodes[index];
-        let taken = node
-            .inputs
-            .iter()
-            .filter_map(|(port, input)| Some((port.as_str(), *lanes.get(&input.output()?)?)));
-        let mut taken: BTreeMap<&str, Lane> = taken.collect();
-        aside(node, stages[index], &mut taken, findings);
-        match rule_of(stages[index]) {
-            Some(rule) => {
-                demanded(node, rule, &taken, findings);
-                let given = |output: &str| rule.outputs.iter().find(|(port, _)| *port == ALL || *port == output);
-                let made = node
-                    .outputs
-                    .iter()
-                    .filter_map(|output| Some((output.as_str(), given(output)?.1)));
-                lanes.extend(made.map(|(output, lane)| ((node.id.as_str(), output), lane)));
+        let (mut free, mut demanded) = (BTreeMap::new(), Vec::new());
+        for (port, input) in &node.inputs {
+            let Some(found) = input.output().and_then(|output| lanes.get(&output)) else {
+                continue;
+            };
+            match stages[index].and_then(|stage| stage.input(port)?.1.lane) {
+                Some(lane) => {
+                    wrong_lane(node, port, lane, *found, findings);
+                    demanded.push(lane);
+                }
+                None => {
+                    free.insert(port.as_str(), *found);
+                }
             }
-            None => {
-                let Some(lane) = single(node, &taken, findings) else {
-                    continue;
-                };
-                lanes.extend(
-                    node.outputs
-                        .iter()
-                        .map(|output| ((node.id.as_str(), output.as_str()), lane)),
-                );
-            }
+        }
+        let works_for = if free.is_empty() {
+            demanded
+                .first()
+                .copied()
+                .filter(|first| demanded.iter().all(|lane| lane == first))
+        } else {
+            single(node, &free, findings)
+        };
+        for output in &node.outputs {
+            let made = stages[index].and_then(|stage| stage.output(output)?.1.lane);
+            lanes.extend(
+                made.or(works_for)
+                    .map(|lane| ((node.id.as_str(), output.as_str()), lane)),
+            );
         }
     }
     queries(graph, stages, findings);
     same_wires(graph, stages, findings);
-}
-
-fn rule_of(stage: Option<&'static Registration>) -> Option<&'static Rule> {
-    let name = stage?.name;
-    RULES.iter().find(|rule| match rule.stage.strip_suffix('*') {
-        Some(head) => name.starts_with(head),
-        None => name == rule.stage,
-    })
-}
-
-fn demanded(node: &FlatNode, rule: &Rule, taken: &BTreeMap<&str, Lane>, findings: &mut Findings) {
-    for (port, demanded) in rule.inputs {
-        if let Some(found) = taken.get(port) {
-            wrong_lane(node, port, *demanded, *found, findings);
-        }
-    }
-}
-
-/// Takes the ports beside a stage's lane out of `taken`, checked.
-fn aside(
-    node: &FlatNode,
-    stage: Option<&'static Registration>,
-    taken: &mut BTreeMap<&str, Lane>,
-    findings: &mut Findings,
-) {
-    let of_stage = ASIDE
-        .iter()
-        .filter(|(name, ..)| stage.is_some_and(|stage| stage.name == *name));
-    for (_, port, demanded) in of_stage {
-        if let Some(found) = taken.remove(port) {
-            wrong_lane(node, port, *demanded, found, findings);
-        }
-    }
 }
 
 fn wrong_lane(node: &FlatNode, port: &str, demanded: Lane, found: Lane, findings: &mut Findings) {
@@ -225,93 +85,59 @@ fn single(node: &FlatNode, taken: &BTreeMap<&str, Lane>, findings: &mut Findings
     None
 }
 
-/// A stage that takes a bank's selections must take as `ego` the messages that asked for them.
+/// A stage that takes selections must take, beside them, the messages that asked for them.
 fn queries(graph: &FlatGraph, stages: &[Option<&'static Registration>], findings: &mut Findings) {
-    for node in &graph.nodes {
-        let (Some(ego), Some(selections)) = (node.inputs.get("ego"), node.inputs.get("selections")) else {
-            continue;
-        };
-        let source = selections.output().map(|(source, _)| source);
-        let bank = graph.nodes.iter().zip(stages).find(|(bank, stage)| {
-            Some(bank.id.as_str()) == source && stage.is_some_and(|stage| stage.name == "feature-bank")
-        });
-        let Some((bank, query)) = bank.and_then(|(bank, _)| Some((bank, bank.inputs.get("ego")?))) else {
-            continue;
-        };
-        if query.source != ego.source {
-            let expected = format!("`{}`, which asks `{}` for the selections", query.source, bank.id);
-            let mend = "wire the same output to both: a selection answers one message, and only that one finds it";
-            findings.port(
-                Severity::Error,
-                node,
-                "ego",
-                expected,
-                format!("`{}`", ego.source),
-                mend,
-            );
-        }
-    }
-}
-
-fn same_wires(graph: &FlatGraph, stages: &[Option<&'static Registration>], findings: &mut Findings) {
-    let wires = |name: &'static str, port: &'static str| {
-        let named = graph
-            .nodes
-            .iter()
-            .zip(stages)
-            .filter(move |(_, stage)| stage.is_some_and(|stage| stage.name == name));
-        named.filter_map(move |(node, _)| Some((node, node.inputs.get(port)?)))
-    };
-    for (stage, port, other, other_port, why) in SAME_WIRE {
-        for (node, input) in wires(other, other_port) {
-            let Some((first, expected)) = wires(stage, port).next() else {
+    for (node, stage) in graph.nodes.iter().zip(stages) {
+        for (selections, asked) in stage.iter().flat_map(|stage| answered(stage.inputs)) {
+            let (Some(selections), Some(input)) = (node.inputs.get(selections), node.inputs.get(asked)) else {
                 continue;
             };
-            if expected.source != input.source {
-                let expected = format!("`{}`, as `{}` takes it", expected.source, first.id);
-                findings.port(
-                    Severity::Error,
-                    node,
-                    other_port,
-                    expected,
-                    format!("`{}`", input.source),
-                    *why,
-                );
+            let source = selections.output().map(|(source, _)| source);
+            let bank = graph
+                .nodes
+                .iter()
+                .zip(stages)
+                .find(|(bank, _)| Some(bank.id.as_str()) == source);
+            let query = bank.and_then(|(bank, stage)| {
+                let port = stage.as_ref()?.inputs.iter().find(|port| port.class == Class::Query)?;
+                Some((bank, bank.inputs.get(port.name)?))
+            });
+            if let Some((bank, query)) = query.filter(|(_, query)| query.source != input.source) {
+                let expected = format!("`{}`, which asks `{}` for the selections", query.source, bank.id);
+                let mend = "wire the same output to both: a selection answers one message, and only that one finds it";
+                let found = format!("`{}`", input.source);
+                findings.port(Severity::Error, node, asked, expected, found, mend);
             }
         }
     }
 }
 
-/// Ports that the tables name and the registry does not have; a table that speaks of nothing would check nothing.
-pub(crate) fn check_tables(registry: &Registry) -> Vec<String> {
-    let mut missing = Vec::new();
-    for (name, port, _) in ASIDE {
-        if !registry
-            .0
+/// Inputs that take selections, each with those that are joined with it.
+fn answered(inputs: &'static [Port]) -> impl Iterator<Item = (&'static str, &'static str)> {
+    let selections = inputs
+        .iter()
+        .filter(|port| port.types == [PayloadType::Selection] && port.join.is_some());
+    selections.flat_map(move |port| {
+        let partners = inputs
             .iter()
-            .any(|stage| stage.name == *name && stage.input(port).is_some())
-        {
-            missing.push(format!("lanes: no stage `{name}` with an input `{port}`"));
+            .filter(move |other| other.join == port.join && other.name != port.name);
+        partners.map(move |other| (port.name, other.name))
+    })
+}
+
+/// Inputs that say so hang on one wire.
+fn same_wires(graph: &FlatGraph, stages: &[Option<&'static Registration>], findings: &mut Findings) {
+    let mut first: BTreeMap<&str, (&FlatNode, &InputSource)> = BTreeMap::new();
+    for (node, stage) in graph.nodes.iter().zip(stages) {
+        let ports = stage.iter().flat_map(|stage| stage.inputs);
+        for (port, word, input) in ports.filter_map(|port| Some((port, port.wire?, node.inputs.get(port.name)?))) {
+            let (other, source) = *first.entry(word).or_insert((node, &input.source));
+            if *source != input.source {
+                let expected = format!("`{source}`, as `{}` takes it", other.id);
+                let found = format!("`{}`", input.source);
+                let mend = format!("wire both inputs to one output: they are {word}");
+                findings.port(Severity::Error, node, port.name, expected, found, mend);
+            }
         }
     }
-    for rule in RULES {
-        let stages: Vec<&Registration> = registry
-            .0
-            .iter()
-            .filter(|stage| rule_of(Some(stage)).is_some_and(|found| found.stage == rule.stage))
-            .collect();
-        if stages.is_empty() {
-            missing.push(format!("lanes: no stage `{}`", rule.stage));
-        }
-        for stage in stages {
-            let inputs = rule.inputs.iter().filter(|(port, _)| stage.input(port).is_none());
-            missing.extend(inputs.map(|(port, _)| format!("lanes: `{}` has no input `{port}`", stage.name)));
-            let outputs = rule
-                .outputs
-                .iter()
-                .filter(|(port, _)| *port != ALL && stage.output(port).is_none());
-            missing.extend(outputs.map(|(port, _)| format!("lanes: `{}` has no output `{port}`", stage.name)));
-        }
-    }
-    missing
 }

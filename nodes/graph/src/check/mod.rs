@@ -12,8 +12,6 @@ use serde_yaml::Value;
 use super::{FlatGraph, FlatNode};
 use realo_operator::{Registration, Registry, Role};
 
-pub(super) use lanes::check_tables;
-
 /// How much a finding matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {

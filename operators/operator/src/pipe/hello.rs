@@ -160,6 +160,8 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         join: port.words.join.as_deref().map(leaked),
         accounts: port.words.accounts,
         needed: None,
+        lane: None,
+        wire: None,
     });
     Box::leak(ports.collect())
 }
