@@ -3,10 +3,12 @@
 //! - [`Operator`], [`Source`], [`Sink`]: what a stage implements; [`Port`] its contract.
 //! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links.
 //! - [`Registration`]: an operator whose type is no longer known; [`Registry`] what a binary hosts.
+//! - [`file`]: reading what people write.
 //! - [`run`]: the whole `main` of a plug-in; [`pipe`] is what it speaks.
 
 mod books;
 pub mod config;
+pub mod file;
 mod operator;
 pub mod pipe;
 mod port;
