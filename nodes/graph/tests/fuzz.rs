@@ -2,6 +2,7 @@
 //! and neither more time nor more memory than their size allows.
 //!
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-graph --test fuzz` runs as many cases.
+#![allow(clippy::result_large_err)]
 
 #[path = "../../logs/tests/common/allocated.rs"]
 mod allocated;
