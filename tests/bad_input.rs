@@ -108,6 +108,48 @@ fn what_the_log_does_not_have_is_named_with_what_it_has() {
 }
 
 #[test]
+fn a_run_that_fails_before_its_first_message_leaves_no_folder_behind() {
+    let dir = folder("fails");
+    let file = |name: &str, text: &str| {
+        fs::write(dir.join(name), text).expect("the file can be written");
+        dir.join(name).to_string_lossy().into_owned()
+    };
+    let (log, compute) = (small(), file("compute.toml", "nobody = 5"));
+    let (log, broken) = (log.to_string_lossy(), file("broken.yml", "nodes: [{ id: a }]"));
+    let (late, none) = (graph("late_fusion"), graph("no_fusion"));
+    // A file of somebody else where the second graph's results would go.
+    fs::create_dir_all(dir.join("occupied/no_fusion")).expect("the folder can be made");
+    file("occupied/no_fusion/result.json", "{}");
+    let cases: [(&str, &[&str]); 5] = [
+        ("graph", &[&broken, "--log", &log]),
+        ("log", &[&late, "--log", "nowhere.mcap"]),
+        ("argument", &[&late, "--log", &log, "--set", "fusion.bank.window_ms=x"]),
+        // Found when folders are there already.
+        ("compute", &[&late, "--log", &log, "--compute", &compute]),
+        ("occupied", &[&late, &none, "--log", &log]),
+    ];
+    for (name, args) in cases {
+        let out = dir.join(name).to_string_lossy().into_owned();
+        let options = ["--mode", "virtual", "--recorded-detections", "--out", &out];
+        let output = realo([&["run"][..], args, &options].concat());
+        assert_eq!(output.status.code(), Some(1), "{name}: {}", text(&output.stderr));
+    }
+    let mut left: Vec<String> = fs::read_dir(&dir)
+        .expect("the folder is there")
+        .chain(fs::read_dir(dir.join("occupied")).expect("it was there before"))
+        .map(|entry| {
+            entry
+                .expect("it can be read")
+                .file_name()
+                .to_string_lossy()
+                .into_owned()
+        })
+        .collect();
+    left.sort();
+    assert_eq!(left, ["broken.yml", "compute.toml", "no_fusion", "occupied"]);
+}
+
+#[test]
 fn an_ego_without_collaborators_runs_alone_and_says_so() {
     let out = folder("alone");
     let (code, said) = run(&[

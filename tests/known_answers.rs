@@ -4,15 +4,15 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{counts, realo_ok, run_virtual, shared, simulated};
+use common::{counts, realo_ok, run_virtual, simulated};
 
-fn dair(test: &str) -> Option<PathBuf> {
-    imported(test, "start")
+fn dair() -> Option<PathBuf> {
+    imported("start")
 }
 
 /// The sample, with the roadside stamps taken as the start or the end of its sweeps.
-fn imported(test: &str, stamp: &str) -> Option<PathBuf> {
-    let data = shared(test)?.join("data/dair");
+fn imported(stamp: &str) -> Option<PathBuf> {
+    let data = skipped::shared("data/dair")?;
     Some(common::once(&format!("dair_{stamp}.mcap"), |path| {
         realo_ok([
             "import".as_ref(),
@@ -30,7 +30,7 @@ const DAIR_OFFLINE: [&str; 4] = ["--recorded-detections", "--offline", "--coop",
 
 #[test]
 fn dair_late_fusion_gives_the_known_counts() {
-    let Some(log) = dair("dair_late_fusion_gives_the_known_counts") else {
+    let Some(log) = dair() else {
         return;
     };
     let result = run_virtual("dair_late", "late_fusion", &log, &DAIR_OFFLINE);
@@ -61,7 +61,7 @@ fn dair_late_fusion_gives_the_known_counts() {
 
 #[test]
 fn dair_vehicle_alone_gives_the_known_counts() {
-    let Some(log) = dair("dair_vehicle_alone_gives_the_known_counts") else {
+    let Some(log) = dair() else {
         return;
     };
     let result = run_virtual("dair_alone", "no_fusion", &log, &DAIR_OFFLINE);
@@ -70,7 +70,7 @@ fn dair_vehicle_alone_gives_the_known_counts() {
 
 #[test]
 fn dair_roadside_alone_gives_the_known_counts() {
-    let Some(log) = dair("dair_roadside_alone_gives_the_known_counts") else {
+    let Some(log) = dair() else {
         return;
     };
     let args = [&DAIR_OFFLINE[..], &["--set", "fusion.fusion.ego_boxes=false"]].concat();
@@ -81,10 +81,7 @@ fn dair_roadside_alone_gives_the_known_counts() {
 #[test]
 fn dair_with_the_papers_latencies_depends_on_what_the_roadside_stamp_means() {
     for (stamp, known) in [("start", (126, 28, 171)), ("end", (169, 0, 171))] {
-        let Some(log) = imported(
-            "dair_with_the_papers_latencies_depends_on_what_the_roadside_stamp_means",
-            stamp,
-        ) else {
+        let Some(log) = imported(stamp) else {
             return;
         };
         let args = ["--recorded-detections", "--coop", "v2i", "--link", "paper"];

@@ -304,7 +304,7 @@ fn assert_alike(a: &Path, b: &Path) {
 
 #[test]
 fn a_python_fusion_runs_beside_shipped_operators_in_virtual_time() {
-    let Some(bin) = python::bin("a_python_fusion_runs_beside_shipped_operators_in_virtual_time") else {
+    let Some(bin) = python::bin() else {
         return;
     };
     let validate = ["validate".to_string(), example("python/late_python.yml")];
@@ -327,7 +327,7 @@ fn a_python_fusion_runs_beside_shipped_operators_in_virtual_time() {
 
 #[test]
 fn a_python_fusion_gives_the_same_boxes_on_dora() {
-    let Some(bin) = python::bin("a_python_fusion_gives_the_same_boxes_on_dora") else {
+    let Some(bin) = python::bin() else {
         return;
     };
     let _alone = alone();
@@ -337,7 +337,7 @@ fn a_python_fusion_gives_the_same_boxes_on_dora() {
 
 #[test]
 fn the_python_modules_own_tests_pass() {
-    let Some(bin) = python::bin("the_python_modules_own_tests_pass") else {
+    let Some(bin) = python::bin() else {
         return;
     };
     let tests = root().join("python/tests").to_string_lossy().into_owned();
@@ -366,7 +366,7 @@ fn the_guide_can_be_followed_in_rust() {
 
 #[test]
 fn the_guide_can_be_followed_in_python() {
-    let Some(bin) = python::bin("the_guide_can_be_followed_in_python") else {
+    let Some(bin) = python::bin() else {
         return;
     };
     let mine = guide::folder("guide_python", &["In Python"]);

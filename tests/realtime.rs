@@ -333,10 +333,10 @@ fn what_the_transport_does_to_messages_is_seen_and_counted() {
 #[test]
 fn repeated_messages_change_no_box() {
     let _alone = alone();
-    let dir = folder("shuffled");
+    let dir = folder("repeated");
     let log = spread();
     run_virtual(
-        "shuffled_virtual",
+        "repeated_virtual",
         "late_fusion",
         &log,
         &["--recorded-detections", "--ego", EGO],
@@ -348,7 +348,7 @@ fn repeated_messages_change_no_box() {
     let did = json(&report);
     assert!(did["repeated"].as_u64() > Some(0), "{did}");
     assert_eq!(result["transport"]["total_lost"], 0, "{}", result["transport"]);
-    let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("shuffled_virtual");
+    let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("repeated_virtual");
     assert!(
         frames(&out) == frames(&virtual_out),
         "the boxes of every frame are the same"

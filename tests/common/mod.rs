@@ -113,15 +113,6 @@ pub fn run_virtual_file(out: &str, graph: &str, log: &Path, args: &[&str]) -> Va
     json(&out.join("result.json"))
 }
 
-/// The folder of shared test data, if `REALO_SHARED` names one; says loudly that a test is skipped without it.
-pub fn shared(test: &str) -> Option<PathBuf> {
-    let shared = std::env::var_os("REALO_SHARED").map(PathBuf::from);
-    if shared.is_none() {
-        eprintln!("SKIPPED {test}: set REALO_SHARED to the folder with the DAIR sample and the conformance vectors");
-    }
-    shared
-}
-
 /// (true, false, total) of a class at an IoU in `accuracy.sorted`.
 pub fn counts(result: &Value, class: &str, iou: &str) -> (u64, u64, u64) {
     let counts = &result["accuracy"]["sorted"]["counts"][class][iou];

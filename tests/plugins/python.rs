@@ -7,8 +7,8 @@ use std::process::{Command, Output};
 use crate::build::workspace_target;
 use crate::common::{root, text};
 
-/// The folder of its programs. Installs it on first use; says loudly that a test is skipped if that fails.
-pub fn bin(test: &str) -> Option<PathBuf> {
+/// The folder of its programs. Installs it on first use; the running test is left out if that fails.
+pub fn bin() -> Option<PathBuf> {
     let target = workspace_target().join("plugins");
     let home = target.join("python");
     std::fs::create_dir_all(&target).expect("the folder can be made");
@@ -27,10 +27,10 @@ pub fn bin(test: &str) -> Option<PathBuf> {
         ];
         let said: Vec<String> = steps.into_iter().flatten().map(|output| text(&output.stderr)).collect();
         if !works() {
-            eprintln!(
-                "SKIPPED {test}: numpy and pyarrow cannot be installed: {}",
-                said.join("\n")
-            );
+            skipped::skip(&format!(
+                "Python 3 with numpy and pyarrow, which could not be installed: {}",
+                said.join(" ").trim().replace('\n', " ")
+            ));
             return None;
         }
     }

@@ -107,10 +107,7 @@ fn types(dataflows: &Path) -> Result<Vec<String>, GraphError> {
         .join(TYPE_PREFIX.trim_end_matches('/'))
         .with_extension("yml");
     let text = read::text_of(&file)?;
-    let document: Value = serde_yaml::from_str(&text).map_err(|error| GraphError::Yaml {
-        file: file.clone(),
-        reason: error.to_string(),
-    })?;
+    let document = read::document(&text, &file)?;
     let written = document.get("types").and_then(Value::as_mapping);
     let written: BTreeSet<&str> = written
         .into_iter()

@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use realo_schemas::file::shown;
 use serde_yaml::Value;
 
 use super::read::{self, Module, Node, Part};
@@ -74,7 +75,16 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
         open: Vec::new(),
         host: None,
         hosts: BTreeMap::new(),
+        size: Size::default(),
     };
+    for node in &graph.nodes {
+        let wrong = |reason| GraphError::Node {
+            file: graph.file.clone(),
+            node: node.id.clone(),
+            reason,
+        };
+        expansion.size.take(1, weight(node)).map_err(wrong)?;
+    }
     let (mut nodes, _) = expansion.level(graph.nodes.clone(), &root, &graph.file)?;
     if graph.detection.is_some() && expansion.swapped == 0 {
         return Err(GraphError::NoDetectModule {
@@ -111,6 +121,85 @@ struct Expansion<'a> {
     host: Option<String>,
     /// By process: where its outputs come from.
     hosts: BTreeMap<String, Outlets>,
+    size: Size,
+}
+
+/// Nodes that a graph may have with all its modules replaced: more than a machine runs processes and threads for.
+const MAX_NODES: usize = 1024;
+/// What their texts and the files of all modules may have, each as often as it is used, bytes.
+const MAX_TEXT: usize = 8 << 20;
+
+/// How large a graph has become: modules that use others twice make it twice as large with every one.
+#[derive(Default)]
+struct Size {
+    nodes: usize,
+    text: usize,
+}
+
+impl Size {
+    fn take(&mut self, nodes: usize, text: usize) -> Result<(), String> {
+        self.nodes += nodes;
+        self.text = self.text.saturating_add(text);
+        if self.nodes > MAX_NODES {
+            return Err(format!(
+                "expected at most {MAX_NODES} nodes in the graph with all its modules replaced, found more; \
+                 look for a module that is used again and again"
+            ));
+        }
+        if self.text > MAX_TEXT {
+            return Err(format!(
+                "expected at most {MAX_TEXT} bytes of text in the graph with all its modules replaced, found more; \
+                 look for a long text that goes into many nodes: `env`, `build`, `params`"
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Bytes of a node's texts.
+fn weight(node: &Node) -> usize {
+    let texts = |map: &BTreeMap<String, String>| map.iter().map(|(key, value)| key.len() + value.len()).sum::<usize>();
+    let optional = |text: &Option<String>| text.as_ref().map_or(0, String::len);
+    let inputs = node.inputs.iter().map(|(port, input)| {
+        let source = match &input.source {
+            InputSource::Output { node, output } => node.len() + output.len(),
+            InputSource::Builtin(source) => source.len(),
+        };
+        port.len() + source
+    });
+    let env = node.env.iter().map(|(name, value)| name.len() + weight_of(value));
+    node.id.len()
+        + [&node.path, &node.module, &node.args, &node.build]
+            .map(optional)
+            .iter()
+            .sum::<usize>()
+        + [&node.params, &node.input_types, &node.output_types]
+            .map(texts)
+            .iter()
+            .sum::<usize>()
+        + inputs.chain(env).sum::<usize>()
+        + node.outputs.iter().map(String::len).sum::<usize>()
+        + node.deploy.as_ref().map_or(0, weight_of)
+        + node
+            .other
+            .iter()
+            .map(|(key, value)| weight_of(key) + weight_of(value))
+            .sum::<usize>()
+}
+
+fn weight_of(value: &Value) -> usize {
+    match value {
+        Value::Null | Value::Bool(_) | Value::Number(_) => 1,
+        Value::String(text) => 1 + text.len(),
+        Value::Sequence(list) => 1 + list.iter().map(weight_of).sum::<usize>(),
+        Value::Mapping(map) => {
+            1 + map
+                .iter()
+                .map(|(key, value)| weight_of(key) + weight_of(value))
+                .sum::<usize>()
+        }
+        Value::Tagged(tagged) => 1 + weight_of(&tagged.value),
+    }
 }
 
 impl Expansion<'_> {
@@ -265,6 +354,7 @@ impl Expansion<'_> {
             return Err(wrong(format!("more than {MAX_DEPTH} modules within each other")));
         }
         let content = read::module(&place.canonical)?;
+        self.size.take(0, content.bytes).map_err(wrong)?;
         check_inputs(&content, outer).map_err(wrong)?;
         params::check_names(&outer.params).map_err(wrong)?;
         let declared = content.outputs.clone();
@@ -275,6 +365,7 @@ impl Expansion<'_> {
         self.open.pop();
         let (mut nodes, producers) = result?;
         if let Some(build) = &outer.build {
+            self.size.take(0, nodes.len() * build.len()).map_err(wrong)?;
             nodes.iter_mut().for_each(|node| prepend_build(node, build));
         }
         let outlets = outlets(&name, &declared, &producers).map_err(wrong)?;
@@ -282,7 +373,7 @@ impl Expansion<'_> {
     }
 
     /// The module's nodes as they stand in the outer graph, modules among them not yet replaced.
-    fn inner_nodes(&self, module: Module, outer: &Node, folder: &Path) -> Result<Vec<Node>, String> {
+    fn inner_nodes(&mut self, module: Module, outer: &Node, folder: &Path) -> Result<Vec<Node>, String> {
         let siblings: BTreeSet<String> = module.nodes.iter().map(|node| node.id.clone()).collect();
         let mut nodes = Vec::new();
         for mut node in module.nodes {
@@ -299,7 +390,11 @@ impl Expansion<'_> {
             for (name, value) in &outer.env {
                 node.env.entry(name.clone()).or_insert_with(|| value.clone());
             }
-            node.args = node.args.map(|args| params::substitute(&args, &outer.params));
+            node.args = node
+                .args
+                .map(|args| params::substitute(&args, &outer.params))
+                .transpose()
+                .map_err(|reason| format!("its node `{}`: {reason}", node.id))?;
             for (key, value) in &outer.params {
                 // dora sets the parameter as it is; in a file `$$` says so.
                 node.env.insert(
@@ -310,6 +405,7 @@ impl Expansion<'_> {
             if let Some(build) = &module.build {
                 prepend_build(&mut node, build);
             }
+            self.size.take(1, weight(&node))?;
             nodes.push(node);
         }
         Ok(nodes)
@@ -337,6 +433,14 @@ fn hosted_by(node: &Node, file: &Path) -> Result<Option<Hosted>, GraphError> {
         return Ok(None);
     }
     match words.next() {
+        Some(module) if module.len() > read::MAX_PATH => Err(GraphError::Node {
+            file: file.into(),
+            node: node.id.clone(),
+            reason: format!(
+                "expected the file of a module behind `host`, found `{}`",
+                shown(&module)
+            ),
+        }),
         Some(module) => Ok(Some(Hosted {
             module,
             settings: words.collect(),
@@ -360,17 +464,13 @@ pub(super) fn module_of(node: &Node, folder: &Path, graphs: &Path) -> Option<Pat
 /// Leaves out the stages that do nothing for this process: those that nobody feeds, and those of which nobody outside takes
 /// anything, directly or through others.
 fn leave_out(stages: &mut Vec<Node>, outlets: &Outlets) {
-    let source_of = |input: &Input| match &input.source {
-        InputSource::Output { node, .. } => Some(node.clone()),
-        InputSource::Builtin(_) => None,
-    };
     while let Some(at) = stages.iter().position(|stage| stage.starved) {
         let starved = stages.remove(at);
         for stage in stages.iter_mut() {
             let before = stage.inputs.len();
             stage
                 .inputs
-                .retain(|_, input| source_of(input).as_ref() != Some(&starved.id));
+                .retain(|_, input| input.output().is_none_or(|(node, _)| node != starved.id));
             stage.starved |= stage.inputs.len() < before && stage.inputs.is_empty();
         }
     }
@@ -380,7 +480,8 @@ fn leave_out(stages: &mut Vec<Node>, outlets: &Outlets) {
     let mut needed = BTreeSet::new();
     while let Some(id) = open.pop() {
         if let Some(stage) = stages.iter().find(|stage| stage.id == id && !needed.contains(&id)) {
-            open.extend(stage.inputs.values().filter_map(source_of));
+            let sources = stage.inputs.values().filter_map(Input::output);
+            open.extend(sources.map(|(node, _)| node.to_string()));
         }
         needed.insert(id);
     }
@@ -389,13 +490,12 @@ fn leave_out(stages: &mut Vec<Node>, outlets: &Outlets) {
 
 /// dora gives a process what its own inputs name and nothing else.
 fn past_the_module(host: &Node, stages: &[Node]) -> Result<(), String> {
+    let inside: BTreeSet<&str> = stages.iter().map(|stage| stage.id.as_str()).collect();
+    let wired: BTreeSet<&InputSource> = host.inputs.values().map(|wire| &wire.source).collect();
     for stage in stages {
         for (port, input) in &stage.inputs {
-            let InputSource::Output { node, .. } = &input.source else {
-                continue;
-            };
-            let inside = stages.iter().any(|known| known.id == *node);
-            if !inside && !host.inputs.values().any(|wire| wire.source == input.source) {
+            let Some((node, _)) = input.output() else { continue };
+            if !inside.contains(node) && !wired.contains(&input.source) {
                 return Err(format!(
                     "its stage `{}` takes `{}` for its input `{port}` past the module's inputs; give the module an input for it",
                     stage.id, input.source
@@ -408,7 +508,8 @@ fn past_the_module(host: &Node, stages: &[Node]) -> Result<(), String> {
 
 /// Changes an argument of a hosted stage: `inner.key=value`.
 fn set_inner(stages: &mut [Node], host: &str, setting: &str) -> Result<(), String> {
-    let wrong = || format!("setting `{setting}` is not of the form node.key=value");
+    let written = shown(setting);
+    let wrong = || format!("setting `{written}` is not of the form node.key=value");
     let (left, value) = setting.split_once('=').ok_or_else(wrong)?;
     let (inner, key) = left.rsplit_once('.').ok_or_else(wrong)?;
     let id = format!("{host}.{inner}");
@@ -420,7 +521,8 @@ fn set_inner(stages: &mut [Node], host: &str, setting: &str) -> Result<(), Strin
         let nearest = realo_operator::config::nearest_name(inner, known.iter().map(String::as_str));
         let hint = super::error::hint(&nearest);
         return Err(format!(
-            "setting `{setting}`: no stage `{inner}`{hint}; there are: {}",
+            "setting `{written}`: no stage `{}`{hint}; there are: {}",
+            shown(inner),
             known.join(", ")
         ));
     };

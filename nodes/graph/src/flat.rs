@@ -10,6 +10,7 @@ use super::read::{Node, Part};
 use super::{Graph, GraphError, OUTSIDE, paths};
 use realo_operator::config::nearest_name;
 use realo_operator::{Registration, Registry};
+use realo_schemas::file::shown;
 
 /// A graph without modules.
 #[derive(Clone, Debug, PartialEq)]
@@ -163,7 +164,7 @@ impl FlatNode {
             reason,
         };
         let text = node.args.as_deref().unwrap_or_default();
-        let args = shlex::split(text).ok_or_else(|| wrong(format!("args `{text}`: a quote is not closed")))?;
+        let args = shlex::split(text).ok_or_else(|| wrong(format!("args `{}`: a quote is not closed", shown(text))))?;
         let path = paths::of_node(node.path.as_deref().unwrap_or_default(), root);
         let mut other = node.other;
         let build = node.build.map(Value::String);

@@ -32,6 +32,7 @@ pub use check::{Answer, Finding, Severity, misdeclared, validate, validate_askin
 pub use error::GraphError;
 pub use expand::{OUTSIDE, hosted};
 pub use flat::{FlatGraph, FlatNode, Input, InputSource, Setting};
+pub use paths::normalized;
 
 /// Prefix of our types in graphs, as dora derives it from the place of `types/realo/v1.yml`.
 pub const TYPE_PREFIX: &str = "realo/v1/";

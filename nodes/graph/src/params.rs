@@ -2,9 +2,15 @@
 
 use std::collections::BTreeMap;
 
+/// Bytes of a command line: more than systems take.
+const MAX_ARGS: usize = 1 << 20;
+
 /// Replaces `$PARAM_KEY` (the longest name wins) and `${_param.key}`, once, from left to right; what no parameter
 /// names stays as it is.
-pub(super) fn substitute(text: &str, params: &BTreeMap<String, String>) -> String {
+///
+/// # Errors
+/// What would become longer than any file.
+pub(super) fn substitute(text: &str, params: &BTreeMap<String, String>) -> Result<String, String> {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
     while let Some(start) = rest.find('$') {
@@ -13,8 +19,13 @@ pub(super) fn substitute(text: &str, params: &BTreeMap<String, String>) -> Strin
         let (token, value) = token(rest, params);
         out.push_str(value.unwrap_or(token));
         rest = &rest[token.len()..];
+        if out.len() > MAX_ARGS {
+            return Err(format!(
+                "`args`: expected at most {MAX_ARGS} bytes with the parameters in it, found more"
+            ));
+        }
     }
-    out + rest
+    Ok(out + rest)
 }
 
 /// The token at the head of `text`, and its value if a parameter has it.
@@ -73,8 +84,18 @@ mod tests {
             ("$$PARAM_A $ ${HOME} ü$PARAM_A", "$1 $ ${HOME} ü1"),
         ];
         for (text, expected) in cases {
-            assert_eq!(substitute(text, &params), expected, "{text}");
+            assert_eq!(substitute(text, &params).as_deref(), Ok(expected), "{text}");
         }
+    }
+
+    #[test]
+    fn refuses_what_parameters_make_too_long() {
+        let params = [("a".to_string(), "x".repeat(10_000))].into();
+        assert!(
+            substitute(&"$PARAM_A".repeat(10_000), &params)
+                .unwrap_err()
+                .contains("1048576 bytes")
+        );
     }
 
     #[test]

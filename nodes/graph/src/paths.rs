@@ -11,8 +11,8 @@ pub(super) fn absolute(path: &Path) -> Result<PathBuf, GraphError> {
         .map_err(GraphError::read(path))
 }
 
-/// The path without `.` and `..`, resolved by name alone, as dora does.
-pub(super) fn normalized(path: &Path) -> PathBuf {
+/// The path without `.` and `..`, resolved by name alone (no link is followed), as dora does.
+pub fn normalized(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for component in path.components() {
         match component {

@@ -6,7 +6,9 @@ use std::path::Path;
 use serde_yaml::{Mapping, Value};
 
 use super::GraphError;
+use super::read::{MAX_ENTRIES, MAX_NAME, MAX_PATH};
 use realo_operator::config::nearest_name;
+use realo_schemas::file::shown;
 
 /// A place in a file, for messages.
 pub(super) struct Place<'a> {
@@ -25,7 +27,7 @@ impl<'a> Place<'a> {
     pub(super) fn under(&self, key: &str) -> Place<'a> {
         Place {
             file: self.file,
-            at: format!("{}, {key}", self.at),
+            at: format!("{}, {}", self.at, shown(key)),
         }
     }
 
@@ -51,7 +53,7 @@ impl<'a> Place<'a> {
             .keys()
             .find(|key| !key.as_str().is_some_and(|key| known.contains(&key)));
         let Some(key) = unknown else { return Ok(()) };
-        let key = key.as_str().map_or_else(|| describe(key), str::to_string);
+        let key = key.as_str().map_or_else(|| describe(key), shown);
         Err(GraphError::Key {
             file: self.file.into(),
             at: self.at.clone(),
@@ -63,12 +65,38 @@ impl<'a> Place<'a> {
 
     pub(super) fn entries<'v>(&self, value: Option<&'v Value>) -> Result<Vec<(&'v str, &'v Value)>, GraphError> {
         let Some(value) = value else { return Ok(Vec::new()) };
-        let entries = self.mapping(value)?.iter();
+        let entries = self.mapping(value)?;
+        self.few(entries.len())?;
+        let entries = entries.iter();
         let named = entries.map(|(key, value)| match key.as_str() {
-            Some(key) => Ok((key, value)),
+            Some(key) => self.short(key, MAX_NAME).map(|()| (key, value)),
             None => Err(self.expected("a name", key)),
         });
         named.collect()
+    }
+
+    fn few(&self, count: usize) -> Result<(), GraphError> {
+        match count > MAX_ENTRIES {
+            true => Err(self.wrong(&format!("at most {MAX_ENTRIES} entries"), format!("{count}"))),
+            false => Ok(()),
+        }
+    }
+
+    fn short(&self, text: &str, most: usize) -> Result<(), GraphError> {
+        match text.len() > most {
+            true => Err(self.wrong(&format!("at most {most} bytes"), format!("`{}`", shown(text)))),
+            false => Ok(()),
+        }
+    }
+
+    pub(super) fn name(&self, value: &Value) -> Result<String, GraphError> {
+        let name = self.text(value)?;
+        self.short(&name, MAX_NAME).map(|()| name)
+    }
+
+    pub(super) fn optional_path(&self, value: Option<&Value>) -> Result<Option<String>, GraphError> {
+        let path = self.optional_text(value)?;
+        self.short(path.as_deref().unwrap_or_default(), MAX_PATH).map(|()| path)
     }
 
     pub(super) fn text(&self, value: &Value) -> Result<String, GraphError> {
@@ -94,11 +122,12 @@ impl<'a> Place<'a> {
         let list = value
             .as_sequence()
             .ok_or_else(|| self.expected("a list of names", value))?;
+        self.few(list.len())?;
         let mut names = BTreeSet::new();
         for item in list {
-            let name = self.text(item)?;
+            let name = self.name(item)?;
             if !names.insert(name.clone()) {
-                return Err(self.wrong("each name once", format!("`{name}` twice")));
+                return Err(self.wrong("each name once", format!("`{}` twice", shown(&name))));
             }
         }
         Ok(names)
@@ -110,9 +139,9 @@ fn describe(value: &Value) -> String {
         Value::Null => "nothing".into(),
         Value::Bool(b) => format!("`{b}`"),
         Value::Number(n) => format!("the number {n}"),
-        Value::String(s) => format!("`{s}`"),
+        Value::String(s) => format!("`{}`", shown(s)),
         Value::Sequence(_) => "a list".into(),
         Value::Mapping(_) => "a mapping".into(),
-        Value::Tagged(tagged) => format!("a value tagged {}", tagged.tag),
+        Value::Tagged(tagged) => format!("a value tagged {}", shown(&tagged.tag.to_string())),
     }
 }

@@ -1,16 +1,23 @@
 //! YAML of dataflows and modules as typed values; stricter than dora, which overlooks unknown keys of inputs.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
 use std::path::Path;
 
 use serde_yaml::{Mapping, Value};
 
+use realo_schemas::file::shown;
+
 use super::place::Place;
 use super::{GraphError, Input, InputSource};
 
-/// dora's limit for a module file.
-const MAX_BYTES: u64 = 1 << 20;
+/// Inputs and the like that a node may have, and items that any other list or mapping may have.
+pub(super) const MAX_ENTRIES: usize = 1000;
+
+/// Bytes of a name: dora makes names of files of some.
+pub(super) const MAX_NAME: usize = 200;
+
+/// Bytes of a path: more than systems take.
+pub(super) const MAX_PATH: usize = 4096;
 
 const DATAFLOW_KEYS: &[&str] = &[
     "nodes",
@@ -73,6 +80,9 @@ const MODULE_NODE_KEYS: &[&str] = &[
 /// Keys of node kinds that dora has and we do not read.
 const OTHER_KINDS: &[&str] = &["operator", "operators", "ros2", "hub", "git", "branch", "tag", "rev"];
 
+/// Longest time, s: a thousand years; more is no duration to dora.
+const MAX_SECONDS: f64 = 3.2e10;
+
 const INPUT_KEYS: &[&str] = &["source", "queue_size", "queue_policy", "input_timeout"];
 
 /// What a node is to the processes of its graph.
@@ -119,24 +129,14 @@ pub(super) struct Module {
     pub inputs_optional: BTreeSet<String>,
     pub outputs: BTreeSet<String>,
     pub build: Option<String>,
+    /// Length of the file.
+    pub bytes: usize,
     pub nodes: Vec<Node>,
 }
 
 /// Reads a file of bounded size.
 pub(super) fn text_of(file: &Path) -> Result<String, GraphError> {
-    let mut bytes = Vec::new();
-    let open = std::fs::File::open(file).map_err(GraphError::read(file))?;
-    open.take(MAX_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(GraphError::read(file))?;
-    let wrong = |reason: String| GraphError::Yaml {
-        file: file.into(),
-        reason,
-    };
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(wrong(format!("it has more than {MAX_BYTES} bytes")));
-    }
-    String::from_utf8(bytes).map_err(|error| wrong(error.to_string()))
+    realo_schemas::file::read(file).map_err(GraphError::read(file))
 }
 
 /// The keys of a dataflow besides `nodes`, and its nodes.
@@ -153,7 +153,11 @@ pub(super) fn dataflow(text: &str, file: &Path) -> Result<(Mapping, Vec<Node>), 
 /// A module file's content.
 pub(super) fn module(file: &Path) -> Result<Module, GraphError> {
     let place = Place::new(file, "the module");
-    let value = document(&text_of(file)?, file)?;
+    if file.exists() && !file.is_file() {
+        return Err(place.wrong("a module's file", "a folder or a device; name a .yml file".into()));
+    }
+    let text = text_of(file)?;
+    let value = document(&text, file)?;
     let top = place.mapping(&value)?;
     place.known_keys(top, &["module", "nodes", "build"])?;
     let place = place.under("module");
@@ -164,11 +168,12 @@ pub(super) fn module(file: &Path) -> Result<Module, GraphError> {
         None => Ok(BTreeSet::new()),
     };
     let module = Module {
-        name: place.under("name").text(header.get("name").unwrap_or(&Value::Null))?,
+        name: place.under("name").name(header.get("name").unwrap_or(&Value::Null))?,
         inputs: ports("inputs")?,
         inputs_optional: ports("inputs_optional")?,
         outputs: ports("outputs")?,
         build: place.under("build").optional_text(top.get("build"))?,
+        bytes: text.len(),
         nodes: read_nodes(
             &Place::new(file, "the module"),
             top.get("nodes").unwrap_or(&Value::Null),
@@ -183,10 +188,10 @@ pub(super) fn module(file: &Path) -> Result<Module, GraphError> {
     }
 }
 
-fn document(text: &str, file: &Path) -> Result<Value, GraphError> {
-    serde_yaml::from_str(text).map_err(|error| GraphError::Yaml {
+pub(super) fn document(text: &str, file: &Path) -> Result<Value, GraphError> {
+    realo_schemas::file::yaml(text).map_err(|reason| GraphError::Yaml {
         file: file.into(),
-        reason: error.to_string(),
+        reason,
     })
 }
 
@@ -206,7 +211,7 @@ fn read_node(place: &Place, index: usize, value: &Value) -> Result<Node, GraphEr
     let place = place.under(&format!("{index}"));
     let keys = place.mapping(value)?;
     let id = place.under("id").text(keys.get("id").unwrap_or(&Value::Null))?;
-    let place = Place::new(place.file, &format!("node `{id}`"));
+    let place = Place::new(place.file, &format!("node `{}`", shown(&id)));
     check_id(&place, &id)?;
     let given = |key: &str| keys.get(key).filter(|value| !value.is_null());
     if let Some(kind) = OTHER_KINDS.iter().find(|kind| given(kind).is_some()) {
@@ -215,9 +220,9 @@ fn read_node(place: &Place, index: usize, value: &Value) -> Result<Node, GraphEr
             format!("a dora node of kind `{kind}`"),
         ));
     }
-    let module = place.under("module").optional_text(given("module"))?;
+    let module = place.under("module").optional_path(given("module"))?;
     place.known_keys(keys, if module.is_some() { MODULE_NODE_KEYS } else { NODE_KEYS })?;
-    let path = place.under("path").optional_text(given("path"))?;
+    let path = place.under("path").optional_path(given("path"))?;
     if path.is_none() && module.is_none() {
         return Err(place.wrong("a `path` or a `module`", "neither".into()));
     }
@@ -264,13 +269,14 @@ fn read_node(place: &Place, index: usize, value: &Value) -> Result<Node, GraphEr
 /// dora's rule for node ids.
 fn check_id(place: &Place, id: &str) -> Result<(), GraphError> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
-    let fits = !id.is_empty() && !id.starts_with('.') && id != "dora" && id.chars().all(allowed);
+    let fits =
+        !id.is_empty() && id.len() <= MAX_NAME && !id.starts_with('.') && id != "dora" && id.chars().all(allowed);
     if fits {
         return Ok(());
     }
     Err(place.under("id").wrong(
-        "letters, digits, `_`, `-`, `.`, no `.` at the head, not `dora`",
-        format!("`{id}`"),
+        "at most 200 letters, digits, `_`, `-`, `.`, no `.` at the head, not `dora`",
+        format!("`{}`", shown(id)),
     ))
 }
 
@@ -304,8 +310,9 @@ fn read_input(place: &Place, value: &Value) -> Result<Input, GraphError> {
     let queue_size = given("queue_size")
         .map(|v| v.as_u64().ok_or_else(|| number("queue_size", v)))
         .transpose()?;
+    let seconds = |value: &Value| value.as_f64().filter(|seconds| (0.0..=MAX_SECONDS).contains(seconds));
     let timeout = given("input_timeout")
-        .map(|v| v.as_f64().ok_or_else(|| number("input_timeout", v)))
+        .map(|v| seconds(v).ok_or_else(|| number("input_timeout", v)))
         .transpose()?;
     let queue_policy = place.under("queue_policy").optional_text(given("queue_policy"))?;
     if let Some(policy) = queue_policy
@@ -314,7 +321,7 @@ fn read_input(place: &Place, value: &Value) -> Result<Input, GraphError> {
     {
         return Err(place
             .under("queue_policy")
-            .wrong("`drop_oldest` or `backpressure`", format!("`{policy}`")));
+            .wrong("`drop_oldest` or `backpressure`", format!("`{}`", shown(policy))));
     }
     Ok(Input {
         queue_size,
@@ -325,13 +332,13 @@ fn read_input(place: &Place, value: &Value) -> Result<Input, GraphError> {
 }
 
 fn read_source(place: &Place, text: &str) -> Result<InputSource, GraphError> {
-    let wrong = || place.wrong("`node/output`", format!("`{text}`"));
+    let wrong = || place.wrong("`node/output`", format!("`{}`", shown(text)));
     let (node, output) = text.split_once('/').ok_or_else(wrong)?;
     let empty_part = output.split('/').any(str::is_empty);
-    if node == "dora" {
+    if node == "dora" && text.len() <= 2 * MAX_NAME {
         return Ok(InputSource::Builtin(text.to_string()));
     }
-    if node.is_empty() || empty_part {
+    if node.is_empty() || empty_part || text.len() > 2 * MAX_NAME {
         return Err(wrong());
     }
     Ok(InputSource::Output {

@@ -563,15 +563,11 @@ fn forged_structure_is_an_answer_or_an_error() {
 
 #[test]
 fn damaged_files_of_others_are_answers_or_errors() {
-    let Some(shared) = std::env::var_os("REALO_SHARED").map(PathBuf::from) else {
-        let _ = writeln!(
-            std::io::stderr(),
-            "SKIPPED: set REALO_SHARED to the folder that holds data/mcap-conformance"
-        );
+    let Some(shared) = skipped::shared("data/mcap-conformance") else {
         return;
     };
     let mut files = Vec::new();
-    for folder in fs::read_dir(shared.join("data/mcap-conformance")).unwrap() {
+    for folder in fs::read_dir(shared).unwrap() {
         let Ok(entries) = fs::read_dir(folder.unwrap().path()) else {
             continue;
         };

@@ -66,7 +66,7 @@ print(json.dumps({"profile": header.profile, "metadata": metadata, "counts": cou
 #[test]
 fn python_decodes_every_topic() {
     let Some(python) = python() else {
-        common::skipped("SKIPPED: no Python 3 with `mcap` and `mcap-ros2-support` (pip could not install them)");
+        skipped::skip("Python 3 with `mcap` and `mcap-ros2-support`, which pip could not install");
         return;
     };
     let dir = tempfile::tempdir().unwrap();

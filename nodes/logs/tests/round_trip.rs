@@ -430,14 +430,6 @@ fn a_wrong_index_is_not_believed_and_nothing_is_missing() {
     }
 }
 
-fn shared() -> Option<std::path::PathBuf> {
-    let shared = std::env::var_os("REALO_SHARED").map(std::path::PathBuf::from);
-    if shared.is_none() {
-        common::skipped("SKIPPED: set REALO_SHARED to the folder that holds data/mcap-conformance and data/rosbag2");
-    }
-    shared
-}
-
 fn files_below(dir: &Path, ends: &str, found: &mut Vec<std::path::PathBuf>) {
     for entry in fs::read_dir(dir).unwrap() {
         let path = entry.unwrap().path();
@@ -452,9 +444,11 @@ fn files_below(dir: &Path, ends: &str, found: &mut Vec<std::path::PathBuf>) {
 
 #[test]
 fn reads_the_conformance_files_of_mcap() {
-    let Some(shared) = shared() else { return };
+    let Some(shared) = skipped::shared("data/mcap-conformance") else {
+        return;
+    };
     let mut files = Vec::new();
-    files_below(&shared.join("data/mcap-conformance"), ".mcap", &mut files);
+    files_below(&shared, ".mcap", &mut files);
     assert!(files.len() > 100);
     for path in files {
         let expected: serde_json::Value =
@@ -476,9 +470,11 @@ fn reads_the_conformance_files_of_mcap() {
 
 #[test]
 fn reads_rosbag2_files_and_says_that_they_are_no_logs() {
-    let Some(shared) = shared() else { return };
+    let Some(shared) = skipped::shared("data/rosbag2/mcap") else {
+        return;
+    };
     let mut files = Vec::new();
-    files_below(&shared.join("data/rosbag2/mcap"), ".mcap", &mut files);
+    files_below(&shared, ".mcap", &mut files);
     let mut counts = BTreeMap::new();
     for path in files {
         let file = McapFile::open(&path).unwrap_or_else(|error| panic!("{error}"));

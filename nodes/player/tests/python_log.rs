@@ -1,6 +1,5 @@
 //! A log that `python/realo_log.py` wrote from numpy arrays is read, described and played as one of ours.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -60,10 +59,7 @@ except ValueError as error:
 #[test]
 fn a_log_from_numpy_arrays_is_read_and_played() {
     let Some(python) = python() else {
-        let _ = writeln!(
-            std::io::stderr(),
-            "SKIPPED: no Python 3 with numpy, and pip could not install it: python/realo_log.py is not tested"
-        );
+        skipped::skip("Python 3 with numpy, which pip could not install");
         return;
     };
     let dir = tempfile::tempdir().unwrap();

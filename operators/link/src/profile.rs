@@ -5,6 +5,7 @@ use std::path::Path;
 
 use realo_operator::config::nearest_name;
 use realo_schemas::Kind;
+use realo_schemas::file;
 use serde::Deserialize;
 
 /// Profiles that need no file: name and text.
@@ -130,7 +131,7 @@ impl Profile {
                 });
             }
         };
-        let read = std::fs::read_to_string(name);
+        let read = file::read(Path::new(name));
         parse(
             name,
             &read.map_err(|reason| ProfileError::Read {
@@ -141,12 +142,12 @@ impl Profile {
     }
 
     fn from_toml(path: &str, text: &str) -> Result<Self, ProfileError> {
-        let profile = toml::from_str(text).map_err(|error| error.to_string());
+        let profile = toml::from_str(text).map_err(|error| file::shown(&error.to_string()));
         Profile::checked(path, profile)
     }
 
     fn from_yaml(path: &str, text: &str) -> Result<Self, ProfileError> {
-        let profile = serde_yaml::from_str(text).map_err(|error| error.to_string());
+        let profile = file::yaml(text);
         Profile::checked(path, profile)
     }
 

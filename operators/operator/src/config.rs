@@ -41,10 +41,15 @@ fn did_you_mean(name: &Option<String>) -> String {
         .unwrap_or_default()
 }
 
+/// Names that are longer are like no other.
+const LONGEST: usize = 64;
+
 /// The known name that is most like `name`, if one is near enough to be a slip.
 pub fn nearest_name<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+    let is_short = |name: &str| name.len() <= LONGEST;
     known
         .into_iter()
+        .filter(|candidate| is_short(name) && is_short(candidate))
         .map(|candidate| (strsim::damerau_levenshtein(name, candidate), candidate))
         .filter(|(distance, candidate)| *distance <= 1 + candidate.len().max(name.len()) / 3)
         .min()
@@ -113,7 +118,7 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
 }
 
 fn read_yaml(text: &str) -> Result<Value, String> {
-    serde_yaml::from_str(text).map_err(|error| error.to_string())
+    realo_schemas::file::yaml(text)
 }
 
 #[cfg(test)]

@@ -1,5 +1,8 @@
 //! What a program sends is checked before it is used: no bytes panic, and none make the host take much memory.
 
+#[path = "common/replies.rs"]
+mod replies;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -7,8 +10,8 @@ use arrow_buffer::Buffer;
 use realo_operator::pipe::words::{Call, Reply, Told};
 use realo_operator::pipe::{frame, hello, is_reading};
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, Registration};
-use realo_schemas::report::{Crossing, Fate, Fated};
-use realo_schemas::{Box3, Boxes, Header, Kind, Message, PayloadType, PointCloud, Selection};
+use realo_schemas::{Message, PayloadType};
+use replies::{boxes, reply, whole};
 
 /// Changed frames of each sort.
 const CASES: usize = 4000;
@@ -119,68 +122,6 @@ fn changed(bytes: &[u8], draw: &mut Draw) -> Vec<u8> {
     bytes
 }
 
-fn boxes(agent: &str, n: usize) -> Message {
-    let object = Box3 {
-        center: [1.0, -2.0, 0.5],
-        length: 4.5,
-        width: 1.9,
-        height: 1.6,
-        yaw: 0.3,
-        velocity: Some([1.0, 0.0, 0.0]),
-        class: "Car".into(),
-        score: 0.7,
-        track: Some(3),
-        covariance: None,
-    };
-    let header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, 3, 50, 80);
-    Message::new(header, Boxes(vec![object; n]))
-}
-
-fn reply() -> Reply {
-    let entries = vec![boxes("cav2", 2), boxes("rsu1", 0)];
-    let selection = Message::new(boxes("cav1", 0).header, Selection { query: 3, entries });
-    let cloud = PointCloud::new(
-        vec![1.0; 9],
-        vec![2.0; 9],
-        vec![3.0; 9],
-        vec![4; 9],
-        vec![5; 9],
-        vec![6; 9],
-    );
-    let cloud = Message::new(
-        boxes("cav1", 0).header,
-        cloud.expect("the columns are as long as each other"),
-    );
-    Reply {
-        error: Some("no pose".into()),
-        sent: vec![
-            ("boxes".into(), boxes("cav1", 3)),
-            ("a".into(), selection),
-            ("b".into(), cloud),
-        ],
-        wakes: vec![-5, 7],
-        counts: vec![("low".into(), 9)],
-        told: Told {
-            fates: vec![Fated {
-                message: Crossing {
-                    from: "rsu1".into(),
-                    to: "cav1".into(),
-                    kind: Kind::Boxes,
-                    seq: 3,
-                },
-                fate: Fate::Rejected,
-                r#use: None,
-            }],
-            traffic: vec![],
-        },
-    }
-}
-
-fn whole(parts: Result<Vec<Buffer>, String>) -> Vec<u8> {
-    let parts = parts.expect("it can be written");
-    parts.iter().flat_map(|part| part.to_vec()).collect()
-}
-
 #[test]
 fn changed_frames_are_errors_and_cost_little() {
     let print = std::panic::take_hook();
@@ -198,7 +139,7 @@ fn changed_frames_are_errors_and_cost_little() {
         ("hello", whole(hello::write(registration, true)), |bytes| {
             hello::read(bytes).is_ok()
         }),
-        ("reply", whole(reply().to_parts()), |bytes| {
+        ("reply", whole(reply(9).to_parts()), |bytes| {
             Reply::from_bytes(bytes).is_ok()
         }),
         ("call", whole(Call::Input { port, message }.to_parts(7)), |bytes| {

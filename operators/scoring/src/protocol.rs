@@ -2,6 +2,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use realo_schemas::Box3;
+use realo_schemas::file;
 use realo_schemas::geometry::Region;
 use serde::{Deserialize, Serialize};
 
@@ -87,7 +88,7 @@ impl Protocol {
     pub fn load(name: &str) -> Result<Self, ProtocolError> {
         match NAMED.iter().find(|(known, _)| *known == name) {
             Some((_, text)) => Protocol::parse(name, text),
-            None => match std::fs::read_to_string(Path::new(name)) {
+            None => match file::read(Path::new(name)) {
                 Ok(text) => Protocol::parse(name, &text),
                 Err(reason) => {
                     let known = NAMED.map(|(known, _)| format!("`{known}`")).join(", ");
@@ -108,9 +109,9 @@ impl Protocol {
     pub fn parse(name: &str, text: &str) -> Result<Self, ProtocolError> {
         let form = |reason: String| ProtocolError::Form {
             name: name.into(),
-            reason,
+            reason: file::shown(&reason),
         };
-        let protocol: Protocol = serde_yaml::from_str(text).map_err(|error| form(error.to_string()))?;
+        let protocol: Protocol = file::yaml(text).map_err(form)?;
         protocol.check().map_err(form)?;
         Ok(protocol)
     }

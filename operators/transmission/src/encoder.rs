@@ -6,7 +6,7 @@ use realo_operator::{
 };
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
-use realo_schemas::{EgoState, Header, Message, Name, Packet, Payload, PayloadType, Pose};
+use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, Payload, PayloadType, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::{CODEC, Columns, encode};
@@ -18,6 +18,9 @@ pub(crate) const CARRIED: &[PayloadType] = &[
     PayloadType::Boxes,
     PayloadType::EgoState,
 ];
+
+/// A receiver that has heard nothing of the ego for so long is forgotten, ns; as long as the bank remembers a sender.
+const FORGET: Nanos = 60_000_000_000;
 
 /// Settings of the encoder.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -120,9 +123,11 @@ impl Operator for TransmissionEncoder {
                     state,
                     used: false,
                 };
+                let now = known.header.ready;
                 if let Some(older) = self.ego.insert(receiver, known) {
                     older.leave(Fate::Superseded, out);
                 }
+                self.forget_before(now.saturating_sub(FORGET), out);
                 Ok(())
             }
             _ => Err(wrong_port(Self::INPUTS, port)),
@@ -146,6 +151,12 @@ impl Known {
 }
 
 impl TransmissionEncoder {
+    /// Forgets the receivers that have heard nothing since, so that agents may come and go for days.
+    fn forget_before(&mut self, time: Nanos, out: &mut Outputs) {
+        let old = self.ego.extract_if(.., |_, known| known.header.ready < time);
+        old.for_each(|(_, known)| known.leave(Fate::InFlight, out));
+    }
+
     /// The newest state of the ego that an agent has received.
     fn known_to(&mut self, agent: &Name) -> Option<&mut Known> {
         let own = Some(agent.clone());
@@ -203,4 +214,48 @@ fn projected(message: Message, Known { header: ego, state, .. }: &Known) -> Resu
         ..header
     };
     Ok(Message::new(header, transform_cloud(&ego_from_sender, &cloud)))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Isometry3;
+    use realo_schemas::{Kind, PoseStatus};
+
+    use super::*;
+
+    const SECOND: Nanos = 1_000_000_000;
+
+    #[test]
+    fn receivers_that_hear_no_more_of_the_ego_are_forgotten() {
+        let mut encoder = TransmissionEncoder::new(EncoderConfig::default()).unwrap();
+        let mut fates = Vec::new();
+        // Every second another agent comes, receives one state and goes.
+        for k in 0..1000 {
+            let stamp = k * SECOND;
+            let mut header = Header::origin(
+                &"run".into(),
+                &"cav1".into(),
+                Kind::EgoState,
+                k as u64,
+                stamp,
+                stamp + 7,
+            );
+            header.to = Some(format!("cav{k}").as_str().into());
+            let state = EgoState {
+                map_from_body: Isometry3::identity(),
+                covariance: None,
+                velocity: None,
+                angular_rate: None,
+                status: PoseStatus::Truth,
+            };
+            let mut out = Outputs::at(header.ready);
+            encoder.on_input(STATE, Message::new(header, state), &mut out).unwrap();
+            fates.extend(out.take_fates());
+            assert!(encoder.ego.len() <= 61, "{} receivers", encoder.ego.len());
+        }
+        let last: Vec<u64> = encoder.ego.values().map(|known| known.header.seq).collect();
+        assert_eq!((last.len(), last.iter().min()), (61, Some(&939)));
+        assert_eq!(fates.len(), 939, "each one that goes is accounted for");
+        assert!(fates.iter().all(|fated| fated.fate == Fate::InFlight));
+    }
 }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -11,14 +10,7 @@ use realo_logs::{AgentKind, Log, Stream};
 use realo_schemas::{Box3, Boxes, Nanos};
 
 fn sample() -> Option<PathBuf> {
-    let shared = std::env::var_os("REALO_SHARED");
-    if shared.is_none() {
-        let _ = writeln!(
-            std::io::stderr(),
-            "SKIPPED: set REALO_SHARED to the folder that holds data/dair"
-        );
-    }
-    shared.map(|shared| PathBuf::from(shared).join("data/dair"))
+    skipped::shared("data/dair")
 }
 
 fn imported(stamp: RoadsideStamp) -> Option<(tempfile::TempDir, Log)> {

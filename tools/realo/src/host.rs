@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use eyre::Result;
-use realo_graph::FlatNode;
+use realo_graph::{FlatNode, normalized};
 use realo_host::dora::{self, Hosted};
 use realo_operator::Decided;
 
-use crate::run::{argument, decided_argument, lexically_normal};
+use crate::run::{argument, decided_argument};
 use crate::{Outcome, demo, registry};
 
 /// Hosts the stages of a module as one process of a graph (dora starts this)
@@ -93,7 +93,7 @@ fn report(stages: &[FlatNode], folder: &Path) -> Result<Outcome> {
         let (Some(out), Some("")) = (value(Decided::Out), value(Decided::Told).as_deref()) else {
             continue;
         };
-        let out = lexically_normal(&folder.join(out));
+        let out = normalized(&folder.join(out));
         let run = realo_results::read_run(&out)?;
         let name = run.result.settings.graph.clone();
         println!("{}results in {}", realo_report::table(&[(&name, &run)]), out.display());

@@ -380,7 +380,7 @@ impl Host {
                 state.engine.merge_books(&end.books);
                 return Ok(());
             }
-            Some(Mark::Fates(_)) | None => {}
+            None => {}
         }
         let mut ready = Vec::new();
         let hop = message.header.hop;
@@ -463,7 +463,7 @@ impl Host {
             .collect();
         drop(state);
         for (exit, hop) in exits {
-            shared.send(exit, &Mark::Fates(mark.clone()).into_message(hop, clock))?;
+            shared.send(exit, &mark.to_message(hop, clock))?;
         }
         Ok(())
     }
@@ -516,7 +516,7 @@ fn deliver(
     ready: Vec<Message>,
 ) -> Result<(), String> {
     for message in ready {
-        if let Some(Mark::Fates(mark)) = Mark::of(&message)? {
+        if let Some(mark) = Fates::of(&message)? {
             let numbers = known.entry(mark.origin).or_default();
             if numbers.insert(mark.number) {
                 state.engine.tell(mark.fates);

@@ -3,6 +3,7 @@
 use realo_operator::Books;
 use realo_schemas::report::Fated;
 use realo_schemas::{Clock, Header, Kind, Message, Name, Payload, Report};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 const END: &str = "realo/end";
@@ -29,33 +30,35 @@ pub(super) struct Fates {
     pub fates: Vec<Fated>,
 }
 
-/// A message of the driver.
+/// A message of the driver beside a stream; [`Fates`] go down the graph within one.
 pub(super) enum Mark {
-    /// Opens dora's routes before the first message; is no part of a stream.
+    /// Opens dora's routes before the first message.
     Hello,
-    /// Goes down the graph to the sinks; is numbered like a message.
-    Fates(Fates),
     /// Ends a stream.
     End(End),
+}
+
+impl Fates {
+    /// The fates in a message, if it brings some.
+    pub fn of(message: &Message) -> Result<Option<Fates>, String> {
+        match report_of(message) {
+            Some((FATES, json)) => from_json(FATES, json).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// The fates as a message, which is numbered like those of stages.
+    pub fn to_message(&self, hop: u64, clock: Option<Clock>) -> Message {
+        message(FATES, to_json(self), hop, clock)
+    }
 }
 
 impl Mark {
     /// The mark in a message, if it is one.
     pub fn of(message: &Message) -> Result<Option<Mark>, String> {
-        let Payload::Report(report) = &message.payload else {
-            return Ok(None);
-        };
-        let wrong = |error: serde_json::Error| format!("`{}`: {error}", report.topic);
-        match &*report.topic {
-            HELLO => Ok(Some(Mark::Hello)),
-            END => serde_json::from_str(&report.json)
-                .map(Mark::End)
-                .map(Some)
-                .map_err(wrong),
-            FATES => serde_json::from_str(&report.json)
-                .map(Mark::Fates)
-                .map(Some)
-                .map_err(wrong),
+        match report_of(message) {
+            Some((HELLO, _)) => Ok(Some(Mark::Hello)),
+            Some((END, json)) => from_json(END, json).map(Mark::End).map(Some),
             _ => Ok(None),
         }
     }
@@ -64,20 +67,30 @@ impl Mark {
     pub fn into_message(self, hop: u64, clock: Option<Clock>) -> Message {
         let (topic, json) = match self {
             Mark::Hello => (HELLO, String::new()),
-            Mark::Fates(fates) => (FATES, to_json(&fates)),
             Mark::End(end) => (END, to_json(&end)),
         };
-        let mut header = Header::origin(&Name::default(), &Name::default(), Kind::Report, 0, 0, 0);
-        header.clock = clock;
-        header.hop = hop;
-        Message::new(
-            header,
-            Report {
-                topic: topic.into(),
-                json,
-            },
-        )
+        message(topic, json, hop, clock)
     }
+}
+
+fn message(topic: &str, json: String, hop: u64, clock: Option<Clock>) -> Message {
+    let mut header = Header::origin(&Name::default(), &Name::default(), Kind::Report, 0, 0, 0);
+    header.clock = clock;
+    header.hop = hop;
+    let topic = topic.into();
+    Message::new(header, Report { topic, json })
+}
+
+/// Topic and text of a report.
+fn report_of(message: &Message) -> Option<(&str, &str)> {
+    match &message.payload {
+        Payload::Report(report) => Some((&report.topic, &report.json)),
+        _ => None,
+    }
+}
+
+fn from_json<T: DeserializeOwned>(topic: &str, json: &str) -> Result<T, String> {
+    serde_json::from_str(json).map_err(|error| format!("`{topic}`: {error}"))
 }
 
 fn to_json<T: Serialize>(document: &T) -> String {
@@ -98,17 +111,16 @@ mod tests {
         rate: 0.5,
     };
 
-    /// A mark after its way over dora.
-    fn sent(mark: Mark, hop: u64) -> (Mark, Header) {
-        let message = wire::from_arrow(&wire::to_arrow(&mark.into_message(hop, Some(CLOCK)))).unwrap();
-        (Mark::of(&message).unwrap().unwrap(), message.header)
+    /// A message after its way over dora.
+    fn sent(message: &Message) -> Message {
+        wire::from_arrow(&wire::to_arrow(message)).unwrap()
     }
 
     #[test]
     fn marks_survive_the_wire() {
-        let (hello, header) = sent(Mark::Hello, 0);
-        assert!(matches!(hello, Mark::Hello));
-        assert_eq!((header.clock, header.hop), (Some(CLOCK), 0));
+        let hello = sent(&Mark::Hello.into_message(0, Some(CLOCK)));
+        assert!(matches!(Mark::of(&hello), Ok(Some(Mark::Hello))));
+        assert_eq!((hello.header.clock, hello.header.hop), (Some(CLOCK), 0));
 
         let mut books = Books::default();
         let node = NodeBooks {
@@ -121,7 +133,8 @@ mod tests {
             hops: 9,
             books: books.clone(),
         };
-        let (Mark::End(end), _) = sent(Mark::End(end), 4) else {
+        let end = sent(&Mark::End(end).into_message(4, Some(CLOCK)));
+        let Ok(Some(Mark::End(end))) = Mark::of(&end) else {
             panic!("an end")
         };
         assert_eq!((end.hops, end.books), (9, books));
@@ -141,28 +154,30 @@ mod tests {
                 r#use: None,
             }],
         };
-        let (Mark::Fates(read), header) = sent(Mark::Fates(fates.clone()), 4) else {
-            panic!("fates")
-        };
-        assert_eq!((read, header.hop), (fates, 4));
+        let message = sent(&fates.to_message(4, Some(CLOCK)));
+        assert!(matches!(Mark::of(&message), Ok(None)), "they are part of the stream");
+        assert_eq!(Fates::of(&message), Ok(Some(fates)));
+        assert_eq!(message.header.hop, 4);
     }
 
     #[test]
     fn messages_of_stages_are_no_marks_and_broken_marks_are_named() {
         let header = Header::origin(&"run".into(), &"a".into(), Kind::Report, 0, 0, 0);
-        let of = |topic: &str, json: &str| {
+        let report = |topic: &str, json: &str| {
             let (topic, json) = (topic.into(), json.to_string());
-            Mark::of(&Message::new(header.clone(), Report { topic, json }))
+            Message::new(header.clone(), Report { topic, json })
         };
-        assert!(matches!(of("evaluation", "{}"), Ok(None)));
-        assert!(matches!(
-            Mark::of(&Message::new(header.clone(), Boxes::default())),
-            Ok(None)
-        ));
-        for topic in [END, FATES] {
-            let Err(error) = of(topic, "{\"hops\": 3}") else {
-                panic!("a broken mark")
-            };
+        for message in [
+            report("evaluation", "{}"),
+            Message::new(header.clone(), Boxes::default()),
+        ] {
+            assert!(matches!(Mark::of(&message), Ok(None)));
+            assert_eq!(Fates::of(&message), Ok(None));
+        }
+        let end = Mark::of(&report(END, "{\"hops\": 3}")).err();
+        let fates = Fates::of(&report(FATES, "{\"hops\": 3}")).err();
+        for (topic, error) in [(END, end), (FATES, fates)] {
+            let error = error.expect("a broken mark");
             assert!(error.starts_with(&format!("`{topic}`: ")), "{error}");
         }
     }

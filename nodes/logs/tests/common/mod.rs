@@ -6,13 +6,6 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, LogError, LogInfo, LogWriter};
 use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 
-/// Says on the terminal, past the capture of the test harness, that a test did not run.
-#[allow(dead_code)]
-pub fn skipped(why: &str) {
-    use std::io::Write;
-    let _ = writeln!(std::io::stderr(), "{why}");
-}
-
 pub const START: Nanos = 1_700_000_000_000_000_000;
 pub const MS: Nanos = 1_000_000;
 

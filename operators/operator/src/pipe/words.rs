@@ -147,84 +147,33 @@ fn message(row: &Received, column: &str) -> Result<Message, String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use arrow_buffer::Buffer;
-    use realo_schemas::report::{Crossing, Fate, Use};
-    use realo_schemas::{Box3, Boxes, Header, Kind, PointCloud, Selection};
+#[path = "../../tests/common/replies.rs"]
+mod replies;
 
+#[cfg(test)]
+mod tests {
+    use super::replies::{boxes, reply, whole};
     use super::*;
 
-    fn boxes(agent: &str, n: usize) -> Message {
-        let object = Box3 {
-            center: [1.0, -2.0, 0.5],
-            length: 4.5,
-            width: 1.9,
-            height: 1.6,
-            yaw: 0.3,
-            velocity: Some([1.0, 0.0, 0.0]),
-            class: "Car".into(),
-            score: 0.7,
-            track: Some(u64::MAX),
-            covariance: None,
-        };
-        let header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, 3, 50, 80);
-        Message::new(header, Boxes(vec![object; n]))
-    }
-
-    fn reply() -> Reply {
-        let entries = vec![boxes("cav2", 2), boxes("rsu1", 0)];
-        let selection = Message::new(boxes("cav1", 0).header, Selection { query: 3, entries });
-        let cloud = Message::new(boxes("cav1", 0).header, PointCloud::empty());
-        Reply {
-            error: Some("no pose".into()),
-            sent: vec![
-                ("boxes".into(), boxes("cav1", 3)),
-                ("a".into(), selection),
-                ("b".into(), cloud),
-            ],
-            wakes: vec![-5, Nanos::MAX],
-            counts: vec![("low".into(), u64::MAX)],
-            told: Told {
-                fates: vec![Fated {
-                    message: Crossing {
-                        from: "rsu1".into(),
-                        to: "cav1".into(),
-                        kind: Kind::Boxes,
-                        seq: 3,
-                    },
-                    fate: Fate::Used,
-                    r#use: Some(Use { query: 4, age_ns: -5 }),
-                }],
-                traffic: vec![],
-            },
-        }
-    }
-
-    fn whole(parts: Result<Vec<Buffer>, String>) -> Buffer {
-        Buffer::from_vec(
-            parts
-                .unwrap()
-                .iter()
-                .flat_map(|part| part.to_vec())
-                .collect::<Vec<u8>>(),
-        )
+    fn frame(parts: Result<Vec<Buffer>, String>) -> Buffer {
+        Buffer::from_vec(whole(parts))
     }
 
     #[test]
     fn calls_and_replies_come_back() {
         let (port, message) = ("ego".to_string(), Box::new(boxes("cav1", 1)));
         for call in [Call::Input { port, message }, Call::Wake, Call::End] {
-            let (back, now) = Call::from_bytes(whole(call.to_parts(-7))).unwrap();
+            let (back, now) = Call::from_bytes(frame(call.to_parts(-7))).unwrap();
             assert_eq!((back, now), (call, -7));
         }
-        for reply in [Reply::default(), reply()] {
-            assert_eq!(Reply::from_bytes(whole(reply.to_parts())).unwrap(), reply);
+        for reply in [Reply::default(), reply(0), reply(9)] {
+            assert_eq!(Reply::from_bytes(frame(reply.to_parts())).unwrap(), reply);
         }
     }
 
     #[test]
     fn says_what_a_reply_lacks() {
-        let error = Reply::from_bytes(whole(Call::Wake.to_parts(0))).unwrap_err();
+        let error = Reply::from_bytes(frame(Call::Wake.to_parts(0))).unwrap_err();
         assert!(error.contains("`ports`") && error.contains("it has: call"), "{error}");
         let error = Reply::from_bytes(Buffer::from(b"nonsense")).unwrap_err();
         assert!(error.contains("expected an Arrow stream"), "{error}");

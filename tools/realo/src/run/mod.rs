@@ -2,6 +2,7 @@
 
 mod compute;
 mod dora;
+mod folders;
 mod networks;
 mod nodes;
 mod prepare;
@@ -17,11 +18,12 @@ use realo_operator::{Decided, Role};
 use realo_results::Run;
 
 use crate::{Outcome, registry};
+use folders::Folders;
 use networks::Networks;
 use prepare::Cell;
 
 pub use dora::find as find_dora;
-pub(crate) use nodes::{argument, decided_argument, lexically_normal};
+pub(crate) use nodes::{argument, decided_argument};
 pub use replay::replay;
 
 /// Runs graphs over logs and prints what came out, side by side
@@ -235,9 +237,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
         .zip(&names)
         .map(|(graph, name)| prepare::cells(args, mode, graph, name))
         .collect::<Result<_>>()?;
+    let mut folders = Folders::default();
     for (name, cells) in names.iter().zip(&cells) {
-        realo_results::claim(&dir_of(args, name))?;
-        cells.iter().try_for_each(replay::claim)?;
+        folders.claim(&dir_of(args, name))?;
+        cells.iter().try_for_each(|cell| replay::claim(&mut folders, cell))?;
     }
     let mut truncated = false;
     let mut runs: Vec<(String, Run)> = Vec::new();

@@ -1,10 +1,10 @@
 //! The stages of a graph: which have an argument that something of a run decides, and their arguments.
 
 use std::collections::BTreeSet;
-use std::path::{Component, Path, PathBuf};
+use std::path::Path;
 
 use eyre::{Result, bail};
-use realo_graph::{FlatGraph, FlatNode};
+use realo_graph::{FlatGraph, FlatNode, normalized};
 use realo_operator::{Decided, Registration};
 
 use crate::registry;
@@ -98,7 +98,7 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
         if let Some(program) = node.program() {
-            let path = lexically_normal(&folder.join(program));
+            let path = normalized(&folder.join(program));
             node.set_program(&path.to_string_lossy());
         }
         let own = registration(node).map(|known| (known.defaults)());
@@ -109,23 +109,11 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
         for key in keys {
             let is_path = |value: &String| is_relative_path(value) || model == Some(key.as_str());
             if let Some(path) = argument(node, &key).filter(is_path) {
-                node.set(&key, &lexically_normal(&folder.join(path)).to_string_lossy());
+                node.set(&key, &normalized(&folder.join(path)).to_string_lossy());
             }
         }
     }
     Ok(())
-}
-
-/// The path without `..`, as it is written (no link is followed).
-pub fn lexically_normal(path: &Path) -> PathBuf {
-    let mut normal = PathBuf::new();
-    for part in path.components() {
-        match part {
-            Component::ParentDir => drop(normal.pop()),
-            part => normal.push(part),
-        }
-    }
-    normal
 }
 
 /// Whether a value is a path that is seen from somewhere.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
-use realo_graph::{FlatGraph, Graph, Setting, Severity};
+use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{Log, Stream};
 use realo_operator::Decided;
@@ -12,8 +12,8 @@ use realo_results::{Settings, Told as ToldFile};
 
 use super::networks::Networks;
 use super::nodes::{
-    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_relative_path, lexically_normal,
-    set_model, takers, values,
+    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_relative_path, set_model,
+    takers, values,
 };
 use super::{Args, Mode, compute, dir_of};
 use crate::{demo, registry};
@@ -37,7 +37,7 @@ pub struct Cell {
 }
 
 /// The file in a run's folder that says what its result tells of it.
-const TOLD: &str = "told.json";
+pub(super) const TOLD: &str = "told.json";
 
 impl Cell {
     /// Writes what the result tells of the run to where the graph has it.
@@ -190,7 +190,7 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
     let log = deciding(graph, Decided::Log).find_map(|node| argument(node, decided_argument(node, Decided::Log)?));
     let log = log.ok_or_else(|| eyre!("{}: no node plays a log", graph.file.display()))?;
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
-    let log = lexically_normal(&folder.join(log));
+    let log = normalized(&folder.join(log));
     if log.ends_with(demo::FILE) {
         demo::make(&log)?;
     }

@@ -1,5 +1,6 @@
 //! Runs on dora.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -104,16 +105,94 @@ fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
     Ok(())
 }
 
-/// What dora and the nodes said of failures, each thing once.
+/// Lines of one failure that are shown.
+const SHOWN: usize = 12;
+
+/// What dora and the nodes said of failures, each thing once, with all its lines (within reason).
 fn culprits(log: &str) -> Vec<String> {
     let mut found: Vec<String> = Vec::new();
-    for line in log.lines() {
-        let line = line.trim();
-        let told = line.contains("realo: ") || (line.contains("ode `") && line.contains("failed"));
-        if told && !found.iter().any(|known| known == line) {
-            found.push(line.to_string());
+    let mut known = BTreeSet::new();
+    let mut lines = log.lines().map(said).peekable();
+    while let Some((speaker, text)) = lines.next() {
+        if !is_told(text) {
+            continue;
+        }
+        let mut all = vec![text];
+        let belongs = |(by, text): &(&str, &str)| {
+            *by == speaker && !text.is_empty() && !text.starts_with("-----") && !is_told(text)
+        };
+        while let Some((_, text)) = lines.next_if(|line| belongs(line)) {
+            all.push(text);
+        }
+        let hidden = all.len().saturating_sub(SHOWN);
+        all.truncate(SHOWN);
+        let mut message = all.join("\n    ");
+        if hidden > 0 {
+            message.push_str(&format!("\n    … and {hidden} lines more"));
+        }
+        // dora repeats at the end what a node said before.
+        if known.insert(message.clone()) {
+            let by = if speaker.is_empty() {
+                String::new()
+            } else {
+                format!("{speaker}: ")
+            };
+            found.push(format!("{by}{message}"));
         }
     }
     found.truncate(8);
     found
+}
+
+fn is_told(line: &str) -> bool {
+    line.contains("realo: ") || (line.contains("ode `") && line.contains("failed"))
+}
+
+/// Who says a line of dora's log, and what: `17:48:16 stdout fusion: TEXT` is said by the node, other lines by nobody.
+fn said(line: &str) -> (&str, &str) {
+    let named = line.split_once(" stdout ").and_then(|(time, rest)| {
+        let is_time = time.len() == 8 && time.chars().all(|c| c.is_ascii_digit() || c == ':');
+        rest.split_once(": ").filter(|_| is_time)
+    });
+    let (speaker, text) = named.unwrap_or(("", line));
+    (speaker, text.trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failure_is_told_once_with_all_its_lines() {
+        let log = "\
+17:48:12 INFO   fusion: daemon node is ready
+17:48:16 stdout ego: 40 sweeps
+17:48:16 stdout fusion: realo: node `fusion.fusion` failed: it said on standard error: Traceback:
+17:48:16 stdout fusion:   File \"late.py\", line 3
+17:48:16 stdout fusion: ValueError: no boxes
+17:48:16 stdout ego: 41 sweeps
+17:48:16 ERROR  fusion: daemon exited with code 1 with stderr output:
+---------------------------------------------------------------------------------
+realo: node `fusion.fusion` failed: it said on standard error: Traceback:
+  File \"late.py\", line 3
+ValueError: no boxes
+---------------------------------------------------------------------------------
+
+17:48:16 stdout score: realo: score: node `fusion` failed: exited with code 1
+Node `score` failed: exited with code 1 with stderr output:
+---------------------------------------------------------------------------------
+realo: score: node `fusion` failed: exited with code 1
+";
+        let expected = [
+            "fusion: realo: node `fusion.fusion` failed: it said on standard error: Traceback:\n    File \"late.py\", line 3\n    \
+             ValueError: no boxes",
+            "score: realo: score: node `fusion` failed: exited with code 1",
+            "Node `score` failed: exited with code 1 with stderr output:",
+        ];
+        assert_eq!(culprits(log), expected);
+        let long = format!("realo: ego: it failed\n{}", "a line\n".repeat(100));
+        let told = culprits(&long).concat();
+        assert_eq!(told.lines().count(), SHOWN + 1);
+        assert!(told.ends_with("… and 89 lines more"), "{told}");
+    }
 }

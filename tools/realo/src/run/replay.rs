@@ -6,6 +6,7 @@ use realo_graph::FlatGraph;
 use realo_host::{ComputeProfile, Stages, virtual_time};
 use realo_operator::Books;
 
+use super::folders::Folders;
 use super::prepare::Cell;
 use crate::registry;
 use crate::simulate::progress;
@@ -46,8 +47,8 @@ pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: Option<virt
 ///
 /// # Errors
 /// Files of those names that no run of realo wrote.
-pub(super) fn claim(cell: &Cell) -> Result<()> {
-    realo_results::claim(&cell.out)?;
+pub(super) fn claim(folders: &mut Folders, cell: &Cell) -> Result<()> {
+    folders.claim(&cell.out)?;
     cell.tell()?;
     let recording = cell.out.join("recording.mcap");
     match std::fs::remove_file(&recording) {
