@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_document_that_means_much_more_than_it_holds_is_refused() {
-        let fine = "common: &env { A: 1, B: two }\nnodes: [{ env: *env }, { env: *env }, !tag *env ]";
+        let fine = "common: &env { A: 1, B: two }\nnodes: [{ env: *env }, { env: *env }, !tag { A: *env } ]";
         assert_eq!(yaml::<Value>(fine).unwrap()["nodes"][1]["env"]["B"], "two");
         // One long list that is named often, and lists of lists of lists.
         let long = format!("a: &a [{}]\nb: [{}]", "x,".repeat(5000), "*a,".repeat(5000));
