@@ -25,16 +25,13 @@ pub struct Sent<'w> {
 
 impl<'w> Sent<'w> {
     /// The copies where they arrive.
-    pub fn arrivals(&self) -> impl Iterator<Item = At<'w>> {
+    pub fn arrivals(&self) -> Vec<At<'w>> {
         let delays = [self.copies.first, self.copies.second].into_iter().flatten();
-        let ready = |delay: Nanos| self.done + (delay - self.waited).max(0);
-        delays
-            .map(|delay| At {
-                ready: ready(delay),
-                ..self.at
-            })
-            .collect::<Vec<_>>()
-            .into_iter()
+        let arrival = |delay: Nanos| At {
+            ready: self.done + (delay - self.waited).max(0),
+            ..self.at
+        };
+        delays.map(arrival).collect()
     }
 }
 
