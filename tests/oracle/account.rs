@@ -18,23 +18,36 @@ pub struct Answer {
     pub entries: Vec<(Id, Nanos)>,
 }
 
+/// A place in the ego's frame, m; equal to another if they agree to 5 mm, for f32 cross.
+#[derive(Clone, Copy, Debug)]
+pub struct Place(pub [f64; 2]);
+
+impl PartialEq for Place {
+    fn eq(&self, other: &Self) -> bool {
+        let away = |axis: usize| (self.0[axis] - other.0[axis]).abs();
+        away(0) < 5e-3 && away(1) < 5e-3
+    }
+}
+
 /// A fusion that took place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fusion {
     /// The ego's message.
     pub query: u64,
-    /// When its boxes were there.
+    /// When its outcome was there.
     pub ready: Nanos,
-    /// How many boxes.
-    pub boxes: usize,
+    /// Where its boxes or points are.
+    pub content: Vec<Place>,
     /// What took part, and how old that was for the query.
     pub used: Vec<(Id, Nanos)>,
 }
 
-/// The books of one channel to the ego.
+/// The books of one channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[allow(missing_docs)]
 pub struct Line {
+    /// Whether a stage says what becomes of its messages; if none does, all terms but `lost` are 0.
+    pub accounted: bool,
     pub out_of_range: u64,
     pub sent: u64,
     pub bytes: u64,
@@ -72,8 +85,12 @@ pub struct Account {
     pub selections: Vec<Answer>,
     /// In the order in which they took place.
     pub fusions: Vec<Fusion>,
-    /// By sender.
+    /// By `<from>-<to>.<kind>`.
     pub channels: BTreeMap<String, Line>,
+    /// Sweeps that the encoder did not send, because it did not know where the ego is.
+    pub no_ego_state: u64,
+    /// Sweeps that the encoder could not take.
+    pub errors: u64,
     /// Messages that a stage passed over because it was busy, and parts of sets that were discarded.
     pub passed_over: BTreeMap<String, u64>,
 }
@@ -84,6 +101,8 @@ impl Account {
         first("Selection", &self.selections, &oracle.selections)
             .or_else(|| first("fusion", &self.fusions, &oracle.fusions))
             .or_else(|| differing("stage", &self.passed_over, &oracle.passed_over))
+            .or_else(|| first("no_ego_state", &[self.no_ego_state], &[oracle.no_ego_state]))
+            .or_else(|| first("errors", &[self.errors], &[oracle.errors]))
             .or_else(|| differing("channel", &self.channels, &oracle.channels))
     }
 }

@@ -9,14 +9,16 @@ use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Registratio
 use realo_results::{Ledger, LinkBooks, link_books};
 use realo_schemas::report::Fated;
 use realo_schemas::{
-    Box3, Boxes, EgoState, Header, Kind, Message, Nanos, Payload, PayloadType, Pose, PoseStatus, Selection,
+    Box3, Boxes, EgoState, Header, Kind, Message, Nanos, Payload, PayloadType, PointCloud, Pose, PoseStatus, Selection,
 };
 use serde::{Deserialize, Serialize};
 
-use crate::account::{Account, Answer, Fusion, Id, Line};
-use crate::world::{EGO, Fix, STAGES, Sweep, World};
+use crate::account::{Account, Answer, Fusion, Id, Line, Place};
+use crate::world::{EGO, Said, Spot, Strategy, World, content};
 
 const BOXES: &[PayloadType] = &[PayloadType::Boxes];
+const POINTS: &[PayloadType] = &[PayloadType::PointCloud];
+const FUSED: &[PayloadType] = &[PayloadType::Boxes, PayloadType::PointCloud];
 const STATES: &[PayloadType] = &[PayloadType::EgoState];
 
 /// Settings of [`Log`].
@@ -43,6 +45,8 @@ impl Describe for Log {
         Port::new("boxes", BOXES, ""),
         Port::new("ego_states", STATES, ""),
         Port::new("states", STATES, ""),
+        Port::new("ego_clouds", POINTS, ""),
+        Port::new("clouds", POINTS, ""),
     ];
 }
 
@@ -50,14 +54,14 @@ impl Source for Log {
     fn new(config: LogConfig) -> Result<Self, Error> {
         let world = World::of(config.seed);
         let port = |agent: &str, ego: usize| PortId(if agent == EGO { ego } else { ego + 1 });
-        let sweeps = world
-            .sweeps
-            .iter()
-            .map(|sweep| (sweep.ready, port(&sweep.agent, 0), detections(sweep)));
+        let sweeps = world.sweeps.iter().map(|said| match world.strategy {
+            Strategy::Late => (said.ready, port(&said.agent, 0), detections(said)),
+            Strategy::Early | Strategy::Projected => (said.ready, port(&said.agent, 4), cloud(said)),
+        });
         let fixes = world
-            .fixes
+            .states
             .iter()
-            .map(|fix| (fix.ready, port(&fix.agent, 2), state(fix)));
+            .map(|said| (said.ready, port(&said.agent, 2), state(said)));
         let mut all: Vec<_> = sweeps.chain(fixes).collect();
         all.sort_by_key(|(ready, ..)| *ready);
         Ok(Log(all.into_iter()))
@@ -68,56 +72,57 @@ impl Source for Log {
     }
 }
 
-fn pose(at: [f64; 2]) -> Pose {
-    Pose::from_parts([at[0], at[1], 0.0], [0.0, 0.0, 0.0, 1.0]).expect("the numbers are finite")
+fn pose(spot: Spot) -> Pose {
+    let [x, y] = spot.at;
+    let half = spot.yaw / 2.0;
+    Pose::from_parts([x, y, 0.0], [0.0, 0.0, half.sin(), half.cos()]).expect("the numbers are finite")
 }
 
-fn detections(sweep: &Sweep) -> Message {
-    let Sweep {
-        agent,
-        seq,
-        stamp,
-        ready,
-        boxes,
-        tracked,
-        posed,
-    } = sweep;
-    let mut header = Header::origin(
-        &"oracle".into(),
-        &agent.as_str().into(),
-        Kind::Boxes,
-        *seq,
-        *stamp,
-        *ready,
-    );
-    header.pose = posed.then(|| pose([1.0, 2.0]));
-    let boxes = (0..*boxes).map(|place| Box3 {
-        // Far enough apart that none suppresses another.
-        center: [10.0 * place as f64, 0.0, 1.0],
+fn header(said: &Said, kind: Kind) -> Header {
+    let agent = said.agent.as_str().into();
+    Header::origin(&"oracle".into(), &agent, kind, said.seq, said.stamp, said.ready)
+}
+
+fn detections(said: &Said) -> Message {
+    let mut header = header(said, Kind::Boxes);
+    header.pose = said.spot.map(pose);
+    let boxes = (0..said.count).map(|place| Box3 {
+        center: [content(place)[0], content(place)[1], 1.0],
         length: 4.0,
         width: 2.0,
         height: 1.5,
         yaw: 0.0,
-        velocity: tracked.then_some([1.0, 0.0, 0.0]),
+        velocity: said.tracked.then_some([1.0, 0.0, 0.0]),
         class: "Car".into(),
         score: 0.5,
-        track: tracked.then_some(place as u64),
+        track: said.tracked.then_some(place as u64),
         covariance: None,
     });
     Message::new(header, Boxes(boxes.collect()))
 }
 
-fn state(fix: &Fix) -> Message {
-    let agent = fix.agent.as_str().into();
-    let header = Header::origin(&"oracle".into(), &agent, Kind::EgoState, fix.seq, fix.stamp, fix.ready);
+fn cloud(said: &Said) -> Message {
+    let mut header = header(said, Kind::Points);
+    header.pose = said.spot.map(pose);
+    let axis = |axis: usize| {
+        (0..said.count)
+            .map(|place| content(place)[axis] as f32)
+            .collect::<Vec<f32>>()
+    };
+    let n = said.count;
+    let cloud = PointCloud::new(axis(0), axis(1), vec![1f32; n], vec![9; n], vec![0; n], vec![0u16; n]);
+    Message::new(header, cloud.expect("columns are of one length"))
+}
+
+fn state(said: &Said) -> Message {
     let state = EgoState {
-        map_from_body: pose(fix.at).map_from_frame,
+        map_from_body: pose(said.spot.expect("a state is somewhere")).map_from_frame,
         covariance: None,
         velocity: None,
         angular_rate: None,
         status: PoseStatus::Recorded,
     };
-    Message::new(header, state)
+    Message::new(header(said, Kind::EgoState), state)
 }
 
 thread_local! {
@@ -144,7 +149,7 @@ impl Describe for Closing {
     const NAME: &'static str = "closing";
     const ABOUT: &'static str = "closes the books";
     const ARGUMENTS: &'static [Argument] = &[];
-    const INPUTS: &'static [Port] = &[Port::new("boxes", BOXES, "")];
+    const INPUTS: &'static [Port] = &[Port::new("fused", FUSED, "")];
     const OUTPUTS: &'static [Port] = &[];
 }
 
@@ -182,11 +187,13 @@ static ENCODER: Registration = Registration::operator::<realo_transmission::Tran
 static LINK: Registration = Registration::operator::<realo_link::Link>();
 static DECODER: Registration = Registration::operator::<realo_transmission::TransmissionDecoder>();
 static BANK: Registration = Registration::operator::<realo_feature_bank::FeatureBank>();
-static FUSION: Registration = Registration::operator::<realo_fusion_boxes::FusionBoxes>();
+static BOX_FUSION: Registration = Registration::operator::<realo_fusion_boxes::FusionBoxes>();
+static POINT_FUSION: Registration = Registration::operator::<realo_fusion_points::FusionPoints>();
 static CLOSING: Registration = Registration::sink::<Closing>();
 static RESULTS: Registration = Registration::sink::<realo_results::Results>();
 
-/// Late fusion from the detections on; `results`: a folder for the node of that name, where it is to run as well.
+/// Late fusion from the detections on, or early fusion from the sweeps on; `results`: a folder for the node of that name,
+/// where it is to run as well.
 fn stages(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Stages, String> {
     let profile = folder.join("profile.toml");
     std::fs::write(&profile, world.profile()).map_err(|error| error.to_string())?;
@@ -205,37 +212,53 @@ fn stages(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Stag
     let limit = world
         .max_collaborators
         .map_or("null".to_string(), |limit| limit.to_string());
+    let mut fusion = vec![format!("max_collaborators={limit}")];
     let mut stages = Stages::default();
     let mut add = |id: &str, node, args: Vec<String>, inputs: &[_]| stages.add(id, node, args, inputs);
     add("log", &LOG, vec![format!("seed={seed}")], &[])?;
-    add("ego-nms", &NMS, vec![], &[("proposals", "log", "ego_boxes")])?;
-    add("nms", &NMS, vec![], &[("proposals", "log", "boxes")])?;
-    add("encoder", &ENCODER, vec![], &[("messages", "nms", "boxes")])?;
-    let inputs = [
-        ("others", "encoder", "packets"),
-        ("ego_state", "log", "ego_states"),
-        ("states", "log", "states"),
-    ];
-    add("link", &LINK, link, &inputs)?;
-    add(
-        "decoder",
-        &DECODER,
-        vec![format!("max_bytes={}", world.max_bytes)],
-        &[("packets", "link", "to_ego")],
-    )?;
-    add(
-        "bank",
-        &BANK,
-        bank,
-        &[("ego", "ego-nms", "boxes"), ("others", "decoder", "messages")],
-    )?;
-    let inputs = [("ego", "ego-nms", "boxes"), ("selections", "bank", "selections")];
-    add("fusion", &FUSION, vec![format!("max_collaborators={limit}")], &inputs)?;
-    let boxes = [("boxes", "fusion", "proposals")];
-    add("closing", &CLOSING, vec![], &boxes)?;
+    let (ego, others) = match world.strategy {
+        Strategy::Late => {
+            add("ego-nms", &NMS, vec![], &[("proposals", "log", "ego_boxes")])?;
+            add("nms", &NMS, vec![], &[("proposals", "log", "boxes")])?;
+            (("ego", "ego-nms", "boxes"), ("messages", "nms", "boxes"))
+        }
+        Strategy::Early | Strategy::Projected => {
+            fusion.push(format!("as_sent={}", world.as_sent));
+            (("ego", "log", "ego_clouds"), ("messages", "log", "clouds"))
+        }
+    };
+    let states = [("ego_state", "log", "ego_states"), ("states", "log", "states")];
+    if world.strategy == Strategy::Projected {
+        // As in `dataflows/modules/v2x.yml` and `points.yml`.
+        add("ego-sender", &ENCODER, vec![], &[("messages", "log", "ego_states")])?;
+        add("state-sender", &ENCODER, vec![], &[("messages", "log", "states")])?;
+        let packets = [("ego", "ego-sender", "packets"), ("others", "state-sender", "packets")];
+        add("state-link", &LINK, link.clone(), &[&packets[..], &states].concat())?;
+        add(
+            "state-receiver",
+            &DECODER,
+            vec![],
+            &[("packets", "state-link", "to_others")],
+        )?;
+        let known = ("state", "state-receiver", "states");
+        add("encoder", &ENCODER, vec!["project=sender".into()], &[others, known])?;
+    } else {
+        add("encoder", &ENCODER, vec![], &[others])?;
+    }
+    let packets = [("others", "encoder", "packets")];
+    add("link", &LINK, link, &[&packets[..], &states].concat())?;
+    let max_bytes = vec![format!("max_bytes={}", world.max_bytes)];
+    add("decoder", &DECODER, max_bytes, &[("packets", "link", "to_ego")])?;
+    add("bank", &BANK, bank, &[ego, ("others", "decoder", "messages")])?;
+    let (operator, fused) = match world.strategy {
+        Strategy::Late => (&BOX_FUSION, "proposals"),
+        Strategy::Early | Strategy::Projected => (&POINT_FUSION, "clouds"),
+    };
+    add("fusion", operator, fusion, &[ego, ("selections", "bank", "selections")])?;
+    add("closing", &CLOSING, vec![], &[("fused", "fusion", fused)])?;
     if results {
         let args = vec![format!("out={}", folder.join("results").display())];
-        add("results", &RESULTS, args, &boxes)?;
+        add("results", &RESULTS, args, &[("boxes", "fusion", fused)])?;
     }
     Ok(stages)
 }
@@ -245,6 +268,8 @@ fn stages(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Stag
 /// # Errors
 /// What failed, or does not fit together.
 pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Account, String> {
+    // That node takes boxes alone.
+    let results = results && world.strategy == Strategy::Late;
     let stages = stages(seed, world, folder, results)?;
     let mut account = Account::default();
     let mut asked: BTreeMap<u64, Nanos> = BTreeMap::new();
@@ -252,11 +277,11 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
         nanos: world.compute.clone(),
     };
     let observer = |node: &str, output: &str, message: &Message| match (node, output) {
-        ("ego-nms", "boxes") => {
+        ("ego-nms", "boxes") | ("log", "ego_clouds") => {
             asked.insert(message.header.seq, message.header.ready);
         }
         ("bank", "selections") => account.selections.push(answer(message, &asked)),
-        ("fusion", "proposals") => account.fusions.push(fusion(message)),
+        ("fusion", _) => account.fusions.push(fusion(message)),
         _ => {}
     };
     let books = virtual_time::run(&stages, &compute, Some(Box::new(observer))).map_err(|error| error.to_string())?;
@@ -276,17 +301,14 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
         }
     }
     for (name, kinds) in closed {
-        let from = name
-            .strip_suffix(&format!("-{EGO}"))
-            .ok_or_else(|| format!("channel {name}"))?;
         for (kind, books) in kinds {
-            if kind != Kind::Boxes.as_str() {
-                return Err(format!("channel {name} carries {kind}"));
-            }
-            account.channels.insert(from.to_string(), line(&books)?);
+            account.channels.insert(format!("{name}.{kind}"), line(&books)?);
         }
     }
-    for stage in STAGES {
+    let encoder = &books.nodes["encoder"];
+    account.no_ego_state = encoder.counters.get("no_ego_state").copied().unwrap_or(0);
+    account.errors = encoder.errors;
+    for stage in world.stages() {
         let inputs = books.nodes[stage].inputs.values();
         let passed = inputs.map(|input| input.skipped.total() + input.unjoined.total()).sum();
         account.passed_over.insert(stage.into(), passed);
@@ -312,23 +334,41 @@ fn answer(message: &Message, asked: &BTreeMap<u64, Nanos>) -> Answer {
 
 /// A fusion that took place; what it used the fates say.
 fn fusion(message: &Message) -> Fusion {
-    let Payload::Boxes(Boxes(list)) = &message.payload else {
-        panic!("no boxes: {}", message.header)
+    let content = match &message.payload {
+        Payload::Boxes(Boxes(list)) => list
+            .iter()
+            .map(|object| Place([object.center[0], object.center[1]]))
+            .collect(),
+        Payload::PointCloud(cloud) => {
+            let points = cloud.x.iter().zip(cloud.y.iter());
+            points.map(|(x, y)| Place([f64::from(*x), f64::from(*y)])).collect()
+        }
+        _ => panic!("neither boxes nor points: {}", message.header),
     };
     Fusion {
         query: message.header.seq,
         ready: message.header.ready,
-        boxes: list.len(),
+        content,
         used: Vec::new(),
     }
 }
 
 fn line(books: &LinkBooks) -> Result<Line, String> {
-    let accounted = books.accounted.ok_or("the channel is not accounted for")?;
+    let Some(accounted) = books.accounted else {
+        return Ok(Line {
+            out_of_range: books.out_of_range,
+            sent: books.sent,
+            bytes: books.bytes,
+            duplicated: books.duplicated,
+            lost: books.lost,
+            ..Line::default()
+        });
+    };
     if accounted.unaccounted != 0 {
         return Err(format!("the terms do not add up: {books:?}"));
     }
     Ok(Line {
+        accounted: true,
         out_of_range: books.out_of_range,
         sent: books.sent,
         bytes: books.bytes,

@@ -3,279 +3,324 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_link::{Arrivals, StreamKey, transmit};
-use realo_schemas::{Kind, Nanos};
+use realo_schemas::Nanos;
 
-use crate::account::{Account, Answer, Fusion, Id, Line};
-use crate::world::{EGO, MS, Sweep, World};
+use crate::account::{Account, Answer, Fusion, Id, Line, Place as InEgo};
+use crate::link::{Crossed, Link, Sent, bytes, kind};
+use crate::stage::{At, Class, Place, serve_all, serve_latest};
+use crate::world::{EGO, MS, Said, Strategy, World, content};
 
 /// Greatest difference of stamps offline, inclusive.
 const REACH: Nanos = 50 * MS;
+/// Messages of one sender that the bank holds.
+const HELD: usize = 16;
+/// Messages of one sender by which the bank knows copies.
+const REMEMBERED: usize = 64;
 
-/// A sweep's message at some point of the graph.
-#[derive(Clone, Copy)]
-struct At<'w> {
-    sweep: &'w Sweep,
-    ready: Nanos,
+/// How often something happened that only some worlds reach.
+pub type Reached = BTreeMap<&'static str, u64>;
+
+fn id(said: &Said) -> Id {
+    (said.agent.clone(), said.seq)
 }
 
-fn id(sweep: &Sweep) -> Id {
-    (sweep.agent.clone(), sweep.seq)
+/// The states of the ego that came to the others over their link, and what became of them on the way.
+#[derive(Default)]
+struct Told<'w> {
+    to_ego: Crossed<'w>,
+    to_others: Crossed<'w>,
+    /// By receiver: the calls in which its encoder took a state.
+    known: BTreeMap<&'w str, Vec<(Place<'w>, At<'w>)>>,
+    /// Receiver and number of those that a busy decoder passed over.
+    skipped: BTreeSet<(&'w str, u64)>,
+    /// Receiver and number of those by which a sweep was brought to the ego's frame.
+    used: BTreeSet<(&'w str, u64)>,
+    /// Messages passed over, by stage.
+    passed_over: BTreeMap<String, u64>,
 }
 
-/// Order of what happens in a stage at one instant.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Class {
-    ServerFree,
-    State,
-    Data,
-    Wake,
-    Query,
-}
-
-/// Place among the calls of a stage: time, class, port, agent, seq.
-type Place<'w> = (Nanos, Class, usize, &'w str, u64);
-
-/// Ports that keep everything: the calls of a stage in order. Each agent has a server of its own, so that
-/// start = max(input ready, server free); who waited comes before all else of the instant in which it starts.
-fn serve_all<'w, T>(mut arrivals: Vec<(Place<'w>, T)>, compute: Nanos) -> Vec<(Place<'w>, T)> {
-    arrivals.sort_by_key(|(place, _)| *place);
-    let mut free = BTreeMap::new();
-    for (place, _) in &mut arrivals {
-        let agent = place.3;
-        let free = free.entry(agent).or_insert(Nanos::MIN);
-        if *free > place.0 {
-            *place = (*free, Class::ServerFree, 0, agent, 0);
-        }
-        *free = place.0 + compute;
-    }
-    arrivals.sort_by_key(|(place, _)| *place);
-    arrivals
-}
-
-/// A port that keeps the newest of each agent: what the stage was called with, then ready when the call is done, and
-/// what it passed over.
-fn serve_latest<'w>(arrivals: &[At<'w>], compute: Nanos) -> (Vec<At<'w>>, Vec<At<'w>>) {
-    let (mut done, mut passed_over) = (Vec::new(), Vec::new());
-    let agents: BTreeSet<&str> = arrivals.iter().map(|at| &*at.sweep.agent).collect();
-    for agent in agents {
-        let mut arrivals: Vec<At> = arrivals.iter().filter(|at| at.sweep.agent == agent).copied().collect();
-        arrivals.sort_by_key(|at| (at.ready, at.sweep.seq));
-        let mut free = Nanos::MIN;
-        let mut waiting: Option<At> = None;
-        let mut call = |at: At<'w>, start: Nanos| {
-            let ready = start + compute;
-            done.push(At { ready, ..at });
-            ready
-        };
-        for at in arrivals {
-            if let Some(first) = waiting.take_if(|_| free <= at.ready) {
-                free = call(first, free);
-            }
-            if free <= at.ready {
-                free = call(at, at.ready);
-            } else if waiting.is_some_and(|waiting| waiting.sweep.stamp > at.sweep.stamp) {
-                passed_over.push(at);
-            } else {
-                passed_over.extend(waiting.replace(at));
-            }
-        }
-        waiting.map(|last| call(last, free));
-    }
-    (done, passed_over)
-}
-
-/// Size of a packet, by the layout that `realo-transmission` documents.
-fn bytes(sweep: &Sweep) -> usize {
-    let envelope = 21 + 1 + sweep.agent.len() + if sweep.posed { 56 } else { 0 };
-    let classes = if sweep.boxes > 0 { 1 + "Car".len() } else { 0 };
-    envelope + 3 + classes + sweep.boxes * (34 + if sweep.tracked { 12 + 4 } else { 0 })
-}
-
-/// A message that entered the channel, and when its copies arrive.
-struct Sent<'w> {
-    sweep: &'w Sweep,
-    arrivals: Arrivals,
-    start: Nanos,
-    /// How long before `start` it was sent; that much of its delay is over.
-    waited: Nanos,
-}
-
-/// Packets of one sender that wait until it has told a position.
-const WAITING: usize = 16;
-
-/// What the link does with packets: those that it sent, and those of agents too far away or at no known place.
-fn cross<'w>(world: &'w World, packets: &[At<'w>]) -> (Vec<Sent<'w>>, Vec<&'w Sweep>) {
-    enum What<'w> {
-        Packet(&'w Sweep),
-        Position(Nanos, [f64; 2]),
-    }
-    let packet = |at: &At<'w>| {
-        let sweep = at.sweep;
-        (
-            (at.ready, Class::Data, 3, &*sweep.agent, sweep.seq),
-            What::Packet(sweep),
-        )
+/// Everybody's states through the link of states.
+fn tell(world: &World) -> Told<'_> {
+    let (own, others): (Vec<At>, Vec<At>) = world.states.iter().map(At::log).partition(|at| at.agent() == EGO);
+    let own = serve_latest(&own, world.compute("ego-sender"));
+    let others = serve_latest(&others, world.compute("state-sender"));
+    let link = Link::of_states(world, &own.done(), &others.done());
+    let mut told = Told {
+        to_ego: link.to_ego(),
+        to_others: link.to_others(),
+        ..Told::default()
     };
-    let positions = world.fixes.iter().map(|fix| {
-        let port = if fix.agent == EGO { 0 } else { 1 };
-        (
-            (fix.ready, Class::State, port, &*fix.agent, fix.seq),
-            What::Position(fix.stamp, fix.at),
-        )
-    });
-    let calls = serve_all(
-        packets.iter().map(packet).chain(positions).collect(),
-        compute(world, "link"),
-    );
-    let position = |agent: &str, calls: &[(Place, What)]| {
-        let of_agent = calls.iter().filter_map(|((.., name, _), what)| match what {
-            What::Position(stamp, at) if *name == agent => Some((*stamp, *at)),
-            _ => None,
-        });
-        of_agent.max_by_key(|(stamp, _)| *stamp).map(|(_, at)| at)
-    };
-    let key = StreamKey::new(world.channel_seed, "link");
-    let (mut sent, mut out_of_range) = (Vec::new(), Vec::new());
-    for (number, (place, what)) in calls.iter().enumerate() {
-        let What::Packet(sweep) = what else { continue };
-        // The first call before which the sender is known, offline the ego too: it is waited for.
-        let known = |number: &usize| {
-            let so_far = &calls[..*number];
-            let ego = || position(EGO, so_far).is_some();
-            position(&sweep.agent, so_far).is_some() && (!world.offline || ego())
-        };
-        let placed = (number..=calls.len()).find(known);
-        let of_sender = |(_, what): &&(Place, What)| matches!(what, What::Packet(other) if other.agent == sweep.agent);
-        let behind = |until: usize| calls[number + 1..until].iter().filter(of_sender).count();
-        let (so_far, start) = match placed {
-            Some(at) if at == number => (&calls[..number], place.0),
-            Some(at) if behind(at) < WAITING => (&calls[..at], calls[at - 1].0.0),
-            _ => {
-                out_of_range.push(*sweep);
-                continue;
+    let receivers: BTreeSet<&str> = told.to_others.sent.iter().map(|sent| sent.to).collect();
+    let mut late = 0;
+    for receiver in receivers {
+        let sent = told.to_others.sent.iter().filter(|sent| sent.to == receiver);
+        let arrivals: Vec<At> = sent.flat_map(Sent::arrivals).collect();
+        // What came for one agent does not wait for, nor replace, what came for another.
+        let decoded = serve_latest(&arrivals, world.compute("state-receiver"));
+        late += decoded.passed_over.len();
+        let skipped = decoded.passed_over.iter().map(|at| (receiver, at.said.seq));
+        told.skipped.extend(skipped);
+        let taken = decoded.done().into_iter().map(|at| (at.place(Class::State, 1), at));
+        told.known
+            .insert(receiver, serve_all(taken.collect(), world.compute("encoder")));
+    }
+    told.known.retain(|_, taken| !taken.is_empty());
+    let count = [
+        ("ego-sender", own.passed_over.len()),
+        ("state-sender", others.passed_over.len()),
+        ("state-link", 0),
+        ("state-receiver", late),
+    ];
+    told.passed_over = count.map(|(stage, count)| (stage.to_string(), count as u64)).into();
+    told
+}
+
+impl Told<'_> {
+    /// The books of the channels of states.
+    fn channels(&self) -> BTreeMap<String, Line> {
+        let mut channels = books("ego_state", &self.to_ego);
+        for sent in &self.to_ego.sent {
+            let line = channels.get_mut(&name(sent, "ego_state")).expect("it has a line");
+            line.lost += u64::from(sent.copies.first.is_none());
+        }
+        channels.extend(books("ego_state", &self.to_others));
+        for (name, line) in &mut channels {
+            // The encoder takes what the channel delivers: it had some of this receiver.
+            let (_, to) = name.trim_end_matches(".ego_state").split_once('-').expect("two agents");
+            line.accounted = self.known.contains_key(to);
+        }
+        for sent in &self.to_others.sent {
+            let line = channels.get_mut(&name(sent, "ego_state")).expect("it has a line");
+            let (number, stamp) = ((sent.to, sent.at.said.seq), sent.at.said.stamp);
+            let taken = || self.known.get(sent.to).into_iter().flatten().map(|(_, at)| at.said);
+            let there = taken().any(|said| said.stamp == stamp);
+            let terms = [
+                (self.used.contains(&number), &mut line.used),
+                (self.skipped.contains(&number), &mut line.skipped),
+                (there && taken().any(|said| said.stamp > stamp), &mut line.superseded),
+                (sent.copies.first.is_none(), &mut line.lost),
+                (true, &mut line.in_flight),
+            ];
+            if let Some((_, term)) = terms.into_iter().find(|(fits, _)| *fits) {
+                *term += 1;
             }
-        };
-        let distance = position(&sweep.agent, so_far).zip(position(EGO, so_far)).map(|(a, b)| {
-            let [dx, dy] = [a[0] - b[0], a[1] - b[1]];
-            (dx * dx + dy * dy).sqrt()
-        });
-        if distance.is_none_or(|distance| distance > world.range_m) {
-            out_of_range.push(*sweep);
+        }
+        // Of what nobody takes only the channel itself speaks.
+        for line in channels.values_mut().filter(|line| !line.accounted) {
+            (line.skipped, line.in_flight) = (0, 0);
+        }
+        channels
+    }
+}
+
+fn name(sent: &Sent, kind: &str) -> String {
+    format!("{}-{}.{kind}", sent.at.agent(), sent.to)
+}
+
+/// What the channels of a link carried.
+fn books(kind: &str, crossed: &Crossed) -> BTreeMap<String, Line> {
+    let mut channels: BTreeMap<String, Line> = BTreeMap::new();
+    for sent in &crossed.sent {
+        let line = channels.entry(name(sent, kind)).or_default();
+        line.sent += 1;
+        line.bytes += sent.bytes as u64;
+        line.duplicated += u64::from(sent.copies.second.is_some());
+    }
+    for (from, to) in &crossed.out_of_range {
+        channels.entry(format!("{from}-{to}.{kind}")).or_default().out_of_range += 1;
+    }
+    channels
+}
+
+/// What the encoders made of sweeps.
+#[derive(Default)]
+struct Encoded<'w> {
+    packets: Vec<At<'w>>,
+    passed_over: u64,
+    no_ego_state: u64,
+    errors: u64,
+}
+
+/// Sweeps to packets; a sender that projects takes the newest state of the ego that it has received.
+fn encode<'w>(world: &World, sweeps: &[At<'w>], told: &mut Told<'w>, reached: &mut Reached) -> Encoded<'w> {
+    let served = serve_latest(sweeps, world.compute("encoder"));
+    let mut encoded = Encoded {
+        passed_over: served.passed_over.len() as u64,
+        ..Encoded::default()
+    };
+    for (place, at) in &served.calls {
+        if world.strategy != Strategy::Projected {
+            encoded.packets.push(*at);
             continue;
         }
-        let draws = key.draws(&sweep.agent, EGO, Kind::Boxes, sweep.seq);
-        let at_once = Arrivals {
-            first: Some(0),
-            second: None,
+        let taken = told.known.get(at.agent()).into_iter().flatten();
+        let before = taken.filter(|(taken, _)| taken < place);
+        let Some(ego) = before.map(|(_, state)| state.said).max_by_key(|said| said.stamp) else {
+            encoded.no_ego_state += 1;
+            continue;
         };
-        let arrivals = if world.offline {
-            at_once
-        } else {
-            transmit(&world.channel, bytes(sweep), draws)
-        };
-        let waited = start - place.0;
-        sent.push(Sent {
-            sweep,
-            arrivals,
-            start,
-            waited,
-        });
+        if at.said.spot.is_none() {
+            encoded.errors += 1;
+            continue;
+        }
+        told.used.insert((at.agent(), ego.seq));
+        encoded.packets.push(At { by: Some(ego), ..*at });
+        let log_had = world
+            .states
+            .iter()
+            .filter(|said| said.agent == EGO && said.ready < place.0);
+        let log_had = log_had.map(|said| said.stamp).max();
+        add(
+            reached,
+            "projected with a state that the link made old",
+            log_had > Some(ego.stamp),
+        );
+        add(reached, "projected", true);
     }
-    (sent, out_of_range)
+    encoded
 }
 
-fn compute(world: &World, stage: &str) -> Nanos {
-    world.compute.get(stage).copied().unwrap_or(0)
+fn add(reached: &mut Reached, what: &'static str, happened: bool) {
+    *reached.entry(what).or_default() += u64::from(happened);
 }
 
 /// A message in the bank.
 struct Held<'w> {
     place: Place<'w>,
     at: At<'w>,
+    /// When it left, because so many newer ones of its sender are there.
+    left: Option<Place<'w>>,
+}
+
+impl Held<'_> {
+    /// Of one stamp, what came later counts as newer.
+    fn is_newer(&self, other: &Held) -> bool {
+        (self.at.said.stamp, self.place) > (other.at.said.stamp, other.place)
+    }
+
+    fn is_there(&self, now: Place) -> bool {
+        self.place < now && self.left.is_none_or(|left| left > now)
+    }
 }
 
 /// A query and its answer.
 struct Asked<'w> {
     query: At<'w>,
+    /// When it was answered.
+    now: Place<'w>,
     /// When the Selection is ready.
     ready: Nanos,
-    entries: Vec<&'w Sweep>,
+    entries: Vec<At<'w>>,
     /// What would have been selected, were it not too old.
-    stale: Vec<&'w Sweep>,
+    stale: Vec<At<'w>>,
+}
+
+/// Sets when each message left for want of room: when the last of the 16 newer ones came that fill it.
+fn limit(held: &mut [Held]) {
+    let lefts: Vec<_> = held
+        .iter()
+        .map(|old| {
+            let newer = held
+                .iter()
+                .filter(|new| new.at.agent() == old.at.agent() && new.is_newer(old));
+            // In the order in which they came.
+            newer.map(|new| new.place.max(old.place)).nth(HELD - 1)
+        })
+        .collect();
+    held.iter_mut().zip(lefts).for_each(|(held, left)| held.left = left);
 }
 
 /// What entered the bank, what it did not take, and its answers in order.
-fn bank<'w>(world: &World, decoded: &[At<'w>], queries: &[At<'w>]) -> (Vec<Held<'w>>, Vec<At<'w>>, Vec<Asked<'w>>) {
-    let place = |at: &At<'w>, class, port| (at.ready, class, port, &*at.sweep.agent, at.sweep.seq);
-    let messages = decoded.iter().map(|at| (place(at, Class::Data, 1), *at));
-    let asked = queries.iter().map(|at| (place(at, Class::Query, 0), *at));
-    let compute = compute(world, "bank");
+struct Banked<'w> {
+    held: Vec<Held<'w>>,
+    rejected: Vec<At<'w>>,
+    asked: Vec<Asked<'w>>,
+}
+
+fn bank<'w>(world: &World, decoded: &[At<'w>], queries: &[At<'w>], reached: &mut Reached) -> Banked<'w> {
+    let messages = decoded.iter().map(|at| (at.place(Class::Data, 1), *at));
+    let queries = queries.iter().map(|at| (at.place(Class::Query, 0), *at));
+    let compute = world.compute_of_query();
     let (mut held, mut rejected, mut asking) = (Vec::new(), Vec::new(), Vec::new());
-    let mut known = BTreeSet::new();
-    for (place, at) in serve_all(messages.chain(asked).collect(), compute) {
-        if at.sweep.agent == EGO {
+    let mut calls = serve_all(messages.collect(), world.compute("bank"));
+    calls.extend(serve_all(queries.collect(), compute));
+    calls.sort_by_key(|(place, _)| *place);
+    for (place, at) in calls {
+        if at.agent() == EGO {
             asking.push((place, at));
-        } else if at.sweep.stamp - at.ready > Nanos::from(world.ahead_ms) * MS {
+        } else if at.said.stamp - at.ready > Nanos::from(world.ahead_ms) * MS {
             rejected.push(at);
-        } else if known.insert(id(at.sweep)) {
-            held.push(Held { place, at });
+        } else if is_new(&held, at) {
+            held.push(Held { place, at, left: None });
         }
     }
-    let answer = |(place, query): (Place<'w>, At<'w>)| {
-        if world.offline {
-            let wake = (query.sweep.stamp + REACH, Class::Wake, 0, EGO, 0);
-            let entries = of_each_sender(&held, |held| nearest(held, wake, query));
-            return Asked {
-                query,
-                ready: wake.0,
-                entries,
-                stale: Vec::new(),
-            };
-        }
-        let newest = of_each_sender(&held, |held| newest(held, place, query));
-        let window = Nanos::from(world.window_ms) * MS;
-        let (entries, stale) = newest
-            .into_iter()
-            .partition(|sweep| query.ready - sweep.stamp <= window);
+    limit(&mut held);
+    let window = Nanos::from(world.window_ms) * MS;
+    let asked = asking.into_iter().map(|(place, query)| {
+        let (now, ready): (Place, Nanos) = match world.offline {
+            true => (
+                (query.said.stamp + REACH, Class::Wake, 0, EGO, 0),
+                query.said.stamp + REACH,
+            ),
+            false => (place, place.0 + compute),
+        };
+        let chosen = |there: &dyn Fn(&Held) -> bool| {
+            of_each_sender(&held, |held| {
+                let there = held.iter().filter(|held| there(held)).map(|held| held.at);
+                if world.offline {
+                    nearest(there, query)
+                } else {
+                    newest(there, query)
+                }
+            })
+        };
+        let found = chosen(&|held| held.is_there(now));
+        let had_room = chosen(&|held| held.place < now);
+        let ids = |list: &[At]| list.iter().map(|at| id(at.said)).collect::<Vec<_>>();
+        let what = if world.offline {
+            "answers offline that the bank's limit changed"
+        } else {
+            "answers that the bank's limit changed"
+        };
+        add(reached, what, ids(&found) != ids(&had_room));
+        let in_time = |at: &At| world.offline || query.ready - at.said.stamp <= window;
+        let (entries, stale) = found.into_iter().partition(in_time);
         Asked {
             query,
-            ready: place.0 + compute,
+            now,
+            ready,
             entries,
             stale,
         }
-    };
-    let asked = asking.into_iter().map(answer).collect();
-    (held, rejected, asked)
+    });
+    let asked = asked.collect();
+    Banked { held, rejected, asked }
+}
+
+/// Whether none of the last messages of its sender is the same.
+fn is_new(held: &[Held], at: At) -> bool {
+    let of_sender = held.iter().rev().filter(|held| held.at.agent() == at.agent());
+    of_sender.take(REMEMBERED).all(|held| held.at.said.seq != at.said.seq)
 }
 
 /// One message at most of each sender, by name.
-fn of_each_sender<'w>(held: &[Held<'w>], choose: impl Fn(&[&Held<'w>]) -> Option<&'w Sweep>) -> Vec<&'w Sweep> {
-    let agents: BTreeSet<&str> = held.iter().map(|held| &*held.at.sweep.agent).collect();
-    let of = |agent: &str| {
-        held.iter()
-            .filter(|held| held.at.sweep.agent == agent)
-            .collect::<Vec<_>>()
-    };
+fn of_each_sender<'w>(held: &[Held<'w>], choose: impl Fn(&[&Held<'w>]) -> Option<At<'w>>) -> Vec<At<'w>> {
+    let agents: BTreeSet<&str> = held.iter().map(|held| held.at.agent()).collect();
+    let of = |agent: &str| held.iter().filter(|held| held.at.agent() == agent).collect::<Vec<_>>();
     agents.into_iter().filter_map(|agent| choose(&of(agent))).collect()
 }
 
-/// Online: the newest stamp with ready ≤ the query's ready, of what has entered the bank.
-fn newest<'w>(held: &[&Held<'w>], now: Place, query: At) -> Option<&'w Sweep> {
-    let there = held
-        .iter()
-        .filter(|held| held.place < now && held.at.ready <= query.ready);
-    there.max_by_key(|held| held.at.sweep.stamp).map(|held| held.at.sweep)
+/// Online: the newest stamp with ready ≤ the query's ready.
+fn newest<'w>(there: impl Iterator<Item = At<'w>>, query: At) -> Option<At<'w>> {
+    there
+        .filter(|at| at.ready <= query.ready)
+        .max_by_key(|at| at.said.stamp)
 }
 
 /// Offline: the least difference of stamps, at most the reach; of two the earlier.
-fn nearest<'w>(held: &[&Held<'w>], now: Place, query: At) -> Option<&'w Sweep> {
-    let away = |held: &&&Held| (held.at.sweep.stamp.abs_diff(query.sweep.stamp), held.at.sweep.stamp);
-    let there = held.iter().filter(|held| held.place < now);
-    let near = there
-        .min_by_key(away)
-        .filter(|held| away(held).0 <= REACH.unsigned_abs());
-    near.map(|held| held.at.sweep)
+fn nearest<'w>(there: impl Iterator<Item = At<'w>>, query: At) -> Option<At<'w>> {
+    let away = |at: &At| (at.said.stamp.abs_diff(query.said.stamp), at.said.stamp);
+    there.min_by_key(away).filter(|at| away(at).0 <= REACH.unsigned_abs())
 }
 
 /// Sets of the ego's message and its Selection: the fusions that took place, and how many sets did not come to one.
@@ -287,38 +332,54 @@ fn fuse<'w>(world: &World, asked: &[Asked<'w>]) -> (Vec<At<'w>>, u64) {
             ..asked.query
         })
         .collect();
-    sets.sort_by_key(|set| (set.ready, set.sweep.seq));
+    sets.sort_by_key(|set| (set.ready, set.said.seq));
     // A set that is older than one that was complete before it is discarded.
     let in_order = |number: usize| {
         sets[..number]
             .iter()
-            .all(|before| before.sweep.stamp < sets[number].sweep.stamp)
+            .all(|before| before.said.stamp < sets[number].said.stamp)
     };
     let complete: Vec<At> = (0..sets.len())
         .filter(|number| in_order(*number))
         .map(|number| sets[number])
         .collect();
-    let (fused, skipped) = serve_latest(&complete, compute(world, "fusion"));
-    (fused, (sets.len() - complete.len() + skipped.len()) as u64)
+    let served = serve_latest(&complete, world.compute("fusion"));
+    let not_fused = sets.len() - complete.len() + served.passed_over.len();
+    (served.done(), not_fused as u64)
 }
 
 /// What one fusion did with what was selected for it: what it used, what was beyond its limit, what it could not take.
-fn fusion(world: &World, set: &At, asked_at: Nanos, entries: &[&Sweep]) -> (Fusion, Vec<Id>, Vec<Id>) {
-    let (placed, rejected): (Vec<&Sweep>, Vec<&Sweep>) =
-        entries.iter().partition(|entry| entry.posed && set.sweep.posed);
+fn fusion(world: &World, set: &At, asked_at: Nanos, entries: &[At]) -> (Fusion, Vec<Id>, Vec<Id>) {
+    let posed = |at: &At| at.said.spot.is_some() && set.said.spot.is_some();
+    let (placed, mut rejected): (Vec<At>, Vec<At>) = entries.iter().partition(|entry| posed(entry));
     let limit = world.max_collaborators.unwrap_or(usize::MAX).min(placed.len());
-    let (taken, over_limit) = placed.split_at(limit);
+    let (chosen, over_limit) = placed.split_at(limit);
+    // What stays as it was sent must have been sent in the ego's frame.
+    let (taken, elsewhere): (Vec<At>, Vec<At>) = chosen.iter().partition(|at| !world.as_sent || at.by.is_some());
+    rejected.extend(elsewhere);
+    let own = (0..set.said.count).map(|place| InEgo(content(place)));
+    let theirs = taken
+        .iter()
+        .flat_map(|at| (0..at.said.count).map(|place| in_ego(world, set, at, content(place))));
     let fusion = Fusion {
-        query: set.sweep.seq,
+        query: set.said.seq,
         ready: set.ready,
-        boxes: set.sweep.boxes + taken.iter().map(|sweep| sweep.boxes).sum::<usize>(),
-        used: taken.iter().map(|sweep| (id(sweep), asked_at - sweep.stamp)).collect(),
+        content: own.chain(theirs).collect(),
+        used: taken.iter().map(|at| (id(at.said), asked_at - at.said.stamp)).collect(),
     };
-    let ids = |sweeps: &[&Sweep]| sweeps.iter().map(|sweep| id(sweep)).collect();
+    let ids = |list: &[At]| list.iter().map(|at| id(at.said)).collect();
     (fusion, ids(over_limit), ids(&rejected))
 }
 
-/// Everything that ever happened to messages, by which each has its term.
+/// Where the fusion puts a point of a sender's frame: where it was in `map`, seen by the ego at the query's stamp; as it
+/// was sent, by the ego at the stamp of the state that the sender knew.
+fn in_ego(world: &World, set: &At, at: &At, point: [f64; 2]) -> InEgo {
+    let in_map = at.said.spot.expect("it was placed").map_from_here(point);
+    let seen_by = at.by.filter(|_| world.as_sent).unwrap_or(set.said);
+    InEgo(seen_by.spot.expect("it was placed").here_from_map(in_map))
+}
+
+/// Everything that ever happened to sweeps, by which each has its term.
 #[derive(Default)]
 struct History {
     selected: BTreeSet<Id>,
@@ -335,7 +396,7 @@ struct History {
 impl History {
     /// Adds the message to the first term that fits.
     fn count(&self, sent: &Sent, line: &mut Line) {
-        let id = id(sent.sweep);
+        let id = id(sent.at.said);
         let asked_for = self.selected.contains(&id);
         let terms = [
             (self.used.contains(&id), &mut line.used),
@@ -343,7 +404,7 @@ impl History {
             (self.over_limit.contains(&id), &mut line.over_limit),
             (self.stale.contains(&id) && !asked_for, &mut line.stale),
             (self.superseded.contains(&id) && !asked_for, &mut line.superseded),
-            (sent.arrivals.first.is_none(), &mut line.lost),
+            (sent.copies.first.is_none(), &mut line.lost),
             (self.rejected.contains(&id), &mut line.rejected),
             (true, &mut line.in_flight),
         ];
@@ -355,61 +416,68 @@ impl History {
 
 /// Online: the ones that were asked for when they were too old, and the ones that had a newer one beside them.
 fn online(asked: &[Asked], held: &[Held], history: &mut History) {
-    history
-        .stale
-        .extend(asked.iter().flat_map(|asked| asked.stale.iter().map(|sweep| id(sweep))));
-    let newer = |a: &Sweep, b: &Sweep| a.agent == b.agent && a.stamp > b.stamp;
-    let superseded = held
-        .iter()
-        .filter(|old| held.iter().any(|new| newer(new.at.sweep, old.at.sweep)));
-    history.superseded.extend(superseded.map(|held| id(held.at.sweep)));
+    let stale = asked.iter().flat_map(|asked| asked.stale.iter().map(|at| id(at.said)));
+    history.stale.extend(stale);
+    let newer = |new: &Held, old: &Held| new.at.agent() == old.at.agent() && new.is_newer(old);
+    let superseded = held.iter().filter(|old| held.iter().any(|new| newer(new, old)));
+    history.superseded.extend(superseded.map(|held| id(held.at.said)));
 }
 
-/// Offline: the ones in reach of a query that took a nearer one, and of the others those that are behind a query.
+/// Offline: of the queries that were answered with it there, the ones in reach of one, which took a nearer one; and of
+/// the others those that are behind one.
 fn offline(asked: &[Asked], held: &[Held], history: &mut History) {
-    for Held {
-        at: At { sweep, .. }, ..
-    } in held
-    {
-        let queries = || asked.iter().map(|asked| asked.query.sweep.stamp);
-        if queries().any(|query| query.abs_diff(sweep.stamp) <= REACH.unsigned_abs()) {
-            history.superseded.insert(id(sweep));
-        } else if queries().any(|query| query > sweep.stamp) {
-            history.stale.insert(id(sweep));
+    for Held { place, at, .. } in held {
+        let there = asked.iter().filter(|asked| asked.now > *place);
+        let queries: Vec<Nanos> = there.map(|asked| asked.query.said.stamp).collect();
+        let in_reach = |query: &Nanos| query.abs_diff(at.said.stamp) <= REACH.unsigned_abs();
+        if queries.iter().any(in_reach) {
+            history.superseded.insert(id(at.said));
+        } else if queries.iter().any(|query| *query > at.said.stamp) {
+            history.stale.insert(id(at.said));
         }
     }
 }
 
-/// What a run of the world must give.
-pub fn account(world: &World) -> Account {
-    let at = |sweep| At {
-        sweep,
-        ready: sweep.ready,
+/// What a run of the world must give, and what of it is rare.
+pub fn account(world: &World) -> (Account, Reached) {
+    let mut reached = Reached::new();
+    let mut passed_over: BTreeMap<String, u64> = BTreeMap::new();
+    let (own, others): (Vec<At>, Vec<At>) = world.sweeps.iter().map(At::log).partition(|at| at.agent() == EGO);
+    let (queries, others) = match world.strategy {
+        Strategy::Late => {
+            let own = serve_latest(&own, world.compute("ego-nms"));
+            let others = serve_latest(&others, world.compute("nms"));
+            passed_over.insert("ego-nms".into(), own.passed_over.len() as u64);
+            passed_over.insert("nms".into(), others.passed_over.len() as u64);
+            (own.done(), others.done())
+        }
+        Strategy::Early | Strategy::Projected => (own, others),
     };
-    let (own, others): (Vec<At>, Vec<At>) = world.sweeps.iter().map(at).partition(|at| at.sweep.agent == EGO);
-    let (queries, ego_missed) = serve_latest(&own, compute(world, "ego-nms"));
-    let (detected, missed) = serve_latest(&others, compute(world, "nms"));
-    let (packets, unsent) = serve_latest(&detected, compute(world, "encoder"));
-    let (sent, out_of_range) = cross(world, &packets);
-    let done = compute(world, "link");
-    let copies = sent.iter().flat_map(|sent| {
-        let delays = [sent.arrivals.first, sent.arrivals.second].into_iter().flatten();
-        delays.map(move |delay| At {
-            sweep: sent.sweep,
-            ready: sent.start + done + (delay - sent.waited).max(0),
-        })
-    });
-    let (decoded, undecoded) = serve_latest(&copies.collect::<Vec<_>>(), compute(world, "decoder"));
-    let (fitting, too_large): (Vec<At>, Vec<At>) =
-        decoded.into_iter().partition(|at| bytes(at.sweep) <= world.max_bytes);
-    let (held, refused, asked) = bank(world, &fitting, &queries);
+    let mut told = match world.strategy {
+        Strategy::Projected => tell(world),
+        Strategy::Late | Strategy::Early => Told::default(),
+    };
+    let encoded = encode(world, &others, &mut told, &mut reached);
+    let crossed = Link::of_sweeps(world, &encoded.packets).to_ego();
+    add(
+        &mut reached,
+        "worlds in which a link's room ran out",
+        crossed.pushed_out > 0,
+    );
+    let copies: Vec<At> = crossed.sent.iter().flat_map(Sent::arrivals).collect();
+    let decoded = serve_latest(&copies, world.compute("decoder"));
+    let (fitting, too_large): (Vec<At>, Vec<At>) = decoded
+        .done()
+        .into_iter()
+        .partition(|at| bytes(world, at) <= world.max_bytes);
+    let Banked { held, rejected, asked } = bank(world, &fitting, &queries, &mut reached);
     let (fused, not_fused) = fuse(world, &asked);
 
-    let ids = |list: &[&Sweep]| list.iter().map(|sweep| id(sweep)).collect::<Vec<_>>();
+    let ids = |list: &[At]| list.iter().map(|at| id(at.said)).collect::<Vec<_>>();
     let mut history = History {
         selected: asked.iter().flat_map(|asked| ids(&asked.entries)).collect(),
-        rejected: refused.iter().chain(&too_large).map(|at| id(at.sweep)).collect(),
-        passed_over: undecoded.iter().map(|at| id(at.sweep)).collect(),
+        rejected: rejected.iter().chain(&too_large).map(|at| id(at.said)).collect(),
+        passed_over: decoded.passed_over.iter().map(|at| id(at.said)).collect(),
         ..History::default()
     };
     match world.offline {
@@ -418,54 +486,62 @@ pub fn account(world: &World) -> Account {
     }
     let mut fusions = Vec::new();
     for set in &fused {
-        let asked = asked.iter().find(|asked| asked.query.sweep == set.sweep);
+        let asked = asked.iter().find(|asked| asked.query.said == set.said);
         let asked = asked.expect("a set has its query");
         let (fusion, over_limit, rejected) = fusion(world, set, asked.query.ready, &asked.entries);
+        let projected = world.strategy == Strategy::Projected && !fusion.used.is_empty();
+        add(
+            &mut reached,
+            "fusions of what was projected and stayed as sent",
+            projected && world.as_sent,
+        );
+        add(
+            &mut reached,
+            "fusions of what was projected and brought up to date",
+            projected && !world.as_sent,
+        );
         history.used.extend(fusion.used.iter().map(|(id, _)| id.clone()));
         history.over_limit.extend(over_limit);
         history.rejected.extend(rejected);
         fusions.push(fusion);
     }
     for asked in &asked {
-        if !fused.iter().any(|set| set.sweep == asked.query.sweep) {
+        if !fused.iter().any(|set| set.said == asked.query.said) {
             history.passed_over.extend(ids(&asked.entries));
         }
     }
 
-    let mut channels: BTreeMap<String, Line> = BTreeMap::new();
-    for sent in &sent {
-        let line = channels.entry(sent.sweep.agent.clone()).or_default();
-        line.sent += 1;
-        line.bytes += bytes(sent.sweep) as u64;
-        line.duplicated += u64::from(sent.arrivals.second.is_some());
-        history.count(sent, line);
+    let mut channels = books(kind(world), &crossed);
+    for sent in &crossed.sent {
+        history.count(sent, channels.get_mut(&name(sent, kind(world))).expect("it has a line"));
     }
-    for sweep in out_of_range {
-        channels.entry(sweep.agent.clone()).or_default().out_of_range += 1;
-    }
+    channels.values_mut().for_each(|line| line.accounted = true);
+    channels.extend(told.channels());
     let answers = asked.iter().map(|asked| Answer {
-        query: asked.query.sweep.seq,
+        query: asked.query.said.seq,
         ready: asked.ready,
         entries: asked
             .entries
             .iter()
-            .map(|sweep| (id(sweep), asked.query.ready - sweep.stamp))
+            .map(|at| (id(at.said), asked.query.ready - at.said.stamp))
             .collect(),
     });
-    let count = |list: &[At]| list.len() as u64;
-    let passed_over = [
-        ("ego-nms", count(&ego_missed)),
-        ("nms", count(&missed)),
-        ("encoder", count(&unsent)),
+    let shared = [
+        ("encoder", encoded.passed_over),
         ("link", 0),
-        ("decoder", count(&undecoded)),
+        ("decoder", decoded.passed_over.len() as u64),
         ("bank", 0),
         ("fusion", 2 * not_fused),
     ];
-    Account {
+    passed_over.extend(shared.map(|(stage, count)| (stage.to_string(), count)));
+    passed_over.extend(told.passed_over);
+    let account = Account {
         selections: answers.collect(),
         fusions,
         channels,
-        passed_over: passed_over.map(|(stage, count)| (stage.to_string(), count)).into(),
-    }
+        no_ego_state: encoded.no_ego_state,
+        errors: encoded.errors,
+        passed_over,
+    };
+    (account, reached)
 }

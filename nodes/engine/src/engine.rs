@@ -18,7 +18,8 @@ const END: &str = "end";
 /// How many calls of one stage may be under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Servers {
-    /// One for each agent: agents do not wait for each other (virtual time).
+    /// One for each agent, and of what crossed a link for each sender and receiver: agents do not wait for each other
+    /// (virtual time).
     PerAgent,
     /// One in all (a process).
     One,
@@ -458,7 +459,10 @@ impl Engine {
 
     fn server_of(&self, message: &Message) -> Name {
         match self.servers {
-            Servers::PerAgent => message.header.agent.clone(),
+            Servers::PerAgent => match &message.header.to {
+                Some(to) => format!("{} > {to}", message.header.agent).into(),
+                None => message.header.agent.clone(),
+            },
             Servers::One => Name::default(),
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use realo_operator::{Class, InputBooks, Port, PortId, Queue};
-use realo_schemas::{Kind, Message, Name, Nanos};
+use realo_schemas::{Header, Kind, Message, Name, Nanos};
 
 /// Messages that a stage takes in one go: one, or a complete set of a join group in declared order.
 #[derive(Debug)]
@@ -246,19 +246,22 @@ impl Intake {
         Ok(())
     }
 
-    /// Empties the slot of a `latest` port and agent for newer work; what is older than the waiting one is passed over
+    /// Empties the slot of a `latest` port, agent and receiver for newer work; what is older than the waiting one is passed over
     /// itself.
     fn replace_waiting(&mut self, server: &str, port: PortId, work: Work) -> Option<Work> {
-        let (agent, stamp) = (&work.calls[0].1.header.agent, work.calls[0].1.header.stamp);
+        let Header { agent, to, stamp, .. } = &work.calls[0].1.header;
+        let of_slot = |header: &Header| header.agent == *agent && header.to == *to;
         let line = self.waiting.get_mut(server);
         let slot = line.and_then(|line| {
-            line.extract_if(.., |place, _| place.2 == port && place.3 == *agent)
-                .next()
+            line.extract_if(.., |place, waiting| {
+                place.2 == port && of_slot(&waiting.calls[0].1.header)
+            })
+            .next()
         });
         let Some((place, waiting)) = slot else {
             return Some(work);
         };
-        if waiting.calls[0].1.header.stamp > stamp {
+        if waiting.calls[0].1.header.stamp > *stamp {
             self.skip(work);
             self.waiting.entry(server.into()).or_default().insert(place, waiting);
             return None;
@@ -364,6 +367,22 @@ mod tests {
         assert_eq!(intake.books()["latest"].skipped.total(), 2);
         let gone: Vec<(Name, u64)> = intake.take_passed_over().iter().map(of).collect();
         assert_eq!(gone, [("x".into(), 0), ("x".into(), 1)]);
+    }
+
+    #[test]
+    fn latest_keeps_one_for_each_receiver() {
+        let (mut intake, one) = (intake(), Name::from(""));
+        let to = |receiver: &str| {
+            let mut message = message("x", 0);
+            message.header.to = Some(receiver.into());
+            message
+        };
+        for receiver in ["a", "b", "c", "b"] {
+            intake.offer(&one, PortId(3), to(receiver)).unwrap();
+        }
+        assert_eq!(intake.books()["latest"].skipped.total(), 1, "that to b");
+        let left: Vec<Work> = std::iter::from_fn(|| intake.next("")).collect();
+        assert_eq!(left.len(), 3);
     }
 
     #[test]

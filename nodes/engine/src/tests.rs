@@ -473,7 +473,10 @@ fn a_busy_stage_says_of_messages_over_links_that_it_passed_them_over() {
     let mut rig = Rig::one(&SLOT, |_, _, _| takes(100));
     rig.give(0, crossed("a", 0, 0));
     rig.give(0, crossed("a", 1, 1));
-    rig.give(0, message("a", 2, 2));
+    rig.give(0, crossed("a", 2, 2));
+    for seq in 0..3 {
+        rig.give(0, message("e", seq, seq as Nanos));
+    }
     rig.give(0, selection(0, 3, vec![]));
     rig.give(
         0,
@@ -481,16 +484,31 @@ fn a_busy_stage_says_of_messages_over_links_that_it_passed_them_over() {
     );
     rig.give(0, selection(2, 5, vec![crossed("b", 9, 1)]));
     rig.give(0, crossed("a", 3, 6));
-    assert_eq!(rig.until(10), ["0 s in 0.a0", "3 s in 0.ego0"]);
-    let expected = [("a".to_string(), 1), ("b".into(), 7), ("d".into(), 8)];
+    assert_eq!(rig.until(10), ["0 s in 0.a0", "0 s in 0.e0", "3 s in 0.ego0"]);
+    let expected = [("a".to_string(), 1), ("b".into(), 7), ("d".into(), 8), ("a".into(), 2)];
     assert_eq!(
         rig.skipped(),
         expected,
-        "2 crossed no link; what waits may still be taken"
+        "what e says crossed no link; what waits may still be taken"
     );
     assert_eq!(rig.skipped(), [], "each is said once");
     rig.end();
-    assert_eq!(rig.rest(), ["100 s in 0.a3", "103 s in 0.ego2", "203 s end"]);
+    assert_eq!(
+        rig.rest(),
+        ["100 s in 0.a3", "100 s in 0.e2", "103 s in 0.ego2", "203 s end"]
+    );
+    assert_eq!(rig.skipped(), []);
+}
+
+#[test]
+fn what_crossed_to_one_does_not_wait_for_what_crossed_to_another() {
+    let mut rig = Rig::one(&SLOT, |_, _, _| takes(100));
+    for to in ["b", "c", "d"] {
+        let mut state = crossed("ego", 0, 0);
+        state.header.to = Some(to.into());
+        rig.give(0, state);
+    }
+    assert_eq!(rig.until(10), ["0 s in 0.ego0"; 3]);
     assert_eq!(rig.skipped(), []);
 }
 

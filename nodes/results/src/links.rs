@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use realo_operator::{Books, InputBooks};
+use realo_schemas::Kind;
 use realo_schemas::report::Channel;
 
 use crate::ledger::ChannelKey;
@@ -44,17 +45,18 @@ pub fn link_books(
     links
 }
 
-/// Whether some stage takes what the channel delivers: one that has heard of its receiver, or of nobody at all.
+/// Whether some stage takes what the channel delivers: one that has heard of its receiver, or of nobody at all. States
+/// cross both ways, so of them only a receiver that was heard of says which way leads there.
 fn is_accounted(channel: &Channel, books: &Books) -> bool {
     let inputs = books.nodes.values().flat_map(|node| node.inputs.values());
     let mut takers = inputs.filter(|input| input.accounts.contains(&channel.kind));
-    takers.any(|InputBooks { receivers, .. }| receivers.is_empty() || receivers.contains(&channel.to))
+    let one_way = channel.kind != Kind::EgoState;
+    takers.any(|InputBooks { receivers, .. }| receivers.contains(&channel.to) || (one_way && receivers.is_empty()))
 }
 
 #[cfg(test)]
 mod tests {
     use realo_operator::NodeBooks;
-    use realo_schemas::Kind;
     use realo_schemas::report::Traffic;
 
     use super::*;
@@ -132,6 +134,20 @@ mod tests {
         };
         assert_eq!(accounted(&["cav1"]), [true, false, false]);
         assert_eq!(accounted(&[]), [true, true, false], "nothing came at all");
+        let states = ["cav1", "rsu1"].map(|to| Channel {
+            from: if to == "cav1" { "rsu1".into() } else { "cav1".into() },
+            ..channel(to, Kind::EgoState, 1)
+        });
+        let accounted = |receivers: &[&str]| {
+            let links = link_books(&BTreeMap::new(), &books(&states, &[Kind::EgoState], receivers));
+            ["rsu1-cav1", "cav1-rsu1"].map(|link| links[link]["ego_state"].accounted.is_some())
+        };
+        assert_eq!(accounted(&["rsu1"]), [false, true]);
+        assert_eq!(
+            accounted(&[]),
+            [false, false],
+            "which way leads to a sender nobody has said"
+        );
         let nobody = link_books(&settled(1, 0), &books(&sent, &[], &[]));
         let text = serde_json::to_string(&nobody["rsu1-cav1"]["boxes"]).unwrap();
         assert_eq!(

@@ -17,6 +17,11 @@
 //! **Offline** it takes the message of least |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
 //! 50 ms after its stamp.
 //!
+//! **Limit**: of each sender 16 messages are held. Where one more comes, that of the oldest stamp makes room (of one
+//! stamp the one that came first), which may be the one that came; no query takes it any more. So a query that has waited
+//! for its turn may find nothing of a sender of which 16 newer messages have come since. Online what made room is
+//! superseded, unless a query took it before; offline later queries still say which of the fates below it has.
+//!
 //! What becomes of a message that enters `others` is said once; the first that fits:
 //!
 //! | fate | meaning |

@@ -32,7 +32,25 @@
 //! [kinds.boxes]                  # points, features, boxes, ego_state
 //! fixed_ms = 10.0
 //! ```
-//! Draws hash (key of the seed, from, to, kind, seq), so no order of events changes them.
+//! # Draws
+//! A draw depends on seed, sender, receiver, kind and seq of the message and on its own number, so no order of events
+//! changes it. All words have 64 bits, are read little endian and wrap around.
+//!
+//! - The *key* is the first word that ChaCha with 8 rounds makes (block 0, nonce 0) of the 32 bytes: the seed (8 bytes),
+//!   then the stream's name `link`, filled with zeros.
+//! - *mix(w)*: w += `9e3779b97f4a7c15`; w = (w ^ w >> 30) × `bf58476d1ce4e5b9`; w = (w ^ w >> 27) × `94d049bb133111eb`;
+//!   w ^ w >> 31 (SplitMix64, Steele et al. 2014).
+//! - *hash*: begins as the key; for each word w it becomes mix(hash ^ w). The words are, for each of the texts from, to and
+//!   kind, the text's length in bytes and its bytes, 8 to a word, the last filled with zeros; then seq; then the draw's
+//!   number n.
+//! - Draw n is *u(n)* = (hash >> 11) / 2⁵³, in [0, 1).
+//!
+//! A packet is lost if u(0) < `loss`. One more copy of a packet that is not lost arrives if u(1) < `duplicate`. The packet's
+//! jitter takes the draws from n = 16 on, the copy's those from n = 20 on: with w = `uniform_ms` and σ = `gaussian_ms` it
+//! is w (2 u(n) - 1) + σ √(-2 ln(1 - u(n + 1))) cos(2π u(n + 2)) ms (Box and Muller).
+//!
+//! The delay is the sum of `fixed_ms`, 8 × bytes / `bits_per_second` (at most a day) and the jitter, each rounded to whole
+//! ns (halves away from 0), but not below 0.
 
 mod channel;
 mod draw;

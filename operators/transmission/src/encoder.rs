@@ -113,9 +113,15 @@ impl Operator for TransmissionEncoder {
             STATE => {
                 let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
                 let receiver = header.to.clone();
-                let known = self.ego.get(&receiver);
-                if known.is_some_and(|known| known.header.stamp >= header.stamp) {
-                    out.tell(&header, Fate::Superseded);
+                if let Some(known) = self
+                    .ego
+                    .get(&receiver)
+                    .filter(|known| known.header.stamp >= header.stamp)
+                {
+                    // A copy that the channel made takes nobody's place, nor does it lose its own.
+                    if known.header.seq != header.seq {
+                        out.tell(&header, Fate::Superseded);
+                    }
                     return Ok(());
                 }
                 let known = Known {
@@ -171,9 +177,10 @@ impl TransmissionEncoder {
                     out.count("no_ego_state", 1);
                     return Ok(());
                 };
+                let message = projected(message, known)?;
                 known.used = true;
                 out.tell(&known.header, Fate::Used);
-                projected(message, known)?
+                message
             }
             _ => message,
         };
