@@ -6,18 +6,17 @@
 //! | `ego` | in, all, query | PointCloud, FeatureMap, Boxes | what the ego says of itself; each message is a query |
 //! | `others` | in, all | PointCloud, FeatureMap, Boxes | what collaborators say |
 //! | `selections` | out | Selection | exactly one for each query, with the query's header |
-//! | `report` | out | Report | topic `bank`: one for each query, and one that closes the books |
 //!
 //! **Online** a query takes, of each sender, the message of newest stamp that was ready when the query was, unless it
 //! is older than the window (age = the query's ready - the message's stamp).
 //! **Offline** it takes the message of least |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
 //! 50 ms after its stamp.
 //!
-//! Every message that enters `others` departs exactly once, in a report; its fate is the first that fits:
+//! Every message that enters `others` departs exactly once. Of one that was in a Selection the fusion says what became;
+//! of any other the bank says its fate, the first that fits:
 //!
 //! | fate | meaning |
 //! |---|---|
-//! | `unused` | it was in a Selection; the reports of fusion say whether it was used |
 //! | `stale` | too old when a query asked its sender: online beyond the window, offline more than 50 ms before the query and never within reach of one |
 //! | `superseded` | online a newer one of its sender was there before any query, offline a nearer one was taken |
 //! | `rejected` | it came before the first query, which has another payload |
