@@ -164,6 +164,8 @@ fn case() -> FusionCase {
 }
 
 /// What a check says of a case that does not hold it.
+type Refused = fn(&FusionCase) -> String;
+
 fn refused<O: Operator + Send + 'static>(case: &FusionCase) -> String {
     let panic = catch_unwind(AssertUnwindSafe(|| case.check::<O>())).expect_err("every check is held");
     match panic.downcast::<String>() {
@@ -179,7 +181,7 @@ fn a_fusion_without_a_flaw_holds_every_check() {
 
 #[test]
 fn each_flaw_is_named() {
-    let cases: [(fn(&FusionCase) -> String, &str); 14] = [
+    let cases: [(Refused, &str); 14] = [
         (
             refused::<Toy<TAKES_ENTRIES_AS_THEY_STAND>>,
             "entries in the order rsu1, cav2",
