@@ -141,3 +141,63 @@ pub fn to_report<T: Serialize>(topic: &str, document: &T) -> Report {
 pub fn from_report<'a, T: Deserialize<'a>>(report: &'a Report) -> Result<T, String> {
     serde_json::from_str(&report.json).map_err(|error| format!("report `{}`: {error}", report.topic))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(to: Option<&str>) -> Header {
+        let mut header = Header::origin(&"run".into(), &"rsu1".into(), Kind::Features, 7, 10, 20);
+        header.to = to.map(Name::from);
+        header
+    }
+
+    fn crossing() -> Crossing {
+        Crossing {
+            from: "rsu1".into(),
+            to: "cav1".into(),
+            kind: Kind::Features,
+            seq: 7,
+        }
+    }
+
+    #[test]
+    fn the_first_fate_that_fits_is_the_least() {
+        assert!(Fate::ALL.is_sorted_by(|a, b| a < b));
+        assert_eq!(Fate::Stale.min(Fate::OverLimit), Fate::OverLimit);
+    }
+
+    #[test]
+    fn only_what_crossed_a_link_is_a_crossing() {
+        assert_eq!(Crossing::of(&header(Some("cav1"))), Some(crossing()));
+        assert_eq!(Crossing::of(&header(None)), None);
+    }
+
+    #[test]
+    fn traffic_adds_up_term_by_term() {
+        let traffic = |n: u64| Traffic {
+            sent: n,
+            bytes: 10 * n,
+            duplicated: 100 * n,
+            out_of_range: 1000 * n,
+        };
+        let mut sum = traffic(2);
+        sum.add(&traffic(3));
+        assert_eq!(sum, traffic(5));
+    }
+
+    #[test]
+    fn documents_come_back_from_reports_and_errors_name_the_topic() {
+        let fated = Fated {
+            message: crossing(),
+            fate: Fate::OverLimit,
+            r#use: None,
+        };
+        let report = to_report("fates", &fated);
+        let json = r#"{"from":"rsu1","to":"cav1","kind":"features","seq":7,"fate":"over_limit"}"#;
+        assert_eq!((&*report.topic, &*report.json), ("fates", json));
+        assert_eq!(from_report(&report), Ok(fated));
+        let error = from_report::<Traffic>(&report).unwrap_err();
+        assert!(error.starts_with("report `fates`: missing field `sent`"), "{error}");
+    }
+}

@@ -66,3 +66,27 @@ impl Ord for Event {
         self.key.cmp(&other.key)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn events_are_equal_where_their_order_says_so() {
+        let event = |emission| Event {
+            key: Key {
+                time: 5,
+                stage: 0,
+                order: Order::Wake,
+                port: 0,
+                agent: "a".into(),
+                kind: None,
+                seq: 0,
+                emission,
+            },
+            what: What::Wake,
+        };
+        assert!(event(1) == event(1) && event(1) != event(2));
+        assert!(event(1) < event(2));
+    }
+}

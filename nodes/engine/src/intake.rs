@@ -397,6 +397,19 @@ mod tests {
     }
 
     #[test]
+    fn of_one_stamp_the_latest_to_come_takes_the_slot() {
+        let (mut intake, x) = (intake(), Name::from("x"));
+        for seq in [5, 4, 6] {
+            let mut same = message("x", seq);
+            same.header.stamp = 100;
+            intake.offer(&x, PortId(3), same).unwrap();
+        }
+        assert_eq!(seqs(intake.next("x").unwrap()), [(3, 6)]);
+        let gone: Vec<(Name, u64)> = intake.take_passed_over().iter().map(of).collect();
+        assert_eq!(gone, [("x".into(), 5), ("x".into(), 4)]);
+    }
+
+    #[test]
     fn all_keeps_order_and_refuses_to_overflow() {
         let (mut intake, x) = (intake(), Name::from("x"));
         for seq in 0..Queue::CAPACITY as u64 {

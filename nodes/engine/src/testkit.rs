@@ -299,3 +299,6 @@ impl Rig {
             .collect()
     }
 }
+
+#[cfg(test)]
+mod tests;

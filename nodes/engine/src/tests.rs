@@ -295,6 +295,26 @@ fn an_instant_goes_by_class_then_port_then_agent_then_kind_then_number() {
 }
 
 #[test]
+fn what_is_alike_goes_in_the_order_in_which_it_came() {
+    let stamps = [3, 1, 4, 1, 5, 9, 2, 6];
+    let mut found = Vec::new();
+    let mut rig = Rig::one(&RELAY, |_, call, _| {
+        if let Call::Inputs(calls) = call {
+            found.push(calls[0].1.header.stamp);
+        }
+        Answer::default()
+    });
+    for stamp in stamps {
+        let mut alike = message("a", 0, 10);
+        alike.header.stamp = stamp;
+        rig.give(0, alike);
+    }
+    rig.rest();
+    drop(rig);
+    assert_eq!(found, stamps);
+}
+
+#[test]
 fn what_waits_for_a_busy_stage_goes_in_the_order_of_events() {
     let mut rig = Rig::new(&alone(&CLASSES), Servers::One, |_, call, _| match call {
         Call::Inputs(calls) if calls[0].1.header.seq == 99 => takes(50),

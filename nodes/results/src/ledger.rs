@@ -242,6 +242,7 @@ mod tests {
         }
         ledger.take(&fated(3, Fate::Used));
         ledger.take(&fated(20_000 - OPEN, Fate::Used));
+        assert_eq!(ledger.open(), OPEN as usize);
         let (settled, uses) = close(ledger);
         assert_eq!((settled.fates.stale, settled.fates.used, uses), (19_999, 1, 2));
     }

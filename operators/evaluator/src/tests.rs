@@ -1,5 +1,5 @@
 use realo_schemas::report::from_report;
-use realo_schemas::{Box3, Report};
+use realo_schemas::{Box3, Pose, Report, TraceEntry};
 
 use super::*;
 
@@ -58,6 +58,36 @@ fn reports_once_at_the_end() {
     let counts = report.scores.accuracy.sorted.counts["vehicle"]["0.5"];
     assert_eq!((counts.hits, counts.misses, counts.total), (1, 0, 2));
     assert_eq!(out.counted("boxes_without_truth"), 1);
+}
+
+#[test]
+fn the_header_of_the_report_is_that_of_the_last_truth_without_its_way() {
+    let mut operator = Evaluator::new(Config::default()).unwrap();
+    let mut out = Outputs::at(0);
+    let mut last = header(4, Kind::Truth);
+    last.pose = Some(Pose::exact(Default::default()));
+    last.trace.push(TraceEntry {
+        node: "player".into(),
+        input: 0,
+        start: 0,
+        done: 0,
+        ready: 0,
+    });
+    let second = Message {
+        header: last,
+        ..truth(4, vec![])
+    };
+    for (port, message) in [(TRUTH, truth(3, vec![])), (TRUTH, second), (BOXES, boxes(5, vec![]))] {
+        operator.on_input(port, message, &mut out).unwrap();
+    }
+    operator.on_end(&mut out).unwrap();
+    let found = out.take_sent().remove(0).1.header;
+    let expected = Header {
+        kind: Kind::Report,
+        seq: 0,
+        ..header(4, Kind::Truth)
+    };
+    assert_eq!(found, expected);
 }
 
 #[test]

@@ -22,7 +22,8 @@
 //! for its turn may find nothing of a sender of which 16 newer messages have come since. Online what made room is
 //! superseded, unless a query took it before; offline later queries still say which of the fates below it has.
 //!
-//! What becomes of a message that enters `others` is said once; the first that fits:
+//! Every message that enters `others` departs exactly once. Of one that was in a Selection the fusion says what became;
+//! of any other the bank says its fate, the first that fits:
 //!
 //! | fate | meaning |
 //! |---|---|

@@ -193,7 +193,6 @@ impl Sender {
             let within = distance(held) <= reach.unsigned_abs();
             held.selected |= nearest == Some(at);
             held.passed_over |= within && nearest != Some(at);
-            held.stale |= !within && held.message.header.stamp < stamp && !held.passed_over;
         }
         let selected = nearest.map(|at| self.held[at].message.clone());
         let mut keep = |held: &Held| {

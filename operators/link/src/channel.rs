@@ -159,4 +159,65 @@ mod tests {
         };
         assert!((0..100).all(|seq| transmit(&always, 10, draws(seq)).first.is_none()));
     }
+
+    #[test]
+    fn a_draw_of_just_the_share_is_neither_lost_nor_copied() {
+        let [loss, duplicate] = [LOSS, DUPLICATE].map(|index| draws(3).uniform(index));
+        let at_the_edge = Model {
+            loss,
+            duplicate,
+            ..Model::default()
+        };
+        let once = Arrivals {
+            first: Some(0),
+            second: None,
+        };
+        assert_eq!(transmit(&at_the_edge, 10, draws(3)), once);
+        let beyond = Model {
+            loss: 0.0,
+            duplicate: duplicate + 1e-9,
+            ..Model::default()
+        };
+        assert_eq!(transmit(&beyond, 10, draws(3)).second, Some(0));
+        let lost = Model {
+            loss: loss + 1e-9,
+            ..at_the_edge
+        };
+        assert_eq!(transmit(&lost, 10, draws(3)).first, None);
+    }
+
+    #[test]
+    fn both_parts_of_the_jitter_of_each_copy_are_draws_of_their_own() {
+        let model = Model {
+            fixed_ms: 100.0,
+            jitter: Jitter {
+                uniform_ms: 4.0,
+                gaussian_ms: 2.0,
+            },
+            duplicate: 1.0,
+            ..Model::default()
+        };
+        for seq in 0..20 {
+            let delay = |index| {
+                let (uniform, gaussian) = (draws(seq).uniform(index), draws(seq).gaussian(index + 1));
+                100_000_000 + ((4.0 * (2.0 * uniform - 1.0) + 2.0 * gaussian) * 1e6).round() as Nanos
+            };
+            let expected = Arrivals {
+                first: Some(delay(16)),
+                second: Some(delay(20)),
+            };
+            assert_eq!(transmit(&model, 0, draws(seq)), expected, "{seq}");
+        }
+    }
+
+    #[test]
+    fn bytes_take_no_time_where_no_rate_is_known() {
+        for bits_per_second in [None, Some(0)] {
+            let model = Model {
+                bits_per_second,
+                ..Model::default()
+            };
+            assert_eq!(transmit(&model, 1000, draws(0)).first, Some(0));
+        }
+    }
 }

@@ -75,6 +75,9 @@ mod tests {
     fn draws_are_pinned() {
         let found = [draws(0).uniform(0), draws(1).uniform(0), draws(0).uniform(1)];
         assert_eq!(found, PINNED, "other draws change every seeded run");
+        // Made of the first and the last one.
+        let gaussian = draws(0).gaussian(0);
+        assert!((gaussian + 1.067916714502).abs() < 1e-11, "{gaussian}");
     }
 
     const PINNED: [f64; 3] = [0.4499563865119447, 0.08640343389325789, 0.5344262162357819];

@@ -123,6 +123,8 @@ mod tests {
         assert_eq!(quantiles(vec![Some(0.5), None]), Some([0.5, 0.5]));
         let [low, high] = quantiles((0..=1000).rev().map(|i| Some(f64::from(i))).collect()).unwrap();
         assert!((low - 25.0).abs() < 1e-9 && (high - 975.0).abs() < 1e-9, "{low} {high}");
+        let [low, high] = quantiles(vec![Some(3.0), Some(1.0)]).unwrap();
+        assert!((low - 1.05).abs() < 1e-9 && (high - 2.95).abs() < 1e-9, "{low} {high}");
     }
 
     #[test]

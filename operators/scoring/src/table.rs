@@ -39,3 +39,14 @@ pub fn mean_of(values: impl ExactSizeIterator<Item = Option<f64>>) -> Option<f64
     let count = values.len() as f64;
     values.sum::<Option<f64>>().map(|sum| sum / count)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mean_misses_no_value() {
+        assert_eq!(mean_of([Some(0.25), Some(0.75), Some(0.5)].into_iter()), Some(0.5));
+        assert_eq!(mean_of([Some(0.5), None].into_iter()), None);
+    }
+}

@@ -261,13 +261,13 @@ fn drops_what_the_protocol_does_not_count() {
 
 #[test]
 fn objects_with_few_points_do_not_count_and_unseen_ones_are_ignored_in_seen() {
-    let objects = vec![car(10.0, 1.0), car(20.0, 1.0), car(30.0, 1.0), car(40.0, 1.0)];
-    // Seen by the ego; by the others only; by nobody enough; by both a little.
-    let key = truth_with_points(objects, &[[0, 10], [300, 9], [4, 0], [3, 2]]);
+    let objects = [10.0, 20.0, 30.0, 35.0, 40.0].map(|x| car(x, 1.0)).to_vec();
+    // Seen by the ego; by the others only; by nobody enough, twice; by both a little.
+    let key = truth_with_points(objects, &[[0, 10], [300, 9], [4, 0], [0, 1], [3, 2]]);
     let detections = vec![car(10.0, 0.9), car(20.0, 0.8), car(50.0, 0.7)];
     let scores = run("default", vec![with_truth(0, key), with_boxes(0, detections)]).scores;
     assert_eq!(counts(&scores, "vehicle", "0.5"), (2, 1, 3));
-    assert_eq!(scores.dropped_truths.few_points, 1);
+    assert_eq!(scores.dropped_truths.few_points, 2);
     let seen = scores.accuracy_seen.sorted.counts["vehicle"]["0.5"];
     assert_eq!((seen.hits, seen.misses, seen.total), (1, 1, 1));
     assert_eq!(scores.accuracy_seen.sorted.ap["vehicle"]["0.5"], Some(1.0));
@@ -293,6 +293,67 @@ fn seen_needs_to_know_the_points() {
         "{:?}",
         scores.notes
     );
+}
+
+#[test]
+fn notes_say_what_is_null_and_nothing_else() {
+    let notes = |truths: Vec<GroundTruth>| {
+        let scene = |truth: GroundTruth| {
+            let protocol = Protocol::load("default").unwrap();
+            evaluate([(header(0, Kind::Truth), truth)], [], &protocol).unwrap()
+        };
+        score(&pool(truths.into_iter().map(scene).collect()).unwrap()).notes
+    };
+    let all = || {
+        ["Car", "Pedestrian", "Truck"]
+            .map(|class| object(class, 10.0, 0.0, 1.0))
+            .to_vec()
+    };
+    let cars = || vec![car(10.0, 1.0)];
+    let missing = |table: &str| {
+        format!("{table}: no object of class `pedestrian`, `truck` in the scored frames: its AP and mAP are null")
+    };
+    let silent = |scenes: &str| {
+        format!("{scenes} scenes do not say how many points the ego has on each object: left out of accuracy_seen")
+    };
+    let known = |boxes: Vec<Box3>| {
+        let points = vec![[0, 10]; boxes.len()];
+        truth_with_points(boxes, &points)
+    };
+    assert_eq!(notes(vec![known(all())]), Vec::<String>::new());
+    assert_eq!(
+        notes(vec![known(cars())]),
+        [missing("accuracy"), missing("accuracy_seen")]
+    );
+    assert_eq!(notes(vec![truth(cars())]), [silent("1 of 1"), missing("accuracy")]);
+    assert_eq!(
+        notes(vec![known(cars()), truth(all())]),
+        [silent("1 of 2"), missing("accuracy_seen")]
+    );
+}
+
+#[test]
+fn objects_and_detections_count_in_the_log_of_their_scene() {
+    let scene = |name: &str, ego: &str, objects: usize| {
+        let objects: Vec<_> = (0..objects).map(|i| car(10.0 * i as f64, 1.0)).collect();
+        let boxes = [(header(0, Kind::Boxes), Boxes(vec![car(0.0, 0.9)]))];
+        let protocol = Protocol::load("default").unwrap();
+        let mut evaluation = evaluate([(header(0, Kind::Truth), truth(objects))], boxes, &protocol).unwrap();
+        evaluation.scenes[0].name = name.into();
+        evaluation.scenes[0].ego = ego.into();
+        evaluation
+    };
+    let pooled = pool(vec![
+        scene("a", "x", 1),
+        scene("b", "x", 2),
+        scene("a", "y", 4),
+        scene("c", "x", 3),
+    ])
+    .unwrap();
+    let vehicles = &sequence::sequences(&pooled, Scope::All)[0][0];
+    assert_eq!(vehicles.totals, [5, 2, 3]);
+    let logs: Vec<usize> = vehicles.entries.iter().map(|entry| entry.log).collect();
+    assert_eq!(logs, [0, 0, 1, 2]);
 }
 
 #[test]

@@ -52,6 +52,17 @@ fn of_equal_overlaps_the_first_is_taken_and_of_equal_scores_the_first_takes() {
 }
 
 #[test]
+fn outlines_overlap_by_their_headings() {
+    let turned = |length, width, yaw| Outline::new([10.0, -5.0], length, width, yaw);
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let across = frame(&[turned(4.0, 1.0, quarter)], &[turned(1.0, 4.0, 0.0)]);
+    assert_eq!(outcomes(&across, 0.99), [(0, Outcome::True(0))]);
+    let crossed = frame(&[turned(4.0, 1.0, quarter)], &[turned(4.0, 1.0, 0.0)]);
+    assert_eq!(outcomes(&crossed, 0.142), [(0, Outcome::True(0))], "1 of 7 m²");
+    assert_eq!(outcomes(&crossed, 0.143), [(0, Outcome::False)]);
+}
+
+#[test]
 fn outlines_are_in_micrometres_and_ten_nanoradians() {
     let car = Outline::new([10.0, -2.5], 4.5, 1.9, 0.5);
     let expected = Outline {

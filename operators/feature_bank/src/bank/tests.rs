@@ -132,6 +132,78 @@ fn a_restarted_peer_is_heard_and_one_from_the_future_is_not() {
 }
 
 #[test]
+fn a_stamp_may_lie_as_far_ahead_as_allowed_and_no_further() {
+    let mut bank = online();
+    let ahead = |seq, by| {
+        let header = Header {
+            stamp: 10 * MS + by,
+            ..header("a", seq, 10, 10)
+        };
+        Message::new(header, Boxes::default())
+    };
+    assert_eq!(bank.insert(ahead(0, 1000 * MS)), Ok(Taken::Held));
+    let error = bank.insert(ahead(1, 1000 * MS + 1)).unwrap_err();
+    assert!(matches!(error, BankError::Ahead { limit_ms: 1000.0, .. }), "{error}");
+}
+
+#[test]
+fn copies_are_known_among_the_last_sixty_four_messages_of_their_sender() {
+    let mut bank = online();
+    for seq in 0..64 {
+        bank.insert(message("a", seq, 0, 10)).unwrap();
+    }
+    assert_eq!(bank.insert(message("a", 0, 0, 11)), Ok(Taken::Repeated));
+    assert_eq!(bank.insert(message("a", 64, 0, 11)), Ok(Taken::Held));
+    assert_eq!(bank.insert(message("a", 1, 0, 12)), Ok(Taken::Repeated));
+    assert_eq!(bank.insert(message("a", 0, 0, 12)), Ok(Taken::Held), "65 messages ago");
+}
+
+#[test]
+fn sixteen_messages_of_a_sender_are_held_for_queries_that_wait() {
+    let fed = |count: u64| {
+        let mut bank = online();
+        for seq in 0..count {
+            let at = 10 * seq as Nanos;
+            bank.insert(message("a", seq, at, at)).unwrap();
+        }
+        bank
+    };
+    let query = header("ego", 0, 0, 0);
+    let answer = fed(16).answer(&query);
+    assert_eq!(
+        (seqs(&answer.entries), fates(&answer.departed)),
+        (vec![("a", 0)], vec![])
+    );
+    let answer = fed(17).answer(&query);
+    assert_eq!(
+        (seqs(&answer.entries), fates(&answer.departed)),
+        (vec![], vec![("a", 0, Fate::Superseded)])
+    );
+}
+
+#[test]
+fn what_came_after_a_query_departs_with_a_later_one() {
+    let mut bank = online();
+    for message in [
+        message("a", 0, 0, 40),
+        message("a", 1, 100, 110),
+        message("a", 2, 50, 120),
+    ] {
+        bank.insert(message).unwrap();
+    }
+    assert_eq!(bank.agents(), 1);
+    let departed = |bank: &mut Bank, ready| {
+        let answer = bank.answer(&header("ego", 0, 90, ready));
+        assert_eq!(seqs(&answer.entries), [("a", 1)]);
+        let departed = fates(&answer.departed).into_iter().map(|(_, seq, fate)| (seq, fate));
+        departed.collect::<Vec<_>>()
+    };
+    assert_eq!(departed(&mut bank, 119), [(0, Fate::Superseded)]);
+    assert_eq!(departed(&mut bank, 120), [(2, Fate::Superseded)]);
+    assert_eq!(departed(&mut bank, 121), []);
+}
+
+#[test]
 fn extreme_stamps_do_no_harm() {
     for mut bank in [online(), offline()] {
         for (seq, stamp) in [Nanos::MIN, Nanos::MAX, 0, -1].into_iter().enumerate() {

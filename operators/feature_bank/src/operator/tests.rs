@@ -100,6 +100,18 @@ fn offline_answers_fifty_milliseconds_after_the_stamp() {
 }
 
 #[test]
+fn queries_of_one_stamp_are_answered_each_in_order_of_arrival() {
+    let mut bank = bank(true);
+    let mut out = Outputs::at(100 * MS);
+    for seq in [4, 3, 5] {
+        bank.on_input(EGO, message("cav1", seq, 100, 100), &mut out).unwrap();
+    }
+    bank.on_wake(150 * MS, &mut out).unwrap();
+    let answered: Vec<u64> = outcome(&mut out).0.iter().map(|(_, query, _)| *query).collect();
+    assert_eq!(answered, [4, 3, 5]);
+}
+
+#[test]
 fn answers_what_is_pending_at_the_end() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
