@@ -169,12 +169,12 @@ fn sixteen_messages_of_a_sender_are_held_for_queries_that_wait() {
         bank
     };
     let query = header("ego", 0, 0, 0);
-    let answer = fed(16).answer(&query);
+    let answer = ask(&mut fed(16), &query);
     assert_eq!(
         (seqs(&answer.entries), fates(&answer.departed)),
         (vec![("a", 0)], vec![])
     );
-    let answer = fed(17).answer(&query);
+    let answer = ask(&mut fed(17), &query);
     assert_eq!(
         (seqs(&answer.entries), fates(&answer.departed)),
         (vec![], vec![("a", 0, Fate::Superseded)])
@@ -193,7 +193,7 @@ fn what_came_after_a_query_departs_with_a_later_one() {
     }
     assert_eq!(bank.agents(), 1);
     let departed = |bank: &mut Bank, ready| {
-        let answer = bank.answer(&header("ego", 0, 90, ready));
+        let answer = ask(&mut bank, &header("ego", 0, 90, ready));
         assert_eq!(seqs(&answer.entries), [("a", 1)]);
         let departed = fates(&answer.departed).into_iter().map(|(_, seq, fate)| (seq, fate));
         departed.collect::<Vec<_>>()
