@@ -193,7 +193,7 @@ fn what_came_after_a_query_departs_with_a_later_one() {
     }
     assert_eq!(bank.agents(), 1);
     let departed = |bank: &mut Bank, ready| {
-        let answer = ask(&mut bank, &header("ego", 0, 90, ready));
+        let answer = ask(bank, &header("ego", 0, 90, ready));
         assert_eq!(seqs(&answer.entries), [("a", 1)]);
         let departed = fates(&answer.departed).into_iter().map(|(_, seq, fate)| (seq, fate));
         departed.collect::<Vec<_>>()
