@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -50,6 +51,17 @@ fn graphs_are_fine_by_our_checks_and_doras() {
 fn types_ports_and_graphs_say_the_same() {
     let differences = audit(&registry(), &root().join("dataflows"));
     assert!(differences.is_empty(), "{differences:#?}");
+}
+
+#[test]
+fn inputs_that_hang_on_one_wire_do_so_with_others() {
+    let mut stages: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for stage in registry().0 {
+        let wires = stage.inputs.iter().filter_map(|port| port.wire);
+        wires.for_each(|wire| stages.entry(wire).or_default().push(stage.name));
+    }
+    assert!(!stages.is_empty());
+    assert!(stages.values().all(|stages| stages.len() > 1), "{stages:?}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The virtual driver, the shipped operators and the results against a naive re-statement of DESIGN §4 (time) and §7
+//! The virtual driver, the shipped operators and the results against a naive re-statement of `docs/architecture.md` (One engine, Accounting)
 //! (accounting), over random logs, links and compute profiles: every Selection, every fusion and every term must agree.
 //!
 //! `REALO_ORACLE_SEED=17` runs that world alone.

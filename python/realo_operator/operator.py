@@ -11,7 +11,8 @@ class Port:
 
     queue: `all` keeps every message in order (at most 1,024 may wait), `latest` one for each agent; class_: of messages
     that are ready at one time `state` goes first, then `data`, then `query`; join: ports of one group are assembled by
-    (agent, seq); accounts: the way of what crossed a link ends here, and the stage tells what became of it.
+    (agent, seq); accounts: the way of what crossed a link ends here, and the stage tells what became of it; lane: `ego`,
+    `others`, `others_received` or `ego_received`, whose data it carries where lanes meet (outputs as well).
     """
 
     name: str
@@ -22,6 +23,7 @@ class Port:
     required: bool = True
     join: str | None = None
     accounts: bool = False
+    lane: str | None = None
 
     def document(self):
         """As the pipe protocol declares it."""

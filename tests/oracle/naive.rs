@@ -1,4 +1,4 @@
-//! DESIGN §4 and §7 once more, stage after stage over the whole history: no events, and no queue but a line of those who
+//! The rules of time and of accounting once more, stage after stage over the whole history: no events, and no queue but a line of those who
 //! wait.
 
 use std::collections::{BTreeMap, BTreeSet};

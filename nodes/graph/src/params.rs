@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-/// Bytes of a command line: more than systems take.
+/// Bytes of a node's `args`: more than systems take.
 const MAX_ARGS: usize = 1 << 20;
 
 /// Replaces `$PARAM_KEY` (the longest name wins) and `${_param.key}`, once, from left to right; what no parameter
 /// names stays as it is.
 ///
 /// # Errors
-/// What would become longer than any file.
+/// What would become longer than [`MAX_ARGS`].
 pub(super) fn substitute(text: &str, params: &BTreeMap<String, String>) -> Result<String, String> {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
@@ -19,7 +19,7 @@ pub(super) fn substitute(text: &str, params: &BTreeMap<String, String>) -> Resul
         let (token, value) = token(rest, params);
         out.push_str(value.unwrap_or(token));
         rest = &rest[token.len()..];
-        if out.len() > MAX_ARGS {
+        if out.len() + rest.len() > MAX_ARGS {
             return Err(format!(
                 "`args`: expected at most {MAX_ARGS} bytes with the parameters in it, found more"
             ));

@@ -77,7 +77,10 @@ impl<'a> Place<'a> {
 
     fn few(&self, count: usize) -> Result<(), GraphError> {
         match count > MAX_ENTRIES {
-            true => Err(self.wrong(&format!("at most {MAX_ENTRIES} entries"), format!("{count}"))),
+            true => Err(self.wrong(
+                &format!("at most {MAX_ENTRIES} entries (more fit into modules)"),
+                format!("{count}"),
+            )),
             false => Ok(()),
         }
     }

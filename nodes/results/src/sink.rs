@@ -100,11 +100,11 @@ impl Describe for Results {
     const INPUTS: &'static [Port] = &[
         Port::new("boxes", &[PayloadType::Boxes], "the final boxes")
             .of(Lane::Ego)
-            .on_wire("the boxes that are scored"),
+            .on_wire(realo_scoring::BOXES_WIRE),
         Port::new("truth", &[PayloadType::GroundTruth], "one for every sweep of the ego")
             .optional()
             .of(Lane::Ego)
-            .on_wire("the truth that is scored"),
+            .on_wire(realo_scoring::TRUTH_WIRE),
         Port::new(
             "evaluation",
             &[PayloadType::Report],

@@ -14,7 +14,7 @@ use realo_operator::{
 };
 use realo_schemas::report::to_report;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, PayloadType};
-use realo_scoring::{Collector, EvaluationReport, Protocol, TOPIC};
+use realo_scoring::{BOXES_WIRE, Collector, EvaluationReport, Protocol, TOPIC, TRUTH_WIRE};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`Evaluator`].
@@ -59,14 +59,14 @@ impl Describe for Evaluator {
             "one for every sweep of the ego, in its true body frame",
         )
         .of(Lane::Ego)
-        .on_wire("the truth that is scored"),
+        .on_wire(TRUTH_WIRE),
         Port::new(
             "boxes",
             &[PayloadType::Boxes],
             "what was detected, in the ego's body frame",
         )
         .of(Lane::Ego)
-        .on_wire("the boxes that are scored"),
+        .on_wire(BOXES_WIRE),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new(
         "report",

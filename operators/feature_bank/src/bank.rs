@@ -53,7 +53,10 @@ pub enum BankError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
     /// It is held, and will depart.
-    Held,
+    Held {
+        /// Whether its stamp is newer than those of all before of its sender.
+        newest: bool,
+    },
     /// A copy of one that was seen before.
     Repeated,
     /// The ego's own.
@@ -157,9 +160,9 @@ impl Bank {
         if !sender.is_new(header) {
             return Ok(Taken::Repeated);
         }
-        sender.follow(header);
+        let newest = sender.follow(header);
         sender.hold(message, self.held, self.offline, &mut self.departed);
-        Ok(Taken::Held)
+        Ok(Taken::Held { newest })
     }
 
     /// Senders of whom a message is to be expected within `patience` of a query.
@@ -173,11 +176,12 @@ impl Bank {
     /// `asked` (offline: of their stamps).
     pub fn answer(&mut self, query: &Header, asked: Nanos) -> Answer {
         self.learn_ego(&query.agent);
+        let oldest = query.ready.saturating_sub(self.window);
         let mut entries = Vec::new();
         for sender in self.senders.values_mut() {
             let selected = match self.offline {
                 true => sender.nearest(query.stamp, OFFLINE_REACH, &mut self.departed),
-                false => sender.newest(asked, self.window, &mut self.departed),
+                false => sender.newest(asked, oldest, &mut self.departed),
             };
             entries.extend(selected);
         }

@@ -195,7 +195,8 @@ impl Operator for FeatureBank {
             OTHERS => {
                 let sender = message.header.agent.clone();
                 match self.bank.insert(message)? {
-                    Taken::Held => self.go_on(&sender, out),
+                    Taken::Held { newest: true } => self.go_on(&sender, out),
+                    Taken::Held { newest: false } => {}
                     Taken::Repeated => out.count("repeated", 1),
                     Taken::FromEgo => out.count("from_ego", 1),
                 }

@@ -80,13 +80,13 @@ impl Sender {
         true
     }
 
-    /// Learns when messages of this sender come.
-    pub fn follow(&mut self, header: &Header) {
+    /// Learns when messages of this sender come; whether this one is newer than all before.
+    pub fn follow(&mut self, header: &Header) -> bool {
         let Header { stamp, ready, seq, .. } = *header;
         let mut period = 0;
         if let Some(before) = self.rhythm {
             if before.stamp >= stamp {
-                return;
+                return false;
             }
             let messages = Nanos::try_from(seq.saturating_sub(before.seq).max(1)).unwrap_or(Nanos::MAX);
             period = stamp.saturating_sub(before.stamp) / messages;
@@ -97,6 +97,7 @@ impl Sender {
             seq,
             period,
         });
+        true
     }
 
     /// Whether its next message is to be expected within `patience` of `time`; of one whose newest message is older than
@@ -159,8 +160,8 @@ impl Sender {
         self.held.retain(keep);
     }
 
-    /// Online: the message of newest stamp that is ready at `ready`, unless it is older than the window.
-    pub fn newest(&mut self, ready: Nanos, window: Nanos, departed: &mut Departed) -> Option<Message> {
+    /// Online: the message of newest stamp that is ready at `ready`, unless its stamp lies before `oldest`.
+    pub fn newest(&mut self, ready: Nanos, oldest: Nanos, departed: &mut Departed) -> Option<Message> {
         let newest = self.held.iter().rposition(|held| held.message.header.ready <= ready)?;
         let mut place = 0;
         self.held.retain(|held| {
@@ -172,7 +173,7 @@ impl Sender {
             keep
         });
         let held = self.held.iter_mut().rfind(|held| held.message.header.ready <= ready)?;
-        let in_time = ready.saturating_sub(held.message.header.stamp) <= window;
+        let in_time = held.message.header.stamp >= oldest;
         held.selected |= in_time;
         held.stale |= !in_time;
         in_time.then(|| held.message.clone())

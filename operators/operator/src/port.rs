@@ -1,6 +1,7 @@
 use std::fmt;
 
 use realo_schemas::{Message, Name, PayloadType};
+use serde::{Deserialize, Serialize};
 
 /// Index of a port in its operator's `INPUTS` or `OUTPUTS`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -11,7 +12,8 @@ pub struct PortId(pub usize);
 pub enum Queue {
     /// Keeps every message in order; more than [`Queue::CAPACITY`] waiting messages fail the run.
     All,
-    /// One slot per agent, and of what crossed a link per sender and receiver: a newer message replaces the waiting one, which counts as skipped.
+    /// One slot per agent, and of what crossed a link per sender and receiver: a newer message replaces the waiting one,
+    /// which counts as skipped.
     Latest,
 }
 
@@ -32,7 +34,8 @@ pub enum Class {
 }
 
 /// Whose data a wire carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Lane {
     /// The ego's own.
     Ego,
@@ -138,7 +141,7 @@ impl Port {
         })
     }
 
-    /// Keeps only the newest waiting message of each agent.
+    /// Keeps only the newest waiting message, as [`Queue::Latest`] says.
     pub const fn latest(mut self) -> Self {
         self.queue = Queue::Latest;
         self

@@ -29,6 +29,12 @@ pub use same::{TruthMismatch, same_truth};
 pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, RangeBin, Scores, frame_scores, score};
 pub use table::{Orders, Table};
 
+/// The wire on which boxes are scored and kept.
+pub const BOXES_WIRE: &str = "the boxes that are scored";
+
+/// The wire of the truth that they are scored against.
+pub const TRUTH_WIRE: &str = "the truth that is scored";
+
 /// Topic of the report of an evaluator.
 pub const TOPIC: &str = "evaluation";
 

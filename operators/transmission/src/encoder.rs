@@ -19,7 +19,7 @@ pub(crate) const CARRIED: &[PayloadType] = &[
     PayloadType::EgoState,
 ];
 
-/// A receiver that has heard nothing of the ego for so long is forgotten, ns; as long as the bank remembers a sender.
+/// How long a receiver may have heard nothing of the ego before what it knows is forgotten, ns.
 const FORGET: Nanos = 60_000_000_000;
 
 /// Settings of the encoder.
@@ -173,6 +173,7 @@ impl TransmissionEncoder {
     fn encode(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let message = match (self.project, &message.payload) {
             (Project::Sender, Payload::PointCloud(_)) => {
+                self.forget_before(message.header.ready.saturating_sub(FORGET), out);
                 let Some(known) = self.known_to(&message.header.agent) else {
                     out.count("no_ego_state", 1);
                     return Ok(());

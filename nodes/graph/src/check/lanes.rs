@@ -36,7 +36,9 @@ pub(super) fn check(
                 }
             }
         }
-        let works_for = if free.is_empty() {
+        // What a stage makes is of the lane that it works for: the one that all its inputs declare, else that of the rest.
+        let declares_all = stages[index].is_some_and(|stage| stage.inputs.iter().all(|port| port.lane.is_some()));
+        let works_for = if declares_all {
             demanded
                 .first()
                 .copied()

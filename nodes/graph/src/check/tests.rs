@@ -329,6 +329,42 @@ fn finds_nothing_in_a_sound_graph() {
     assert_eq!(findings(GRAPH), []);
 }
 
+#[test]
+fn what_a_foreign_node_gives_makes_no_lane_of_what_is_told_beside_it() {
+    let told = r#"
+  - { id: camera, path: bin/camera, outputs: [boxes], output_types: { boxes: realo/v1/Boxes } }
+  - id: tell
+    path: bin/realo
+    args: operator transmission-encoder
+    inputs: { data: player/ego_poses }
+    outputs: [packets]
+  - id: tell-too
+    path: bin/realo
+    args: operator transmission-encoder
+    inputs: { data: player/poses }
+    outputs: [packets]
+  - id: back
+    path: bin/realo
+    args: operator link
+    inputs: { ego: tell/packets, others: tell-too/packets, ego_state: player/ego_poses, states: player/poses }
+    outputs: [to_others]
+  - id: hear
+    path: bin/realo
+    args: operator transmission-decoder
+    inputs: { packets: back/to_others }
+    outputs: [data]
+"#;
+    let lanes = |state: &str| -> Vec<String> {
+        let inputs = format!("{{ data: camera/boxes, state: {state} }}");
+        let text = changed(GRAPH, "{ data: detect/proposals }", &inputs) + told;
+        let found = findings(&text).into_iter().map(|finding| finding.to_string());
+        found.filter(|finding| finding.contains("through a link")).collect()
+    };
+    assert_eq!(lanes("hear/data"), Vec::<String>::new());
+    let found = lanes("player/ego_poses");
+    assert!(found.len() == 1 && found[0].contains("port `state`"), "{found:?}");
+}
+
 /// What is written in place of what, and what is found then.
 const CASES: &[(&str, &str, &[&str])] = &[
     (

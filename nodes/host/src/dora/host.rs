@@ -298,8 +298,10 @@ struct Ending {
 impl Host {
     fn run(&mut self) -> Result<(), HostError> {
         loop {
-            while let Some(heard) = self.inbox.poll() {
-                self.hear(heard)?;
+            for _ in 0..self.inbox.there() {
+                if let Some(heard) = self.inbox.poll() {
+                    self.hear(heard)?;
+                }
             }
             self.settle()?;
             self.pass_fates(false)?;

@@ -6,11 +6,16 @@ use std::task::{Context, Poll, Wake, Waker};
 use std::thread::Thread;
 use std::time::Duration;
 
-use arrow::array::ArrayRef;
+use arrow::array::{Array, ArrayRef};
 use dora_node_api::{Event, EventStream, StopCause};
 use realo_schemas::Nanos;
 
 use super::wall_now;
+
+/// Events that are taken from dora and wait to be looked into, at most.
+const MOST: usize = 1024;
+/// Bytes of theirs, at most; twice what a process asks of dora's shared memory.
+const MOST_BYTES: usize = 64 << 20;
 
 /// What a process hears from dora.
 pub(super) enum Heard {
@@ -26,13 +31,25 @@ pub(super) enum Heard {
     Trouble(String),
 }
 
+impl Heard {
+    fn bytes(&self) -> usize {
+        match self {
+            Heard::Input(_, row, _) => row.to_data().get_slice_memory_size().unwrap_or(0),
+            _ => 0,
+        }
+    }
+}
+
 /// Takes events from dora on the thread that waits for them: one more thread would cost a change of threads at every hop.
 ///
-/// dora holds ten events of an input and drops the oldest in silence. All that are there are taken before one is looked
-/// into: a burst of clouds, each a few milliseconds to read, would cost poses that came meanwhile.
+/// dora holds ten events of an input and drops the oldest in silence. What is there is taken before one is looked into:
+/// a burst of clouds, each a few milliseconds to read, would cost poses that came meanwhile. What is taken is bounded
+/// ([`MOST_BYTES`], [`MOST`]); beyond it dora drops, and the hops that are missing are counted.
 pub(super) struct Inbox {
     events: EventStream,
     taken: VecDeque<Heard>,
+    /// Of the messages in `taken`.
+    bytes: usize,
     /// The stream has ended.
     over: bool,
     waker: Waker,
@@ -70,6 +87,7 @@ impl Inbox {
         Inbox {
             events,
             taken: VecDeque::new(),
+            bytes: 0,
             over: false,
             waker: Waker::from(Arc::new(Unpark(here.clone()))),
             nudge: Nudge(Arc::new((here, AtomicBool::new(false)))),
@@ -97,14 +115,34 @@ impl Inbox {
 
     /// An event that is there already.
     pub fn poll(&mut self) -> Option<Heard> {
-        while !self.over {
+        self.take();
+        let heard = self.taken.pop_front()?;
+        self.bytes -= heard.bytes();
+        Some(heard)
+    }
+
+    /// How many events are there already.
+    pub fn there(&mut self) -> usize {
+        self.take();
+        self.taken.len()
+    }
+
+    fn take(&mut self) {
+        while !self.over && self.taken.len() < MOST && self.bytes < MOST_BYTES {
             match self.next() {
-                Poll::Ready(Some(event)) => self.taken.extend(heard(event)),
+                Poll::Ready(Some(event)) => {
+                    let heard = heard(event);
+                    self.bytes += heard.as_ref().map_or(0, Heard::bytes);
+                    match heard {
+                        // What ends the process does not wait behind messages.
+                        Some(heard @ (Heard::Failed { .. } | Heard::Stopped)) => self.taken.push_front(heard),
+                        heard => self.taken.extend(heard),
+                    }
+                }
                 Poll::Ready(None) => self.over = true,
                 Poll::Pending => break,
             }
         }
-        self.taken.pop_front()
     }
 
     /// The next event; where there is none yet, the waker is called when one comes.

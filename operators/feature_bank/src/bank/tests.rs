@@ -55,7 +55,7 @@ fn takes_the_newest_stamp_of_each_sender_in_the_window() {
         message("b", 1, 100, 230),
         message("a", 9, 150, 240),
     ] {
-        assert_eq!(bank.insert(message), Ok(Taken::Held));
+        assert!(matches!(bank.insert(message), Ok(Taken::Held { .. })));
     }
     let answer = ask(&mut bank, &header("ego", 3, 200, 250));
     assert_eq!(seqs(&answer.entries), [("a", 9), ("b", 2)]);
@@ -141,7 +141,7 @@ fn a_stamp_may_lie_as_far_ahead_as_allowed_and_no_further() {
         };
         Message::new(header, Boxes::default())
     };
-    assert_eq!(bank.insert(ahead(0, 1000 * MS)), Ok(Taken::Held));
+    assert_eq!(bank.insert(ahead(0, 1000 * MS)), Ok(Taken::Held { newest: true }));
     let error = bank.insert(ahead(1, 1000 * MS + 1)).unwrap_err();
     assert!(matches!(error, BankError::Ahead { limit_ms: 1000.0, .. }), "{error}");
 }
@@ -153,9 +153,10 @@ fn copies_are_known_among_the_last_sixty_four_messages_of_their_sender() {
         bank.insert(message("a", seq, 0, 10)).unwrap();
     }
     assert_eq!(bank.insert(message("a", 0, 0, 11)), Ok(Taken::Repeated));
-    assert_eq!(bank.insert(message("a", 64, 0, 11)), Ok(Taken::Held));
+    assert_eq!(bank.insert(message("a", 64, 0, 11)), Ok(Taken::Held { newest: false }));
     assert_eq!(bank.insert(message("a", 1, 0, 12)), Ok(Taken::Repeated));
-    assert_eq!(bank.insert(message("a", 0, 0, 12)), Ok(Taken::Held), "65 messages ago");
+    let again = bank.insert(message("a", 0, 0, 12));
+    assert_eq!(again, Ok(Taken::Held { newest: false }), "65 messages ago");
 }
 
 #[test]
@@ -257,7 +258,8 @@ fn holds_ten_thousand_agents_and_forgets_them() {
         (0, 0, 0),
         "forgotten, and all of it was selected before"
     );
-    assert_eq!(bank.insert(message("one-more", 1, 60_300, 60_301)), Ok(Taken::Held));
+    let held = bank.insert(message("one-more", 1, 60_300, 60_301));
+    assert_eq!(held, Ok(Taken::Held { newest: true }));
 }
 
 #[test]

@@ -308,3 +308,26 @@ fn the_ego_does_not_wait_for_itself() {
     two_of(&mut bank, "cav1");
     assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)).0.len(), 1);
 }
+
+#[test]
+fn waiting_for_one_sender_makes_no_other_stale() {
+    let mut bank = patient();
+    two_of(&mut bank, "rsu1");
+    // 380 ms old when the ego asks, and 405 when it goes on.
+    give(&mut bank, OTHERS, message("cav2", 0, -130, 10));
+    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)).0, []);
+    let (answered, _) = give(&mut bank, OTHERS, message("rsu1", 2, 200, 275));
+    assert_eq!(answered[0].2, ["cav2:0", "rsu1:2"]);
+}
+
+#[test]
+fn a_late_older_message_ends_no_wait() {
+    let mut bank = patient();
+    for (seq, stamp) in [(0, 0), (2, 200)] {
+        give(&mut bank, OTHERS, message("rsu1", seq, stamp, stamp + 60));
+    }
+    assert_eq!(give(&mut bank, EGO, message("cav1", 3, 300, 350)).0, []);
+    assert_eq!(give(&mut bank, OTHERS, message("rsu1", 1, 100, 355)).0, []);
+    let (answered, _) = give(&mut bank, OTHERS, message("rsu1", 3, 300, 362));
+    assert_eq!(answered[0].2, ["rsu1:3"]);
+}

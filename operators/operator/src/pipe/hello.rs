@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::VERSION;
 use super::row::{Received, Row};
 use crate::config::ConfigError;
-use crate::{Class, Port, Queue, Registration, Role};
+use crate::{Class, Lane, Port, Queue, Registration, Role};
 
 /// Ports of one side that a program may declare.
 const MOST_PORTS: usize = 64;
@@ -33,6 +33,10 @@ struct PortWords {
     join: Option<String>,
     #[serde(default)]
     accounts: bool,
+    #[serde(default)]
+    lane: Option<Lane>,
+    #[serde(default)]
+    wire: Option<String>,
 }
 
 fn all() -> String {
@@ -160,8 +164,8 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         join: port.words.join.as_deref().map(leaked),
         accounts: port.words.accounts,
         needed: None,
-        lane: None,
-        wire: None,
+        lane: port.words.lane,
+        wire: port.words.wire.as_deref().map(leaked),
     });
     Box::leak(ports.collect())
 }
@@ -202,6 +206,8 @@ impl PortWords {
             required: port.required,
             join: port.join.map(Into::into),
             accounts: port.accounts,
+            lane: port.lane,
+            wire: port.wire.map(Into::into),
         }
     }
 

@@ -150,7 +150,7 @@ impl fmt::Display for Framework {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         writeln!(
             f,
-            "from the last point to fused boxes, realtime on dora, late fusion at 10 Hz (goal: p50 below 10 ms)"
+            "from the last point to fused boxes, realtime on dora, late fusion at 10 Hz (goal: p50 at most 8 ms, p95 at most 20)"
         )?;
         write!(f, "  agents   p50 ms   p95 ms   p99 ms   rate Hz   lost by dora")?;
         for run in &self.runs {

@@ -107,22 +107,37 @@ fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
 
 /// Lines of one failure that are shown.
 const SHOWN: usize = 12;
+/// Failures that are shown.
+const FAILURES: usize = 8;
 
 /// What dora and the nodes said of failures, each thing once, with all its lines (within reason).
 fn culprits(log: &str) -> Vec<String> {
     let mut found: Vec<String> = Vec::new();
     let mut known = BTreeSet::new();
-    let mut lines = log.lines().map(said).peekable();
-    while let Some((speaker, text)) = lines.next() {
+    let lines: Vec<(&str, &str)> = log.lines().map(said).collect();
+    for (at, (speaker, text)) in lines.iter().enumerate() {
         if !is_told(text) {
             continue;
         }
-        let mut all = vec![text];
-        let belongs = |(by, text): &(&str, &str)| {
-            *by == speaker && !text.is_empty() && !text.starts_with("-----") && !is_told(text)
-        };
-        while let Some((_, text)) = lines.next_if(|line| belongs(line)) {
-            all.push(text);
+        // Other nodes speak in between.
+        let own = lines[at + 1..]
+            .iter()
+            .filter(|(by, _)| by == speaker)
+            .map(|(_, text)| *text);
+        let belongs = |text: &&str| !text.is_empty() && !is_fence(text) && !is_told(text);
+        let mut all = vec![*text];
+        if text.ends_with("stderr output:") {
+            // dora repeats at the end what a node said, between fences; of ours it is told already.
+            let repeated: Vec<&str> = own
+                .skip_while(|text| is_fence(text))
+                .take_while(|text| !is_fence(text))
+                .collect();
+            if repeated.iter().any(|text| is_told(text)) {
+                continue;
+            }
+            all.extend(repeated);
+        } else {
+            all.extend(own.take_while(belongs));
         }
         let hidden = all.len().saturating_sub(SHOWN);
         all.truncate(SHOWN);
@@ -130,7 +145,6 @@ fn culprits(log: &str) -> Vec<String> {
         if hidden > 0 {
             message.push_str(&format!("\n    … and {hidden} lines more"));
         }
-        // dora repeats at the end what a node said before.
         if known.insert(message.clone()) {
             let by = if speaker.is_empty() {
                 String::new()
@@ -140,8 +154,14 @@ fn culprits(log: &str) -> Vec<String> {
             found.push(format!("{by}{message}"));
         }
     }
-    found.truncate(8);
+    let more = found.len().saturating_sub(FAILURES);
+    found.truncate(FAILURES);
+    found.extend((more > 0).then(|| format!("… and {more} more failures")));
     found
+}
+
+fn is_fence(line: &str) -> bool {
+    line.starts_with("-----")
 }
 
 fn is_told(line: &str) -> bool {
@@ -169,8 +189,8 @@ mod tests {
 17:48:16 stdout ego: 40 sweeps
 17:48:16 stdout fusion: realo: node `fusion.fusion` failed: it said on standard error: Traceback:
 17:48:16 stdout fusion:   File \"late.py\", line 3
-17:48:16 stdout fusion: ValueError: no boxes
 17:48:16 stdout ego: 41 sweeps
+17:48:16 stdout fusion: ValueError: no boxes
 17:48:16 ERROR  fusion: daemon exited with code 1 with stderr output:
 ---------------------------------------------------------------------------------
 realo: node `fusion.fusion` failed: it said on standard error: Traceback:
@@ -182,12 +202,17 @@ ValueError: no boxes
 Node `score` failed: exited with code 1 with stderr output:
 ---------------------------------------------------------------------------------
 realo: score: node `fusion` failed: exited with code 1
+---------------------------------------------------------------------------------
+Node `camera` failed: exited with code 2 with stderr output:
+---------------------------------------------------------------------------------
+no device
+---------------------------------------------------------------------------------
 ";
         let expected = [
             "fusion: realo: node `fusion.fusion` failed: it said on standard error: Traceback:\n    File \"late.py\", line 3\n    \
              ValueError: no boxes",
             "score: realo: score: node `fusion` failed: exited with code 1",
-            "Node `score` failed: exited with code 1 with stderr output:",
+            "Node `camera` failed: exited with code 2 with stderr output:\n    no device",
         ];
         assert_eq!(culprits(log), expected);
         let long = format!("realo: ego: it failed\n{}", "a line\n".repeat(100));
