@@ -47,7 +47,7 @@ pub fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     let brackets = text.bytes().filter(|byte| b"[{".contains(byte)).count();
     if brackets > MAX_BRACKETS {
         return Err(format!(
-            "expected at most {MAX_BRACKETS} `[` and `{{`, found {brackets}; write lists as lines that begin with `-`"
+            "expected at most {MAX_BRACKETS} brackets (`[` and `{{`), found {brackets}; write lists as lines that begin with `-`"
         ));
     }
     if text.contains('*') {
