@@ -20,7 +20,7 @@ const END: &str = "end";
 pub enum Servers {
     /// One for each agent, and of what crossed a link for each sender and receiver: agents do not wait for each other
     /// (virtual time).
-    PerAgent,
+    PerStream,
     /// One in all (a process).
     One,
 }
@@ -459,7 +459,7 @@ impl Engine {
 
     fn server_of(&self, message: &Message) -> Name {
         match self.servers {
-            Servers::PerAgent => match &message.header.to {
+            Servers::PerStream => match &message.header.to {
                 Some(to) => format!("{} > {to}", message.header.agent).into(),
                 None => message.header.agent.clone(),
             },

@@ -246,8 +246,8 @@ impl Intake {
         Ok(())
     }
 
-    /// Empties the slot of a `latest` port, agent and receiver for newer work; what is older than the waiting one is passed over
-    /// itself.
+    /// Empties the slot of a `latest` port, agent and receiver for newer work; what is older than the waiting one is
+    /// passed over itself.
     fn replace_waiting(&mut self, server: &str, port: PortId, work: Work) -> Option<Work> {
         let Header { agent, to, stamp, .. } = &work.calls[0].1.header;
         let of_slot = |header: &Header| header.agent == *agent && header.to == *to;

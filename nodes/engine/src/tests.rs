@@ -123,7 +123,7 @@ impl<'a> Rig<'a> {
 
     /// One stage that is fed from outside and whose outputs leave.
     fn one(registration: &'static Registration, script: impl FnMut(&str, &Call, Nanos) -> Answer + 'a) -> Self {
-        Rig::new(&alone(registration), Servers::PerAgent, script)
+        Rig::new(&alone(registration), Servers::PerStream, script)
     }
 
     fn give(&mut self, port: usize, message: Message) {
@@ -356,7 +356,7 @@ fn earlier_stages_go_first_at_one_instant() {
         wiring.add(id, &RELAY, &[]).unwrap();
         wiring.feed_from_outside("in").unwrap();
     }
-    let mut rig = Rig::new(&wiring, Servers::PerAgent, |_, _, _| Answer::default());
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |_, _, _| Answer::default());
     rig.engine.deliver(1, PortId(0), message("a", 0, 5));
     rig.engine.deliver(0, PortId(0), message("z", 9, 5));
     rig.engine.deliver(0, PortId(0), message("z", 8, 6));
@@ -367,7 +367,7 @@ fn earlier_stages_go_first_at_one_instant() {
 
 #[test]
 fn a_server_becomes_free_before_what_comes_at_that_instant() {
-    for servers in [Servers::One, Servers::PerAgent] {
+    for servers in [Servers::One, Servers::PerStream] {
         let mut rig = Rig::new(&alone(&SLOT), servers, |_, _, _| takes(10));
         for (seq, ready) in [(0, 0), (1, 5), (2, 10), (3, 15), (4, 16)] {
             rig.give(0, message("a", seq, ready));
@@ -391,14 +391,14 @@ fn agents_have_servers_of_their_own_or_share_one() {
         rig.rest()
     };
     let each = ["0 s in 0.a0", "0 s in 0.b0", "10 s in 0.a1", "20 s end"];
-    assert_eq!(run(Servers::PerAgent), each);
+    assert_eq!(run(Servers::PerStream), each);
     let one = ["0 s in 0.a0", "10 s in 0.b0", "20 s in 0.a1", "30 s end"];
     assert_eq!(run(Servers::One), one);
 }
 
 #[test]
 fn a_call_under_way_holds_its_server_and_the_end() {
-    let mut engine = Engine::new(&alone(&RELAY), Servers::PerAgent);
+    let mut engine = Engine::new(&alone(&RELAY), Servers::PerStream);
     for (agent, seq) in [("a", 0), ("a", 1), ("b", 0)] {
         engine.deliver(0, PortId(0), message(agent, seq, 0));
     }
@@ -622,7 +622,7 @@ fn what_fails_the_run_names_the_stage_and_the_input() {
 fn a_source_releases_on_time_and_says_when_it_was_late() {
     let mut wiring = alone(&SOURCE);
     wiring.add("relay", &RELAY, &[("in", "s", "out")]).unwrap();
-    let mut rig = Rig::new(&wiring, Servers::PerAgent, |_, _, _| Answer::default());
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |_, _, _| Answer::default());
     assert_eq!(
         rig.engine.next_due(),
         Some(Nanos::MIN),
@@ -687,7 +687,7 @@ fn messages_are_stamped_numbered_and_handed_to_everybody() {
     wiring.add("x", &RELAY, &[("in", "s", "out")]).unwrap();
     wiring.add("y", &SINK, &[("in", "s", "out")]).unwrap();
     wiring.add("z", &SINK, &[("in", "s", "aside")]).unwrap();
-    let mut rig = Rig::new(&wiring, Servers::PerAgent, |id, call, start| {
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |id, call, start| {
         let mut answer = match id {
             "s" => forward(call, start),
             _ => Answer::default(),
@@ -808,7 +808,7 @@ fn the_end_waits_for_messages_that_are_ready_later_and_for_busy_servers() {
 fn what_is_sent_at_the_end_still_arrives_and_nobody_is_woken_after_it() {
     let mut wiring = alone(&RELAY);
     wiring.add("next", &RELAY, &[("in", "s", "out")]).unwrap();
-    let mut rig = Rig::new(&wiring, Servers::PerAgent, |id, call, start| match (id, call) {
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |id, call, start| match (id, call) {
         ("s", Call::End(_)) => Answer {
             sent: vec![(0, message("a", 9, 70))],
             wakes: vec![start, start + 5],
@@ -832,7 +832,7 @@ fn stages_that_nothing_feeds_end_at_once_and_sinks_last_with_the_books_of_all() 
     wiring.add("idle", &RELAY, &[]).unwrap();
     wiring.add("relay", &RELAY, &[("in", "source", "out")]).unwrap();
     wiring.add("late", &SINK, &[("in", "relay", "out")]).unwrap();
-    let mut rig = Rig::new(&wiring, Servers::PerAgent, |id, call, start| match id {
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |id, call, start| match id {
         "relay" => forward(call, start),
         _ => Answer::default(),
     });
@@ -862,7 +862,7 @@ fn a_source_that_gives_nothing_ends_its_graph() {
     let mut wiring = alone(&SOURCE);
     wiring.add("relay", &RELAY, &[("in", "s", "out")]).unwrap();
     wiring.stages[1].leaves.fill(true);
-    let mut rig = Rig::new(&wiring, Servers::PerAgent, |_, call, _| match call {
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |_, call, _| match call {
         Call::End(_) => Answer {
             sent: vec![(0, message("a", 0, 7))],
             ..Answer::default()
@@ -886,7 +886,7 @@ fn fates_reach_every_sink_with_its_next_call_and_leave_once() {
         fate: Fate::Used,
         r#use: None,
     };
-    let mut rig = Rig::new(&wiring, Servers::PerAgent, move |id, call, start| {
+    let mut rig = Rig::new(&wiring, Servers::PerStream, move |id, call, start| {
         let mut answer = if id == "s" {
             forward(call, start)
         } else {
@@ -1187,7 +1187,7 @@ proptest! {
         one in any::<bool>(),
         chunk in 0i64..7,
     ) {
-        let servers = if one { Servers::One } else { Servers::PerAgent };
+        let servers = if one { Servers::One } else { Servers::PerStream };
         let whole = drive(&stages, &messages, servers, None);
         let cut = drive(&stages, &messages, servers, Some(chunk));
         prop_assert_eq!(&whole, &cut);

@@ -34,7 +34,7 @@ pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>
         stage.leaves.fill(observer.is_some());
     }
     let mut simulation = Simulation {
-        engine: Engine::new(&wiring, Servers::PerAgent),
+        engine: Engine::new(&wiring, Servers::PerStream),
         built: stages.build()?,
         compute,
         observer,
