@@ -1,6 +1,5 @@
 """The program: answers its host in frames of Arrow IPC over the standard streams (see the crate `realo-operator`)."""
 
-import contextlib
 import difflib
 import fcntl
 import io
@@ -10,6 +9,7 @@ import os
 import struct
 import sys
 import traceback
+import weakref
 from types import SimpleNamespace
 
 import pyarrow as pa
@@ -17,14 +17,14 @@ import pyarrow as pa
 from .message import Message
 from .operator import Outputs
 
-VERSION = 2
+VERSION = 3
 FRAME_LIMIT = 256 << 20
 #: Frames of more bytes go through shared memory.
 SHARED_FROM = 64 << 10
 #: Stands for the length of such a frame.
 SHARED = 0xFFFFFFFF
-#: No writing, growing, shrinking, nor other seals.
-SEALS = 0xF
+#: Files that one side lends at most; a frame for which there is none goes through the pipe.
+LENT_AT_MOST = 64
 
 
 def run(operator):
@@ -49,12 +49,10 @@ def serve(stage, calls, replies, shares):
     """Answers calls until the host has called the end or closes the pipe."""
     ports = {side: [port.document() for port in getattr(stage, side.upper())] for side in ("inputs", "outputs")}
     hello = {"name": [stage.NAME], "memory": ["memfd" if shares else "pipe"], "ports": [json.dumps(ports)]}
-    write(replies, {"version": pa.array([VERSION], pa.uint32()), **hello}, None)
-    while (call := read(calls)) is not None:
-        with contextlib.ExitStack() as lent:
-            write(replies, _answer(stage, call), lent if shares else None)
-            # What is lent is there until the host says more, or nothing after the end.
-            calls.peek(1)
+    memory = Memory()
+    write(replies, {"version": pa.array([VERSION], pa.uint32()), **hello}, None, False)
+    while (call := read(calls, memory)) is not None:
+        write(replies, _answer(stage, call), memory, shares)
 
 
 def _answer(stage, call):
@@ -81,44 +79,77 @@ def _answer(stage, call):
     }
 
 
-def write(stream, columns, lent):
-    """Writes a frame; `lent` closes the memory that holds a big one, without it none is shared."""
+class Memory:
+    """What a process lends to the other side, and what it borrows: files in memory, written again once they are given
+    back, which happens when the last array of a frame is gone."""
+
+    def __init__(self):
+        self.free, self.lent, self.mapped, self.read = [], {}, {}, []
+
+    def lend(self):
+        """A file for a frame; `None` if as many as may be are lent."""
+        if len(self.lent) == LENT_AT_MOST:
+            return None
+        if not self.free:
+            file = os.memfd_create("realo", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+            fcntl.fcntl(file, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
+            self.free.append(os.fdopen(file, "r+b", 0, closefd=False))
+        file = self.free.pop()
+        self.lent[file.fileno()] = file
+        file.seek(0)
+        return file
+
+    def borrow(self, pid, number, length):
+        """The frame in a file of another process."""
+        if len(self.mapped.get(number, b"")) < length:
+            self.mapped[number] = mapped(pid, number, length)
+        frame = memoryview(self.mapped[number])[:length]
+        weakref.finalize(frame, self.read.append, number)
+        return frame
+
+    def give_back(self):
+        """The files that were borrowed and are needed no more."""
+        numbers, self.read[:] = self.read[:], []
+        return numbers
+
+
+def write(stream, columns, memory, shares):
+    """Writes a frame, a big one through memory if the other side shares it; the first, without `memory`, gives none back."""
     batch = pa.RecordBatch.from_pydict(columns)
-    shared, file = lent is not None and batch.nbytes > SHARED_FROM, io.BytesIO()
-    if shared:
-        memory = os.memfd_create("realo", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-        file = lent.enter_context(os.fdopen(memory, "wb", 0))
+    lent = memory.lend() if shares and batch.nbytes > SHARED_FROM else None
+    file = lent or io.BytesIO()
     with pa.ipc.new_stream(pa.PythonFile(file, "w"), batch.schema) as writer:
         writer.write_batch(batch)
     length = file.tell()
     if length > FRAME_LIMIT:
         raise ValueError(f"expected a frame of at most {FRAME_LIMIT} bytes, made one of {length}")
-    if shared:
-        fcntl.fcntl(memory, fcntl.F_ADD_SEALS, SEALS)
-        stream.write(struct.pack("<4I", SHARED, os.getpid(), memory, length))
-    else:
-        stream.write(struct.pack("<I", length) + file.getbuffer())
+    read = memory.give_back() if memory else None
+    numbers = [SHARED if lent else length] + ([] if read is None else [len(read), *read])
+    numbers += [os.getpid(), lent.fileno(), length] if lent else []
+    stream.write(struct.pack(f"<{len(numbers)}I", *numbers))
+    stream.write(b"" if lent else file.getbuffer())
     stream.flush()
 
 
-def read(stream):
+def read(stream, memory):
     """The row of the next frame, `None` where the stream ends."""
-    prefix = stream.read(4)
-    if not prefix:
+    if not (prefix := stream.read(8 if memory else 4)):
         return None
-    (length,) = struct.unpack("<I", prefix)
-    frame = opened(*struct.unpack("<3I", stream.read(12))) if length == SHARED else stream.read(length)
+    length, returned = struct.unpack("<2I", prefix) if memory else (*struct.unpack("<I", prefix), 0)
+    for number in struct.unpack(f"<{returned}I", stream.read(4 * returned)):
+        memory.free.append(memory.lent.pop(number))
+    frame = memory.borrow(*struct.unpack("<3I", stream.read(12))) if length == SHARED else stream.read(length)
     if length != SHARED and len(frame) < length:
         raise ValueError(f"expected a frame of {length} bytes, found {len(frame)}")
     return pa.ipc.open_stream(pa.py_buffer(frame)).read_next_batch()
 
 
-def opened(pid, number, length):
-    """A mapping of the memory that a process lends; what is made of it keeps it."""
+def mapped(pid, number, length):
+    """A mapping of the memory that a process lends."""
     file = os.open(f"/proc/{pid}/fd/{number}", os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
-        if fcntl.fcntl(file, fcntl.F_GET_SEALS) & SEALS != SEALS or os.fstat(file).st_size != length:
-            raise ValueError(f"expected sealed memory of {length} bytes")
+        if not fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK or os.fstat(file).st_size < length:
+            raise ValueError(f"expected memory of {length} bytes, sealed against shrinking")
         return mmap.mmap(file, length, mmap.MAP_SHARED | mmap.MAP_POPULATE, mmap.PROT_READ)
     finally:
         os.close(file)
@@ -127,7 +158,7 @@ def opened(pid, number, length):
 def reaches(probe):
     """Whether this process reads what its host lent it to try."""
     try:
-        return hasattr(os, "memfd_create") and opened(*map(int, probe.split(" "))) is not None
+        return hasattr(os, "memfd_create") and mapped(*map(int, probe.split(" "))) is not None
     except (AttributeError, OSError, TypeError, ValueError):
         return False
 

@@ -1,6 +1,5 @@
 """What the module does, by cases that can be worked out by hand."""
 
-import contextlib
 import io
 import math
 import os
@@ -84,17 +83,16 @@ class TestPipe(unittest.TestCase):
                 pipe.serve(Echo(configuration(Echo, [])), read, write, shares)
             os._exit(0)
         os.close(call_end), os.close(reply_end)
-        found = []
+        found, memory = [], pipe.Memory()
         with os.fdopen(calls, "wb") as write, os.fdopen(replies, "rb") as read:
-            hello = pipe.read(read)
+            hello = pipe.read(read, None)
             found.append(hello.column("memory")[0].as_py())
             for message in messages:
-                with contextlib.ExitStack() as lent:
-                    call = {"call": ["input"], "port": ["clouds"], "now": [7], "message": message.write()}
-                    pipe.write(write, call, lent if shares else None)
-                    found.append(pipe.read(read))
-            pipe.write(write, {"call": ["end"], "port": [""], "now": [8]}, None)
-            found.append(pipe.read(read))
+                call = {"call": ["input"], "port": ["clouds"], "now": [7], "message": message.write()}
+                pipe.write(write, call, memory, shares)
+                found.append(pipe.read(read, memory))
+            pipe.write(write, {"call": ["end"], "port": [""], "now": [8]}, memory, False)
+            found.append(pipe.read(read, memory))
         self.assertEqual(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), 0)
         return found
 
@@ -108,18 +106,45 @@ class TestPipe(unittest.TestCase):
             self.assertEqual(bad.column("error")[0].as_py(), "no luck")
             self.assertEqual(end.column("ports")[0].as_py(), [])
 
-    def test_memory_that_could_change_is_refused(self):
+    @unittest.skipUnless(hasattr(os, "memfd_create"), "needs files in memory")
+    def test_a_file_is_written_again_only_when_all_of_its_frame_is_gone(self):
+        lender, borrower = pipe.Memory(), pipe.Memory()
+
+        def frame(points):
+            stream = io.BytesIO()
+            pipe.write(stream, {"message": cloud(points).write()}, lender, True)
+            stream.seek(0)
+            return Message.read(pipe.read(stream, borrower).column("message")).payload["x"]
+
+        x = frame(100_000)
+        self.assertEqual((len(lender.lent), borrower.give_back()), (1, []))
+        y = frame(50_000)
+        np.testing.assert_array_equal(x, cloud(100_000).payload["x"])
+        self.assertEqual(len(lender.lent), 2)
+        del x, y
+        answer = io.BytesIO()
+        pipe.write(answer, {"one": [1]}, borrower, True)
+        answer.seek(0)
+        pipe.read(answer, lender)
+        self.assertEqual((len(lender.free), lender.lent), (2, {}))
+        self.assertEqual([len(frame(points)) for points in (100_000, 150_000)], [100_000, 150_000])
+        self.assertEqual((len(lender.free), len(lender.lent)), (0, 2))
+        kept = [frame(10_000) for _ in range(pipe.LENT_AT_MOST)]
+        self.assertEqual((len(lender.lent), len(kept)), (pipe.LENT_AT_MOST, pipe.LENT_AT_MOST))
+
+    @unittest.skipUnless(hasattr(os, "memfd_create"), "needs files in memory")
+    def test_memory_that_could_be_cut_is_refused(self):
         file = os.memfd_create("test", os.MFD_ALLOW_SEALING)
         os.ftruncate(file, 10)
-        with self.assertRaisesRegex(ValueError, "sealed memory of 10 bytes"):
-            pipe.opened(os.getpid(), file, 10)
+        with self.assertRaisesRegex(ValueError, "memory of 10 bytes, sealed"):
+            pipe.mapped(os.getpid(), file, 10)
         os.close(file)
         self.assertFalse(pipe.reaches("") or pipe.reaches("1 2 3") or pipe.reaches(f"{os.getpid()} {file} 10"))
 
     def test_cut_frames_are_errors(self):
         with self.assertRaisesRegex(ValueError, "9 bytes, found 1"):
-            pipe.read(io.BytesIO(b"\x09\0\0\0x"))
-        self.assertIsNone(pipe.read(io.BytesIO()))
+            pipe.read(io.BytesIO(b"\x09\0\0\0\0\0\0\0x"), pipe.Memory())
+        self.assertIsNone(pipe.read(io.BytesIO(), pipe.Memory()))
 
 
 class TestConfiguration(unittest.TestCase):

@@ -4,23 +4,14 @@
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-graph --test fuzz` runs as many cases.
 #![allow(clippy::result_large_err)]
 
-#[path = "../../logs/tests/common/allocated.rs"]
-mod allocated;
-#[path = "../../logs/tests/common/mutator.rs"]
-mod mutator;
-#[path = "common/tree.rs"]
-mod tree;
-
+use damage::{Draw, cases, damaged_yaml, most_held};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use allocated::most_held;
-use mutator::{Draw, cases};
 use realo_graph::{FlatGraph, Graph, GraphError, hosted, validate};
 use realo_operator::Registry;
-use tree::damaged;
 
 /// A case takes some milliseconds; a machine that is busy with other things gets its time.
 const LONGEST: Duration = Duration::from_secs(20);
@@ -197,7 +188,7 @@ fn damaged_graphs_and_modules_are_graphs_or_errors() {
     for case in first..first + cases(12_000) {
         let mut draw = Draw::new(case);
         let changed = draw.pick(&names);
-        let bytes = damaged(&files[changed], &mut draw, WORDS);
+        let bytes = damaged_yaml(&files[changed], &mut draw, WORDS);
         fs::write(root.join(changed), &bytes).unwrap();
         let (read, thorough) = (draw.pick(&readers(changed)), draw.chance(4));
         match check(

@@ -119,4 +119,30 @@ mod tests {
             "{error}"
         );
     }
+
+    #[test]
+    fn damaged_profiles_are_profiles_or_errors() {
+        const SOUND: &str =
+            "nms = 5\n[\"ego.sync\"]\nposes = 7\n\"poses > clouds\" = 2_800\n[ego.head]\nfeatures = 9\n";
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("c.toml");
+        let (mut taken, mut refused) = (0, 0);
+        for case in 0..damage::cases(10_000) {
+            let mut bytes = SOUND.as_bytes().to_vec();
+            damage::Draw::new(case).damage(&mut bytes);
+            std::fs::write(&file, &bytes).unwrap();
+            let held = damage::most_held(|| match ComputeProfile::read(&file) {
+                Ok(profile) => {
+                    taken += 1;
+                    assert!(profile.nanos.values().all(|nanos| *nanos >= 0), "case {case}");
+                }
+                Err(error) => {
+                    refused += 1;
+                    assert!(error.starts_with(&file.display().to_string()), "case {case}: {error}");
+                }
+            });
+            assert!(held < 1 << 20, "case {case} takes {held} bytes");
+        }
+        assert!(taken > 100 && refused > 1000, "{taken} taken, {refused} refused");
+    }
 }

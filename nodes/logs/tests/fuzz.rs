@@ -3,19 +3,13 @@
 //!
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-logs --test fuzz` runs as many cases of each test.
 
-#[path = "common/allocated.rs"]
-mod allocated;
-#[path = "common/mutator.rs"]
-mod mutator;
-
+use damage::{Draw, cases, most_held};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use allocated::most_held;
 use mcap::records::op;
-use mutator::{Draw, cases};
 use nalgebra::Isometry3;
 use realo_logs::cdr::CdrWriter;
 use realo_logs::{BoxesInfo, Log, LogError, McapFile, Stream, boxes, cloud, describe_any, pose};

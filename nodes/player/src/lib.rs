@@ -14,26 +14,24 @@
 //! detections, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
 //! up to the cut and counted as `log_truncated`.
 
+mod ahead;
 mod feed;
 mod plan;
 mod truth;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Argument, Decided, Describe, Error, Lane, Port, PortId, Source};
-use realo_schemas::{Message, Nanos, PayloadType, from_seconds};
+use realo_schemas::{Message, Nanos, Payload, PayloadType, from_seconds};
 use serde::{Deserialize, Serialize};
 
+use ahead::{Taker, ahead};
 pub use feed::sweeps_per_pass;
 use feed::{Counters, Feed, Release, Script};
 pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
-
-/// Messages that are read ahead.
-const AHEAD: usize = 256;
 
 /// Priority (`nice`) of the thread that reads ahead.
 const LOW_PRIORITY: i32 = 5;
@@ -128,9 +126,12 @@ impl Default for Config {
     }
 }
 
+/// What the log has next, `None` at its end.
+type Next = Result<Option<Release>, LogError>;
+
 /// The source that replays a log.
 pub struct Player {
-    releases: Receiver<Result<Option<Release>, LogError>>,
+    releases: Taker<Next>,
     ended: bool,
     counters: Counters,
     rate: f64,
@@ -281,10 +282,7 @@ impl Source for Player {
         if self.ended {
             return Ok(None);
         }
-        let next = self
-            .releases
-            .recv()
-            .map_err(|_| "player: the reading thread stopped")??;
+        let next = self.releases.take().ok_or("player: the reading thread stopped")??;
         self.ended = next.is_none();
         Ok(next)
     }
@@ -371,15 +369,26 @@ fn window(log: &Log, config: &Config) -> Result<(Nanos, Nanos), Error> {
     Ok((from, until))
 }
 
-fn read_ahead(mut feed: Feed) -> Result<Receiver<Result<Option<Release>, LogError>>, Error> {
-    let (sender, releases) = sync_channel(AHEAD);
+fn read_ahead(mut feed: Feed) -> Result<Taker<Next>, Error> {
+    let (filler, releases) = ahead();
     let read = move || {
         // Reading may wait, the graph may not. Where the system refuses, it only reads as eagerly as the rest runs.
         let _ = rustix::process::setpriority_process(None, LOW_PRIORITY);
         loop {
             let next = feed.next();
+            let points = match &next {
+                Ok(Some((
+                    _,
+                    _,
+                    Message {
+                        payload: Payload::PointCloud(cloud),
+                        ..
+                    },
+                ))) => cloud.len(),
+                _ => 0,
+            };
             let last = !matches!(next, Ok(Some(_)));
-            if sender.send(next).is_err() || last {
+            if !filler.put(next, points) || last {
                 return;
             }
         }

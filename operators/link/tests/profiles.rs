@@ -1,15 +1,9 @@
 //! Link profiles that somebody damaged, by accident or on purpose: a profile within its limits, or an error that names the
 //! file.
 
-#[path = "../../../nodes/logs/tests/common/mutator.rs"]
-mod mutator;
-#[path = "../../../nodes/graph/tests/common/tree.rs"]
-mod tree;
-
-use mutator::{Draw, cases};
+use damage::{Draw, cases, damaged_yaml};
 use realo_link::Profile;
 use realo_schemas::Kind;
-use tree::damaged;
 
 const YAML: &str = "
 about: all of it
@@ -56,7 +50,7 @@ fn damaged_profiles_are_profiles_or_errors() {
                 draw.damage(&mut bytes);
                 ("radio.toml", bytes)
             }
-            false => ("radio.yml", damaged(YAML, &mut draw, WORDS)),
+            false => ("radio.yml", damaged_yaml(YAML, &mut draw, WORDS)),
         };
         let file = folder.path().join(name);
         std::fs::write(&file, bytes).unwrap();

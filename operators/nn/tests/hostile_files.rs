@@ -1,13 +1,10 @@
 //! Model files and weights that somebody damaged, by accident or on purpose: an error that names the file, no panic, and
 //! never more memory than the file could have a use for. What is still accepted makes a network.
-#![allow(unsafe_code)]
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::collections::HashMap;
 use std::path::Path;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
+use damage::{Draw, most_held};
 use realo_nn::conv::Isa;
 use realo_nn::layers::Layers;
 use realo_nn::model::Model;
@@ -16,45 +13,8 @@ use realo_nn::weights::Weights;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-/// Keeps the greatest request in mind.
-struct Watching;
-
-static GREATEST: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: hands every request on as it is.
-unsafe impl GlobalAlloc for Watching {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        GREATEST.fetch_max(layout.size(), Ordering::Relaxed);
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        GREATEST.fetch_max(layout.size(), Ordering::Relaxed);
-        // SAFETY: the caller's promise.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        GREATEST.fetch_max(size, Ordering::Relaxed);
-        // SAFETY: the caller's promise.
-        unsafe { System.realloc(memory, layout, size) }
-    }
-
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise.
-        unsafe { System.dealloc(memory, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Watching = Watching;
-
-/// The allocator watches the whole process.
-static ALONE: Mutex<()> = Mutex::new(());
-
 /// No file of these tests is longer than some tens of kilobytes.
-const MOST: usize = 8 << 20;
+const MOST: u64 = 8 << 20;
 
 const MODEL: &str = r#"
 name = "small"
@@ -72,18 +32,6 @@ backbone = { layers = [1, 1], strides = [2, 2], channels = [4, 6], up_strides = 
 shrink = [{ kernel = 3, channels = 7 }]
 arch = { kind = "pointpillars" }
 "#;
-
-struct Draws(u64);
-
-impl Draws {
-    /// Less than `count`.
-    fn below(&mut self, count: usize) -> usize {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 % count.max(1) as u64) as usize
-    }
-}
 
 /// What is put in place of a number, a word or some bytes.
 const WORDS: [&str; 28] = [
@@ -118,7 +66,7 @@ const WORDS: [&str; 28] = [
 ];
 
 /// Some changes of a file.
-fn damage(bytes: &[u8], draws: &mut Draws) -> Vec<u8> {
+fn damage(bytes: &[u8], draws: &mut Draw) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     // Every other file is changed in one place only.
     for _ in 0..1 + draws.below(2) * draws.below(4) {
@@ -197,13 +145,12 @@ struct Seen {
     refused: usize,
 }
 
-/// Runs a case; the greatest request of memory must stay within bounds.
+/// Runs a case; what it holds of memory must stay within bounds.
 fn watched<T>(case: usize, run: impl FnOnce() -> T) -> T {
-    GREATEST.store(0, Ordering::Relaxed);
-    let result = run();
-    let greatest = GREATEST.load(Ordering::Relaxed);
-    assert!(greatest <= MOST, "case {case} asks for {greatest} bytes at once");
-    result
+    let mut result = None;
+    let held = most_held(|| result = Some(run()));
+    assert!(held <= MOST, "case {case} takes {held} bytes");
+    result.expect("the case has run")
 }
 
 fn build(model: &Model, weights: &Weights) {
@@ -217,12 +164,11 @@ fn build(model: &Model, weights: &Weights) {
 
 #[test]
 fn damaged_files_are_refused_or_make_a_network() {
-    let _alone = ALONE.lock();
     let (model, good) = (model(), weights_of(&model()));
     let fitting = Weights::parse(&good, &model, Path::new("small.safetensors")).unwrap();
     build(&model, &fitting);
 
-    let mut draws = Draws(0x5eed);
+    let mut draws = Draw::new(0x5eed);
     let mut seen = Seen::default();
     for case in 0..12_000 {
         let text = damage(MODEL.as_bytes(), &mut draws);
@@ -296,7 +242,6 @@ fn damaged_files_are_refused_or_make_a_network() {
 
 #[test]
 fn files_made_to_ask_for_much_are_refused() {
-    let _alone = ALONE.lock();
     let model = model();
     let weights = |header: &str, data: usize| {
         let length = (header.len() as u64).to_le_bytes();

@@ -3,10 +3,9 @@
 #[path = "common/replies.rs"]
 mod replies;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use arrow_buffer::Buffer;
+use damage::{Draw, most_held};
+use realo_operator::pipe::memory::Memory;
 use realo_operator::pipe::words::{Call, Reply, Told};
 use realo_operator::pipe::{frame, hello, is_reading};
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, Registration};
@@ -14,35 +13,9 @@ use realo_schemas::{Message, PayloadType};
 use replies::{boxes, reply, whole};
 
 /// Changed frames of each sort.
-const CASES: usize = 4000;
-/// What reading a frame may take at once, bytes; the frames have some thousands.
-const MOST: usize = 4 << 20;
-
-/// Remembers the biggest block that was asked for.
-struct Watched;
-
-static BIGGEST: AtomicUsize = AtomicUsize::new(0);
-
-#[allow(unsafe_code)]
-// SAFETY: every call goes to the system's allocator as it came.
-unsafe impl GlobalAlloc for Watched {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        BIGGEST.fetch_max(layout.size(), Ordering::Relaxed);
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(block, layout) }
-    }
-
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        BIGGEST.fetch_max(size, Ordering::Relaxed);
-        unsafe { System.realloc(block, layout, size) }
-    }
-}
-
-#[global_allocator]
-static MEMORY: Watched = Watched;
+const CASES: u64 = 4000;
+/// What reading a frame may take, bytes; the frames have some thousands.
+const MOST: u64 = 4 << 20;
 
 struct Mine;
 
@@ -67,59 +40,6 @@ impl Operator for Mine {
     fn on_input(&mut self, _: PortId, _: Message, _: &mut Outputs) -> Result<(), Error> {
         Ok(())
     }
-}
-
-/// A stream of numbers from a seed (SplitMix64).
-struct Draw(u64);
-
-impl Draw {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, bound: usize) -> usize {
-        (self.next() % bound.max(1) as u64) as usize
-    }
-}
-
-/// Some changes of a frame: single bytes, words of lengths and offsets, cuts, and parts in other places.
-fn changed(bytes: &[u8], draw: &mut Draw) -> Vec<u8> {
-    const WORDS: [i64; 10] = [
-        0,
-        1,
-        -1,
-        7,
-        i32::MAX as i64,
-        i32::MIN as i64,
-        u32::MAX as i64,
-        1 << 40,
-        i64::MAX,
-        i64::MIN,
-    ];
-    let mut bytes = bytes.to_vec();
-    for _ in 0..1 + draw.below(4) {
-        let at = draw.below(bytes.len());
-        match draw.below(6) {
-            0 | 1 => bytes[at] = draw.next() as u8,
-            2 | 3 => {
-                let (size, word) = ([4, 8][draw.below(2)], WORDS[draw.below(WORDS.len())]);
-                let at = at / 4 * 4;
-                let end = bytes.len().min(at + size);
-                bytes[at..end].copy_from_slice(&word.to_le_bytes()[..end - at]);
-            }
-            4 => bytes.truncate(at.max(1)),
-            _ => {
-                let part = bytes[at..bytes.len().min(at + 1 + draw.below(64))].to_vec();
-                let to = draw.below(bytes.len());
-                bytes.splice(to..to, part);
-            }
-        }
-    }
-    bytes
 }
 
 #[test]
@@ -148,13 +68,12 @@ fn changed_frames_are_errors_and_cost_little() {
     ];
     for (name, bytes, read) in sorts {
         assert!(read(Buffer::from_vec(bytes.clone())), "{name}: as it was");
-        let (mut draw, mut good) = (Draw(20), 0);
+        let mut good = 0;
         for case in 0..CASES {
-            let bytes = changed(&bytes, &mut draw);
-            BIGGEST.store(0, Ordering::Relaxed);
-            good += usize::from(read(Buffer::from_vec(bytes)));
-            let biggest = BIGGEST.load(Ordering::Relaxed);
-            assert!(biggest <= MOST, "{name}, case {case}: took {biggest} bytes at once");
+            let mut bytes = bytes.clone();
+            Draw::new(case).damage(&mut bytes);
+            let held = most_held(|| good += u64::from(read(Buffer::from_vec(bytes))));
+            assert!(held <= MOST, "{name}, case {case}: took {held} bytes");
         }
         println!("{name}: {good} of {CASES} changed frames still say something");
     }
@@ -162,15 +81,15 @@ fn changed_frames_are_errors_and_cost_little() {
     let mut stream = Vec::new();
     let parts = [Buffer::from_vec(vec![7u8; 100])];
     for _ in 0..3 {
-        frame::write(&mut stream, &parts, false).expect("memory can be written");
+        frame::write(&mut stream, &parts, &Memory::default(), false).expect("memory can be written");
     }
-    let mut draw = Draw(21);
     for case in 0..CASES {
-        let bytes = changed(&stream, &mut draw);
-        let mut rest = bytes.as_slice();
-        BIGGEST.store(0, Ordering::Relaxed);
-        while let Ok(Some(_)) = frame::read(&mut rest) {}
-        let biggest = BIGGEST.load(Ordering::Relaxed);
-        assert!(biggest <= MOST, "frames, case {case}: took {biggest} bytes at once");
+        let mut bytes = stream.clone();
+        Draw::new(case).damage(&mut bytes);
+        let held = most_held(|| {
+            let (mut rest, memory) = (bytes.as_slice(), Memory::default());
+            while let Ok(Some(_)) = frame::read(&mut rest, &memory) {}
+        });
+        assert!(held <= MOST, "frames, case {case}: took {held} bytes");
     }
 }

@@ -1,13 +1,7 @@
 //! Protocols that somebody damaged, by accident or on purpose: a protocol that can be used, or an error that names it.
 
-#[path = "../../../nodes/logs/tests/common/mutator.rs"]
-mod mutator;
-#[path = "../../../nodes/graph/tests/common/tree.rs"]
-mod tree;
-
-use mutator::{Draw, cases};
+use damage::{Draw, cases, damaged_yaml};
 use realo_scoring::Protocol;
-use tree::damaged;
 
 const SOUND: &str = include_str!("../protocols/default.yml");
 const WORDS: &[&str] = &[
@@ -39,7 +33,7 @@ fn damaged_protocols_are_protocols_or_errors() {
     let (mut taken, mut refused) = (0, 0);
     for case in 0..cases(10_000) {
         let mut draw = Draw::new(case);
-        std::fs::write(&file, damaged(SOUND, &mut draw, WORDS)).unwrap();
+        std::fs::write(&file, damaged_yaml(SOUND, &mut draw, WORDS)).unwrap();
         match Protocol::load(name) {
             Ok(protocol) => {
                 assert!(protocol.ious.iter().all(|iou| *iou > 0.0 && *iou <= 1.0), "case {case}");

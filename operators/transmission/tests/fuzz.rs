@@ -3,14 +3,8 @@
 //!
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-transmission --test fuzz` runs as many cases.
 
-#[path = "../../../nodes/logs/tests/common/allocated.rs"]
-mod allocated;
-#[path = "../../../nodes/logs/tests/common/mutator.rs"]
-mod mutator;
-
-use allocated::most_held;
 use arrow::buffer::Buffer;
-use mutator::{Draw, cases};
+use damage::{Draw, cases, most_held};
 use nalgebra::{Isometry3, Vector3};
 use realo_schemas::{
     Box3, Boxes, DType, EgoState, FeatureMap, Header, Kind, Message, Payload, PointCloud, Pose, PoseStatus,

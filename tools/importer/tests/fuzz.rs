@@ -3,13 +3,7 @@
 //!
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-importer --test fuzz` runs as many cases.
 
-#[path = "../../../nodes/logs/tests/common/allocated.rs"]
-mod allocated;
-#[path = "../../../nodes/logs/tests/common/mutator.rs"]
-mod mutator;
-
-use allocated::most_held;
-use mutator::{Draw, cases};
+use damage::{Draw, cases, most_held};
 use realo_importer::{PcdCloud, parse_pcd};
 
 /// LZF makes 88 bytes of one; they are there unpacked, as columns, and while these grow.

@@ -12,6 +12,7 @@ use realo_schemas::{Message, Nanos};
 
 use realo_engine::Gone;
 use realo_operator::pipe::hello::{self, Hello};
+use realo_operator::pipe::memory::Memory;
 use realo_operator::pipe::words::{Call, Reply};
 use realo_operator::pipe::{FrameError, frame};
 use realo_operator::{AnyOperator, Error, Made, Outputs, PortId, Registration};
@@ -65,10 +66,16 @@ impl Child {
         };
         // One reply is asked for at a time; a program that says more has to wait.
         let (sender, replies) = sync_channel(1);
-        std::thread::spawn(move || {
-            while let Some(frame) = frame::read(&mut stdout).transpose() {
-                if sender.send(frame).is_err() {
-                    return;
+        let memory = Arc::new(Memory::default());
+        std::thread::spawn({
+            let memory = memory.clone();
+            move || {
+                let mut frame = frame::read_first(&mut stdout).transpose();
+                while let Some(next) = frame {
+                    if sender.send(next).is_err() {
+                        return;
+                    }
+                    frame = frame::read(&mut stdout, &memory).transpose();
                 }
             }
         });
@@ -76,12 +83,8 @@ impl Child {
         let (calls, asked) = sync_channel::<Frame>(1);
         let (reports, written) = sync_channel(1);
         std::thread::spawn(move || {
-            // What was lent is there until the next call, which comes after the reply.
-            let mut lent = None;
             while let Ok((call, shared)) = asked.recv() {
-                drop(lent.take());
-                let written = frame::write(&mut stdin, &call, shared).map(|memory| lent = memory);
-                if reports.send(written).is_err() {
+                if reports.send(frame::write(&mut stdin, &call, &memory, shared)).is_err() {
                     return;
                 }
             }
@@ -348,7 +351,8 @@ mod tests {
             ..NOBODY
         };
         let hello = tempfile::NamedTempFile::new().unwrap();
-        frame::write(&mut hello.as_file(), &hello::write(&DEAF, false).unwrap(), false).unwrap();
+        let words = hello::write(&DEAF, false).unwrap();
+        frame::write_first(&mut hello.as_file(), &words).unwrap();
         let script = format!("cat '{}'; exec sleep 60", hello.path().display());
         let mut child = shell(&script, Duration::from_secs(60)).unwrap();
         child.limit_silence(Silence {

@@ -4,7 +4,7 @@ use std::io::{ErrorKind, Read, Write};
 
 use arrow_buffer::Buffer;
 
-use super::memory::{self, FrameAt, Lent};
+use super::memory::{FrameAt, LENT_AT_MOST, Memory};
 
 /// Bytes of a frame, at most.
 pub const FRAME_LIMIT: usize = 256 << 20;
@@ -43,67 +43,108 @@ pub enum FrameError {
     Pipe(#[from] std::io::Error),
 }
 
-/// Writes a frame of these parts and flushes. With `shared` a big one goes through memory, to be kept until the other side
-/// has answered.
+/// Writes the first frame of a program, which gives nothing back: programs of any version say hello alike.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_first(to: &mut impl Write, parts: &[Buffer]) -> Result<(), FrameError> {
+    let length = parts.iter().map(Buffer::len).sum();
+    check(length, "")?;
+    put(to, &[length as u32], parts)
+}
+
+/// Reads the first frame of a program.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_first(from: &mut impl Read) -> Result<Option<Buffer>, FrameError> {
+    let Some(length) = prefix(from)? else {
+        return Ok(None);
+    };
+    check_prefix(length)?;
+    Ok(Some(Buffer::from_vec(exactly(from, length as usize)?)))
+}
+
+/// Writes a frame of these parts and flushes; with `shared` a big one goes through memory.
 ///
 /// # Errors
 /// [`FrameError::Length`] for one beyond the limit, [`FrameError::Memory`] if none can be had.
-pub fn write(to: &mut impl Write, parts: &[Buffer], shared: bool) -> Result<Option<Lent>, FrameError> {
+pub fn write(to: &mut impl Write, parts: &[Buffer], memory: &Memory, shared: bool) -> Result<(), FrameError> {
     let length = parts.iter().map(Buffer::len).sum();
     check(length, "")?;
-    if shared && length > SHARED_FROM {
-        let lent = memory::lend(parts).map_err(|error| FrameError::Memory(error.to_string()))?;
-        let FrameAt { pid, fd, length } = lent.place();
-        for number in [SHARED, pid, fd, length] {
-            to.write_all(&number.to_le_bytes())?;
-        }
-        to.flush()?;
-        return Ok(Some(lent));
-    }
-    to.write_all(&(length as u32).to_le_bytes())?;
-    for part in parts {
-        to.write_all(part)?;
-    }
-    to.flush()?;
-    Ok(None)
+    let place = match shared && length > SHARED_FROM {
+        true => memory.lend(parts).map_err(in_memory)?,
+        false => None,
+    };
+    let read = memory.give_back();
+    let mut numbers = vec![place.map_or(length as u32, |_| SHARED), read.len() as u32];
+    numbers.extend(read);
+    numbers.extend(place.iter().flat_map(|place| [place.pid, place.fd, place.length]));
+    put(to, &numbers, if place.is_some() { &[] } else { parts })
 }
 
 /// Reads a frame; `None` where the stream ends between two.
 ///
 /// # Errors
-/// [`FrameError`]; memory is taken as bytes come, not as the length says.
-pub fn read(from: &mut impl Read) -> Result<Option<Buffer>, FrameError> {
-    let prefix = up_to(from, 4)?;
-    let Ok(length) = <[u8; 4]>::try_from(prefix.as_slice()) else {
-        return match prefix.len() {
-            0 => Ok(None),
-            found => Err(FrameError::Cut { expected: 4, found }),
-        };
+/// [`FrameError`]; room is taken as bytes come, not as the length says.
+pub fn read(from: &mut impl Read, memory: &Memory) -> Result<Option<Buffer>, FrameError> {
+    let Some(length) = prefix(from)? else {
+        return Ok(None);
     };
-    let length = u32::from_le_bytes(length);
-    if length == SHARED {
-        return read_shared(from).map(Some);
+    if length != SHARED {
+        check_prefix(length)?;
     }
-    let expected = length as usize;
-    check(expected, &String::from_utf8_lossy(&prefix))?;
-    Ok(Some(Buffer::from_vec(exactly(from, expected)?)))
+    let returned = numbers(from, 1)?[0] as usize;
+    if returned > LENT_AT_MOST {
+        let reason = format!("{returned} files given back, of at most {LENT_AT_MOST}");
+        return Err(FrameError::Memory(reason));
+    }
+    memory.take_back(&numbers(from, returned)?).map_err(in_memory)?;
+    if length != SHARED {
+        return Ok(Some(Buffer::from_vec(exactly(from, length as usize)?)));
+    }
+    let words = numbers(from, 3)?;
+    let (pid, fd, length) = (words[0], words[1], words[2]);
+    check(length as usize, "")?;
+    memory.borrow(FrameAt { pid, fd, length }).map(Some).map_err(in_memory)
 }
 
-fn read_shared(from: &mut impl Read) -> Result<Buffer, FrameError> {
-    let words = exactly(from, 12)?;
-    let word = |at: usize| {
-        words[at..at + 4]
-            .iter()
-            .rev()
-            .fold(0, |word, byte| word << 8 | u32::from(*byte))
-    };
-    let place = FrameAt {
-        pid: word(0),
-        fd: word(4),
-        length: word(8),
-    };
-    check(place.length as usize, "")?;
-    memory::open(place).map_err(|error| FrameError::Memory(error.to_string()))
+fn put(to: &mut impl Write, numbers: &[u32], parts: &[Buffer]) -> Result<(), FrameError> {
+    for number in numbers {
+        to.write_all(&number.to_le_bytes())?;
+    }
+    for part in parts {
+        to.write_all(part)?;
+    }
+    Ok(to.flush()?)
+}
+
+/// The four bytes that every frame begins with.
+fn prefix(from: &mut impl Read) -> Result<Option<u32>, FrameError> {
+    let bytes = up_to(from, 4)?;
+    match <[u8; 4]>::try_from(bytes.as_slice()) {
+        Ok(length) => Ok(Some(u32::from_le_bytes(length))),
+        Err(_) if bytes.is_empty() => Ok(None),
+        Err(_) => Err(FrameError::Cut {
+            expected: 4,
+            found: bytes.len(),
+        }),
+    }
+}
+
+/// A length that cannot be is most likely text.
+fn check_prefix(length: u32) -> Result<(), FrameError> {
+    check(length as usize, &String::from_utf8_lossy(&length.to_le_bytes()))
+}
+
+fn in_memory(error: std::io::Error) -> FrameError {
+    FrameError::Memory(error.to_string())
+}
+
+fn numbers(from: &mut impl Read, n: usize) -> Result<Vec<u32>, FrameError> {
+    let bytes = exactly(from, 4 * n)?;
+    let (words, _) = bytes.as_chunks::<4>();
+    Ok(words.iter().map(|word| u32::from_le_bytes(*word)).collect())
 }
 
 fn check(length: usize, text: &str) -> Result<(), FrameError> {
@@ -136,10 +177,11 @@ fn up_to(from: &mut impl Read, length: usize) -> Result<Vec<u8>, FrameError> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::memory;
     use super::*;
 
     fn first(bytes: &[u8]) -> Result<Option<Buffer>, FrameError> {
-        read(&mut &bytes[..])
+        read(&mut &bytes[..], &Memory::default())
     }
 
     fn parts(parts: &[&[u8]]) -> Vec<Buffer> {
@@ -149,16 +191,28 @@ mod tests {
     #[test]
     fn frames_come_back_one_by_one() {
         for shared in [false, memory::works()] {
+            let (writer, reader) = (Memory::default(), Memory::default());
             let mut stream = Vec::new();
-            let small = write(&mut stream, &parts(&[b"on", b"e"]), shared).unwrap();
-            assert!(small.is_none(), "a small frame lies in the pipe");
-            let big = write(&mut stream, &parts(&[&[7; 40_000], &[8; 30_000]]), shared).unwrap();
-            assert_eq!((big.is_some(), stream.len() < 100), (shared, shared));
+            write(&mut stream, &parts(&[b"on", b"e"]), &writer, shared).unwrap();
+            assert!(writer.take_back(&[3]).is_err(), "a small frame lies in the pipe");
+            write(&mut stream, &parts(&[&[7; 40_000], &[8; 30_000]]), &writer, shared).unwrap();
+            assert_eq!(stream.len() < 100, shared);
             let mut rest = stream.as_slice();
-            assert_eq!(read(&mut rest).unwrap().unwrap().as_slice(), b"one");
-            let back = read(&mut rest).unwrap().unwrap();
+            assert_eq!(read(&mut rest, &reader).unwrap().unwrap().as_slice(), b"one");
+            let back = read(&mut rest, &reader).unwrap().unwrap();
             assert_eq!((back[0], back[39_999], back[40_000], back.len()), (7, 7, 8, 70_000));
-            assert!(read(&mut rest).unwrap().is_none());
+            assert!(read(&mut rest, &reader).unwrap().is_none());
+
+            drop(back);
+            let mut answer = Vec::new();
+            write(&mut answer, &parts(&[b"read"]), &reader, shared).unwrap();
+            assert_eq!(answer.len(), if shared { 16 } else { 12 });
+            assert!(read(&mut answer.as_slice(), &writer).unwrap().is_some());
+            assert_eq!(
+                read(&mut answer.as_slice(), &writer).is_err(),
+                shared,
+                "given back twice"
+            );
         }
     }
 
@@ -172,14 +226,38 @@ mod tests {
         assert!(matches!(first(&[0; 4]), Err(FrameError::Length { length: 0, .. })));
         assert!(matches!(first(&[9, 0]), Err(FrameError::Cut { expected: 4, found: 2 })));
         assert!(matches!(
-            first(&[9, 0, 0, 0, 1]),
+            first(&[9, 0, 0, 0, 0, 0, 0, 0, 1]),
             Err(FrameError::Cut { expected: 9, found: 1 })
         ));
-        let shared = [&[255; 4][..], &[1, 0, 0, 0]].concat();
+        let shared = [&[255; 4][..], &[0, 0, 0, 0, 1, 0, 0, 0]].concat();
         assert!(matches!(
             first(&shared),
             Err(FrameError::Cut { expected: 12, found: 4 })
         ));
-        assert!(write(&mut Vec::new(), &[], false).is_err());
+        for returned in [1, 65] {
+            let given = [9, returned, 3].map(u32::to_le_bytes).concat();
+            let error = first(&given).unwrap_err().to_string();
+            assert!(error.contains("given back"), "{error}");
+        }
+        assert!(write(&mut Vec::new(), &[], &Memory::default(), false).is_err());
+    }
+
+    #[test]
+    fn a_first_frame_is_its_length_and_its_bytes() {
+        let mut stream = Vec::new();
+        write_first(&mut stream, &parts(&[b"he", b"llo"])).unwrap();
+        assert_eq!(stream, b"\x05\0\0\0hello");
+        assert_eq!(
+            read_first(&mut stream.as_slice()).unwrap().unwrap().as_slice(),
+            b"hello"
+        );
+        assert!(read_first(&mut &[][..]).unwrap().is_none());
+        assert!(matches!(
+            read_first(&mut &stream[..6]),
+            Err(FrameError::Cut { expected: 5, found: 2 })
+        ));
+        let text = read_first(&mut &b"hello, world\n"[..]).unwrap_err().to_string();
+        assert!(text.contains("\"hell\""), "{text}");
+        assert!(write_first(&mut Vec::new(), &[]).is_err());
     }
 }

@@ -1,14 +1,18 @@
-//! Shared memory: whoever writes a frame makes a sealed memory file, whoever reads it maps it through `/proc`.
-//!
-//! A sealed file can neither change nor shrink, so that a mapping of it is as good as bytes of one's own.
+//! Shared memory: whoever writes frames keeps files in memory for them, whoever reads them maps these through `/proc` and
+//! gives each back once nothing of its frame is needed any more. Then it is written again: to make and to map the pages of
+//! a sweep costs more than to copy it.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
-use std::io::{self, Write};
+use std::io;
 use std::str::FromStr;
-use std::sync::OnceLock;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
 use arrow_buffer::Buffer;
+
+/// Files that one side lends at most; a frame for which there is none goes through the pipe.
+pub const LENT_AT_MOST: usize = 64;
 
 /// Where a frame lies: an open file of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,115 +42,223 @@ impl FromStr for FrameAt {
     }
 }
 
-/// A frame that the other side may read as long as this lives.
-#[derive(Debug)]
-pub struct Lent {
-    #[allow(dead_code, reason = "is kept open for the other side")]
-    file: File,
-    place: FrameAt,
+/// The shared memory of one side of a pipe: what it lends, and what it borrows from the other.
+#[derive(Debug, Default)]
+pub struct Memory {
+    own: Mutex<Own>,
+    mapped: Mutex<BTreeMap<u32, Arc<Mapping>>>,
+    read: Arc<Mutex<Vec<u32>>>,
 }
 
-impl Lent {
-    /// Where the other side finds it.
-    pub fn place(&self) -> FrameAt {
-        self.place
+#[derive(Debug, Default)]
+struct Own {
+    free: Vec<File>,
+    lent: BTreeMap<u32, File>,
+}
+
+/// A borrowed frame; its file is given back when the last array of it is gone.
+struct Borrowed {
+    mapping: Arc<Mapping>,
+    place: FrameAt,
+    read: Arc<Mutex<Vec<u32>>>,
+}
+
+impl AsRef<[u8]> for Borrowed {
+    fn as_ref(&self) -> &[u8] {
+        &self.mapping[..self.place.length as usize]
+    }
+}
+
+impl Drop for Borrowed {
+    fn drop(&mut self) {
+        locked(&self.read).push(self.place.fd);
+    }
+}
+
+impl Memory {
+    /// Writes a frame to a file that the other side may read until it gives it back; `None` if it holds
+    /// [`LENT_AT_MOST`].
+    ///
+    /// # Errors
+    /// What the system says against it.
+    pub fn lend(&self, parts: &[Buffer]) -> io::Result<Option<FrameAt>> {
+        let mut own = locked(&self.own);
+        if own.lent.len() == LENT_AT_MOST {
+            return Ok(None);
+        }
+        let file = own.free.pop().map_or_else(system::create, Ok)?;
+        let mut length = 0;
+        for part in parts {
+            system::write_at(&file, part, length)?;
+            length += part.len() as u64;
+        }
+        let place = FrameAt {
+            pid: std::process::id(),
+            fd: system::number(&file),
+            length: length
+                .try_into()
+                .map_err(|_| io::Error::from(io::ErrorKind::FileTooLarge))?,
+        };
+        own.lent.insert(place.fd, file);
+        Ok(Some(place))
+    }
+
+    /// Takes back what the other side has read.
+    ///
+    /// # Errors
+    /// A number that was not lent.
+    pub fn take_back(&self, numbers: &[u32]) -> io::Result<()> {
+        let mut own = locked(&self.own);
+        for number in numbers {
+            let file = own.lent.remove(number).ok_or_else(|| {
+                let held: Vec<_> = own.lent.keys().collect();
+                wrong(format!("file {number} was given back, lent are {held:?}"))
+            })?;
+            own.free.push(file);
+        }
+        Ok(())
+    }
+
+    /// The frame that the other side lent.
+    ///
+    /// # Errors
+    /// A file that is not there, could be cut, or is shorter; more of them than one side lends.
+    pub fn borrow(&self, place: FrameAt) -> io::Result<Buffer> {
+        let mut mapped = locked(&self.mapped);
+        let known = mapped
+            .get(&place.fd)
+            .filter(|known| known.len() >= place.length as usize);
+        let mapping = match known {
+            Some(known) => known.clone(),
+            None => Arc::new(system::map(place)?),
+        };
+        mapped.insert(place.fd, mapping.clone());
+        if mapped.len() > LENT_AT_MOST {
+            return Err(wrong(format!(
+                "expected at most {LENT_AT_MOST} files, file {} is one more",
+                place.fd
+            )));
+        }
+        let read = self.read.clone();
+        Ok(Buffer::from(bytes::Bytes::from_owner(Borrowed {
+            mapping,
+            place,
+            read,
+        })))
+    }
+
+    /// What was borrowed and is needed no more since this was last asked.
+    pub fn give_back(&self) -> Vec<u32> {
+        std::mem::take(&mut locked(&self.read))
     }
 }
 
 /// What a host lends to a program to try whether it can read the host's memory; `None` where there is none to share.
 pub fn probe() -> Option<FrameAt> {
-    static PROBE: OnceLock<Option<Lent>> = OnceLock::new();
-    let probe = PROBE.get_or_init(|| lend(&[Buffer::from(b"realo")]).ok());
-    probe.as_ref().map(Lent::place)
+    static PROBE: OnceLock<(Memory, Option<FrameAt>)> = OnceLock::new();
+    let (_, place) = PROBE.get_or_init(|| {
+        let memory = Memory::default();
+        let place = memory.lend(&[Buffer::from(b"realo")]).ok().flatten();
+        (memory, place)
+    });
+    *place
 }
 
 /// Whether this process can lend and read memory.
 pub fn works() -> bool {
-    probe().is_some_and(|place| open(place).is_ok())
+    probe().is_some_and(|place| system::map(place).is_ok())
 }
 
 /// Whether this process can read what a host lent it to try, and can lend memory itself.
 pub fn reaches(probe: &str) -> bool {
-    probe.parse().is_ok_and(|place: FrameAt| open(place).is_ok()) && works()
+    probe.parse().is_ok_and(|place: FrameAt| system::map(place).is_ok()) && works()
 }
 
-/// Writes a frame to a file in memory and seals it.
-///
-/// # Errors
-/// What the system says against it.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+fn wrong(reason: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, reason)
+}
+
 #[cfg(target_os = "linux")]
-pub fn lend(parts: &[Buffer]) -> io::Result<Lent> {
+use memmap2::Mmap as Mapping;
+#[cfg(not(target_os = "linux"))]
+type Mapping = Vec<u8>;
+
+#[cfg(target_os = "linux")]
+mod system {
+    use std::fs::File;
+    use std::io;
     use std::os::fd::AsRawFd;
+    use std::os::unix::fs::FileExt;
 
-    use rustix::fs::{MemfdFlags, fcntl_add_seals, memfd_create};
+    use rustix::fs::{MemfdFlags, Mode, OFlags, SealFlags, fcntl_add_seals, fcntl_get_seals, memfd_create};
 
-    let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
-    let mut file = File::from(memfd_create("realo", flags)?);
-    let length: usize = parts.iter().map(Buffer::len).sum();
-    file.set_len(length as u64)?;
-    for part in parts {
-        file.write_all(part)?;
+    use super::{FrameAt, Mapping, wrong};
+
+    /// A new file in memory that can grow but not shrink: behind the end of one that does, a mapping is no memory.
+    pub fn create() -> io::Result<File> {
+        let file = File::from(memfd_create("realo", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?);
+        fcntl_add_seals(&file, SealFlags::SHRINK)?;
+        Ok(file)
     }
-    fcntl_add_seals(&file, seals())?;
-    let wide = |_| io::Error::from(io::ErrorKind::FileTooLarge);
-    let place = FrameAt {
-        pid: std::process::id(),
-        fd: file.as_raw_fd().unsigned_abs(),
-        length: length.try_into().map_err(wide)?,
-    };
-    Ok(Lent { file, place })
+
+    pub fn write_at(file: &File, bytes: &[u8], at: u64) -> io::Result<()> {
+        file.write_all_at(bytes, at)
+    }
+
+    pub fn number(file: &File) -> u32 {
+        file.as_raw_fd().unsigned_abs()
+    }
+
+    /// Maps as much of a file of another process as its frame is long.
+    pub fn map(FrameAt { pid, fd, length }: FrameAt) -> io::Result<Mapping> {
+        // Whatever the other side names, opening it must not wait.
+        let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK | OFlags::NOCTTY;
+        let file = File::from(rustix::fs::open(format!("/proc/{pid}/fd/{fd}"), flags, Mode::empty())?);
+        if !fcntl_get_seals(&file).is_ok_and(|seals| seals.contains(SealFlags::SHRINK)) {
+            return Err(wrong("the file that was named is not sealed against shrinking".into()));
+        }
+        let found = file.metadata()?.len();
+        if found < u64::from(length) || length == 0 {
+            return Err(wrong(format!(
+                "expected a file of {length} bytes or more, found {found}"
+            )));
+        }
+        #[allow(unsafe_code)]
+        // SAFETY: the seal keeps the file as long as the mapping is. Its owner writes to it again once it was given back,
+        // after the last look at it; were it to do so earlier, numbers would be wrong, but lengths, offsets and texts are
+        // no longer read from it then.
+        unsafe {
+            memmap2::MmapOptions::new().len(length as usize).populate().map(&file)
+        }
+    }
 }
 
-/// Maps a frame that another process lent; the mapping lives as long as the buffer and what is made of it.
-///
-/// # Errors
-/// A file that is not there, not sealed, or of another length.
-#[cfg(target_os = "linux")]
-pub fn open(place: FrameAt) -> io::Result<Buffer> {
-    use rustix::fs::{Mode, OFlags, fcntl_get_seals};
-
-    let FrameAt { pid, fd, length } = place;
-    // Whatever the other side names, opening it must not wait.
-    let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK | OFlags::NOCTTY;
-    let file = File::from(rustix::fs::open(format!("/proc/{pid}/fd/{fd}"), flags, Mode::empty())?);
-    let wrong = |reason: String| io::Error::new(io::ErrorKind::InvalidData, reason);
-    let sealed = fcntl_get_seals(&file).is_ok_and(|found| found.contains(seals()));
-    if !sealed {
-        return Err(wrong("the file that was named is not sealed".into()));
-    }
-    let found = file.metadata()?.len();
-    if found != u64::from(length) || length == 0 {
-        return Err(wrong(format!("expected a file of {length} bytes, found {found}")));
-    }
-    #[allow(unsafe_code)]
-    // SAFETY: the seals keep the file's bytes and its length as they are for as long as it exists.
-    let mapping = unsafe { memmap2::MmapOptions::new().len(length as usize).populate().map(&file)? };
-    Ok(Buffer::from(bytes::Bytes::from_owner(mapping)))
-}
-
-#[cfg(target_os = "linux")]
-fn seals() -> rustix::fs::SealFlags {
-    use rustix::fs::SealFlags;
-
-    SealFlags::SEAL | SealFlags::SHRINK | SealFlags::GROW | SealFlags::WRITE
-}
-
-/// Says that there is none on this system.
-///
-/// # Errors
-/// Always.
 #[cfg(not(target_os = "linux"))]
-pub fn lend(_: &[Buffer]) -> io::Result<Lent> {
-    Err(io::ErrorKind::Unsupported.into())
-}
+mod system {
+    use std::fs::File;
+    use std::io;
 
-/// Says that there is none on this system.
-///
-/// # Errors
-/// Always.
-#[cfg(not(target_os = "linux"))]
-pub fn open(_: FrameAt) -> io::Result<Buffer> {
-    Err(io::ErrorKind::Unsupported.into())
+    use super::{FrameAt, Mapping};
+
+    pub fn create() -> io::Result<File> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    pub fn write_at(_: &File, _: &[u8], _: u64) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    pub fn number(_: &File) -> u32 {
+        0
+    }
+
+    pub fn map(_: FrameAt) -> io::Result<Mapping> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
 }
 
 #[cfg(all(test, target_os = "linux"))]
@@ -169,23 +281,64 @@ mod tests {
     }
 
     #[test]
-    fn a_mapping_outlives_the_file() {
-        let lent = lend(&[Buffer::from(&[1; 5000]), Buffer::from(&[2; 10])]).unwrap();
-        let found = open(lent.place()).unwrap();
-        drop(lent);
+    fn a_file_is_written_again_only_when_all_of_its_frame_is_gone() {
+        let (writer, reader) = (Memory::default(), Memory::default());
+        let lend = |bytes: &[u8]| {
+            writer
+                .lend(&[Buffer::from(bytes), Buffer::from(b"!")])
+                .unwrap()
+                .unwrap()
+        };
+        let first = lend(&[1; 5000]);
+        let found = reader.borrow(first).unwrap();
         let part = found.slice(4999);
         drop(found);
-        assert_eq!(part.as_slice(), [1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2]);
+        assert!(reader.give_back().is_empty());
+        let second = lend(&[2; 10]);
+        assert_ne!(second.fd, first.fd);
+        assert_eq!(part.as_slice(), [1, b'!']);
+
+        drop(part);
+        assert_eq!(reader.give_back(), [first.fd]);
+        assert!(reader.give_back().is_empty());
+        writer.take_back(&[first.fd]).unwrap();
+        assert!(
+            writer
+                .take_back(&[first.fd])
+                .unwrap_err()
+                .to_string()
+                .contains("was given back")
+        );
+        for bytes in [vec![3; 4000], vec![4; 9000]] {
+            let again = lend(&bytes);
+            assert_eq!(again.fd, first.fd);
+            assert_eq!(reader.borrow(again).unwrap().as_slice(), [&bytes[..], b"!"].concat());
+            writer.take_back(&reader.give_back()).unwrap();
+        }
     }
 
     #[test]
-    fn refuses_what_could_still_change() {
+    fn what_is_never_given_back_is_bounded() {
+        let (writer, reader) = (Memory::default(), Memory::default());
+        for _ in 0..LENT_AT_MOST {
+            reader
+                .borrow(writer.lend(&[Buffer::from(b"kept")]).unwrap().unwrap())
+                .unwrap();
+        }
+        assert_eq!(writer.lend(&[Buffer::from(b"kept")]).unwrap(), None);
+        let more = Memory::default().lend(&[Buffer::from(b"more")]).unwrap();
+        assert!(more.is_some_and(|more| reader.borrow(more).is_err()));
+    }
+
+    #[test]
+    fn refuses_what_could_be_cut() {
         let open_at = |file: &File, length| {
-            open(FrameAt {
+            let place = FrameAt {
                 pid: std::process::id(),
                 fd: file.as_raw_fd().unsigned_abs(),
                 length,
-            })
+            };
+            Memory::default().borrow(place).map(|_| ())
         };
         let plain = tempfile::tempfile().unwrap();
         plain.set_len(10).unwrap();
@@ -199,14 +352,14 @@ mod tests {
                 .to_string()
                 .contains("not sealed")
         );
-        let lent = lend(&[Buffer::from(&[1; 10])]).unwrap();
-        let error = open(FrameAt {
-            length: 11,
-            ..lent.place()
-        });
-        assert!(error.unwrap_err().to_string().contains("expected a file of 11"));
-        let gone = lent.place();
-        drop(lent);
-        assert!(open(gone).is_err());
+        rustix::fs::fcntl_add_seals(&open_memory, rustix::fs::SealFlags::SHRINK).unwrap();
+        assert!(open_at(&open_memory, 10).is_ok());
+        assert!(
+            open_at(&open_memory, 11)
+                .unwrap_err()
+                .to_string()
+                .contains("expected a file of 11")
+        );
+        assert!(open_at(&open_memory, 0).is_err());
     }
 }

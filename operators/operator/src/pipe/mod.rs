@@ -5,13 +5,15 @@
 //! output, so the program must print nothing else there; what it writes to standard error is passed on, and quoted if
 //! it fails.
 //!
-//! Both directions carry frames: an Arrow IPC stream of one batch with one row. On the pipe lies its length as 4 bytes,
-//! little endian, at most [`FRAME_LIMIT`], then the stream; or, of one above [`SHARED_FROM`], four such numbers: 0xffffffff,
-//! the process that lends it, the number of an open file there, the length. That file is in memory (`memfd_create`) and
-//! sealed against every change, so that its reader maps `/proc/PROCESS/fd/NUMBER` and copies nothing; its writer keeps it
-//! until the next frame comes or the pipe ends. A host that has such memory puts the place of some into the program's
-//! environment ([`MEMORY_VARIABLE`]: process, file, length); only a program that can read it, and has some too, says
-//! `memfd` in its hello, and only then frames take this way.
+//! Both directions carry frames: an Arrow IPC stream of one batch with one row. On the pipe lie numbers of 4 bytes, little
+//! endian: the length of the stream, at most [`FRAME_LIMIT`]; how many files of the other side are given back, and
+//! their numbers; then the stream. Of one above [`SHARED_FROM`] the length is 0xffffffff, and instead of the stream
+//! follow three more numbers: the process that lends it, the number of an open file there, the length. That file is in
+//! memory (`memfd_create`) and sealed against shrinking, so that its reader maps `/proc/PROCESS/fd/NUMBER`, once, and
+//! copies nothing. The number stands for that file as long as its process runs; it is written again only after it was
+//! given back. A hello, alike in all versions, is its length and the stream alone. A host that has such memory puts the place of some into the program's environment ([`MEMORY_VARIABLE`]:
+//! process, file, length); only a program that can read it, and has some too, says `memfd` in its hello, and only then
+//! frames take this way.
 //!
 //! | frame | direction | columns |
 //! |---|---|---|
@@ -35,7 +37,7 @@ pub use row::is_reading;
 pub use serve::serve;
 
 /// The version of the protocol; both sides must have the same.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 
 /// Is set to [`DRIVER`] for a program that is to serve the protocol.
 pub const DRIVER_VARIABLE: &str = "REALO_DRIVER";

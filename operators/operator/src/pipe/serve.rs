@@ -2,6 +2,7 @@
 
 use std::io::{Read, Write};
 
+use super::memory::Memory;
 use super::words::{Call, Reply, Told};
 use super::{FrameError, frame, hello};
 use crate::{AnyOperator, Built, Outputs, PortId, Registration};
@@ -26,18 +27,16 @@ pub fn serve(
         ));
     };
     let pipe = |error: FrameError| error.to_string();
-    frame::write(&mut replies, &hello::write(registration, shares)?, false).map_err(pipe)?;
-    // A reply in shared memory is there until the driver says more.
-    let mut lent = None;
-    while let Some(bytes) = frame::read(&mut calls).map_err(pipe)? {
+    let memory = Memory::default();
+    frame::write_first(&mut replies, &hello::write(registration, shares)?).map_err(pipe)?;
+    while let Some(bytes) = frame::read(&mut calls, &memory).map_err(pipe)? {
         let (call, now) = Call::from_bytes(bytes)?;
         let ends = call == Call::End;
         let reply = answer(registration, operator.as_mut(), call, now)?;
-        drop(lent);
-        lent = frame::write(&mut replies, &reply.to_parts()?, shares).map_err(pipe)?;
+        frame::write(&mut replies, &reply.to_parts()?, &memory, shares).map_err(pipe)?;
         if ends {
             // The driver closes the pipe once it has read the last reply.
-            frame::read(&mut calls).map_err(pipe)?;
+            frame::read(&mut calls, &memory).map_err(pipe)?;
             break;
         }
     }

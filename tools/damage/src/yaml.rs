@@ -2,11 +2,11 @@
 
 use serde_yaml::Value;
 
-use super::mutator::Draw;
+use crate::Draw;
 
 /// A document that may hold what no sound one does.
 #[derive(Clone, Debug)]
-pub enum Tree {
+enum Tree {
     /// As it stands in the text.
     Raw(String),
     /// In quotes.
@@ -88,11 +88,11 @@ impl From<&Value> for Tree {
 }
 
 impl Tree {
-    pub fn parse(text: &str) -> Self {
+    fn parse(text: &str) -> Self {
         Tree::from(&serde_yaml::from_str::<Value>(text).unwrap())
     }
 
-    pub fn write(&self, out: &mut String) {
+    fn write(&self, out: &mut String) {
         let all = |out: &mut String, marks: [char; 2], items: &mut dyn Iterator<Item = Vec<&Tree>>| {
             out.push(marks[0]);
             for item in items {
@@ -153,7 +153,7 @@ impl Tree {
     }
 
     /// Changes the document in one to four places; `words` are texts that mean something in it.
-    pub fn change(&mut self, draw: &mut Draw, words: &[&str]) {
+    fn change(&mut self, draw: &mut Draw, words: &[&str]) {
         for _ in 0..=draw.below(4) {
             self.change_once(draw, words);
         }
@@ -261,8 +261,11 @@ fn serde_json_like(text: &str) -> String {
     out
 }
 
-/// The document as a file: changed as a tree, and now and then as bytes.
-pub fn damaged(text: &str, draw: &mut Draw, words: &[&str]) -> Vec<u8> {
+/// A YAML document as a file: changed as a tree, and now and then as bytes; `words` are texts that mean something in it.
+///
+/// # Panics
+/// If the document is none.
+pub fn damaged_yaml(text: &str, draw: &mut Draw, words: &[&str]) -> Vec<u8> {
     let mut bytes = match draw.below(8) {
         0 => text.as_bytes().to_vec(),
         _ => {

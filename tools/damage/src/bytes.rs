@@ -12,10 +12,12 @@ pub fn cases(usual: u64) -> u64 {
 pub struct Draw(u64);
 
 impl Draw {
+    /// The draws of a seed.
     pub fn new(seed: u64) -> Self {
         Draw(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15))
     }
 
+    /// Any number.
     pub fn number(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -24,14 +26,17 @@ impl Draw {
         z ^ (z >> 31)
     }
 
+    /// A number in [0, n), 0 of none.
     pub fn below(&mut self, n: usize) -> usize {
         (self.number() % n.max(1) as u64) as usize
     }
 
+    /// Whether one of so many cases has come.
     pub fn chance(&mut self, one_in: usize) -> bool {
         self.below(one_in) == 0
     }
 
+    /// One of several.
     pub fn pick<T: Copy>(&mut self, from: &[T]) -> T {
         from[self.below(from.len())]
     }
