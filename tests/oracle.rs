@@ -5,6 +5,8 @@
 
 #[path = "oracle/account.rs"]
 mod account;
+#[path = "oracle/bank.rs"]
+mod bank;
 #[path = "oracle/draw.rs"]
 mod draw;
 #[path = "oracle/driver.rs"]
@@ -21,8 +23,7 @@ mod world;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use account::Account;
-use naive::Reached;
+use account::{Account, Reached};
 use world::World;
 
 const SEEDS: u64 = 4000;
@@ -132,13 +133,24 @@ fn covers_every_term<'a>(accounts: impl Iterator<Item = &'a (Account, Reached)>)
 }
 
 /// How often, at the least, over all worlds.
-const RARE: [(&str, u64); 6] = [
+const RARE: [(&str, u64); 17] = [
     ("answers that the bank's limit changed", 200),
     ("answers offline that the bank's limit changed", 100),
     ("worlds in which a link's room ran out", 20),
     ("projected with a state that the link made old", 1000),
     ("fusions of what was projected and stayed as sent", 500),
     ("fusions of what was projected and brought up to date", 500),
+    ("queries that waited", 800),
+    ("messages due after a gap in their seq", 100),
+    ("messages due after a period without one", 100),
+    ("waits that a message ended", 300),
+    ("waits that the last of several ended", 40),
+    ("waits that an older message did not end", 20),
+    ("waits that ran out", 300),
+    ("waits that the next query ended", 150),
+    ("answers that waiting changed", 400),
+    ("queries whose patience was over at their turn", 50),
+    ("answers with what came while they were in line", 300),
 ];
 
 fn reaches_what_is_rare<'a>(worlds: impl Iterator<Item = &'a Reached>) {

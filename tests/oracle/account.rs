@@ -4,8 +4,22 @@ use std::collections::BTreeMap;
 
 use realo_schemas::Nanos;
 
+use crate::world::Said;
+
 /// A message of an agent.
 pub type Id = (String, u64);
+
+pub fn id(said: &Said) -> Id {
+    (said.agent.clone(), said.seq)
+}
+
+/// How often something happened that only some worlds reach.
+pub type Reached = BTreeMap<&'static str, u64>;
+
+/// Adds what happened, or did not.
+pub fn add(reached: &mut Reached, what: &'static str, happened: bool) {
+    *reached.entry(what).or_default() += u64::from(happened);
+}
 
 /// A Selection.
 #[derive(Clone, Debug, PartialEq)]

@@ -206,6 +206,7 @@ fn stages(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Stag
     ];
     let bank = vec![
         format!("window_ms={}", world.window_ms),
+        format!("patience_ms={}", world.patience_ms),
         format!("offline={}", world.offline),
         format!("ahead_ms={}", world.ahead_ms),
     ];

@@ -5,24 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use realo_schemas::Nanos;
 
-use crate::account::{Account, Answer, Fusion, Id, Line, Place as InEgo};
+use crate::account::{Account, Answer, Fusion, Id, Line, Place as InEgo, Reached, add, id};
+use crate::bank::{Asked, Banked, Held, REACH, bank};
 use crate::link::{Crossed, Link, Sent, bytes, kind};
 use crate::stage::{At, Class, Place, serve_all, serve_latest};
-use crate::world::{EGO, MS, Said, Strategy, World, content};
-
-/// Greatest difference of stamps offline, inclusive.
-const REACH: Nanos = 50 * MS;
-/// Messages of one sender that the bank holds.
-const HELD: usize = 16;
-/// Messages of one sender by which the bank knows copies.
-const REMEMBERED: usize = 64;
-
-/// How often something happened that only some worlds reach.
-pub type Reached = BTreeMap<&'static str, u64>;
-
-fn id(said: &Said) -> Id {
-    (said.agent.clone(), said.seq)
-}
+use crate::world::{EGO, Strategy, World, content};
 
 /// The states of the ego that came to the others over their link, and what became of them on the way.
 #[derive(Default)]
@@ -178,149 +165,6 @@ fn encode<'w>(world: &World, sweeps: &[At<'w>], told: &mut Told<'w>, reached: &m
         add(reached, "projected", true);
     }
     encoded
-}
-
-fn add(reached: &mut Reached, what: &'static str, happened: bool) {
-    *reached.entry(what).or_default() += u64::from(happened);
-}
-
-/// A message in the bank.
-struct Held<'w> {
-    place: Place<'w>,
-    at: At<'w>,
-    /// When it left, because so many newer ones of its sender are there.
-    left: Option<Place<'w>>,
-}
-
-impl Held<'_> {
-    /// Of one stamp, what came later counts as newer.
-    fn is_newer(&self, other: &Held) -> bool {
-        (self.at.said.stamp, self.place) > (other.at.said.stamp, other.place)
-    }
-
-    fn is_there(&self, now: Place) -> bool {
-        self.place < now && self.left.is_none_or(|left| left > now)
-    }
-}
-
-/// A query and its answer.
-struct Asked<'w> {
-    query: At<'w>,
-    /// When it was answered.
-    now: Place<'w>,
-    /// When the Selection is ready.
-    ready: Nanos,
-    entries: Vec<At<'w>>,
-    /// What would have been selected, were it not too old.
-    stale: Vec<At<'w>>,
-}
-
-/// Sets when each message left for want of room: when the last of the 16 newer ones came that fill it.
-fn limit(held: &mut [Held]) {
-    let lefts: Vec<_> = held
-        .iter()
-        .map(|old| {
-            let newer = held
-                .iter()
-                .filter(|new| new.at.agent() == old.at.agent() && new.is_newer(old));
-            // In the order in which they came.
-            newer.map(|new| new.place.max(old.place)).nth(HELD - 1)
-        })
-        .collect();
-    held.iter_mut().zip(lefts).for_each(|(held, left)| held.left = left);
-}
-
-/// What entered the bank, what it did not take, and its answers in order.
-struct Banked<'w> {
-    held: Vec<Held<'w>>,
-    rejected: Vec<At<'w>>,
-    asked: Vec<Asked<'w>>,
-}
-
-fn bank<'w>(world: &World, decoded: &[At<'w>], queries: &[At<'w>], reached: &mut Reached) -> Banked<'w> {
-    let messages = decoded.iter().map(|at| (at.place(Class::Data, 1), *at));
-    let queries = queries.iter().map(|at| (at.place(Class::Query, 0), *at));
-    let compute = world.compute_of_query();
-    let (mut held, mut rejected, mut asking) = (Vec::new(), Vec::new(), Vec::new());
-    let mut calls = serve_all(messages.collect(), world.compute("bank"));
-    calls.extend(serve_all(queries.collect(), compute));
-    calls.sort_by_key(|(place, _)| *place);
-    for (place, at) in calls {
-        if at.agent() == EGO {
-            asking.push((place, at));
-        } else if at.said.stamp - at.ready > Nanos::from(world.ahead_ms) * MS {
-            rejected.push(at);
-        } else if is_new(&held, at) {
-            held.push(Held { place, at, left: None });
-        }
-    }
-    limit(&mut held);
-    let window = Nanos::from(world.window_ms) * MS;
-    let asked = asking.into_iter().map(|(place, query)| {
-        let (now, ready): (Place, Nanos) = match world.offline {
-            true => (
-                (query.said.stamp + REACH, Class::Wake, 0, EGO, 0),
-                query.said.stamp + REACH,
-            ),
-            false => (place, place.0 + compute),
-        };
-        let chosen = |there: &dyn Fn(&Held) -> bool| {
-            of_each_sender(&held, |held| {
-                let there = held.iter().filter(|held| there(held)).map(|held| held.at);
-                if world.offline {
-                    nearest(there, query)
-                } else {
-                    newest(there, query)
-                }
-            })
-        };
-        let found = chosen(&|held| held.is_there(now));
-        let had_room = chosen(&|held| held.place < now);
-        let ids = |list: &[At]| list.iter().map(|at| id(at.said)).collect::<Vec<_>>();
-        let what = if world.offline {
-            "answers offline that the bank's limit changed"
-        } else {
-            "answers that the bank's limit changed"
-        };
-        add(reached, what, ids(&found) != ids(&had_room));
-        let in_time = |at: &At| world.offline || query.ready - at.said.stamp <= window;
-        let (entries, stale) = found.into_iter().partition(in_time);
-        Asked {
-            query,
-            now,
-            ready,
-            entries,
-            stale,
-        }
-    });
-    let asked = asked.collect();
-    Banked { held, rejected, asked }
-}
-
-/// Whether none of the last messages of its sender is the same.
-fn is_new(held: &[Held], at: At) -> bool {
-    let of_sender = held.iter().rev().filter(|held| held.at.agent() == at.agent());
-    of_sender.take(REMEMBERED).all(|held| held.at.said.seq != at.said.seq)
-}
-
-/// One message at most of each sender, by name.
-fn of_each_sender<'w>(held: &[Held<'w>], choose: impl Fn(&[&Held<'w>]) -> Option<At<'w>>) -> Vec<At<'w>> {
-    let agents: BTreeSet<&str> = held.iter().map(|held| held.at.agent()).collect();
-    let of = |agent: &str| held.iter().filter(|held| held.at.agent() == agent).collect::<Vec<_>>();
-    agents.into_iter().filter_map(|agent| choose(&of(agent))).collect()
-}
-
-/// Online: the newest stamp with ready ≤ the query's ready.
-fn newest<'w>(there: impl Iterator<Item = At<'w>>, query: At) -> Option<At<'w>> {
-    there
-        .filter(|at| at.ready <= query.ready)
-        .max_by_key(|at| at.said.stamp)
-}
-
-/// Offline: the least difference of stamps, at most the reach; of two the earlier.
-fn nearest<'w>(there: impl Iterator<Item = At<'w>>, query: At) -> Option<At<'w>> {
-    let away = |at: &At| (at.said.stamp.abs_diff(query.said.stamp), at.said.stamp);
-    there.min_by_key(away).filter(|at| away(at).0 <= REACH.unsigned_abs())
 }
 
 /// Sets of the ego's message and its Selection: the fusions that took place, and how many sets did not come to one.

@@ -47,7 +47,7 @@ pub enum Class {
 pub type Place<'w> = (Nanos, Class, usize, &'w str, u64);
 
 /// The place of a call that waited for its server.
-fn freed(at: Nanos, agent: &str) -> Place<'_> {
+pub fn freed(at: Nanos, agent: &str) -> Place<'_> {
     (at, Class::ServerFree, 0, agent, 0)
 }
 

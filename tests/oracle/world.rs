@@ -126,6 +126,8 @@ pub struct World {
     pub max_bytes: usize,
     /// Greatest age that the bank selects, ms.
     pub window_ms: u32,
+    /// How long a query waits in the bank for a message that its sender's rhythm announces, ms.
+    pub patience_ms: u32,
     /// How far a stamp may lie ahead of its arrival in the bank, ms.
     pub ahead_ms: u32,
     /// How many collaborators a fusion takes.
@@ -169,6 +171,8 @@ struct Style {
     duration: Nanos,
     /// Percentage of sweeps without a pose.
     unposed: i64,
+    /// Whether sweeps come so regularly that a bank may wait for them.
+    rhythmic: bool,
 }
 
 impl World {
@@ -181,6 +185,7 @@ impl World {
             grid: random.pick(&[1, 1, 5 * MS, 25 * MS]),
             duration: random.within(500, 3000) * MS,
             unposed: random.pick(&[0, 0, 0, 10]),
+            rhythmic: random.chance(25),
         };
         let strategy = random.pick(&[
             Strategy::Late,
@@ -209,10 +214,14 @@ impl World {
             range_m: if hasty { 1000.0 } else { range_m },
             max_bytes,
             window_ms: random.pick(&[400, 400, 400, 150, 0]),
+            patience_ms: random.pick(&[0, 0, 0, 0, 0, 5, 30, 80, 200]),
             ahead_ms: random.pick(&[1000, 1000, 30, 0]),
             max_collaborators: random.pick(&[None, None, Some(1), Some(2), Some(0)]),
             compute: BTreeMap::new(),
         };
+        if style.rhythmic {
+            world.has_patience(random.pick(&[5, 30, 80, 200]));
+        }
         if !offline {
             world.compute = match hasty {
                 true => [("bank.ego".to_string(), random.within(100, 400) * MS)].into(),
@@ -228,6 +237,14 @@ impl World {
             }
         }
         world
+    }
+
+    /// Without most of what keeps messages from a bank that waits for them.
+    fn has_patience(&mut self, patience_ms: u32) {
+        self.patience_ms = patience_ms;
+        (self.range_m, self.max_bytes) = (1000.0, 64 << 20);
+        (self.window_ms, self.ahead_ms) = (self.window_ms.max(150), 1000);
+        (self.channel.bits_per_second, self.state_channel.bits_per_second) = (None, None);
     }
 
     /// The stages of the graph that take time.
@@ -252,9 +269,9 @@ impl World {
         self.compute.get(stage).copied().unwrap_or(0)
     }
 
-    /// What a query takes in the bank, ns.
-    pub fn compute_of_query(&self) -> Nanos {
-        let own = self.compute.get("bank.ego").copied();
+    /// What a call of the bank takes, by what triggers it, ns.
+    pub fn compute_of_bank(&self, trigger: &str) -> Nanos {
+        let own = self.compute.get(&format!("bank.{trigger}")).copied();
         own.unwrap_or_else(|| self.compute("bank"))
     }
 }
@@ -269,6 +286,7 @@ fn sweeps(random: &mut Random, agent: &str, style: Style, hasty: bool) -> Vec<Sa
         grid,
         duration,
         unposed,
+        rhythmic,
     } = style;
     let period = match hasty {
         true if offline => random.within(2 * MS, 3 * MS),
@@ -278,13 +296,19 @@ fn sweeps(random: &mut Random, agent: &str, style: Style, hasty: bool) -> Vec<Sa
     let phase = multiple(random.within(0, period), grid);
     let late = multiple(random.pick(&[0, 40, 100, 300, -20]) * MS, grid);
     // More than a period puts sweeps out of order.
-    let scatter = random.pick(&[0, 0, period / 2, 2 * period]);
+    let (scatter, jitter) = match rhythmic {
+        true => (
+            random.pick(&[0, 0, 0, period / 2, 2 * period]),
+            random.pick(&[0, 0, period / 3]),
+        ),
+        false => (random.pick(&[0, 0, period / 2, 2 * period]), period / 3),
+    };
     let missing = random.pick(&[0, 0, 10, 40]);
     let silence = random.within(0, duration);
     let silence = silence..silence + random.pick(&[0, 0, 300, 1000]) * MS;
     let mut sweeps: Vec<Said> = Vec::new();
     for tick in (phase..duration).step_by(period as usize) {
-        let stamp = ORIGIN + multiple(tick + random.within(0, period / 3), grid);
+        let stamp = ORIGIN + multiple(tick + random.within(0, jitter), grid);
         let delay = late + multiple(random.within(0, scatter), grid);
         let sweep = Said {
             agent: agent.into(),
@@ -372,6 +396,9 @@ fn compute(random: &mut Random, grid: Nanos, stages: &[&str]) -> BTreeMap<String
         };
         if random.chance(45) {
             nodes.insert(stage.to_string(), multiple(random.within(0, most * MS), grid));
+        }
+        if *stage == "bank" && random.chance(10) {
+            nodes.insert("bank.wake".into(), multiple(random.within(0, most * MS), grid));
         }
     }
     nodes

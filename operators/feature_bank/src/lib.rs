@@ -9,12 +9,14 @@
 //!
 //! **Online** a query takes, of each sender, the message of newest stamp that was ready when the query was, unless it
 //! is older than the window (age = the query's ready - the message's stamp).
-//! With `patience_ms` a query of whose senders one is due (a whole number of its periods after its newest message, at most
-//! the patience before or after the query) waits until all those have sent, the next query comes, or the patience ends,
-//! and then takes the newest that are there. A sender's period is the difference of stamps of its two newest messages, by
-//! that of their seq; one whose newest is older than the window is not waited for. A patient bank's query that nobody is
-//! due for takes what is there when its turn comes, not only what was when it was ready. Ages, and the window, count to
-//! when the query was ready all the same. Offline nobody has patience.
+//! With `patience_ms` a query of whose senders one is due (a whole number of its periods after its newest message came, at
+//! most the patience before or after the query) waits until all those have sent a newer one, the next query comes, or the
+//! patience ends, and then takes the newest that are there. A sender's period is the difference of stamps of its newest
+//! message and of the one that was the newest before, by that of their seq; one whose newest is older than the window is
+//! not waited for, and a message that comes after a newer one changes no period and ends no wait. A patient bank's query
+//! that does not wait, since nobody is due or its patience is over when its turn comes, takes what is there then, not only
+//! what was when it was ready. Ages, and the window, count to when the query was ready all the same. Offline nobody has
+//! patience.
 //!
 //! **Offline** it takes the message of least |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
 //! 50 ms after its stamp.

@@ -118,14 +118,16 @@ impl FeatureBank {
             for waiting in std::mem::take(&mut self.pending).into_values() {
                 self.answer(waiting.query, out);
             }
-            let awaited = match self.patience {
-                0 => BTreeSet::new(),
-                patience => self.bank.awaited(&query, patience),
+            let until = query.ready.saturating_add(self.patience);
+            // Its patience may be over before its turn comes.
+            let awaited = match self.patience > 0 && until > out.now() {
+                true => self.bank.awaited(&query, self.patience),
+                false => BTreeSet::new(),
             };
             if awaited.is_empty() {
                 return self.answer(query, out);
             }
-            (query.ready.saturating_add(self.patience), awaited)
+            (until, awaited)
         };
         out.wake_at(until);
         self.pending.insert((until, self.queries), Waiting { query, awaited });

@@ -242,6 +242,11 @@ fn patience_ends_with_what_is_there() {
 fn nobody_waits_for_what_is_not_expected_within_the_patience() {
     // When the ego asks; the messages of rsu1, whose next is due 100 ms after the last; whether the ego waits.
     let last_at = |ready| vec![message("rsu1", 0, 0, ready - 100), message("rsu1", 1, 100, ready)];
+    let late = || {
+        let newest = message("rsu1", 2, 200, 260);
+        vec![message("rsu1", 0, 0, 60), newest, message("rsu1", 1, 110, 265)]
+    };
+    let afresh = || vec![message("rsu1", 500, 0, 60), message("rsu1", 0, 100, 160)];
     let cases = [
         (250, last_at(180), true),
         (250, last_at(181), false),
@@ -258,6 +263,21 @@ fn nobody_waits_for_what_is_not_expected_within_the_patience() {
         (501, last_at(190), false),
         // It is there already.
         (250, last_at(249), false),
+        // What comes late, or is no newer, changes no rhythm.
+        (330, late(), true),
+        (329, late(), false),
+        (250, [last_at(160), vec![message("rsu1", 2, 100, 170)]].concat(), true),
+        // The newest difference of stamps counts, were it the least.
+        (
+            430,
+            [(0, 0), (1, 200), (2, 300)]
+                .map(|(seq, stamp)| message("rsu1", seq, stamp, stamp + 60))
+                .to_vec(),
+            true,
+        ),
+        // A sender that starts afresh keeps its rhythm.
+        (250, afresh(), true),
+        (210, afresh(), false),
     ];
     for (at, messages, waits) in cases {
         let mut bank = patient();
@@ -303,6 +323,38 @@ fn a_query_that_had_to_wait_for_its_turn_takes_what_came_meanwhile_if_it_is_pati
 }
 
 #[test]
+fn a_patient_query_that_is_asked_early_takes_what_is_ready_when_it_is() {
+    let mut bank = patient();
+    give(&mut bank, OTHERS, message("rsu1", 0, 100, 245));
+    let mut out = Outputs::at(240 * MS);
+    bank.on_input(EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+    assert_eq!(outcome(&mut out).0[0].2, ["rsu1:0"]);
+}
+
+#[test]
+fn without_patience_nobody_waits_even_for_what_is_due_when_the_query_is_ready() {
+    let mut bank = bank(false);
+    two_of(&mut bank, "rsu1");
+    let mut out = Outputs::at(240 * MS);
+    bank.on_input(EGO, message("cav1", 2, 200, 260), &mut out).unwrap();
+    assert_eq!(outcome(&mut out).0.len(), 1);
+}
+
+#[test]
+fn a_query_whose_patience_is_over_when_its_turn_comes_is_answered_at_once() {
+    // When its turn comes; the wakes that it asks for.
+    for (turn, wakes) in [(279, vec![280]), (280, vec![]), (300, vec![])] {
+        let mut bank = patient();
+        two_of(&mut bank, "rsu1");
+        let mut out = Outputs::at(turn * MS);
+        bank.on_input(EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+        let asked: Vec<Nanos> = out.take_wakes().into_iter().map(|time| time / MS).collect();
+        let answered = outcome(&mut out).0;
+        assert_eq!((answered.is_empty(), asked), (!wakes.is_empty(), wakes), "{turn}");
+    }
+}
+
+#[test]
 fn the_ego_does_not_wait_for_itself() {
     let mut bank = patient();
     two_of(&mut bank, "cav1");
@@ -328,6 +380,7 @@ fn a_late_older_message_ends_no_wait() {
     }
     assert_eq!(give(&mut bank, EGO, message("cav1", 3, 300, 350)).0, []);
     assert_eq!(give(&mut bank, OTHERS, message("rsu1", 1, 100, 355)).0, []);
+    assert_eq!(give(&mut bank, OTHERS, message("rsu1", 2, 200, 356)).0, [], "a copy");
     let (answered, _) = give(&mut bank, OTHERS, message("rsu1", 3, 300, 362));
     assert_eq!(answered[0].2, ["rsu1:3"]);
 }
