@@ -486,7 +486,7 @@ fn a_log_that_is_played_is_never_recorded_into() {
 }
 
 #[test]
-fn results_of_others_are_kept_and_a_failed_run_leaves_none_of_its_own() {
+fn results_of_others_and_of_the_run_before_outlive_a_run_that_fails() {
     let dir = folder("claimed");
     let (log, out) = (small(), dir.join("out"));
     let (log, out) = (log.to_string_lossy(), out.to_string_lossy());
@@ -504,13 +504,19 @@ fn results_of_others_are_kept_and_a_failed_run_leaves_none_of_its_own() {
     fs::remove_file(cell.join("result.json")).expect("it is ours");
 
     assert_eq!(run(&args).0, Some(0));
+    let files = || {
+        [
+            "out/result.json",
+            "out/small/cav1/result.json",
+            "out/small/cav1/recording.mcap",
+        ]
+        .map(|file| fs::read(dir.join(file)).expect("the run before wrote it"))
+    };
+    let before = files();
     let (code, said) = run(&[&args[..], &["--link", "papr"]].concat());
     assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("papr"), "{said}");
-    assert!(
-        !dir.join("out/result.json").exists(),
-        "the earlier result does not stand for the failed run"
-    );
+    assert!(said.contains("papr") && said.contains("the run before"), "{said}");
+    assert!(files() == before, "a run that fails changes nothing of the run before");
 }
 
 #[test]

@@ -230,6 +230,15 @@ fn a_program_that_fails_in_mid_run_fails_it_on_dora_too() {
 }
 
 #[test]
+fn a_program_runs_in_its_graphs_folder_under_both_drivers() {
+    let script = "[ -f plugin.sh ] || exit 7\nexec \"$PLUGIN\" \"$@\"";
+    let graph = scripted("plugin_folder", script);
+    run("plugin_folder_virtual", &graph, &VIRTUAL);
+    let _alone = alone();
+    run("plugin_folder_dora", &graph, &[]);
+}
+
+#[test]
 fn ports_and_arguments_that_do_not_fit_are_refused() {
     let program = fusion_nearest().to_string_lossy().into_owned();
     let at = (PROGRAM, program.as_str());

@@ -98,7 +98,7 @@ class Message:
         return Message(Header(**own, host=fields), type_, payload)
 
     def write(self) -> pa.StructArray:
-        """The message as a struct array of one row. Raises `ValueError` for columns that are missing or do not fit."""
+        """The message as a struct array of one row. Raises `ValueError` for columns that are missing or of another type."""
         empty = {name: [] if pa.types.is_list(as_) else 0 for name, as_ in _HEADER.items()}
         cells = {"payload": pa.array([self.type])}
         for types, values in ((_HEADER, empty | self.header.host | vars(self.header)), (PAYLOADS[self.type], self.payload)):

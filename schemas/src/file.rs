@@ -58,7 +58,12 @@ pub fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 
 /// A text as messages repeat it: its head, if it is long.
 pub fn shown(text: &str) -> String {
-    match text.char_indices().nth(SHOWN) {
+    head(text, SHOWN)
+}
+
+/// At most so many characters of a text, and how long it is if they are not all.
+pub fn head(text: &str, characters: usize) -> String {
+    match text.char_indices().nth(characters) {
         Some((end, _)) => format!("{}… ({} bytes)", &text[..end], text.len()),
         None => text.into(),
     }

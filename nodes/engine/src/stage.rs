@@ -4,10 +4,12 @@ use std::collections::BTreeSet;
 
 use realo_operator::{Built, Error, Made, NodeBooks, Outputs, PortId, Registration};
 use realo_schemas::report::{Crossing, Fate, Fated};
-use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry};
+use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry, file};
 
 /// Errors of a stage that are told; the rest is only counted.
 const TOLD_ERRORS: u64 = 5;
+/// Characters of an error that are told: what a plug-in says may be of any length.
+const TOLD_CHARACTERS: usize = 1000;
 
 /// Why a stage can no longer be called; the run fails.
 #[derive(Debug, thiserror::Error)]
@@ -53,7 +55,9 @@ impl Call {
                             break;
                         }
                         let name = inputs.inputs.get(port.0).map_or("?", |port| port.name);
-                        called.errors.push(format!("input `{name}`, {text}: {error}"));
+                        called
+                            .errors
+                            .push(format!("input `{name}`, {text}: {}", words_of(&error)));
                         called.made.fates.extend(told(carried, Fate::Rejected));
                     }
                 }
@@ -83,7 +87,7 @@ impl Called {
     fn note(&mut self, place: &str, done: Result<(), Error>) {
         match done {
             Err(error) if error.is::<Gone>() => self.gone = Some(error),
-            Err(error) => self.errors.push(format!("{place}: {error}")),
+            Err(error) => self.errors.push(format!("{place}: {}", words_of(&error))),
             Ok(()) => {}
         }
     }
@@ -100,6 +104,15 @@ impl Called {
             false => format!("{cause} > {}", names.join(", ")),
         }
     }
+}
+
+/// What an error says, as a terminal may have it.
+fn words_of(error: &Error) -> String {
+    let plain = |c: char| if c.is_control() && c != '\n' { ' ' } else { c };
+    file::head(&error.to_string(), TOLD_CHARACTERS)
+        .chars()
+        .map(plain)
+        .collect()
 }
 
 /// The messages over links that a message is, or that it selects.
@@ -157,6 +170,7 @@ impl Stage {
         let mut lines = Vec::new();
         for error in std::mem::take(&mut called.errors) {
             self.books.errors += 1;
+            self.books.first_error.get_or_insert_with(|| error.clone());
             if self.books.errors <= TOLD_ERRORS {
                 lines.push(format!("{} ({}): {error}", self.id, self.registration.name));
             }
@@ -405,5 +419,14 @@ mod tests {
             assert_eq!((traced.done, traced.ready), (done, expected));
         }
         assert_eq!((stage.hops, stage.books.outputs["two"].total()), (vec![0, 4], 4));
+    }
+
+    #[test]
+    fn words_of_an_error_are_few_and_plain() {
+        let error: Error = "one\ntwo\x1b[31m\tthree".into();
+        assert_eq!(words_of(&error), "one\ntwo [31m three");
+        let long: Error = "é".repeat(5000).into();
+        assert_eq!(words_of(&long).chars().filter(|c| *c == 'é').count(), TOLD_CHARACTERS);
+        assert!(words_of(&long).ends_with("… (10000 bytes)"));
     }
 }

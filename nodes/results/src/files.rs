@@ -171,8 +171,19 @@ pub fn write_run(folder: impl AsRef<Path>, run: &Run) -> Result<(), FilesError> 
 /// [`FilesError`] if the folder cannot be made or holds files of these names that are not of realo.
 pub fn claim(folder: &Path) -> Result<(), FilesError> {
     std::fs::create_dir_all(folder).map_err(|reason| refused(folder, reason))?;
+    for file in earlier(folder)? {
+        std::fs::remove_file(&file).map_err(|reason| refused(&file, reason))?;
+    }
+    Ok(())
+}
+
+/// The files of an earlier run in a folder, `result.json` first.
+///
+/// # Errors
+/// [`FilesError`] for files of these names that are not of realo.
+pub fn earlier(folder: &Path) -> Result<Vec<PathBuf>, FilesError> {
     let present = FILES.iter().filter(|(name, _)| folder.join(name).exists());
-    let present: Vec<PathBuf> = present
+    present
         .map(|(name, schema)| {
             let file = folder.join(name);
             match read_any(&file, schema) {
@@ -181,11 +192,7 @@ pub fn claim(folder: &Path) -> Result<(), FilesError> {
                 Err(error) => Err(error),
             }
         })
-        .collect::<Result<_, _>>()?;
-    for file in present {
-        std::fs::remove_file(&file).map_err(|reason| refused(&file, reason))?;
-    }
-    Ok(())
+        .collect()
 }
 
 fn refused(file: &Path, reason: std::io::Error) -> FilesError {

@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 
+use realo_schemas::file;
 use realo_scoring::{Accuracy, Dropped, Intervals, Orders, RangeBin, Scores, Table, score};
 use serde::{Deserialize, Serialize};
 
@@ -219,6 +220,9 @@ pub struct NodeSummary {
     pub operator: String,
     /// Messages that it could not take.
     pub errors: u64,
+    /// The first of them, and why.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_error: Option<String>,
     /// Messages that it passed over because it was busy.
     pub skipped: u64,
     /// Parts of sets that never became complete.
@@ -232,6 +236,7 @@ impl NodeSummary {
     pub fn add(&mut self, other: &NodeSummary) {
         self.operator.clone_from(&other.operator);
         self.errors += other.errors;
+        self.first_error = self.first_error.take().or_else(|| other.first_error.clone());
         self.skipped += other.skipped;
         self.unjoined += other.unjoined;
         for (counter, n) in &other.counters {
@@ -354,9 +359,27 @@ impl RunResult {
             format!("{skipped} of {} sweeps of the ego gave no boxes", self.frames.total),
         );
         for (id, node) in self.nodes.iter().filter(|(_, node)| node.errors > 0) {
+            let first = node
+                .first_error
+                .as_deref()
+                .map(|error| format!("; the first: {}", file::shown(error)));
+            let first = first.unwrap_or_default();
             note(
                 true,
-                format!("node {id} ({}) could not take {} messages", node.operator, node.errors),
+                format!(
+                    "node {id} ({}) could not take {} messages{first}",
+                    node.operator, node.errors
+                ),
+            );
+        }
+        for (id, node) in &self.nodes {
+            let invalid = node.counters.get("invalid_boxes").copied().unwrap_or(0);
+            note(
+                invalid > 0,
+                format!(
+                    "node {id} ({}) left out {invalid} boxes that are not finite, have no extent or a score outside [0, 1]",
+                    node.operator
+                ),
             );
         }
         for (link, kind, books) in self.channels() {

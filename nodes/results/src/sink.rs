@@ -275,6 +275,7 @@ fn take_books(result: &mut RunResult, books: &Books) {
         let mut summary = NodeSummary {
             operator: node.name.clone(),
             errors: node.errors,
+            first_error: node.first_error.clone(),
             counters: node.counters.clone(),
             ..NodeSummary::default()
         };

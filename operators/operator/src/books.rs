@@ -34,6 +34,9 @@ pub struct NodeBooks {
     pub counters: BTreeMap<String, u64>,
     /// Messages that the operator could not take.
     pub errors: u64,
+    /// The first of them: its place and why.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_error: Option<String>,
     /// Time that its calls took, ns, by what triggered them (an input's name or `wake`; ` > OUTPUTS` follows for calls
     /// that sent something): measured in realtime, the profile's in virtual time.
     pub compute: BTreeMap<String, Durations>,

@@ -253,3 +253,19 @@ pub fn pool(evaluations: Vec<Evaluation>) -> Result<Evaluation, PoolError> {
     pooled.scenes.sort_by(|a, b| (&a.name, &a.ego).cmp(&(&b.name, &b.ego)));
     Ok(pooled)
 }
+
+#[cfg(test)]
+mod tests {
+    use realo_schemas::geometry::iou;
+
+    use super::*;
+
+    #[test]
+    fn an_outline_lies_where_its_box_does() {
+        for yaw in [-3.0, -0.7, 0.0, 1.1, 3.1] {
+            let exact = Footprint::new([12.5, -7.25], 4.6, 1.9, yaw);
+            let rounded = Outline::new([12.5, -7.25], 4.6, 1.9, yaw).footprint();
+            assert!(iou(&exact, &rounded) > 1.0 - 1e-5, "{yaw}");
+        }
+    }
+}

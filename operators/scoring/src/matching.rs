@@ -191,6 +191,12 @@ mod tests {
     }
 
     #[test]
+    fn of_equal_overlaps_the_first_object_is_taken() {
+        let frame = frame(&[(0.0, 0.9)], &[(0.25, None), (-0.25, None)]);
+        assert_eq!(outcomes(&frame, Scope::All), [(0, Outcome::True(0))]);
+    }
+
+    #[test]
     fn classes_do_not_meet() {
         let mut frame = frame(&[(0.0, 0.9)], &[(0.0, None)]);
         frame.truths[0].class = 1;

@@ -243,6 +243,7 @@ mod tests {
             ("PoliceCar", "Van", "`Van` appears twice"),
             ("min_points", "min_point", "min_point"),
             ("range_edges: [0,", "range_edges: [5,", "`range_edges`"),
+            ("range_edges: [0,", "range_edges: [0, 0,", "`range_edges`"),
             ("all_bottom_corners\n", "most\n", "most"),
         ];
         for (from, to, expected) in cases {
@@ -251,6 +252,24 @@ mod tests {
                 .unwrap_err()
                 .to_string();
             assert!(error.contains("mine.yml") && error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_protocol_has_at_most_255_super_classes() {
+        let sound = Protocol::load("default").unwrap();
+        for (number, taken) in [(1, true), (255, true), (256, false)] {
+            let named = |number| SuperClass {
+                name: format!("class{number}"),
+                ..sound.classes[0].clone()
+            };
+            let mut classes: Vec<SuperClass> = (0..number).map(named).collect();
+            classes.iter_mut().for_each(|class| class.raw.clear());
+            let protocol = Protocol {
+                classes,
+                ..sound.clone()
+            };
+            assert_eq!(protocol.check().is_ok(), taken, "{number}");
         }
     }
 

@@ -1,3 +1,4 @@
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -53,10 +54,17 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
     std::panic::set_hook(Box::new(move |panic| {
         // Whoever reads what we print may stop whenever he likes (`realo info LOG | head`).
         let text = panic.payload_as_str().unwrap_or_default();
-        if text.starts_with("failed printing to stdout") && text.contains("Broken pipe") {
+        if text.starts_with("failed printing to") {
+            if !text.contains("Broken pipe") {
+                // Where even this cannot be written, the code says it.
+                let _ = writeln!(std::io::stderr(), "realo: {text}");
+            }
             std::process::exit(Outcome::Failed.exit_code().into());
         }
-        usual(panic);
+        // What a plug-in sends may panic where it is read; that is caught, and told as an error of the plug-in.
+        if !realo_operator::pipe::is_reading() {
+            usual(panic);
+        }
     }));
     let outcome = match Cli::parse().command {
         Command::Run(args) => run::main(&args),

@@ -25,6 +25,9 @@ use crate::Stages;
 use inbox::Inbox;
 use plan::Plan;
 
+/// Names the folder of the graph where dora is given a copy of it, and so starts its nodes elsewhere.
+pub const FOLDER_VARIABLE: &str = "REALO_GRAPH_FOLDER";
+
 /// Why a process failed.
 #[derive(Debug, thiserror::Error)]
 pub enum HostError {
@@ -85,7 +88,10 @@ pub enum Hosted<'a> {
 impl Hosted<'_> {
     /// The stages, as the graph wires this process.
     fn stages(self, plan: &Plan, registry: &Registry) -> Result<Stages, String> {
-        let here = std::env::current_dir().map_err(|error| error.to_string())?;
+        let here = match std::env::var_os(FOLDER_VARIABLE) {
+            Some(folder) => folder.into(),
+            None => std::env::current_dir().map_err(|error| error.to_string())?,
+        };
         let id = &plan.id;
         let inputs: Vec<String> = plan.inputs.keys().cloned().collect();
         match self {

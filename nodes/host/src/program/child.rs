@@ -19,6 +19,8 @@ use realo_operator::{AnyOperator, Error, Made, Outputs, PortId, Registration};
 
 /// How long a program may take to exit once it has nothing left to do, and to say why it failed.
 const FAREWELL: Duration = Duration::from_secs(10);
+/// How often a program that is silent is looked after.
+const LOOK: Duration = Duration::from_millis(500);
 /// What is quoted of its standard error, bytes from the end.
 const QUOTED: usize = 2048;
 
@@ -165,8 +167,11 @@ impl Child {
             .send((call, self.shares))
             .map_err(|_| "nobody writes to it any more")?;
         // Whether the program has gone, and how, its answer tells better than the pipe to it.
-        let reply = match self.replies.recv_timeout(silence) {
+        let reply = match self.wait_for_reply(silence) {
             Ok(reply) => reply.map_err(|error| format!("no reply: {error}"))?,
+            Err(RecvTimeoutError::Timeout) if self.exited(Duration::ZERO).is_some() => {
+                return Err("no reply, and a program that it started holds its standard output open".into());
+            }
             Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", silence.as_secs())),
             Err(RecvTimeoutError::Disconnected) => return Err("it closed its standard output".into()),
         };
@@ -176,6 +181,21 @@ impl Child {
             .map_err(|error| error.to_string())?
             .map_err(|error| error.to_string())?;
         Reply::from_bytes(reply).map_err(|error| format!("no reply: {error}"))
+    }
+
+    /// The next reply; of a program that has exited none is awaited for longer than it may still be on its way.
+    fn wait_for_reply(&mut self, silence: Duration) -> Result<Result<Buffer, FrameError>, RecvTimeoutError> {
+        let until = Instant::now() + silence;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            match self.replies.recv_timeout(left.min(LOOK)) {
+                Err(RecvTimeoutError::Timeout) if left > LOOK => {}
+                found => return found,
+            }
+            if self.exited(Duration::ZERO).is_some() {
+                return self.replies.recv_timeout(LOOK);
+            }
+        }
     }
 
     /// Hands a reply on; gives the operator's error.
@@ -338,6 +358,13 @@ mod tests {
         Child::start("fusion", command, patience)
     }
 
+    /// What some scripts declare.
+    static SCRIPTED: Registration = Registration {
+        name: "scripted",
+        inputs: &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps")],
+        ..NOBODY
+    };
+
     fn start(script: &str, patience: Duration) -> String {
         let started = shell(script, patience);
         started.map(|_| ()).expect_err("it speaks no protocol")
@@ -345,13 +372,8 @@ mod tests {
 
     #[test]
     fn a_program_that_stops_reading_is_stopped_and_named() {
-        static DEAF: Registration = Registration {
-            name: "deaf",
-            inputs: &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps")],
-            ..NOBODY
-        };
         let hello = tempfile::NamedTempFile::new().unwrap();
-        let words = hello::write(&DEAF, false).unwrap();
+        let words = hello::write(&SCRIPTED, false).unwrap();
         frame::write_first(&mut hello.as_file(), &words).unwrap();
         let script = format!("cat '{}'; exec sleep 60", hello.path().display());
         let mut child = shell(&script, Duration::from_secs(60)).unwrap();
@@ -378,6 +400,22 @@ mod tests {
             error.contains("no reply within") && error.contains("it was stopped"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_program_that_ends_is_noticed_while_another_holds_its_output_open() {
+        let hello = tempfile::NamedTempFile::new().unwrap();
+        let words = hello::write(&SCRIPTED, false).unwrap();
+        frame::write_first(&mut hello.as_file(), &words).unwrap();
+        let script = format!("cat '{}'; sleep 20 2>/dev/null & exit 4", hello.path().display());
+        let mut child = shell(&script, Duration::from_secs(60)).unwrap();
+        let begun = Instant::now();
+        let error = child.on_wake(0, &mut Outputs::at(0)).unwrap_err().to_string();
+        assert!(
+            error.contains("holds its standard output open") && error.contains("exit status: 4"),
+            "{error}"
+        );
+        assert!(begun.elapsed() < Duration::from_secs(18));
     }
 
     #[test]

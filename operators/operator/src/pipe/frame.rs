@@ -27,6 +27,9 @@ pub enum FrameError {
         /// The four bytes as text.
         text: String,
     },
+    /// A frame that is none, or too long for one.
+    #[error("expected a frame of 1 to {FRAME_LIMIT} bytes, found one of {0}; send less in one message")]
+    Size(usize),
     /// The stream ended within a frame.
     #[error("expected a frame of {expected} bytes, found the end of the stream after {found}")]
     Cut {
@@ -49,7 +52,7 @@ pub enum FrameError {
 /// As [`write`].
 pub fn write_first(to: &mut impl Write, parts: &[Buffer]) -> Result<(), FrameError> {
     let length = parts.iter().map(Buffer::len).sum();
-    check(length, "")?;
+    check(length)?;
     put(to, &[length as u32], parts)
 }
 
@@ -68,10 +71,10 @@ pub fn read_first(from: &mut impl Read) -> Result<Option<Buffer>, FrameError> {
 /// Writes a frame of these parts and flushes; with `shared` a big one goes through memory.
 ///
 /// # Errors
-/// [`FrameError::Length`] for one beyond the limit, [`FrameError::Memory`] if none can be had.
+/// [`FrameError::Size`] for one beyond the limit, [`FrameError::Memory`] if none can be had.
 pub fn write(to: &mut impl Write, parts: &[Buffer], memory: &Memory, shared: bool) -> Result<(), FrameError> {
     let length = parts.iter().map(Buffer::len).sum();
-    check(length, "")?;
+    check(length)?;
     let place = match shared && length > SHARED_FROM {
         true => memory.lend(parts).map_err(in_memory)?,
         false => None,
@@ -105,7 +108,7 @@ pub fn read(from: &mut impl Read, memory: &Memory) -> Result<Option<Buffer>, Fra
     }
     let words = numbers(from, 3)?;
     let (pid, fd, length) = (words[0], words[1], words[2]);
-    check(length as usize, "")?;
+    check(length as usize)?;
     memory.borrow(FrameAt { pid, fd, length }).map(Some).map_err(in_memory)
 }
 
@@ -134,7 +137,10 @@ fn prefix(from: &mut impl Read) -> Result<Option<u32>, FrameError> {
 
 /// A length that cannot be is most likely text.
 fn check_prefix(length: u32) -> Result<(), FrameError> {
-    check(length as usize, &String::from_utf8_lossy(&length.to_le_bytes()))
+    check(length as usize).map_err(|_| FrameError::Length {
+        length: length as usize,
+        text: String::from_utf8_lossy(&length.to_le_bytes()).into(),
+    })
 }
 
 fn in_memory(error: std::io::Error) -> FrameError {
@@ -147,14 +153,11 @@ fn numbers(from: &mut impl Read, n: usize) -> Result<Vec<u32>, FrameError> {
     Ok(words.iter().map(|word| u32::from_le_bytes(*word)).collect())
 }
 
-fn check(length: usize, text: &str) -> Result<(), FrameError> {
-    if (1..=FRAME_LIMIT).contains(&length) {
-        return Ok(());
+fn check(length: usize) -> Result<(), FrameError> {
+    match (1..=FRAME_LIMIT).contains(&length) {
+        true => Ok(()),
+        false => Err(FrameError::Size(length)),
     }
-    Err(FrameError::Length {
-        length,
-        text: text.into(),
-    })
 }
 
 fn exactly(from: &mut impl Read, expected: usize) -> Result<Vec<u8>, FrameError> {
@@ -258,6 +261,6 @@ mod tests {
         ));
         let text = read_first(&mut &b"hello, world\n"[..]).unwrap_err().to_string();
         assert!(text.contains("\"hell\""), "{text}");
-        assert!(write_first(&mut Vec::new(), &[]).is_err());
+        assert!(matches!(write_first(&mut Vec::new(), &[]), Err(FrameError::Size(0))));
     }
 }

@@ -1,37 +1,142 @@
 //! The folders of runs.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
-use realo_results::FilesError;
+use eyre::{Result, WrapErr, bail};
 
 use super::prepare::TOLD;
 
-/// The folders that were made for runs. Those that hold nothing when it is dropped are taken away, so that a run that
-/// fails before its first message leaves nothing behind.
+/// What a run records, in its folder.
+const RECORDING: &str = "recording.mcap";
+/// What a run recorded that failed, where the recording of an earlier one stands.
+const FAILED_RECORDING: &str = "recording.failed.mcap";
+/// Where an earlier run's files lie while another one runs.
+const ASIDE: &str = ".earlier";
+/// Is locked while a run writes to the folder.
+const LOCK: &str = ".running";
+
+/// The folders of some runs. An earlier run's files are put aside, so that no result stands there which is not of these
+/// runs; unless [`Folders::keep_new`] is said, they are put back, and folders that hold nothing are taken away again: a run
+/// that fails leaves what was there before.
 #[derive(Default)]
 pub(super) struct Folders {
     /// Outer ones before those in them.
     made: Vec<PathBuf>,
+    claimed: Vec<PathBuf>,
+    locks: Vec<(PathBuf, File)>,
 }
 
 impl Folders {
-    /// Makes a folder and takes away an earlier run's results.
+    /// Claims the folder of a graph, in which those of its runs lie; nobody else can until this is dropped.
     ///
     /// # Errors
-    /// Files of those names that no run of realo wrote.
-    pub fn claim(&mut self, folder: &Path) -> Result<(), FilesError> {
+    /// A run that writes there already; as [`Folders::claim`].
+    pub fn lock(&mut self, folder: &Path) -> Result<()> {
+        self.make(folder)?;
+        let path = folder.join(LOCK);
+        let file = File::create(&path).wrap_err_with(|| format!("{}", path.display()))?;
+        match file.try_lock() {
+            Ok(()) => self.locks.push((path, file)),
+            Err(TryLockError::WouldBlock) => {
+                bail!(
+                    "{}: another run writes there now; wait for its end, or choose another folder (--out)",
+                    folder.display()
+                )
+            }
+            // A file system without locks.
+            Err(TryLockError::Error(_)) => {}
+        }
+        self.put_aside(folder)
+    }
+
+    /// Makes a run's folder and puts an earlier run's files aside.
+    ///
+    /// # Errors
+    /// Files of those names that no run of realo wrote; a folder that cannot be written to.
+    pub fn claim(&mut self, folder: &Path) -> Result<()> {
+        self.make(folder)?;
+        self.put_aside(folder)
+    }
+
+    /// The runs have succeeded: what they wrote stays, what was there before goes.
+    pub fn keep_new(&mut self) {
+        for folder in self.claimed.drain(..) {
+            let _ = fs::remove_dir_all(folder.join(ASIDE));
+        }
+    }
+
+    fn make(&mut self, folder: &Path) -> Result<()> {
         let missing = folder
             .ancestors()
             .take_while(|folder| !folder.as_os_str().is_empty() && !folder.exists());
         let missing: Vec<PathBuf> = missing.map(Path::to_path_buf).collect();
         self.made.extend(missing.into_iter().rev());
-        realo_results::claim(folder)
+        fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))
     }
+
+    fn put_aside(&mut self, folder: &Path) -> Result<()> {
+        if self.claimed.iter().any(|claimed| claimed == folder) {
+            return Ok(());
+        }
+        // Of a run that was killed.
+        let _ = put_back(folder);
+        let mut files = realo_results::earlier(folder)?;
+        let others = [RECORDING, TOLD].map(|name| folder.join(name));
+        files.extend(others.into_iter().filter(|file| file.exists()));
+        self.claimed.push(folder.into());
+        if files.is_empty() {
+            return Ok(());
+        }
+        let aside = folder.join(ASIDE);
+        fs::create_dir_all(&aside).wrap_err_with(|| format!("{}", aside.display()))?;
+        for file in files {
+            let name = file.file_name().unwrap_or_default();
+            fs::rename(&file, aside.join(name)).wrap_err_with(|| format!("{}", file.display()))?;
+        }
+        Ok(())
+    }
+}
+
+/// Puts an earlier run's files back, unless a run has come to its end there since; whether it did.
+fn put_back(folder: &Path) -> bool {
+    let aside = folder.join(ASIDE);
+    let Ok(entries) = fs::read_dir(&aside) else {
+        return false;
+    };
+    if folder.join("result.json").exists() {
+        let _ = fs::remove_dir_all(&aside);
+        return false;
+    }
+    for name in entries.flatten().map(|entry| entry.file_name()) {
+        if name == RECORDING && folder.join(RECORDING).exists() {
+            let _ = fs::rename(folder.join(RECORDING), folder.join(FAILED_RECORDING));
+        }
+        // What cannot be moved stays where it is, for the next run to try.
+        let _ = fs::rename(aside.join(&name), folder.join(&name));
+    }
+    let _ = fs::remove_dir(&aside);
+    true
 }
 
 impl Drop for Folders {
     fn drop(&mut self) {
+        // Outer folders hold the sum of those in them, the old sum none of a new run.
+        let has_new = |folder: &PathBuf| {
+            let mut within = self.claimed.iter().filter(|other| other.starts_with(folder));
+            within.any(|other| other.join("result.json").exists())
+        };
+        let (new, old): (Vec<_>, Vec<_>) = self.claimed.iter().partition(|folder| has_new(folder));
+        for folder in new {
+            let _ = fs::remove_dir_all(folder.join(ASIDE));
+        }
+        let put_back: Vec<_> = old.into_iter().filter(|folder| put_back(folder)).collect();
+        if let Some(folder) = put_back.first() {
+            eprintln!("realo: {} has the files of the run before again", folder.display());
+        }
+        for (path, _) in &self.locks {
+            let _ = fs::remove_file(path);
+        }
         for folder in self.made.iter().rev() {
             let Ok(entries) = fs::read_dir(folder) else { continue };
             let names: Vec<_> = entries.flatten().map(|entry| entry.file_name()).collect();
@@ -55,6 +160,7 @@ mod tests {
         fs::create_dir(at("there")).unwrap();
         {
             let mut folders = Folders::default();
+            folders.lock(&at("there/out")).unwrap();
             for folder in ["there", "there/out/a", "there/out/b", "made/c/d", "made/e"] {
                 folders.claim(&at(folder)).unwrap();
             }
@@ -62,10 +168,113 @@ mod tests {
             fs::write(at("there/out/b/dora.log"), "it failed").unwrap();
         }
         assert!(at("there/out/b/dora.log").exists());
-        for gone in ["there/out/a", "made"] {
+        for gone in ["there/out/a", "there/out/.running", "made"] {
             assert!(!at(gone).exists(), "{gone}");
         }
-        drop(Folders::default().claim(&at("there")));
+        Folders::default().claim(&at("there")).unwrap();
         assert!(at("there").exists(), "it was there before");
+    }
+
+    fn write_earlier(folder: &Path) {
+        let result = r#"{"schema": "realo/result", "version": 1}"#;
+        for (name, text) in [("result.json", result), (RECORDING, "earlier"), (TOLD, "earlier")] {
+            fs::write(folder.join(name), text).unwrap();
+        }
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let mut names: Vec<_> = entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_run_that_fails_leaves_what_was_there_before() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path();
+        write_earlier(folder);
+        let before = names(folder);
+        // It fails at once; after it began to record; is killed.
+        for (begun, killed) in [(false, false), (true, false), (false, true)] {
+            let mut folders = Folders::default();
+            folders.lock(folder).unwrap();
+            folders.claim(folder).unwrap();
+            assert!(!folder.join("result.json").exists(), "it does not stand for this run");
+            if begun {
+                fs::write(folder.join(RECORDING), "failed").unwrap();
+                fs::write(folder.join(TOLD), "failed").unwrap();
+            }
+            match killed {
+                true => {
+                    std::mem::take(&mut folders.claimed);
+                    drop(folders);
+                    assert!(folder.join(ASIDE).exists() && !folder.join(TOLD).exists());
+                    drop(Folders::default().claim(folder));
+                }
+                false => drop(folders),
+            }
+            for file in [RECORDING, TOLD] {
+                assert_eq!(fs::read_to_string(folder.join(file)).unwrap(), "earlier");
+            }
+            let failed = folder.join(FAILED_RECORDING);
+            assert_eq!(failed.exists(), begun);
+            let _ = fs::remove_file(failed);
+            assert_eq!(names(folder), before);
+        }
+    }
+
+    #[test]
+    fn a_run_that_succeeds_replaces_what_was_there_before() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path();
+        write_earlier(folder);
+        let mut folders = Folders::default();
+        folders.claim(folder).unwrap();
+        fs::write(folder.join("result.json"), "{}").unwrap();
+        folders.keep_new();
+        drop(folders);
+        assert_eq!(names(folder), ["result.json"]);
+    }
+
+    #[test]
+    fn of_several_runs_each_keeps_what_it_came_to_but_not_their_old_sum() {
+        let root = tempfile::tempdir().unwrap();
+        let cells = ["a", "b"].map(|cell| root.path().join(cell));
+        let mut folders = Folders::default();
+        write_earlier(root.path());
+        folders.lock(root.path()).unwrap();
+        for cell in &cells {
+            fs::create_dir(cell).unwrap();
+            write_earlier(cell);
+            folders.claim(cell).unwrap();
+        }
+        fs::write(cells[0].join("result.json"), "new").unwrap();
+        drop(folders);
+        assert_eq!(names(root.path()), ["a", "b"]);
+        assert_eq!(names(&cells[0]), ["result.json"]);
+        assert_eq!(names(&cells[1]), [RECORDING, "result.json", TOLD]);
+    }
+
+    #[test]
+    fn two_runs_do_not_write_to_one_folder() {
+        let root = tempfile::tempdir().unwrap();
+        let mut first = Folders::default();
+        first.lock(root.path()).unwrap();
+        let error = Folders::default().lock(root.path()).unwrap_err().to_string();
+        assert!(error.contains("another run writes there"), "{error}");
+        drop(first);
+        Folders::default().lock(root.path()).unwrap();
+    }
+
+    #[test]
+    fn files_of_somebody_else_stay() {
+        let root = tempfile::tempdir().unwrap();
+        fs::write(root.path().join("result.json"), "mine").unwrap();
+        let error = Folders::default().claim(root.path()).unwrap_err().to_string();
+        assert!(error.contains("is not of realo"), "{error}");
+        assert_eq!(names(root.path()), ["result.json"]);
     }
 }

@@ -239,8 +239,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
         .collect::<Result<_>>()?;
     let mut folders = Folders::default();
     for (name, cells) in names.iter().zip(&cells) {
-        folders.claim(&dir_of(args, name))?;
-        cells.iter().try_for_each(|cell| replay::claim(&mut folders, cell))?;
+        folders.lock(&dir_of(args, name))?;
+        for cell in cells {
+            folders.claim(&cell.out)?;
+            cell.tell()?;
+        }
     }
     let mut truncated = false;
     let mut runs: Vec<(String, Run)> = Vec::new();
@@ -264,6 +267,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         runs.push((name.clone(), pooled));
     }
+    folders.keep_new();
     let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (name.as_str(), run)).collect();
     if args.json {
         println!("{}", realo_report::json(&named));

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use eyre::{Result, WrapErr, bail};
 use indicatif::{ProgressBar, ProgressStyle};
+use realo_host::dora::FOLDER_VARIABLE;
 
 use super::dora;
 use super::prepare::Cell;
@@ -31,6 +32,7 @@ pub fn run(cell: &Cell, rate: f64) -> Result<()> {
         .arg("run")
         .arg(&graph)
         .env("DORA_ZENOH_CONFIG_OVERLAY", &overlay)
+        .env(FOLDER_VARIABLE, cell.graph.file.parent().unwrap_or(Path::new("/")))
         .stdin(Stdio::null())
         .stdout(log.try_clone()?)
         .stderr(log)

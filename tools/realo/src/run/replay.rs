@@ -6,7 +6,6 @@ use realo_graph::FlatGraph;
 use realo_host::{ComputeProfile, Stages, virtual_time};
 use realo_operator::Books;
 
-use super::folders::Folders;
 use super::prepare::Cell;
 use crate::registry;
 use crate::simulate::progress;
@@ -41,20 +40,4 @@ pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: Option<virt
         ));
     }
     Ok(virtual_time::run(&stages, compute, observer)?)
-}
-
-/// Makes the cell's folder and takes away an earlier run's results, so that none stands there unless this one succeeds.
-///
-/// # Errors
-/// Files of those names that no run of realo wrote.
-pub(super) fn claim(folders: &mut Folders, cell: &Cell) -> Result<()> {
-    folders.claim(&cell.out)?;
-    cell.tell()?;
-    let recording = cell.out.join("recording.mcap");
-    match std::fs::remove_file(&recording) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(error).wrap_err_with(|| format!("{}", recording.display()))
-        }
-        _ => Ok(()),
-    }
 }
