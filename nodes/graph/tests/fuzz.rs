@@ -4,12 +4,12 @@
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-graph --test fuzz` runs as many cases.
 #![allow(clippy::result_large_err)]
 
-use damage::{Draw, cases, damaged_yaml, most_held};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use damage::{Draw, cases, damaged_yaml, most_held};
 use realo_graph::{FlatGraph, Graph, GraphError, hosted, validate};
 use realo_operator::Registry;
 

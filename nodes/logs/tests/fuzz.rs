@@ -3,12 +3,12 @@
 //!
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-logs --test fuzz` runs as many cases of each test.
 
-use damage::{Draw, cases, most_held};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use damage::{Draw, cases, most_held};
 use mcap::records::op;
 use nalgebra::Isometry3;
 use realo_logs::cdr::CdrWriter;

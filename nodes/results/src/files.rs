@@ -13,7 +13,8 @@ use crate::run::SAMPLES;
 use crate::timing::TIMING;
 use crate::{Run, VERSION};
 
-const RESULT_FILE: &str = "result.json";
+/// The file that is written last: a folder that has it holds a complete run.
+pub const RESULT_FILE: &str = "result.json";
 const TIMING_FILE: &str = "timing.json";
 const SAMPLES_FILE: &str = "evaluation.json";
 /// In the order in which they are removed; written the other way round, so that a result is never without the others.

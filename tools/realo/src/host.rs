@@ -48,7 +48,7 @@ pub struct ProgramArgs {
 
 /// Hosts the stages of a module until their streams end.
 pub fn module(args: &ModuleArgs) -> Result<Outcome> {
-    let here = std::env::current_dir()?;
+    let here = dora::graph_folder()?;
     let hosted = Hosted::Module {
         file: &args.module,
         settings: &args.settings,
@@ -74,7 +74,7 @@ pub fn program(args: &ProgramArgs) -> Result<Outcome> {
 }
 
 fn stage(word: &str, name: &str, args: &[String]) -> Result<Outcome> {
-    let here = std::env::current_dir()?;
+    let here = dora::graph_folder()?;
     let words: Vec<String> = [word, name]
         .map(String::from)
         .into_iter()

@@ -14,7 +14,7 @@ mod memory;
 mod plan;
 mod source;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dora_node_api::DoraNode;
 use realo_graph::{FlatGraph, FlatNode};
@@ -88,10 +88,7 @@ pub enum Hosted<'a> {
 impl Hosted<'_> {
     /// The stages, as the graph wires this process.
     fn stages(self, plan: &Plan, registry: &Registry) -> Result<Stages, String> {
-        let here = match std::env::var_os(FOLDER_VARIABLE) {
-            Some(folder) => folder.into(),
-            None => std::env::current_dir().map_err(|error| error.to_string())?,
-        };
+        let here = graph_folder().map_err(|error| error.to_string())?;
         let id = &plan.id;
         let inputs: Vec<String> = plan.inputs.keys().cloned().collect();
         match self {
@@ -113,6 +110,14 @@ impl Hosted<'_> {
             }
         }
     }
+}
+
+/// The folder of the graph of which this process is a node: its paths are seen from there, and its plug-ins run there.
+///
+/// # Errors
+/// A working directory that is gone.
+pub fn graph_folder() -> std::io::Result<PathBuf> {
+    std::env::var_os(FOLDER_VARIABLE).map_or_else(std::env::current_dir, |folder| Ok(folder.into()))
 }
 
 /// A graph of one stage.

@@ -365,6 +365,15 @@ mod tests {
         ..NOBODY
     };
 
+    /// A program that says hello and then does something else.
+    fn greeting(script: &str) -> Child {
+        let hello = tempfile::NamedTempFile::new().unwrap();
+        let words = hello::write(&SCRIPTED, false).unwrap();
+        frame::write_first(&mut hello.as_file(), &words).unwrap();
+        let script = format!("cat '{}'; {script}", hello.path().display());
+        shell(&script, Duration::from_secs(60)).unwrap()
+    }
+
     fn start(script: &str, patience: Duration) -> String {
         let started = shell(script, patience);
         started.map(|_| ()).expect_err("it speaks no protocol")
@@ -372,11 +381,7 @@ mod tests {
 
     #[test]
     fn a_program_that_stops_reading_is_stopped_and_named() {
-        let hello = tempfile::NamedTempFile::new().unwrap();
-        let words = hello::write(&SCRIPTED, false).unwrap();
-        frame::write_first(&mut hello.as_file(), &words).unwrap();
-        let script = format!("cat '{}'; exec sleep 60", hello.path().display());
-        let mut child = shell(&script, Duration::from_secs(60)).unwrap();
+        let mut child = greeting("exec sleep 60");
         child.limit_silence(Silence {
             first: Duration::from_millis(100),
             later: Duration::from_secs(60),
@@ -404,11 +409,7 @@ mod tests {
 
     #[test]
     fn a_program_that_ends_is_noticed_while_another_holds_its_output_open() {
-        let hello = tempfile::NamedTempFile::new().unwrap();
-        let words = hello::write(&SCRIPTED, false).unwrap();
-        frame::write_first(&mut hello.as_file(), &words).unwrap();
-        let script = format!("cat '{}'; sleep 20 2>/dev/null & exit 4", hello.path().display());
-        let mut child = shell(&script, Duration::from_secs(60)).unwrap();
+        let mut child = greeting("sleep 20 2>/dev/null & exit 4");
         let begun = Instant::now();
         let error = child.on_wake(0, &mut Outputs::at(0)).unwrap_err().to_string();
         assert!(

@@ -125,20 +125,21 @@ impl Memory {
     /// A file that is not there, could be cut, or is shorter; more of them than one side lends.
     pub fn borrow(&self, place: FrameAt) -> io::Result<Buffer> {
         let mut mapped = locked(&self.mapped);
-        let known = mapped
-            .get(&place.fd)
-            .filter(|known| known.len() >= place.length as usize);
-        let mapping = match known {
-            Some(known) => known.clone(),
-            None => Arc::new(system::map(place)?),
-        };
-        mapped.insert(place.fd, mapping.clone());
-        if mapped.len() > LENT_AT_MOST {
+        let known = mapped.get(&place.fd);
+        if known.is_none() && mapped.len() == LENT_AT_MOST {
+            let fd = place.fd;
             return Err(wrong(format!(
-                "expected at most {LENT_AT_MOST} files, file {} is one more",
-                place.fd
+                "expected at most {LENT_AT_MOST} files, file {fd} is one more"
             )));
         }
+        let mapping = match known.filter(|known| known.len() >= place.length as usize) {
+            Some(known) => known.clone(),
+            None => {
+                let mapping = Arc::new(system::map(place)?);
+                mapped.insert(place.fd, mapping.clone());
+                mapping
+            }
+        };
         let read = self.read.clone();
         Ok(Buffer::from(bytes::Bytes::from_owner(Borrowed {
             mapping,

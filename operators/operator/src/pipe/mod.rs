@@ -11,9 +11,11 @@
 //! follow three more numbers: the process that lends it, the number of an open file there, the length. That file is in
 //! memory (`memfd_create`) and sealed against shrinking, so that its reader maps `/proc/PROCESS/fd/NUMBER`, once, and
 //! copies nothing. The number stands for that file as long as its process runs; it is written again only after it was
-//! given back. A hello, alike in all versions, is its length and the stream alone. A host that has such memory puts the place of some into the program's environment ([`MEMORY_VARIABLE`]:
-//! process, file, length); only a program that can read it, and has some too, says `memfd` in its hello, and only then
-//! frames take this way.
+//! given back. A hello, alike in all versions, is its length and the stream alone.
+//!
+//! A host that has such memory puts the place of some into the program's environment ([`MEMORY_VARIABLE`]: process, file,
+//! length); only a program that can read it, and has some too, says `memfd` in its hello, and only then frames take this
+//! way.
 //!
 //! | frame | direction | columns |
 //! |---|---|---|

@@ -4,6 +4,7 @@ use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail};
+use realo_results::RESULT_FILE;
 
 use super::prepare::TOLD;
 
@@ -36,18 +37,15 @@ impl Folders {
         self.make(folder)?;
         let path = folder.join(LOCK);
         let file = File::create(&path).wrap_err_with(|| format!("{}", path.display()))?;
-        match file.try_lock() {
-            Ok(()) => self.locks.push((path, file)),
-            Err(TryLockError::WouldBlock) => {
-                bail!(
-                    "{}: another run writes there now; wait for its end, or choose another folder (--out)",
-                    folder.display()
-                )
-            }
-            // A file system without locks.
-            Err(TryLockError::Error(_)) => {}
+        // A file system without locks keeps nobody away.
+        if let Err(TryLockError::WouldBlock) = file.try_lock() {
+            bail!(
+                "{}: another run writes there now; wait for its end, or choose another folder (--out)",
+                folder.display()
+            );
         }
-        self.put_aside(folder)
+        self.locks.push((path, file));
+        self.claim(folder)
     }
 
     /// Makes a run's folder and puts an earlier run's files aside.
@@ -55,8 +53,25 @@ impl Folders {
     /// # Errors
     /// Files of those names that no run of realo wrote; a folder that cannot be written to.
     pub fn claim(&mut self, folder: &Path) -> Result<()> {
+        if self.claimed.iter().any(|claimed| claimed == folder) {
+            return Ok(());
+        }
         self.make(folder)?;
-        self.put_aside(folder)
+        // Of a run that was killed.
+        put_back(folder);
+        let mut files = realo_results::earlier(folder)?;
+        let others = [RECORDING, TOLD].map(|name| folder.join(name));
+        files.extend(others.into_iter().filter(|file| file.exists()));
+        self.claimed.push(folder.into());
+        let aside = folder.join(ASIDE);
+        if !files.is_empty() {
+            fs::create_dir_all(&aside).wrap_err_with(|| format!("{}", aside.display()))?;
+        }
+        for file in files {
+            let name = file.file_name().unwrap_or_default();
+            fs::rename(&file, aside.join(name)).wrap_err_with(|| format!("{}", file.display()))?;
+        }
+        Ok(())
     }
 
     /// The runs have succeeded: what they wrote stays, what was there before goes.
@@ -74,28 +89,6 @@ impl Folders {
         self.made.extend(missing.into_iter().rev());
         fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))
     }
-
-    fn put_aside(&mut self, folder: &Path) -> Result<()> {
-        if self.claimed.iter().any(|claimed| claimed == folder) {
-            return Ok(());
-        }
-        // Of a run that was killed.
-        let _ = put_back(folder);
-        let mut files = realo_results::earlier(folder)?;
-        let others = [RECORDING, TOLD].map(|name| folder.join(name));
-        files.extend(others.into_iter().filter(|file| file.exists()));
-        self.claimed.push(folder.into());
-        if files.is_empty() {
-            return Ok(());
-        }
-        let aside = folder.join(ASIDE);
-        fs::create_dir_all(&aside).wrap_err_with(|| format!("{}", aside.display()))?;
-        for file in files {
-            let name = file.file_name().unwrap_or_default();
-            fs::rename(&file, aside.join(name)).wrap_err_with(|| format!("{}", file.display()))?;
-        }
-        Ok(())
-    }
 }
 
 /// Puts an earlier run's files back, unless a run has come to its end there since; whether it did.
@@ -104,7 +97,7 @@ fn put_back(folder: &Path) -> bool {
     let Ok(entries) = fs::read_dir(&aside) else {
         return false;
     };
-    if folder.join("result.json").exists() {
+    if folder.join(RESULT_FILE).exists() {
         let _ = fs::remove_dir_all(&aside);
         return false;
     }
@@ -124,7 +117,7 @@ impl Drop for Folders {
         // Outer folders hold the sum of those in them, the old sum none of a new run.
         let has_new = |folder: &PathBuf| {
             let mut within = self.claimed.iter().filter(|other| other.starts_with(folder));
-            within.any(|other| other.join("result.json").exists())
+            within.any(|other| other.join(RESULT_FILE).exists())
         };
         let (new, old): (Vec<_>, Vec<_>) = self.claimed.iter().partition(|folder| has_new(folder));
         for folder in new {

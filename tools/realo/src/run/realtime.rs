@@ -97,7 +97,7 @@ fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
             log.display()
         );
     }
-    if !cell.out.join("result.json").exists() {
+    if !cell.out.join(realo_results::RESULT_FILE).exists() {
         bail!(
             "{}: the run ended without results (was it stopped?); see {}",
             cell.name,
