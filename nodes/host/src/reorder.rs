@@ -62,13 +62,9 @@ impl<T> Reorder<T> {
         self.missing_since.map(|since| since + Self::PATIENCE)
     }
 
-    /// The edge ends after `count` messages: whether all of them came. Missing ones start to be waited for.
-    pub fn is_complete(&mut self, count: u64, now: i64) -> bool {
-        if self.next >= count {
-            return true;
-        }
-        self.missing_since.get_or_insert(now);
-        false
+    /// The edge ends after `count` messages: whether all of them were handed on.
+    pub fn is_complete(&self, count: u64) -> bool {
+        self.next >= count
     }
 
     /// Gives up on everything up to `count`.
@@ -158,30 +154,24 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_is_complete_when_its_last_hop_came_and_waits_for_the_missing_ones() {
+    fn an_edge_is_complete_when_its_last_hop_came_and_a_gap_is_waited_for() {
         let (mut reorder, mut books, mut ready) = (Reorder::new(), InputBooks::default(), Vec::new());
-        assert!(reorder.is_complete(0, 3) && reorder.deadline().is_none());
+        assert!(reorder.is_complete(0) && reorder.deadline().is_none());
         reorder.offer(0, 0, 5, &mut books, &mut ready);
-        assert!(reorder.is_complete(1, 6));
-        assert!(!reorder.is_complete(2, 7));
-        assert_eq!(reorder.deadline(), Some(7 + Reorder::<u64>::PATIENCE));
-        assert!(!reorder.is_complete(2, 9));
-        assert_eq!(
-            reorder.deadline(),
-            Some(7 + Reorder::<u64>::PATIENCE),
-            "since it was first missed"
-        );
-        reorder.offer(2, 2, 20, &mut books, &mut ready);
-        assert_eq!(reorder.deadline(), Some(7 + Reorder::<u64>::PATIENCE));
-        reorder.expire(6 + Reorder::<u64>::PATIENCE, &mut books, &mut ready);
+        assert!(reorder.is_complete(1) && !reorder.is_complete(2));
+        reorder.offer(2, 2, 7, &mut books, &mut ready);
+        reorder.offer(3, 3, 9, &mut books, &mut ready);
+        let late = 7 + Reorder::<u64>::PATIENCE;
+        assert_eq!(reorder.deadline(), Some(late), "since it was first missed");
+        reorder.expire(late - 1, &mut books, &mut ready);
         assert_eq!(ready, [0]);
-        reorder.expire(7 + Reorder::<u64>::PATIENCE, &mut books, &mut ready);
+        reorder.expire(late, &mut books, &mut ready);
         assert_eq!(
             (ready.as_slice(), books.transport_lost, reorder.deadline()),
-            (&[0, 2][..], 1, None)
+            (&[0, 2, 3][..], 1, None)
         );
         reorder.offer(2, 2, 30, &mut books, &mut ready);
-        assert_eq!((books.transport_repeated, ready.len()), (1, 2));
+        assert_eq!((books.transport_repeated, ready.len()), (1, 3));
     }
 
     proptest! {

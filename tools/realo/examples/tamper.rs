@@ -17,10 +17,12 @@ fn main() -> eyre::Result<()> {
     let (mut n, mut dropped, mut repeated, mut swapped) = (0u64, 0u64, 0u64, 0u64);
     let mut held: Option<DoraArray> = None;
     while let Some(event) = events.recv() {
-        let Event::Input { data, .. } = event else { continue };
+        let Event::Input { data, metadata, .. } = event else {
+            continue;
+        };
         if !is_packet(&data) {
             // Marks of the driver, which are no messages of the stream.
-            node.send_output(output.clone(), Default::default(), data)?;
+            node.send_output(output.clone(), metadata.parameters, data)?;
             continue;
         }
         n += 1;

@@ -7,8 +7,9 @@ use crate::reorder::Reorder;
 
 use super::HostError;
 
-/// How long an input that dora has closed may still deliver its `end` on the direct path, ns.
-const GRACE: Nanos = 2_000_000_000;
+/// What is missing at the end of an input, or the end itself once dora has closed it, may be so late, ns: messages, ends and
+/// closings come on ways of their own.
+const GRACE: Nanos = 5_000_000_000;
 
 /// One input of a process.
 pub(super) struct Edge {
@@ -21,8 +22,10 @@ pub(super) struct Edge {
     pub reorder: Reorder<Message>,
     /// How much was sent in all.
     pub end: Option<u64>,
-    /// Wall time at which dora closed the input.
-    pub closed: Option<Nanos>,
+    /// dora has closed the input.
+    pub closed: bool,
+    /// Wall time of what came last.
+    pub heard: Nanos,
     pub complete: bool,
     /// Where nobody takes what comes here.
     pub unread: InputBooks,
@@ -36,7 +39,8 @@ impl Edge {
             inputs,
             reorder: Reorder::new(),
             end: None,
-            closed: None,
+            closed: false,
+            heard: 0,
             complete: false,
             unread: InputBooks::default(),
         }
@@ -54,13 +58,14 @@ impl Edge {
         ready: &mut Vec<Message>,
     ) -> Result<(), HostError> {
         self.reorder.expire(now, books, ready);
-        match (self.end, self.closed) {
-            (Some(hops), _) if self.reorder.is_complete(hops, now) => self.complete = true,
-            (Some(hops), _) if self.reorder.deadline().is_some_and(|deadline| deadline <= now) => {
+        let late = now - self.heard > GRACE;
+        match self.end {
+            Some(hops) if self.reorder.is_complete(hops) => self.complete = true,
+            Some(hops) if late => {
                 self.reorder.finish(hops, books, ready);
                 self.complete = true;
             }
-            (None, Some(closed)) if now - closed > GRACE => {
+            None if self.closed && late => {
                 return Err(HostError::Above {
                     id: id.into(),
                     source_id: self.from.split('/').next().unwrap_or_default().to_string(),
@@ -101,6 +106,7 @@ mod tests {
             let header = Header::origin(&"run".into(), &"a".into(), Kind::Boxes, hop, 0, 0);
             let message = Message::new(header, Boxes::default());
             let Rig { edge, books, ready } = self;
+            edge.heard = now;
             edge.reorder.offer(hop, message, now, books, ready);
         }
 
@@ -122,7 +128,7 @@ mod tests {
         rig.hear(1, 0);
         assert_eq!(rig.settle(100 * SECOND), Ok(false), "it may go on");
         rig.edge.end = Some(2);
-        rig.edge.closed = Some(0);
+        rig.edge.closed = true;
         assert_eq!(rig.settle(100 * SECOND), Ok(true));
         assert_eq!((rig.hops(), rig.books.transport_lost), (vec![0, 1], 0));
     }
@@ -130,13 +136,10 @@ mod tests {
     #[test]
     fn what_is_missing_at_the_end_is_waited_for_and_given_up() {
         let mut rig = Rig::new();
-        rig.hear(0, 0);
+        rig.hear(0, SECOND);
         rig.edge.end = Some(3);
-        assert_eq!(rig.settle(SECOND), Ok(false));
-        let deadline = rig.edge.reorder.deadline().unwrap();
-        assert_eq!(deadline, SECOND + Reorder::<Message>::PATIENCE);
-        assert_eq!(rig.settle(deadline - 1), Ok(false));
-        assert_eq!(rig.settle(deadline), Ok(true));
+        assert_eq!(rig.settle(SECOND + GRACE), Ok(false));
+        assert_eq!(rig.settle(SECOND + GRACE + 1), Ok(true));
         assert_eq!((rig.hops(), rig.books.transport_lost), (vec![0], 2));
     }
 
@@ -152,7 +155,9 @@ mod tests {
     #[test]
     fn an_input_that_closes_without_an_end_fails_the_process_after_a_grace() {
         let mut rig = Rig::new();
-        rig.edge.closed = Some(SECOND);
+        rig.edge.heard = SECOND;
+        assert_eq!(rig.settle(SECOND + GRACE + 1), Ok(false), "it may go on");
+        rig.edge.closed = true;
         assert_eq!(rig.settle(SECOND + GRACE), Ok(false));
         let error = rig.settle(SECOND + GRACE + 1).unwrap_err();
         assert_eq!(

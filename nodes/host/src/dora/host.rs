@@ -1,20 +1,21 @@
 //! The process: one thread for dora, and threads for calls.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use dora_node_api::DoraNode;
 use dora_node_api::dora_core::config::DataId;
+use dora_node_api::{DoraNode, MetadataParameters, NodeResult};
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
 use realo_operator::{Built, InputBooks, PortId, Registration};
-use realo_schemas::{Message, Nanos, wire};
+use realo_schemas::{Clock, Message, Nanos, wire};
 
 use crate::Stages;
 
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox, Nudge};
-use super::marks::{End, Fates, Mark};
+use super::marks::{End, Fates, Hello};
 use super::{HostError, source, wall_now};
 
 /// How long the process waits at most without looking around, ns.
@@ -23,12 +24,10 @@ const IDLE: Nanos = 200_000_000;
 const HELLO: Nanos = 40_000_000;
 /// Between two marks with fates, ns.
 const FATES: Nanos = 500_000_000;
+/// What lies in dora's queues or in shared memory is lost when its sender leaves: so long after its last message it stays, ns.
+const LINGER: Nanos = 1_000_000_000;
 /// Marks of a process that are remembered, to know those that come on a second way.
 const REMEMBERED: usize = 64;
-/// An end is said so often, so that one lost message does not fail the run.
-const ENDS: u32 = 3;
-/// Between two of them, ns.
-const ENDS_APART: Nanos = 50_000_000;
 
 /// A process that has joined dora.
 pub(super) struct Joined {
@@ -50,7 +49,10 @@ pub(super) struct Shared {
     state: Mutex<State>,
     /// There may be a call to make.
     work: Condvar,
-    sender: Mutex<DoraNode>,
+    /// `None` once the process has left dora.
+    sender: Mutex<Option<DoraNode>>,
+    /// Wall time of the last message.
+    last_sent: AtomicI64,
     exits: BTreeMap<(usize, PortId), Vec<DataId>>,
     nudge: Nudge,
 }
@@ -97,7 +99,8 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
             over: false,
         }),
         work: Condvar::new(),
-        sender: Mutex::new(node),
+        sender: Mutex::new(Some(node)),
+        last_sent: AtomicI64::new(0),
         exits,
         nudge: inbox.nudge(),
     });
@@ -109,14 +112,18 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         last_hello: 0,
         last_fates: wall_now(),
         number: 0,
-        known: BTreeMap::new(),
-        ends: BTreeMap::new(),
+        known: Known::default(),
+        ended: BTreeSet::new(),
         returning,
     };
     let ended = host.run();
     let mut state = shared.lock();
     state.over = true;
     shared.work.notify_all();
+    drop(state);
+    if ended.is_ok() {
+        shared.leave();
+    }
     ended
 }
 
@@ -238,21 +245,49 @@ impl Shared {
     /// Sends a mark on every output.
     pub fn send_hello(&self) -> Result<(), HostError> {
         let clock = self.lock().engine.clock();
-        let hello = Mark::Hello.into_message(0, clock);
+        let hello = Hello.to_message(clock);
         self.exits.keys().try_for_each(|exit| self.send(*exit, &hello))
     }
 
     fn send(&self, exit: (usize, PortId), message: &Message) -> Result<(), HostError> {
+        self.last_sent.store(wall_now(), Ordering::Relaxed);
+        self.give_dora(exit, |node, output| {
+            node.send_output(output, MetadataParameters::new(), wire::to_arrow(message))
+        })
+    }
+
+    fn end(&self, exit: (usize, PortId), end: &End) -> Result<(), HostError> {
+        self.give_dora(exit, |node, output| {
+            node.send_output_sample(output, end.to_parameters(), None)
+        })
+    }
+
+    fn give_dora(
+        &self,
+        exit: (usize, PortId),
+        mut send: impl FnMut(&mut DoraNode, DataId) -> NodeResult<()>,
+    ) -> Result<(), HostError> {
         for output in self.exits.get(&exit).into_iter().flatten() {
-            let row = wire::to_arrow(message);
-            let mut node = self.sender.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-            let sent = node.send_output(output.clone(), Default::default(), row);
-            sent.map_err(|error| HostError::Dora {
+            let mut sender = self.sender();
+            let Some(node) = sender.as_mut() else { return Ok(()) };
+            send(node, output.clone()).map_err(|error| HostError::Dora {
                 id: self.id.clone(),
                 reason: error.to_string(),
             })?;
         }
         Ok(())
+    }
+
+    /// Leaves dora, some time after the last message.
+    fn leave(&self) {
+        let left = self.last_sent.load(Ordering::Relaxed) + LINGER - wall_now();
+        std::thread::sleep(Duration::from_nanos(u64::try_from(left).unwrap_or(0)));
+        let node = self.sender().take();
+        drop(node);
+    }
+
+    fn sender(&self) -> MutexGuard<'_, Option<DoraNode>> {
+        self.sender.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     /// Lets the dora thread look around.
@@ -280,19 +315,11 @@ struct Host {
     last_fates: Nanos,
     /// Of the next mark with fates.
     number: u64,
-    /// By process: marks that have come.
-    known: BTreeMap<String, BTreeSet<u64>>,
-    /// By output: the end that is being said.
-    ends: BTreeMap<(usize, PortId), Ending>,
+    known: Known,
+    /// Outputs that were ended.
+    ended: BTreeSet<(usize, PortId)>,
     /// Outputs from which a way leads back to this process.
     returning: BTreeSet<(usize, PortId)>,
-}
-
-/// An output that ends.
-struct Ending {
-    end: End,
-    said: u32,
-    last: Nanos,
 }
 
 impl Host {
@@ -304,7 +331,9 @@ impl Host {
                 }
             }
             self.settle()?;
-            self.pass_fates(false)?;
+            if wall_now() - self.last_fates >= FATES {
+                self.pass_fates()?;
+            }
             let ended = self.end_outputs()?;
             let shared = self.shared.clone();
             let mut state = shared.lock();
@@ -324,9 +353,7 @@ impl Host {
                 .filter(|due| *due > now)
                 .map(|due| state.wall_at(due));
             let edges = self.edges.iter().filter_map(|edge| edge.reorder.deadline());
-            let said = self.ends.values().filter(|ending| ending.said < ENDS);
-            let again = said.map(|ending| ending.last + ENDS_APART);
-            let until = edges.chain(due).chain(again).min().unwrap_or(Nanos::MAX);
+            let until = edges.chain(due).min().unwrap_or(Nanos::MAX);
             let until = until.min(wall_now() + IDLE);
             state.looks_at = until;
             drop(state);
@@ -339,9 +366,11 @@ impl Host {
     fn hear(&mut self, heard: Heard) -> Result<(), HostError> {
         match heard {
             Heard::Input(name, row, arrived) => self.hear_message(&name, &row, arrived),
+            Heard::End(name, end) => self.hear_end(&name, end),
             Heard::Closed(name) => {
-                let edges = self.edges.iter_mut().filter(|edge| edge.name == name);
-                edges.for_each(|edge| edge.closed = Some(wall_now()));
+                if let Some(edge) = self.edges.iter_mut().find(|edge| edge.name == name) {
+                    (edge.closed, edge.heard) = (true, wall_now());
+                }
                 Ok(())
             }
             Heard::Failed { node, reason } => Err(HostError::Above {
@@ -366,23 +395,15 @@ impl Host {
         let id = &self.shared.id;
         let wrong = |reason: String| HostError::Stage(format!("{id}: input `{name}` from {}: {reason}", edge.from));
         let message = wire::from_arrow(row.as_ref()).map_err(|error| wrong(format!("not a realo message: {error}")))?;
-        let mark = Mark::of(&message).map_err(wrong)?;
+        edge.heard = arrived;
         let shared = self.shared.clone();
         let mut state = shared.lock();
         if let Some(clock) = message.header.clock {
             state.engine.set_clock(clock);
         }
-        match mark {
-            Some(Mark::Hello) => {
-                drop(state);
-                return self.pass_hello();
-            }
-            Some(Mark::End(end)) => {
-                edge.end = Some(end.hops);
-                state.engine.merge_books(&end.books);
-                return Ok(());
-            }
-            None => {}
+        if Hello::is_in(&message) {
+            drop(state);
+            return self.pass_hello();
         }
         let mut ready = Vec::new();
         let hop = message.header.hop;
@@ -396,6 +417,35 @@ impl Host {
             .map_err(|reason| HostError::Stage(format!("{}: input `{name}`: {reason}", shared.id)))?;
         let now = state.log_now();
         shared.follow(&mut state, now);
+        Ok(())
+    }
+
+    fn hear_end(&mut self, name: &str, end: Result<End, String>) -> Result<(), HostError> {
+        let Some(edge) = self.edges.iter_mut().find(|edge| edge.name == name) else {
+            return Ok(());
+        };
+        let End {
+            hops,
+            books,
+            fates,
+            clock,
+        } = end.map_err(|reason| {
+            let id = &self.shared.id;
+            HostError::Stage(format!("{id}: input `{name}` from {}: {reason}", edge.from))
+        })?;
+        (edge.end, edge.heard) = (Some(hops), wall_now());
+        let mut state = self.shared.lock();
+        if let Some((wall_origin, log_origin, rate)) = clock {
+            state.engine.set_clock(Clock {
+                wall_origin,
+                log_origin,
+                rate,
+            });
+        }
+        state.engine.merge_books(&books);
+        if let Some(fates) = fates {
+            self.known.tell(&mut state, fates);
+        }
         Ok(())
     }
 
@@ -440,17 +490,13 @@ impl Host {
     }
 
     /// Sends on what was said of messages over links: down the graph there are sinks.
-    fn pass_fates(&mut self, now_at_once: bool) -> Result<(), HostError> {
-        let now = wall_now();
-        if !now_at_once && now - self.last_fates < FATES {
-            return Ok(());
-        }
-        self.last_fates = now;
+    fn pass_fates(&mut self) -> Result<Option<Fates>, HostError> {
+        self.last_fates = wall_now();
         let shared = self.shared.clone();
         let mut state = shared.lock();
         let fates = state.engine.take_fates();
         if fates.is_empty() {
-            return Ok(());
+            return Ok(None);
         }
         let mark = Fates {
             origin: shared.id.clone(),
@@ -459,7 +505,7 @@ impl Host {
         };
         self.number += 1;
         let clock = state.engine.clock();
-        let open = shared.exits.keys().filter(|exit| !self.ends.contains_key(exit));
+        let open = shared.exits.keys().filter(|exit| !self.ended.contains(exit));
         let exits: Vec<_> = open
             .map(|(stage, port)| ((*stage, *port), state.engine.take_hop(*stage, *port)))
             .collect();
@@ -467,72 +513,75 @@ impl Host {
         for (exit, hop) in exits {
             shared.send(exit, &mark.to_message(hop, clock))?;
         }
-        Ok(())
+        Ok(Some(mark))
     }
 
     /// Ends outputs: all together once every stage has ended, for they take the books along; but one from which a way leads
     /// back as soon as its own stage has, for other stages may wait for that. Whether all of them have ended.
     fn end_outputs(&mut self) -> Result<bool, HostError> {
         let shared = self.shared.clone();
-        loop {
+        let state = shared.lock();
+        let all = state.engine.is_done();
+        let may_end = |exit: &&(usize, PortId)| {
+            let ended = state.engine.has_ended(exit.0) && !self.ended.contains(exit);
+            ended && (all || self.returning.contains(exit))
+        };
+        let ending: Vec<(usize, PortId)> = shared.exits.keys().filter(may_end).copied().collect();
+        drop(state);
+        if !ending.is_empty() {
+            self.ended.extend(&ending);
+            let fates = self.pass_fates()?;
             let state = shared.lock();
-            let open: Vec<_> = shared
-                .exits
-                .keys()
-                .filter(|exit| !self.ends.contains_key(exit))
-                .collect();
-            let all = state.engine.is_done();
-            let may_end = |exit: &&&(usize, PortId)| {
-                let ended = state.engine.has_ended(exit.0);
-                ended && (all || self.returning.contains(exit))
-            };
-            let Some(exit) = open.iter().find(may_end) else { break };
-            drop(state);
-            self.pass_fates(true)?;
-            let state = shared.lock();
-            let end = End {
+            let clock = state.engine.clock();
+            let end = |exit: (usize, PortId)| End {
                 hops: state.engine.hops(exit.0, exit.1),
                 books: state.engine.books(),
+                fates: fates.clone(),
+                clock: clock.map(|clock| (clock.wall_origin, clock.log_origin, clock.rate)),
             };
-            let (said, last) = (0, 0);
-            self.ends.insert(**exit, Ending { end, said, last });
-        }
-        let (now, clock) = (wall_now(), shared.lock().engine.clock());
-        for (exit, ending) in &mut self.ends {
-            if ending.said < ENDS && now - ending.last >= ENDS_APART {
-                (ending.said, ending.last) = (ending.said + 1, now);
-                let mark = Mark::End(ending.end.clone()).into_message(0, clock);
-                shared.send(*exit, &mark)?;
+            let ends: Vec<End> = ending.iter().map(|exit| end(*exit)).collect();
+            drop(state);
+            for (exit, end) in ending.into_iter().zip(&ends) {
+                shared.end(exit, end)?;
             }
         }
-        let said = self.ends.values().all(|ending| ending.said == ENDS);
-        Ok(said && self.ends.len() == shared.exits.len())
+        Ok(self.ended.len() == shared.exits.len())
     }
 }
 
 /// Gives messages in order to the stages that take them, and takes fates to the sinks.
 fn deliver(
     state: &mut State,
-    known: &mut BTreeMap<String, BTreeSet<u64>>,
+    known: &mut Known,
     inputs: &[(usize, PortId)],
     ready: Vec<Message>,
 ) -> Result<(), String> {
     for message in ready {
-        if let Some(mark) = Fates::of(&message)? {
-            let numbers = known.entry(mark.origin).or_default();
-            if numbers.insert(mark.number) {
-                state.engine.tell(mark.fates);
-            }
-            while numbers.len() > REMEMBERED {
-                numbers.pop_first();
-            }
-            continue;
-        }
-        for (stage, port) in inputs {
-            state.engine.deliver(*stage, *port, message.clone());
+        match Fates::of(&message)? {
+            Some(fates) => known.tell(state, fates),
+            None => inputs
+                .iter()
+                .for_each(|(stage, port)| state.engine.deliver(*stage, *port, message.clone())),
         }
     }
     Ok(())
+}
+
+/// By process: the numbers of fates that have come.
+#[derive(Default)]
+struct Known(BTreeMap<String, BTreeSet<u64>>);
+
+impl Known {
+    /// Takes fates to the sinks, unless they came on another way already.
+    fn tell(&mut self, state: &mut State, fates: Fates) {
+        let numbers = self.0.entry(fates.origin).or_default();
+        if numbers.insert(fates.number) {
+            state.engine.tell(fates.fates);
+        }
+        while numbers.len() > REMEMBERED {
+            numbers.pop_first();
+        }
+    }
 }
 
 fn first_line(text: &str) -> String {

@@ -10,6 +10,7 @@ use arrow::array::{Array, ArrayRef};
 use dora_node_api::{Event, EventStream, StopCause};
 use realo_schemas::Nanos;
 
+use super::marks::End;
 use super::wall_now;
 
 /// Events that are taken from dora and wait to be looked into, at most.
@@ -21,6 +22,8 @@ const MOST_BYTES: usize = 64 << 20;
 pub(super) enum Heard {
     /// A message on an input, with the wall time at which it was taken.
     Input(String, ArrayRef, Nanos),
+    /// The last word on an input.
+    End(String, Result<End, String>),
     /// The node behind an input has closed it.
     Closed(String),
     /// A node above died.
@@ -162,7 +165,10 @@ fn left(until: Nanos) -> Option<Duration> {
 /// What matters to a process.
 fn heard(event: Event) -> Option<Heard> {
     match event {
-        Event::Input { id, data, .. } => Some(Heard::Input(id.to_string(), data.into_inner(), wall_now())),
+        Event::Input { id, data, metadata } => Some(match End::of(&metadata.parameters) {
+            Some(end) => Heard::End(id.to_string(), end),
+            None => Heard::Input(id.to_string(), data.into_inner(), wall_now()),
+        }),
         Event::InputClosed { id } => Some(Heard::Closed(id.to_string())),
         Event::NodeFailed {
             source_node_id, error, ..

@@ -1,22 +1,31 @@
-//! Messages of the driver itself: hello, fates, end.
+//! What drivers say to each other: hello, fates, end.
 
+use dora_node_api::{MetadataParameters, Parameter};
 use realo_operator::Books;
 use realo_schemas::report::Fated;
-use realo_schemas::{Clock, Header, Kind, Message, Name, Payload, Report};
+use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos, Payload, Report};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-const END: &str = "realo/end";
+/// The parameter of dora's metadata that brings an end.
+const END: &str = "realo_end";
 const HELLO: &str = "realo/hello";
 const FATES: &str = "realo/fates";
 
 /// The last word on an output.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+///
+/// It is metadata without a payload: dora takes that through its daemon, which loses nothing, where a payload in shared
+/// memory is gone with the process that sent it.
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct End {
     /// What the output sent in all.
     pub hops: u64,
     /// The books of the sender's stages and of all above them.
     pub books: Books,
+    /// What was still to be said of messages over links.
+    pub fates: Option<Fates>,
+    /// Wall origin, log origin and rate of the sender's clock, if it has one.
+    pub clock: Option<(Nanos, Nanos, f64)>,
 }
 
 /// What stages of a process, or of those above it, said of messages over links.
@@ -30,13 +39,8 @@ pub(super) struct Fates {
     pub fates: Vec<Fated>,
 }
 
-/// A message of the driver beside a stream; [`Fates`] go down the graph within one.
-pub(super) enum Mark {
-    /// Opens dora's routes before the first message.
-    Hello,
-    /// Ends a stream.
-    End(End),
-}
+/// A message beside a stream, which opens dora's routes before the first message.
+pub(super) struct Hello;
 
 impl Fates {
     /// The fates in a message, if it brings some.
@@ -53,23 +57,27 @@ impl Fates {
     }
 }
 
-impl Mark {
-    /// The mark in a message, if it is one.
-    pub fn of(message: &Message) -> Result<Option<Mark>, String> {
-        match report_of(message) {
-            Some((HELLO, _)) => Ok(Some(Mark::Hello)),
-            Some((END, json)) => from_json(END, json).map(Mark::End).map(Some),
-            _ => Ok(None),
+impl End {
+    /// The end in dora's metadata, if it brings one.
+    pub fn of(parameters: &MetadataParameters) -> Option<Result<End, String>> {
+        match parameters.get(END)? {
+            Parameter::String(json) => Some(from_json(END, json)),
+            other => Some(Err(format!("`{END}`: expected text, found {other:?}"))),
         }
     }
 
-    /// The mark as a message.
-    pub fn into_message(self, hop: u64, clock: Option<Clock>) -> Message {
-        let (topic, json) = match self {
-            Mark::Hello => (HELLO, String::new()),
-            Mark::End(end) => (END, to_json(&end)),
-        };
-        message(topic, json, hop, clock)
+    pub fn to_parameters(&self) -> MetadataParameters {
+        MetadataParameters::from([(END.to_string(), Parameter::String(to_json(self)))])
+    }
+}
+
+impl Hello {
+    pub fn is_in(message: &Message) -> bool {
+        matches!(report_of(message), Some((HELLO, _)))
+    }
+
+    pub fn to_message(&self, clock: Option<Clock>) -> Message {
+        message(HELLO, String::new(), 0, clock)
     }
 }
 
@@ -118,26 +126,9 @@ mod tests {
 
     #[test]
     fn marks_survive_the_wire() {
-        let hello = sent(&Mark::Hello.into_message(0, Some(CLOCK)));
-        assert!(matches!(Mark::of(&hello), Ok(Some(Mark::Hello))));
+        let hello = sent(&Hello.to_message(Some(CLOCK)));
+        assert!(Hello::is_in(&hello));
         assert_eq!((hello.header.clock, hello.header.hop), (Some(CLOCK), 0));
-
-        let mut books = Books::default();
-        let node = NodeBooks {
-            name: "nms".into(),
-            errors: 3,
-            ..NodeBooks::default()
-        };
-        books.nodes.insert("ego.nms".into(), node);
-        let end = End {
-            hops: 9,
-            books: books.clone(),
-        };
-        let end = sent(&Mark::End(end).into_message(4, Some(CLOCK)));
-        let Ok(Some(Mark::End(end))) = Mark::of(&end) else {
-            panic!("an end")
-        };
-        assert_eq!((end.hops, end.books), (9, books));
 
         let message = Crossing {
             from: "a".into(),
@@ -154,8 +145,26 @@ mod tests {
                 r#use: None,
             }],
         };
+        let mut books = Books::default();
+        let node = NodeBooks {
+            name: "nms".into(),
+            errors: 3,
+            ..NodeBooks::default()
+        };
+        books.nodes.insert("ego.nms".into(), node);
+        let clock = Some((5, 7, 0.5));
+        let end = End {
+            hops: 9,
+            books: books.clone(),
+            fates: Some(fates.clone()),
+            clock,
+        };
+        let end = End::of(&end.to_parameters()).unwrap().unwrap();
+        assert_eq!((end.hops, end.books, end.clock), (9, books, clock));
+        assert_eq!(end.fates, Some(fates.clone()));
+
         let message = sent(&fates.to_message(4, Some(CLOCK)));
-        assert!(matches!(Mark::of(&message), Ok(None)), "they are part of the stream");
+        assert!(!Hello::is_in(&message));
         assert_eq!(Fates::of(&message), Ok(Some(fates)));
         assert_eq!(message.header.hop, 4);
     }
@@ -171,12 +180,21 @@ mod tests {
             report("evaluation", "{}"),
             Message::new(header.clone(), Boxes::default()),
         ] {
-            assert!(matches!(Mark::of(&message), Ok(None)));
+            assert!(!Hello::is_in(&message));
             assert_eq!(Fates::of(&message), Ok(None));
         }
-        let end = Mark::of(&report(END, "{\"hops\": 3}")).err();
-        let fates = Fates::of(&report(FATES, "{\"hops\": 3}")).err();
-        for (topic, error) in [(END, end), (FATES, fates)] {
+        assert!(End::of(&MetadataParameters::new()).is_none());
+        let broken = |value| {
+            End::of(&MetadataParameters::from([(END.to_string(), value)]))
+                .unwrap()
+                .err()
+        };
+        let errors = [
+            (END, broken(Parameter::String("{\"hops\": 3}".into()))),
+            (END, broken(Parameter::Integer(3))),
+            (FATES, Fates::of(&report(FATES, "{\"hops\": 3}")).err()),
+        ];
+        for (topic, error) in errors {
             let error = error.expect("a broken mark");
             assert!(error.starts_with(&format!("`{topic}`: ")), "{error}");
         }

@@ -13,9 +13,8 @@ use realo_host::dora::FOLDER_VARIABLE;
 use super::dora;
 use super::prepare::Cell;
 
-/// Lets dora's publishers wait for room instead of dropping at once; big messages get more time.
-const ZENOH_OVERLAY: &str = "{ transport: { link: { tx: { queue: { congestion_control: \
-    { drop: { wait_before_drop: 500000, max_wait_before_drop_fragments: 2000000 } } } } } } }\n";
+/// Lets dora's publishers wait for room instead of dropping at once.
+const ZENOH_OVERLAY: &str = include_str!("../../../../dataflows/zenoh.json5");
 
 /// Has dora run a cell and checks that the run is complete.
 ///
