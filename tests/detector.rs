@@ -121,6 +121,57 @@ fn early_fusion_without_collaborators_is_no_fusion() {
     assert!(count(&alone) > 20, "made-up weights find something: {}", count(&alone));
 }
 
+/// The same model and weights, with a fusion.
+fn fusing(kind: &str) -> String {
+    let base = model();
+    let path = once(&format!("small-{kind}.toml"), |path| {
+        let text = format!(
+            "extends = \"small.toml\"\nname = \"small-{kind}\"\nweights = \"small\"\n[arch]\nkind = \"{kind}\"\nagents = 3\n"
+        );
+        fs::write(path, text).expect("the model can be written");
+    });
+    assert_eq!(base.parent(), path.parent());
+    path.to_string_lossy().into_owned()
+}
+
+fn run_fusing(out: &str, name: &str, args: &[&str]) -> serde_json::Value {
+    let model = fusing(name);
+    let all = [&["--model", &model, "--ego", "cav1", "--offline"][..], args].concat();
+    run_virtual(out, name, &log(), &all)
+}
+
+#[test]
+fn fusion_of_features_without_collaborators_is_no_fusion() {
+    run("detector_alone_3", "no_fusion", &["--offline"]);
+    for name in ["attfuse", "fcooper"] {
+        let out = format!("detector_{name}_alone");
+        run_fusing(&out, name, &["--agents", "cav1"]);
+        assert_eq!(recorded("detector_alone_3"), recorded(&out), "{name}");
+    }
+}
+
+#[test]
+fn features_of_collaborators_are_fused_and_their_bytes_counted() {
+    run("detector_alone_4", "no_fusion", &["--offline"]);
+    let mut all = vec![recorded("detector_alone_4")];
+    for name in ["attfuse", "fcooper"] {
+        for project in ["receiver", "sender"] {
+            let out = format!("detector_{name}_{project}");
+            let result = run_fusing(&out, name, &["--project", project]);
+            assert_eq!(result["project"], project);
+            let features = &result["links"]["cav2-cav1"]["features"];
+            let used = if project == "sender" { 4 } else { 5 };
+            assert_eq!(features["used"], used, "{name} {project}: {features}");
+            // 32 rows, 64 columns, 8 channels of f32.
+            let bytes = features["bytes"].as_u64().expect("bytes") / features["sent"].as_u64().expect("a count");
+            assert!((65_536..66_000).contains(&bytes), "{bytes}");
+            let boxes = recorded(&out);
+            assert!(!all.contains(&boxes), "{name} {project} gives boxes of its own");
+            all.push(boxes);
+        }
+    }
+}
+
 #[test]
 fn merged_clouds_are_seen_and_their_bytes_counted() {
     run("detector_alone_2", "no_fusion", &["--offline"]);
@@ -161,7 +212,7 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
         "early_fusion",
         &["--link", "paper", "--project", "sender"],
     );
-    let encoder = &late["nodes"]["others.sender"]["counters"];
+    let encoder = &late["nodes"]["others.projector"]["counters"];
     assert!(
         encoder["no_ego_state"].as_u64() > Some(0),
         "nothing is sent before the first state: {encoder}"
@@ -197,7 +248,9 @@ fn what_does_not_fit_is_refused_by_name() {
     let lidar = dir.join("lidar.toml");
     fs::write(&lidar, MODEL.replace("frame = \"body\"", "frame = \"lidar\"")).expect("a file");
     let (bare, wider, lidar) = (bare.to_string_lossy(), wider.to_string_lossy(), lidar.to_string_lossy());
-    let cases: [(&[&str], &[&str]); 6] = [
+    let (single, attfuse) = (model().to_string_lossy().into_owned(), fusing("attfuse"));
+    let other = format!("others.encoder.model={single}");
+    let cases: [(&[&str], &[&str]); 8] = [
         (&["early_fusion", "--model", "nowhere.toml"], &["nowhere.toml"]),
         (&["early_fusion", "--model", &bare], &["bare.safetensors"]),
         (
@@ -210,9 +263,14 @@ fn what_does_not_fit_is_refused_by_name() {
             &["--model", "no node that runs a network", "drop --model"],
         ),
         (
-            &["late_fusion", "--project", "sender"],
-            &["--project", "transmission-encoder"],
+            &["attfuse", "--model", &single],
+            &["small.toml", "`arch`", "found `pointpillars`"],
         ),
+        (
+            &["attfuse", "--model", &attfuse, "--set", &other],
+            &["`fusion.fusion`", "`others.encoder`", "small.toml", "name one in both"],
+        ),
+        (&["late_fusion", "--project", "sender"], &["--project", "projector"]),
     ];
     for (args, named) in cases {
         let file = graph(args[0]);

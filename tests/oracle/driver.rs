@@ -184,6 +184,7 @@ impl Sink for Closing {
 static LOG: Registration = Registration::source::<Log>();
 static NMS: Registration = Registration::operator::<realo_nms::Nms>();
 static ENCODER: Registration = Registration::operator::<realo_transmission::TransmissionEncoder>();
+static PROJECTOR: Registration = Registration::operator::<realo_projector::Projector>();
 static LINK: Registration = Registration::operator::<realo_link::Link>();
 static DECODER: Registration = Registration::operator::<realo_transmission::TransmissionDecoder>();
 static BANK: Registration = Registration::operator::<realo_feature_bank::FeatureBank>();
@@ -242,11 +243,19 @@ fn stages(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Stag
             &[("packets", "state-link", "to_others")],
         )?;
         let known = ("state", "state-receiver", "states");
-        add("encoder", &ENCODER, vec!["project=sender".into()], &[others, known])?;
+        // The time that is charged to the encoder is the projector's.
+        let (_, log, clouds) = others;
+        let clouds = ("clouds", log, clouds);
+        add("encoder", &PROJECTOR, vec!["project=sender".into()], &[clouds, known])?;
+        add("packer", &ENCODER, vec![], &[("messages", "encoder", "projected")])?;
     } else {
         add("encoder", &ENCODER, vec![], &[others])?;
     }
-    let packets = [("others", "encoder", "packets")];
+    let packer = match world.strategy {
+        Strategy::Projected => "packer",
+        Strategy::Late | Strategy::Early => "encoder",
+    };
+    let packets = [("others", packer, "packets")];
     add("link", &LINK, link, &[&packets[..], &states].concat())?;
     let max_bytes = vec![format!("max_bytes={}", world.max_bytes)];
     add("decoder", &DECODER, max_bytes, &[("packets", "link", "to_ego")])?;

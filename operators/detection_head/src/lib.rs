@@ -10,15 +10,15 @@
 //! | `over_limit_boxes` | boxes above the threshold beyond the 1,000 best |
 //! | `invalid_boxes` | decoded boxes with numbers that are not finite |
 
-use std::borrow::Cow;
 use std::path::PathBuf;
 
+use realo_bev::Maps;
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
-use realo_nn::network::{BevView, Network};
+use realo_nn::network::Network;
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::is_valid;
-use realo_schemas::{Box3, Boxes, DType, FeatureMap, Header, Kind, Message, Name, PayloadType};
+use realo_schemas::{Box3, Boxes, FeatureMap, Header, Kind, Message, Name, PayloadType};
 use serde::{Deserialize, Serialize};
 
 /// Boxes that a frame gives at most.
@@ -53,7 +53,7 @@ impl Default for Config {
 pub struct DetectionHead {
     network: Network,
     decoder: Decoder,
-    identity: String,
+    maps: Maps,
 }
 
 /// From the numbers of the heads to boxes.
@@ -158,8 +158,8 @@ impl Operator for DetectionHead {
         }
         Ok(DetectionHead {
             decoder: Decoder::new(Anchors::of(&loaded.model), threshold),
+            maps: Maps::of(&loaded),
             network: loaded.network,
-            identity: loaded.identity,
         })
     }
 
@@ -168,14 +168,7 @@ impl Operator for DetectionHead {
             return Err(wrong_port(Self::INPUTS, port));
         }
         let (header, map): (Header, FeatureMap) = message.into_parts().map_err(unexpected)?;
-        let data = self.numbers(&map)?;
-        let [rows, columns, channels] = [map.rows, map.columns, map.channels].map(|n| n as usize);
-        let heads = self.network.heads(BevView {
-            rows,
-            columns,
-            channels,
-            data: &data,
-        })?;
+        let heads = self.network.heads(self.maps.read(&map)?.view())?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas);
         out.count("over_limit_boxes", found.over_limit);
         out.count("invalid_boxes", found.invalid);
@@ -189,32 +182,11 @@ impl Operator for DetectionHead {
     }
 }
 
-impl DetectionHead {
-    /// The numbers of a map of this model: those of the message, or a copy where it does not lie as numbers do.
-    fn numbers<'a>(&self, map: &'a FeatureMap) -> Result<Cow<'a, [f32]>, Error> {
-        if *map.model != *self.identity {
-            let (found, expected) = (&map.model, &self.identity);
-            return Err(format!(
-                "expected a map of model {expected}, found one of {found}: name one model file in both"
-            )
-            .into());
-        }
-        if map.dtype != DType::F32 {
-            return Err(format!("expected a map of f32, found {:?}", map.dtype).into());
-        }
-        let lies_well =
-            map.data.as_ptr().align_offset(align_of::<f32>()) == 0 && map.data.len().is_multiple_of(size_of::<f32>());
-        if cfg!(target_endian = "little") && lies_well {
-            return Ok(Cow::Borrowed(map.data.typed_data()));
-        }
-        let numbers = map.data.as_chunks::<4>().0.iter().copied();
-        Ok(Cow::Owned(numbers.map(f32::from_le_bytes).collect()))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    use realo_schemas::DType;
 
     const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
 
@@ -280,25 +252,6 @@ mod tests {
     }
 
     #[test]
-    fn a_map_is_read_where_it_lies_and_copied_only_if_it_lies_askew() {
-        let head = head(None).unwrap();
-        let map = map(0.25);
-        let numbers = head.numbers(&map).unwrap();
-        assert!(matches!(numbers, Cow::Borrowed(_)));
-        let mut bytes = vec![0; 1];
-        bytes.extend_from_slice(&map.data);
-        let start = bytes.len() - map.data.len();
-        let mut askew = FeatureMap {
-            data: bytes.into(),
-            ..map.clone()
-        };
-        askew.data = askew.data.slice(start);
-        let read = head.numbers(&askew).unwrap();
-        assert_eq!(matches!(read, Cow::Owned(_)), askew.data.as_ptr().align_offset(4) != 0);
-        assert!(*read == *numbers);
-    }
-
-    #[test]
     fn maps_that_do_not_fit_are_refused_with_what_is_expected() {
         let mut head = head(None).unwrap();
         let other = FeatureMap {
@@ -315,9 +268,11 @@ mod tests {
         assert!(error.contains("expected a map of f32"), "{error}");
         let narrow = FeatureMap {
             columns: 128,
+            data: map(0.0).data.slice_with_length(0, 100 * 128 * 64 * 4),
             ..map(0.0)
         };
-        assert!(detected(&mut head, narrow).is_err());
+        let error = detected(&mut head, narrow).unwrap_err().to_string();
+        assert!(error.contains("128 columns"), "{error}");
         assert!(
             detected(&mut head, map(f32::NAN)).unwrap().0.is_empty(),
             "what is no number is no box"

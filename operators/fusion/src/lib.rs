@@ -98,13 +98,19 @@ impl Pairing {
 impl<T> Set<T> {
     /// Leaves out whoever's data are not in the ego's frame.
     pub fn reject_other_frames(&mut self) {
-        let (frame, left_out) = (&self.header.frame, &mut self.left_out);
+        let frame = self.header.frame.clone();
+        self.reject(|collaborator| collaborator.header.frame != frame);
+    }
+
+    /// Leaves out whoever cannot be fused.
+    pub fn reject(&mut self, cannot: impl Fn(&Collaborator<T>) -> bool) {
+        let left_out = &mut self.left_out;
         self.collaborators.retain(|collaborator| {
-            let same = collaborator.header.frame == *frame;
-            if !same {
+            let can = !cannot(collaborator);
+            if !can {
                 left_out.push((collaborator.header.clone(), Fate::Rejected));
             }
-            same
+            can
         });
     }
 }

@@ -22,8 +22,12 @@ pub struct Layers {
     steps: Vec<Step>,
     /// The pillars' features.
     pub canvas: MapId,
-    /// The BEV map: what agents share.
+    /// The BEV map: what agents share, compressed if the model compresses.
     pub features: MapId,
+    /// What is fused: the shared map, restored if the model compresses.
+    pub restored: MapId,
+    /// The map that the heads read: the shared one where nothing is fused.
+    pub fused: MapId,
     /// Logits, `anchors * classes` for each cell.
     pub scores: MapId,
     /// Boxes as deltas to their anchors, `anchors * 7` for each cell.
@@ -52,6 +56,20 @@ pub enum Layer {
     Convolution(ConvLayer),
     /// Several maps side by side in their channels.
     Join,
+    /// Maps of several agents become one.
+    Fuse(Fusion),
+}
+
+/// How the maps of several agents, brought to the ego's place, become one of the same size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fusion {
+    /// The greatest of each feature.
+    Max,
+    /// In each cell the agents' features, weighted by the softmax of their products with the ego's over `√width`.
+    Attention {
+        /// Channels that the products are scaled for.
+        width: usize,
+    },
 }
 
 /// A linear layer with batch norm and ReLU on every point, and the maximum over a pillar's points.
@@ -231,7 +249,7 @@ impl Layer {
         match self {
             Layer::Points(layer) => layer.tensors(),
             Layer::Convolution(layer) => layer.tensors(),
-            Layer::Join => Vec::new(),
+            Layer::Join | Layer::Fuse(Fusion::Max | Fusion::Attention { .. }) => Vec::new(),
         }
     }
 }
@@ -261,6 +279,20 @@ impl Layers {
     pub fn points(&self) -> Option<&PointLayer> {
         self.steps.iter().find_map(|step| match &step.layer {
             Layer::Points(layer) => Some(layer),
+            _ => None,
+        })
+    }
+
+    /// The map that the maker of another reads first.
+    pub fn before(&self, map: MapId) -> Option<MapId> {
+        let maker = self.steps.iter().find(|step| step.to == map);
+        maker.and_then(|step| step.from.first().copied())
+    }
+
+    /// How the network fuses, if it does.
+    pub fn fusion(&self) -> Option<Fusion> {
+        self.steps.iter().find_map(|step| match &step.layer {
+            Layer::Fuse(fusion) => Some(*fusion),
             _ => None,
         })
     }
@@ -345,19 +377,36 @@ impl Builder {
         self.step(Layer::Join, from, [rows, columns, channels])
     }
 
+    /// Adds the fusion of several agents' maps.
+    pub fn fuse(&mut self, fusion: Fusion, from: MapId) -> MapId {
+        self.step(Layer::Fuse(fusion), vec![from], self.size(from))
+    }
+
     /// Size of a map so far.
     pub fn size(&self, map: MapId) -> MapSize {
         self.maps[map.0]
     }
 
-    /// The network from `canvas` over `features` to its heads.
-    pub fn finish(mut self, canvas: MapId, features: MapId, [scores, deltas]: [MapId; 2]) -> Layers {
+    /// The network of one agent, from `canvas` over `features` to its heads.
+    pub fn finish(self, canvas: MapId, features: MapId, heads: [MapId; 2]) -> Layers {
+        self.finish_fused(canvas, [features; 3], heads)
+    }
+
+    /// The network from `canvas` to the map that agents share, to the same restored, to the fused one, to its heads.
+    pub fn finish_fused(
+        mut self,
+        canvas: MapId,
+        [features, restored, fused]: [MapId; 3],
+        [scores, deltas]: [MapId; 2],
+    ) -> Layers {
         let heads = self.join(vec![scores, deltas]);
         Layers {
             maps: self.maps,
             steps: self.steps,
             canvas,
             features,
+            restored,
+            fused,
             scores,
             deltas,
             heads,
@@ -385,6 +434,7 @@ mod tests {
                 Layer::Points(layer) => layer.key.clone(),
                 Layer::Convolution(layer) => layer.key.replace("backbone.", ""),
                 Layer::Join => "join".into(),
+                Layer::Fuse(_) => "fuse".into(),
             };
             steps.into_iter().map(name).collect()
         };

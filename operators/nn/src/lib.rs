@@ -24,6 +24,7 @@ pub mod canvas;
 pub mod conv;
 pub mod decode;
 mod encoder;
+pub mod fuse;
 pub mod layers;
 mod load;
 pub mod loss;

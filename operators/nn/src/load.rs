@@ -12,9 +12,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use sha2::{Digest, Sha256};
 
 use crate::conv::{Isa, Pool, UnknownIsa};
-use crate::model::{MOST_BYTES as MOST_MODEL_BYTES, Model, ModelError};
+use crate::model::{Model, ModelError};
 use crate::network::{Core, Network, NetworkError, NetworkOptions};
-use crate::weights::{MOST_BYTES as MOST_WEIGHTS_BYTES, Weights, WeightsError};
+use crate::weights::{MOST_BYTES, Weights, WeightsError};
 
 /// A model with its weights and its network.
 pub struct Loaded {
@@ -72,17 +72,13 @@ pub fn load(model_file: &Path, isa: &str, threads: usize) -> Result<Loaded, Load
     if threads > 0 {
         options.threads = threads;
     }
-    let text = read_bounded(model_file, MOST_MODEL_BYTES).map_err(|error| ModelError::Read {
-        path: model_file.into(),
-        error,
-    })?;
-    let model = Model::parse(&text, model_file)?;
+    let (model, texts) = Model::read_with_texts(model_file)?;
     let path = model.weights_beside(model_file);
-    let bytes = read_bounded(&path, MOST_WEIGHTS_BYTES).map_err(|error| WeightsError::Read {
+    let bytes = read_bounded(&path, MOST_BYTES).map_err(|error| WeightsError::Read {
         path: path.clone(),
         error,
     })?;
-    let identity = format!("{}-{}", model.name, digest(&[&text, &bytes]));
+    let identity = format!("{}-{}", model.name, digest(texts.iter().chain([&bytes])));
 
     let mut known = lock(&KNOWN);
     let shared = match known.model(&identity, options.isa) {
@@ -173,7 +169,7 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// The first 16 digits of the SHA-256 of the files' bytes.
-fn digest(files: &[&[u8]]) -> String {
+fn digest<'a>(files: impl Iterator<Item = &'a Vec<u8>>) -> String {
     let mut sum = Sha256::new();
     for bytes in files {
         sum.update((bytes.len() as u64).to_le_bytes());

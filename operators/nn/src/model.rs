@@ -1,6 +1,7 @@
 //! The typed model file: everything about a network that is not a weight.
 //!
-//! A model is `<name>.toml` beside `<name>.safetensors` (see [`crate::weights`]).
+//! A model is `<name>.toml` beside `<name>.safetensors` (see [`crate::weights`]). With `extends = "other.toml"` it says only
+//! what differs from the model of another file, key by key; `arch` as a whole.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,9 @@ use crate::load::{ReadError, read_bounded};
 pub struct Model {
     /// Name, also the stem of the file of weights: lower-case letters, digits, `-`, `_`.
     pub name: String,
+    /// Stem of the file of weights where it is another model's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights: Option<String>,
     /// Frame of the points, the anchors and the boxes.
     pub frame: Frame,
     /// Arithmetic of inference, where the CPU has it.
@@ -181,6 +185,14 @@ pub enum ModelError {
         /// Where and why.
         error: Box<toml::de::Error>,
     },
+    /// What it extends.
+    #[error("{}: `extends`: {reason}", path.display())]
+    Extends {
+        /// The model file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// It looks at points in a frame that nobody brings them to.
     #[error(
         "{}: `frame`: expected `body`, found `lidar`: sweeps reach the network in the agent's body frame",
@@ -214,11 +226,43 @@ impl Model {
     /// # Errors
     /// [`ModelError::Read`], [`ModelError::Syntax`], and [`ModelError::File`] with what [`Model::validate`] finds.
     pub fn read(path: &Path) -> Result<Model, ModelError> {
-        let bytes = read_bounded(path, MOST_BYTES).map_err(|error| ModelError::Read {
+        Ok(Model::read_with_texts(path)?.0)
+    }
+
+    /// Reads and checks a model file; beside the model the bytes of the file and of those that it extends.
+    pub(crate) fn read_with_texts(path: &Path) -> Result<(Model, Vec<Vec<u8>>), ModelError> {
+        let text = read_text(path)?;
+        // Errors of a file that extends none tell the place in it.
+        let Some(mut table) = extending(&text) else {
+            return Ok((Model::parse(&text, path)?, vec![text]));
+        };
+        let mut texts = vec![text];
+        let mut file = path.to_path_buf();
+        while let Some(base) = table.remove("extends") {
+            let wrong = |reason: String| ModelError::Extends {
+                path: file.clone(),
+                reason,
+            };
+            let base = base
+                .as_str()
+                .ok_or_else(|| wrong(format!("expected the name of a model file, found {base}")))?;
+            if texts.len() > MOST_EXTENDED {
+                return Err(wrong(format!("more than {MOST_EXTENDED} files in a row")));
+            }
+            file = file.with_file_name(base);
+            let text = read_text(&file)?;
+            let below = toml::from_slice(&text).map_err(|error| ModelError::Syntax {
+                path: file.clone(),
+                error: Box::new(error),
+            })?;
+            texts.push(text);
+            table = over(below, table);
+        }
+        let model = table.try_into().map_err(|error| ModelError::Syntax {
             path: path.into(),
-            error,
+            error: Box::new(error),
         })?;
-        Model::parse(&bytes, path)
+        Model::checked(model, path).map(|model| (model, texts))
     }
 
     /// Reads and checks the bytes of a model file; `path` is for errors.
@@ -230,6 +274,10 @@ impl Model {
             path: path.into(),
             error: Box::new(error),
         })?;
+        Model::checked(model, path)
+    }
+
+    fn checked(model: Model, path: &Path) -> Result<Model, ModelError> {
         model.validate().map_err(|error| ModelError::File {
             path: path.into(),
             error: Box::new(error),
@@ -251,7 +299,8 @@ impl Model {
 
     /// The file of weights that lies beside a model file.
     pub fn weights_beside(&self, model_file: &Path) -> PathBuf {
-        model_file.with_file_name(format!("{}.safetensors", self.name))
+        let stem = self.weights.as_ref().unwrap_or(&self.name);
+        model_file.with_file_name(format!("{stem}.safetensors"))
     }
 
     /// Anchors at a cell of the output map: (class, rotation).
@@ -307,12 +356,15 @@ impl Model {
 
     fn check_names(&self, problems: &mut Problems) {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
-        problems.require(!self.name.is_empty() && self.name.chars().all(plain), || {
-            format!(
-                "name: expected lower-case letters, digits, `-`, `_`, found `{}`",
-                self.name
-            )
-        });
+        for (key, name) in [("name", Some(&self.name)), ("weights", self.weights.as_ref())] {
+            let fits = name.is_none_or(|name| !name.is_empty() && name.chars().all(plain));
+            problems.require(fits, || {
+                format!(
+                    "{key}: expected lower-case letters, digits, `-`, `_`, found `{}`",
+                    name.map_or("", |name| name)
+                )
+            });
+        }
         for (index, class) in self.classes.iter().enumerate() {
             problems.require(!class.name.is_empty(), || format!("classes[{index}] has no name"));
             let first = self.classes.iter().position(|other| other.name == class.name);
@@ -429,7 +481,10 @@ impl Model {
 const MOST_CHANNELS: usize = 4096;
 const MOST_CELLS: usize = 1 << 24;
 const MOST_NUMBERS: usize = 1 << 28;
-pub(crate) const MOST_BYTES: u64 = 1 << 20;
+const MOST_BYTES: u64 = 1 << 20;
+
+/// Model files that extend each other, at most.
+const MOST_EXTENDED: usize = 8;
 
 /// What was found wrong with a model, a line each.
 pub(crate) struct Problems(Vec<String>);
@@ -441,7 +496,7 @@ impl Problems {
         }
     }
 
-    fn within(&mut self, what: &str, found: usize, least: usize, most: usize) {
+    pub(crate) fn within(&mut self, what: &str, found: usize, least: usize, most: usize) {
         self.require((least..=most).contains(&found), || {
             format!("{what}: expected {least} to {most}, found {found}")
         });
@@ -452,6 +507,33 @@ impl Problems {
             self.within(&format!("{what}[{index}]"), *found, least, most);
         }
     }
+}
+
+fn read_text(path: &Path) -> Result<Vec<u8>, ModelError> {
+    read_bounded(path, MOST_BYTES).map_err(|error| ModelError::Read {
+        path: path.into(),
+        error,
+    })
+}
+
+/// The table of a model file that extends another.
+fn extending(text: &[u8]) -> Option<toml::Table> {
+    let table: toml::Table = toml::from_slice(text).ok()?;
+    table.contains_key("extends").then_some(table)
+}
+
+/// What `above` says, and what `below` says where it says nothing.
+fn over(mut below: toml::Table, above: toml::Table) -> toml::Table {
+    for (key, value) in above {
+        let value = match (below.remove(&key), value) {
+            (Some(toml::Value::Table(below)), toml::Value::Table(above)) if key != "arch" => {
+                toml::Value::Table(over(below, above))
+            }
+            (_, value) => value,
+        };
+        below.insert(key, value);
+    }
+    below
 }
 
 #[cfg(test)]
@@ -486,6 +568,52 @@ mod tests {
     fn finds_the_weights_beside_the_model_file() {
         let path = lite().weights_beside(Path::new("models/lite.toml"));
         assert_eq!(path, Path::new("models/lite.safetensors"));
+    }
+
+    #[test]
+    fn a_model_that_extends_another_says_what_differs() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = |name: &str, text: &str| {
+            let path = dir.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path
+        };
+        file("base.toml", LITE);
+        let middle = file(
+            "middle.toml",
+            "extends = \"base.toml\"\nname = \"middle\"\nweights = \"lite\"\n[arch]\nkind = \"attfuse\"\nagents = 3\n",
+        );
+        let top = file(
+            "top.toml",
+            "extends = \"middle.toml\"\n[pillars]\npoints = 16\n[arch]\nkind = \"fcooper\"\n",
+        );
+        let mut expected = lite();
+        expected.name = "middle".into();
+        expected.weights = Some("lite".into());
+        let mut arch = crate::arch::Shared::default();
+        arch.agents = 3;
+        expected.arch = Arch::AttFuse(arch);
+        assert_eq!(Model::read(&middle).unwrap(), expected);
+        assert_eq!(expected.weights_beside(&middle), dir.path().join("lite.safetensors"));
+        expected.arch = Arch::FCooper(Default::default());
+        expected.pillars.points = 16;
+        let (model, texts) = Model::read_with_texts(&top).unwrap();
+        assert_eq!((model, texts.len()), (expected, 3));
+
+        let error = |text: &str| Model::read(&file("bad.toml", text)).unwrap_err().to_string();
+        let cycle = error("extends = \"bad.toml\"");
+        assert!(
+            cycle.contains("bad.toml: `extends`: more than 8 files in a row"),
+            "{cycle}"
+        );
+        assert!(error("extends = 3").contains("`extends`: expected the name of a model file, found 3"));
+        assert!(error("extends = \"none.toml\"").contains("none.toml"));
+        assert!(error("extends = \"base.toml\"\nwidth = 3").contains("unknown field `width`"));
+        assert!(error("extends = \"base.toml\"\nweights = \"../x\"").contains("weights: expected lower-case"));
+        assert!(
+            error("extends = \"base.toml\"\n[arch]\nkind = \"attfuse\"\ncompression = 7")
+                .contains("divisor of the map's 64")
+        );
     }
 
     #[test]
@@ -561,7 +689,7 @@ mod tests {
         let long = read(format!("{LITE}#{}", " ".repeat(MOST_BYTES as usize)));
         assert!(long.contains("m.toml: expected at most 1048576 bytes"), "{long}");
         let of = |arch: &str| LITE.replace("[grid]", &format!("[arch]\n{arch}\n\n[grid]"));
-        assert!(read(of("kind = \"dream\"")).contains("unknown variant `dream`, expected `pointpillars`"));
+        assert!(read(of("kind = \"dream\"")).contains("unknown variant `dream`, expected one of `pointpillars`"));
         assert!(read(of("kind = \"pointpillars\"\nratio = 3")).contains("unknown field `ratio`"));
         let path = dir.path().join("m.toml");
         std::fs::write(&path, of("kind = \"pointpillars\"")).unwrap();

@@ -1,6 +1,7 @@
 //! The network from the canvas of pillars to the heads: backbone, shrink layers, heads, batch norm folded in.
 //!
-//! `encode` and `heads` split it at the BEV map, where agents share features; `forward` runs both.
+//! `encode` and `heads` split it at the BEV map, where agents share features; between them `fuse` makes one map of those of
+//! several agents. `forward` runs a single agent's.
 
 use std::fmt;
 use std::path::Path;
@@ -8,7 +9,8 @@ use std::sync::{Arc, Mutex};
 
 use crate::canvas::Canvas;
 use crate::conv::{Bf16, Isa, Pool, View};
-use crate::layers::{Layers, MapId, MapSize};
+use crate::fuse::{Placed, fuse};
+use crate::layers::{Fusion, Layers, MapId, MapSize};
 use crate::load::lock;
 use crate::model::{Model, Precision};
 use crate::part::{Made, Outcome, Part, Runner, Running};
@@ -119,6 +121,22 @@ pub enum NetworkError {
         /// Rows, columns, channels.
         found: [usize; 3],
     },
+    /// The model is one of a single agent.
+    #[error("model `{model}` fuses nothing: expected one whose `arch` does, such as attfuse")]
+    NoFusion {
+        /// The model's name.
+        model: String,
+    },
+    /// There are more agents than the model takes.
+    #[error("model `{model}` fuses {most} agents at most, the ego among them, found {found}")]
+    Agents {
+        /// The model's name.
+        model: String,
+        /// As many as it takes.
+        most: usize,
+        /// As many as there are.
+        found: usize,
+    },
     /// A map has more or fewer numbers than its size says.
     #[error("{what} has {found} numbers, its size wants {expected}")]
     Length {
@@ -186,9 +204,14 @@ pub(crate) struct Core {
     name: String,
     choice: Choice,
     encode: Engine,
+    /// From the shared map to the restored one, unless they are the same.
+    restore: Option<Engine>,
     heads: Engine,
+    /// How the network fuses, and how many agents.
+    fusion: Option<(Fusion, usize)>,
     canvas: MapSize,
     features: MapSize,
+    fused: MapSize,
     /// Numbers of a cell: scores and deltas.
     outputs: [usize; 2],
     result: MapSize,
@@ -203,14 +226,25 @@ impl Core {
     /// As [`Core::new`], of layers that need not be the model's.
     fn of(layers: &Layers, weights: &Weights, model: &Model, options: &NetworkOptions) -> Result<Self, NetworkError> {
         let choice = choose(model, options)?;
-        let (canvas, features, heads) = (layers.canvas, layers.features, layers.heads);
+        let Layers {
+            canvas,
+            features,
+            restored,
+            fused,
+            heads,
+            ..
+        } = *layers;
+        let engine = |ends, outcome| Engine::new(layers, weights, choice, ends, outcome);
         Ok(Core {
             name: model.name.clone(),
             choice,
-            encode: Engine::new(layers, weights, choice, [canvas, features], Outcome::Own),
-            heads: Engine::new(layers, weights, choice, [features, heads], Outcome::Single),
+            encode: engine([canvas, features], Outcome::Own),
+            restore: (restored != features).then(|| engine([features, restored], Outcome::Single)),
+            heads: engine([fused, heads], Outcome::Single),
+            fusion: layers.fusion().map(|fusion| (fusion, model.arch.agents())),
             canvas: layers.size(canvas),
             features: layers.size(features),
+            fused: layers.size(fused),
             outputs: [layers.scores, layers.deltas].map(|map| layers.size(map)[2]),
             result: layers.size(heads),
         })
@@ -285,6 +319,7 @@ pub struct Network {
     core: Arc<Core>,
     pool: Arc<Mutex<Pool>>,
     encode: Box<dyn Runner>,
+    restore: Option<Box<dyn Runner>>,
     heads: Box<dyn Runner>,
 }
 
@@ -313,6 +348,7 @@ impl Network {
     pub(crate) fn sharing(core: Arc<Core>, pool: Arc<Mutex<Pool>>) -> Network {
         Network {
             encode: core.encode.running(),
+            restore: core.restore.as_ref().map(Engine::running),
             heads: core.heads.running(),
             core,
             pool,
@@ -365,13 +401,51 @@ impl Network {
         Ok(map_of(self.core.features, data))
     }
 
+    /// From the maps that agents share to the one that the heads read; an agent takes no part where its map does not reach.
+    ///
+    /// # Errors
+    /// [`NetworkError::NoFusion`], [`NetworkError::Agents`]; [`NetworkError::Shape`] and [`NetworkError::Length`] for a map
+    /// that does not fit.
+    pub fn fuse<'a>(&mut self, ego: impl Into<BevView<'a>>, others: &[Placed]) -> Result<BevMap, NetworkError> {
+        let (core, ego) = (&*self.core, ego.into());
+        let model = || core.name.clone();
+        let (fusion, most) = core.fusion.ok_or_else(|| NetworkError::NoFusion { model: model() })?;
+        if others.len() >= most {
+            return Err(NetworkError::Agents {
+                model: model(),
+                most,
+                found: others.len() + 1,
+            });
+        }
+        let shared = || std::iter::once(ego).chain(others.iter().map(|other| other.map));
+        for map in shared() {
+            plain(&core.name, map, core.features)?;
+        }
+        let mut pool = lock(&self.pool);
+        let Some(restore) = &mut self.restore else {
+            return Ok(map_of(core.fused, fuse(fusion, ego, others, &mut pool)));
+        };
+        let mut maps = Vec::with_capacity(most);
+        for map in shared() {
+            let view = plain(&core.name, map, core.features)?;
+            let data = restore.run(&mut pool, view).to_f32(&mut pool);
+            maps.push(map_of(core.fused, data));
+        }
+        let placed = |(map, other): (_, &Placed)| Placed {
+            map: BevView::from(map),
+            warp: other.warp,
+        };
+        let placed: Vec<Placed> = maps[1..].iter().zip(others).map(placed).collect();
+        Ok(map_of(core.fused, fuse(fusion, (&maps[0]).into(), &placed, &mut pool)))
+    }
+
     /// From a BEV map to the heads. The map is read where it lies, unless the network computes in other numbers.
     ///
     /// # Errors
     /// [`NetworkError::Shape`] if the map is not of the model's size, [`NetworkError::Length`] if it is not of its own.
     pub fn heads<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<Heads, NetworkError> {
         let core = &*self.core;
-        let view = plain(&core.name, map.into(), core.features)?;
+        let view = plain(&core.name, map.into(), core.fused)?;
         let mut pool = lock(&self.pool);
         let Made::Single(numbers) = self.heads.run(&mut pool, view) else {
             unreachable!("heads are made in f32");

@@ -287,6 +287,7 @@ fn groups<'a>(order: &[&'a Step], homes: &HashMap<MapId, (MapId, usize)>) -> Vec
             Layer::Convolution(layer) => layer,
             Layer::Join => continue,
             Layer::Points(_) => panic!("points are no map that a part begins with"),
+            Layer::Fuse(_) => panic!("maps of several agents are not made by one part"),
         };
         if let Some((last, together)) = groups.last_mut()
             && side_by_side(together, (layer, step), home)

@@ -14,11 +14,11 @@
 
 use std::path::PathBuf;
 
-use arrow::buffer::Buffer;
+use realo_bev::Maps;
 use realo_nn::Encoder;
 use realo_nn::pillars::{Dropped, Points};
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{DType, FeatureMap, Header, Kind, Message, Name, PayloadType, PointCloud};
+use realo_schemas::{FeatureMap, Header, Kind, Message, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`PillarEncoder`].
@@ -46,10 +46,7 @@ impl Default for Config {
 /// The operator `pillar-encoder`.
 pub struct PillarEncoder {
     encoder: Encoder,
-    /// Corner of the maps' first cell in the model's frame, and side of a cell, m.
-    origin: [f64; 2],
-    cell: f64,
-    identity: Name,
+    maps: Maps,
 }
 
 const CLOUDS: PortId = PortId(0);
@@ -83,11 +80,8 @@ impl Operator for PillarEncoder {
     fn new(config: Config) -> Result<Self, Error> {
         let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
         loaded.model.check_frame(&config.model)?;
-        let grid = &loaded.model.grid;
         Ok(PillarEncoder {
-            origin: [grid.x[0], grid.y[0]],
-            cell: grid.cell * loaded.model.stride() as f64,
-            identity: loaded.identity.as_str().into(),
+            maps: Maps::of(&loaded),
             encoder: Encoder::new(loaded),
         })
     }
@@ -125,17 +119,7 @@ impl PillarEncoder {
             intensity: intensity.as_deref(),
         };
         let (map, dropped) = self.encoder.run(&points)?;
-        let map = FeatureMap {
-            rows: map.rows as u32,
-            columns: map.columns as u32,
-            channels: map.channels as u32,
-            cell: self.cell,
-            origin: self.origin,
-            dtype: DType::F32,
-            data: Buffer::from_vec(map.data),
-            model: self.identity.clone(),
-        };
-        Ok((map, dropped))
+        Ok((self.maps.write(map), dropped))
     }
 }
 

@@ -1,12 +1,6 @@
-use std::collections::BTreeMap;
-
 use arrow::buffer::Buffer;
-use realo_operator::{
-    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
-};
-use realo_schemas::geometry::{relative, transform_cloud};
-use realo_schemas::report::Fate;
-use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, Payload, PayloadType, Pose};
+use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::{Header, Message, Packet, PayloadType};
 use serde::{Deserialize, Serialize};
 
 use crate::{CODEC, Columns, encode};
@@ -19,9 +13,6 @@ pub(crate) const CARRIED: &[PayloadType] = &[
     PayloadType::EgoState,
 ];
 
-/// How long a receiver may have heard nothing of the ego before what it knows is forgotten, ns.
-const FORGET: Nanos = 60_000_000_000;
-
 /// Settings of the encoder.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -30,39 +21,14 @@ pub struct EncoderConfig {
     pub time: bool,
     /// Whether the beams of points cross.
     pub ring: bool,
-    /// Who brings points to the ego's frame.
-    pub project: Project,
-}
-
-/// Who brings points to the ego's frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Project {
-    /// Whoever receives them.
-    #[default]
-    Receiver,
-    /// This encoder, with the newest state of the ego that has arrived; nothing is sent before the first.
-    Sender,
 }
 
 /// Puts what an agent says into bytes.
 pub struct TransmissionEncoder {
     columns: Columns,
-    project: Project,
-    /// The ego's newest state, by who received it; under no name what crossed no link and holds for everybody.
-    ego: BTreeMap<Option<Name>, Known>,
-}
-
-/// A state of the ego that has arrived.
-struct Known {
-    header: Header,
-    state: EgoState,
-    /// Whether something was projected with it.
-    used: bool,
 }
 
 const MESSAGES: PortId = PortId(0);
-const STATE: PortId = PortId(1);
 const PACKETS: PortId = PortId(0);
 
 impl Describe for TransmissionEncoder {
@@ -78,21 +44,9 @@ impl Describe for TransmissionEncoder {
             name: "ring",
             about: "whether the beam of each point crosses (2 bytes a point)",
         },
-        Argument {
-            name: "project",
-            about: "who brings points to the ego's frame: receiver, or sender (with the ego's newest known state)",
-        },
     ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("messages", CARRIED, "what an agent says").latest(),
-        Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
-            .state()
-            .accounting()
-            .needed_when("project", "sender")
-            .of(Lane::EgoReceived),
-    ];
+    const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Project, "project")];
 }
 
 impl Operator for TransmissionEncoder {
@@ -102,89 +56,13 @@ impl Operator for TransmissionEncoder {
                 time: config.time,
                 ring: config.ring,
             },
-            project: config.project,
-            ego: BTreeMap::new(),
         })
     }
 
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            MESSAGES => self.encode(message, out),
-            STATE => {
-                let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
-                let receiver = header.to.clone();
-                if let Some(known) = self
-                    .ego
-                    .get(&receiver)
-                    .filter(|known| known.header.stamp >= header.stamp)
-                {
-                    // A copy that the channel made takes nobody's place, nor does it lose its own.
-                    if known.header.seq != header.seq {
-                        out.tell(&header, Fate::Superseded);
-                    }
-                    return Ok(());
-                }
-                let known = Known {
-                    header,
-                    state,
-                    used: false,
-                };
-                let now = known.header.ready;
-                if let Some(older) = self.ego.insert(receiver, known) {
-                    older.leave(Fate::Superseded, out);
-                }
-                self.forget_before(now.saturating_sub(FORGET), out);
-                Ok(())
-            }
-            _ => Err(wrong_port(Self::INPUTS, port)),
+        if port != MESSAGES {
+            return Err(wrong_port(Self::INPUTS, port));
         }
-    }
-
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        let left = std::mem::take(&mut self.ego).into_values();
-        left.for_each(|known| known.leave(Fate::InFlight, out));
-        Ok(())
-    }
-}
-
-impl Known {
-    /// Is given up; `unused` is the fate of one that nothing was projected with.
-    fn leave(self, unused: Fate, out: &mut Outputs) {
-        if !self.used {
-            out.tell(&self.header, unused);
-        }
-    }
-}
-
-impl TransmissionEncoder {
-    /// Forgets the receivers that have heard nothing since, so that agents may come and go for days.
-    fn forget_before(&mut self, time: Nanos, out: &mut Outputs) {
-        let old = self.ego.extract_if(.., |_, known| known.header.ready < time);
-        old.for_each(|(_, known)| known.leave(Fate::InFlight, out));
-    }
-
-    /// The newest state of the ego that an agent has received.
-    fn known_to(&mut self, agent: &Name) -> Option<&mut Known> {
-        let own = Some(agent.clone());
-        let key = if self.ego.contains_key(&own) { own } else { None };
-        self.ego.get_mut(&key)
-    }
-
-    fn encode(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        let message = match (self.project, &message.payload) {
-            (Project::Sender, Payload::PointCloud(_)) => {
-                self.forget_before(message.header.ready.saturating_sub(FORGET), out);
-                let Some(known) = self.known_to(&message.header.agent) else {
-                    out.count("no_ego_state", 1);
-                    return Ok(());
-                };
-                let message = projected(message, known)?;
-                known.used = true;
-                out.tell(&known.header, Fate::Used);
-                message
-            }
-            _ => message,
-        };
         let (bytes, dropped) = encode(&message, self.columns)?;
         out.count("nan_points", dropped.points);
         out.count("invalid_boxes", dropped.boxes);
@@ -200,70 +78,5 @@ impl TransmissionEncoder {
         };
         out.send(PACKETS, Message::new(header, packet));
         Ok(())
-    }
-}
-
-/// A sweep in the ego's body frame at the state's stamp; the header's frame and pose are then the ego's.
-fn projected(message: Message, Known { header: ego, state, .. }: &Known) -> Result<Message, Error> {
-    let Message { header, payload } = message;
-    let Payload::PointCloud(cloud) = payload else {
-        return Err(format!(
-            "expected a sweep to project, found {} ({header})",
-            payload.payload_type()
-        )
-        .into());
-    };
-    let pose = header.pose.as_ref();
-    let pose = pose.ok_or_else(|| format!("a sweep without a pose cannot be projected ({header})"))?;
-    let ego_from_sender = relative(&state.map_from_body, &pose.map_from_frame);
-    let header = Header {
-        frame: ego.frame.clone(),
-        pose: Some(Pose::exact(state.map_from_body)),
-        ..header
-    };
-    Ok(Message::new(header, transform_cloud(&ego_from_sender, &cloud)))
-}
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::Isometry3;
-    use realo_schemas::{Kind, PoseStatus};
-
-    use super::*;
-
-    const SECOND: Nanos = 1_000_000_000;
-
-    #[test]
-    fn receivers_that_hear_no_more_of_the_ego_are_forgotten() {
-        let mut encoder = TransmissionEncoder::new(EncoderConfig::default()).unwrap();
-        let mut fates = Vec::new();
-        // Every second another agent comes, receives one state and goes.
-        for k in 0..1000 {
-            let stamp = k * SECOND;
-            let mut header = Header::origin(
-                &"run".into(),
-                &"cav1".into(),
-                Kind::EgoState,
-                k as u64,
-                stamp,
-                stamp + 7,
-            );
-            header.to = Some(format!("cav{k}").as_str().into());
-            let state = EgoState {
-                map_from_body: Isometry3::identity(),
-                covariance: None,
-                velocity: None,
-                angular_rate: None,
-                status: PoseStatus::Truth,
-            };
-            let mut out = Outputs::at(header.ready);
-            encoder.on_input(STATE, Message::new(header, state), &mut out).unwrap();
-            fates.extend(out.take_fates());
-            assert!(encoder.ego.len() <= 61, "{} receivers", encoder.ego.len());
-        }
-        let last: Vec<u64> = encoder.ego.values().map(|known| known.header.seq).collect();
-        assert_eq!((last.len(), last.iter().min()), (61, Some(&939)));
-        assert_eq!(fates.len(), 939, "each one that goes is accounted for");
-        assert!(fates.iter().all(|fated| fated.fate == Fate::InFlight));
     }
 }

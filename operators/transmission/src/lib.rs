@@ -5,7 +5,6 @@
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
 //! | `messages` | in, latest | PointCloud, FeatureMap, Boxes, EgoState | what an agent says |
-//! | `state` | in, state, optional | EgoState | the ego's states as they arrive, for `project=sender` |
 //! | `packets` | out | Packet | the same as bytes |
 //!
 //! `transmission-decoder`
@@ -63,4 +62,4 @@ mod points;
 pub use bytes::{DecodeError, EncodeError};
 pub use codec::{CODEC, Columns, Content, Dropped, decode, encode};
 pub use decoder::{DecoderConfig, TransmissionDecoder};
-pub use encoder::{EncoderConfig, Project, TransmissionEncoder};
+pub use encoder::{EncoderConfig, TransmissionEncoder};

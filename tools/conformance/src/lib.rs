@@ -7,6 +7,7 @@
 
 mod boxes;
 mod evaluation;
+mod fusion;
 mod iou_nms;
 mod loss;
 mod network;
@@ -100,29 +101,29 @@ type Check = fn(&Vector) -> Result<(), String>;
 struct Kind {
     /// Tensors or keys that they have.
     with: &'static [&'static str],
-    /// One that they have not.
-    without: Option<&'static str>,
+    /// Those that they have not.
+    without: &'static [&'static str],
     check: Check,
 }
 
 impl Kind {
     const fn new(with: &'static [&'static str], check: Check) -> Self {
-        let without = None;
+        let without = &[];
         Kind { with, without, check }
     }
 
-    const fn without(mut self, name: &'static str) -> Self {
-        self.without = Some(name);
+    const fn without(mut self, names: &'static [&'static str]) -> Self {
+        self.without = names;
         self
     }
 
     fn takes(&self, entry: &Entry) -> bool {
-        self.with.iter().all(|name| entry.has(name)) && !self.without.is_some_and(|name| entry.has(name))
+        self.with.iter().all(|name| entry.has(name)) && !self.without.iter().any(|name| entry.has(name))
     }
 }
 
 /// All kinds; no two take the same vector.
-const KINDS: [&[Kind]; 8] = [
+const KINDS: [&[Kind]; 9] = [
     boxes::KINDS,
     iou_nms::KINDS,
     evaluation::KINDS,
@@ -131,6 +132,7 @@ const KINDS: [&[Kind]; 8] = [
     loss::KINDS,
     postprocess::KINDS,
     network::KINDS,
+    fusion::KINDS,
 ];
 
 fn status(vector: &Vector) -> Status {
@@ -219,11 +221,13 @@ mod tests {
         let keys = r#"{"file": "a", "tolerance": 0, "keys": ["entries"]}"#;
         assert_eq!(reason(keys).unwrap(), r#"no check reads a document of ["entries"]"#);
         assert!(reason(&keys.replace("entries", "curves")).is_none());
-        // The whole network of one agent has no map that agents fused.
+        // Networks of one agent have no fused map, and not every fusion has a check.
         let whole = r#"{"file": "a", "tolerance": 0, "tensors":
             {"in.points": 1, "out.psm": 1, "out.rm": 1, "param.cls_head.weight": 1}}"#;
         assert!(reason(whole).is_none());
-        assert!(reason(&whole.replace("{\"in", "{\"mid.fused\": 1, \"in")).is_some());
+        let fused = whole.replace("{\"in", "{\"mid.fused\": 1, \"in");
+        assert!(reason(&fused).is_none());
+        assert!(reason(&fused.replace("{\"mid", "{\"in.prior_encoding\": 1, \"mid")).is_some());
     }
 
     #[test]

@@ -18,18 +18,18 @@ pub(crate) const KINDS: &[Kind] = &[
     Kind::new(&["in.x", "out.y", "param.layers.0.double_conv.0.weight"], shrink),
     Kind::new(&["in.x", "out.psm", "out.rm", "param.cls_head.weight"], head),
     Kind::new(&["in.pillar_features", "in.coords_bzyx", "out.canvas"], scatter),
-    Kind::new(&["in.points", "out.psm", "out.rm", "param.cls_head.weight"], single).without("mid.fused"),
+    Kind::new(&["in.points", "out.psm", "out.rm", "param.cls_head.weight"], single).without(&["mid.fused"]),
 ];
 
 /// The vectors are f32, so this is too; with the best instructions that the CPU has.
-fn options() -> NetworkOptions {
+pub(crate) fn options() -> NetworkOptions {
     NetworkOptions {
         precision: Some(Precision::F32),
         ..NetworkOptions::default()
     }
 }
 
-fn backbone_of(config: &Value) -> Result<Backbone, String> {
+pub(crate) fn backbone_of(config: &Value) -> Result<Backbone, String> {
     let list = |key: &str| -> Result<Vec<usize>, String> {
         serde_json::from_value(config[key].clone()).map_err(|error| format!("config `{key}`: {error}"))
     };
@@ -74,7 +74,7 @@ pub(crate) fn weights_of(
     Weights::new(model, all).map_err(|error| error.to_string())
 }
 
-fn network(model: &Model, weights: &Weights) -> Result<Network, String> {
+pub(crate) fn network(model: &Model, weights: &Weights) -> Result<Network, String> {
     Network::new(model, weights, options()).map_err(|error| error.to_string())
 }
 
@@ -83,7 +83,7 @@ fn wide(numbers: &[f32]) -> Vec<f64> {
 }
 
 /// Compares `[rows, columns, channels]` of one or more samples with a tensor whose channels come before its rows.
-fn compare_map(vector: &Vector, tensors: &Tensors, name: &str, found: &[f32]) -> Result<(), String> {
+pub(crate) fn compare_map(vector: &Vector, tensors: &Tensors, name: &str, found: &[f32]) -> Result<(), String> {
     let (expected, _) = tensors.channels_last(name)?;
     compare(name, &wide(found), &wide(&expected), vector.tolerance()?)
 }
@@ -106,7 +106,7 @@ fn backbone(vector: &Vector) -> Result<(), String> {
 }
 
 /// A model whose backbone gives `channels`, for checks of what comes after it.
-fn before(rows: usize, columns: usize, channels: usize) -> Result<Model, String> {
+pub(crate) fn before(rows: usize, columns: usize, channels: usize) -> Result<Model, String> {
     model_of(grid([2 * rows, 2 * columns]), 1, any_backbone(channels))
 }
 

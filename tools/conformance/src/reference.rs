@@ -130,6 +130,7 @@ pub fn grid_of([x0, y0, z0, x1, y1, z1]: [f64; 6]) -> Grid {
 pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model, String> {
     let model = Model {
         name: "vector".into(),
+        weights: None,
         frame: Frame::Lidar,
         precision: Precision::F32,
         rotations: vec![0.0, 1.57],

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
-use realo_nn::layers::{ConvLayer, Layer, Layers, MapId, PointLayer, Role, Step, TensorSpec, norm_key};
+use realo_nn::layers::{ConvLayer, Fusion, Layer, Layers, MapId, PointLayer, Role, Step, TensorSpec, norm_key};
 use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
 use realo_nn::model::Model;
 use realo_nn::targets::Targets;
@@ -166,6 +166,8 @@ impl Network {
                     let parts: Vec<Tensor> = step.from.iter().map(|map| maps.read(*map)).collect();
                     run.tape.join(&parts)?
                 }
+                // Samples are of one agent each, and the fusion of one is what it sees.
+                Layer::Fuse(Fusion::Max | Fusion::Attention { .. }) => maps.read(step.from[0]),
             };
             maps.made.insert(step.to, made);
         }

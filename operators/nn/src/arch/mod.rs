@@ -1,7 +1,13 @@
 //! The architectures: what a model's `arch` may be, each with its layers in a file of its own.
 
+mod attfuse;
+mod compressor;
+mod fcooper;
 mod pointpillars;
 
+use std::fmt;
+
+pub use compressor::Shared;
 #[cfg(test)]
 pub(crate) use pointpillars::heads;
 use serde::{Deserialize, Serialize};
@@ -15,6 +21,20 @@ use crate::model::{Model, Problems};
 pub enum Arch {
     /// Pillars, backbone, shrink layers and heads of one agent (PointPillars, Lang et al. 2019, as in V2X-Real).
     PointPillars {},
+    /// Agents' maps fused by their maximum.
+    FCooper(Shared),
+    /// Agents' maps fused by attention.
+    AttFuse(Shared),
+}
+
+impl fmt::Display for Arch {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(match self {
+            Arch::PointPillars {} => "pointpillars",
+            Arch::FCooper(_) => "fcooper",
+            Arch::AttFuse(_) => "attfuse",
+        })
+    }
 }
 
 impl Default for Arch {
@@ -29,10 +49,34 @@ impl Arch {
         *self == Arch::default()
     }
 
+    /// Whether maps of several agents become one.
+    pub fn fuses(&self) -> bool {
+        !matches!(self, Arch::PointPillars {})
+    }
+
+    /// V2X-ReaLO, Table III: how long the paper's network of this kind took, ns.
+    pub fn paper_inference(&self) -> u64 {
+        match self {
+            Arch::PointPillars {} => 43_700_000,
+            Arch::FCooper(_) => 61_600_000,
+            Arch::AttFuse(_) => 68_600_000,
+        }
+    }
+
+    /// Agents that a network takes, the ego among them.
+    pub fn agents(&self) -> usize {
+        match self {
+            Arch::PointPillars {} => 1,
+            Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.agents,
+        }
+    }
+
     /// What of a model, whose parts are within their bounds, does not fit together.
     pub(crate) fn check(&self, model: &Model, problems: &mut Problems) {
+        pointpillars::check(model, problems);
         match self {
-            Arch::PointPillars {} => pointpillars::check(model, problems),
+            Arch::PointPillars {} => {}
+            Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.check(pointpillars::channels(model), problems),
         }
     }
 
@@ -40,6 +84,8 @@ impl Arch {
     pub(crate) fn layers(&self, model: &Model) -> Layers {
         match self {
             Arch::PointPillars {} => pointpillars::layers(model),
+            Arch::FCooper(shared) => fcooper::layers(model, shared),
+            Arch::AttFuse(shared) => attfuse::layers(model, shared),
         }
     }
 }

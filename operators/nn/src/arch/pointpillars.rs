@@ -39,6 +39,12 @@ pub fn check(model: &Model, problems: &mut Problems) {
     }
 }
 
+/// Channels of the map after the shrink layers.
+pub fn channels(model: &Model) -> usize {
+    let joined = || model.backbone.up_channels.iter().sum();
+    model.shrink.last().map_or_else(joined, |shrink| shrink.channels)
+}
+
 /// The pillar layer and its canvas.
 pub fn pillars(builder: &mut Builder, model: &Model) -> MapId {
     let layer = PointLayer {

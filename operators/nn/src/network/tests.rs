@@ -63,6 +63,7 @@ fn plain(layers: &Layers, weights: &Weights, canvas: &Canvas) -> Vec<f64> {
                     (0..size[0] * size[1]).flat_map(|index| step.from.iter().flat_map(move |map| cell(map, index)));
                 (size, cells.collect())
             }
+            Layer::Fuse(_) => maps[&step.from[0]].clone(),
         };
         maps.insert(step.to, made);
     }

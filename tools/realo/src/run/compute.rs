@@ -3,21 +3,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use eyre::{Result, bail, eyre};
+use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode};
 use realo_host::ComputeProfile;
+use realo_nn::model::Model;
 use realo_operator::Decided;
 use realo_results::Run;
 use realo_schemas::Nanos;
 
-use super::nodes::{decided_argument, deciding};
+use super::nodes::{argument, decided_argument, deciding};
 use crate::registry;
 
 /// Name of the profile that charges what the paper measured.
 const PAPER: &str = "paper";
-/// V2X-ReaLO, Table III: the network of no fusion and of late fusion, ns.
-const NETWORK: Nanos = 43_700_000;
-
 /// The profile that is asked for: a file, or `paper`; without one computing takes no time.
 ///
 /// # Errors
@@ -57,7 +55,10 @@ fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
     let method = own
         .iter()
         .filter_map(|index| graph.nodes[*index].registration(&registry())?.paper_inference);
-    let nanos = method.max().unwrap_or(NETWORK);
+    let named = decided_argument(last, Decided::Model).and_then(|name| argument(last, name));
+    let path = graph.file.with_file_name(named.unwrap_or_default());
+    let network = Model::read(&path).wrap_err_with(|| format!("node `{}`", last.id))?.arch;
+    let nanos = method.max().unwrap_or(network.paper_inference() as Nanos);
     Ok(ComputeProfile {
         nanos: BTreeMap::from([(last.id.clone(), nanos)]),
     })
@@ -99,6 +100,8 @@ mod tests {
             ("no_fusion", "ego.head", 43_700_000),
             ("late_fusion", "ego.head", 43_700_000),
             ("early_fusion", "fusion.head", 80_900_000),
+            ("fcooper", "fusion.head", 61_600_000),
+            ("attfuse", "fusion.head", 68_600_000),
         ];
         for (name, stage, nanos) in cases {
             let profile = profile(Some(Path::new("paper")), &graph(name)).unwrap();

@@ -3,12 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, WrapErr, bail};
-use realo_graph::{FlatGraph, InputSource};
+use eyre::{Result, WrapErr, bail, eyre};
+use realo_graph::{FlatGraph, FlatNode, InputSource};
 
 use realo_operator::Decided;
 
-use super::nodes::{argument, decided_argument, deciding};
+use super::nodes::{argument, decided_argument, deciding, registration};
 
 /// What is known of a network: its identity and the kernels that it runs on.
 type Known = (String, String);
@@ -44,8 +44,8 @@ impl Networks {
     /// Loads every network of a graph.
     ///
     /// # Errors
-    /// A model or weights that cannot be had, kernels that this processor lacks, and a part of a network behind one of
-    /// another model; each names the node.
+    /// A model or weights that cannot be had, kernels that this processor lacks, a stage that refuses its model, and a part of
+    /// a network behind one of another model; each names the node.
     pub fn check(&mut self, graph: &FlatGraph) -> Result<Words> {
         let mut identities: BTreeMap<&str, (PathBuf, String)> = BTreeMap::new();
         let mut kernels = BTreeSet::new();
@@ -56,18 +56,17 @@ impl Networks {
             let (identity, runs_on) = self
                 .known(&path, &isa)
                 .wrap_err_with(|| format!("node `{}`", node.id))?;
+            if let Some(known) = registration(node) {
+                let built = (known.build)(node.settings());
+                built.map_err(|error| eyre!("node `{}`: {error}", node.id))?;
+            }
             kernels.insert(runs_on.clone());
             identities.insert(&node.id, (path, identity.clone()));
         }
         for node in deciding(graph, Decided::Model) {
-            for input in node.inputs.values() {
-                let InputSource::Output { node: source, .. } = &input.source else {
-                    continue;
-                };
-                let (Some((theirs, a)), Some((ours, b))) = (identities.get(&**source), identities.get(&*node.id))
-                else {
-                    continue;
-                };
+            let (ours, b) = &identities[&*node.id];
+            for source in behind(graph, node, |id| identities.contains_key(id)) {
+                let (theirs, a) = &identities[source];
                 if a != b {
                     let (id, ours, theirs) = (&node.id, ours.display(), theirs.display());
                     bail!("node `{id}` has model {ours}, but `{source}` before it has {theirs}: name one in both");
@@ -81,4 +80,22 @@ impl Networks {
             kernels: words(kernels),
         })
     }
+}
+
+/// The nearest stages before a node that are such, whatever lies between: what they send reaches it.
+fn behind<'a>(graph: &'a FlatGraph, node: &'a FlatNode, is_such: impl Fn(&str) -> bool) -> BTreeSet<&'a str> {
+    let (mut open, mut seen, mut found) = (vec![node], BTreeSet::new(), BTreeSet::new());
+    while let Some(node) = open.pop() {
+        for input in node.inputs.values() {
+            let InputSource::Output { node: source, .. } = &input.source else {
+                continue;
+            };
+            match is_such(source) {
+                true => _ = found.insert(&**source),
+                false if seen.insert(&**source) => open.extend(graph.nodes.iter().find(|node| node.id == *source)),
+                false => {}
+            }
+        }
+    }
+    found
 }

@@ -9,7 +9,7 @@ use realo_operator::{Decided, Registration};
 
 use crate::registry;
 
-fn registration(node: &FlatNode) -> Option<&'static Registration> {
+pub(super) fn registration(node: &FlatNode) -> Option<&'static Registration> {
     node.registration(&registry())
 }
 

@@ -1,0 +1,190 @@
+//! BEV maps as messages: what a network makes, written; what another stage of the same model sent, read.
+
+use std::borrow::Cow;
+
+use arrow::buffer::Buffer;
+use realo_nn::Loaded;
+use realo_nn::network::{BevMap, BevView};
+use realo_operator::Error;
+use realo_schemas::{DType, FeatureMap, Name};
+
+/// Where the maps of one model lie, and whose they are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Maps {
+    /// Name and digest of the model.
+    pub identity: Name,
+    /// Corner of the first cell in the model's frame, m.
+    pub origin: [f64; 2],
+    /// Side of a cell, m.
+    pub cell: f64,
+}
+
+/// A map that was read from a message.
+#[derive(Debug)]
+pub struct Read<'a> {
+    size: [usize; 3],
+    numbers: Cow<'a, [f32]>,
+}
+
+impl Maps {
+    /// Those of a model.
+    pub fn of(loaded: &Loaded) -> Self {
+        let grid = &loaded.model.grid;
+        Maps {
+            identity: loaded.identity.as_str().into(),
+            origin: [grid.x[0], grid.y[0]],
+            cell: grid.cell * loaded.model.stride() as f64,
+        }
+    }
+
+    /// A map as a message of f32.
+    pub fn write(&self, map: BevMap) -> FeatureMap {
+        FeatureMap {
+            rows: map.rows as u32,
+            columns: map.columns as u32,
+            channels: map.channels as u32,
+            cell: self.cell,
+            origin: self.origin,
+            dtype: DType::F32,
+            data: Buffer::from_vec(map.data),
+            model: self.identity.clone(),
+        }
+    }
+
+    /// The numbers of a map of this model: those of the message, or a copy where they do not lie as numbers do.
+    ///
+    /// # Errors
+    /// A map of another model, elsewhere, or of other elements than f32.
+    pub fn read<'a>(&self, map: &'a FeatureMap) -> Result<Read<'a>, Error> {
+        if map.model != self.identity {
+            let (found, expected) = (&map.model, &self.identity);
+            return Err(format!(
+                "expected a map of model {expected}, found one of {found}: name one model file in both"
+            )
+            .into());
+        }
+        if (map.cell, map.origin) != (self.cell, self.origin) {
+            return Err(format!(
+                "expected cells of {} m from {:?} on, found {} m from {:?} on",
+                self.cell, self.origin, map.cell, map.origin
+            )
+            .into());
+        }
+        if map.dtype != DType::F32 {
+            return Err(format!("expected a map of f32, found {:?}", map.dtype).into());
+        }
+        let size = [map.rows, map.columns, map.channels].map(|n| n as usize);
+        let expected = size.iter().try_fold(size_of::<f32>(), |bytes, n| bytes.checked_mul(*n));
+        if expected != Some(map.data.len()) {
+            return Err(format!("expected 4 bytes for each number of {size:?}, found {}", map.data.len()).into());
+        }
+        let lies_well = map.data.as_ptr().align_offset(align_of::<f32>()) == 0;
+        let numbers = match cfg!(target_endian = "little") && lies_well {
+            true => Cow::Borrowed(map.data.typed_data()),
+            false => {
+                let numbers = map.data.as_chunks::<4>().0.iter().copied();
+                Cow::Owned(numbers.map(f32::from_le_bytes).collect())
+            }
+        };
+        Ok(Read { size, numbers })
+    }
+}
+
+impl Read<'_> {
+    /// The map for a network, which checks its size.
+    pub fn view(&self) -> BevView<'_> {
+        let [rows, columns, channels] = self.size;
+        BevView {
+            rows,
+            columns,
+            channels,
+            data: &self.numbers,
+        }
+    }
+
+    /// Rows, columns and channels.
+    pub fn size(&self) -> [usize; 3] {
+        self.size
+    }
+
+    /// Whether all numbers are as a network makes them: none that is no number, none so great that sums of products of two
+    /// overflow.
+    pub fn is_sound(&self) -> bool {
+        self.numbers.iter().all(|number| number.abs() <= GREATEST)
+    }
+}
+
+const GREATEST: f32 = 1e15;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn maps() -> Maps {
+        Maps {
+            identity: "lite-1".into(),
+            origin: [-4.0, -2.0],
+            cell: 0.8,
+        }
+    }
+
+    fn map(data: Vec<f32>) -> BevMap {
+        BevMap {
+            rows: 2,
+            columns: 1,
+            channels: 3,
+            data,
+        }
+    }
+
+    #[test]
+    fn a_map_is_read_as_it_was_written_where_it_lies_and_copied_only_if_it_lies_askew() {
+        let numbers: Vec<f32> = (0..6).map(|k| k as f32 - 2.5).collect();
+        let written = maps().write(map(numbers.clone()));
+        let read = maps().read(&written).unwrap();
+        assert!(matches!(read.numbers, Cow::Borrowed(_)));
+        let view = read.view();
+        assert_eq!(
+            (view.rows, view.columns, view.channels, view.data),
+            (2, 1, 3, &numbers[..])
+        );
+        let mut bytes = vec![0; 1];
+        bytes.extend_from_slice(&written.data);
+        let askew = FeatureMap {
+            data: Buffer::from_vec(bytes).slice(1),
+            ..written
+        };
+        let read = maps().read(&askew).unwrap();
+        assert!(matches!(read.numbers, Cow::Owned(_)));
+        assert_eq!(read.view().data, numbers);
+    }
+
+    #[test]
+    fn maps_that_do_not_fit_are_refused_with_what_is_expected() {
+        let written = maps().write(map(vec![0.0; 6]));
+        let refused = |change: fn(&mut FeatureMap)| {
+            let mut map = written.clone();
+            change(&mut map);
+            maps().read(&map).map(|_| ()).unwrap_err().to_string()
+        };
+        let other = refused(|map| map.model = "other-0".into());
+        assert!(other.contains("lite-1") && other.contains("other-0"), "{other}");
+        assert!(refused(|map| map.dtype = DType::F16).contains("expected a map of f32, found F16"));
+        assert!(refused(|map| map.cell = 0.4).contains("expected cells of 0.8 m from [-4.0, -2.0] on, found 0.4 m"));
+        assert!(refused(|map| map.rows = 3).contains("expected 4 bytes for each number of [3, 1, 3], found 24"));
+        assert!(refused(|map| (map.rows, map.columns) = (u32::MAX, u32::MAX)).contains("found 24"));
+        assert!(refused(|map| map.origin = [0.0, -2.0]).contains("found 0.8 m from [0.0, -2.0] on"));
+    }
+
+    #[test]
+    fn numbers_that_no_network_makes_are_seen() {
+        let sound = |number: f32| {
+            let written = maps().write(map(vec![0.0, 1.0, number, 0.0, -3.0, 5.0]));
+            maps().read(&written).unwrap().is_sound()
+        };
+        assert!(sound(7.0) && sound(-1e15));
+        for number in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 2e15, -2e15] {
+            assert!(!sound(number), "{number}");
+        }
+    }
+}

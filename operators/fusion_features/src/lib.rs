@@ -1,0 +1,340 @@
+//! Intermediate fusion: brings the BEV maps of selected collaborators to the ego's and fuses them, as the model's `arch`
+//! says.
+//!
+//! | port | type | content |
+//! |---|---|---|
+//! | in `ego` | FeatureMap | the ego's map; joined with `selections` by (agent, seq) |
+//! | in `selections` | Selection | what the bank chose for the ego's map of that seq |
+//! | out `features` | FeatureMap | one map for the heads, in the ego's frame |
+//!
+//! Maps of another model, size or place, and maps with numbers that are none are rejected. A collaborator's map is turned
+//! and shifted as the ground moves from its frame at its stamp to the ego's at the ego's; in cells that it does not cover
+//! the collaborator takes no part. The motion of objects between the stamps is not removed.
+
+use std::path::PathBuf;
+
+use nalgebra::Isometry3;
+use realo_bev::{Maps, Read};
+use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
+use realo_nn::fuse::{Placed, Warp};
+use realo_nn::network::Network;
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::{FeatureMap, Message, PayloadType};
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`FusionFeatures`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The model file; its weights lie beside it.
+    pub model: PathBuf,
+    /// Collaborators that a fusion takes, the first by agent name; `None`: as many as the model takes.
+    pub max_collaborators: Option<usize>,
+    /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
+    pub isa: String,
+    /// Threads; 0: one for each processor.
+    pub threads: usize,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            model: "../models/lite-attfuse.toml".into(),
+            max_collaborators: None,
+            isa: "auto".into(),
+            threads: 0,
+        }
+    }
+}
+
+/// The operator `fusion-features`.
+pub struct FusionFeatures {
+    network: Network,
+    maps: Maps,
+    /// Collaborators that a fusion takes.
+    limit: usize,
+    pairing: Pairing,
+}
+
+impl Describe for FusionFeatures {
+    type Config = Config;
+    const NAME: &'static str = "fusion-features";
+    const ABOUT: &'static str = "intermediate fusion: brings collaborators' BEV maps to the ego's and fuses them";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "model",
+            about: "the model file, whose arch fuses; its weights lie beside it",
+        },
+        Argument {
+            name: "max_collaborators",
+            about: "collaborators that a fusion takes, the first by agent name; null = as many as the model takes",
+        },
+        Argument {
+            name: "isa",
+            about: "kernels: auto, portable, avx2, avx512 or avx512bf16",
+        },
+        Argument {
+            name: "threads",
+            about: "threads; 0: one for each processor",
+        },
+    ];
+    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::FeatureMap]);
+    const OUTPUTS: &'static [Port] = &[Port::new(
+        "features",
+        &[PayloadType::FeatureMap],
+        "one map for the heads, in the ego's frame",
+    )];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Model, "model"), (Decided::Isa, "isa")];
+}
+
+impl Operator for FusionFeatures {
+    fn new(config: Config) -> Result<Self, Error> {
+        let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
+        let model = config.model.display();
+        let most = loaded.model.arch.agents() - 1;
+        if !loaded.model.arch.fuses() {
+            return Err(format!(
+                "{model}: `arch`: expected one that fuses, found `{}`: take a graph without fusion-features, or a model that \
+                 extends this one with another `arch`, as models/lite-attfuse.toml does",
+                loaded.model.arch
+            )
+            .into());
+        }
+        let limit = config.max_collaborators.unwrap_or(most);
+        if limit > most {
+            return Err(format!(
+                "argument `max_collaborators`: expected at most {most}, as many as `arch.agents` of {model} leaves, found \
+                 {limit}"
+            )
+            .into());
+        }
+        Ok(FusionFeatures {
+            maps: Maps::of(&loaded),
+            network: loaded.network,
+            limit,
+            pairing: Pairing::default(),
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            EGO => self.pairing.ego(message),
+            SELECTIONS => {
+                let mut set: Set<FeatureMap> = self.pairing.selection(message, Some(self.limit))?;
+                let size = self.maps.read(&set.ego)?.size();
+                set.reject(|collaborator| self.read(collaborator).is_none_or(|map| map.size() != size));
+                let ego = self.maps.read(&set.ego)?;
+                let others = set.collaborators.iter();
+                let others: Vec<(Read, Warp)> = others
+                    .filter_map(|collaborator| Some((self.read(collaborator)?, self.warp(collaborator))))
+                    .collect();
+                let placed: Vec<Placed> = others
+                    .iter()
+                    .map(|(map, warp)| Placed {
+                        map: map.view(),
+                        warp: *warp,
+                    })
+                    .collect();
+                let fused = self.maps.write(self.network.fuse(ego.view(), &placed)?);
+                set.send(fused, out);
+            }
+            _ => return Err(wrong_port(Self::INPUTS, port)),
+        }
+        Ok(())
+    }
+}
+
+impl FusionFeatures {
+    /// The map of a collaborator, if it can be fused.
+    fn read<'a>(&self, collaborator: &'a Collaborator<FeatureMap>) -> Option<Read<'a>> {
+        self.maps.read(&collaborator.payload).ok().filter(Read::is_sound)
+    }
+
+    fn warp(&self, collaborator: &Collaborator<FeatureMap>) -> Warp {
+        let ground = ground(&collaborator.ego_from_sender.inverse());
+        Warp::of_ground(ground, self.maps.origin, self.maps.cell)
+    }
+}
+
+/// How a transform moves the ground, z = 0, seen from above.
+fn ground(transform: &Isometry3<f64>) -> [[f64; 3]; 2] {
+    let matrix = transform.to_homogeneous();
+    [0, 1].map(|row| [matrix[(row, 0)], matrix[(row, 1)], matrix[(row, 3)]])
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use nalgebra::{Translation3, UnitQuaternion};
+    use realo_engine::testkit::FusionCase;
+    use realo_fusion::FUSED;
+    use realo_nn::network::BevMap;
+    use realo_schemas::report::Fate;
+    use realo_schemas::{Header, Kind, Nanos, Pose, Selection};
+
+    use super::*;
+
+    const MS: Nanos = 1_000_000;
+    const SIZE: [usize; 3] = [100, 256, 64];
+
+    fn model(name: &str) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../models/{name}.toml"))
+    }
+
+    fn operator(name: &str) -> FusionFeatures {
+        FusionFeatures::new(config(name)).unwrap()
+    }
+
+    fn config(name: &str) -> Config {
+        Config {
+            model: model(name),
+            ..Config::default()
+        }
+    }
+
+    /// A map of the model whose cell (row, column) has features that tell the cell.
+    fn map(operator: &FusionFeatures, of: impl Fn(usize, usize) -> f32) -> FeatureMap {
+        let [rows, columns, channels] = SIZE;
+        let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column)));
+        let data = cells.flat_map(|(row, column)| std::iter::repeat_n(of(row, column), channels));
+        operator.maps.write(BevMap {
+            rows,
+            columns,
+            channels,
+            data: data.collect(),
+        })
+    }
+
+    /// A pose 100 km from the map's origin, so many metres ahead of the ego.
+    fn header(agent: &str, ahead: f64) -> Header {
+        let mut header = Header::origin(&"run".into(), &agent.into(), Kind::Features, 7, 100 * MS, 150 * MS);
+        let pose = Isometry3::from_parts(Translation3::new(1e5 + ahead, -1e5, 12.0), UnitQuaternion::identity());
+        (header.pose, header.to) = (Some(Pose::exact(pose)), Some("cav1".into()));
+        header
+    }
+
+    fn fuse(
+        operator: &mut FusionFeatures,
+        ego: FeatureMap,
+        entries: Vec<Message>,
+    ) -> (FeatureMap, Vec<(String, Fate)>) {
+        let asked = header("cav1", 0.0);
+        let mut out = Outputs::at(200 * MS);
+        operator
+            .on_input(EGO, Message::new(asked.clone(), ego), &mut out)
+            .unwrap();
+        let selection = Message::new(asked, Selection { query: 7, entries });
+        operator.on_input(SELECTIONS, selection, &mut out).unwrap();
+        let (port, fused) = out.take_sent().remove(0);
+        assert_eq!((port, fused.header.kind, fused.header.seq), (FUSED, Kind::Features, 7));
+        let told = out.take_fates().into_iter();
+        let told = told.map(|fated| (fated.message.from, fated.fate)).collect();
+        (fused.into_parts().unwrap().1, told)
+    }
+
+    fn feature(map: &FeatureMap, row: usize, column: usize) -> f32 {
+        let [_, columns, channels] = SIZE;
+        map.data.typed_data::<f32>()[(row * columns + column) * channels]
+    }
+
+    #[test]
+    fn a_collaborators_features_come_to_the_egos_cells() {
+        let mut operator = operator("lite-fcooper");
+        let other = map(&operator, |row, column| 10.0 + (row * 256 + column) as f32);
+        let ego = map(&operator, |_, _| 1.0);
+        // 10 cells ahead: its column 0 is the ego's column 10.
+        let entry = Message::new(header("cav2", 8.0), other.clone());
+        let (fused, told) = fuse(&mut operator, ego, vec![entry]);
+        assert_eq!(told, [("cav2".to_string(), Fate::Used)]);
+        assert_eq!(feature(&fused, 40, 9), 1.0, "it does not reach there");
+        for column in [10, 100, 255] {
+            assert!((feature(&fused, 40, column) - feature(&other, 40, column - 10)).abs() < 1e-2);
+        }
+        assert_eq!(
+            (fused.cell, fused.origin, &fused.model),
+            (other.cell, other.origin, &other.model)
+        );
+    }
+
+    #[test]
+    fn maps_that_cannot_be_fused_are_rejected_and_the_others_stay() {
+        let mut operator = operator("lite-attfuse");
+        let good = map(&operator, |_, _| 2.0);
+        let poisoned = map(&operator, |row, _| if row == 3 { f32::NAN } else { 0.0 });
+        let other_model = FeatureMap {
+            model: "lite-0".into(),
+            ..good.clone()
+        };
+        let narrow = FeatureMap {
+            columns: 128,
+            data: good.data.slice_with_length(0, 100 * 128 * 64 * 4),
+            ..good.clone()
+        };
+        let cut = FeatureMap {
+            data: good.data.slice_with_length(0, 1000),
+            ..good.clone()
+        };
+        let elsewhere = FeatureMap {
+            origin: [0.0, 0.0],
+            ..good.clone()
+        };
+        let maps = [("a", poisoned), ("b", other_model), ("c", good.clone())];
+        let entries = maps.map(|(agent, map)| Message::new(header(agent, 0.0), map));
+        let (fused, told) = fuse(&mut operator, good.clone(), entries.to_vec());
+        assert_eq!(fused, good, "the ego's and the one that is the same");
+        let expected = [("c", Fate::Used), ("a", Fate::Rejected), ("b", Fate::Rejected)];
+        assert_eq!(told, expected.map(|(agent, fate)| (agent.to_string(), fate)));
+        let maps = [("a", narrow), ("b", cut), ("c", elsewhere)];
+        let entries = maps.map(|(agent, map)| Message::new(header(agent, 0.0), map));
+        let (alone, told) = fuse(&mut operator, good.clone(), entries.to_vec());
+        assert_eq!(alone, good);
+        assert!(
+            told.len() == 3 && told.iter().all(|(_, fate)| *fate == Fate::Rejected),
+            "{told:?}"
+        );
+    }
+
+    #[test]
+    fn who_is_more_than_the_model_takes_is_over_the_limit() {
+        let mut operator = operator("lite-attfuse");
+        let all = map(&operator, |_, _| 2.0);
+        let entry = |k: usize| Message::new(header(&format!("cav{k}"), 0.0), all.clone());
+        let (_, told) = fuse(&mut operator, all.clone(), (2..7).map(entry).collect());
+        let used = told.iter().filter(|(_, fate)| *fate == Fate::Used).count();
+        let over = told.iter().filter(|(_, fate)| *fate == Fate::OverLimit).count();
+        assert_eq!((used, over), (3, 2));
+    }
+
+    #[test]
+    fn models_and_limits_that_do_not_fit_are_refused() {
+        let error = |config: Config| FusionFeatures::new(config).err().expect("refused").to_string();
+        let single = error(config("lite"));
+        assert!(
+            single.contains("expected one that fuses, found `pointpillars`"),
+            "{single}"
+        );
+        let limit = error(Config {
+            max_collaborators: Some(4),
+            ..config("lite-attfuse")
+        });
+        assert!(limit.contains("`max_collaborators`: expected at most 3"), "{limit}");
+        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
+        let told: Vec<&str> = FusionFeatures::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, told);
+    }
+
+    #[test]
+    fn holds_what_every_fusion_owes_its_graph() {
+        let maps = operator("lite-attfuse");
+        let own = map(&maps, |row, _| row as f32 * 0.01);
+        let at = |agent, ahead| Message::new(header(agent, ahead), map(&maps, |_, column| column as f32 * 0.01));
+        let case = FusionCase {
+            args: vec![format!("model={}", model("lite-attfuse").display())],
+            ego: Message::new(header("cav1", 0.0), own.clone()),
+            entries: vec![at("rsu1", 20.0), at("cav2", -7.0)],
+            alone: own.into(),
+        };
+        case.check::<FusionFeatures>();
+    }
+}

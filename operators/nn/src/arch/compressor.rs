@@ -1,0 +1,79 @@
+//! The learned compressor: what crosses has a fraction of the map's channels.
+
+use serde::{Deserialize, Serialize};
+
+use crate::layers::{Builder, ConvLayer, MapId};
+use crate::model::Problems;
+
+/// What fusions of features have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Shared {
+    /// Agents that are fused at most, the ego among them.
+    pub agents: usize,
+    /// How many times fewer channels cross than the map has; 0: all of them cross.
+    pub compression: usize,
+}
+
+impl Default for Shared {
+    fn default() -> Self {
+        Shared {
+            agents: 4,
+            compression: 0,
+        }
+    }
+}
+
+/// Agents that a model can be made for.
+const MOST_AGENTS: usize = 64;
+
+impl Shared {
+    /// `channels`: of the map that is compressed.
+    pub(crate) fn check(&self, channels: usize, problems: &mut Problems) {
+        problems.within("arch.agents", self.agents, 1, MOST_AGENTS);
+        let fits = self.compression == 0 || channels.is_multiple_of(self.compression);
+        problems.require(fits, || {
+            let found = self.compression;
+            format!("arch.compression: expected 0 or a divisor of the map's {channels} channels, found {found}")
+        });
+    }
+
+    /// The map that crosses.
+    pub(crate) fn compress(&self, builder: &mut Builder, map: MapId) -> MapId {
+        match self.compression {
+            0 => map,
+            ratio => {
+                let outputs = builder.size(map)[2] / ratio;
+                convolution(builder, "encoder", 0, outputs, map)
+            }
+        }
+    }
+
+    /// The map that was compressed, as far as it can be had back.
+    pub(crate) fn restore(&self, builder: &mut Builder, crossed: MapId) -> MapId {
+        match self.compression {
+            0 => crossed,
+            ratio => {
+                let outputs = builder.size(crossed)[2] * ratio;
+                let wide = convolution(builder, "decoder", 0, outputs, crossed);
+                convolution(builder, "decoder", 3, outputs, wide)
+            }
+        }
+    }
+}
+
+fn convolution(builder: &mut Builder, part: &str, index: usize, outputs: usize, from: MapId) -> MapId {
+    let key = |index: usize| format!("naive_compressor.{part}.{index}");
+    let layer = ConvLayer {
+        key: key(index),
+        inputs: builder.size(from)[2],
+        outputs,
+        kernel: 3,
+        stride: 1,
+        transposed: false,
+        bias: true,
+        norm: Some(key(index + 1)),
+        relu: true,
+    };
+    builder.convolution(layer, from)
+}

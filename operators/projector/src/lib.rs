@@ -1,0 +1,231 @@
+//! Brings sweeps to the ego's frame where they are sent, by what the ego told of itself; or leaves that to the receiver.
+//!
+//! | port | direction | types | meaning |
+//! |---|---|---|---|
+//! | `clouds` | in, latest | PointCloud | an agent's sweeps |
+//! | `state` | in, state, optional | EgoState | the ego's states as they arrive, for `project=sender` |
+//! | `projected` | out | PointCloud | the same sweeps; with `project=sender` in the ego's body frame at the stamp of its newest known state |
+//!
+//! | counter | meaning |
+//! |---|---|
+//! | `no_ego_state` | sweeps that were not sent on, for no state of the ego had arrived |
+
+use std::collections::BTreeMap;
+
+use realo_operator::{
+    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+};
+use realo_schemas::geometry::{relative, transform_cloud};
+use realo_schemas::report::Fate;
+use realo_schemas::{EgoState, Header, Message, Name, Nanos, PayloadType, PointCloud, Pose};
+use serde::{Deserialize, Serialize};
+
+/// How long a receiver may have heard nothing of the ego before what it knows is forgotten, ns.
+const FORGET: Nanos = 60_000_000_000;
+
+/// Settings of [`Projector`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Who brings points to the ego's frame.
+    pub project: Project,
+}
+
+/// Who brings points to the ego's frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Project {
+    /// Whoever receives them, or what was made of them.
+    #[default]
+    Receiver,
+    /// This stage, with the newest state of the ego that has arrived; nothing is sent on before the first.
+    Sender,
+}
+
+/// The operator `projector`.
+pub struct Projector {
+    project: Project,
+    /// The ego's newest state, by who received it; under no name what crossed no link and holds for everybody.
+    ego: BTreeMap<Option<Name>, Known>,
+}
+
+/// A state of the ego that has arrived.
+struct Known {
+    header: Header,
+    state: EgoState,
+    /// Whether something was projected with it.
+    used: bool,
+}
+
+const CLOUDS: PortId = PortId(0);
+const STATE: PortId = PortId(1);
+const PROJECTED: PortId = PortId(0);
+
+impl Describe for Projector {
+    type Config = Config;
+    const NAME: &'static str = "projector";
+    const ABOUT: &'static str = "Brings sweeps to the ego's frame where they are sent, or leaves that to the receiver";
+    const ARGUMENTS: &'static [Argument] = &[Argument {
+        name: "project",
+        about: "who brings points to the ego's frame: receiver, or sender (with the ego's newest known state)",
+    }];
+    const INPUTS: &'static [Port] = &[
+        Port::new("clouds", &[PayloadType::PointCloud], "an agent's sweeps").latest(),
+        Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
+            .state()
+            .accounting()
+            .needed_when("project", "sender")
+            .of(Lane::EgoReceived),
+    ];
+    const OUTPUTS: &'static [Port] = &[Port::new("projected", &[PayloadType::PointCloud], "the same sweeps")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Project, "project")];
+}
+
+impl Operator for Projector {
+    fn new(config: Config) -> Result<Self, Error> {
+        Ok(Projector {
+            project: config.project,
+            ego: BTreeMap::new(),
+        })
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        match port {
+            CLOUDS => self.project(message, out),
+            STATE => {
+                let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+                let receiver = header.to.clone();
+                if let Some(known) = self
+                    .ego
+                    .get(&receiver)
+                    .filter(|known| known.header.stamp >= header.stamp)
+                {
+                    // A copy that the channel made takes nobody's place, nor does it lose its own.
+                    if known.header.seq != header.seq {
+                        out.tell(&header, Fate::Superseded);
+                    }
+                    return Ok(());
+                }
+                let known = Known {
+                    header,
+                    state,
+                    used: false,
+                };
+                let now = known.header.ready;
+                if let Some(older) = self.ego.insert(receiver, known) {
+                    older.leave(Fate::Superseded, out);
+                }
+                self.forget_before(now.saturating_sub(FORGET), out);
+                Ok(())
+            }
+            _ => Err(wrong_port(Self::INPUTS, port)),
+        }
+    }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        let left = std::mem::take(&mut self.ego).into_values();
+        left.for_each(|known| known.leave(Fate::InFlight, out));
+        Ok(())
+    }
+}
+
+impl Known {
+    /// Is given up; `unused` is the fate of one that nothing was projected with.
+    fn leave(self, unused: Fate, out: &mut Outputs) {
+        if !self.used {
+            out.tell(&self.header, unused);
+        }
+    }
+}
+
+impl Projector {
+    /// Forgets the receivers that have heard nothing since, so that agents may come and go for days.
+    fn forget_before(&mut self, time: Nanos, out: &mut Outputs) {
+        let old = self.ego.extract_if(.., |_, known| known.header.ready < time);
+        old.for_each(|(_, known)| known.leave(Fate::InFlight, out));
+    }
+
+    /// The newest state of the ego that an agent has received.
+    fn known_to(&mut self, agent: &Name) -> Option<&mut Known> {
+        let own = Some(agent.clone());
+        let key = if self.ego.contains_key(&own) { own } else { None };
+        self.ego.get_mut(&key)
+    }
+
+    fn project(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        if self.project == Project::Receiver {
+            out.send(PROJECTED, message);
+            return Ok(());
+        }
+        let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
+        self.forget_before(header.ready.saturating_sub(FORGET), out);
+        let Some(known) = self.known_to(&header.agent) else {
+            out.count("no_ego_state", 1);
+            return Ok(());
+        };
+        let projected = projected(header, &cloud, known)?;
+        known.used = true;
+        out.tell(&known.header, Fate::Used);
+        out.send(PROJECTED, projected);
+        Ok(())
+    }
+}
+
+/// A sweep in the ego's body frame at the state's stamp; the header's frame and pose are then the ego's.
+fn projected(header: Header, cloud: &PointCloud, Known { header: ego, state, .. }: &Known) -> Result<Message, Error> {
+    let pose = header.pose.as_ref();
+    let pose = pose.ok_or_else(|| format!("a sweep without a pose cannot be projected ({header})"))?;
+    let ego_from_sender = relative(&state.map_from_body, &pose.map_from_frame);
+    let header = Header {
+        frame: ego.frame.clone(),
+        pose: Some(Pose::exact(state.map_from_body)),
+        ..header
+    };
+    Ok(Message::new(header, transform_cloud(&ego_from_sender, cloud)))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Isometry3;
+    use realo_schemas::{Kind, PoseStatus};
+
+    use super::*;
+
+    const SECOND: Nanos = 1_000_000_000;
+
+    #[test]
+    fn receivers_that_hear_no_more_of_the_ego_are_forgotten() {
+        let mut projector = Projector::new(Config::default()).unwrap();
+        let mut fates = Vec::new();
+        // Every second another agent comes, receives one state and goes.
+        for k in 0..1000 {
+            let stamp = k * SECOND;
+            let mut header = Header::origin(
+                &"run".into(),
+                &"cav1".into(),
+                Kind::EgoState,
+                k as u64,
+                stamp,
+                stamp + 7,
+            );
+            header.to = Some(format!("cav{k}").as_str().into());
+            let state = EgoState {
+                map_from_body: Isometry3::identity(),
+                covariance: None,
+                velocity: None,
+                angular_rate: None,
+                status: PoseStatus::Truth,
+            };
+            let mut out = Outputs::at(header.ready);
+            projector
+                .on_input(STATE, Message::new(header, state), &mut out)
+                .unwrap();
+            fates.extend(out.take_fates());
+            assert!(projector.ego.len() <= 61, "{} receivers", projector.ego.len());
+        }
+        let last: Vec<u64> = projector.ego.values().map(|known| known.header.seq).collect();
+        assert_eq!((last.len(), last.iter().min()), (61, Some(&939)));
+        assert_eq!(fates.len(), 939, "each one that goes is accounted for");
+        assert!(fates.iter().all(|fated| fated.fate == Fate::InFlight));
+    }
+}
