@@ -590,9 +590,10 @@ mod tests {
         let mut expected = lite();
         expected.name = "middle".into();
         expected.weights = Some("lite".into());
-        let mut arch = crate::arch::Shared::default();
-        arch.agents = 3;
-        expected.arch = Arch::AttFuse(arch);
+        expected.arch = Arch::AttFuse(crate::arch::Shared {
+            agents: 3,
+            compression: 0,
+        });
         assert_eq!(Model::read(&middle).unwrap(), expected);
         assert_eq!(expected.weights_beside(&middle), dir.path().join("lite.safetensors"));
         expected.arch = Arch::FCooper(Default::default());

@@ -228,12 +228,7 @@ fn numbers_that_cannot_be_are_refused() {
 
 fn packet_of(message: Message) -> Message {
     let mut out = Outputs::at(message.header.ready);
-    let mut encoder = TransmissionEncoder::new(EncoderConfig {
-        time: true,
-        ring: true,
-        ..EncoderConfig::default()
-    })
-    .unwrap();
+    let mut encoder = TransmissionEncoder::new(EncoderConfig { time: true, ring: true }).unwrap();
     encoder.on_input(PortId(0), message, &mut out).unwrap();
     out.take_sent().remove(0).1
 }
