@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use nalgebra::Isometry3;
 use realo_bev::{Maps, Read};
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
-use realo_nn::fuse::{Placed, Warp};
+use realo_nn::fuse::{Agent, Warp};
 use realo_nn::network::Network;
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{FeatureMap, Message, PayloadType};
@@ -128,14 +128,12 @@ impl Operator for FusionFeatures {
                 let others: Vec<(Read, Warp)> = others
                     .filter_map(|collaborator| Some((self.read(collaborator)?, self.warp(collaborator))))
                     .collect();
-                let placed: Vec<Placed> = others
-                    .iter()
-                    .map(|(map, warp)| Placed {
-                        map: map.view(),
-                        warp: *warp,
-                    })
-                    .collect();
-                let fused = self.maps.write(self.network.fuse(ego.view(), &placed)?);
+                let mut agents = vec![Agent::beside(ego.view())];
+                agents.extend(others.iter().map(|(map, warp)| Agent {
+                    warp: *warp,
+                    ..Agent::beside(map.view())
+                }));
+                let fused = self.maps.write(self.network.fuse(&agents)?);
                 set.send(fused, out);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),

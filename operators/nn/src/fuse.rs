@@ -1,7 +1,7 @@
 //! Fusion of BEV maps: other agents' maps, warped into the ego's, become one with it.
 
 use crate::conv::{Pool, split};
-use crate::layers::Fusion;
+use crate::math::{exp, product};
 use crate::network::BevView;
 use crate::simd::dispatch;
 
@@ -31,78 +31,125 @@ impl Warp {
     }
 }
 
-/// Another agent's map, and where the ego's cells lie in it.
+/// An agent's part of a fusion.
 #[derive(Clone, Copy, Debug)]
-pub struct Placed<'a> {
-    /// The map.
+pub struct Agent<'a> {
+    /// Its map.
     pub map: BevView<'a>,
     /// From the ego's cells to the map's.
     pub warp: Warp,
+    /// Whether it is a roadside unit, not a vehicle.
+    pub roadside: bool,
+    /// How old its map is beside the ego's, in frames of 0.1 s.
+    pub delay: usize,
 }
 
-/// How far outside the centres of a map's outermost cells a place still counts as on them, in cells: more than rounding
-/// moves it.
-const ON_THE_EDGE: f64 = 1e-6;
+impl<'a> Agent<'a> {
+    /// A vehicle whose map lies as the ego's does, of the same time.
+    pub fn beside(map: impl Into<BevView<'a>>) -> Self {
+        Agent {
+            map: map.into(),
+            warp: Warp::IDENTITY,
+            roadside: false,
+            delay: 0,
+        }
+    }
+}
 
-/// Fuses maps of one size; an agent takes no part in cells that its map does not cover.
-pub(crate) fn fuse(fusion: Fusion, ego: BevView, others: &[Placed], pool: &mut Pool) -> Vec<f32> {
+/// Fuses maps of one size cell by cell, the ego's first; an agent takes no part in cells that its map does not cover.
+pub(crate) fn fuse(fusion: CellFusion, agents: &[Agent], pool: &mut Pool) -> Vec<f32> {
+    let ego = agents[0].map;
     let length = ego.columns * ego.channels;
     let mut fused = vec![0.0; ego.rows * length];
     let shares = split(&mut fused, length, ego.rows, pool.threads(), 1);
     pool.each(shares, |share| {
-        let mut scratch = vec![0.0; others.len() * ego.channels];
+        let mut scratch = vec![0.0; agents.len() * ego.channels];
         for (row, to) in share.range.zip(share.data.chunks_exact_mut(length)) {
-            fuse_row(fusion, ego, others, row, &mut scratch, to);
+            fuse_row(fusion, agents, row, &mut scratch, to);
         }
     });
     fused
 }
 
+/// A fusion that looks at one cell at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum CellFusion {
+    /// The greatest of each feature.
+    Max,
+    /// Attention of the ego, with products scaled for so many channels.
+    Attention {
+        /// The channels.
+        width: usize,
+    },
+}
+
 dispatch! {
-    fn fuse_row(fusion: Fusion, ego: BevView, others: &[Placed], row: usize, scratch: &mut [f32], to: &mut [f32]) {
+    fn fuse_row(fusion: CellFusion, agents: &[Agent], row: usize, scratch: &mut [f32], to: &mut [f32]) {
+        let ego = agents[0].map;
         let channels = ego.channels;
         let own = ego.data[row * ego.columns * channels..].chunks_exact(channels);
         for (column, (own, to)) in own.zip(to.chunks_exact_mut(channels)).enumerate() {
             let mut covering = 0;
-            for other in others {
+            for other in &agents[1..] {
                 let cell = &mut scratch[covering * channels..(covering + 1) * channels];
-                covering += usize::from(sample(other, column, row, cell));
+                covering += usize::from(sample(other, column, row, None, cell));
             }
             let sampled = &scratch[..covering * channels];
             match fusion {
-                Fusion::Max => greatest(own, sampled, to),
-                Fusion::Attention { width } => attention(own, sampled, width, to),
+                CellFusion::Max => greatest(own, sampled, to),
+                CellFusion::Attention { width } => attention(own, sampled, width, to),
             }
         }
     }
 }
 
-/// The features of another map at a cell of the ego's, if it covers it: bilinear between the four cells around.
+/// The features of an agent's map at a cell of the ego's, bilinear between the four cells around, zeros outside the map;
+/// `added` is added to each of the map's cells. Whether the map covers the cell: the nearest of its own is one.
 #[inline(always)]
-fn sample(Placed { map, warp }: &Placed, column: usize, row: usize, to: &mut [f32]) -> bool {
-    let channels = to.len();
-    let last = [map.columns - 1, map.rows - 1];
-    let place = warp.at(column, row);
-    let covers = |axis: usize| (-ON_THE_EDGE..=last[axis] as f64 + ON_THE_EDGE).contains(&place[axis]);
-    if !(covers(0) && covers(1)) {
+pub(crate) fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f32]>, to: &mut [f32]) -> bool {
+    let (map, channels) = (agent.map, to.len());
+    let place = agent.warp.at(column, row);
+    let size = [map.columns, map.rows];
+    to.fill(0.0);
+    let near = |axis: usize| (-1.0..size[axis] as f64).contains(&place[axis]);
+    if !(near(0) && near(1)) {
         return false;
     }
-    let place = [0, 1].map(|axis| place[axis].clamp(0.0, last[axis] as f64));
-    let first = place.map(|place| place as usize);
-    let next = [0, 1].map(|axis| (first[axis] + 1).min(last[axis]));
-    let part = [0, 1].map(|axis| (place[axis] - first[axis] as f64) as f32);
-    let cell = |column: usize, row: usize| &map.data[(row * map.columns + column) * channels..][..channels];
-    let corners = [
-        (cell(first[0], first[1]), (1.0 - part[0]) * (1.0 - part[1])),
-        (cell(next[0], first[1]), part[0] * (1.0 - part[1])),
-        (cell(first[0], next[1]), (1.0 - part[0]) * part[1]),
-        (cell(next[0], next[1]), part[0] * part[1]),
-    ];
-    let [(a, wa), (b, wb), (c, wc), (d, wd)] = corners;
-    for ((((to, a), b), c), d) in to.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-        *to = a * wa + b * wb + c * wc + d * wd;
+    let first = place.map(f64::floor);
+    let part = [0, 1].map(|axis| (place[axis] - first[axis]) as f32);
+    for corner in [[0, 0], [1, 0], [0, 1], [1, 1]] {
+        let weight: f32 = [0, 1]
+            .map(|axis| {
+                if corner[axis] == 1 {
+                    part[axis]
+                } else {
+                    1.0 - part[axis]
+                }
+            })
+            .iter()
+            .product();
+        let cell = [0, 1].map(|axis| first[axis] as isize + corner[axis] as isize);
+        let inside = |axis: usize| usize::try_from(cell[axis]).ok().filter(|cell| *cell < size[axis]);
+        let (Some(column), Some(row)) = (inside(0), inside(1)) else {
+            continue;
+        };
+        if weight == 0.0 {
+            continue;
+        }
+        let from = &map.data[(row * map.columns + column) * channels..][..channels];
+        match added {
+            Some(added) => {
+                let numbers = to.iter_mut().zip(from).zip(added);
+                numbers.for_each(|((to, from), added)| *to += (from + added) * weight);
+            }
+            None => to.iter_mut().zip(from).for_each(|(to, from)| *to += from * weight),
+        }
     }
-    true
+    let covers = |axis: usize| {
+        let nearest = place[axis].round_ties_even();
+        nearest >= 0.0 && nearest < size[axis] as f64
+    };
+    covers(0) && covers(1)
 }
 
 #[inline(always)]
@@ -125,8 +172,8 @@ fn attention(own: &[f32], others: &[f32], width: usize, to: &mut [f32]) {
     for other in others.chunks_exact(own.len()) {
         let score = product(own, other) * scale;
         let (before, now) = match score > greatest {
-            true => (libm::expf(greatest - score), 1.0),
-            false => (1.0, libm::expf(score - greatest)),
+            true => (exp(greatest - score), 1.0),
+            false => (1.0, exp(score - greatest)),
         };
         greatest = greatest.max(score);
         sum = sum * before + now;
@@ -136,29 +183,6 @@ fn attention(own: &[f32], others: &[f32], width: usize, to: &mut [f32]) {
     }
     let factor = 1.0 / sum;
     to.iter_mut().for_each(|to| *to *= factor);
-}
-
-/// Sums that run side by side, so that every width of a vector adds in the same order.
-const LANES: usize = 16;
-
-#[inline(always)]
-fn product(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0f32; LANES];
-    let (a_lanes, a_rest) = a.as_chunks::<LANES>();
-    let (b_lanes, b_rest) = b.as_chunks::<LANES>();
-    for (a, b) in a_lanes.iter().zip(b_lanes) {
-        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
-            *sum += a * b;
-        }
-    }
-    let mut half = LANES / 2;
-    while half > 0 {
-        for lane in 0..half {
-            sums[lane] += sums[lane + half];
-        }
-        half /= 2;
-    }
-    a_rest.iter().zip(b_rest).fold(sums[0], |sum, (a, b)| sum + a * b)
 }
 
 #[cfg(test)]
@@ -178,15 +202,22 @@ mod tests {
         }
     }
 
-    fn placed(map: &BevMap, warp: Warp) -> Placed<'_> {
-        Placed { map: map.into(), warp }
+    fn placed(map: &BevMap, warp: Warp) -> Agent<'_> {
+        Agent {
+            warp,
+            ..Agent::beside(map)
+        }
     }
 
-    fn fused(fusion: Fusion, ego: &BevMap, others: &[Placed], threads: usize) -> Vec<f32> {
-        fuse(fusion, ego.into(), others, &mut Pool::new(threads))
+    fn fused(fusion: CellFusion, ego: &BevMap, others: &[Agent], threads: usize) -> Vec<f32> {
+        fuse(fusion, &with(ego, others), &mut Pool::new(threads))
     }
 
-    const BOTH: [Fusion; 2] = [Fusion::Max, Fusion::Attention { width: 20 }];
+    fn with<'a>(ego: &'a BevMap, others: &[Agent<'a>]) -> Vec<Agent<'a>> {
+        [&[Agent::beside(ego)], others].concat()
+    }
+
+    const BOTH: [CellFusion; 2] = [CellFusion::Max, CellFusion::Attention { width: 20 }];
 
     /// A map whose features are linear in the place of the cell, in metres.
     fn plane([rows, columns]: [usize; 2], of: impl Fn(f64, f64) -> f64) -> BevMap {
@@ -214,12 +245,15 @@ mod tests {
             [-sin, cos, -(-sin * 0.7 + cos * -0.4)],
         ];
         let warp = Warp::of_ground(ground, [-3.0, -2.0], 0.5);
-        let found = fused(Fusion::Max, &ego, &[placed(&other, warp)], 1);
+        let found = fused(CellFusion::Max, &ego, &[placed(&other, warp)], 1);
         let expected = plane([8, 12], |x, y| value([x, y]));
         let mut covered = 0;
-        for (found, expected) in found.iter().zip(&expected.data).filter(|(found, _)| **found > 0.0) {
-            assert!((found - expected).abs() < 1e-4, "{found} {expected}");
-            covered += 1;
+        for (index, (found, expected)) in found.iter().zip(&expected.data).enumerate() {
+            let [column, row] = warp.at(index % 12, index / 12);
+            if (0.0..=11.0).contains(&column) && (0.0..=7.0).contains(&row) {
+                assert!((found - expected).abs() < 1e-4, "{found} {expected}");
+                covered += 1;
+            }
         }
         assert!((50..96).contains(&covered), "{covered} cells lie in both maps");
     }
@@ -236,16 +270,33 @@ mod tests {
             }
         }
         let edge = Warp([[1.0, 0.0, 6.0], [0.0, 1.0, 0.0]]);
-        let found = fused(Fusion::Max, &ego, &[placed(&other, edge)], 1);
+        let found = fused(CellFusion::Max, &ego, &[placed(&other, edge)], 1);
         let changed = found.chunks(20).zip(ego.data.chunks(20)).enumerate();
         let changed: Vec<usize> = changed.filter(|(_, (a, b))| a != b).map(|(i, _)| i).collect();
         assert_eq!(changed, [0, 7, 14, 21, 28], "the first column lies on the other's last");
     }
 
     #[test]
+    fn between_the_outermost_cells_and_nowhere_a_map_fades_and_half_a_cell_further_it_does_not_count() {
+        let ones = BevMap {
+            data: vec![1.0; 12],
+            ..map(1, [3, 4, 1])
+        };
+        let at = |shift: f64| {
+            let agent = placed(&ones, Warp([[1.0, 0.0, shift], [0.0, 1.0, 0.0]]));
+            let mut to = [9.0];
+            (sample(&agent, 0, 1, Some(&[1.0]), &mut to), to[0])
+        };
+        assert_eq!([at(0.0), at(3.0), at(1.5)], [(true, 2.0); 3]);
+        assert_eq!([at(-0.25), at(3.25)], [(true, 1.5); 2]);
+        assert_eq!([at(-0.75), at(3.75)], [(false, 0.5); 2]);
+        assert_eq!([at(-1.5), at(4.0), at(f64::NAN)], [(false, 0.0); 3]);
+    }
+
+    #[test]
     fn attention_alone_or_of_maps_that_are_the_same_is_the_map() {
         let ego = map(3, [4, 6, 37]);
-        let attention = Fusion::Attention { width: 37 };
+        let attention = CellFusion::Attention { width: 37 };
         assert_eq!(fused(attention, &ego, &[], 1), ego.data);
         let twins = [placed(&ego, Warp::IDENTITY), placed(&ego, Warp::IDENTITY)];
         for (found, own) in fused(attention, &ego, &twins, 3).iter().zip(&ego.data) {
@@ -263,7 +314,7 @@ mod tests {
         };
         let (ego, same, against) = (great(1.0), great(2.0), great(-1.0));
         let others = [placed(&same, Warp::IDENTITY), placed(&against, Warp::IDENTITY)];
-        assert_eq!(fused(Fusion::Attention { width: 3 }, &ego, &others, 1), same.data);
+        assert_eq!(fused(CellFusion::Attention { width: 3 }, &ego, &others, 1), same.data);
     }
 
     proptest! {
@@ -276,14 +327,14 @@ mod tests {
         ) {
             let ego = map(seed, size);
             let others: Vec<BevMap> = (0..count as u64).map(|k| map(seed ^ (k + 1), size)).collect();
-            let all: Vec<Placed> = others.iter().map(|map| placed(map, Warp::IDENTITY)).collect();
+            let all: Vec<Agent> = others.iter().map(|map| placed(map, Warp::IDENTITY)).collect();
             for fusion in BOTH {
                 let found = fused(fusion, &ego, &all, threads);
                 prop_assert_eq!(&found, &fused(fusion, &ego, &all, 1));
                 let mut portable = vec![0.0; found.len()];
                 let (row, channels) = (size[1] * size[2], size[2]);
                 for (index, to) in portable.chunks_exact_mut(row).enumerate() {
-                    fuse_row::portable(fusion, (&ego).into(), &all, index, &mut vec![0.0; count * channels], to);
+                    fuse_row::portable(fusion, &with(&ego, &all), index, &mut vec![0.0; (count + 1) * channels], to);
                 }
                 prop_assert_eq!(&found, &portable);
                 for cell in 0..size[0] * size[1] {
@@ -298,11 +349,11 @@ mod tests {
         }
     }
 
-    fn naive(fusion: Fusion, agents: &[Vec<f32>], channel: usize) -> f64 {
+    fn naive(fusion: CellFusion, agents: &[Vec<f32>], channel: usize) -> f64 {
         let value = |agent: &Vec<f32>| f64::from(agent[channel]);
         match fusion {
-            Fusion::Max => agents.iter().map(value).fold(f64::NEG_INFINITY, f64::max),
-            Fusion::Attention { width } => {
+            CellFusion::Max => agents.iter().map(value).fold(f64::NEG_INFINITY, f64::max),
+            CellFusion::Attention { width } => {
                 let score = |agent: &Vec<f32>| -> f64 {
                     let products = agent.iter().zip(&agents[0]).map(|(a, b)| f64::from(*a) * f64::from(*b));
                     (products.sum::<f64>() / (width as f64).sqrt()).exp()

@@ -3,7 +3,9 @@
 //! A layer knows its tensors; a step says which maps the layer reads and which one it makes. What is computed before
 //! what follows from that alone ([`Layers::between`]).
 
+use crate::arch::Transformer;
 use crate::model::Model;
+use crate::transformer;
 
 /// Numbers that describe a point of a pillar: x, y, z, intensity, offsets to the pillar's mean and to its centre.
 pub const POINT_FEATURES: usize = 10;
@@ -57,11 +59,20 @@ pub enum Layer {
     /// Several maps side by side in their channels.
     Join,
     /// Maps of several agents become one.
-    Fuse(Fusion),
+    Fuse(FuseLayer),
+}
+
+/// A fusion of maps of so many channels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FuseLayer {
+    /// How.
+    pub fusion: Fusion,
+    /// Channels of the maps.
+    pub channels: usize,
 }
 
 /// How the maps of several agents, brought to the ego's place, become one of the same size.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fusion {
     /// The greatest of each feature.
     Max,
@@ -70,6 +81,8 @@ pub enum Fusion {
         /// Channels that the products are scaled for.
         width: usize,
     },
+    /// Attention over agents and over windows (V2X-ViT).
+    Transformer(Box<Transformer>),
 }
 
 /// A linear layer with batch norm and ReLU on every point, and the maximum over a pillar's points.
@@ -249,7 +262,11 @@ impl Layer {
         match self {
             Layer::Points(layer) => layer.tensors(),
             Layer::Convolution(layer) => layer.tensors(),
-            Layer::Join | Layer::Fuse(Fusion::Max | Fusion::Attention { .. }) => Vec::new(),
+            Layer::Join => Vec::new(),
+            Layer::Fuse(FuseLayer { fusion, channels }) => match fusion {
+                Fusion::Max | Fusion::Attention { .. } => Vec::new(),
+                Fusion::Transformer(settings) => transformer::tensors(settings, *channels),
+            },
         }
     }
 }
@@ -290,9 +307,9 @@ impl Layers {
     }
 
     /// How the network fuses, if it does.
-    pub fn fusion(&self) -> Option<Fusion> {
+    pub fn fusion(&self) -> Option<&FuseLayer> {
         self.steps.iter().find_map(|step| match &step.layer {
-            Layer::Fuse(fusion) => Some(*fusion),
+            Layer::Fuse(layer) => Some(layer),
             _ => None,
         })
     }
@@ -379,7 +396,9 @@ impl Builder {
 
     /// Adds the fusion of several agents' maps.
     pub fn fuse(&mut self, fusion: Fusion, from: MapId) -> MapId {
-        self.step(Layer::Fuse(fusion), vec![from], self.size(from))
+        let size = self.size(from);
+        let channels = size[2];
+        self.step(Layer::Fuse(FuseLayer { fusion, channels }), vec![from], size)
     }
 
     /// Size of a map so far.

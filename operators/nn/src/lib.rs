@@ -28,6 +28,7 @@ pub mod fuse;
 pub mod layers;
 mod load;
 pub mod loss;
+mod math;
 pub mod model;
 pub mod network;
 mod part;
@@ -37,6 +38,7 @@ mod simd;
 pub mod targets;
 #[cfg(test)]
 mod testing;
+mod transformer;
 #[cfg(test)]
 mod vectors;
 pub mod weights;

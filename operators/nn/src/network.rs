@@ -9,11 +9,12 @@ use std::sync::{Arc, Mutex};
 
 use crate::canvas::Canvas;
 use crate::conv::{Bf16, Isa, Pool, View};
-use crate::fuse::{Placed, fuse};
-use crate::layers::{Fusion, Layers, MapId, MapSize};
+use crate::fuse::{Agent, CellFusion, fuse};
+use crate::layers::{FuseLayer, Fusion, Layers, MapId, MapSize};
 use crate::load::lock;
 use crate::model::{Model, Precision};
 use crate::part::{Made, Outcome, Part, Runner, Running};
+use crate::transformer::Transformer;
 use crate::weights::{Weights, WeightsError};
 
 /// How a network computes.
@@ -127,8 +128,8 @@ pub enum NetworkError {
         /// The model's name.
         model: String,
     },
-    /// There are more agents than the model takes.
-    #[error("model `{model}` fuses {most} agents at most, the ego among them, found {found}")]
+    /// There is no agent, or more than the model takes.
+    #[error("model `{model}` fuses 1 to {most} agents, the ego among them, found {found}")]
     Agents {
         /// The model's name.
         model: String,
@@ -199,6 +200,36 @@ impl Engine {
     }
 }
 
+/// What makes one map of those of several agents.
+enum Fuser {
+    Cells(CellFusion),
+    Single(Transformer<f32>),
+    Half(Transformer<Bf16>),
+}
+
+impl Fuser {
+    fn new(FuseLayer { fusion, channels }: &FuseLayer, weights: &Weights, choice: Choice) -> Self {
+        match (fusion, choice.precision) {
+            (Fusion::Max, _) => Fuser::Cells(CellFusion::Max),
+            (Fusion::Attention { width }, _) => Fuser::Cells(CellFusion::Attention { width: *width }),
+            (Fusion::Transformer(settings), Precision::F32) => {
+                Fuser::Single(Transformer::new(settings, *channels, weights, choice.isa))
+            }
+            (Fusion::Transformer(settings), Precision::Bf16) => {
+                Fuser::Half(Transformer::new(settings, *channels, weights, choice.isa))
+            }
+        }
+    }
+
+    fn run(&self, agents: &[Agent], pool: &mut Pool) -> Vec<f32> {
+        match self {
+            Fuser::Cells(fusion) => fuse(*fusion, agents, pool),
+            Fuser::Single(transformer) => transformer.run(agents, pool),
+            Fuser::Half(transformer) => transformer.run(agents, pool),
+        }
+    }
+}
+
 /// What all networks of a model share: everything but threads and maps.
 pub(crate) struct Core {
     name: String,
@@ -208,7 +239,7 @@ pub(crate) struct Core {
     restore: Option<Engine>,
     heads: Engine,
     /// How the network fuses, and how many agents.
-    fusion: Option<(Fusion, usize)>,
+    fusion: Option<(Fuser, usize)>,
     canvas: MapSize,
     features: MapSize,
     fused: MapSize,
@@ -241,7 +272,9 @@ impl Core {
             encode: engine([canvas, features], Outcome::Own),
             restore: (restored != features).then(|| engine([features, restored], Outcome::Single)),
             heads: engine([fused, heads], Outcome::Single),
-            fusion: layers.fusion().map(|fusion| (fusion, model.arch.agents())),
+            fusion: layers
+                .fusion()
+                .map(|layer| (Fuser::new(layer, weights, choice), model.arch.agents())),
             canvas: layers.size(canvas),
             features: layers.size(features),
             fused: layers.size(fused),
@@ -401,42 +434,44 @@ impl Network {
         Ok(map_of(self.core.features, data))
     }
 
-    /// From the maps that agents share to the one that the heads read; an agent takes no part where its map does not reach.
+    /// From the maps that agents share, the ego's first, to the one that the heads read; an agent takes no part where its map
+    /// does not reach.
     ///
     /// # Errors
     /// [`NetworkError::NoFusion`], [`NetworkError::Agents`]; [`NetworkError::Shape`] and [`NetworkError::Length`] for a map
     /// that does not fit.
-    pub fn fuse<'a>(&mut self, ego: impl Into<BevView<'a>>, others: &[Placed]) -> Result<BevMap, NetworkError> {
-        let (core, ego) = (&*self.core, ego.into());
+    pub fn fuse(&mut self, agents: &[Agent]) -> Result<BevMap, NetworkError> {
+        let core = &*self.core;
         let model = || core.name.clone();
-        let (fusion, most) = core.fusion.ok_or_else(|| NetworkError::NoFusion { model: model() })?;
-        if others.len() >= most {
+        let (fuser, most) = core
+            .fusion
+            .as_ref()
+            .ok_or_else(|| NetworkError::NoFusion { model: model() })?;
+        if !(1..=*most).contains(&agents.len()) {
             return Err(NetworkError::Agents {
                 model: model(),
-                most,
-                found: others.len() + 1,
+                most: *most,
+                found: agents.len(),
             });
         }
-        let shared = || std::iter::once(ego).chain(others.iter().map(|other| other.map));
-        for map in shared() {
-            plain(&core.name, map, core.features)?;
-        }
         let mut pool = lock(&self.pool);
-        let Some(restore) = &mut self.restore else {
-            return Ok(map_of(core.fused, fuse(fusion, ego, others, &mut pool)));
-        };
-        let mut maps = Vec::with_capacity(most);
-        for map in shared() {
-            let view = plain(&core.name, map, core.features)?;
-            let data = restore.run(&mut pool, view).to_f32(&mut pool);
-            maps.push(map_of(core.fused, data));
+        let mut restored = Vec::new();
+        for agent in agents {
+            let view = plain(&core.name, agent.map, core.features)?;
+            if let Some(restore) = &mut self.restore {
+                let data = restore.run(&mut pool, view).to_f32(&mut pool);
+                restored.push(map_of(core.fused, data));
+            }
         }
-        let placed = |(map, other): (_, &Placed)| Placed {
+        let with = |(agent, map): (&Agent, _)| Agent {
             map: BevView::from(map),
-            warp: other.warp,
+            ..*agent
         };
-        let placed: Vec<Placed> = maps[1..].iter().zip(others).map(placed).collect();
-        Ok(map_of(core.fused, fuse(fusion, (&maps[0]).into(), &placed, &mut pool)))
+        let agents: Vec<Agent> = match restored.is_empty() {
+            true => agents.to_vec(),
+            false => agents.iter().zip(&restored).map(with).collect(),
+        };
+        Ok(map_of(core.fused, fuser.run(&agents, &mut pool)))
     }
 
     /// From a BEV map to the heads. The map is read where it lies, unless the network computes in other numbers.

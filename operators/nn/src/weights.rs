@@ -173,10 +173,13 @@ impl Weights {
     /// # Panics
     /// If the model has no such tensor.
     pub fn tensor(&self, key: &str) -> &[f32] {
-        match self.tensors.get(key) {
-            Some(data) => data,
-            None => panic!("the model has no tensor `{key}`"),
-        }
+        self.find(key)
+            .unwrap_or_else(|| panic!("the model has no tensor `{key}`"))
+    }
+
+    /// The numbers of a tensor, if the model has it.
+    pub(crate) fn find(&self, key: &str) -> Option<&[f32]> {
+        self.tensors.get(key).map(Vec::as_slice)
     }
 
     /// A batch norm with its running statistics as factor and summand of each channel.

@@ -1,5 +1,5 @@
-use realo_nn::arch::{Arch, Shared};
-use realo_nn::fuse::{Placed, Warp};
+use realo_nn::arch::{Arch, Shared, Transformer, Window};
+use realo_nn::fuse::{Agent, Warp};
 use realo_nn::layers::Layers;
 use realo_nn::model::{Model, Shrink};
 use realo_nn::network::{BevMap, BevView, Section};
@@ -9,20 +9,22 @@ use realo_nn::{Pillarer, network::Network};
 use serde_json::Value;
 
 use crate::Kind;
-use crate::network::{backbone_of, before, compare_map, network, options, weights_of};
+use crate::network::{backbone_of, before, compare_map, network, options, weights_of, wide};
 use crate::reference::{grid_of, model_of};
-use crate::vector::{Tensors, Vector};
+use crate::vector::{Tensors, Vector, compare};
 
 pub(crate) const KINDS: &[Kind] = &[
     Kind::new(&["in.x", "in.record_len", "out.y"], of_maps).without(&["in.pairwise"]),
     Kind::new(&["in.x", "mid.encoded", "out.decoded"], compressor),
-    Kind::new(&["in.points", "mid.fused", "out.psm", "out.rm"], whole)
-        .without(&["in.prior_encoding", "in.pairwise_t_matrix"]),
+    Kind::new(&["in.points", "mid.fused", "out.psm", "out.rm"], whole).without(&["in.pairwise_t_matrix"]),
+    Kind::new(
+        &["in.x_blhwc3", "in.agent_mask", "in.matrices", "out.y_bhwc"],
+        transformer,
+    ),
 ];
 
 /// A model that fuses up to as many agents as a vector has.
-fn fusing(model: Model, arch: fn(Shared) -> Arch, agents: usize, compression: usize) -> Result<Model, String> {
-    let arch = arch(Shared { agents, compression });
+fn fusing(model: Model, arch: Arch) -> Result<Model, String> {
     let model = Model { arch, ..model };
     model.validate().map_err(|error| error.to_string())?;
     Ok(model)
@@ -30,12 +32,8 @@ fn fusing(model: Model, arch: fn(Shared) -> Arch, agents: usize, compression: us
 
 /// The fusion of maps that lie alike, the first the ego's.
 fn fused(network: &mut Network, maps: &[BevView]) -> Result<BevMap, String> {
-    let others = maps[1..].iter().map(|map| Placed {
-        map: *map,
-        warp: Warp::IDENTITY,
-    });
-    let others: Vec<Placed> = others.collect();
-    network.fuse(maps[0], &others).map_err(|error| error.to_string())
+    let agents: Vec<Agent> = maps.iter().copied().map(Agent::beside).collect();
+    network.fuse(&agents).map_err(|error| error.to_string())
 }
 
 /// How many agents each sample has.
@@ -56,14 +54,18 @@ fn of_maps(vector: &Vector) -> Result<(), String> {
     let counts = agents(&tensors, "in.record_len", maps)?;
     let most = counts.iter().copied().max().unwrap_or(1);
     let mut model = before(rows, columns, channels)?;
-    let arch: fn(Shared) -> Arch = match vector.entry.config.get("feature_dim").and_then(Value::as_u64) {
+    let shared = Shared {
+        agents: most,
+        compression: 0,
+    };
+    let arch = match vector.entry.config.get("feature_dim").and_then(Value::as_u64) {
         Some(width) => {
             model.backbone.channels = vec![width as usize];
-            Arch::AttFuse
+            Arch::AttFuse(shared)
         }
-        None => Arch::FCooper,
+        None => Arch::FCooper(shared),
     };
-    let model = fusing(model, arch, most, 0)?;
+    let model = fusing(model, arch)?;
     let mut network = network(&model, &weights_of(&model, &tensors, |_| None)?)?;
     let view = |data| BevView {
         rows,
@@ -86,12 +88,11 @@ fn compressor(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let (cells, [samples, channels, rows, columns]) = tensors.channels_last("in.x")?;
     let crossing = tensors.shape("mid.encoded")?[1];
-    let model = fusing(
-        before(rows, columns, channels)?,
-        Arch::FCooper,
-        1,
-        channels / crossing.max(1),
-    )?;
+    let arch = Arch::FCooper(Shared {
+        agents: 1,
+        compression: channels / crossing.max(1),
+    });
+    let model = fusing(before(rows, columns, channels)?, arch)?;
     let weights = weights_of(&model, &tensors, |key| key.strip_prefix("naive_compressor."))?;
     let layers = Layers::of(&model);
     let wide = layers.before(layers.features).ok_or("nothing is compressed")?;
@@ -116,13 +117,137 @@ fn compressor(vector: &Vector) -> Result<(), String> {
     compare_map(vector, &tensors, "out.decoded", &restored)
 }
 
-fn arch_of(config: &Value) -> Result<fn(Shared) -> Arch, String> {
+fn arch_of(config: &Value, shared: Shared) -> Result<Arch, String> {
+    if !config["transformer"].is_null() {
+        return Ok(Arch::V2XViT(Box::new(transformer_of(&config["transformer"], shared)?)));
+    }
     let kind = config["kind"].as_str().unwrap_or_default();
     match kind.split('_').next() {
-        Some("fcooper") => Ok(Arch::FCooper),
-        Some("attfuse") => Ok(Arch::AttFuse),
-        _ => Err(format!("config `kind`: expected fcooper or attfuse, found `{kind}`")),
+        Some("fcooper") => Ok(Arch::FCooper(shared)),
+        Some("attfuse") => Ok(Arch::AttFuse(shared)),
+        _ => Err(format!(
+            "config `kind`: expected fcooper, attfuse or v2xvit, found `{kind}`"
+        )),
     }
+}
+
+/// The settings of a transformer as the reference writes them.
+fn transformer_of(config: &Value, Shared { agents, compression }: Shared) -> Result<Transformer, String> {
+    let list = |value: &Value| -> Result<Vec<usize>, String> {
+        serde_json::from_value(value.clone()).map_err(|error| format!("config of the transformer: {error}"))
+    };
+    let number = |value: &Value| list(&Value::Array(vec![value.clone()])).map(|list| list[0]);
+    let (over_agents, over_windows) = (&config["cav_att_config"], &config["pwindow_att_config"]);
+    let sides = list(&over_windows["window_size"])?.into_iter();
+    let windows = sides
+        .zip(list(&over_windows["heads"])?)
+        .zip(list(&over_windows["dim_head"])?);
+    let windows = windows.map(|((side, heads), head_width)| Window {
+        side,
+        heads,
+        head_width,
+    });
+    Ok(Transformer {
+        agents,
+        compression,
+        depth: number(&config["depth"])?,
+        blocks: number(&config["num_blocks"])?,
+        heads: number(&over_agents["heads"])?,
+        head_width: number(&over_agents["dim_head"])?,
+        windows: windows.collect(),
+        feed_forward: number(&config["feed_forward"]["mlp_dim"])?,
+        delay_ratio: number(&config["RTE_ratio"])?,
+        ..Transformer::default()
+    })
+}
+
+/// The reference's warp of a map by a 4x4 matrix: metres by cells of `voxel_size` times a rate, about a middle that lies half
+/// a cell off.
+fn warp_of(matrix: &[f64], sttf: &Value, [rows, columns]: [usize; 2]) -> Result<Warp, String> {
+    let number = |value: &Value| value.as_f64().ok_or("config `sttf`: expected numbers");
+    let cell = number(&sttf["voxel_size"][0])? * number(&sttf["downsample_rate"])?;
+    let [[a, b, x], [c, d, y]] = [0, 1].map(|row| [matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 3] / cell]);
+    let middle = [columns as f64 / 2.0, rows as f64 / 2.0];
+    // There: middle + turn * (here - middle) + shift; what is asked is the way back.
+    let shift = [
+        middle[0] - a * middle[0] - b * middle[1] + x,
+        middle[1] - c * middle[0] - d * middle[1] + y,
+    ];
+    let determinant = a * d - b * c;
+    let [a, b, c, d] = [d, -b, -c, a].map(|entry| entry / determinant);
+    Ok(Warp([
+        [a, b, -(a * shift[0] + b * shift[1])],
+        [c, d, -(c * shift[0] + d * shift[1])],
+    ]))
+}
+
+/// Agents with what their prior says (velocity, delay, roadside) and how their maps are corrected; the ego's is not.
+fn agents_of<'a>(
+    maps: &[BevView<'a>],
+    priors: &[[f64; 3]],
+    matrices: &[f64],
+    sttf: &Value,
+) -> Result<Vec<Agent<'a>>, String> {
+    let agent = |(index, map): (usize, &BevView<'a>)| {
+        let [_, delay, roadside] = priors[index];
+        let matrix = &matrices[16 * index..][..16];
+        Ok(Agent {
+            map: *map,
+            warp: match index {
+                0 => Warp::IDENTITY,
+                _ => warp_of(matrix, sttf, [map.rows, map.columns])?,
+            },
+            roadside: roadside == 1.0,
+            delay: delay as usize,
+        })
+    };
+    maps.iter().enumerate().map(agent).collect()
+}
+
+/// The transformer alone, on samples whose maps carry their priors as channels.
+fn transformer(vector: &Vector) -> Result<(), String> {
+    let tensors = vector.tensors()?;
+    let shape = tensors.shape("in.x_blhwc3")?;
+    let [_, most, rows, columns, all] = shape[..] else {
+        return Err(format!("`in.x_blhwc3` has shape {shape:?}, not five sizes"));
+    };
+    let channels = all - 3;
+    let shared = Shared {
+        agents: most,
+        compression: 0,
+    };
+    let settings = transformer_of(&vector.entry.config, shared)?;
+    let model = fusing(before(rows, columns, channels)?, Arch::V2XViT(Box::new(settings)))?;
+    let weights = weights_of(&model, &tensors, |key| key.strip_prefix("fusion_net."))?;
+    let mut network = network(&model, &weights)?;
+    let (cells, matrices) = (tensors.singles("in.x_blhwc3")?, tensors.numbers("in.matrices")?);
+    let mask = tensors.numbers("in.agent_mask")?;
+    let mut found = Vec::new();
+    let samples = cells
+        .chunks_exact(most * rows * columns * all)
+        .zip(matrices.chunks_exact(most * 16));
+    for ((cells, matrices), mask) in samples.zip(mask.chunks_exact(most)) {
+        let there = mask.iter().take_while(|there| **there == 1.0).count();
+        let maps: Vec<&[f32]> = cells.chunks_exact(rows * columns * all).take(there).collect();
+        let prior = |map: &&[f32]| [0, 1, 2].map(|k| f64::from(map[channels + k]));
+        let priors: Vec<[f64; 3]> = maps.iter().map(prior).collect();
+        let features = |map: &&[f32]| BevMap {
+            rows,
+            columns,
+            channels,
+            data: map
+                .chunks_exact(all)
+                .flat_map(|cell| &cell[..channels])
+                .copied()
+                .collect(),
+        };
+        let maps: Vec<BevMap> = maps.iter().map(features).collect();
+        let views: Vec<BevView> = maps.iter().map(BevView::from).collect();
+        let agents = agents_of(&views, &priors, matrices, &vector.entry.config["sttf"])?;
+        found.extend(network.fuse(&agents).map_err(|error| error.to_string())?.data);
+    }
+    let expected = tensors.numbers("out.y_bhwc")?;
+    compare("out.y_bhwc", &wide(&found), &expected, vector.tolerance()?)
 }
 
 /// The model and weights of a whole network's case.
@@ -144,7 +269,8 @@ fn model(vector: &Vector, tensors: &Tensors) -> Result<(Model, Weights), String>
     }
     let agents = tensors.numbers("in.points_per_agent")?.len();
     let compression = vector.number("compression")? as usize;
-    let model = fusing(model, arch_of(config)?, agents, compression)?;
+    let arch = arch_of(config, Shared { agents, compression })?;
+    let model = fusing(model, arch)?;
     let weights = weights_of(&model, tensors, |key| Some(key))?;
     Ok((model, weights))
 }
@@ -171,8 +297,23 @@ fn whole(vector: &Vector) -> Result<(), String> {
         compare_map(vector, &tensors, "mid.encoded", &crossed)?;
     }
     let views: Vec<BevView> = maps.iter().map(BevView::from).collect();
-    let fused = fused(&mut network, &views)?;
-    compare_map(vector, &tensors, "mid.fused", &fused.data)?;
+    let fused = match vector.entry.has("in.prior_encoding") {
+        false => {
+            let fused = fused(&mut network, &views)?;
+            compare_map(vector, &tensors, "mid.fused", &fused.data)?;
+            fused
+        }
+        true => {
+            let matrices = tensors.numbers("in.spatial_correction_matrix")?;
+            let priors = tensors.numbers("in.prior_encoding")?;
+            let sttf = &vector.entry.config["transformer"]["sttf"];
+            let agents = agents_of(&views, priors.as_chunks::<3>().0, &matrices, sttf)?;
+            let fused = network.fuse(&agents).map_err(|error| error.to_string())?;
+            let expected = tensors.numbers("mid.fused")?;
+            compare("mid.fused", &wide(&fused.data), &expected, vector.tolerance()?)?;
+            fused
+        }
+    };
     let heads = network.heads(&fused).map_err(|error| error.to_string())?;
     compare_map(vector, &tensors, "out.psm", &heads.scores)?;
     compare_map(vector, &tensors, "out.rm", &heads.deltas)

@@ -227,7 +227,7 @@ mod tests {
         assert!(reason(whole).is_none());
         let fused = whole.replace("{\"in", "{\"mid.fused\": 1, \"in");
         assert!(reason(&fused).is_none());
-        assert!(reason(&fused.replace("{\"mid", "{\"in.prior_encoding\": 1, \"mid")).is_some());
+        assert!(reason(&fused.replace("{\"mid", "{\"in.pairwise_t_matrix\": 1, \"mid")).is_some());
     }
 
     #[test]

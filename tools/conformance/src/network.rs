@@ -78,7 +78,7 @@ pub(crate) fn network(model: &Model, weights: &Weights) -> Result<Network, Strin
     Network::new(model, weights, options()).map_err(|error| error.to_string())
 }
 
-fn wide(numbers: &[f32]) -> Vec<f64> {
+pub(crate) fn wide(numbers: &[f32]) -> Vec<f64> {
     numbers.iter().copied().map(f64::from).collect()
 }
 

@@ -42,8 +42,8 @@ const SUPPORTED: [(&str, [usize; 2]); 9] = [
     ("targets", [5, 5]),
     ("loss", [2, 2]),
     ("postprocess", [3, 3]),
-    ("network", [10, 14]),
-    ("model", [2, 5]),
+    ("network", [10, 15]),
+    ("model", [2, 7]),
 ];
 
 fn assert_supported(results: &[CaseResult], of: usize) {

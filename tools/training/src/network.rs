@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
-use realo_nn::layers::{ConvLayer, Fusion, Layer, Layers, MapId, PointLayer, Role, Step, TensorSpec, norm_key};
+use realo_nn::layers::{
+    ConvLayer, FuseLayer, Fusion, Layer, Layers, MapId, PointLayer, Role, Step, TensorSpec, norm_key,
+};
 use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
 use realo_nn::model::Model;
 use realo_nn::targets::Targets;
@@ -167,7 +169,14 @@ impl Network {
                     run.tape.join(&parts)?
                 }
                 // Samples are of one agent each, and the fusion of one is what it sees.
-                Layer::Fuse(Fusion::Max | Fusion::Attention { .. }) => maps.read(step.from[0]),
+                Layer::Fuse(FuseLayer {
+                    fusion: Fusion::Max | Fusion::Attention { .. },
+                    ..
+                }) => maps.read(step.from[0]),
+                Layer::Fuse(FuseLayer {
+                    fusion: Fusion::Transformer(_),
+                    ..
+                }) => candle_core::bail!("the transformer of V2X-ViT cannot be trained here"),
             };
             maps.made.insert(step.to, made);
         }

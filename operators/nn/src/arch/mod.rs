@@ -4,6 +4,7 @@ mod attfuse;
 mod compressor;
 mod fcooper;
 mod pointpillars;
+mod v2xvit;
 
 use std::fmt;
 
@@ -11,6 +12,7 @@ pub use compressor::Shared;
 #[cfg(test)]
 pub(crate) use pointpillars::heads;
 use serde::{Deserialize, Serialize};
+pub use v2xvit::{Transformer, Window};
 
 use crate::layers::Layers;
 use crate::model::{Model, Problems};
@@ -25,6 +27,8 @@ pub enum Arch {
     FCooper(Shared),
     /// Agents' maps fused by attention.
     AttFuse(Shared),
+    /// Agents' maps fused by a transformer.
+    V2XViT(Box<Transformer>),
 }
 
 impl fmt::Display for Arch {
@@ -33,6 +37,7 @@ impl fmt::Display for Arch {
             Arch::PointPillars {} => "pointpillars",
             Arch::FCooper(_) => "fcooper",
             Arch::AttFuse(_) => "attfuse",
+            Arch::V2XViT(_) => "v2xvit",
         })
     }
 }
@@ -60,6 +65,7 @@ impl Arch {
             Arch::PointPillars {} => 43_700_000,
             Arch::FCooper(_) => 61_600_000,
             Arch::AttFuse(_) => 68_600_000,
+            Arch::V2XViT(_) => 118_200_000,
         }
     }
 
@@ -68,6 +74,7 @@ impl Arch {
         match self {
             Arch::PointPillars {} => 1,
             Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.agents,
+            Arch::V2XViT(settings) => settings.agents,
         }
     }
 
@@ -77,6 +84,7 @@ impl Arch {
         match self {
             Arch::PointPillars {} => {}
             Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.check(pointpillars::channels(model), problems),
+            Arch::V2XViT(settings) => settings.check(pointpillars::map(model), problems),
         }
     }
 
@@ -86,6 +94,7 @@ impl Arch {
             Arch::PointPillars {} => pointpillars::layers(model),
             Arch::FCooper(shared) => fcooper::layers(model, shared),
             Arch::AttFuse(shared) => attfuse::layers(model, shared),
+            Arch::V2XViT(settings) => v2xvit::layers(model, settings),
         }
     }
 }

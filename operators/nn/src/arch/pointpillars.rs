@@ -39,6 +39,12 @@ pub fn check(model: &Model, problems: &mut Problems) {
     }
 }
 
+/// Rows, columns and channels of the map after the shrink layers.
+pub fn map(model: &Model) -> [usize; 3] {
+    let first = |cells: usize| cells.div_ceil(model.backbone.strides[0]) * model.backbone.up_strides[0];
+    [first(model.grid.rows()), first(model.grid.columns()), channels(model)]
+}
+
 /// Channels of the map after the shrink layers.
 pub fn channels(model: &Model) -> usize {
     let joined = || model.backbone.up_channels.iter().sum();

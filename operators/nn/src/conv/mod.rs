@@ -20,7 +20,7 @@ mod tests;
 pub use element::Bf16;
 pub(crate) use element::Element;
 pub use isa::{Isa, UnknownIsa};
-pub(crate) use map::{Map, View, split};
+pub(crate) use map::{Map, Rows, View, split};
 pub(crate) use pack::{Kernel, Packed};
 pub(crate) use pool::Pool;
 

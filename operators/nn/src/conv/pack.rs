@@ -102,6 +102,11 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
         input.div_ceil(self.stride)
     }
 
+    /// Channels that it gives.
+    pub fn outputs(&self) -> usize {
+        self.outputs
+    }
+
     /// Whether windows reach beyond the map.
     pub fn needs_border(&self) -> bool {
         self.kernel > 1
