@@ -25,6 +25,23 @@ impl Warp {
         Warp([axis(0), axis(1)])
     }
 
+    /// From the other map's cells back to the map's own.
+    pub fn inverse(&self) -> Warp {
+        let [[a, b, x], [c, d, y]] = self.0;
+        let determinant = a * d - b * c;
+        let [a, b, c, d] = [d, -b, -c, a].map(|entry| entry / determinant);
+        Warp([[a, b, -(a * x + b * y)], [c, d, -(c * x + d * y)]])
+    }
+
+    /// First another warp, then this one.
+    pub fn after(&self, first: &Warp) -> Warp {
+        let [[a, b, x], [c, d, y]] = first.0;
+        Warp(
+            self.0
+                .map(|[p, q, shift]| [p * a + q * c, p * b + q * d, p * x + q * y + shift]),
+        )
+    }
+
     fn at(&self, column: usize, row: usize) -> [f64; 2] {
         let (column, row) = (column as f64, row as f64);
         self.0.map(|[a, b, c]| a * column + b * row + c)
@@ -256,6 +273,19 @@ mod tests {
             }
         }
         assert!((50..96).contains(&covered), "{covered} cells lie in both maps");
+    }
+
+    #[test]
+    fn warps_follow_each_other_and_lead_back() {
+        let (a, b) = (
+            Warp([[0.8, -0.3, 2.0], [0.4, 0.9, -1.0]]),
+            Warp([[1.0, 0.2, -5.0], [-0.1, 1.1, 3.0]]),
+        );
+        let [x, y] = b.at(7, 3);
+        let there = |warp: &Warp, [x, y]: [f64; 2]| warp.0.map(|[p, q, shift]| p * x + q * y + shift);
+        let near = |a: [f64; 2], b: [f64; 2]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+        assert!(near(a.after(&b).at(7, 3), there(&a, [x, y])));
+        assert!(near(there(&b.inverse(), [x, y]), [7.0, 3.0]));
     }
 
     #[test]

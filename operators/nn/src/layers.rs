@@ -5,7 +5,7 @@
 
 use crate::arch::Transformer;
 use crate::model::Model;
-use crate::transformer;
+use crate::{messages, transformer};
 
 /// Numbers that describe a point of a pillar: x, y, z, intensity, offsets to the pillar's mean and to its centre.
 pub const POINT_FEATURES: usize = 10;
@@ -83,6 +83,11 @@ pub enum Fusion {
     },
     /// Attention over agents and over windows (V2X-ViT).
     Transformer(Box<Transformer>),
+    /// Messages between all agents, and a gated unit (V2VNet).
+    Messages {
+        /// How often all agents send.
+        rounds: usize,
+    },
 }
 
 /// A linear layer with batch norm and ReLU on every point, and the maximum over a pillar's points.
@@ -266,6 +271,7 @@ impl Layer {
             Layer::Fuse(FuseLayer { fusion, channels }) => match fusion {
                 Fusion::Max | Fusion::Attention { .. } => Vec::new(),
                 Fusion::Transformer(settings) => transformer::tensors(settings, *channels),
+                Fusion::Messages { .. } => messages::tensors(*channels),
             },
         }
     }

@@ -11,7 +11,9 @@
 //!   checks what does not fit, and holds the settings that only it has;
 //! - its variant of [`arch::Arch`] in `arch/mod.rs`, which makes it a model's `[arch]`;
 //! - if it computes what no layer here does: a variant of [`layers::Layer`] with its tensors, its kernel in `part.rs` and,
-//!   if it is to be trained, its operation in `tools/training/src/network.rs`. The compiler names these places.
+//!   if it is to be trained, its operation in `tools/training/src/network.rs`. The compiler names these places;
+//! - if it fuses in a way of its own: a variant of [`layers::Fusion`] with its tensors, and a file with its kernel, as
+//!   `fuse.rs` (cell by cell), `transformer.rs` and `messages.rs` are.
 //!
 //! Weights, loading, the operators, training's loop and checkpoints stay as they are.
 
@@ -21,6 +23,7 @@
 pub mod anchors;
 pub mod arch;
 pub mod canvas;
+mod cells;
 pub mod conv;
 pub mod decode;
 mod encoder;
@@ -29,6 +32,7 @@ pub mod layers;
 mod load;
 pub mod loss;
 mod math;
+mod messages;
 pub mod model;
 pub mod network;
 mod part;

@@ -229,6 +229,22 @@ impl Model {
         Ok(Model::read_with_texts(path)?.0)
     }
 
+    /// A model of texts that are built in: what the first says, and the second where the first says nothing.
+    ///
+    /// # Errors
+    /// Those of [`Model::parse`].
+    pub fn of_texts(above: &str, below: &str) -> Result<Model, ModelError> {
+        let path = Path::new("a model that is built in");
+        let syntax = |error| ModelError::Syntax {
+            path: path.into(),
+            error: Box::new(error),
+        };
+        let mut above: toml::Table = toml::from_str(above).map_err(syntax)?;
+        above.remove("extends");
+        let table = over(toml::from_str(below).map_err(syntax)?, above);
+        Model::checked(table.try_into().map_err(syntax)?, path)
+    }
+
     /// Reads and checks a model file; beside the model the bytes of the file and of those that it extends.
     pub(crate) fn read_with_texts(path: &Path) -> Result<(Model, Vec<Vec<u8>>), ModelError> {
         let text = read_text(path)?;

@@ -12,6 +12,7 @@ use crate::conv::{Bf16, Isa, Pool, View};
 use crate::fuse::{Agent, CellFusion, fuse};
 use crate::layers::{FuseLayer, Fusion, Layers, MapId, MapSize};
 use crate::load::lock;
+use crate::messages::Messages;
 use crate::model::{Model, Precision};
 use crate::part::{Made, Outcome, Part, Runner, Running};
 use crate::transformer::Transformer;
@@ -205,6 +206,8 @@ enum Fuser {
     Cells(CellFusion),
     Single(Transformer<f32>),
     Half(Transformer<Bf16>),
+    SingleMessages(Messages<f32>),
+    HalfMessages(Messages<Bf16>),
 }
 
 impl Fuser {
@@ -218,6 +221,12 @@ impl Fuser {
             (Fusion::Transformer(settings), Precision::Bf16) => {
                 Fuser::Half(Transformer::new(settings, *channels, weights, choice.isa))
             }
+            (Fusion::Messages { rounds }, Precision::F32) => {
+                Fuser::SingleMessages(Messages::new(*rounds, *channels, weights, choice.isa))
+            }
+            (Fusion::Messages { rounds }, Precision::Bf16) => {
+                Fuser::HalfMessages(Messages::new(*rounds, *channels, weights, choice.isa))
+            }
         }
     }
 
@@ -226,6 +235,8 @@ impl Fuser {
             Fuser::Cells(fusion) => fuse(*fusion, agents, pool),
             Fuser::Single(transformer) => transformer.run(agents, pool),
             Fuser::Half(transformer) => transformer.run(agents, pool),
+            Fuser::SingleMessages(messages) => messages.run(agents, pool),
+            Fuser::HalfMessages(messages) => messages.run(agents, pool),
         }
     }
 }
@@ -542,5 +553,7 @@ fn check_size(what: &'static str, model: &str, found: MapSize, expected: MapSize
     })
 }
 
+#[cfg(test)]
+mod fusion_tests;
 #[cfg(test)]
 mod tests;

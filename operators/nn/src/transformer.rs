@@ -4,9 +4,10 @@
 //! and what follows is the ego's alone. An agent that is not there, or whose map does not reach a cell, is not asked.
 
 use crate::arch::{Transformer as Settings, Window};
-use crate::conv::{Convolution, Isa, Kernel, Map, Packed, Pool, Rows, View};
+use crate::cells::{Linear, Specs, cells, each_cell, packed, run};
+use crate::conv::{Isa, Kernel, Map, Pool, Rows, View};
 use crate::fuse::{Agent, sample};
-use crate::layers::{Role, TensorSpec};
+use crate::layers::TensorSpec;
 use crate::math::{erf, exp, product, sum};
 use crate::part::Number;
 use crate::simd::dispatch;
@@ -51,29 +52,7 @@ pub(crate) fn tensors(settings: &Settings, channels: usize) -> Vec<TensorSpec> {
     all.0
 }
 
-struct Specs(Vec<TensorSpec>);
-
 impl Specs {
-    fn push(&mut self, key: String, shape: Vec<usize>, role: Role) {
-        self.0.push(TensorSpec { key, shape, role });
-    }
-
-    fn weight(&mut self, key: &str, shape: Vec<usize>, fan_in: usize) {
-        self.push(key.into(), shape, Role::Weight { fan_in });
-    }
-
-    fn linear(&mut self, key: &str, inputs: usize, outputs: usize, bias: bool) {
-        self.weight(&format!("{key}.weight"), vec![outputs, inputs], inputs);
-        if bias {
-            self.push(format!("{key}.bias"), vec![outputs], Role::Bias);
-        }
-    }
-
-    fn norm(&mut self, key: &str, channels: usize) {
-        self.push(format!("{key}.weight"), vec![channels], Role::NormWeight);
-        self.push(format!("{key}.bias"), vec![channels], Role::NormBias);
-    }
-
     fn agents(&mut self, key: &str, settings: &Settings, channels: usize) {
         self.norm(&format!("{key}.norm"), channels);
         let (heads, width) = (settings.heads, settings.head_width);
@@ -170,9 +149,6 @@ struct Forward<E> {
     wide: Linear<E>,
     back: Linear<E>,
 }
-
-/// A linear layer on every cell of a map.
-type Linear<E> = Packed<E, f32>;
 
 impl<E: Number> Transformer<E> {
     pub fn new(settings: &Settings, channels: usize, weights: &Weights, isa: Isa) -> Self {
@@ -286,17 +262,7 @@ impl Load<'_> {
     }
 
     fn packed<E: Kernel<f32>>(&self, (weights, bias): (Vec<f32>, Vec<f32>), inputs: usize) -> Linear<E> {
-        let layer = Convolution {
-            inputs,
-            outputs: bias.len(),
-            kernel: 1,
-            stride: 1,
-            transposed: false,
-            relu: false,
-            weights,
-            bias,
-        };
-        Packed::new(&layer, self.isa)
+        packed(weights, bias, [inputs, 1], self.isa)
     }
 
     fn linear<E: Kernel<f32>>(&self, key: &str, inputs: usize) -> Linear<E> {
@@ -405,33 +371,6 @@ impl Delays {
         let row = frames.saturating_mul(self.ratio).min(self.table.len() - 1);
         &self.table[row]
     }
-}
-
-/// The cells of a row, border left out.
-fn cells<'a, E>(view: &View<'a, E>, row: usize) -> &'a [E] {
-    &view.data[(row + view.border) * view.line() + view.border * view.stored..][..view.columns * view.stored]
-}
-
-/// Does something with every cell of a map; row and column go along.
-fn each_cell<E: crate::conv::Element>(
-    map: &mut Map<E>,
-    scale: usize,
-    pool: &mut Pool,
-    work: impl Fn(usize, &mut [E]) + Sync,
-) {
-    let (length, stored, columns) = (map.row_length(), map.stored, map.columns);
-    pool.each(map.shares(pool.threads(), scale), |Rows { range, data }| {
-        for (row, to) in range.zip(data.chunks_exact_mut(length)) {
-            work(row, &mut to[stored..(columns + 1) * stored]);
-        }
-    });
-}
-
-/// A linear layer on every cell.
-fn run<E: Number>(layer: &Linear<E>, from: &Map<E>, outputs: usize, pool: &mut Pool) -> Map<f32> {
-    let mut to = Map::new(from.rows, from.columns, outputs);
-    layer.run(pool, from.view(), &mut to, 0);
-    to
 }
 
 /// Adds a map to another.

@@ -1,4 +1,4 @@
-use realo_nn::arch::{Arch, Shared, Transformer, Window};
+use realo_nn::arch::{Arch, MessagePassing, Shared, Transformer, Window};
 use realo_nn::fuse::{Agent, Warp};
 use realo_nn::layers::Layers;
 use realo_nn::model::{Model, Shrink};
@@ -16,7 +16,8 @@ use crate::vector::{Tensors, Vector, compare};
 pub(crate) const KINDS: &[Kind] = &[
     Kind::new(&["in.x", "in.record_len", "out.y"], of_maps).without(&["in.pairwise"]),
     Kind::new(&["in.x", "mid.encoded", "out.decoded"], compressor),
-    Kind::new(&["in.points", "mid.fused", "out.psm", "out.rm"], whole).without(&["in.pairwise_t_matrix"]),
+    Kind::new(&["in.x", "in.record_len", "in.pairwise", "out.y"], messages),
+    Kind::new(&["in.points", "mid.fused", "out.psm", "out.rm"], whole),
     Kind::new(
         &["in.x_blhwc3", "in.agent_mask", "in.matrices", "out.y_bhwc"],
         transformer,
@@ -121,6 +122,14 @@ fn arch_of(config: &Value, shared: Shared) -> Result<Arch, String> {
     if !config["transformer"].is_null() {
         return Ok(Arch::V2XViT(Box::new(transformer_of(&config["transformer"], shared)?)));
     }
+    if let Some(rounds) = config["v2vfusion"]["num_iteration"].as_u64() {
+        let Shared { agents, compression } = shared;
+        return Ok(Arch::V2VNet(MessagePassing {
+            agents,
+            compression,
+            rounds: rounds as usize,
+        }));
+    }
     let kind = config["kind"].as_str().unwrap_or_default();
     match kind.split('_').next() {
         Some("fcooper") => Ok(Arch::FCooper(shared)),
@@ -161,45 +170,85 @@ fn transformer_of(config: &Value, Shared { agents, compression }: Shared) -> Res
     })
 }
 
-/// The reference's warp of a map by a 4x4 matrix: metres by cells of `voxel_size` times a rate, about a middle that lies half
-/// a cell off.
-fn warp_of(matrix: &[f64], sttf: &Value, [rows, columns]: [usize; 2]) -> Result<Warp, String> {
-    let number = |value: &Value| value.as_f64().ok_or("config `sttf`: expected numbers");
-    let cell = number(&sttf["voxel_size"][0])? * number(&sttf["downsample_rate"])?;
-    let [[a, b, x], [c, d, y]] = [0, 1].map(|row| [matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 3] / cell]);
+/// How a 4x4 matrix of metres moves the cells of a map, about its first cell: `cell` m to each.
+fn moved(matrix: &[f64], cell: f64) -> Warp {
+    Warp([0, 1].map(|row| [matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 3] / cell]))
+}
+
+/// Metres to a cell of the reference's warps: those of a pillar, times a rate.
+fn cell_of(settings: &Value) -> Result<f64, String> {
+    let number = |value: &Value| value.as_f64().ok_or("config of a warp: expected numbers");
+    let side = match settings.get("discrete_ratio") {
+        Some(ratio) => ratio,
+        None => &settings["voxel_size"][0],
+    };
+    Ok(number(side)? * number(&settings["downsample_rate"])?)
+}
+
+/// Where the ego's cells lie in a map that the reference moves by a matrix, about a middle that lies half a cell off.
+fn centered(matrix: &[f64], cell: f64, [rows, columns]: [usize; 2]) -> Warp {
     let middle = [columns as f64 / 2.0, rows as f64 / 2.0];
-    // There: middle + turn * (here - middle) + shift; what is asked is the way back.
-    let shift = [
-        middle[0] - a * middle[0] - b * middle[1] + x,
-        middle[1] - c * middle[0] - d * middle[1] + y,
-    ];
-    let determinant = a * d - b * c;
-    let [a, b, c, d] = [d, -b, -c, a].map(|entry| entry / determinant);
-    Ok(Warp([
-        [a, b, -(a * shift[0] + b * shift[1])],
-        [c, d, -(c * shift[0] + d * shift[1])],
-    ]))
+    let shift = |sign: f64| Warp([[1.0, 0.0, sign * middle[0]], [0.0, 1.0, sign * middle[1]]]);
+    shift(1.0).after(&moved(matrix, cell)).after(&shift(-1.0)).inverse()
+}
+
+/// Agents whose maps are moved into the ego's, the first one's, by a matrix each.
+fn paired<'a>(maps: &[BevView<'a>], matrices: &[f64], most: usize, cell: f64) -> Vec<Agent<'a>> {
+    let agent = |(index, map): (usize, &BevView<'a>)| Agent {
+        // `[from, to, 4, 4]`.
+        warp: moved(&matrices[16 * most * index..][..16], cell).inverse(),
+        ..Agent::beside(*map)
+    };
+    maps.iter().enumerate().map(agent).collect()
+}
+
+/// The fusion by messages alone.
+fn messages(vector: &Vector) -> Result<(), String> {
+    let tensors = vector.tensors()?;
+    let (cells, [maps, channels, rows, columns]) = tensors.channels_last("in.x")?;
+    let counts = agents(&tensors, "in.record_len", maps)?;
+    let most = tensors.shape("in.pairwise")?[1];
+    let arch = Arch::V2VNet(MessagePassing {
+        agents: most,
+        compression: 0,
+        rounds: vector.number("iterations")? as usize,
+    });
+    let model = fusing(before(rows, columns, channels)?, arch)?;
+    let weights = weights_of(&model, &tensors, |key| key.strip_prefix("fusion_net."))?;
+    let mut network = network(&model, &weights)?;
+    let cell = cell_of(&vector.entry.config)?;
+    let matrices = tensors.numbers("in.pairwise")?;
+    let view = |data| BevView {
+        rows,
+        columns,
+        channels,
+        data,
+    };
+    let maps: Vec<BevView> = cells.chunks_exact(rows * columns * channels).map(view).collect();
+    let (mut left, mut found) = (&maps[..], Vec::new());
+    for (count, matrices) in counts.into_iter().zip(matrices.chunks_exact(16 * most * most)) {
+        let (sample, rest) = left.split_at(count);
+        left = rest;
+        let agents = paired(sample, matrices, most, cell);
+        found.extend(network.fuse(&agents).map_err(|error| error.to_string())?.data);
+    }
+    compare_map(vector, &tensors, "out.y", &found)
 }
 
 /// Agents with what their prior says (velocity, delay, roadside) and how their maps are corrected; the ego's is not.
-fn agents_of<'a>(
-    maps: &[BevView<'a>],
-    priors: &[[f64; 3]],
-    matrices: &[f64],
-    sttf: &Value,
-) -> Result<Vec<Agent<'a>>, String> {
+fn agents_of<'a>(maps: &[BevView<'a>], priors: &[[f64; 3]], matrices: &[f64], cell: f64) -> Vec<Agent<'a>> {
     let agent = |(index, map): (usize, &BevView<'a>)| {
         let [_, delay, roadside] = priors[index];
         let matrix = &matrices[16 * index..][..16];
-        Ok(Agent {
+        Agent {
             map: *map,
             warp: match index {
                 0 => Warp::IDENTITY,
-                _ => warp_of(matrix, sttf, [map.rows, map.columns])?,
+                _ => centered(matrix, cell, [map.rows, map.columns]),
             },
             roadside: roadside == 1.0,
             delay: delay as usize,
-        })
+        }
     };
     maps.iter().enumerate().map(agent).collect()
 }
@@ -243,7 +292,7 @@ fn transformer(vector: &Vector) -> Result<(), String> {
         };
         let maps: Vec<BevMap> = maps.iter().map(features).collect();
         let views: Vec<BevView> = maps.iter().map(BevView::from).collect();
-        let agents = agents_of(&views, &priors, matrices, &vector.entry.config["sttf"])?;
+        let agents = agents_of(&views, &priors, matrices, cell_of(&vector.entry.config["sttf"])?);
         found.extend(network.fuse(&agents).map_err(|error| error.to_string())?.data);
     }
     let expected = tensors.numbers("out.y_bhwc")?;
@@ -297,23 +346,28 @@ fn whole(vector: &Vector) -> Result<(), String> {
         compare_map(vector, &tensors, "mid.encoded", &crossed)?;
     }
     let views: Vec<BevView> = maps.iter().map(BevView::from).collect();
-    let fused = match vector.entry.has("in.prior_encoding") {
-        false => {
-            let fused = fused(&mut network, &views)?;
-            compare_map(vector, &tensors, "mid.fused", &fused.data)?;
-            fused
-        }
+    let config = &vector.entry.config;
+    let fusing = if vector.entry.has("in.prior_encoding") {
+        let matrices = tensors.numbers("in.spatial_correction_matrix")?;
+        let priors = tensors.numbers("in.prior_encoding")?;
+        let cell = cell_of(&config["transformer"]["sttf"])?;
+        agents_of(&views, priors.as_chunks::<3>().0, &matrices, cell)
+    } else if vector.entry.has("in.pairwise_t_matrix") {
+        let most = tensors.shape("in.pairwise_t_matrix")?[1];
+        let matrices = tensors.numbers("in.pairwise_t_matrix")?;
+        paired(&views, &matrices, most, cell_of(&config["v2vfusion"])?)
+    } else {
+        views.iter().copied().map(Agent::beside).collect()
+    };
+    let fused = network.fuse(&fusing).map_err(|error| error.to_string())?;
+    // The transformer's has its channels last.
+    match vector.entry.has("in.prior_encoding") {
+        false => compare_map(vector, &tensors, "mid.fused", &fused.data)?,
         true => {
-            let matrices = tensors.numbers("in.spatial_correction_matrix")?;
-            let priors = tensors.numbers("in.prior_encoding")?;
-            let sttf = &vector.entry.config["transformer"]["sttf"];
-            let agents = agents_of(&views, priors.as_chunks::<3>().0, &matrices, sttf)?;
-            let fused = network.fuse(&agents).map_err(|error| error.to_string())?;
             let expected = tensors.numbers("mid.fused")?;
             compare("mid.fused", &wide(&fused.data), &expected, vector.tolerance()?)?;
-            fused
         }
-    };
+    }
     let heads = network.heads(&fused).map_err(|error| error.to_string())?;
     compare_map(vector, &tensors, "out.psm", &heads.scores)?;
     compare_map(vector, &tensors, "out.rm", &heads.deltas)

@@ -9,6 +9,7 @@ mod boxes;
 mod evaluation;
 mod fusion;
 mod iou_nms;
+mod keys;
 mod loss;
 mod network;
 mod pillars;
@@ -123,7 +124,7 @@ impl Kind {
 }
 
 /// All kinds; no two take the same vector.
-const KINDS: [&[Kind]; 9] = [
+const KINDS: [&[Kind]; 10] = [
     boxes::KINDS,
     iou_nms::KINDS,
     evaluation::KINDS,
@@ -133,6 +134,7 @@ const KINDS: [&[Kind]; 9] = [
     postprocess::KINDS,
     network::KINDS,
     fusion::KINDS,
+    keys::KINDS,
 ];
 
 fn status(vector: &Vector) -> Status {
@@ -221,13 +223,13 @@ mod tests {
         let keys = r#"{"file": "a", "tolerance": 0, "keys": ["entries"]}"#;
         assert_eq!(reason(keys).unwrap(), r#"no check reads a document of ["entries"]"#);
         assert!(reason(&keys.replace("entries", "curves")).is_none());
-        // Networks of one agent have no fused map, and not every fusion has a check.
+        // Networks of one agent have no fused map, and go through a check of their own.
         let whole = r#"{"file": "a", "tolerance": 0, "tensors":
             {"in.points": 1, "out.psm": 1, "out.rm": 1, "param.cls_head.weight": 1}}"#;
         assert!(reason(whole).is_none());
         let fused = whole.replace("{\"in", "{\"mid.fused\": 1, \"in");
         assert!(reason(&fused).is_none());
-        assert!(reason(&fused.replace("{\"mid", "{\"in.pairwise_t_matrix\": 1, \"mid")).is_some());
+        assert!(reason(&fused.replace("\"out.psm\": 1, ", "")).is_some());
     }
 
     #[test]

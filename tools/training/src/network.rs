@@ -174,9 +174,9 @@ impl Network {
                     ..
                 }) => maps.read(step.from[0]),
                 Layer::Fuse(FuseLayer {
-                    fusion: Fusion::Transformer(_),
+                    fusion: Fusion::Transformer(_) | Fusion::Messages { .. },
                     ..
-                }) => candle_core::bail!("the transformer of V2X-ViT cannot be trained here"),
+                }) => candle_core::bail!("the fusions of V2X-ViT and V2VNet cannot be trained here"),
             };
             maps.made.insert(step.to, made);
         }

@@ -4,6 +4,7 @@ mod attfuse;
 mod compressor;
 mod fcooper;
 mod pointpillars;
+mod v2vnet;
 mod v2xvit;
 
 use std::fmt;
@@ -12,6 +13,7 @@ pub use compressor::Shared;
 #[cfg(test)]
 pub(crate) use pointpillars::heads;
 use serde::{Deserialize, Serialize};
+pub use v2vnet::MessagePassing;
 pub use v2xvit::{Transformer, Window};
 
 use crate::layers::Layers;
@@ -29,6 +31,8 @@ pub enum Arch {
     AttFuse(Shared),
     /// Agents' maps fused by a transformer.
     V2XViT(Box<Transformer>),
+    /// Agents' maps fused by messages between them.
+    V2VNet(MessagePassing),
 }
 
 impl fmt::Display for Arch {
@@ -38,6 +42,7 @@ impl fmt::Display for Arch {
             Arch::FCooper(_) => "fcooper",
             Arch::AttFuse(_) => "attfuse",
             Arch::V2XViT(_) => "v2xvit",
+            Arch::V2VNet(_) => "v2vnet",
         })
     }
 }
@@ -60,12 +65,13 @@ impl Arch {
     }
 
     /// V2X-ReaLO, Table III: how long the paper's network of this kind took, ns.
-    pub fn paper_inference(&self) -> u64 {
+    pub fn paper_inference(&self) -> Option<u64> {
         match self {
-            Arch::PointPillars {} => 43_700_000,
-            Arch::FCooper(_) => 61_600_000,
-            Arch::AttFuse(_) => 68_600_000,
-            Arch::V2XViT(_) => 118_200_000,
+            Arch::PointPillars {} => Some(43_700_000),
+            Arch::FCooper(_) => Some(61_600_000),
+            Arch::AttFuse(_) => Some(68_600_000),
+            Arch::V2XViT(_) => Some(118_200_000),
+            Arch::V2VNet(_) => None,
         }
     }
 
@@ -75,6 +81,7 @@ impl Arch {
             Arch::PointPillars {} => 1,
             Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.agents,
             Arch::V2XViT(settings) => settings.agents,
+            Arch::V2VNet(settings) => settings.agents,
         }
     }
 
@@ -85,6 +92,7 @@ impl Arch {
             Arch::PointPillars {} => {}
             Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.check(pointpillars::channels(model), problems),
             Arch::V2XViT(settings) => settings.check(pointpillars::map(model), problems),
+            Arch::V2VNet(settings) => settings.check(pointpillars::channels(model), problems),
         }
     }
 
@@ -95,6 +103,7 @@ impl Arch {
             Arch::FCooper(shared) => fcooper::layers(model, shared),
             Arch::AttFuse(shared) => attfuse::layers(model, shared),
             Arch::V2XViT(settings) => v2xvit::layers(model, settings),
+            Arch::V2VNet(settings) => v2vnet::layers(model, settings),
         }
     }
 }

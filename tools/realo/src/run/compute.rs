@@ -58,7 +58,10 @@ fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
     let named = decided_argument(last, Decided::Model).and_then(|name| argument(last, name));
     let path = graph.file.with_file_name(named.unwrap_or_default());
     let network = Model::read(&path).wrap_err_with(|| format!("node `{}`", last.id))?.arch;
-    let nanos = method.max().unwrap_or(network.paper_inference() as Nanos);
+    let of_network = || network.paper_inference().map(|nanos| nanos as Nanos);
+    let Some(nanos) = method.max().or_else(of_network) else {
+        bail!("--compute {PAPER}: the paper tells no time of `{network}`: drop it");
+    };
     Ok(ComputeProfile {
         nanos: BTreeMap::from([(last.id.clone(), nanos)]),
     })

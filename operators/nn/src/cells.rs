@@ -1,0 +1,80 @@
+//! What fusions do with maps: layers on them, and work on all their cells.
+
+use crate::conv::{Convolution, Element, Isa, Kernel, Map, Packed, Pool, Rows, View};
+use crate::layers::{Role, TensorSpec};
+use crate::part::Number;
+
+/// A layer that makes f32 of a map.
+pub(crate) type Linear<E> = Packed<E, f32>;
+
+/// The tensors of a fusion, as they are put together.
+pub(crate) struct Specs(pub Vec<TensorSpec>);
+
+impl Specs {
+    pub fn push(&mut self, key: String, shape: Vec<usize>, role: Role) {
+        self.0.push(TensorSpec { key, shape, role });
+    }
+
+    pub fn weight(&mut self, key: &str, shape: Vec<usize>, fan_in: usize) {
+        self.push(key.into(), shape, Role::Weight { fan_in });
+    }
+
+    pub fn linear(&mut self, key: &str, inputs: usize, outputs: usize, bias: bool) {
+        self.weight(&format!("{key}.weight"), vec![outputs, inputs], inputs);
+        if bias {
+            self.push(format!("{key}.bias"), vec![outputs], Role::Bias);
+        }
+    }
+
+    pub fn norm(&mut self, key: &str, channels: usize) {
+        self.push(format!("{key}.weight"), vec![channels], Role::NormWeight);
+        self.push(format!("{key}.bias"), vec![channels], Role::NormBias);
+    }
+}
+
+/// A layer of so many inputs with a kernel of a side.
+pub(crate) fn packed<E: Kernel<f32>>(
+    weights: Vec<f32>,
+    bias: Vec<f32>,
+    [inputs, kernel]: [usize; 2],
+    isa: Isa,
+) -> Linear<E> {
+    let layer = Convolution {
+        inputs,
+        outputs: bias.len(),
+        kernel,
+        stride: 1,
+        transposed: false,
+        relu: false,
+        weights,
+        bias,
+    };
+    Packed::new(&layer, isa)
+}
+
+/// The cells of a row, border left out.
+pub(crate) fn cells<'a, E>(view: &View<'a, E>, row: usize) -> &'a [E] {
+    &view.data[(row + view.border) * view.line() + view.border * view.stored..][..view.columns * view.stored]
+}
+
+/// Does something with the cells of every row of a map; `scale` rows stay with one worker.
+pub(crate) fn each_cell<E: Element>(
+    map: &mut Map<E>,
+    scale: usize,
+    pool: &mut Pool,
+    work: impl Fn(usize, &mut [E]) + Sync,
+) {
+    let (length, stored, columns) = (map.row_length(), map.stored, map.columns);
+    pool.each(map.shares(pool.threads(), scale), |Rows { range, data }| {
+        for (row, to) in range.zip(data.chunks_exact_mut(length)) {
+            work(row, &mut to[stored..(columns + 1) * stored]);
+        }
+    });
+}
+
+/// The map that a layer makes of another.
+pub(crate) fn run<E: Number>(layer: &Linear<E>, from: &Map<E>, outputs: usize, pool: &mut Pool) -> Map<f32> {
+    let mut to = Map::new(from.rows, from.columns, outputs);
+    layer.run(pool, from.view(), &mut to, 0);
+    to
+}

@@ -1,0 +1,179 @@
+//! The fusion of V2VNet: agents send each other messages for some rounds, and a gated unit takes them in.
+//!
+//! The unit forgets everything between rounds, so of its weights only those on its inputs count; in the last round only the
+//! ego listens.
+
+use crate::cells::{Linear, Specs, cells, each_cell, packed, run};
+use crate::conv::{Isa, Map, Pool, Rows};
+use crate::fuse::{Agent, sample};
+use crate::layers::{Role, TensorSpec};
+use crate::math::exp;
+use crate::network::{BevMap, BevView};
+use crate::part::Number;
+use crate::simd::dispatch;
+use crate::weights::Weights;
+
+const NET: &str = "fusion_net";
+const UNIT: &str = "fusion_net.conv_gru.cell_list.0";
+
+/// The tensors on maps of so many channels, in the order of the state dict.
+pub(crate) fn tensors(channels: usize) -> Vec<TensorSpec> {
+    let mut all = Specs(Vec::new());
+    let parts = [
+        (format!("{NET}.msg_cnn"), 2 * channels, channels),
+        (format!("{UNIT}.conv_gates"), 3 * channels, 2 * channels),
+        (format!("{UNIT}.conv_can"), 3 * channels, channels),
+    ];
+    for (key, inputs, outputs) in parts {
+        all.weight(&format!("{key}.weight"), vec![outputs, inputs, 3, 3], 9 * inputs);
+        all.push(format!("{key}.bias"), vec![outputs], Role::Bias);
+    }
+    all.linear(&format!("{NET}.mlp"), channels, channels, true);
+    all.0
+}
+
+/// A fusion that is ready to run; maps are computed in `E`, what is added up in f32.
+pub(crate) struct Messages<E> {
+    rounds: usize,
+    channels: usize,
+    /// Of the sender's map and the receiver's.
+    message: Linear<E>,
+    /// Of the receiver's map and the mean message: how much is taken of the candidate.
+    update: Linear<E>,
+    candidate: Linear<E>,
+    output: Linear<E>,
+}
+
+impl<E: Number> Messages<E> {
+    pub fn new(rounds: usize, channels: usize, weights: &Weights, isa: Isa) -> Self {
+        let bias = |key: &str| weights.tensor(&format!("{key}.bias")).to_vec();
+        let kernels = |key: &str| weights.tensor(&format!("{key}.weight"));
+        let (message, gates, candidate) = (
+            format!("{NET}.msg_cnn"),
+            format!("{UNIT}.conv_gates"),
+            format!("{UNIT}.conv_can"),
+        );
+        // What follows the inputs is for what the unit remembers.
+        let of_inputs = |weights: &[f32]| -> Vec<f32> {
+            let outputs = weights.chunks_exact(27 * channels);
+            outputs.flat_map(|weights| &weights[..18 * channels]).copied().collect()
+        };
+        // The first half of the gates is for what it remembers, too.
+        let update = of_inputs(&kernels(&gates)[27 * channels * channels..]);
+        let mlp = format!("{NET}.mlp");
+        Messages {
+            rounds,
+            channels,
+            message: packed(kernels(&message).to_vec(), bias(&message), [2 * channels, 3], isa),
+            update: packed(update, bias(&gates)[channels..].to_vec(), [2 * channels, 3], isa),
+            candidate: packed(of_inputs(kernels(&candidate)), bias(&candidate), [2 * channels, 3], isa),
+            output: packed(kernels(&mlp).to_vec(), bias(&mlp), [channels, 1], isa),
+        }
+    }
+
+    /// The fused map, `[rows, columns, channels]`. The first agent is the ego.
+    pub fn run(&self, agents: &[Agent], pool: &mut Pool) -> Vec<f32> {
+        let mut maps: Vec<BevMap> = Vec::new();
+        for round in 0..self.rounds {
+            let now: Vec<Agent> = match maps.is_empty() {
+                true => agents.to_vec(),
+                false => agents.iter().zip(&maps).map(|(agent, map)| with(agent, map)).collect(),
+            };
+            let listening = if round + 1 == self.rounds { 1 } else { now.len() };
+            maps = (0..listening).map(|index| self.listen(&now, index, pool)).collect();
+        }
+        let ego = &maps[0];
+        let mut map: Map<E> = Map::new(ego.rows, ego.columns, self.channels);
+        map.fill_with(pool, &ego.data);
+        run(&self.output, &map, self.channels, pool).to_f32(pool)
+    }
+
+    /// An agent's map after the messages of all, its own among them.
+    fn listen(&self, agents: &[Agent], index: usize, pool: &mut Pool) -> BevMap {
+        let (own, channels) = (agents[index].map, self.channels);
+        let (rows, columns) = (own.rows, own.columns);
+        let mut mean: Map<f32> = Map::new(rows, columns, channels);
+        let to_ego = agents[index].warp.inverse();
+        for agent in agents {
+            let sender = Agent {
+                warp: agent.warp.after(&to_ego),
+                ..*agent
+            };
+            let (both, covered) = self.beside(&sender, own, pool);
+            let message = run(&self.message, &both, channels, pool);
+            let (message, share) = (message.view(), 1.0 / agents.len() as f32);
+            each_cell(&mut mean, 1, pool, |row, to| {
+                let from = cells(&message, row).chunks_exact(channels);
+                let covered = &covered[row * columns..];
+                for ((from, to), covered) in from.zip(to.chunks_exact_mut(channels)).zip(covered) {
+                    if *covered {
+                        to.iter_mut().zip(from).for_each(|(to, from)| *to += from * share);
+                    }
+                }
+            });
+        }
+        let mut inputs: Map<E> = Map::new(rows, columns, 2 * channels);
+        let (stored, view) = (inputs.stored, mean.view());
+        each_cell(&mut inputs, 1, pool, |row, to| {
+            let own = own.data[row * columns * channels..].chunks_exact(channels);
+            let mean = cells(&view, row).chunks_exact(channels);
+            for ((own, mean), to) in own.zip(mean).zip(to.chunks_exact_mut(stored)) {
+                let from = own.iter().chain(mean);
+                from.zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
+            }
+        });
+        let mut taken = run(&self.update, &inputs, channels, pool);
+        let candidate = run(&self.candidate, &inputs, channels, pool);
+        let view = candidate.view();
+        each_cell(&mut taken, 1, pool, |row, to| gated(cells(&view, row), to));
+        BevMap {
+            rows,
+            columns,
+            channels,
+            data: taken.to_f32(pool),
+        }
+    }
+
+    /// A sender's map in the receiver's cells, and the receiver's; where the sender's reaches.
+    fn beside(&self, sender: &Agent, own: BevView, pool: &mut Pool) -> (Map<E>, Vec<bool>) {
+        let (rows, columns, channels) = (own.rows, own.columns, self.channels);
+        let mut both: Map<E> = Map::new(rows, columns, 2 * channels);
+        let mut covered = vec![false; rows * columns];
+        let (stored, length) = (both.stored, both.row_length());
+        let covers = crate::conv::split(&mut covered, columns, rows, pool.threads(), 1);
+        let shares = both.shares(pool.threads(), 1).into_iter().zip(covers);
+        pool.each(shares.collect(), |(Rows { range, data }, covers)| {
+            let mut cell = vec![0.0; channels];
+            let rows = data.chunks_exact_mut(length).zip(covers.data.chunks_exact_mut(columns));
+            for (row, (to, covered)) in range.zip(rows) {
+                let own = own.data[row * columns * channels..].chunks_exact(channels);
+                let cells = to[stored..].chunks_exact_mut(stored).zip(own).zip(covered);
+                for (column, ((to, own), covered)) in cells.enumerate() {
+                    *covered = sample(sender, column, row, None, &mut cell);
+                    let from = cell.iter().chain(own);
+                    from.zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
+                }
+            }
+        });
+        (both, covered)
+    }
+}
+
+fn with<'a>(agent: &Agent, map: &'a BevMap) -> Agent<'a> {
+    Agent {
+        map: map.into(),
+        warp: agent.warp,
+        roadside: agent.roadside,
+        delay: agent.delay,
+    }
+}
+
+dispatch! {
+    /// The sigmoid of `to` times the hyperbolic tangent of the candidate.
+    fn gated(candidate: &[f32], to: &mut [f32]) {
+        for (to, candidate) in to.iter_mut().zip(candidate) {
+            let tangent = 2.0 / (1.0 + exp(-2.0 * candidate)) - 1.0;
+            *to = tangent / (1.0 + exp(-*to));
+        }
+    }
+}
