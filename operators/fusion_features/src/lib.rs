@@ -9,7 +9,8 @@
 //!
 //! Maps of another model, size or place, and maps with numbers that are none are rejected. A collaborator's map is turned
 //! and shifted as the ground moves from its frame at its stamp to the ego's at the ego's; in cells that it does not cover
-//! the collaborator takes no part. The motion of objects between the stamps is not removed.
+//! the collaborator takes no part. V2X-ViT also looks at who is a roadside unit and at how many whole frames of 0.1 s a map
+//! is old. The motion of objects between the stamps is not removed.
 
 use std::path::PathBuf;
 
@@ -19,7 +20,7 @@ use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
 use realo_nn::fuse::{Agent, Warp};
 use realo_nn::network::Network;
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{FeatureMap, Message, PayloadType};
+use realo_schemas::{FeatureMap, Message, Name, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionFeatures`].
@@ -30,6 +31,8 @@ pub struct Config {
     pub model: PathBuf,
     /// Collaborators that a fusion takes, the first by agent name; `None`: as many as the model takes.
     pub max_collaborators: Option<usize>,
+    /// Agents that are roadside units, by name, separated by commas; all others are vehicles. V2X-ViT tells them apart.
+    pub roadside: String,
     /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
     pub isa: String,
     /// Threads; 0: one for each processor.
@@ -41,6 +44,7 @@ impl Default for Config {
         Config {
             model: "../models/lite-attfuse.toml".into(),
             max_collaborators: None,
+            roadside: String::new(),
             isa: "auto".into(),
             threads: 0,
         }
@@ -53,6 +57,7 @@ pub struct FusionFeatures {
     maps: Maps,
     /// Collaborators that a fusion takes.
     limit: usize,
+    roadside: Vec<Name>,
     pairing: Pairing,
 }
 
@@ -70,6 +75,10 @@ impl Describe for FusionFeatures {
             about: "collaborators that a fusion takes, the first by agent name; null = as many as the model takes",
         },
         Argument {
+            name: "roadside",
+            about: "agents that are roadside units, by name, separated by commas; others are vehicles",
+        },
+        Argument {
             name: "isa",
             about: "kernels: auto, portable, avx2, avx512 or avx512bf16",
         },
@@ -84,7 +93,11 @@ impl Describe for FusionFeatures {
         &[PayloadType::FeatureMap],
         "one map for the heads, in the ego's frame",
     )];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Model, "model"), (Decided::Isa, "isa")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[
+        (Decided::Model, "model"),
+        (Decided::Isa, "isa"),
+        (Decided::Roadside, "roadside"),
+    ];
 }
 
 impl Operator for FusionFeatures {
@@ -112,6 +125,12 @@ impl Operator for FusionFeatures {
             maps: Maps::of(&loaded),
             network: loaded.network,
             limit,
+            roadside: config
+                .roadside
+                .split(',')
+                .filter(|name| !name.is_empty())
+                .map(Name::from)
+                .collect(),
             pairing: Pairing::default(),
         })
     }
@@ -125,13 +144,18 @@ impl Operator for FusionFeatures {
                 set.reject(|collaborator| self.read(collaborator).is_none_or(|map| map.size() != size));
                 let ego = self.maps.read(&set.ego)?;
                 let others = set.collaborators.iter();
-                let others: Vec<(Read, Warp)> = others
-                    .filter_map(|collaborator| Some((self.read(collaborator)?, self.warp(collaborator))))
+                let others: Vec<(&Collaborator<FeatureMap>, Read)> = others
+                    .filter_map(|collaborator| Some((collaborator, self.read(collaborator)?)))
                     .collect();
-                let mut agents = vec![Agent::beside(ego.view())];
-                agents.extend(others.iter().map(|(map, warp)| Agent {
-                    warp: *warp,
-                    ..Agent::beside(map.view())
+                let mut agents = vec![Agent {
+                    roadside: self.roadside.contains(&set.header.agent),
+                    ..Agent::beside(ego.view())
+                }];
+                agents.extend(others.iter().map(|(collaborator, map)| Agent {
+                    map: map.view(),
+                    warp: self.warp(collaborator),
+                    roadside: self.roadside.contains(&collaborator.header.agent),
+                    delay: frames(set.header.stamp - collaborator.header.stamp),
                 }));
                 let fused = self.maps.write(self.network.fuse(&agents)?);
                 set.send(fused, out);
@@ -154,6 +178,13 @@ impl FusionFeatures {
     }
 }
 
+/// Whole frames of 0.1 s; none for what lies ahead.
+fn frames(time: Nanos) -> usize {
+    usize::try_from(time / FRAME).unwrap_or(0)
+}
+
+const FRAME: Nanos = 100_000_000;
+
 /// How a transform moves the ground, z = 0, seen from above.
 fn ground(transform: &Isometry3<f64>) -> [[f64; 3]; 2] {
     let matrix = transform.to_homogeneous();
@@ -169,7 +200,7 @@ mod tests {
     use realo_fusion::FUSED;
     use realo_nn::network::BevMap;
     use realo_schemas::report::Fate;
-    use realo_schemas::{Header, Kind, Nanos, Pose, Selection};
+    use realo_schemas::{Header, Kind, Pose, Selection};
 
     use super::*;
 
@@ -302,6 +333,11 @@ mod tests {
         let used = told.iter().filter(|(_, fate)| *fate == Fate::Used).count();
         let over = told.iter().filter(|(_, fate)| *fate == Fate::OverLimit).count();
         assert_eq!((used, over), (3, 2));
+    }
+
+    #[test]
+    fn age_counts_in_whole_frames() {
+        assert_eq!([-30, 0, 99, 100, 260].map(|age| frames(age * MS)), [0, 0, 0, 1, 2]);
     }
 
     #[test]

@@ -53,6 +53,8 @@ pub enum Decided {
     Coop,
     /// The agents that take part.
     Agents,
+    /// The agents that are roadside units.
+    Roadside,
     /// Whether there are no delays.
     Offline,
     /// Seconds of log time per second.

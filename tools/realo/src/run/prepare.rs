@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
-use realo_logs::{Log, Stream};
+use realo_logs::{AgentKind, Log, Stream};
 use realo_operator::Decided;
 use realo_results::{Settings, Told as ToldFile};
 
@@ -299,6 +299,9 @@ impl Told<'_> {
         let info = self.log.info();
         let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
         let mut told = vec![(Decided::Protocol, name_or_file(protocol)?)];
+        let roadside = info.agents.iter().filter(|agent| agent.kind == AgentKind::Roadside);
+        let roadside: Vec<&str> = roadside.map(|agent| &*agent.name).collect();
+        told.push((Decided::Roadside, roadside.join(",")));
         let has = |stream| info.agents.iter().any(|agent| self.log.has(&agent.name, stream));
         if has(Stream::Sweeps) && !has(Stream::Points) {
             let stem = stem(self.log_path);
