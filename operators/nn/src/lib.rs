@@ -13,7 +13,7 @@
 //! - if it computes what no layer here does: a variant of [`layers::Layer`] with its tensors, its kernel in `part.rs` and,
 //!   if it is to be trained, its operation in `tools/training/src/network.rs`. The compiler names these places;
 //! - if it fuses in a way of its own: a variant of [`layers::Fusion`] with its tensors, and a file with its kernel, as
-//!   `fuse.rs` (cell by cell), `transformer.rs` and `messages.rs` are.
+//!   `fuse.rs` (cell by cell), `transformer/` and `messages.rs` are.
 //!
 //! Weights, loading, the operators, training's loop and checkpoints stay as they are.
 
