@@ -83,7 +83,7 @@ impl FromStr for Kind {
 }
 
 /// How the log's time line lies on the wall clock in a realtime run.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Clock {
     /// Wall time, ns since the epoch, of `log_origin`.
     pub wall_origin: Nanos,

@@ -145,7 +145,7 @@ impl Operator for FusionFeatures {
                 let ego = self.maps.read(&set.ego)?;
                 let others = set.collaborators.iter();
                 let others: Vec<(&Collaborator<FeatureMap>, Read)> = others
-                    .filter_map(|collaborator| Some((collaborator, self.read(collaborator)?)))
+                    .filter_map(|collaborator| Some((collaborator, self.maps.read(&collaborator.payload).ok()?)))
                     .collect();
                 let mut agents = vec![Agent {
                     roadside: self.roadside.contains(&set.header.agent),

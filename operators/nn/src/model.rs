@@ -606,7 +606,7 @@ mod tests {
         let mut expected = lite();
         expected.name = "middle".into();
         expected.weights = Some("lite".into());
-        expected.arch = Arch::AttFuse(crate::arch::Shared {
+        expected.arch = Arch::AttFuse(crate::arch::Sharing {
             agents: 3,
             compression: 0,
         });

@@ -1,4 +1,4 @@
-use realo_nn::arch::{Arch, MessagePassing, Shared, Transformer, Window};
+use realo_nn::arch::{Arch, MessagePassing, Sharing, Transformer, Window};
 use realo_nn::fuse::{Agent, Warp};
 use realo_nn::layers::Layers;
 use realo_nn::model::{Model, Shrink};
@@ -37,6 +37,17 @@ fn fused(network: &mut Network, maps: &[BevView]) -> Result<BevMap, String> {
     network.fuse(&agents).map_err(|error| error.to_string())
 }
 
+/// Maps of one size that lie behind each other.
+fn views(cells: &[f32], [rows, columns, channels]: [usize; 3]) -> Vec<BevView<'_>> {
+    let view = |data| BevView {
+        rows,
+        columns,
+        channels,
+        data,
+    };
+    cells.chunks_exact(rows * columns * channels).map(view).collect()
+}
+
 /// How many agents each sample has.
 fn agents(tensors: &Tensors, name: &str, all: usize) -> Result<Vec<usize>, String> {
     let counts: Vec<usize> = tensors.numbers(name)?.iter().map(|count| *count as usize).collect();
@@ -55,7 +66,7 @@ fn of_maps(vector: &Vector) -> Result<(), String> {
     let counts = agents(&tensors, "in.record_len", maps)?;
     let most = counts.iter().copied().max().unwrap_or(1);
     let mut model = before(rows, columns, channels)?;
-    let shared = Shared {
+    let shared = Sharing {
         agents: most,
         compression: 0,
     };
@@ -68,13 +79,7 @@ fn of_maps(vector: &Vector) -> Result<(), String> {
     };
     let model = fusing(model, arch)?;
     let mut network = network(&model, &weights_of(&model, &tensors, |_| None)?)?;
-    let view = |data| BevView {
-        rows,
-        columns,
-        channels,
-        data,
-    };
-    let maps: Vec<BevView> = cells.chunks_exact(rows * columns * channels).map(view).collect();
+    let maps = views(&cells, [rows, columns, channels]);
     let (mut left, mut found) = (&maps[..], Vec::new());
     for count in counts {
         let (sample, rest) = left.split_at(count);
@@ -87,9 +92,9 @@ fn of_maps(vector: &Vector) -> Result<(), String> {
 /// The learned compressor: what crosses, and what is had back.
 fn compressor(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
-    let (cells, [samples, channels, rows, columns]) = tensors.channels_last("in.x")?;
+    let (cells, [_, channels, rows, columns]) = tensors.channels_last("in.x")?;
     let crossing = tensors.shape("mid.encoded")?[1];
-    let arch = Arch::FCooper(Shared {
+    let arch = Arch::FCooper(Sharing {
         agents: 1,
         compression: channels / crossing.max(1),
     });
@@ -103,13 +108,7 @@ fn compressor(vector: &Vector) -> Result<(), String> {
         section(layers.features, layers.restored)?,
     );
     let (mut crossed, mut restored) = (Vec::new(), Vec::new());
-    for data in cells.chunks_exact(cells.len() / samples.max(1)) {
-        let map = BevView {
-            rows,
-            columns,
-            channels,
-            data,
-        };
+    for map in views(&cells, [rows, columns, channels]) {
         let small = compress.run(map).map_err(|error| error.to_string())?;
         restored.extend(restore.run(&small).map_err(|error| error.to_string())?.data);
         crossed.extend(small.data);
@@ -118,12 +117,12 @@ fn compressor(vector: &Vector) -> Result<(), String> {
     compare_map(vector, &tensors, "out.decoded", &restored)
 }
 
-fn arch_of(config: &Value, shared: Shared) -> Result<Arch, String> {
+fn arch_of(config: &Value, shared: Sharing) -> Result<Arch, String> {
     if !config["transformer"].is_null() {
         return Ok(Arch::V2XViT(Box::new(transformer_of(&config["transformer"], shared)?)));
     }
     if let Some(rounds) = config["v2vfusion"]["num_iteration"].as_u64() {
-        let Shared { agents, compression } = shared;
+        let Sharing { agents, compression } = shared;
         return Ok(Arch::V2VNet(MessagePassing {
             agents,
             compression,
@@ -141,7 +140,7 @@ fn arch_of(config: &Value, shared: Shared) -> Result<Arch, String> {
 }
 
 /// The settings of a transformer as the reference writes them.
-fn transformer_of(config: &Value, Shared { agents, compression }: Shared) -> Result<Transformer, String> {
+fn transformer_of(config: &Value, Sharing { agents, compression }: Sharing) -> Result<Transformer, String> {
     let list = |value: &Value| -> Result<Vec<usize>, String> {
         serde_json::from_value(value.clone()).map_err(|error| format!("config of the transformer: {error}"))
     };
@@ -218,13 +217,7 @@ fn messages(vector: &Vector) -> Result<(), String> {
     let mut network = network(&model, &weights)?;
     let cell = cell_of(&vector.entry.config)?;
     let matrices = tensors.numbers("in.pairwise")?;
-    let view = |data| BevView {
-        rows,
-        columns,
-        channels,
-        data,
-    };
-    let maps: Vec<BevView> = cells.chunks_exact(rows * columns * channels).map(view).collect();
+    let maps = views(&cells, [rows, columns, channels]);
     let (mut left, mut found) = (&maps[..], Vec::new());
     for (count, matrices) in counts.into_iter().zip(matrices.chunks_exact(16 * most * most)) {
         let (sample, rest) = left.split_at(count);
@@ -261,7 +254,7 @@ fn transformer(vector: &Vector) -> Result<(), String> {
         return Err(format!("`in.x_blhwc3` has shape {shape:?}, not five sizes"));
     };
     let channels = all - 3;
-    let shared = Shared {
+    let shared = Sharing {
         agents: most,
         compression: 0,
     };
@@ -318,7 +311,7 @@ fn model(vector: &Vector, tensors: &Tensors) -> Result<(Model, Weights), String>
     }
     let agents = tensors.numbers("in.points_per_agent")?.len();
     let compression = vector.number("compression")? as usize;
-    let arch = arch_of(config, Shared { agents, compression })?;
+    let arch = arch_of(config, Sharing { agents, compression })?;
     let model = fusing(model, arch)?;
     let weights = weights_of(&model, tensors, |key| Some(key))?;
     Ok((model, weights))

@@ -9,7 +9,7 @@ use dora_node_api::dora_core::config::DataId;
 use dora_node_api::{DoraNode, MetadataParameters, NodeResult};
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
 use realo_operator::{Built, InputBooks, PortId, Registration};
-use realo_schemas::{Clock, Message, Nanos, wire};
+use realo_schemas::{Message, Nanos, wire};
 
 use crate::Stages;
 
@@ -435,12 +435,8 @@ impl Host {
         })?;
         (edge.end, edge.heard) = (Some(hops), wall_now());
         let mut state = self.shared.lock();
-        if let Some((wall_origin, log_origin, rate)) = clock {
-            state.engine.set_clock(Clock {
-                wall_origin,
-                log_origin,
-                rate,
-            });
+        if let Some(clock) = clock {
+            state.engine.set_clock(clock);
         }
         state.engine.merge_books(&books);
         if let Some(fates) = fates {
@@ -537,7 +533,7 @@ impl Host {
                 hops: state.engine.hops(exit.0, exit.1),
                 books: state.engine.books(),
                 fates: fates.clone(),
-                clock: clock.map(|clock| (clock.wall_origin, clock.log_origin, clock.rate)),
+                clock,
             };
             let ends: Vec<End> = ending.iter().map(|exit| end(*exit)).collect();
             drop(state);

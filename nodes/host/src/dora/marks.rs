@@ -3,7 +3,7 @@
 use dora_node_api::{MetadataParameters, Parameter};
 use realo_operator::Books;
 use realo_schemas::report::Fated;
-use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos, Payload, Report};
+use realo_schemas::{Clock, Header, Kind, Message, Name, Payload, Report};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -24,8 +24,8 @@ pub(super) struct End {
     pub books: Books,
     /// What was still to be said of messages over links.
     pub fates: Option<Fates>,
-    /// Wall origin, log origin and rate of the sender's clock, if it has one.
-    pub clock: Option<(Nanos, Nanos, f64)>,
+    /// The sender's, if it has one.
+    pub clock: Option<Clock>,
 }
 
 /// What stages of a process, or of those above it, said of messages over links.
@@ -152,7 +152,7 @@ mod tests {
             ..NodeBooks::default()
         };
         books.nodes.insert("ego.nms".into(), node);
-        let clock = Some((5, 7, 0.5));
+        let clock = Some(CLOCK);
         let end = End {
             hops: 9,
             books: books.clone(),

@@ -1,18 +1,18 @@
 //! AttFuse: attention between the agents' features in each cell (Xu et al. 2022), as V2X-Real builds it.
 
-use super::compressor::Shared;
 use super::pointpillars::{backbone, heads, pillars, shrink};
+use super::sharing::Sharing;
 use crate::layers::{Builder, Fusion, Layers};
 use crate::model::Model;
 
 /// The layers in the order of the state dict.
-pub fn layers(model: &Model, shared: &Shared) -> Layers {
+pub fn layers(model: &Model, sharing: &Sharing) -> Layers {
     let mut builder = Builder::default();
     let canvas = pillars(&mut builder, model);
     let joined = backbone(&mut builder, &model.backbone, canvas);
     let features = shrink(&mut builder, model, joined);
-    let crossed = shared.compress(&mut builder, features);
-    let restored = shared.restore(&mut builder, crossed);
+    let crossed = sharing.compress(&mut builder, features);
+    let restored = sharing.restore(&mut builder, crossed);
     // The products are scaled for the backbone's last channels, whatever the map has.
     let width = model.backbone.channels.last().copied().unwrap_or(1);
     let fused = builder.fuse(Fusion::Attention { width }, restored);

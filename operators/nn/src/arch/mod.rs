@@ -1,18 +1,18 @@
 //! The architectures: what a model's `arch` may be, each with its layers in a file of its own.
 
 mod attfuse;
-mod compressor;
 mod fcooper;
 mod pointpillars;
+mod sharing;
 mod v2vnet;
 mod v2xvit;
 
 use std::fmt;
 
-pub use compressor::Shared;
 #[cfg(test)]
 pub(crate) use pointpillars::heads;
 use serde::{Deserialize, Serialize};
+pub use sharing::Sharing;
 pub use v2vnet::MessagePassing;
 pub use v2xvit::{Transformer, Window};
 
@@ -26,9 +26,9 @@ pub enum Arch {
     /// Pillars, backbone, shrink layers and heads of one agent (PointPillars, Lang et al. 2019, as in V2X-Real).
     PointPillars {},
     /// Agents' maps fused by their maximum.
-    FCooper(Shared),
+    FCooper(Sharing),
     /// Agents' maps fused by attention.
-    AttFuse(Shared),
+    AttFuse(Sharing),
     /// Agents' maps fused by a transformer.
     V2XViT(Box<Transformer>),
     /// Agents' maps fused by messages between them.
@@ -79,7 +79,7 @@ impl Arch {
     pub fn agents(&self) -> usize {
         match self {
             Arch::PointPillars {} => 1,
-            Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.agents,
+            Arch::FCooper(sharing) | Arch::AttFuse(sharing) => sharing.agents,
             Arch::V2XViT(settings) => settings.agents,
             Arch::V2VNet(settings) => settings.agents,
         }
@@ -90,7 +90,7 @@ impl Arch {
         pointpillars::check(model, problems);
         match self {
             Arch::PointPillars {} => {}
-            Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.check(pointpillars::channels(model), problems),
+            Arch::FCooper(sharing) | Arch::AttFuse(sharing) => sharing.check(pointpillars::channels(model), problems),
             Arch::V2XViT(settings) => settings.check(pointpillars::map(model), problems),
             Arch::V2VNet(settings) => settings.check(pointpillars::channels(model), problems),
         }
@@ -100,8 +100,8 @@ impl Arch {
     pub(crate) fn layers(&self, model: &Model) -> Layers {
         match self {
             Arch::PointPillars {} => pointpillars::layers(model),
-            Arch::FCooper(shared) => fcooper::layers(model, shared),
-            Arch::AttFuse(shared) => attfuse::layers(model, shared),
+            Arch::FCooper(sharing) => fcooper::layers(model, sharing),
+            Arch::AttFuse(sharing) => attfuse::layers(model, sharing),
             Arch::V2XViT(settings) => v2xvit::layers(model, settings),
             Arch::V2VNet(settings) => v2vnet::layers(model, settings),
         }

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::compressor::Shared;
 use super::pointpillars::{backbone, heads, pillars, shrink};
+use super::sharing::Sharing;
 use crate::layers::{Builder, Fusion, Layers};
 use crate::model::{Model, Problems};
 
@@ -30,15 +30,15 @@ impl Default for MessagePassing {
 }
 
 impl MessagePassing {
-    fn shared(&self) -> Shared {
-        Shared {
+    fn sharing(&self) -> Sharing {
+        Sharing {
             agents: self.agents,
             compression: self.compression,
         }
     }
 
     pub(crate) fn check(&self, channels: usize, problems: &mut Problems) {
-        self.shared().check(channels, problems);
+        self.sharing().check(channels, problems);
         problems.within("arch.rounds", self.rounds, 1, 16);
     }
 }
@@ -49,8 +49,8 @@ pub fn layers(model: &Model, settings: &MessagePassing) -> Layers {
     let canvas = pillars(&mut builder, model);
     let joined = backbone(&mut builder, &model.backbone, canvas);
     let features = shrink(&mut builder, model, joined);
-    let crossed = settings.shared().compress(&mut builder, features);
-    let restored = settings.shared().restore(&mut builder, crossed);
+    let crossed = settings.sharing().compress(&mut builder, features);
+    let restored = settings.sharing().restore(&mut builder, crossed);
     let rounds = settings.rounds;
     let fused = builder.fuse(Fusion::Messages { rounds }, restored);
     let outputs = heads(&mut builder, model, fused);

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::compressor::Shared;
 use super::pointpillars::{backbone, heads, pillars, shrink};
+use super::sharing::Sharing;
 use crate::layers::{Builder, Fusion, Layers};
 use crate::model::{Model, Problems};
 
@@ -75,8 +75,8 @@ impl Default for Transformer {
 }
 
 impl Transformer {
-    fn shared(&self) -> Shared {
-        Shared {
+    fn sharing(&self) -> Sharing {
+        Sharing {
             agents: self.agents,
             compression: self.compression,
         }
@@ -84,7 +84,7 @@ impl Transformer {
 
     /// `map`: rows, columns and channels of the map that is fused.
     pub(crate) fn check(&self, [rows, columns, channels]: [usize; 3], problems: &mut Problems) {
-        self.shared().check(channels, problems);
+        self.sharing().check(channels, problems);
         problems.within("arch.depth", self.depth, 1, 16);
         problems.within("arch.blocks", self.blocks, 1, 16);
         problems.within("arch.heads", self.heads, 1, 256);
@@ -122,8 +122,8 @@ pub fn layers(model: &Model, settings: &Transformer) -> Layers {
     let canvas = pillars(&mut builder, model);
     let joined = backbone(&mut builder, &model.backbone, canvas);
     let features = shrink(&mut builder, model, joined);
-    let crossed = settings.shared().compress(&mut builder, features);
-    let restored = settings.shared().restore(&mut builder, crossed);
+    let crossed = settings.sharing().compress(&mut builder, features);
+    let restored = settings.sharing().restore(&mut builder, crossed);
     let fused = builder.fuse(Fusion::Transformer(Box::new(settings.clone())), restored);
     let outputs = heads(&mut builder, model, fused);
     builder.finish_fused(canvas, [crossed, restored, fused], outputs)

@@ -1,5 +1,5 @@
 use super::*;
-use crate::arch::{Arch, MessagePassing, Shared, Transformer, Window};
+use crate::arch::{Arch, MessagePassing, Sharing, Transformer, Window};
 use crate::fuse::Warp;
 use crate::model::Shrink;
 use crate::testing::{Numbers, random_tensors, small};
@@ -17,7 +17,7 @@ fn fusing() -> Vec<Model> {
         model.validate().unwrap();
         model
     };
-    let shared = |compression| Shared { agents: 4, compression };
+    let shared = |compression| Sharing { agents: 4, compression };
     let window = |side, heads, head_width| Window {
         side,
         heads,
@@ -66,7 +66,7 @@ fn fused(model: &Model, options: NetworkOptions, agents: &[Taking]) -> Vec<f32> 
     network.fuse(&agents).unwrap().data
 }
 
-/// Shared maps of an ego and others; the last one's covers nothing.
+/// Sharing maps of an ego and others; the last one's covers nothing.
 fn crowd(model: &Model) -> Vec<Taking> {
     let [rows, columns] = model.map_size();
     let channels = model.map_channels();

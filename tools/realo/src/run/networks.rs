@@ -5,13 +5,18 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, InputSource};
+use realo_nn::Loaded;
 
 use realo_operator::Decided;
 
 use super::nodes::{argument, decided_argument, deciding, registration};
 
-/// What is known of a network: its identity and the kernels that it runs on.
-type Known = (String, String);
+/// A network that was looked at; as long as it is kept, whoever loads it too shares it.
+struct Known {
+    loaded: Loaded,
+    /// What it runs on.
+    kernels: String,
+}
 
 /// The networks of a graph in words, each once; empty without any.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -36,7 +41,7 @@ impl Networks {
             let loaded = realo_nn::load(path, isa, 1)?;
             let choice = loaded.network.choice();
             let kernels = format!("{} on {}", choice.precision, choice.isa);
-            self.0.insert(key.clone(), (loaded.identity, kernels));
+            self.0.insert(key.clone(), Known { loaded, kernels });
         }
         Ok(&self.0[&key])
     }
@@ -53,15 +58,19 @@ impl Networks {
             let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
             let path = PathBuf::from(value(Decided::Model).unwrap_or_default());
             let isa = value(Decided::Isa).unwrap_or_default();
-            let (identity, runs_on) = self
+            let Known {
+                loaded,
+                kernels: runs_on,
+            } = self
                 .known(&path, &isa)
                 .wrap_err_with(|| format!("node `{}`", node.id))?;
+            let identity = loaded.identity.clone();
             if let Some(known) = registration(node) {
                 let built = (known.build)(node.settings());
                 built.map_err(|error| eyre!("node `{}`: {error}", node.id))?;
             }
             kernels.insert(runs_on.clone());
-            identities.insert(&node.id, (path, identity.clone()));
+            identities.insert(&node.id, (path, identity));
         }
         for node in deciding(graph, Decided::Model) {
             let (ours, b) = &identities[&*node.id];

@@ -8,16 +8,16 @@ use crate::model::Problems;
 /// What fusions of features have in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Shared {
+pub struct Sharing {
     /// Agents that are fused at most, the ego among them.
     pub agents: usize,
     /// How many times fewer channels cross than the map has; 0: all of them cross.
     pub compression: usize,
 }
 
-impl Default for Shared {
+impl Default for Sharing {
     fn default() -> Self {
-        Shared {
+        Sharing {
             agents: 4,
             compression: 0,
         }
@@ -27,7 +27,7 @@ impl Default for Shared {
 /// Agents that a model can be made for.
 const MOST_AGENTS: usize = 64;
 
-impl Shared {
+impl Sharing {
     /// `channels`: of the map that is compressed.
     pub(crate) fn check(&self, channels: usize, problems: &mut Problems) {
         problems.within("arch.agents", self.agents, 1, MOST_AGENTS);
