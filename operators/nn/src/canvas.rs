@@ -1,5 +1,7 @@
 //! The bird's-eye map that the pillar net writes and the first convolution reads.
 
+use crate::conv::{Rows, split};
+
 /// A map of `rows` (along y) × `columns` (along x) cells with `channels` f32 each, channels last, with a border of one
 /// cell of zeros for 3×3 convolutions.
 ///
@@ -11,7 +13,7 @@ pub struct Canvas {
     pub(crate) channels: usize,
     pub(crate) data: Vec<f32>,
     /// Where cells begin that are not known to be zero.
-    written: Vec<usize>,
+    pub(crate) written: Vec<usize>,
 }
 
 impl Canvas {
@@ -70,6 +72,21 @@ impl Canvas {
         for start in self.written.drain(..) {
             self.data[start..start + self.channels].fill(0.0);
         }
+    }
+
+    /// Says that only cells `row * columns + column` will be other than zero, and where those begin that were before; to be
+    /// cleared by whoever writes.
+    pub(crate) fn mark(&mut self, cells: &[u32]) -> Vec<usize> {
+        let columns = self.columns;
+        let starts = cells.iter().map(|cell| *cell as usize);
+        let starts = starts.map(|cell| self.start(cell / columns, cell % columns)).collect();
+        std::mem::replace(&mut self.written, starts)
+    }
+
+    /// The rows without the border, cut for workers; each with its border columns.
+    pub(crate) fn shares(&mut self, workers: usize) -> Vec<Rows<'_, f32>> {
+        let length = (self.columns + 2) * self.channels;
+        split(&mut self.data[length..length * (self.rows + 1)], length, self.rows, workers, 1)
     }
 
     fn start(&self, row: usize, column: usize) -> usize {

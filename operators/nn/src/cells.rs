@@ -1,6 +1,6 @@
 //! What fusions do with maps: layers on them, and work on all their cells.
 
-use crate::conv::{Convolution, Element, Isa, Kernel, Map, Packed, Pool, Rows, View};
+use crate::conv::{Convolution, Element, Isa, Kernel, Map, Packed, Pool, Rows, Steps, View};
 use crate::layers::{Role, TensorSpec};
 use crate::part::Number;
 
@@ -49,7 +49,7 @@ pub(crate) fn packed<E: Kernel<f32>>(
         weights,
         bias,
     };
-    Packed::new(&layer, isa)
+    Packed::new(&layer, isa, Steps::ONE)
 }
 
 /// The cells of a row, border left out.

@@ -1,7 +1,10 @@
 //! From points to the BEV map: pillars, pillar layer, backbone.
 
+use std::sync::{Arc, Mutex};
+
 use crate::canvas::Canvas;
-use crate::load::Loaded;
+use crate::conv::Pool;
+use crate::load::{Loaded, lock};
 use crate::model::Model;
 use crate::network::{BevMap, Network, NetworkError};
 use crate::pillar_net::PillarNet;
@@ -14,17 +17,28 @@ pub struct Pillarer {
     net: PillarNet,
     canvas: Canvas,
     intensity: bool,
+    pool: Arc<Mutex<Pool>>,
 }
 
 impl Pillarer {
-    /// The first steps of a model.
+    /// The first steps of a model, on the caller's thread.
     pub fn new(model: &Model, weights: &Weights) -> Self {
+        Pillarer::on(Arc::new(Mutex::new(Pool::new(1))), model, weights)
+    }
+
+    /// The first steps of a model, on a network's threads.
+    pub fn beside(network: &Network, model: &Model, weights: &Weights) -> Self {
+        Pillarer::on(network.pool(), model, weights)
+    }
+
+    fn on(pool: Arc<Mutex<Pool>>, model: &Model, weights: &Weights) -> Self {
         let (grid, pillars) = (&model.grid, &model.pillars);
         Pillarer {
             pillariser: Pillariser::new(grid, pillars.points, pillars.pillars),
             net: PillarNet::of(model, weights),
             canvas: Canvas::new(grid.rows(), grid.columns(), pillars.channels),
             intensity: pillars.intensity,
+            pool,
         }
     }
 
@@ -36,7 +50,7 @@ impl Pillarer {
     /// The canvas of points in the model's frame, and how many were left out.
     pub fn run(&mut self, points: &Points) -> (&Canvas, Dropped) {
         let pillars = self.pillariser.run(points);
-        self.net.run(pillars, &mut self.canvas);
+        self.net.run_on(pillars, &mut self.canvas, &mut lock(&self.pool));
         (&self.canvas, pillars.dropped)
     }
 }
@@ -51,7 +65,7 @@ impl Encoder {
     /// The encoder of a model that was loaded.
     pub fn new(loaded: Loaded) -> Self {
         Encoder {
-            pillarer: Pillarer::new(&loaded.model, &loaded.weights),
+            pillarer: Pillarer::beside(&loaded.network, &loaded.model, &loaded.weights),
             network: loaded.network,
         }
     }

@@ -268,7 +268,7 @@ mod tests {
             let mut canvas = Canvas::new(8, 12, 7);
             canvas.cell_mut(3, 4).fill(value);
             let map = network.encode(&canvas).unwrap();
-            (network.heads(&map).unwrap(), map)
+            (network.heads(&map).unwrap().clone(), map)
         };
         let expected = [1.0, 2.0].map(|value| map(2, value));
         let _kept = load_from(folder.path(), "auto", 2);

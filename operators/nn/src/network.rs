@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use crate::canvas::Canvas;
-use crate::conv::{Bf16, Isa, Pool, View};
+use crate::conv::{Bf16, Isa, Pool, View, split};
 use crate::fuse::{Agent, CellFusion, fuse};
 use crate::layers::{FuseLayer, Fusion, Layers, MapId, MapSize};
 use crate::load::lock;
@@ -295,6 +295,20 @@ impl Core {
     }
 }
 
+impl Core {
+    /// Heads of zeros.
+    fn result(&self) -> Heads {
+        let [rows, columns, _] = self.result;
+        let [scores, deltas] = self.outputs.map(|outputs| vec![0.0; rows * columns * outputs]);
+        Heads {
+            rows,
+            columns,
+            scores,
+            deltas,
+        }
+    }
+}
+
 fn choose(model: &Model, options: &NetworkOptions) -> Result<Choice, NetworkError> {
     if !options.isa.is_available() {
         return Err(NetworkError::Isa {
@@ -302,7 +316,7 @@ fn choose(model: &Model, options: &NetworkOptions) -> Result<Choice, NetworkErro
             best: Isa::detect(),
         });
     }
-    let has_half = options.isa == Isa::Avx512Bf16;
+    let has_half = options.isa.has_bf16();
     let usual = if has_half { model.precision } else { Precision::F32 };
     Ok(Choice {
         isa: options.isa,
@@ -365,6 +379,7 @@ pub struct Network {
     encode: Box<dyn Runner>,
     restore: Option<Box<dyn Runner>>,
     heads: Box<dyn Runner>,
+    result: Heads,
 }
 
 impl Network {
@@ -394,6 +409,7 @@ impl Network {
             encode: core.encode.running(),
             restore: core.restore.as_ref().map(Engine::running),
             heads: core.heads.running(),
+            result: core.result(),
             core,
             pool,
         }
@@ -407,6 +423,11 @@ impl Network {
     #[cfg(test)]
     pub(crate) fn shares_threads_with(&self, other: &Network) -> bool {
         Arc::ptr_eq(&self.pool, &other.pool)
+    }
+
+    /// Its threads.
+    pub(crate) fn pool(&self) -> Arc<Mutex<Pool>> {
+        Arc::clone(&self.pool)
     }
 
     /// What it computes with.
@@ -423,7 +444,7 @@ impl Network {
     /// [`NetworkError::Shape`] if the canvas is not of the model's size.
     pub fn forward(&mut self, canvas: &Canvas) -> Result<Heads, NetworkError> {
         let map = self.encode(canvas)?;
-        self.heads(&map)
+        self.heads(&map).cloned()
     }
 
     /// From the canvas to the BEV map that agents share.
@@ -439,6 +460,7 @@ impl Network {
             stored: canvas.channels(),
             border: 1,
             data: canvas.data(),
+            written: Some(&canvas.written),
         };
         let mut pool = lock(&self.pool);
         let data = self.encode.run(&mut pool, view).to_f32(&mut pool);
@@ -485,29 +507,33 @@ impl Network {
         Ok(map_of(core.fused, fuser.run(&agents, &mut pool)))
     }
 
-    /// From a BEV map to the heads. The map is read where it lies, unless the network computes in other numbers.
+    /// From a BEV map to the heads, which stay until the next one. The map is read where it lies, unless the network computes
+    /// in other numbers.
     ///
     /// # Errors
     /// [`NetworkError::Shape`] if the map is not of the model's size, [`NetworkError::Length`] if it is not of its own.
-    pub fn heads<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<Heads, NetworkError> {
+    pub fn heads<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<&Heads, NetworkError> {
         let core = &*self.core;
         let view = plain(&core.name, map.into(), core.fused)?;
         let mut pool = lock(&self.pool);
         let Made::Single(numbers) = self.heads.run(&mut pool, view) else {
             unreachable!("heads are made in f32");
         };
-        let ([rows, columns, _], [scores, deltas]) = (core.result, core.outputs);
-        let cells = rows * columns;
-        let mut heads = Heads {
-            rows,
-            columns,
-            scores: Vec::with_capacity(cells * scores),
-            deltas: Vec::with_capacity(cells * deltas),
-        };
-        for cell in (0..rows).flat_map(|row| numbers.row(row)) {
-            heads.scores.extend_from_slice(&cell[..scores]);
-            heads.deltas.extend_from_slice(&cell[scores..]);
-        }
+        let heads = &mut self.result;
+        let [scores, deltas] = core.outputs.map(|outputs| outputs * heads.columns);
+        let shares = split(&mut heads.scores, scores, heads.rows, pool.threads(), 1).into_iter();
+        let shares = shares.zip(split(&mut heads.deltas, deltas, heads.rows, pool.threads(), 1));
+        pool.each(shares.collect(), |(of_scores, of_deltas)| {
+            let rows = of_scores.data.chunks_exact_mut(scores).zip(of_deltas.data.chunks_exact_mut(deltas));
+            for (row, (to_scores, to_deltas)) in of_scores.range.zip(rows) {
+                let [scores, deltas] = core.outputs;
+                let cells = to_scores.chunks_exact_mut(scores).zip(to_deltas.chunks_exact_mut(deltas));
+                for (cell, (to_scores, to_deltas)) in numbers.row(row).zip(cells) {
+                    to_scores.copy_from_slice(&cell[..scores]);
+                    to_deltas.copy_from_slice(&cell[scores..]);
+                }
+            }
+        });
         Ok(heads)
     }
 }
@@ -530,6 +556,7 @@ fn plain<'a>(model: &str, map: BevView<'a>, expected: MapSize) -> Result<View<'a
         stored: map.channels,
         border: 0,
         data: map.data,
+        written: None,
     };
     match view.numbers() == map.data.len() {
         true => Ok(view),

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use crate::conv::{Bf16, Convolution, Isa, Kernel, Map, Packed, Pool, View};
+use crate::conv::{Bf16, Convolution, Isa, Kernel, Map, Packed, Pool, Steps, View};
 use crate::layers::{ConvLayer, Layer, Layers, MapId, MapSize, Step};
 use crate::weights::Weights;
 
@@ -14,7 +14,7 @@ pub(crate) trait Number: Kernel<Self> + Kernel<f32> {
     fn take<'a>(
         from: View<'a, f32>,
         needs_border: bool,
-        copy: &'a mut Option<Map<Self>>,
+        copy: &'a mut Option<Copied<Self>>,
         pool: &mut Pool,
     ) -> View<'a, Self>;
 }
@@ -23,7 +23,7 @@ impl Number for f32 {
     fn take<'a>(
         from: View<'a, f32>,
         needs_border: bool,
-        copy: &'a mut Option<Map<f32>>,
+        copy: &'a mut Option<Copied<f32>>,
         pool: &mut Pool,
     ) -> View<'a, f32> {
         match from.border == 1 || !needs_border {
@@ -34,17 +34,35 @@ impl Number for f32 {
 }
 
 impl Number for Bf16 {
-    fn take<'a>(from: View<'a, f32>, _: bool, copy: &'a mut Option<Map<Bf16>>, pool: &mut Pool) -> View<'a, Bf16> {
+    fn take<'a>(from: View<'a, f32>, _: bool, copy: &'a mut Option<Copied<Bf16>>, pool: &mut Pool) -> View<'a, Bf16> {
         copied(from, copy, pool)
     }
 }
 
-fn copied<'a, E: Number>(from: View<f32>, copy: &'a mut Option<Map<E>>, pool: &mut Pool) -> View<'a, E> {
-    let map = copy.get_or_insert_with(|| Map::new(from.rows, from.columns, from.stored));
-    match from.border {
-        0 => map.fill_with(pool, from.data),
+/// A copy of a map in other numbers.
+pub(crate) struct Copied<E> {
+    map: Map<E>,
+    /// Where cells of the map that it was taken from began that may differ from zero; `None`: anywhere.
+    written: Option<Vec<usize>>,
+}
+
+fn copied<'a, E: Number>(from: View<f32>, copy: &'a mut Option<Copied<E>>, pool: &mut Pool) -> View<'a, E> {
+    let Copied { map, written } = copy.get_or_insert_with(|| Copied {
+        map: Map::new(from.rows, from.columns, from.stored),
+        written: Some(Vec::new()),
+    });
+    match (from.border, from.written, &written) {
+        (0, _, _) => map.fill_with(pool, from.data),
+        (_, Some(cells), Some(before)) => map.fill_from_cells(pool, from, before, cells),
         _ => map.fill_from_view(pool, from),
     }
+    let kept = written.take().unwrap_or_default();
+    *written = from.written.map(|cells| {
+        let mut kept = kept;
+        kept.clear();
+        kept.extend_from_slice(cells);
+        kept
+    });
     map.view()
 }
 
@@ -84,7 +102,7 @@ enum Run<E> {
 
 /// The maps of a part, made when it first runs.
 pub(crate) struct Rooms<E> {
-    copy: Option<Map<E>>,
+    copy: Option<Copied<E>>,
     own: Vec<Map<E>>,
     single: Option<Map<f32>>,
 }
@@ -180,8 +198,8 @@ impl<E: Number> Part<E> {
                 })
             });
             let run = match room {
-                Some(room) => Run::Own(Packed::new(&numbers, isa), room),
-                None => Run::Single(Packed::new(&numbers, isa)),
+                Some(room) => Run::Own(Packed::new(&numbers, isa, Steps::ONE), room),
+                None => Run::Single(Packed::new(&numbers, isa, Steps::ONE)),
             };
             let from = (source != from).then(|| places[&home(source).0]);
             part.needs_border |= from.is_none() && run.needs_border();

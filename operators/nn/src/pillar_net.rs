@@ -5,6 +5,7 @@
 //! pillar's centre. All are linear in the point, so what a pillar's points share is added once, after the maximum.
 
 use crate::canvas::Canvas;
+use crate::conv::{Pool, Rows};
 use crate::layers::{Layers, POINT_FEATURES};
 use crate::model::{Grid, Model};
 use crate::pillars::Pillars;
@@ -18,7 +19,6 @@ pub struct PillarNet {
     centers: Centers,
     /// Pillars with fewer points have empty slots that take part in the maximum.
     empty_below: Option<usize>,
-    offsets: Vec<[f32; 4]>,
 }
 
 impl PillarNet {
@@ -74,7 +74,6 @@ impl PillarNet {
             layer,
             centers,
             empty_below,
-            offsets: Vec::new(),
         }
     }
 
@@ -87,17 +86,19 @@ impl PillarNet {
     ///
     /// # Panics
     /// If the canvas has another number of rows, columns or channels than this net's grid and layer.
-    pub fn run(&mut self, pillars: &Pillars, canvas: &mut Canvas) {
+    pub fn run(&self, pillars: &Pillars, canvas: &mut Canvas) {
+        self.run_on(pillars, canvas, &mut Pool::new(1));
+    }
+
+    /// As [`PillarNet::run`], each thread with rows of its own.
+    pub(crate) fn run_on(&self, pillars: &Pillars, canvas: &mut Canvas, pool: &mut Pool) {
         self.assert_fits(canvas);
-        canvas.clear();
-        encode(
-            &self.layer,
-            &self.centers,
-            self.empty_below,
-            pillars,
-            &mut self.offsets,
-            canvas,
-        );
+        let before = canvas.mark(&pillars.cells);
+        pool.each(canvas.shares(pool.threads()), |rows| {
+            let first = (rows.range.start + 1) * (self.centers.columns + 2) * self.layer.channels;
+            clear(rows.data, first, self.layer.channels, &before);
+            encode(self, pillars, rows);
+        });
     }
 
     fn assert_fits(&self, canvas: &Canvas) {
@@ -184,24 +185,34 @@ impl Centers {
     }
 }
 
+/// Makes the cells zero that begin at such numbers of the rows of a canvas; `data` begins at `first` of them.
+fn clear(data: &mut [f32], first: usize, channels: usize, starts: &[usize]) {
+    let own = first..first + data.len();
+    for start in starts.iter().filter(|start| own.contains(*start)) {
+        data[start - first..][..channels].fill(0.0);
+    }
+}
+
 dispatch! {
-    /// Writes every pillar's features into its cell; `offsets` is scratch.
-    fn encode(
-        layer: &Layer,
-        centers: &Centers,
-        empty_below: Option<usize>,
-        pillars: &Pillars,
-        offsets: &mut Vec<[f32; 4]>,
-        canvas: &mut Canvas,
-    ) {
+    /// Writes every pillar's features into its cell, if it lies in these rows.
+    fn encode(net: &PillarNet, pillars: &Pillars, rows: Rows<f32>) {
+        let PillarNet { layer, centers, empty_below } = net;
+        let Rows { range, data } = rows;
+        let own = range.start * centers.columns..range.end * centers.columns;
+        let mut offsets = Vec::new();
         for (pillar, cell) in pillars.cells.iter().enumerate() {
+            let cell = *cell as usize;
+            if !own.contains(&cell) {
+                continue;
+            }
             let points = pillars.points_of(pillar);
-            let (row, column, center) = centers.of(*cell as usize);
-            let mean = offsets_from(center, points, offsets);
+            let (row, column, center) = centers.of(cell);
+            let mean = offsets_from(center, points, &mut offsets);
             let empty = empty_below.is_some_and(|slots| points.len() < slots);
-            let cell = canvas.cell_mut(row, column).chunks_mut(LANES);
-            for (out, block) in cell.zip(&layer.blocks) {
-                let features = block.features(offsets, center, mean, empty);
+            let start = ((row - range.start) * (centers.columns + 2) + column + 1) * layer.channels;
+            let to = data[start..start + layer.channels].chunks_mut(LANES);
+            for (out, block) in to.zip(&layer.blocks) {
+                let features = block.features(&offsets, center, mean, empty);
                 match <&mut Lanes>::try_from(&mut *out) {
                     Ok(lanes) => *lanes = features,
                     Err(_) => out.copy_from_slice(&features[..out.len()]),
@@ -369,14 +380,9 @@ mod tests {
         let (mut canvas, mut portable) = (new_canvas(), new_canvas());
         net.run(&self::pillars(500), &mut canvas);
         net.run(&pillars, &mut canvas);
-        encode::portable(
-            &net.layer,
-            &net.centers,
-            net.empty_below,
-            &pillars,
-            &mut Vec::new(),
-            &mut portable,
-        );
+        portable.mark(&pillars.cells);
+        let rows = portable.shares(1).remove(0);
+        encode::portable(&net, &pillars, rows);
         assert_eq!(canvas, portable);
     }
 

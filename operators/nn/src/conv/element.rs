@@ -6,6 +6,16 @@ pub trait Element: Copy + Default + Send + Sync + 'static {
     fn from_f32(value: f32) -> Self;
 
     fn to_f32(self) -> f32;
+
+    /// The number that a weight is a multiple of, from the greatest of its output's.
+    fn weight_step(_greatest: f32) -> f32 {
+        1.0
+    }
+
+    /// A weight, in steps.
+    fn weight(steps: f32) -> Self {
+        Self::from_f32(steps)
+    }
 }
 
 impl Element for f32 {
@@ -40,6 +50,37 @@ impl Element for Bf16 {
     #[inline]
     fn to_f32(self) -> f32 {
         f32::from_bits(u32::from(self.0) << 16)
+    }
+}
+
+/// A multiple of a map's step, 0 to 255; as a weight, one of its output's step within [`MOST_WEIGHT`], as a signed byte.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(transparent)]
+pub struct U8(pub u8);
+
+/// Greatest weight in steps: two products with it, added, fit 16 bits, which AVX2 needs.
+const MOST_WEIGHT: f32 = 64.0;
+
+impl Element for U8 {
+    const PER_UNIT: usize = 4;
+
+    /// Rounds to nearest, ties to even; NaN becomes 0.
+    #[inline]
+    fn from_f32(value: f32) -> Self {
+        U8(value.round_ties_even() as u8)
+    }
+
+    #[inline]
+    fn to_f32(self) -> f32 {
+        f32::from(self.0)
+    }
+
+    fn weight_step(greatest: f32) -> f32 {
+        if greatest > 0.0 { greatest / MOST_WEIGHT } else { 1.0 }
+    }
+
+    fn weight(steps: f32) -> Self {
+        U8(steps.round_ties_even() as i8 as u8)
     }
 }
 

@@ -4,6 +4,8 @@ use std::str::FromStr;
 /// Instructions that a convolution is written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Isa {
+    /// AMX, whose tiles multiply bf16 and bytes; f32 layers use AVX-512.
+    Amx,
     /// AVX-512 with products of bf16; f32 layers use AVX-512.
     Avx512Bf16,
     /// AVX-512.
@@ -16,12 +18,12 @@ pub enum Isa {
 
 /// No set of instructions has this name.
 #[derive(Debug, thiserror::Error)]
-#[error("expected one of avx512bf16, avx512, avx2, portable, found `{0}`")]
+#[error("expected one of amx, avx512bf16, avx512, avx2, portable, found `{0}`")]
 pub struct UnknownIsa(String);
 
 impl Isa {
     /// All, best first.
-    pub const ALL: [Isa; 4] = [Isa::Avx512Bf16, Isa::Avx512, Isa::Avx2, Isa::Portable];
+    pub const ALL: [Isa; 5] = [Isa::Amx, Isa::Avx512Bf16, Isa::Avx512, Isa::Avx2, Isa::Portable];
 
     /// The best that this CPU has.
     pub fn detect() -> Isa {
@@ -31,10 +33,16 @@ impl Isa {
             .unwrap_or(Isa::Portable)
     }
 
+    /// Whether it multiplies bf16.
+    pub fn has_bf16(self) -> bool {
+        matches!(self, Isa::Amx | Isa::Avx512Bf16)
+    }
+
     /// Whether this CPU has it.
     #[cfg(target_arch = "x86_64")]
     pub fn is_available(self) -> bool {
         match self {
+            Isa::Amx => super::x86::has_tiles(),
             Isa::Avx512Bf16 => Isa::Avx512.is_available() && is_x86_feature_detected!("avx512bf16"),
             Isa::Avx512 => is_x86_feature_detected!("avx512f"),
             Isa::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
@@ -52,6 +60,7 @@ impl Isa {
 impl fmt::Display for Isa {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.write_str(match self {
+            Isa::Amx => "amx",
             Isa::Avx512Bf16 => "avx512bf16",
             Isa::Avx512 => "avx512",
             Isa::Avx2 => "avx2",

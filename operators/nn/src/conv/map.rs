@@ -1,16 +1,19 @@
 use std::ops::Range;
 
+use super::pack::Aligned;
 use super::{Element, Pool};
 
 /// A map of `rows` x `columns` cells with a border of one cell of zeros, channels last.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct Map<E> {
     pub rows: usize,
     pub columns: usize,
     pub channels: usize,
     /// Numbers of a cell: the channels, filled up with zeros to whole units.
     pub stored: usize,
-    data: Vec<E>,
+    /// What 1 stands for.
+    step: f32,
+    data: Aligned<E>,
 }
 
 /// A [`Map`] to read.
@@ -23,6 +26,8 @@ pub(crate) struct View<'a, E> {
     pub border: usize,
     /// `[rows + 2 * border, columns + 2 * border, stored]`.
     pub data: &'a [E],
+    /// Where in `data` the cells begin that need not be zero; `None` if nobody knows.
+    pub written: Option<&'a [usize]>,
 }
 
 impl<E> View<'_, E> {
@@ -44,14 +49,21 @@ pub(crate) struct Rows<'a, E> {
 }
 
 impl<E: Element> Map<E> {
+    /// A map of zeros whose numbers stand for themselves.
     pub fn new(rows: usize, columns: usize, channels: usize) -> Self {
+        Map::with_step([rows, columns, channels], 1.0)
+    }
+
+    /// A map of zeros of so many rows, columns and channels, with a step.
+    pub fn with_step([rows, columns, channels]: [usize; 3], step: f32) -> Self {
         let stored = channels.next_multiple_of(E::PER_UNIT);
         Map {
             rows,
             columns,
             channels,
             stored,
-            data: vec![E::default(); (rows + 2) * (columns + 2) * stored],
+            step,
+            data: Aligned::zeros((rows + 2) * (columns + 2) * stored),
         }
     }
 
@@ -62,6 +74,7 @@ impl<E: Element> Map<E> {
             stored: self.stored,
             border: 1,
             data: &self.data,
+            written: None,
         }
     }
 
@@ -95,13 +108,14 @@ impl<E: Element> Map<E> {
     }
 
     pub fn fill_with(&mut self, pool: &mut Pool, cells: &[f32]) {
+        let steps = 1.0 / self.step;
         let (columns, channels, stored, length) = (self.columns, self.channels, self.stored, self.row_length());
         assert_eq!(cells.len(), self.rows * columns * channels, "numbers of the map");
         pool.each(self.shares(pool.threads(), 1), |share| {
             for (row, to) in share.range.zip(share.data.chunks_exact_mut(length)) {
                 let from = cells[row * columns * channels..].chunks_exact(channels);
                 for (from, to) in from.zip(to[stored..].chunks_exact_mut(stored)).take(columns) {
-                    from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
+                    from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from * steps));
                 }
             }
         });
@@ -109,20 +123,46 @@ impl<E: Element> Map<E> {
 
     /// Takes all cells, border included, from a map of the same size.
     pub fn fill_from_view(&mut self, pool: &mut Pool, from: View<f32>) {
+        self.assert_like(&from);
+        let steps = 1.0 / self.step;
         let (rows, length, channels, stored) = (self.rows + 2, self.row_length(), self.channels, self.stored);
-        assert_eq!(
-            (from.rows, from.columns, from.stored, from.border),
-            (self.rows, self.columns, channels, 1),
-            "size of a map"
-        );
         let shares = split(&mut self.data, length, rows, pool.threads(), 1);
         pool.each(shares, |share| {
             let cells = share.range.start * (length / stored) * channels;
             let from = from.data[cells..].chunks_exact(channels);
             for (from, to) in from.zip(share.data.chunks_exact_mut(stored)) {
-                from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
+                from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from * steps));
             }
         });
+    }
+
+    /// Takes the cells that begin at `written` of a map of the same size, makes those zero that began at `before`.
+    pub fn fill_from_cells(&mut self, pool: &mut Pool, from: View<f32>, before: &[usize], written: &[usize]) {
+        self.assert_like(&from);
+        let steps = 1.0 / self.step;
+        let (rows, length, channels, stored) = (self.rows + 2, self.row_length(), self.channels, self.stored);
+        let shares = split(&mut self.data, length, rows, pool.threads(), 1);
+        pool.each(shares, |share| {
+            let [begin, end] = [share.range.start, share.range.end].map(|row| row * (length / stored) * channels);
+            let own = |start: &&usize| (begin..end).contains(*start);
+            let place = |start: usize| (start - begin) / channels * stored;
+            for start in before.iter().filter(own) {
+                share.data[place(*start)..][..channels].fill(E::default());
+            }
+            for start in written.iter().filter(own) {
+                let to = &mut share.data[place(*start)..][..channels];
+                let from = &from.data[*start..][..channels];
+                from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from * steps));
+            }
+        });
+    }
+
+    fn assert_like(&self, from: &View<f32>) {
+        assert_eq!(
+            (from.rows, from.columns, from.stored, from.border),
+            (self.rows, self.columns, self.channels, 1),
+            "size of a map"
+        );
     }
 
     /// All cells as `[rows, columns, channels]`.
@@ -132,7 +172,7 @@ impl<E: Element> Map<E> {
         pool.each(split(&mut cells, length, self.rows, pool.threads(), 1), |share| {
             for (row, to) in share.range.zip(share.data.chunks_exact_mut(length)) {
                 for (from, to) in self.row(row).zip(to.chunks_exact_mut(self.channels)) {
-                    from.iter().zip(to).for_each(|(from, to)| *to = from.to_f32());
+                    from.iter().zip(to).for_each(|(from, to)| *to = from.to_f32() * self.step);
                 }
             }
         });

@@ -1,7 +1,7 @@
 //! Convolutions for inference, on maps with channels last and a border of one cell of zeros.
 //!
 //! A kernel row of a 3x3 window is then 3 x channels contiguous numbers, no bounds test is needed, and concatenation is a
-//! channel offset at write. Channels are counted in units of 4 bytes (1 f32, 2 bf16), so that one loop nest serves both.
+//! channel offset at write. Channels are counted in units of 4 bytes (1 f32, 2 bf16, 4 bytes), so that one loop nest serves all.
 //! Every output is one sum in one order, whatever thread computes it: bits do not depend on the number of threads.
 
 mod element;
@@ -18,10 +18,11 @@ mod x86;
 mod tests;
 
 pub use element::Bf16;
+pub(crate) use element::U8;
 pub(crate) use element::Element;
 pub use isa::{Isa, UnknownIsa};
 pub(crate) use map::{Map, Rows, View, split};
-pub(crate) use pack::{Kernel, Packed};
+pub(crate) use pack::{Kernel, Packed, Steps};
 pub(crate) use pool::Pool;
 
 /// A convolution with bias on a map padded with zeros so that stride 1 keeps its size, or a transposed one that enlarges
@@ -56,6 +57,18 @@ impl Convolution {
         }
     }
 
+    /// The greatest weight of each output, without its sign.
+    pub(crate) fn greatest_weights(&self) -> impl Iterator<Item = f32> {
+        let taps = self.kernel * self.kernel;
+        (0..self.outputs).map(move |output| {
+            let weights = (0..self.inputs * taps).map(|i| {
+                let (input, tap) = (i / taps, i % taps);
+                self.weight(output, input, tap / self.kernel, tap % self.kernel).abs()
+            });
+            weights.fold(0.0, f32::max)
+        })
+    }
+
     pub(crate) fn weight(&self, output: usize, input: usize, row: usize, column: usize) -> f32 {
         let (major, minor, minors) = match self.transposed {
             true => (input, output, self.outputs),
@@ -78,7 +91,7 @@ pub(crate) fn apply(layers: &[Convolution], isa: Isa, threads: usize, size: [usi
     map.fill_from(data);
     for layer in layers {
         let mut next = Map::new(layer.size(map.rows), layer.size(map.columns), layer.outputs);
-        Packed::<f32>::new(layer, isa).run(&mut pool, map.view(), &mut next, 0);
+        Packed::<f32>::new(layer, isa, Steps::ONE).run(&mut pool, map.view(), &mut next, 0);
         map = next;
     }
     map.to_f32(&mut pool)

@@ -1,4 +1,4 @@
-use std::ops::{Deref, Range};
+use std::ops::{Deref, DerefMut, Range};
 
 use super::map::{Map, Rows, View};
 use super::{Convolution, Element, Isa, Pool};
@@ -25,8 +25,26 @@ pub(crate) struct Share<'a, E, O> {
 
 /// A number type with its kernels, which read maps of it and write maps of `O`.
 pub(crate) trait Kernel<O>: Element {
-    /// The kernel for so many outputs in these instructions, and the outputs that it computes side by side.
-    fn kernel(isa: Isa, outputs: usize) -> (Run<Self, O>, usize);
+    /// The kernel for cells of so many numbers and so many outputs in these instructions, and the outputs that it computes
+    /// side by side.
+    fn kernel(isa: Isa, stored: usize, outputs: usize) -> (Run<Self, O>, usize);
+}
+
+/// What a number of a map stands for: 1, but for bytes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Steps {
+    /// In the map that a layer reads.
+    pub input: f32,
+    /// In the map that it writes.
+    pub output: f32,
+}
+
+impl Steps {
+    /// Of maps of floating-point numbers.
+    pub const ONE: Steps = Steps {
+        input: 1.0,
+        output: 1.0,
+    };
 }
 
 /// A convolution made ready for a kernel.
@@ -43,6 +61,8 @@ pub(crate) struct Packed<E, O = E> {
     pub(super) block: usize,
     /// `[up, up, blocks, kernel, kernel, units, block, numbers of a unit]`.
     pub(super) weights: Aligned<E>,
+    /// What a sum is multiplied by, `[blocks, block]`.
+    pub(super) scales: Vec<f32>,
     /// `[blocks, block]`.
     pub(super) bias: Vec<f32>,
     run: Run<E, O>,
@@ -51,7 +71,7 @@ pub(crate) struct Packed<E, O = E> {
 impl<E: Kernel<O>, O: Element> Packed<E, O> {
     /// # Panics
     /// If the CPU lacks `isa`, or the convolution's sizes do not fit together.
-    pub fn new(layer: &Convolution, isa: Isa) -> Self {
+    pub fn new(layer: &Convolution, isa: Isa, steps: Steps) -> Self {
         assert!(isa.is_available(), "this CPU has no {isa}");
         let Convolution {
             inputs,
@@ -75,9 +95,14 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
                 "kernel of a convolution: 1 or 3, found {kernel}"
             ),
         }
-        let (run, block) = E::kernel(isa, outputs);
-        let mut bias = layer.bias.clone();
-        bias.resize(outputs.next_multiple_of(block), 0.0);
+        let (run, block) = E::kernel(isa, inputs.next_multiple_of(E::PER_UNIT), outputs);
+        let weight_steps = layer.greatest_weights().map(E::weight_step);
+        let weight_steps: Vec<f32> = weight_steps.collect();
+        let filled = |numbers: &mut dyn Iterator<Item = f32>| {
+            let mut numbers: Vec<f32> = numbers.collect();
+            numbers.resize(outputs.next_multiple_of(block), 0.0);
+            numbers
+        };
         Packed {
             inputs,
             outputs,
@@ -87,8 +112,9 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
             up,
             floor: if layer.relu { 0.0 } else { f32::NEG_INFINITY },
             block,
-            weights: pack(layer, up, block),
-            bias,
+            weights: pack(layer, &weight_steps, up, block),
+            scales: filled(&mut weight_steps.iter().map(|step| step * steps.input / steps.output)),
+            bias: filled(&mut layer.bias.iter().map(|bias| bias / steps.output)),
             run,
         }
     }
@@ -147,13 +173,13 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
     }
 }
 
-fn pack<E: Element>(layer: &Convolution, up: usize, block: usize) -> Aligned<E> {
+fn pack<E: Element>(layer: &Convolution, steps: &[f32], up: usize, block: usize) -> Aligned<E> {
     let kernel = if layer.transposed { 1 } else { layer.kernel };
     let (blocks, units) = (layer.outputs.div_ceil(block), layer.inputs.div_ceil(E::PER_UNIT));
     let mut weights = Aligned::with_capacity(up * up * blocks * kernel * kernel * units * block * E::PER_UNIT);
     let weight =
         |output: usize, input: usize, row: usize, column: usize| match output < layer.outputs && input < layer.inputs {
-            true => E::from_f32(layer.weight(output, input, row, column)),
+            true => E::weight(layer.weight(output, input, row, column) / steps[output]),
             false => E::default(),
         };
     for (cell, first) in (0..up * up).flat_map(|cell| (0..blocks).map(move |index| (cell, index * block))) {
@@ -176,6 +202,7 @@ fn pack<E: Element>(layer: &Convolution, up: usize, block: usize) -> Aligned<E> 
 }
 
 /// Numbers that begin at a line of the cache, so that no register of them lies across two.
+#[derive(Debug)]
 pub(super) struct Aligned<E> {
     numbers: Vec<E>,
     start: usize,
@@ -190,6 +217,13 @@ impl<E: Element> Aligned<E> {
         numbers.resize(start, E::default());
         Aligned { numbers, start }
     }
+
+    /// So many zeros.
+    pub fn zeros(count: usize) -> Self {
+        let mut zeros = Aligned::with_capacity(count);
+        zeros.numbers.resize(zeros.start + count, E::default());
+        zeros
+    }
 }
 
 impl<E> Deref for Aligned<E> {
@@ -197,5 +231,11 @@ impl<E> Deref for Aligned<E> {
 
     fn deref(&self) -> &[E] {
         &self.numbers[self.start..]
+    }
+}
+
+impl<E> DerefMut for Aligned<E> {
+    fn deref_mut(&mut self) -> &mut [E] {
+        &mut self.numbers[self.start..]
     }
 }

@@ -2,8 +2,8 @@
 #![allow(unsafe_code)]
 
 use super::pack::{Kernel, Packed, Run, Share};
-use super::tile::{Simd, Store, share};
-use super::{Bf16, Element, Isa};
+use super::tile::{Registers, Simd, Store, share};
+use super::{Bf16, Element, Isa, U8};
 
 const LANES: usize = 8;
 
@@ -13,6 +13,7 @@ impl Simd for Single {
     type Element = f32;
     type Sum = [f32; LANES];
     type Units = [f32; LANES];
+    type Results = [f32; LANES];
     const LANES: usize = LANES;
 
     #[inline(always)]
@@ -41,7 +42,7 @@ impl Simd for Single {
     }
 
     #[inline(always)]
-    unsafe fn finish(sum: [f32; LANES], bias: *const f32, floor: f32) -> [f32; LANES] {
+    unsafe fn finish(sum: [f32; LANES], _: *const f32, bias: *const f32, floor: f32) -> [f32; LANES] {
         // SAFETY: the caller gives `LANES` biases.
         unsafe { finish(sum, bias, floor) }
     }
@@ -49,9 +50,9 @@ impl Simd for Single {
 
 impl Store<f32> for Single {
     #[inline(always)]
-    unsafe fn store(sum: [f32; LANES], to: *mut f32) {
+    unsafe fn store(results: [f32; LANES], to: *mut f32) {
         // SAFETY: the caller gives room for `LANES` numbers.
-        unsafe { to.cast::<[f32; LANES]>().write_unaligned(sum) };
+        unsafe { to.cast::<[f32; LANES]>().write_unaligned(results) };
     }
 }
 
@@ -62,6 +63,7 @@ impl Simd for Half {
     type Element = Bf16;
     type Sum = [f32; LANES];
     type Units = [u32; LANES];
+    type Results = [f32; LANES];
     const LANES: usize = LANES;
 
     #[inline(always)]
@@ -93,7 +95,7 @@ impl Simd for Half {
     }
 
     #[inline(always)]
-    unsafe fn finish(sum: [f32; LANES], bias: *const f32, floor: f32) -> [f32; LANES] {
+    unsafe fn finish(sum: [f32; LANES], _: *const f32, bias: *const f32, floor: f32) -> [f32; LANES] {
         // SAFETY: the caller gives `LANES` biases.
         unsafe { finish(sum, bias, floor) }
     }
@@ -101,17 +103,80 @@ impl Simd for Half {
 
 impl Store<f32> for Half {
     #[inline(always)]
-    unsafe fn store(sum: [f32; LANES], to: *mut f32) {
+    unsafe fn store(results: [f32; LANES], to: *mut f32) {
         // SAFETY: the caller gives room for `LANES` numbers.
-        unsafe { to.cast::<[f32; LANES]>().write_unaligned(sum) };
+        unsafe { to.cast::<[f32; LANES]>().write_unaligned(results) };
     }
 }
 
 impl Store<Bf16> for Half {
     #[inline(always)]
-    unsafe fn store(sum: [f32; LANES], to: *mut Bf16) {
+    unsafe fn store(results: [f32; LANES], to: *mut Bf16) {
         // SAFETY: the caller gives room for `LANES` numbers.
-        unsafe { to.cast::<[Bf16; LANES]>().write_unaligned(sum.map(Bf16::from_f32)) };
+        unsafe { to.cast::<[Bf16; LANES]>().write_unaligned(results.map(Bf16::from_f32)) };
+    }
+}
+
+/// Steps of a byte times weights of a byte.
+struct Bytes;
+
+impl Simd for Bytes {
+    type Element = U8;
+    type Sum = [i32; LANES];
+    type Units = [[u8; 4]; LANES];
+    type Results = [f32; LANES];
+    const LANES: usize = LANES;
+
+    #[inline(always)]
+    unsafe fn zero() -> [i32; LANES] {
+        [0; LANES]
+    }
+
+    #[inline(always)]
+    unsafe fn weights(at: *const U8) -> [[u8; 4]; LANES] {
+        // SAFETY: the caller gives `LANES` units of four.
+        unsafe { at.cast::<[[u8; 4]; LANES]>().read_unaligned() }
+    }
+
+    #[inline(always)]
+    unsafe fn broadcast(at: *const U8) -> [[u8; 4]; LANES] {
+        // SAFETY: the caller gives a unit of four.
+        [unsafe { at.cast::<[u8; 4]>().read_unaligned() }; LANES]
+    }
+
+    #[inline(always)]
+    unsafe fn multiply_add(mut sum: [i32; LANES], input: [[u8; 4]; LANES], weights: [[u8; 4]; LANES]) -> [i32; LANES] {
+        for i in 0..LANES {
+            for k in 0..4 {
+                sum[i] += i32::from(input[i][k]) * i32::from(weights[i][k] as i8);
+            }
+        }
+        sum
+    }
+
+    #[inline(always)]
+    unsafe fn finish(sum: [i32; LANES], scale: *const f32, bias: *const f32, floor: f32) -> [f32; LANES] {
+        // SAFETY: the caller gives `LANES` scales and biases.
+        unsafe {
+            let scale = scale.cast::<[f32; LANES]>().read_unaligned();
+            finish(std::array::from_fn(|i| sum[i] as f32 * scale[i]), bias, floor)
+        }
+    }
+}
+
+impl Store<f32> for Bytes {
+    #[inline(always)]
+    unsafe fn store(results: [f32; LANES], to: *mut f32) {
+        // SAFETY: the caller gives room for `LANES` numbers.
+        unsafe { to.cast::<[f32; LANES]>().write_unaligned(results) };
+    }
+}
+
+impl Store<U8> for Bytes {
+    #[inline(always)]
+    unsafe fn store(results: [f32; LANES], to: *mut U8) {
+        // SAFETY: the caller gives room for `LANES` numbers.
+        unsafe { to.cast::<[U8; LANES]>().write_unaligned(results.map(U8::from_f32)) };
     }
 }
 
@@ -129,53 +194,32 @@ unsafe fn finish(mut sum: [f32; LANES], bias: *const f32, floor: f32) -> [f32; L
     sum
 }
 
-/// # Safety
-/// None is needed.
-unsafe fn single(layer: &Packed<f32>, part: Share<f32, f32>) {
-    // SAFETY: every CPU has these instructions.
-    unsafe { share::<Single, f32, 4, 1>(layer, part) }
-}
-
-/// # Safety
-/// None is needed.
-unsafe fn half<O: Element>(layer: &Packed<Bf16, O>, part: Share<Bf16, O>)
-where
-    Half: Store<O>,
-    Bf16: Kernel<O>,
-{
-    // SAFETY: every CPU has these instructions.
-    unsafe { share::<Half, O, 4, 1>(layer, part) }
-}
-
-impl Kernel<f32> for f32 {
-    fn kernel(isa: Isa, outputs: usize) -> (Run<f32, f32>, usize) {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(kernel) = super::x86::single(isa, outputs) {
-            return kernel;
+/// Defines a kernel and says for which maps it is the one of all CPUs.
+macro_rules! kernel {
+    ($name:ident, $simd:ty, $element:ty, [$($output:ty),*], |$isa:ident, $stored:ident, $outputs:ident| $better:expr) => {
+        /// # Safety
+        /// None is needed.
+        unsafe fn $name<O: Element>(layer: &Packed<$element, O>, part: Share<$element, O>)
+        where
+            $simd: Store<O>,
+            $element: Kernel<O>,
+        {
+            // SAFETY: every CPU has these instructions.
+            unsafe { share::<Registers<$simd, 4, 1>, $element, O>(layer, part) }
         }
-        let _ = (isa, outputs);
-        (single, LANES)
-    }
-}
 
-impl Kernel<f32> for Bf16 {
-    fn kernel(isa: Isa, outputs: usize) -> (Run<Bf16, f32>, usize) {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(kernel) = super::x86::half(isa, outputs) {
-            return kernel;
-        }
-        let _ = (isa, outputs);
-        (half, LANES)
-    }
+        $(impl Kernel<$output> for $element {
+            fn kernel($isa: Isa, $stored: usize, $outputs: usize) -> (Run<$element, $output>, usize) {
+                #[cfg(target_arch = "x86_64")]
+                if let Some(kernel) = $better {
+                    return kernel;
+                }
+                let _ = ($isa, $stored, $outputs);
+                ($name, LANES)
+            }
+        })*
+    };
 }
-
-impl Kernel<Bf16> for Bf16 {
-    fn kernel(isa: Isa, outputs: usize) -> (Run<Bf16, Bf16>, usize) {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(kernel) = super::x86::half(isa, outputs) {
-            return kernel;
-        }
-        let _ = (isa, outputs);
-        (half, LANES)
-    }
-}
+kernel!(single, Single, f32, [f32], |isa, stored, outputs| super::x86::single(isa, outputs));
+kernel!(half, Half, Bf16, [Bf16, f32], |isa, stored, outputs| super::x86::half(isa, stored, outputs));
+kernel!(bytes, Bytes, U8, [U8, f32], |isa, stored, outputs| super::x86::bytes(isa, stored, outputs));

@@ -109,7 +109,7 @@ fn run<E: Kernel<O>, O: Element>(layer: &Convolution, case: &Case, isa: Isa, thr
     let channels = case.beside.0 + layer.outputs + case.beside.1;
     let mut output = Map::<O>::new(layer.size(case.rows), layer.size(case.columns), channels);
     output.fill_from(&vec![UNTOUCHED; output.rows * output.columns * channels]);
-    Packed::<E, O>::new(layer, isa).run(&mut Pool::new(threads), input.view(), &mut output, case.beside.0);
+    Packed::<E, O>::new(layer, isa, Steps::ONE).run(&mut Pool::new(threads), input.view(), &mut output, case.beside.0);
     let border = output
         .view()
         .data
@@ -276,6 +276,6 @@ fn a_map_of_another_size_is_refused() {
         seed: 1,
     };
     let input = Map::<f32>::new(4, 4, 2);
-    let packed = Packed::<f32>::new(&layer(&case), Isa::Portable);
+    let packed = Packed::<f32>::new(&layer(&case), Isa::Portable, Steps::ONE);
     packed.run(&mut Pool::new(1), input.view(), &mut Map::new(4, 4, 2), 0);
 }

@@ -1,6 +1,7 @@
 //! The loop nest that all instructions share, from the rows of a worker down to a tile of registers.
 #![allow(unsafe_code)]
 
+use std::marker::PhantomData;
 use std::mem::MaybeUninit;
 use std::ops::Range;
 
@@ -17,6 +18,8 @@ pub(super) trait Simd {
     type Sum: Copy;
     /// A unit of each lane's weights, or the same unit of the input in all lanes.
     type Units: Copy;
+    /// Finished results, f32.
+    type Results: Copy;
     const LANES: usize;
 
     unsafe fn zero() -> Self::Sum;
@@ -25,8 +28,9 @@ pub(super) trait Simd {
     /// `at`: one unit, of any alignment.
     unsafe fn broadcast(at: *const Self::Element) -> Self::Units;
     unsafe fn multiply_add(sum: Self::Sum, input: Self::Units, weights: Self::Units) -> Self::Sum;
-    /// Adds `LANES` biases and raises the result to `floor`; NaN stays NaN.
-    unsafe fn finish(sum: Self::Sum, bias: *const f32, floor: f32) -> Self::Sum;
+    /// Adds `LANES` biases, after sums of steps are multiplied by `LANES` scales, and raises the result to `floor`; NaN stays
+    /// NaN.
+    unsafe fn finish(sum: Self::Sum, scale: *const f32, bias: *const f32, floor: f32) -> Self::Results;
 }
 
 /// Writes a register of results to `LANES` numbers of any alignment.
@@ -34,7 +38,59 @@ pub(super) trait Simd {
 /// # Safety
 /// As for [`Simd`].
 pub(super) trait Store<O>: Simd {
-    unsafe fn store(sum: Self::Sum, to: *mut O);
+    unsafe fn store(results: Self::Results, to: *mut O);
+}
+
+/// How neighbouring windows of a row are computed.
+///
+/// # Safety
+/// As for [`Simd`].
+pub(super) trait Row<E, O> {
+    /// Outputs side by side.
+    const BLOCK: usize;
+    /// Windows that are best computed together.
+    const WINDOWS: usize;
+
+    /// # Safety
+    /// So many windows and their outputs exist from the tile's on.
+    unsafe fn row(tile: Tile<E, O>, windows: usize);
+}
+
+/// Tiles of `P` windows x `J` registers.
+pub(super) struct Registers<S, const P: usize, const J: usize>(PhantomData<S>);
+
+impl<S, O: Element, const P: usize, const J: usize> Row<S::Element, O> for Registers<S, P, J>
+where
+    S: Store<O>,
+{
+    const BLOCK: usize = J * S::LANES;
+    const WINDOWS: usize = P;
+
+    #[inline(always)]
+    unsafe fn row(mut tile: Tile<S::Element, O>, mut windows: usize) {
+        const { assert!(P * J * S::LANES <= MOST_RESULTS) };
+        // SAFETY: the caller's promise; no step computes more windows than are left.
+        unsafe {
+            while windows >= P {
+                tile.compute::<S, P, J>();
+                tile.advance(P);
+                windows -= P;
+            }
+            while windows >= 4 {
+                tile.compute::<S, 4, J>();
+                tile.advance(4);
+                windows -= 4;
+            }
+            if windows >= 2 {
+                tile.compute::<S, 2, J>();
+                tile.advance(2);
+                windows -= 2;
+            }
+            if windows == 1 {
+                tile.compute::<S, 1, J>();
+            }
+        }
+    }
 }
 
 /// Bytes of input that are read for every block of weights before the next ones follow. Windows of 3x3 share what they
@@ -45,27 +101,24 @@ const CELLS_BYTES: usize = 16 << 10;
 /// Most results of a tile.
 const MOST_RESULTS: usize = 12 * 2 * 16;
 
-/// A share in tiles of `P` windows x `J` registers.
+/// A share, row by row.
 ///
 /// # Safety
-/// The CPU has the instructions of `S`.
+/// The CPU has the instructions of `R`.
 #[inline(always)]
-pub(super) unsafe fn share<S, O, const P: usize, const J: usize>(
-    layer: &Packed<S::Element, O>,
-    mut share: Share<S::Element, O>,
-) where
-    S: Store<O>,
-    S::Element: super::Kernel<O>,
+pub(super) unsafe fn share<R, E, O>(layer: &Packed<E, O>, mut share: Share<E, O>)
+where
+    R: Row<E, O>,
+    E: super::Kernel<O>,
     O: Element,
 {
-    const { assert!(P * J * S::LANES <= MOST_RESULTS) };
-    check::<S, O, J>(layer, &share);
+    check::<R, E, O>(layer, &share);
     let blocks = layer.bias.len() / layer.block;
     let size = layer.weights.len() / (layer.up * layer.up * blocks);
     let Range { start, end } = share.rows.clone();
-    let cell = share.input.stored * layer.stride * size_of::<S::Element>();
+    let cell = share.input.stored * layer.stride * size_of::<E>();
     let (rows, columns) = match layer.kernel {
-        1 => (1, (CELLS_BYTES / cell).next_multiple_of(P).max(P)),
+        1 => (1, (CELLS_BYTES / cell).next_multiple_of(R::WINDOWS).max(R::WINDOWS)),
         _ => ((ROWS_BYTES / (cell * (share.columns + 2))).max(1), share.columns.max(1)),
     };
     for first_row in (start..end).step_by(rows) {
@@ -81,7 +134,7 @@ pub(super) unsafe fn share<S, O, const P: usize, const J: usize>(
                         block: part % blocks,
                     };
                     // SAFETY: `check` has found the share to fit the layer; the CPU has the instructions.
-                    unsafe { windows::<S, O, P, J>(layer, &mut share, at, weights) };
+                    unsafe { windows::<R, E, O>(layer, &mut share, at, weights) };
                 }
             }
         }
@@ -97,10 +150,10 @@ struct Window {
 }
 
 /// What the pointers of [`windows`] rely on.
-fn check<S, O, const J: usize>(layer: &Packed<S::Element, O>, share: &Share<S::Element, O>)
+fn check<R, E, O>(layer: &Packed<E, O>, share: &Share<E, O>)
 where
-    S: Simd,
-    S::Element: super::Kernel<O>,
+    R: Row<E, O>,
+    E: super::Kernel<O>,
     O: Element,
 {
     let View {
@@ -109,8 +162,10 @@ where
         stored,
         border,
         data,
+        ..
     } = share.input;
-    assert!(J * S::LANES == layer.block && layer.bias.len().is_multiple_of(layer.block));
+    assert!(R::BLOCK == layer.block && layer.bias.len().is_multiple_of(layer.block));
+    assert_eq!(layer.scales.len(), layer.bias.len(), "scales of a convolution");
     assert!(layer.bias.len() - layer.block < layer.outputs && layer.outputs <= layer.bias.len());
     let weights = layer.up * layer.up * layer.kernel * layer.kernel * stored * layer.bias.len();
     assert_eq!(layer.weights.len(), weights, "packed weights");
@@ -132,16 +187,13 @@ where
 }
 
 /// # Safety
-/// The CPU has the instructions of `S`, and [`check`] has passed with `row` in `share.rows`, `columns` in
+/// The CPU has the instructions of `R`, and [`check`] has passed with `row` in `share.rows`, `columns` in
 /// `share.columns`, `cell` below `up²`, `block` one of the blocks, `weights` its part.
 #[inline(always)]
-unsafe fn windows<S, O, const P: usize, const J: usize>(
-    layer: &Packed<S::Element, O>,
-    share: &mut Share<S::Element, O>,
-    at: Window,
-    weights: &[S::Element],
-) where
-    S: Store<O>,
+unsafe fn windows<R, E, O>(layer: &Packed<E, O>, share: &mut Share<E, O>, at: Window, weights: &[E])
+where
+    R: Row<E, O>,
+    E: Element,
     O: Element,
 {
     let Window {
@@ -162,12 +214,13 @@ unsafe fn windows<S, O, const P: usize, const J: usize>(
     let output_row = (row - share.rows.start) * up + cell / up;
     let output = &mut share.output[output_row * share.row..(output_row + 1) * share.row];
     let output = &mut output[(1 + columns.start * up + cell % up) * share.cell + share.first + first..];
-    let mut tile = Tile::<S::Element, O> {
+    let tile = Tile::<E, O> {
         input: input.as_ptr(),
         line,
         window: layer.stride * stored,
         taps: layer.kernel,
         weights: weights.as_ptr(),
+        scale: layer.scales[first..].as_ptr(),
         bias: layer.bias[first..].as_ptr(),
         floor: layer.floor,
         output: output.as_mut_ptr(),
@@ -175,55 +228,37 @@ unsafe fn windows<S, O, const P: usize, const J: usize>(
         valid,
         run: layer.kernel * stored,
     };
-    let mut left = columns.len();
     // SAFETY: window `w` of these columns reads `kernel` lines from `input + w * window`, `run` numbers each: since
     // `columns.start + w < windows(columns)` and with the border, the last one ends at or before the end of a line of the
     // map, and the last line at or before its end, since `row < windows(rows)`. It writes `valid` numbers from
     // `output + w * cell`, which are channels `first..first + valid` of cell `(columns.start + w) * up + cell % up` of this
-    // row of the share, exclusively borrowed. `weights` and `bias` hold whole blocks. All of it is what `check` compared.
-    unsafe {
-        while left >= P {
-            tile.compute::<S, P, J>();
-            tile.advance(P);
-            left -= P;
-        }
-        while left >= 4 {
-            tile.compute::<S, 4, J>();
-            tile.advance(4);
-            left -= 4;
-        }
-        if left >= 2 {
-            tile.compute::<S, 2, J>();
-            tile.advance(2);
-            left -= 2;
-        }
-        if left == 1 {
-            tile.compute::<S, 1, J>();
-        }
-    }
+    // row of the share, exclusively borrowed. `weights`, `scale` and `bias` hold whole blocks. All of it is what `check`
+    // compared.
+    unsafe { R::row(tile, columns.len()) };
 }
 
 /// Neighbouring windows and their block of outputs.
-struct Tile<E, O> {
+pub(super) struct Tile<E, O> {
     /// The first window's first number.
-    input: *const E,
+    pub input: *const E,
     /// Numbers from one line of a window to the next.
-    line: usize,
+    pub line: usize,
     /// Numbers from one window to the next.
-    window: usize,
+    pub window: usize,
     /// Lines of a window.
-    taps: usize,
+    pub taps: usize,
     /// Numbers of a line of a window: they are contiguous.
-    run: usize,
-    weights: *const E,
-    bias: *const f32,
-    floor: f32,
+    pub run: usize,
+    pub weights: *const E,
+    pub scale: *const f32,
+    pub bias: *const f32,
+    pub floor: f32,
     /// The first window's first output.
-    output: *mut O,
+    pub output: *mut O,
     /// Numbers from one window's outputs to the next one's.
-    cell: usize,
+    pub cell: usize,
     /// Outputs of the block that exist.
-    valid: usize,
+    pub valid: usize,
 }
 
 impl<E: Element, O: Element> Tile<E, O> {
@@ -257,12 +292,27 @@ impl<E: Element, O: Element> Tile<E, O> {
                 }
             }
             // Nothing but loops of constant length may touch the sums: indexed otherwise they would live in memory.
+            self.write::<S, P, J>(&sums);
+        }
+    }
+
+    /// Writes the results of as many windows as there are sums.
+    ///
+    /// # Safety
+    /// Their outputs exist, and the CPU has the instructions of `S`.
+    #[inline(always)]
+    pub unsafe fn write<S, const P: usize, const J: usize>(&self, sums: &[[S::Sum; J]; P])
+    where
+        S: Store<O, Element = E>,
+    {
+        // SAFETY: the caller's promise.
+        unsafe {
             if self.valid == J * S::LANES {
-                self.finish::<S, P, J>(&sums, self.output, self.cell);
+                self.finish::<S, P, J>(sums, self.output, self.cell);
             } else {
                 let mut block = [const { MaybeUninit::<O>::uninit() }; MOST_RESULTS];
                 let block = block.as_mut_ptr().cast::<O>();
-                self.finish::<S, P, J>(&sums, block, J * S::LANES);
+                self.finish::<S, P, J>(sums, block, J * S::LANES);
                 for p in 0..P {
                     let from = block.add(p * J * S::LANES);
                     std::ptr::copy_nonoverlapping(from, self.output.add(p * self.cell), self.valid);
@@ -285,7 +335,7 @@ impl<E: Element, O: Element> Tile<E, O> {
                 let first = j * S::LANES;
                 // SAFETY: the caller's promise; biases fill whole blocks.
                 unsafe {
-                    let result = S::finish(*sum, self.bias.add(first), self.floor);
+                    let result = S::finish(*sum, self.scale.add(first), self.bias.add(first), self.floor);
                     S::store(result, output.add(p * step + first));
                 }
             }
@@ -295,9 +345,15 @@ impl<E: Element, O: Element> Tile<E, O> {
     /// # Safety
     /// At least `windows` windows and outputs exist from here on.
     #[inline(always)]
-    unsafe fn advance(&mut self, windows: usize) {
+    pub unsafe fn advance(&mut self, windows: usize) {
         // `wrapping`: behind the last window the step may lead past the end of the map.
         self.input = self.input.wrapping_add(windows * self.window);
         self.output = self.output.wrapping_add(windows * self.cell);
+    }
+
+    /// Goes back to windows before.
+    pub fn retreat(&mut self, windows: usize) {
+        self.input = self.input.wrapping_sub(windows * self.window);
+        self.output = self.output.wrapping_sub(windows * self.cell);
     }
 }

@@ -278,7 +278,7 @@ fn bits_do_not_depend_on_threads_on_what_came_before_or_on_the_split() {
             let map = first.encode(&canvas).unwrap();
             assert_eq!([map.rows, map.columns], model.map_size());
             first.forward(&random_canvas(&model, 4)).unwrap();
-            assert_eq!(first.heads(&map).unwrap(), expected);
+            assert_eq!(*first.heads(&map).unwrap(), expected);
         }
     }
 }
