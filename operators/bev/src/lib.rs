@@ -5,8 +5,24 @@ use std::borrow::Cow;
 use arrow::buffer::Buffer;
 use realo_nn::Loaded;
 use realo_nn::network::{BevMap, BevView};
-use realo_operator::Error;
+use realo_operator::{Argument, Error};
 use realo_schemas::{DType, FeatureMap, Name};
+
+/// Argument of every operator with a network: its instructions.
+pub const ISA: Argument = Argument {
+    name: "isa",
+    about: "kernels: auto, portable, avx2, avx512, avx512bf16 or amx",
+};
+/// Argument of every operator with a network: its number type.
+pub const PRECISION: Argument = Argument {
+    name: "precision",
+    about: "number type: auto (the model's), f32, bf16 or int8",
+};
+/// Argument of every operator with a network: its threads.
+pub const THREADS: Argument = Argument {
+    name: "threads",
+    about: "threads of the network; 0: one for each processor",
+};
 
 /// Where the maps of one model lie, and whose they are.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,6 +13,7 @@
 use std::path::PathBuf;
 
 use realo_bev::Maps;
+use realo_nn::Kernels;
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
 use realo_nn::network::Network;
@@ -34,6 +35,8 @@ pub struct Config {
     pub score_threshold: Option<f32>,
     /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
     pub isa: String,
+    /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
+    pub precision: String,
     /// Threads of the convolutions; 0: one for each processor.
     pub threads: usize,
 }
@@ -43,7 +46,8 @@ impl Default for Config {
         Config {
             model: "../models/lite.toml".into(),
             score_threshold: None,
-            isa: "auto".into(),
+            isa: realo_nn::AUTO.into(),
+            precision: realo_nn::AUTO.into(),
             threads: 0,
         }
     }
@@ -134,24 +138,28 @@ impl Describe for DetectionHead {
             name: "score_threshold",
             about: "least score of a box; null: the model's",
         },
-        Argument {
-            name: "isa",
-            about: "kernels: auto, portable, avx2, avx512 or avx512bf16",
-        },
-        Argument {
-            name: "threads",
-            about: "threads of the convolutions; 0: one for each processor",
-        },
+        realo_bev::ISA,
+        realo_bev::PRECISION,
+        realo_bev::THREADS,
     ];
     const INPUTS: &'static [Port] =
         &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps of the model").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("proposals", &[PayloadType::Boxes], "detections, best first")];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Model, "model"), (Decided::Isa, "isa")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[
+        (Decided::Model, "model"),
+        (Decided::Isa, "isa"),
+        (Decided::Precision, "precision"),
+    ];
 }
 
 impl Operator for DetectionHead {
     fn new(config: Config) -> Result<Self, Error> {
-        let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
+        let kernels = Kernels {
+            isa: &config.isa,
+            precision: &config.precision,
+            threads: config.threads,
+        };
+        let loaded = realo_nn::load(&config.model, kernels)?;
         let threshold = config.score_threshold.unwrap_or(loaded.model.score_threshold);
         if !(0.0..1.0).contains(&threshold) {
             return Err(format!("argument `score_threshold`: expected 0 to 1, found {threshold}").into());
@@ -214,7 +222,7 @@ mod tests {
                 .flat_map(|value| value.to_le_bytes())
                 .collect::<Vec<u8>>()
                 .into(),
-            model: realo_nn::load(MODEL.as_ref(), "auto", 1)
+            model: realo_nn::load(MODEL.as_ref(), Kernels::auto(1))
                 .unwrap()
                 .identity
                 .as_str()

@@ -17,6 +17,7 @@ use std::path::PathBuf;
 use nalgebra::Isometry3;
 use realo_bev::{Maps, Read};
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
+use realo_nn::Kernels;
 use realo_nn::fuse::{Agent, Warp};
 use realo_nn::network::Network;
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
@@ -35,6 +36,8 @@ pub struct Config {
     pub roadside: String,
     /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
     pub isa: String,
+    /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
+    pub precision: String,
     /// Threads; 0: one for each processor.
     pub threads: usize,
 }
@@ -45,7 +48,8 @@ impl Default for Config {
             model: "../models/lite-attfuse.toml".into(),
             max_collaborators: None,
             roadside: String::new(),
-            isa: "auto".into(),
+            isa: realo_nn::AUTO.into(),
+            precision: realo_nn::AUTO.into(),
             threads: 0,
         }
     }
@@ -78,14 +82,9 @@ impl Describe for FusionFeatures {
             name: "roadside",
             about: "agents that are roadside units, by name, separated by commas; others are vehicles",
         },
-        Argument {
-            name: "isa",
-            about: "kernels: auto, portable, avx2, avx512 or avx512bf16",
-        },
-        Argument {
-            name: "threads",
-            about: "threads; 0: one for each processor",
-        },
+        realo_bev::ISA,
+        realo_bev::PRECISION,
+        realo_bev::THREADS,
     ];
     const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::FeatureMap]);
     const OUTPUTS: &'static [Port] = &[Port::new(
@@ -96,13 +95,19 @@ impl Describe for FusionFeatures {
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),
+        (Decided::Precision, "precision"),
         (Decided::Roadside, "roadside"),
     ];
 }
 
 impl Operator for FusionFeatures {
     fn new(config: Config) -> Result<Self, Error> {
-        let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
+        let kernels = Kernels {
+            isa: &config.isa,
+            precision: &config.precision,
+            threads: config.threads,
+        };
+        let loaded = realo_nn::load(&config.model, kernels)?;
         let model = config.model.display();
         let most = loaded.model.arch.agents() - 1;
         if !loaded.model.arch.fuses() {

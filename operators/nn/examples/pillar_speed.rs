@@ -46,7 +46,7 @@ fn main() -> Result<(), realo_nn::model::ModelError> {
     );
 
     let linear: Vec<f32> = (0..CHANNELS * 10).map(|i| noise(9, i)).collect();
-    let mut net = PillarNet::new(&GRID, &linear, &[[1.0, 0.1]; CHANNELS], None, false);
+    let net = PillarNet::new(&GRID, &linear, &[[1.0, 0.1]; CHANNELS], None, false);
     let mut canvas = Canvas::new(GRID.rows(), GRID.columns(), CHANNELS);
     report("pillar net on these pillars", || net.run(pillars, &mut canvas));
     let even = even_pillars(10_000, 7);

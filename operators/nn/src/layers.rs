@@ -320,6 +320,41 @@ impl Layers {
         })
     }
 
+    /// The maps of one agent that convolutions read, up to the one that is fused, each with the key of the layer that makes
+    /// it: what a network of bytes keeps in bytes. A map of others side by side is each of them.
+    pub fn read_in_bytes(&self) -> Vec<(String, MapId)> {
+        let encode = self.between(&[self.canvas], &[self.features]);
+        let restore = self.between(&[self.features], &[self.restored]);
+        let convolutions = |step: &&Step| matches!(step.layer, Layer::Convolution(_));
+        let read = encode.iter().chain(&restore).copied().filter(convolutions);
+        let mut maps: Vec<MapId> = read.flat_map(|step| self.members(step.from[0])).collect();
+        maps.sort();
+        maps.dedup();
+        maps.into_iter().map(|map| (self.key(map), map)).collect()
+    }
+
+    /// The maps that a map of others side by side is made of; of every other map, itself.
+    pub fn members(&self, map: MapId) -> Vec<MapId> {
+        match self.steps.iter().find(|step| step.to == map) {
+            Some(Step {
+                layer: Layer::Join,
+                from,
+                ..
+            }) => from.iter().flat_map(|map| self.members(*map)).collect(),
+            _ => vec![map],
+        }
+    }
+
+    /// Key of the layer that makes a map; empty if it has none.
+    pub fn key(&self, map: MapId) -> String {
+        let maker = self.steps.iter().find(|step| step.to == map);
+        match maker.map(|step| &step.layer) {
+            Some(Layer::Points(layer)) => layer.key.clone(),
+            Some(Layer::Convolution(layer)) => layer.key.clone(),
+            _ => String::new(),
+        }
+    }
+
     /// Numbers of all maps together.
     pub fn numbers(&self) -> usize {
         let each = self.maps.iter().map(|size| size.iter().product());

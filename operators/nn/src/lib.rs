@@ -47,4 +47,4 @@ mod transformer;
 mod vectors;
 pub mod weights;
 pub use encoder::{Encoder, Pillarer};
-pub use load::{LoadError, Loaded, ReadError, load};
+pub use load::{AUTO, Kernels, LoadError, Loaded, ReadError, load};

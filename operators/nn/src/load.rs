@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use sha2::{Digest, Sha256};
 
 use crate::conv::{Isa, Pool, UnknownIsa};
-use crate::model::{Model, ModelError};
+use crate::model::{Model, ModelError, Precision, UnknownPrecision};
 use crate::network::{Core, Network, NetworkError, NetworkOptions};
 use crate::weights::{MOST_BYTES, Weights, WeightsError};
 
@@ -48,6 +48,9 @@ pub enum LoadError {
     /// The kernels.
     #[error("argument `isa`: {0}")]
     Isa(#[from] UnknownIsa),
+    /// The number type.
+    #[error("argument `precision`: {0}")]
+    Precision(#[from] UnknownPrecision),
     /// More threads than any machine has.
     #[error("argument `threads`: expected at most {MOST_THREADS}, found {0}")]
     Threads(usize),
@@ -55,23 +58,54 @@ pub enum LoadError {
 
 const MOST_THREADS: usize = 1024;
 
+/// What computes a network, as operators' arguments name it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Kernels<'a> {
+    /// Instructions; `auto` for the best that the processor has.
+    pub isa: &'a str,
+    /// Number type; `auto` for the model's.
+    pub precision: &'a str,
+    /// Threads; 0 for one on each processor.
+    pub threads: usize,
+}
+
+impl Kernels<'_> {
+    /// The best, on so many threads.
+    pub fn auto(threads: usize) -> Self {
+        Kernels {
+            isa: AUTO,
+            precision: AUTO,
+            threads,
+        }
+    }
+
+    fn options(self) -> Result<NetworkOptions, LoadError> {
+        if self.threads > MOST_THREADS {
+            return Err(LoadError::Threads(self.threads));
+        }
+        let mut options = NetworkOptions::default();
+        if self.isa != AUTO {
+            options.isa = self.isa.parse::<Isa>()?;
+        }
+        if self.precision != AUTO {
+            options.precision = Some(self.precision.parse::<Precision>()?);
+        }
+        if self.threads > 0 {
+            options.threads = self.threads;
+        }
+        Ok(options)
+    }
+}
+
+/// The argument that leaves the choice to the loader.
+pub const AUTO: &str = "auto";
+
 /// Loads the model of a file and the weights beside it.
-///
-/// `isa`: `auto`, or the name of kernels. `threads`: of the convolutions; 0 for one on each processor.
 ///
 /// # Errors
 /// A file that cannot be read or does not fit, kernels that do not exist or that this processor lacks.
-pub fn load(model_file: &Path, isa: &str, threads: usize) -> Result<Loaded, LoadError> {
-    if threads > MOST_THREADS {
-        return Err(LoadError::Threads(threads));
-    }
-    let mut options = NetworkOptions::default();
-    if isa != "auto" {
-        options.isa = isa.parse::<Isa>()?;
-    }
-    if threads > 0 {
-        options.threads = threads;
-    }
+pub fn load(model_file: &Path, kernels: Kernels) -> Result<Loaded, LoadError> {
+    let options = kernels.options()?;
     let (model, texts) = Model::read_with_texts(model_file)?;
     let path = model.weights_beside(model_file);
     let bytes = read_bounded(&path, MOST_BYTES).map_err(|error| WeightsError::Read {
@@ -81,7 +115,7 @@ pub fn load(model_file: &Path, isa: &str, threads: usize) -> Result<Loaded, Load
     let identity = format!("{}-{}", model.name, digest(texts.iter().chain([&bytes])));
 
     let mut known = lock(&KNOWN);
-    let shared = match known.model(&identity, options.isa) {
+    let shared = match known.model(&identity, &options) {
         Some(shared) => shared,
         None => {
             let weights = Weights::parse(&bytes, &model, &path)?;
@@ -89,7 +123,7 @@ pub fn load(model_file: &Path, isa: &str, threads: usize) -> Result<Loaded, Load
                 path: model_file.into(),
                 error,
             })?;
-            known.add(&identity, options.isa, Shared { model, weights, core })
+            known.add(&identity, &options, Shared { model, weights, core })
         }
     };
     Ok(Loaded {
@@ -111,8 +145,8 @@ type Unowned = Shared<Weak<Model>, Weak<Weights>, Weak<Core>>;
 
 /// What is in use in this process.
 struct Known {
-    /// By identity and instructions.
-    models: BTreeMap<(String, String), Unowned>,
+    /// By identity, instructions and number type.
+    models: BTreeMap<(String, Isa, Option<Precision>), Unowned>,
     /// By number of threads.
     pools: BTreeMap<usize, Weak<Mutex<Pool>>>,
 }
@@ -123,8 +157,8 @@ static KNOWN: Mutex<Known> = Mutex::new(Known {
 });
 
 impl Known {
-    fn model(&self, identity: &str, isa: Isa) -> Option<Shared> {
-        let shared = self.models.get(&(identity.to_string(), isa.to_string()))?;
+    fn model(&self, identity: &str, options: &NetworkOptions) -> Option<Shared> {
+        let shared = self.models.get(&(identity.into(), options.isa, options.precision))?;
         Some(Shared {
             model: shared.model.upgrade()?,
             weights: shared.weights.upgrade()?,
@@ -135,7 +169,7 @@ impl Known {
     fn add(
         &mut self,
         identity: &str,
-        isa: Isa,
+        options: &NetworkOptions,
         Shared { model, weights, core }: Shared<Model, Weights, Core>,
     ) -> Shared {
         let shared = Shared {
@@ -149,7 +183,7 @@ impl Known {
             weights: Arc::downgrade(&shared.weights),
             core: Arc::downgrade(&shared.core),
         };
-        self.models.insert((identity.to_string(), isa.to_string()), weak);
+        self.models.insert((identity.into(), options.isa, options.precision), weak);
         shared
     }
 
@@ -210,7 +244,11 @@ mod tests {
     use crate::testing::{small, write};
 
     fn load_from(folder: &Path, isa: &str, threads: usize) -> Loaded {
-        load(&folder.join("small.toml"), isa, threads).unwrap()
+        let kernels = Kernels {
+            isa,
+            ..Kernels::auto(threads)
+        };
+        load(&folder.join("small.toml"), kernels).unwrap()
     }
 
     fn folder(seed: u64) -> tempfile::TempDir {
@@ -257,7 +295,7 @@ mod tests {
         let (model, identity) = (Arc::downgrade(&loaded.model), loaded.identity.clone());
         drop(loaded);
         assert!(model.upgrade().is_none());
-        assert!(lock(&KNOWN).model(&identity, Isa::detect()).is_none());
+        assert!(lock(&KNOWN).model(&identity, &NetworkOptions::default()).is_none());
     }
 
     #[test]
@@ -284,7 +322,13 @@ mod tests {
     fn errors_name_file_and_field() {
         let folder = folder(6);
         let file = folder.path().join("small.toml");
-        let error = |isa: &str, threads: usize| load(&file, isa, threads).err().expect("refused").to_string();
+        let error = |isa: &str, threads: usize| {
+            let kernels = Kernels {
+                isa,
+                ..Kernels::auto(threads)
+            };
+            load(&file, kernels).err().expect("refused").to_string()
+        };
         assert!(
             error("sse9", 1).contains("argument `isa`: expected one of"),
             "{}",

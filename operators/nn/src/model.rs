@@ -3,8 +3,10 @@
 //! A model is `<name>.toml` beside `<name>.safetensors` (see [`crate::weights`]). With `extends = "other.toml"` it says only
 //! what differs from the model of another file, key by key; `arch` as a whole.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -43,6 +45,9 @@ pub struct Model {
     /// Convolutions with bias and ReLU after the backbone; none if empty.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shrink: Vec<Shrink>,
+    /// The greatest number that bytes keep of each layer's results, by the layer's key; for `precision = "int8"`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub activations: BTreeMap<String, f32>,
 }
 
 /// Where the origin of a model's frame lies; x points forward, y left, z up.
@@ -55,14 +60,38 @@ pub enum Frame {
     Lidar,
 }
 
-/// Number type of maps and weights in the convolutions; sums are f32 in both.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Number type of maps and weights in the convolutions; sums of floating-point numbers are f32.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// bfloat16.
     Bf16,
     /// Single precision.
     F32,
+    /// Maps in bytes and weights in signed bytes, sums in whole numbers, from the canvas to the map that the fusion reads;
+    /// fusion and heads in bf16, or f32 where the CPU has no products of bf16.
+    Int8,
+}
+
+impl Precision {
+    /// All.
+    pub const ALL: [Precision; 3] = [Precision::Bf16, Precision::F32, Precision::Int8];
+}
+
+/// No number type has this name.
+#[derive(Debug, thiserror::Error)]
+#[error("expected one of bf16, f32, int8, found `{0}`")]
+pub struct UnknownPrecision(String);
+
+impl FromStr for Precision {
+    type Err = UnknownPrecision;
+
+    fn from_str(name: &str) -> Result<Self, UnknownPrecision> {
+        let named = Precision::ALL
+            .into_iter()
+            .find(|precision| precision.to_string() == name);
+        named.ok_or_else(|| UnknownPrecision(name.into()))
+    }
 }
 
 impl fmt::Display for Precision {
@@ -70,6 +99,7 @@ impl fmt::Display for Precision {
         f.write_str(match self {
             Precision::Bf16 => "bf16",
             Precision::F32 => "f32",
+            Precision::Int8 => "int8",
         })
     }
 }
@@ -361,6 +391,9 @@ impl Model {
                 format!("grid, pillars, backbone, shrink: expected maps of at most {MOST_NUMBERS} numbers in all, found {numbers}")
             });
         }
+        if problems.0.is_empty() && (self.precision == Precision::Int8 || !self.activations.is_empty()) {
+            self.check_activations(&mut problems);
+        }
         if problems.0.is_empty() {
             return Ok(());
         }
@@ -451,6 +484,24 @@ impl Model {
             format!("grid: {cells:.0} cells are more than {MOST_CELLS}")
         });
         problems.0.len() == before
+    }
+
+    fn check_activations(&self, problems: &mut Problems) {
+        let wanted = Layers::of(self).read_in_bytes();
+        let wanted: BTreeSet<&str> = wanted.iter().map(|(key, _)| &**key).collect();
+        for key in wanted.iter().filter(|key| !self.activations.contains_key(**key)) {
+            problems.0.push(format!(
+                "activations: expected the greatest result of layer `{key}`, which int8 needs, found none; `realo quantize` finds it"
+            ));
+        }
+        for (key, greatest) in &self.activations {
+            problems.require(wanted.contains(&**key), || {
+                format!("activations: `{key}` is no layer whose results int8 layers read")
+            });
+            problems.require(greatest.is_finite() && *greatest > 0.0, || {
+                format!("activations: `{key}`: expected a number above 0, found {greatest}")
+            });
+        }
     }
 
     fn check_backbone(&self, problems: &mut Problems) -> bool {

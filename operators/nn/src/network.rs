@@ -3,12 +3,13 @@
 //! `encode` and `heads` split it at the BEV map, where agents share features; between them `fuse` makes one map of those of
 //! several agents. `forward` runs a single agent's.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use crate::canvas::Canvas;
-use crate::conv::{Bf16, Isa, Pool, View, split};
+use crate::conv::{Bf16, Isa, Pool, U8, View, split};
 use crate::fuse::{Agent, CellFusion, fuse};
 use crate::layers::{FuseLayer, Fusion, Layers, MapId, MapSize};
 use crate::load::lock;
@@ -23,8 +24,8 @@ use crate::weights::{Weights, WeightsError};
 pub struct NetworkOptions {
     /// Instructions.
     pub isa: Isa,
-    /// Number type. `None`: the model's, or f32 where the instructions have no products of bf16. `Some(Bf16)` computes in
-    /// bf16 everywhere, slowly where the CPU lacks it.
+    /// Number type. `None`: the model's, or f32 instead of bf16 where the instructions have no products of it. `Some(Bf16)`
+    /// computes in bf16 everywhere, slowly where the CPU lacks it.
     pub precision: Option<Precision>,
     /// Threads, the caller's included; 0 counts as 1.
     pub threads: usize,
@@ -129,6 +130,12 @@ pub enum NetworkError {
         /// The model's name.
         model: String,
     },
+    /// The model does not say what bytes stand for.
+    #[error("model `{model}` has no `activations`, which int8 needs: `realo quantize` makes a model file that has")]
+    NoActivations {
+        /// The model's name.
+        model: String,
+    },
     /// There is no agent, or more than the model takes.
     #[error("model `{model}` fuses 1 to {most} agents, the ego among them, found {found}")]
     Agents {
@@ -164,6 +171,17 @@ pub struct Choice {
     pub threads: usize,
 }
 
+impl Choice {
+    /// Number type of what is not computed in bytes.
+    fn float(self) -> Precision {
+        match self.precision {
+            Precision::Int8 if self.isa.has_bf16() => Precision::Bf16,
+            Precision::Int8 => Precision::F32,
+            precision => precision,
+        }
+    }
+}
+
 impl fmt::Display for Choice {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "{} on {}", self.precision, self.isa)?;
@@ -183,20 +201,48 @@ impl fmt::Display for Choice {
 enum Engine {
     Single(Arc<Part<f32>>),
     Half(Arc<Part<Bf16>>),
+    Bytes(Arc<Part<U8>>),
 }
 
-impl Engine {
-    fn new(layers: &Layers, weights: &Weights, choice: Choice, ends: [MapId; 2], outcome: Outcome) -> Self {
-        match choice.precision {
-            Precision::F32 => Engine::Single(Arc::new(Part::new(layers, weights, choice.isa, ends, outcome))),
-            Precision::Bf16 => Engine::Half(Arc::new(Part::new(layers, weights, choice.isa, ends, outcome))),
+/// What parts are made of.
+struct Parts<'a> {
+    layers: &'a Layers,
+    weights: &'a Weights,
+    isa: Isa,
+    activations: &'a BTreeMap<String, f32>,
+}
+
+impl Parts<'_> {
+    fn engine(&self, precision: Precision, ends: [MapId; 2], outcome: Outcome) -> Engine {
+        let Parts {
+            layers, weights, isa, ..
+        } = *self;
+        let one = |_| 1.0;
+        match precision {
+            Precision::F32 => Engine::Single(Arc::new(Part::new(layers, weights, isa, ends, outcome, one))),
+            Precision::Bf16 => Engine::Half(Arc::new(Part::new(layers, weights, isa, ends, outcome, one))),
+            Precision::Int8 => {
+                let step_of = |map| self.byte_step(map);
+                // The last map leaves as f32, which loses nothing more.
+                Engine::Bytes(Arc::new(Part::new(layers, weights, isa, ends, Outcome::Single, step_of)))
+            }
         }
     }
 
+    /// What 1 stands for where a map is kept in bytes.
+    fn byte_step(&self, map: MapId) -> f32 {
+        let members = self.layers.members(map).into_iter();
+        let greatest = members.filter_map(|map| self.activations.get(&self.layers.key(map)));
+        greatest.fold(0.0, |a, b| f32::max(a, *b)) / 255.0
+    }
+}
+
+impl Engine {
     fn running(&self) -> Box<dyn Runner> {
         match self {
             Engine::Single(part) => Box::new(Running::new(Arc::clone(part))),
             Engine::Half(part) => Box::new(Running::new(Arc::clone(part))),
+            Engine::Bytes(part) => Box::new(Running::new(Arc::clone(part))),
         }
     }
 }
@@ -212,21 +258,15 @@ enum Fuser {
 
 impl Fuser {
     fn new(FuseLayer { fusion, channels }: &FuseLayer, weights: &Weights, choice: Choice) -> Self {
-        match (fusion, choice.precision) {
-            (Fusion::Max, _) => Fuser::Cells(CellFusion::Max),
-            (Fusion::Attention { width }, _) => Fuser::Cells(CellFusion::Attention { width: *width }),
-            (Fusion::Transformer(settings), Precision::F32) => {
-                Fuser::Single(Transformer::new(settings, *channels, weights, choice.isa))
-            }
-            (Fusion::Transformer(settings), Precision::Bf16) => {
-                Fuser::Half(Transformer::new(settings, *channels, weights, choice.isa))
-            }
-            (Fusion::Messages { rounds }, Precision::F32) => {
-                Fuser::SingleMessages(Messages::new(*rounds, *channels, weights, choice.isa))
-            }
-            (Fusion::Messages { rounds }, Precision::Bf16) => {
-                Fuser::HalfMessages(Messages::new(*rounds, *channels, weights, choice.isa))
-            }
+        let (channels, isa) = (*channels, choice.isa);
+        let half = choice.float() == Precision::Bf16;
+        match fusion {
+            Fusion::Max => Fuser::Cells(CellFusion::Max),
+            Fusion::Attention { width } => Fuser::Cells(CellFusion::Attention { width: *width }),
+            Fusion::Transformer(settings) if half => Fuser::Half(Transformer::new(settings, channels, weights, isa)),
+            Fusion::Transformer(settings) => Fuser::Single(Transformer::new(settings, channels, weights, isa)),
+            Fusion::Messages { rounds } if half => Fuser::HalfMessages(Messages::new(*rounds, channels, weights, isa)),
+            Fusion::Messages { rounds } => Fuser::SingleMessages(Messages::new(*rounds, channels, weights, isa)),
         }
     }
 
@@ -276,13 +316,19 @@ impl Core {
             heads,
             ..
         } = *layers;
-        let engine = |ends, outcome| Engine::new(layers, weights, choice, ends, outcome);
+        let parts = Parts {
+            layers,
+            weights,
+            isa: choice.isa,
+            activations: &model.activations,
+        };
+        let engine = |ends, outcome| parts.engine(choice.precision, ends, outcome);
         Ok(Core {
             name: model.name.clone(),
             choice,
             encode: engine([canvas, features], Outcome::Own),
             restore: (restored != features).then(|| engine([features, restored], Outcome::Single)),
-            heads: engine([fused, heads], Outcome::Single),
+            heads: parts.engine(choice.float(), [fused, heads], Outcome::Single),
             fusion: layers
                 .fusion()
                 .map(|layer| (Fuser::new(layer, weights, choice), model.arch.agents())),
@@ -316,11 +362,19 @@ fn choose(model: &Model, options: &NetworkOptions) -> Result<Choice, NetworkErro
             best: Isa::detect(),
         });
     }
-    let has_half = options.isa.has_bf16();
-    let usual = if has_half { model.precision } else { Precision::F32 };
+    let usual = match model.precision {
+        Precision::Bf16 if !options.isa.has_bf16() => Precision::F32,
+        precision => precision,
+    };
+    let precision = options.precision.unwrap_or(usual);
+    if precision == Precision::Int8 && model.activations.is_empty() {
+        return Err(NetworkError::NoActivations {
+            model: model.name.clone(),
+        });
+    }
     Ok(Choice {
         isa: options.isa,
-        precision: options.precision.unwrap_or(usual),
+        precision,
         wanted: model.precision,
         threads: options.threads.max(1),
     })
@@ -351,11 +405,17 @@ impl Section {
     ) -> Result<Self, NetworkError> {
         model.validate()?;
         let (layers, choice) = (Layers::of(model), choose(model, &options)?);
+        let parts = Parts {
+            layers: &layers,
+            weights,
+            isa: choice.isa,
+            activations: &model.activations,
+        };
         Ok(Section {
             name: model.name.clone(),
             from: layers.size(ends[0]),
             to: layers.size(ends[1]),
-            running: Engine::new(&layers, weights, choice, ends, Outcome::Single).running(),
+            running: parts.engine(choice.precision, ends, Outcome::Single).running(),
             pool: Arc::new(Mutex::new(Pool::new(choice.threads))),
         })
     }

@@ -4,16 +4,17 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use crate::conv::{Bf16, Convolution, Isa, Kernel, Map, Packed, Pool, Steps, View};
+use crate::conv::{Bf16, Convolution, Isa, Kernel, Map, Packed, Pool, Steps, U8, View};
 use crate::layers::{ConvLayer, Layer, Layers, MapId, MapSize, Step};
 use crate::weights::Weights;
 
 /// How a number type takes a map of f32.
 pub(crate) trait Number: Kernel<Self> + Kernel<f32> {
-    /// The map as it lies, or as a copy with a border in this type.
+    /// The map as it lies, or as a copy with a border in this type, in steps.
     fn take<'a>(
         from: View<'a, f32>,
         needs_border: bool,
+        step: f32,
         copy: &'a mut Option<Copied<Self>>,
         pool: &mut Pool,
     ) -> View<'a, Self>;
@@ -23,21 +24,34 @@ impl Number for f32 {
     fn take<'a>(
         from: View<'a, f32>,
         needs_border: bool,
+        step: f32,
         copy: &'a mut Option<Copied<f32>>,
         pool: &mut Pool,
     ) -> View<'a, f32> {
         match from.border == 1 || !needs_border {
             true => from,
-            false => copied(from, copy, pool),
+            false => copied(from, step, copy, pool),
         }
     }
 }
 
-impl Number for Bf16 {
-    fn take<'a>(from: View<'a, f32>, _: bool, copy: &'a mut Option<Copied<Bf16>>, pool: &mut Pool) -> View<'a, Bf16> {
-        copied(from, copy, pool)
-    }
+macro_rules! always_copied {
+    ($element:ty) => {
+        impl Number for $element {
+            fn take<'a>(
+                from: View<'a, f32>,
+                _: bool,
+                step: f32,
+                copy: &'a mut Option<Copied<$element>>,
+                pool: &mut Pool,
+            ) -> View<'a, $element> {
+                copied(from, step, copy, pool)
+            }
+        }
+    };
 }
+always_copied!(Bf16);
+always_copied!(U8);
 
 /// A copy of a map in other numbers.
 pub(crate) struct Copied<E> {
@@ -46,9 +60,14 @@ pub(crate) struct Copied<E> {
     written: Option<Vec<usize>>,
 }
 
-fn copied<'a, E: Number>(from: View<f32>, copy: &'a mut Option<Copied<E>>, pool: &mut Pool) -> View<'a, E> {
+fn copied<'a, E: Number>(
+    from: View<f32>,
+    step: f32,
+    copy: &'a mut Option<Copied<E>>,
+    pool: &mut Pool,
+) -> View<'a, E> {
     let Copied { map, written } = copy.get_or_insert_with(|| Copied {
-        map: Map::new(from.rows, from.columns, from.stored),
+        map: Map::with_step([from.rows, from.columns, from.stored], step),
         written: Some(Vec::new()),
     });
     match (from.border, from.written, &written) {
@@ -83,6 +102,8 @@ pub(crate) struct Part<E> {
     result: Option<usize>,
     size: MapSize,
     needs_border: bool,
+    /// What 1 stands for in the part's input and in its result.
+    ends: Steps,
 }
 
 struct PartStep<E> {
@@ -111,6 +132,7 @@ pub(crate) struct Rooms<E> {
 pub(crate) enum Made<'a> {
     Single(&'a Map<f32>),
     Half(&'a Map<Bf16>),
+    Bytes(&'a Map<U8>),
 }
 
 impl Made<'_> {
@@ -119,6 +141,7 @@ impl Made<'_> {
         match self {
             Made::Single(map) => map.to_f32(pool),
             Made::Half(map) => map.to_f32(pool),
+            Made::Bytes(map) => map.to_f32(pool),
         }
     }
 }
@@ -155,13 +178,21 @@ macro_rules! runner {
 }
 runner!(f32, Single);
 runner!(Bf16, Half);
+runner!(U8, Bytes);
 
 impl<E: Number> Part<E> {
-    /// The layers from one map to another.
+    /// The layers from one map to another; `step_of`: what 1 stands for in a map of this type.
     ///
     /// # Panics
     /// If the one does not follow from the other by convolutions alone.
-    pub fn new(layers: &Layers, weights: &Weights, isa: Isa, [from, to]: [MapId; 2], outcome: Outcome) -> Self {
+    pub fn new(
+        layers: &Layers,
+        weights: &Weights,
+        isa: Isa,
+        [from, to]: [MapId; 2],
+        outcome: Outcome,
+        step_of: impl Fn(MapId) -> f32,
+    ) -> Self {
         let order = layers.between(&[from], &[to]);
         let homes = homes(&order);
         let home = |map: MapId| homes.get(&map).copied().unwrap_or((map, 0));
@@ -181,6 +212,10 @@ impl<E: Number> Part<E> {
             result: None,
             size: layers.size(to),
             needs_border: false,
+            ends: Steps {
+                input: step_of(from),
+                output: if outcome == Outcome::Own { step_of(to) } else { 1.0 },
+            },
         };
         let (mut places, mut free) = (BTreeMap::new(), Vec::new());
         for (index, together) in groups(&order, &homes) {
@@ -197,9 +232,11 @@ impl<E: Number> Part<E> {
                     })
                 })
             });
+            let input = step_of(home(source).0);
+            let steps = |output| Steps { input, output };
             let run = match room {
-                Some(room) => Run::Own(Packed::new(&numbers, isa, Steps::ONE), room),
-                None => Run::Single(Packed::new(&numbers, isa, Steps::ONE)),
+                Some(room) => Run::Own(Packed::new(&numbers, isa, steps(step_of(target))), room),
+                None => Run::Single(Packed::new(&numbers, isa, steps(1.0))),
             };
             let from = (source != from).then(|| places[&home(source).0]);
             part.needs_border |= from.is_none() && run.needs_border();
@@ -220,10 +257,11 @@ impl<E: Number> Part<E> {
         let [rows, columns, channels] = self.size;
         Rooms {
             copy: None,
+            // Maps with different steps share a room; but for the result, layers alone read them, and know the step.
             own: self
                 .rooms
                 .iter()
-                .map(|[rows, columns, channels]| Map::new(*rows, *columns, *channels))
+                .map(|size| Map::with_step(*size, self.ends.output))
                 .collect(),
             single: self.result.is_none().then(|| Map::new(rows, columns, channels)),
         }
@@ -231,7 +269,7 @@ impl<E: Number> Part<E> {
 
     fn run(&self, rooms: &mut Rooms<E>, pool: &mut Pool, input: View<f32>) {
         let Rooms { copy, own, single } = rooms;
-        let input = E::take(input, self.needs_border, copy, pool);
+        let input = E::take(input, self.needs_border, self.ends.input, copy, pool);
         for step in &self.steps {
             match &step.run {
                 Run::Own(layer, room) => {
@@ -401,7 +439,7 @@ mod tests {
     fn part(model: &Model, ends: impl Fn(&Layers) -> [MapId; 2], outcome: Outcome) -> Part<f32> {
         let layers = Layers::of(model);
         let weights = Weights::new(model, random_tensors(model, 1)).unwrap();
-        Part::new(&layers, &weights, Isa::Portable, ends(&layers), outcome)
+        Part::new(&layers, &weights, Isa::Portable, ends(&layers), outcome, |_| 1.0)
     }
 
     #[test]

@@ -358,7 +358,7 @@ mod tests {
         ] {
             let (linear, norm) = weights(channels);
             let mut canvas = Canvas::new(GRID.rows(), GRID.columns(), channels);
-            let mut net = PillarNet::new(&GRID, &linear, &norm, empty_below, intensity);
+            let net = PillarNet::new(&GRID, &linear, &norm, empty_below, intensity);
             net.run(&pillars, &mut canvas);
             let expected = plain(&pillars, &linear, &norm, empty_below, intensity);
             assert_near("features", &features(&pillars, &canvas), &expected, 1e-5);
@@ -375,7 +375,7 @@ mod tests {
     fn every_instruction_set_gives_the_same_bits_and_a_canvas_serves_twice() {
         let pillars = pillars(3000);
         let (linear, norm) = weights(40);
-        let mut net = PillarNet::new(&GRID, &linear, &norm, Some(8), true);
+        let net = PillarNet::new(&GRID, &linear, &norm, Some(8), true);
         let new_canvas = || Canvas::new(GRID.rows(), GRID.columns(), 40);
         let (mut canvas, mut portable) = (new_canvas(), new_canvas());
         net.run(&self::pillars(500), &mut canvas);
@@ -389,7 +389,7 @@ mod tests {
     #[test]
     fn no_pillar_clears_the_canvas_and_one_pillar_fills_one_cell() {
         let (linear, norm) = weights(4);
-        let mut net = PillarNet::new(&GRID, &linear, &norm, None, false);
+        let net = PillarNet::new(&GRID, &linear, &norm, None, false);
         let mut canvas = Canvas::new(GRID.rows(), GRID.columns(), 4);
         let one = pillars(1);
         net.run(&one, &mut canvas);
@@ -449,7 +449,7 @@ mod tests {
         for case in ["c8", "c16"] {
             let vector = Vector::open(&format!("pillars/pillar_features_{case}.safetensors"));
             let grid = vector.grid();
-            let mut net = net_of(&vector, 32);
+            let net = net_of(&vector, 32);
             let pillars = ragged(&vector, grid.columns());
             let mut canvas = Canvas::new(grid.rows(), grid.columns(), net.channels());
             net.run(&pillars, &mut canvas);
@@ -506,7 +506,7 @@ mod tests {
                 ..Dropped::default()
             }
         );
-        let mut net = net_of(&vector, 32);
+        let net = net_of(&vector, 32);
         let mut canvas = Canvas::new(grid.rows(), grid.columns(), net.channels());
         net.run(pillars, &mut canvas);
         let expected = crate::vectors::nhwc(

@@ -73,6 +73,8 @@ pub enum Decided {
     Model,
     /// Kernels of a network.
     Isa,
+    /// Number type of a network.
+    Precision,
     /// Who brings what crosses a link to the ego's frame.
     Project,
     /// Folder of the results.

@@ -15,6 +15,7 @@
 use std::path::PathBuf;
 
 use realo_bev::Maps;
+use realo_nn::Kernels;
 use realo_nn::Encoder;
 use realo_nn::pillars::{Dropped, Points};
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
@@ -29,6 +30,8 @@ pub struct Config {
     pub model: PathBuf,
     /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
     pub isa: String,
+    /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
+    pub precision: String,
     /// Threads of the convolutions; 0: one for each processor.
     pub threads: usize,
 }
@@ -37,7 +40,8 @@ impl Default for Config {
     fn default() -> Self {
         Config {
             model: "../models/lite.toml".into(),
-            isa: "auto".into(),
+            isa: realo_nn::AUTO.into(),
+            precision: realo_nn::AUTO.into(),
             threads: 0,
         }
     }
@@ -61,24 +65,28 @@ impl Describe for PillarEncoder {
             name: "model",
             about: "the model file; its weights lie beside it",
         },
-        Argument {
-            name: "isa",
-            about: "kernels: auto, portable, avx2, avx512 or avx512bf16",
-        },
-        Argument {
-            name: "threads",
-            about: "threads of the convolutions; 0: one for each processor",
-        },
+        realo_bev::ISA,
+        realo_bev::PRECISION,
+        realo_bev::THREADS,
     ];
     const INPUTS: &'static [Port] =
         &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the model's frame").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps")];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Model, "model"), (Decided::Isa, "isa")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[
+        (Decided::Model, "model"),
+        (Decided::Isa, "isa"),
+        (Decided::Precision, "precision"),
+    ];
 }
 
 impl Operator for PillarEncoder {
     fn new(config: Config) -> Result<Self, Error> {
-        let loaded = realo_nn::load(&config.model, &config.isa, config.threads)?;
+        let kernels = Kernels {
+            isa: &config.isa,
+            precision: &config.precision,
+            threads: config.threads,
+        };
+        let loaded = realo_nn::load(&config.model, kernels)?;
         loaded.model.check_frame(&config.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),

@@ -141,7 +141,7 @@ fn pillar_features(vector: &Vector) -> Result<(), String> {
         )?;
     }
 
-    let mut net = PillarNet::of(&model, &weights);
+    let net = PillarNet::of(&model, &weights);
     let mut canvas = Canvas::new(grid.rows(), grid.columns(), net.channels());
     net.run(&pillars, &mut canvas);
     let cells = pillars.cells.iter().map(|cell| *cell as usize);

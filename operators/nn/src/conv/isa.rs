@@ -2,7 +2,7 @@ use std::fmt;
 use std::str::FromStr;
 
 /// Instructions that a convolution is written in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Isa {
     /// AMX, whose tiles multiply bf16 and bytes; f32 layers use AVX-512.
     Amx,

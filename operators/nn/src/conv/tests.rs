@@ -104,12 +104,23 @@ fn plain(layer: &Convolution, case: &Case, cells: &[f64], at: [usize; 3]) -> f64
 const UNTOUCHED: f32 = 7.25;
 
 fn run<E: Kernel<O>, O: Element>(layer: &Convolution, case: &Case, isa: Isa, threads: usize) -> Vec<f32> {
-    let mut input = Map::<E>::new(case.rows, case.columns, layer.inputs);
+    run_in_steps::<E, O>(layer, case, isa, threads, Steps::ONE)
+}
+
+fn run_in_steps<E: Kernel<O>, O: Element>(
+    layer: &Convolution,
+    case: &Case,
+    isa: Isa,
+    threads: usize,
+    steps: Steps,
+) -> Vec<f32> {
+    let mut input = Map::<E>::with_step([case.rows, case.columns, layer.inputs], steps.input);
     input.fill_from(&cells(case));
     let channels = case.beside.0 + layer.outputs + case.beside.1;
-    let mut output = Map::<O>::new(layer.size(case.rows), layer.size(case.columns), channels);
+    let size = [layer.size(case.rows), layer.size(case.columns), channels];
+    let mut output = Map::<O>::with_step(size, steps.output);
     output.fill_from(&vec![UNTOUCHED; output.rows * output.columns * channels]);
-    Packed::<E, O>::new(layer, isa, Steps::ONE).run(&mut Pool::new(threads), input.view(), &mut output, case.beside.0);
+    Packed::<E, O>::new(layer, isa, steps).run(&mut Pool::new(threads), input.view(), &mut output, case.beside.0);
     let border = output
         .view()
         .data
@@ -154,7 +165,9 @@ fn verify<E: Kernel<O>, O: Element>(case: &Case, isa: Isa, tolerance: f64) {
             None => f64::from(UNTOUCHED),
         };
         let difference = (f64::from(found) - expected).abs();
-        let bound = tolerance * (1.0 + expected.abs());
+        // Roundings of a sum of so many products add up as a walk does.
+        let terms = (layer.inputs * layer.kernel * layer.kernel) as f64;
+        let bound = tolerance * (expected.abs() + (terms / 200.0).sqrt().max(1.0));
         assert!(
             difference <= bound,
             "{isa} cell {cell} channel {channel}: expected {expected}, found {found}: {case:?}"
@@ -162,7 +175,59 @@ fn verify<E: Kernel<O>, O: Element>(case: &Case, isa: Isa, tolerance: f64) {
     }
 }
 
+/// Compares bytes with sums of whole numbers, and all instructions with each other bit by bit.
+fn verify_bytes(case: &Case) {
+    let layer = layer(case);
+    // Numbers of a test lie within ±1: negative ones become 0, as those of a map after ReLU are.
+    let steps = Steps {
+        input: 1.0 / 200.0,
+        output: 0.01 * (case.inputs as f32).sqrt(),
+    };
+    let whole = |value: f32| f64::from((value / steps.input).round_ties_even().clamp(0.0, 255.0));
+    let rounded: Vec<f64> = cells(case).into_iter().map(whole).collect();
+    let mut in_steps = layer.clone();
+    in_steps.relu = false;
+    in_steps.bias.fill(0.0);
+    let weight_steps: Vec<f32> = layer.greatest_weights().map(U8::weight_step).collect();
+    let taps = layer.kernel * layer.kernel;
+    let output_of = |index: usize| match layer.transposed {
+        true => index / taps % layer.outputs,
+        false => index / (taps * layer.inputs),
+    };
+    for (index, weight) in in_steps.weights.iter_mut().enumerate() {
+        *weight = (*weight / weight_steps[output_of(index)]).round_ties_even();
+    }
+    let portable = run_in_steps::<U8, f32>(&layer, case, Isa::Portable, 1, Steps { output: 1.0, ..steps });
+    let (columns, channels) = (layer.size(case.columns), case.beside.0 + layer.outputs + case.beside.1);
+    for (index, found) in portable.iter().enumerate() {
+        let (cell, channel) = (index / channels, index % channels);
+        let output = channel.checked_sub(case.beside.0).filter(|output| *output < layer.outputs);
+        let expected = output.map_or(UNTOUCHED, |output| {
+            let sum = plain(&in_steps, case, &rounded, [cell / columns, cell % columns, output]) as f32;
+            let value = sum * (weight_steps[output] * steps.input) + layer.bias[output];
+            if layer.relu { value.max(0.0) } else { value }
+        });
+        assert_eq!(*found, expected, "cell {cell} channel {channel}: {case:?}");
+    }
+    let bytes = run_in_steps::<U8, U8>(&layer, case, Isa::Portable, 1, steps);
+    for (byte, single) in bytes.iter().zip(&portable) {
+        let within = single.clamp(0.0, 255.0 * steps.output);
+        assert!((byte - within).abs() <= 0.51 * steps.output, "{byte} {single}: {case:?}");
+    }
+    for isa in Isa::ALL.into_iter().filter(|isa| isa.is_available()) {
+        for threads in [1, 3] {
+            let single = run_in_steps::<U8, f32>(&layer, case, isa, threads, Steps { output: 1.0, ..steps });
+            assert!(single == portable, "{isa}, {threads} threads: {case:?}");
+            assert!(
+                run_in_steps::<U8, U8>(&layer, case, isa, threads, steps) == bytes,
+                "{isa}, {threads} threads, to bytes: {case:?}"
+            );
+        }
+    }
+}
+
 fn verify_all(case: &Case) {
+    verify_bytes(case);
     for isa in Isa::ALL.into_iter().filter(|isa| isa.is_available()) {
         verify::<f32, f32>(case, isa, 1e-5);
         verify::<Bf16, f32>(case, isa, 1e-5);
@@ -200,6 +265,10 @@ fn kernels_agree_with_a_plain_loop_at_the_edges() {
         edge(2, 13, 128, 7, (4, 4, true)),
         edge(3, 2, 5, 129, (3, 1, false)),
     ];
+    // Whole rows of tiles, and every remainder of a row in tiles of 16 and 32 windows.
+    all.extend([15, 16, 17, 31, 32, 33, 48, 50, 79].map(|columns| edge(2, columns, 64, 33, (3, 1, false))));
+    all.extend([(1, 1, false), (3, 2, false), (2, 2, true), (4, 4, true)].map(|shape| edge(3, 40, 128, 65, shape)));
+    all.extend([32, 96, 192].map(|inputs| edge(3, 35, inputs, 32, (3, 1, false))));
     // Every remainder of a row in tiles of 4, 6 and 12.
     all.extend((1..=25).map(|columns| edge(2, columns, 3, 17, (3, 1, false))));
     all.iter().for_each(verify_all);

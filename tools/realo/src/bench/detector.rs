@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use eyre::{Result, eyre};
+use realo_nn::Kernels;
 use realo_nn::anchors::Anchors;
 use realo_nn::canvas::Canvas;
 use realo_nn::decode::candidates;
@@ -76,8 +77,8 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
     let peer = peer.map(|peer| compared(peer.name.clone(), &ours, &theirs));
     let pillars = pillariser.run(&points).clone();
 
-    let loaded = realo_nn::load(Path::new(MODEL), "auto", 1)?;
-    let mut net = PillarNet::of(&loaded.model, &loaded.weights);
+    let loaded = realo_nn::load(Path::new(MODEL), Kernels::auto(1))?;
+    let net = PillarNet::of(&loaded.model, &loaded.weights);
     let mut canvas = Canvas::new(model.grid.rows(), model.grid.columns(), model.pillars.channels);
     let [x, y, z] = even_cloud(&model);
     let mut even = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
@@ -94,7 +95,7 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
     let all = std::thread::available_parallelism().map_or(1, |n| n.get());
     let anchors = Anchors::of(&model);
     for threads in [1, all] {
-        let mut network = realo_nn::load(Path::new(MODEL), "auto", threads)?.network;
+        let mut network = realo_nn::load(Path::new(MODEL), Kernels::auto(threads))?.network;
         let mut times = Vec::new();
         for _ in 0..ROUNDS {
             let start = Instant::now();

@@ -68,9 +68,12 @@ pub struct Args {
     /// Model file of every detector [default: each node's own]
     #[arg(long)]
     pub model: Option<PathBuf>,
-    /// Kernels of the networks: auto, portable (the same bits on every machine), avx2, avx512, avx512bf16 [default: auto]
+    /// Kernels of the networks: auto, portable (the same bits on every machine), avx2, avx512, avx512bf16, amx [default: auto]
     #[arg(long)]
     pub isa: Option<String>,
+    /// Number type of the networks: auto (the model's), f32, bf16, int8 [default: auto]
+    #[arg(long)]
+    pub precision: Option<String>,
     /// Who brings what crosses the link to the ego's frame: its receiver, or its sender with the ego's newest known state
     #[arg(long, value_enum)]
     pub project: Option<Project>,

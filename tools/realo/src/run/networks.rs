@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, InputSource};
-use realo_nn::Loaded;
+use realo_nn::{AUTO, Kernels, Loaded};
 
 use realo_operator::Decided;
 
@@ -27,18 +27,23 @@ pub struct Words {
     pub kernels: String,
 }
 
-/// The networks that were looked at, by model file and `isa`; runs over many logs have the same ones.
+/// The networks that were looked at, by model file, `isa` and `precision`; runs over many logs have the same ones.
 #[derive(Default)]
-pub struct Networks(BTreeMap<(PathBuf, String), Known>);
+pub struct Networks(BTreeMap<(PathBuf, String, String), Known>);
 
 impl Networks {
-    fn known(&mut self, path: &Path, isa: &str) -> Result<&Known> {
-        let key = (path.to_path_buf(), isa.to_string());
+    fn known(&mut self, path: &Path, isa: &str, precision: &str) -> Result<&Known> {
+        let key = (path.to_path_buf(), isa.to_string(), precision.to_string());
         if !self.0.contains_key(&key) {
             if !path.exists() {
                 bail!("{}: no such model file; --model FILE names another one", path.display());
             }
-            let loaded = realo_nn::load(path, isa, 1)?;
+            let kernels = Kernels {
+                isa,
+                precision,
+                threads: 1,
+            };
+            let loaded = realo_nn::load(path, kernels)?;
             let choice = loaded.network.choice();
             let kernels = format!("{} on {}", choice.precision, choice.isa);
             self.0.insert(key.clone(), Known { loaded, kernels });
@@ -57,12 +62,12 @@ impl Networks {
         for node in deciding(graph, Decided::Model) {
             let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
             let path = PathBuf::from(value(Decided::Model).unwrap_or_default());
-            let isa = value(Decided::Isa).unwrap_or_default();
+            let [isa, precision] = [Decided::Isa, Decided::Precision].map(|of| value(of).unwrap_or_else(|| AUTO.into()));
             let Known {
                 loaded,
                 kernels: runs_on,
             } = self
-                .known(&path, &isa)
+                .known(&path, &isa, &precision)
                 .wrap_err_with(|| format!("node `{}`", node.id))?;
             let identity = loaded.identity.clone();
             if let Some(known) = registration(node) {
