@@ -48,6 +48,13 @@ impl Canvas {
         &self.data
     }
 
+    /// The cells without the border, `[rows, columns, channels]`.
+    pub(crate) fn cells(&self) -> Vec<f32> {
+        let length = self.columns * self.channels;
+        let rows = (0..self.rows).map(|row| &self.data[self.start(row, 0)..][..length]);
+        rows.flatten().copied().collect()
+    }
+
     /// The channels of a cell.
     ///
     /// # Panics
@@ -86,7 +93,13 @@ impl Canvas {
     /// The rows without the border, cut for workers; each with its border columns.
     pub(crate) fn shares(&mut self, workers: usize) -> Vec<Rows<'_, f32>> {
         let length = (self.columns + 2) * self.channels;
-        split(&mut self.data[length..length * (self.rows + 1)], length, self.rows, workers, 1)
+        split(
+            &mut self.data[length..length * (self.rows + 1)],
+            length,
+            self.rows,
+            workers,
+            1,
+        )
     }
 
     fn start(&self, row: usize, column: usize) -> usize {

@@ -22,11 +22,13 @@
 
 pub mod anchors;
 pub mod arch;
+pub mod calibration;
 pub mod canvas;
 mod cells;
 pub mod conv;
 pub mod decode;
 mod encoder;
+pub mod filler;
 pub mod fuse;
 pub mod layers;
 mod load;

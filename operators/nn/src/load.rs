@@ -183,7 +183,8 @@ impl Known {
             weights: Arc::downgrade(&shared.weights),
             core: Arc::downgrade(&shared.core),
         };
-        self.models.insert((identity.into(), options.isa, options.precision), weak);
+        self.models
+            .insert((identity.into(), options.isa, options.precision), weak);
         shared
     }
 

@@ -224,7 +224,14 @@ impl Parts<'_> {
             Precision::Int8 => {
                 let step_of = |map| self.byte_step(map);
                 // The last map leaves as f32, which loses nothing more.
-                Engine::Bytes(Arc::new(Part::new(layers, weights, isa, ends, Outcome::Single, step_of)))
+                Engine::Bytes(Arc::new(Part::new(
+                    layers,
+                    weights,
+                    isa,
+                    ends,
+                    Outcome::Single,
+                    step_of,
+                )))
             }
         }
     }
@@ -584,10 +591,15 @@ impl Network {
         let shares = split(&mut heads.scores, scores, heads.rows, pool.threads(), 1).into_iter();
         let shares = shares.zip(split(&mut heads.deltas, deltas, heads.rows, pool.threads(), 1));
         pool.each(shares.collect(), |(of_scores, of_deltas)| {
-            let rows = of_scores.data.chunks_exact_mut(scores).zip(of_deltas.data.chunks_exact_mut(deltas));
+            let rows = of_scores
+                .data
+                .chunks_exact_mut(scores)
+                .zip(of_deltas.data.chunks_exact_mut(deltas));
             for (row, (to_scores, to_deltas)) in of_scores.range.zip(rows) {
                 let [scores, deltas] = core.outputs;
-                let cells = to_scores.chunks_exact_mut(scores).zip(to_deltas.chunks_exact_mut(deltas));
+                let cells = to_scores
+                    .chunks_exact_mut(scores)
+                    .zip(to_deltas.chunks_exact_mut(deltas));
                 for (cell, (to_scores, to_deltas)) in numbers.row(row).zip(cells) {
                     to_scores.copy_from_slice(&cell[..scores]);
                     to_deltas.copy_from_slice(&cell[scores..]);

@@ -60,12 +60,7 @@ pub(crate) struct Copied<E> {
     written: Option<Vec<usize>>,
 }
 
-fn copied<'a, E: Number>(
-    from: View<f32>,
-    step: f32,
-    copy: &'a mut Option<Copied<E>>,
-    pool: &mut Pool,
-) -> View<'a, E> {
+fn copied<'a, E: Number>(from: View<f32>, step: f32, copy: &'a mut Option<Copied<E>>, pool: &mut Pool) -> View<'a, E> {
     let Copied { map, written } = copy.get_or_insert_with(|| Copied {
         map: Map::with_step([from.rows, from.columns, from.stored], step),
         written: Some(Vec::new()),

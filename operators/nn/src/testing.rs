@@ -6,7 +6,8 @@ use std::path::Path;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-use crate::layers::{Layers, Role, TensorSpec};
+pub use crate::filler::{Numbers, tensors as random_tensors_of};
+use crate::layers::Layers;
 use crate::model::{Backbone, Frame, Grid, Model, Precision, Shrink};
 use crate::weights::Tensor;
 
@@ -69,48 +70,9 @@ pub fn small(rows: usize, columns: usize, odd: bool) -> Model {
     model
 }
 
-/// Numbers from -1 to 1 that depend on the seed alone.
-pub struct Numbers(u64);
-
-impl Numbers {
-    pub fn new(seed: u64) -> Self {
-        Numbers(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
-    }
-
-    pub fn next(&mut self) -> f32 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 40) as f32 / (1u64 << 23) as f32 - 1.0
-    }
-
-    pub fn list(&mut self, length: usize) -> Vec<f32> {
-        (0..length).map(|_| self.next()).collect()
-    }
-}
-
-/// Tensors of a model; layers keep the size of what passes through them.
+/// Tensors of a model.
 pub fn random_tensors(model: &Model, seed: u64) -> HashMap<String, Tensor> {
     random_tensors_of(&Layers::of(model), seed)
-}
-
-/// Tensors of layers.
-pub fn random_tensors_of(layers: &Layers, seed: u64) -> HashMap<String, Tensor> {
-    let mut numbers = Numbers::new(seed);
-    let tensor = |spec: TensorSpec| {
-        let mut data = numbers.list(spec.count());
-        for value in &mut data {
-            match spec.role {
-                Role::NormWeight | Role::RunningVariance => *value = 1.0 + 0.5 * *value,
-                Role::Bias | Role::NormBias | Role::RunningMean => *value *= 0.1,
-                Role::Weight { fan_in } => *value *= (6.0 / fan_in as f32).sqrt(),
-            }
-        }
-        let shape = spec.shape;
-        (spec.key, Tensor { shape, data })
-    };
-    layers.tensors().map(tensor).collect()
 }
 
 /// Writes a model file with the weights of a seed beside it.

@@ -15,8 +15,8 @@
 use std::path::PathBuf;
 
 use realo_bev::Maps;
-use realo_nn::Kernels;
 use realo_nn::Encoder;
+use realo_nn::Kernels;
 use realo_nn::pillars::{Dropped, Points};
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{FeatureMap, Header, Kind, Message, PayloadType, PointCloud};

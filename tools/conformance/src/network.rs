@@ -156,9 +156,8 @@ fn head(vector: &Vector) -> Result<(), String> {
         channels,
         data,
     };
-    let heads = network(&model, &weights)?
-        .heads(&map)
-        .map_err(|error| error.to_string())?;
+    let mut network = network(&model, &weights)?;
+    let heads = network.heads(&map).map_err(|error| error.to_string())?;
     compare_map(vector, &tensors, "out.psm", &heads.scores)?;
     compare_map(vector, &tensors, "out.rm", &heads.deltas)
 }

@@ -1,6 +1,9 @@
 //! How the reference writes boxes, poses and anchors, brought to how the graphs have them. Nothing here is under test.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+
 use realo_nn::anchors::Anchors;
 use realo_nn::model::{Backbone, ClassAnchor, Frame, Grid, Model, PillarSettings, Precision};
 use realo_schemas::Box3;
@@ -147,6 +150,7 @@ pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model
         },
         backbone,
         shrink: Vec::new(),
+        activations: BTreeMap::new(),
     };
     model.validate().map_err(|error| error.to_string())?;
     Ok(model)

@@ -119,7 +119,7 @@ impl Args {
     }
 }
 
-fn seeds(text: &str) -> Result<Range<u64>> {
+pub(crate) fn seeds(text: &str) -> Result<Range<u64>> {
     let parts = text
         .split_once("..")
         .and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
@@ -145,7 +145,7 @@ fn show(bar: &ProgressBar, progress: &Progress) {
     }
 }
 
-fn scores(validation: &Validation) -> String {
+pub(crate) fn scores(validation: &Validation) -> String {
     let percent = |ap: Option<f64>| ap.map_or("none".into(), |ap| format!("{:.3}", ap));
     let class = validation.classes.iter().map(|class| {
         let (alone, merged) = (percent(class.alone), percent(class.merged));

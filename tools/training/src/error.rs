@@ -46,6 +46,12 @@ pub enum TrainError {
         /// The folder.
         folder: PathBuf,
     },
+    /// A file that would be overwritten.
+    #[error("`{}` is there already; --force replaces it", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
     /// Options that cannot be met.
     #[error("training option `{field}`: expected {expected}, found {found}")]
     Option {
@@ -109,6 +115,12 @@ pub enum TrainError {
     /// The file of weights.
     #[error(transparent)]
     Weights(#[from] WeightsError),
+    /// What runs the weights.
+    #[error(transparent)]
+    Network(#[from] realo_nn::network::NetworkError),
+    /// What loads model and weights.
+    #[error(transparent)]
+    Load(#[from] realo_nn::LoadError),
     /// A log.
     #[error(transparent)]
     Log(#[from] LogError),

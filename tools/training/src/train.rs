@@ -482,6 +482,14 @@ pub fn validation_frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
     Ok(Arc::new(SimulatedFrames::new(cache, 800..812, 1)?))
 }
 
+/// The frames of some data.
+///
+/// # Errors
+/// [`TrainError`] if there can be no folder for them, or logs have none.
+pub fn frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
+    Ok(Source::open(data)?.frames)
+}
+
 fn state(options: &TrainOptions, model: &Model, plan: TrainingPlan, path: &Path) -> Result<Checkpoint, TrainError> {
     let refuse = |reason: String| TrainError::Checkpoint {
         path: path.into(),

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use realo_nn::anchors::{Anchors, Hwl};
 use realo_nn::decode::{Detection, candidates};
+use realo_nn::model::Model;
 use realo_nn::targets::Object;
 use realo_schemas::geometry::{Footprint, iou, iou_exceeds};
 
@@ -42,36 +43,38 @@ pub struct ClassScore {
     pub merged: Option<f64>,
 }
 
-/// Scores a network on frames, with each vehicle of a frame as ego.
+/// Scores a network in training on frames, with each vehicle of a frame as ego.
 ///
 /// # Errors
 /// [`TrainError`] if a frame cannot be had or a layer fails.
 pub fn validate(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validation, TrainError> {
     let model = network.model();
+    validate_by(model, frames, |scene| {
+        let sample = scene.sample(model);
+        let objects = sample.objects.clone();
+        let batch = gather(model, vec![sample]);
+        Ok((detect(network, &batch.pillars)?, objects))
+    })
+}
+
+/// Scores what finds boxes on frames, with each vehicle of a frame as ego; `detect`: the boxes of a scene, best first and
+/// without duplicates, and its objects.
+///
+/// # Errors
+/// [`TrainError`] if a frame cannot be had, and those of `detect`.
+pub(crate) fn validate_by(
+    model: &Model,
+    frames: &Arc<dyn Frames>,
+    mut detect: impl FnMut(Scene) -> Result<(Vec<Detection>, Vec<Object>), TrainError>,
+) -> Result<Validation, TrainError> {
     let mut ledgers = [(); 2].map(|()| vec![Ledger::default(); model.classes.len()]);
-    for index in 0..frames.len() {
-        let frame = frames.load(index)?;
-        let egos = frame
-            .agents
-            .iter()
-            .enumerate()
-            .filter(|(_, agent)| !agent.roadside)
-            .map(|(ego, _)| ego);
-        for ego in egos {
-            let casts = [Vec::new(), near(&frame, ego)].map(|others| Cast { ego, others });
-            for (ledgers, cast) in ledgers.iter_mut().zip(casts) {
-                let how = Augmentation::none();
-                let scene = Scene::new(&frame, &cast, model, &how, &mut Stream::new(0, "validation", 0));
-                let sample = scene.sample(model);
-                let objects = sample.objects.clone();
-                let batch = gather(model, vec![sample]);
-                let found = detect(network, &batch.pillars)?;
-                for (class, ledger) in ledgers.iter_mut().enumerate() {
-                    ledger.add(&found, &objects, class, least_iou(&model.classes[class].name));
-                }
-            }
+    each_scene(model, frames, |merged, scene| {
+        let (found, objects) = detect(scene)?;
+        for (class, ledger) in ledgers[usize::from(merged)].iter_mut().enumerate() {
+            ledger.add(&found, &objects, class, least_iou(&model.classes[class].name));
         }
-    }
+        Ok(())
+    })?;
     let [alone, merged] = ledgers;
     let classes = model
         .classes
@@ -89,6 +92,29 @@ pub fn validate(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validatio
     })
 }
 
+/// Looks at every frame as each of its vehicles sees it, alone and with the clouds of all within 70 m.
+///
+/// # Errors
+/// [`TrainError`] if a frame cannot be had, and those of `look`.
+pub(crate) fn each_scene(
+    model: &Model,
+    frames: &Arc<dyn Frames>,
+    mut look: impl FnMut(bool, Scene) -> Result<(), TrainError>,
+) -> Result<(), TrainError> {
+    for index in 0..frames.len() {
+        let frame = frames.load(index)?;
+        let vehicles = frame.agents.iter().enumerate().filter(|(_, agent)| !agent.roadside);
+        for (ego, _) in vehicles {
+            for (merged, others) in [(false, Vec::new()), (true, near(&frame, ego))] {
+                let (cast, how) = (Cast { ego, others }, Augmentation::none());
+                let mut draws = Stream::new(0, "validation", 0);
+                look(merged, Scene::new(&frame, &cast, model, &how, &mut draws))?;
+            }
+        }
+    }
+    Ok(())
+}
+
 /// The overlaps that are customary.
 fn least_iou(class: &str) -> f64 {
     if class == "pedestrian" { 0.3 } else { 0.5 }
@@ -102,14 +128,12 @@ fn detect(network: &Network, pillars: &Arc<crate::layers::PillarBatch>) -> Resul
         with_numbers(map, |values| Ok(inner(&shape, values, 0)))
     };
     let (scores, deltas) = (cells(&heads.scores)?, cells(&heads.deltas)?);
-    let found = candidates(
-        &Anchors::of(network.model()),
-        &scores,
-        &deltas,
-        THRESHOLD,
-        MOST_CANDIDATES,
-    );
-    Ok(suppress(found.detections))
+    Ok(boxes(&Anchors::of(network.model()), &scores, &deltas))
+}
+
+/// The boxes that heads tell, best first.
+pub(crate) fn boxes(anchors: &Anchors, scores: &[f32], deltas: &[f32]) -> Vec<Detection> {
+    suppress(candidates(anchors, scores, deltas, THRESHOLD, MOST_CANDIDATES).detections)
 }
 
 fn footprint(hwl: &Hwl<f64>) -> Footprint {

@@ -115,7 +115,9 @@ impl<E: Element> Map<E> {
             for (row, to) in share.range.zip(share.data.chunks_exact_mut(length)) {
                 let from = cells[row * columns * channels..].chunks_exact(channels);
                 for (from, to) in from.zip(to[stored..].chunks_exact_mut(stored)).take(columns) {
-                    from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from * steps));
+                    from.iter()
+                        .zip(to)
+                        .for_each(|(from, to)| *to = E::from_f32(*from * steps));
                 }
             }
         });
@@ -131,7 +133,9 @@ impl<E: Element> Map<E> {
             let cells = share.range.start * (length / stored) * channels;
             let from = from.data[cells..].chunks_exact(channels);
             for (from, to) in from.zip(share.data.chunks_exact_mut(stored)) {
-                from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from * steps));
+                from.iter()
+                    .zip(to)
+                    .for_each(|(from, to)| *to = E::from_f32(*from * steps));
             }
         });
     }
@@ -152,7 +156,9 @@ impl<E: Element> Map<E> {
             for start in written.iter().filter(own) {
                 let to = &mut share.data[place(*start)..][..channels];
                 let from = &from.data[*start..][..channels];
-                from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from * steps));
+                from.iter()
+                    .zip(to)
+                    .for_each(|(from, to)| *to = E::from_f32(*from * steps));
             }
         });
     }
@@ -172,7 +178,9 @@ impl<E: Element> Map<E> {
         pool.each(split(&mut cells, length, self.rows, pool.threads(), 1), |share| {
             for (row, to) in share.range.zip(share.data.chunks_exact_mut(length)) {
                 for (from, to) in self.row(row).zip(to.chunks_exact_mut(self.channels)) {
-                    from.iter().zip(to).for_each(|(from, to)| *to = from.to_f32() * self.step);
+                    from.iter()
+                        .zip(to)
+                        .for_each(|(from, to)| *to = from.to_f32() * self.step);
                 }
             }
         });

@@ -18,8 +18,8 @@ mod x86;
 mod tests;
 
 pub use element::Bf16;
-pub(crate) use element::U8;
 pub(crate) use element::Element;
+pub(crate) use element::U8;
 pub use isa::{Isa, UnknownIsa};
 pub(crate) use map::{Map, Rows, View, split};
 pub(crate) use pack::{Kernel, Packed, Steps};

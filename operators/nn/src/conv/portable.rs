@@ -220,6 +220,12 @@ macro_rules! kernel {
         })*
     };
 }
-kernel!(single, Single, f32, [f32], |isa, stored, outputs| super::x86::single(isa, outputs));
-kernel!(half, Half, Bf16, [Bf16, f32], |isa, stored, outputs| super::x86::half(isa, stored, outputs));
-kernel!(bytes, Bytes, U8, [U8, f32], |isa, stored, outputs| super::x86::bytes(isa, stored, outputs));
+kernel!(single, Single, f32, [f32], |isa, stored, outputs| super::x86::single(
+    isa, outputs
+));
+kernel!(half, Half, Bf16, [Bf16, f32], |isa, stored, outputs| super::x86::half(
+    isa, stored, outputs
+));
+kernel!(bytes, Bytes, U8, [U8, f32], |isa, stored, outputs| super::x86::bytes(
+    isa, stored, outputs
+));

@@ -201,7 +201,9 @@ fn verify_bytes(case: &Case) {
     let (columns, channels) = (layer.size(case.columns), case.beside.0 + layer.outputs + case.beside.1);
     for (index, found) in portable.iter().enumerate() {
         let (cell, channel) = (index / channels, index % channels);
-        let output = channel.checked_sub(case.beside.0).filter(|output| *output < layer.outputs);
+        let output = channel
+            .checked_sub(case.beside.0)
+            .filter(|output| *output < layer.outputs);
         let expected = output.map_or(UNTOUCHED, |output| {
             let sum = plain(&in_steps, case, &rounded, [cell / columns, cell % columns, output]) as f32;
             let value = sum * (weight_steps[output] * steps.input) + layer.bias[output];
@@ -212,7 +214,10 @@ fn verify_bytes(case: &Case) {
     let bytes = run_in_steps::<U8, U8>(&layer, case, Isa::Portable, 1, steps);
     for (byte, single) in bytes.iter().zip(&portable) {
         let within = single.clamp(0.0, 255.0 * steps.output);
-        assert!((byte - within).abs() <= 0.51 * steps.output, "{byte} {single}: {case:?}");
+        assert!(
+            (byte - within).abs() <= 0.51 * steps.output,
+            "{byte} {single}: {case:?}"
+        );
     }
     for isa in Isa::ALL.into_iter().filter(|isa| isa.is_available()) {
         for threads in [1, 3] {

@@ -212,7 +212,7 @@ fn portable_bits_are_the_same_everywhere() {
     let weights = Weights::read(Path::new(SHIPPED), &model).unwrap();
     let mut numbers = Numbers::new(11);
     let column = |numbers: &mut Numbers, reach: f32| -> Vec<f32> {
-        (0..4000).map(|_| reach * numbers.next() * numbers.next()).collect()
+        (0..4000).map(|_| reach * numbers.draw() * numbers.draw()).collect()
     };
     let [x, y, z] = [90.0, 35.0, 2.5].map(|reach| column(&mut numbers, reach));
     let points = Points {

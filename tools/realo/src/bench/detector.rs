@@ -116,7 +116,7 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
 }
 
 /// Every other point of a simulated sweep, up to 100,000.
-fn cloud() -> Result<PointCloud> {
+pub fn cloud() -> Result<PointCloud> {
     let options = Options {
         seed: 900,
         seconds: 0.1,
@@ -135,7 +135,7 @@ fn cloud() -> Result<PointCloud> {
     PointCloud::new(x, y, z, vec![0; POINTS], vec![0; POINTS], vec![0; POINTS]).ok_or_else(|| eyre!("uneven columns"))
 }
 
-fn points(cloud: &PointCloud) -> Points<'_> {
+pub fn points(cloud: &PointCloud) -> Points<'_> {
     Points {
         x: &cloud.x,
         y: &cloud.y,

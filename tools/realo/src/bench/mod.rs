@@ -3,6 +3,7 @@
 mod detector;
 mod framework;
 mod memory;
+mod network;
 mod nms;
 mod peer;
 mod simulate;
@@ -28,7 +29,8 @@ pub struct Args {
     /// Log seconds that the replays take (framework: of each size; memory: in all)
     #[arg(long)]
     seconds: Option<f64>,
-    /// Interpreter with the packages that detector (numpy, spconv) and train (torch) are compared with
+    /// Interpreter with the packages that detector (numpy, spconv), network (torch, openvino, nncf, onnxruntime) and train (torch)
+    /// are compared with
     #[arg(long)]
     python: Option<PathBuf>,
 }
@@ -41,6 +43,8 @@ enum Name {
     Simulate,
     /// The detector's steps; the pillar step against spconv
     Detector,
+    /// Networks from sweep to boxes, encoders and whole frames; against PyTorch, OpenVINO and ONNX Runtime
+    Network,
     /// A training step, against PyTorch
     Train,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
@@ -55,6 +59,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Name::Nms => print(&nms::bench()?, args.json),
         Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(20.0))?, args.json),
         Name::Detector => print(&detector::bench(args.python.as_deref())?, args.json),
+        Name::Network => print(&network::bench(args.python.as_deref())?, args.json),
         Name::Train => print(&train::bench(args.python.as_deref())?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),

@@ -26,12 +26,10 @@ def voxels(told):
     return f"spconv {importlib.metadata.version('spconv')}", lambda: voxeliser.point_to_voxel(kept[1])
 
 
-def training(told):
-    """A step of the same network in PyTorch: forward, backward and AdamW, from a canvas that is there already."""
+def point_pillars(told):
+    """The network from the canvas to its last map: backbone, shrink layers, and heads if there are any."""
     import torch
     from torch import nn
-
-    torch.set_num_threads(told["threads"])
 
     def convolution(inputs, outputs, kernel, stride=1):
         layers = [nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()]
@@ -59,19 +57,38 @@ def training(told):
                 shrink += [nn.Conv2d(channels, layer["channels"], kernel, padding=kernel // 2), nn.ReLU()]
                 channels = layer["channels"]
             self.shrink = nn.Sequential(*shrink)
-            self.heads = nn.Conv2d(channels, told["outputs"], 1)
+            self.heads = nn.Conv2d(channels, told["outputs"], 1) if told["outputs"] else nn.Identity()
 
-        def forward(self, canvas):
+        def features(self, canvas):
             maps = []
             for block, up in zip(self.blocks, self.ups):
                 canvas = block(canvas)
                 maps.append(up(canvas))
-            return self.heads(self.shrink(torch.cat(maps, 1)))
+            return self.shrink(torch.cat(maps, 1))
 
-    network = PointPillars().to(memory_format=torch.channels_last).train()
+        def forward(self, canvas):
+            return self.heads(self.features(canvas))
+
+    return PointPillars().to(memory_format=torch.channels_last)
+
+
+def canvas_of(told):
+    """A canvas as full as a sweep's: features above 0 in a few of its cells."""
+    import torch
+
+    shape = told["batch"], told["channels"], told["rows"], told["columns"]
+    full = torch.rand(shape[0], 1, *shape[2:]) < 0.1
+    return (torch.relu(torch.randn(shape)) * full).to(memory_format=torch.channels_last)
+
+
+def training(told):
+    """A step of the same network in PyTorch: forward, backward and AdamW, from a canvas that is there already."""
+    import torch
+
+    torch.set_num_threads(told["threads"])
+    network = point_pillars(told).train()
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
-    canvas = torch.relu(torch.randn(told["batch"], told["channels"], told["rows"], told["columns"]))
-    canvas = canvas.to(memory_format=torch.channels_last)
+    canvas = canvas_of(told)
 
     def step():
         optimizer.zero_grad()
@@ -81,15 +98,92 @@ def training(told):
     return f"PyTorch {torch.__version__}, f32, channels_last", step
 
 
+def attfuse(told):
+    """AttFuse of two agents in PyTorch, from canvases that are there already: both encoders, attention, heads."""
+    import torch
+
+    torch.set_num_threads(told["threads"])
+    network, canvas = point_pillars(told).eval(), canvas_of(told)
+
+    @torch.inference_mode()
+    def run():
+        maps = network.features(canvas).flatten(2).permute(2, 0, 1)
+        weights = torch.softmax(maps @ maps.transpose(1, 2) / maps.shape[2] ** 0.5, 2)
+        fused = (weights @ maps)[:, 0].T.reshape(1, -1, told["rows"] // 2, told["columns"] // 2)
+        return network.heads(fused)
+
+    return f"PyTorch {torch.__version__}, f32, channels_last", run
+
+
+def pytorch(told):
+    """The encoder in PyTorch."""
+    import torch
+
+    torch.set_num_threads(told["threads"])
+    network, canvas = point_pillars(told).eval(), canvas_of(told)
+
+    @torch.inference_mode()
+    def run():
+        return network(canvas)
+
+    return f"PyTorch {torch.__version__}, f32, channels_last", run
+
+
+def openvino(told):
+    """The encoder in OpenVINO, in f32, bf16 or int8."""
+    import openvino
+    import torch
+
+    network, canvas = point_pillars(told).eval(), canvas_of(told).contiguous()
+    model = openvino.convert_model(network, example_input=canvas, input=[tuple(canvas.shape)])
+    if told["precision"] == "int8":
+        import nncf
+
+        model = nncf.quantize(model, nncf.Dataset([canvas.numpy()]), subset_size=1)
+    hint = {"int8": "f32", "bf16": "bf16", "f32": "f32"}[told["precision"]]
+    settings = {"INFERENCE_PRECISION_HINT": hint, "INFERENCE_NUM_THREADS": told["threads"], "PERFORMANCE_HINT": "LATENCY"}
+    compiled = openvino.Core().compile_model(model, "CPU", settings)
+    request, numbers = compiled.create_infer_request(), canvas.numpy()
+    return f"OpenVINO {openvino.__version__.split('-')[0]}, {told['precision']}", lambda: request.infer([numbers])
+
+
+def onnxruntime(told):
+    """The encoder in ONNX Runtime, in f32."""
+    import io
+
+    import onnxruntime
+    import torch
+
+    network, canvas = point_pillars(told).eval(), canvas_of(told).contiguous()
+    file = io.BytesIO()
+    torch.onnx.export(network, (canvas,), file, input_names=["canvas"], dynamo=False)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = told["threads"]
+    session = onnxruntime.InferenceSession(file.getvalue(), options, providers=["CPUExecutionProvider"])
+    numbers = {"canvas": canvas.numpy()}
+    return f"ONNX Runtime {onnxruntime.__version__}, f32", lambda: session.run(None, numbers)
+
+
+PEERS = {
+    "attfuse": attfuse,
+    "onnxruntime": onnxruntime,
+    "openvino": openvino,
+    "pytorch": pytorch,
+    "training": training,
+    "voxels": voxels,
+}
+
+
 def main():
-    peer = {"voxels": voxels, "training": training}[sys.argv[1]]
-    name, run = peer(json.loads(sys.argv[2]))
+    # Converters write to the standard output, which is for times.
+    out, sys.stdout = sys.stdout, sys.stderr
+    name, run = PEERS[sys.argv[1]](json.loads(sys.argv[2]))
     run()
-    print(name, flush=True)
+    print(name, file=out, flush=True)
     for _ in sys.stdin:
         start = time.perf_counter()
         run()
-        print(time.perf_counter() - start, flush=True)
+        print(time.perf_counter() - start, file=out, flush=True)
 
 
 main()

@@ -62,7 +62,8 @@ impl Networks {
         for node in deciding(graph, Decided::Model) {
             let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
             let path = PathBuf::from(value(Decided::Model).unwrap_or_default());
-            let [isa, precision] = [Decided::Isa, Decided::Precision].map(|of| value(of).unwrap_or_else(|| AUTO.into()));
+            let [isa, precision] =
+                [Decided::Isa, Decided::Precision].map(|of| value(of).unwrap_or_else(|| AUTO.into()));
             let Known {
                 loaded,
                 kernels: runs_on,

@@ -289,7 +289,11 @@ impl Told<'_> {
         told.extend(args.rate.map(|rate| (Decided::Rate, rate.to_string())));
         told.extend(args.seed.map(|seed| (Decided::Seed, seed.to_string())));
         told.extend(args.isa.iter().map(|isa| (Decided::Isa, isa.clone())));
-        told.extend(args.precision.iter().map(|precision| (Decided::Precision, precision.clone())));
+        told.extend(
+            args.precision
+                .iter()
+                .map(|precision| (Decided::Precision, precision.clone())),
+        );
         if let Some(profile) = &args.link {
             told.push((Decided::Link, name_or_file(profile)?));
         }

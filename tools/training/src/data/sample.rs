@@ -3,7 +3,7 @@
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use realo_nn::anchors::Anchors;
-use realo_nn::model::Model;
+use realo_nn::model::{Grid, Model};
 use realo_nn::pillars::{Pillariser, Points};
 use realo_nn::targets::{Object, Targets, assign};
 use serde::{Deserialize, Serialize};
@@ -249,29 +249,39 @@ impl Scene {
         }
     }
 
-    /// The scene as a network of a grid sees it.
-    pub fn sample(self, model: &Model) -> Sample {
+    /// The merged cloud, in the ego's frame.
+    pub fn points(&self) -> Points<'_> {
         let [x, y, z] = &self.columns;
-        let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
-        let pillars = pillariser.run(&Points {
+        Points {
             x,
             y,
             z,
             intensity: None,
-        });
+        }
+    }
+
+    /// The scene as a network of a grid sees it.
+    pub fn sample(self, model: &Model) -> Sample {
+        let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
+        let pillars = pillariser.run(&self.points());
         let pillars = PillarFrame::new(&model.grid, pillars, &model.pillars);
-        let within = |hwl: &[f64; 7]| {
-            let inside = |value: f64, [from, to]: [f64; 2]| (from..to).contains(&value);
-            inside(hwl[0], model.grid.x) && inside(hwl[1], model.grid.y)
-        };
-        let both = self.objects.into_iter().zip(self.ego_points);
-        let (objects, ego_points): (Vec<Object>, Vec<u32>) = both.filter(|(object, _)| within(&object.hwl)).unzip();
+        let (objects, ego_points) = self.objects_within(&model.grid);
         Sample {
             pillars,
             targets: assign(&Anchors::of(model), &objects),
             objects,
             ego_points,
         }
+    }
+
+    /// The objects whose centres lie on a grid, and the ego's own points on each.
+    pub fn objects_within(self, grid: &Grid) -> (Vec<Object>, Vec<u32>) {
+        let within = |hwl: &[f64; 7]| {
+            let inside = |value: f64, [from, to]: [f64; 2]| (from..to).contains(&value);
+            inside(hwl[0], grid.x) && inside(hwl[1], grid.y)
+        };
+        let both = self.objects.into_iter().zip(self.ego_points);
+        both.filter(|(object, _)| within(&object.hwl)).unzip()
     }
 }
 

@@ -110,7 +110,10 @@ unsafe fn with_tiles(work: impl FnOnce()) {
         palette: 1,
         start: 0,
         reserved: [0; 14],
-        columns: [ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, 0, 0, 0, 0, 0, 0, 0, 0],
+        columns: [
+            ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, ROW as u16, 0, 0, 0, 0,
+            0, 0, 0, 0,
+        ],
         rows: [16, 16, 16, 16, 16, 16, 16, 16, 0, 0, 0, 0, 0, 0, 0, 0],
     };
     // SAFETY: the instructions read the 64 bytes given, or none.

@@ -1,0 +1,370 @@
+use std::fmt;
+use std::path::Path;
+use std::time::Instant;
+
+use eyre::Result;
+use realo_nn::anchors::Anchors;
+use realo_nn::canvas::Canvas;
+use realo_nn::conv::Isa;
+use realo_nn::decode::candidates;
+use realo_nn::filler::{self, Numbers};
+use realo_nn::fuse::Agent;
+use realo_nn::layers::{Layer, Layers, MapId};
+use realo_nn::model::{Model, Precision};
+use realo_nn::network::{BevMap, Network, NetworkOptions};
+use realo_nn::pillars::Points;
+use realo_nn::{Pillarer, calibration::Calibration};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::detector::{cloud, points, spread};
+use super::peer::Peer;
+
+const LITE: &str = "models/lite.toml";
+const FULL: &str = "models/full-attfuse.toml";
+/// Models whose whole frame of two agents is measured.
+const FRAMES: [&str; 3] = ["models/full-fcooper.toml", FULL, "models/full-v2xvit.toml"];
+const ROUNDS: usize = 21;
+const ROUNDS_OF_FULL: usize = 7;
+/// Most boxes that are decoded, as in the graphs.
+const MOST: usize = 1000;
+
+/// The networks' times.
+#[derive(Serialize)]
+pub struct Networks {
+    points: usize,
+    rows: Vec<Row>,
+}
+
+#[derive(Serialize)]
+struct Row {
+    what: String,
+    minimum_ms: f64,
+    median_ms: f64,
+    /// Multiplications and additions of its convolutions a second, where they are most of it.
+    gflops: Option<f64>,
+    peer: Option<Compared>,
+}
+
+#[derive(Serialize)]
+struct Compared {
+    name: String,
+    minimum_ms: f64,
+    median_ms: f64,
+    /// Median over the rounds of our time over its time in the same round.
+    ratio: f64,
+}
+
+/// Times networks from sweep to boxes, encoders and whole frames; with an interpreter, others' engines beside them.
+pub fn bench(python: Option<&Path>) -> Result<Networks> {
+    let all = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let cloud = cloud()?;
+    let points = points(&cloud);
+    let mut rows = Vec::new();
+    lite(&points, all, &mut rows)?;
+    encoders(&points, python, all, &mut rows)?;
+    frames(&points, python, all, &mut rows)?;
+    Ok(Networks {
+        points: points.x.len(),
+        rows,
+    })
+}
+
+/// From a sweep to boxes with the detector that ships, in all that this processor has.
+fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<()> {
+    let loaded = realo_nn::load(Path::new(LITE), realo_nn::Kernels::auto(1))?;
+    let (weights, mut model) = (loaded.weights, (*loaded.model).clone());
+    let mut calibration = Calibration::new(&model, &weights)?;
+    calibration.observe(points)?;
+    model.activations = calibration.activations();
+    let anchors = Anchors::of(&model);
+    for isa in Isa::ALL
+        .into_iter()
+        .filter(|isa| isa.is_available() && *isa != Isa::Portable)
+    {
+        for precision in precisions(isa) {
+            for threads in if all > 1 { vec![1, all] } else { vec![1] } {
+                let options = NetworkOptions {
+                    isa,
+                    precision: Some(precision),
+                    threads,
+                };
+                let mut network = Network::new(&model, &weights, options)?;
+                let mut pillarer = Pillarer::beside(&network, &model, &weights);
+                let times = timed(ROUNDS, || {
+                    let (canvas, _) = pillarer.run(points);
+                    let map = network.encode(canvas)?;
+                    let heads = network.heads(&map)?;
+                    candidates(&anchors, &heads.scores, &heads.deltas, model.score_threshold, MOST);
+                    Ok(())
+                })?;
+                let what = format!("lite, sweep to boxes, {}", network.choice());
+                rows.push(row(what, &times, None));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn precisions(isa: Isa) -> Vec<Precision> {
+    match isa.has_bf16() {
+        true => vec![Precision::Bf16, Precision::Int8],
+        false => vec![Precision::F32, Precision::Int8],
+    }
+}
+
+/// A network without training, ready for int8.
+fn untrained(file: &str, points: &Points) -> Result<(Model, realo_nn::weights::Weights)> {
+    let mut model = Model::read(Path::new(file))?;
+    let weights = filler::weights(&model, 1);
+    let mut calibration = Calibration::new(&model, &weights)?;
+    calibration.observe(points)?;
+    model.activations = calibration.activations();
+    Ok((model, weights))
+}
+
+fn canvas(model: &Model, weights: &realo_nn::weights::Weights, points: &Points) -> Canvas {
+    Pillarer::new(model, weights).run(points).0.clone()
+}
+
+/// The encoder of V2X-Real's full size from the canvas, against other engines in the same precision.
+fn encoders(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
+    let (model, weights) = untrained(FULL, points)?;
+    let canvas = canvas(&model, &weights, points);
+    let layers = Layers::of(&model);
+    let operations = operations(&layers, [layers.canvas, layers.features]);
+    let told = told(&model, threads, 1, 0);
+    let in_openvino = |precision: &str| ("openvino", with(&told, "precision", precision));
+    let each = [
+        (
+            Precision::F32,
+            vec![("onnxruntime", told.clone()), ("pytorch", told.clone())],
+        ),
+        (Precision::Bf16, vec![in_openvino("bf16")]),
+        (Precision::Int8, vec![in_openvino("int8")]),
+    ];
+    for (precision, peers) in each {
+        let options = NetworkOptions {
+            precision: Some(precision),
+            threads,
+            ..NetworkOptions::default()
+        };
+        let mut network = Network::new(&model, &weights, options)?;
+        let what = format!("encoder of {}, {}", model.name, network.choice());
+        let peers = if python.is_some() { peers } else { Vec::new() };
+        let peers: Vec<Option<(&str, Value)>> = match peers.is_empty() {
+            true => vec![None],
+            false => peers.into_iter().map(Some).collect(),
+        };
+        for peer in peers {
+            let peer = python
+                .zip(peer)
+                .map(|(python, (name, told))| Peer::start(python, name, &told));
+            let measured = against(peer.transpose()?, || {
+                network.encode(&canvas)?;
+                Ok(())
+            })?;
+            rows.push(measured.row(what.clone(), Some(operations)));
+        }
+    }
+    Ok(())
+}
+
+/// A whole frame of an ego and a collaborator at full size: both encoders, fusion, heads, boxes.
+fn frames(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
+    for file in FRAMES {
+        let (model, weights) = untrained(file, points)?;
+        let canvas = canvas(&model, &weights, points);
+        let anchors = Anchors::of(&model);
+        for precision in precisions(Isa::detect()) {
+            let options = NetworkOptions {
+                precision: Some(precision),
+                threads,
+                ..NetworkOptions::default()
+            };
+            let mut network = Network::new(&model, &weights, options)?;
+            let outputs = anchors.classes.len() * model.rotations.len() * (anchors.classes.len() + 7);
+            let told = told(&model, threads, 2, outputs);
+            let peer = python
+                .filter(|_| file == FULL)
+                .map(|python| Peer::start(python, "attfuse", &told));
+            let measured = against(peer.transpose()?, || {
+                let [ego, other] = [network.encode(&canvas)?, network.encode(&canvas)?];
+                let fused = network.fuse(&[Agent::beside(&ego), Agent::beside(&other)])?;
+                let heads = network.heads(&fused)?;
+                candidates(&anchors, &heads.scores, &heads.deltas, model.score_threshold, MOST);
+                Ok(())
+            })?;
+            rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice()), None));
+            if precision == Precision::Int8 {
+                fusion(&model, &mut network, rows)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The fusion alone: of three agents' maps, each turned and moved.
+fn fusion(model: &Model, network: &mut Network, rows: &mut Vec<Row>) -> Result<()> {
+    let ([map_rows, columns], channels) = (model.map_size(), model.map_channels());
+    let mut numbers = Numbers::new(7);
+    let mut map = || BevMap {
+        rows: map_rows,
+        columns,
+        channels,
+        data: numbers
+            .list(map_rows * columns * channels)
+            .iter()
+            .map(|number| number.abs())
+            .collect(),
+    };
+    let maps = [map(), map(), map()];
+    for (how, warp) in [
+        ("lying alike", realo_nn::fuse::Warp::IDENTITY),
+        (
+            "turned",
+            realo_nn::fuse::Warp([[0.995, -0.0998, 12.3], [0.0998, 0.995, -7.7]]),
+        ),
+    ] {
+        let agents: Vec<Agent> = maps
+            .iter()
+            .enumerate()
+            .map(|(i, map)| Agent {
+                warp: if i == 0 { realo_nn::fuse::Warp::IDENTITY } else { warp },
+                ..Agent::beside(map)
+            })
+            .collect();
+        let times = timed(ROUNDS_OF_FULL, || {
+            network.fuse(&agents)?;
+            Ok(())
+        })?;
+        let what = format!(
+            "fusion of {}, 3 agents {how}, {map_rows}x{columns}x{channels}",
+            model.name
+        );
+        rows.push(row(what, &times, None));
+    }
+    Ok(())
+}
+
+/// Multiplications and additions of the convolutions between two maps.
+fn operations(layers: &Layers, [from, to]: [MapId; 2]) -> f64 {
+    let steps = layers.between(&[from], &[to]).into_iter();
+    steps
+        .filter_map(|step| match &step.layer {
+            Layer::Convolution(layer) => Some(layer.operations(layers.size(step.from[0]))),
+            _ => None,
+        })
+        .sum()
+}
+
+/// What a peer needs to know to make the same network.
+fn told(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
+    json!({
+        "threads": threads,
+        "batch": batch,
+        "rows": model.grid.rows(),
+        "columns": model.grid.columns(),
+        "channels": model.pillars.channels,
+        "backbone": model.backbone,
+        "shrink": model.shrink,
+        "outputs": outputs,
+    })
+}
+
+fn with(told: &Value, key: &str, value: &str) -> Value {
+    let mut told = told.clone();
+    told[key] = value.into();
+    told
+}
+
+/// Our times and a peer's, in turns.
+struct Measured {
+    ours: Vec<f64>,
+    theirs: Option<(String, Vec<f64>)>,
+}
+
+fn against(mut peer: Option<Peer>, mut run: impl FnMut() -> Result<()>) -> Result<Measured> {
+    run()?;
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    for _ in 0..ROUNDS_OF_FULL {
+        ours.extend(timed(1, &mut run)?);
+        if let Some(peer) = &mut peer {
+            theirs.push(peer.run()?);
+        }
+    }
+    Ok(Measured {
+        ours,
+        theirs: peer.map(|peer| (peer.name.clone(), theirs)),
+    })
+}
+
+impl Measured {
+    fn row(self, what: String, operations: Option<f64>) -> Row {
+        let mut row = row(what, &self.ours, operations);
+        row.peer = self.theirs.map(|(name, theirs)| {
+            let ratios: Vec<f64> = self
+                .ours
+                .iter()
+                .zip(&theirs)
+                .map(|(ours, theirs)| ours / theirs)
+                .collect();
+            let (minimum, median) = spread(&theirs);
+            Compared {
+                name,
+                minimum_ms: minimum * 1e3,
+                median_ms: median * 1e3,
+                ratio: spread(&ratios).1,
+            }
+        });
+        row
+    }
+}
+
+fn row(what: String, seconds: &[f64], operations: Option<f64>) -> Row {
+    let (minimum, median) = spread(seconds);
+    Row {
+        what,
+        minimum_ms: minimum * 1e3,
+        median_ms: median * 1e3,
+        gflops: operations.map(|operations| operations / minimum * 1e-9),
+        peer: None,
+    }
+}
+
+/// Seconds of each of so many runs.
+fn timed(rounds: usize, mut run: impl FnMut() -> Result<()>) -> Result<Vec<f64>> {
+    let mut times = Vec::with_capacity(rounds);
+    for _ in 0..rounds {
+        let start = Instant::now();
+        run()?;
+        times.push(start.elapsed().as_secs_f64());
+    }
+    Ok(times)
+}
+
+impl fmt::Display for Networks {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        writeln!(f, "{} points of a simulated sweep; least and median, ms", self.points)?;
+        for row in &self.rows {
+            write!(f, "{:<78} {:>8.2} {:>8.2}", row.what, row.minimum_ms, row.median_ms)?;
+            if let Some(gflops) = row.gflops {
+                write!(f, "  {gflops:.0} GFLOP/s")?;
+            }
+            if let Some(peer) = &row.peer {
+                let Compared {
+                    name,
+                    minimum_ms,
+                    median_ms,
+                    ratio,
+                } = peer;
+                write!(f, "  {name}: {minimum_ms:.2} {median_ms:.2}, ours is {ratio:.2} of it")?;
+            }
+            writeln!(f)?;
+        }
+        write!(
+            f,
+            "ratios: medians of rounds in turns; --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
+        )
+    }
+}

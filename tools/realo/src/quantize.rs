@@ -1,0 +1,61 @@
+//! `realo quantize`: a model file for networks of bytes.
+
+use std::ops::Range;
+use std::path::PathBuf;
+
+use eyre::Result;
+use realo_training::{Data, frames, quantize, validation_frames};
+
+use crate::Outcome;
+use crate::train::{scores, seeds};
+
+/// Finds what bytes stand for in each layer, on simulated frames or logs; says how much AP they cost
+#[derive(clap::Args)]
+pub struct Args {
+    /// The model file; `NAME-int8.toml` is written beside it
+    #[arg(default_value = "models/lite.toml")]
+    model: PathBuf,
+    /// Logs with ground truth whose sweeps are looked at, instead of simulator seeds
+    #[arg(long, conflicts_with = "seeds")]
+    log: Vec<PathBuf>,
+    /// Simulator seeds whose sweeps are looked at, first..end
+    #[arg(long, default_value = "0..24", value_parser = seeds)]
+    seeds: Range<u64>,
+    /// Logs with ground truth on which AP is measured [default: simulator seeds 800..812]
+    #[arg(long)]
+    validation_log: Vec<PathBuf>,
+    /// Folder of the frames; what is missing is made
+    #[arg(long, default_value = "target/realo/frames")]
+    cache: PathBuf,
+    /// Replace the file if it is there
+    #[arg(long)]
+    force: bool,
+}
+
+/// Quantises and says what it cost.
+pub fn main(args: &Args) -> Result<Outcome> {
+    let cache = &args.cache;
+    let logged = |logs: &[PathBuf]| Data::Logged {
+        cache: cache.clone(),
+        logs: logs.to_vec(),
+    };
+    let simulated = Data::Simulated {
+        cache: cache.clone(),
+        seeds: args.seeds.clone(),
+        per_seed: 1,
+    };
+    let data = if args.log.is_empty() {
+        simulated
+    } else {
+        logged(&args.log)
+    };
+    let validation = match args.validation_log.is_empty() {
+        true => validation_frames(&data)?,
+        false => frames(&logged(&args.validation_log))?,
+    };
+    let quantized = quantize(&args.model, args.force, &frames(&data)?, &validation)?;
+    println!("{} from {} sweeps", quantized.file.display(), quantized.sweeps);
+    println!("f32:  {}", scores(&quantized.before));
+    println!("int8: {}", scores(&quantized.after));
+    Ok(Outcome::Complete)
+}
