@@ -12,11 +12,13 @@ mod iou_nms;
 mod keys;
 mod loss;
 mod network;
+mod parts;
 mod pillars;
 mod postprocess;
 mod reference;
 mod targets;
 mod vector;
+mod warps;
 
 use std::fmt;
 use std::path::Path;
@@ -124,7 +126,7 @@ impl Kind {
 }
 
 /// All kinds; no two take the same vector.
-const KINDS: [&[Kind]; 10] = [
+const KINDS: [&[Kind]; 12] = [
     boxes::KINDS,
     iou_nms::KINDS,
     evaluation::KINDS,
@@ -134,6 +136,8 @@ const KINDS: [&[Kind]; 10] = [
     postprocess::KINDS,
     network::KINDS,
     fusion::KINDS,
+    warps::KINDS,
+    parts::KINDS,
     keys::KINDS,
 ];
 
