@@ -102,14 +102,14 @@ fn warps(made: &mut Made) {
     let plane = |map: usize, channel: usize| &x[(map * channels + channel) * cells..][..cells];
     let planes = || (0..3).flat_map(|map| (0..channels).map(move |channel| (map, channel)));
     let bilinear = |middle: [f64; 2]| -> Vec<f64> {
-        let of = |(map, channel)| {
+        let of = |(map, channel): (usize, usize)| {
             moved(moves()[map].as_slice(), middle, |column, row| {
                 plane(map, channel)[row * COLUMNS + column]
             })
         };
         planes().flat_map(of).collect()
     };
-    let near = planes().flat_map(|(map, channel)| {
+    let near = planes().flat_map(|(map, channel): (usize, usize)| {
         let value = move |index| {
             nearest(moves()[map].as_slice(), index).map_or(0.0, |[c, r]| plane(map, channel)[r * COLUMNS + c])
         };
