@@ -37,7 +37,7 @@ const SUPPORTED: [(&str, [usize; 2]); 11] = [
     ("targets", [5, 5]),
     ("loss", [2, 2]),
     ("postprocess", [3, 3]),
-    ("network", [15, 28]),
+    ("network", [15, 29]),
     ("noise", [1, 1]),
     ("model", [2, 8]),
     ("state_dict_keys", [2, 10]),
