@@ -48,6 +48,26 @@ fn graphs_are_fine_by_our_checks_and_doras() {
 }
 
 #[test]
+fn graphs_of_two_fusions_of_features_differ_in_what_they_are_their_model_and_their_results() {
+    let [attfuse, fcooper] =
+        ["attfuse", "fcooper"].map(|name| std::fs::read_to_string(graph(name)).expect("the graph can be read"));
+    assert_eq!(attfuse.lines().count(), fcooper.lines().count());
+    let differing = attfuse.lines().zip(fcooper.lines()).filter(|(a, b)| a != b);
+    let differing: Vec<&str> = differing.map(|(line, _)| line).collect();
+    assert_eq!(differing.len(), 3, "{differing:#?}");
+    for (line, says) in differing.iter().zip(["# ", "env: { MODEL: ", "results.out="]) {
+        assert!(line.contains(says), "{line}");
+    }
+    for name in ["attfuse", "fcooper"] {
+        let flat = FlatGraph::load(Path::new(&graph(name))).expect("it can be read");
+        let model = format!("model=../models/lite-{name}.toml");
+        let stages = flat.nodes.iter().filter(|node| node.args.contains(&model));
+        let ids: Vec<&str> = stages.map(|node| node.id.as_str()).collect();
+        assert_eq!(ids, ["ego.encoder", "others.encoder", "fusion.fusion", "fusion.head"]);
+    }
+}
+
+#[test]
 fn types_ports_and_graphs_say_the_same() {
     let differences = audit(&registry(), &root().join("dataflows"));
     assert!(differences.is_empty(), "{differences:#?}");

@@ -228,6 +228,30 @@ fn networks_give_the_same_bytes_on_any_number_of_threads() {
 }
 
 #[test]
+fn noise_of_poses_is_the_same_in_every_run_and_moves_what_others_say() {
+    let args = ["--seed", "905", "--seconds", "2", "--no-clouds", "--phase", "spread"];
+    let log = simulated("noise", &args);
+    let run = |out: &str, settings: &[&str]| {
+        let set = settings.iter().flat_map(|setting| ["--set", setting]);
+        let args: Vec<&str> = ["--recorded-detections", "--offline", "--ego", "cav1"]
+            .into_iter()
+            .chain(set)
+            .collect();
+        common::run_virtual(out, "late_fusion", &log, &args);
+        std::fs::read(Path::new(env!("CARGO_TARGET_TMPDIR")).join(out).join("evaluation.json"))
+            .expect("there are results")
+    };
+    let [position, same, none] = ["position_noise_m=2", "noise=same", "heading_noise_deg=0"]
+        .map(|setting| format!("others.sense.localization.{setting}"));
+    let clean = run("noise_none", &[]);
+    assert!(clean == run("noise_zero", &[&none]));
+    let each = run("noise_each", &[&position]);
+    assert!(each == run("noise_again", &[&position]));
+    let all_alike = run("noise_same", &[&position, &same]);
+    assert!(clean != each && clean != all_alike && each != all_alike);
+}
+
+#[test]
 fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
     let args = ["--seed", "902", "--seconds", "3", "--no-clouds", "--phase", "spread"];
     let log = simulated("bytes", &args);

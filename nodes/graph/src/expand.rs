@@ -8,7 +8,7 @@ use realo_schemas::file::shown;
 use serde_yaml::Value;
 
 use super::read::{self, Module, Node, Part};
-use super::{FlatGraph, Graph, GraphError, Input, InputSource, params, paths};
+use super::{FlatGraph, Graph, GraphError, Input, InputSource, params, paths, variables};
 
 /// dora's limit on modules within modules.
 const MAX_DEPTH: usize = 8;
@@ -85,7 +85,9 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
         };
         expansion.size.take(1, weight(node)).map_err(wrong)?;
     }
-    let (mut nodes, _) = expansion.level(graph.nodes.clone(), &root, &graph.file)?;
+    let mut nodes = graph.nodes.clone();
+    fill_in(&mut nodes, &variables::of_graph(&graph.settings), &graph.file)?;
+    let (mut nodes, _) = expansion.level(nodes, &root, &graph.file)?;
     if graph.detection.is_some() && expansion.swapped == 0 {
         return Err(GraphError::NoDetectModule {
             file: graph.file.clone(),
@@ -106,6 +108,30 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
         rewire(node, &expansion.hosts, &graph.file)?;
     }
     FlatGraph::new(graph.file.clone(), graph.settings.clone(), nodes)
+}
+
+/// Replaces the names of variables in the arguments of a graph's own stages and hosts.
+fn fill_in(nodes: &mut [Node], known: &BTreeMap<String, String>, file: &Path) -> Result<(), GraphError> {
+    for node in nodes
+        .iter_mut()
+        .filter(|node| node.path.as_deref().is_some_and(is_realo))
+    {
+        let named = node.args.as_deref().filter(|args| variables::named(args).is_some());
+        let Some(words) = named.and_then(shlex::split) else {
+            continue;
+        };
+        let words = words
+            .iter()
+            .map(|word| variables::with_variables(word, |name| known.get(name).cloned()));
+        let words: Vec<String> = words.collect();
+        let args = shlex::try_join(words.iter().map(String::as_str)).map_err(|error| GraphError::Node {
+            file: file.into(),
+            node: node.id.clone(),
+            reason: error.to_string(),
+        })?;
+        node.args = Some(args);
+    }
+    Ok(())
 }
 
 struct Expansion<'a> {

@@ -15,6 +15,7 @@ mod params;
 mod paths;
 mod place;
 mod read;
+mod variables;
 
 #[cfg(test)]
 mod dora_tests;
@@ -33,6 +34,7 @@ pub use error::GraphError;
 pub use expand::{OUTSIDE, hosted};
 pub use flat::{FlatGraph, FlatNode, Input, InputSource, Setting};
 pub use paths::normalized;
+pub use variables::with_variables;
 
 /// Prefix of our types in graphs, as dora derives it from the place of `types/realo/v1.yml`.
 pub const TYPE_PREFIX: &str = "realo/v1/";

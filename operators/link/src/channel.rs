@@ -1,8 +1,9 @@
 //! What a channel does to one packet.
 
+use realo_operator::Draws;
 use realo_schemas::Nanos;
 
-use crate::{Draws, Jitter, Model};
+use crate::{Jitter, Model};
 
 const LOSS: u64 = 0;
 const DUPLICATE: u64 = 1;
@@ -26,25 +27,31 @@ pub fn transmit(model: &Model, bytes: usize, draws: Draws) -> Arrivals {
             second: None,
         };
     }
-    let second = (draws.uniform(DUPLICATE) < model.duplicate).then(|| delay(model, bytes, draws, 1));
+    let delay_of = |copy: u64| {
+        let index = JITTER + 4 * copy;
+        delay(model, bytes, draws.uniform(index), draws.gaussian(index + 1))
+    };
+    let second = (draws.uniform(DUPLICATE) < model.duplicate).then(|| delay_of(1));
     Arrivals {
-        first: Some(delay(model, bytes, draws, 0)),
+        first: Some(delay_of(0)),
         second,
     }
 }
 
-/// Delay of a copy, exact in ns but for the draw of its jitter.
-fn delay(model: &Model, bytes: usize, draws: Draws, copy: u64) -> Nanos {
-    let index = JITTER + 4 * copy;
+/// Delay of a packet of so many bytes, ns, at least 0: exact but for the draws of its jitter, one from [0, 1) and one from
+/// N(0, 1).
+pub fn delay(model: &Model, bytes: usize, uniform: f64, gaussian: f64) -> Nanos {
     let Jitter {
         uniform_ms,
         gaussian_ms,
     } = model.jitter;
-    let jitter_ms = uniform_ms * (2.0 * draws.uniform(index) - 1.0) + gaussian_ms * draws.gaussian(index + 1);
+    let jitter_ms = uniform_ms * (2.0 * uniform - 1.0) + gaussian_ms * gaussian;
     let nanos = |ms: f64| libm::round(ms * NANOS_PER_MILLI) as Nanos;
-    (nanos(model.fixed_ms) + crossing(model, bytes))
-        .saturating_add(nanos(jitter_ms))
-        .max(0)
+    let all = (nanos(model.fixed_ms) + crossing(model, bytes)).saturating_add(nanos(jitter_ms));
+    match nanos(model.step_ms) {
+        0 => all.max(0),
+        step => all.max(0) / step * step,
+    }
 }
 
 /// Time in which the bytes cross, ns, to the nearest; at most a day.
@@ -59,10 +66,10 @@ fn crossing(model: &Model, bytes: usize) -> Nanos {
 
 #[cfg(test)]
 mod tests {
+    use realo_operator::StreamKey;
     use realo_schemas::Kind;
 
     use super::*;
-    use crate::StreamKey;
 
     fn draws(seq: u64) -> Draws {
         StreamKey::new(1, "link").draws("a", "b", Kind::Boxes, seq)
@@ -100,6 +107,19 @@ mod tests {
             ..Model::default()
         };
         assert_eq!(transmit(&slow, usize::MAX, draws(0)).first, Some(86_400_000_000_000));
+    }
+
+    #[test]
+    fn delays_are_cut_down_to_whole_steps() {
+        let of = |fixed_ms: f64| {
+            let model = Model {
+                fixed_ms,
+                step_ms: 100.0,
+                ..Model::default()
+            };
+            transmit(&model, 1000, draws(0)).first.unwrap() / 1_000_000
+        };
+        assert_eq!([0.0, 99.9, 100.0, 199.9, 350.0].map(of), [0, 0, 100, 100, 300]);
     }
 
     #[test]

@@ -27,6 +27,7 @@
 //! fixed_ms = 2.0                 # delay whatever the size
 //! bits_per_second = 20_000_000   # plus 8 × bytes / this
 //! jitter = { gaussian_ms = 1.5 } # plus N(0, σ); uniform_ms = w: plus U(-w, w); the sum is never below 0
+//! step_ms = 0.0                  # cuts delays down to multiples of this; 0: not at all
 //! loss = 0.02                    # probability that a packet is lost
 //! duplicate = 0.0                # probability that one more copy arrives, with a jitter of its own
 //! [kinds.boxes]                  # points, features, boxes, ego_state
@@ -50,14 +51,12 @@
 //! is w (2 u(n) - 1) + σ √(-2 ln(1 - u(n + 1))) cos(2π u(n + 2)) ms (Box and Muller).
 //!
 //! The delay is the sum of `fixed_ms`, 8 × bytes / `bits_per_second` (at most a day) and the jitter, each rounded to whole
-//! ns (halves away from 0), but not below 0.
+//! ns (halves away from 0), but not below 0; then cut down to a multiple of `step_ms`, if there is one.
 
 mod channel;
-mod draw;
 mod operator;
 mod profile;
 
-pub use channel::{Arrivals, transmit};
-pub use draw::{Draws, StreamKey};
+pub use channel::{Arrivals, delay, transmit};
 pub use operator::{Link, LinkConfig};
 pub use profile::{BUILT_IN, Jitter, Model, Profile, ProfileError};

@@ -1,13 +1,13 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use realo_operator::{
-    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, StreamKey, unexpected, wrong_port,
 };
 use realo_schemas::report::{Fate, Traffic};
 use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, PayloadType};
 use serde::{Deserialize, Serialize};
 
-use crate::{Arrivals, Model, Profile, StreamKey, transmit};
+use crate::{Arrivals, Model, Profile, transmit};
 
 const EGO_STATE: PortId = PortId(0);
 const STATES: PortId = PortId(1);

@@ -42,6 +42,8 @@ pub struct Model {
     pub bits_per_second: Option<u64>,
     /// Random part of the delay.
     pub jitter: Jitter,
+    /// Delays are cut down to whole multiples of this, ms; 0: they are not.
+    pub step_ms: f64,
     /// Probability that a packet is lost.
     pub loss: f64,
     /// Probability that one more copy of a packet arrives.
@@ -183,6 +185,7 @@ impl Model {
             ("fixed_ms", self.fixed_ms),
             ("jitter.uniform_ms", self.jitter.uniform_ms),
             ("jitter.gaussian_ms", self.jitter.gaussian_ms),
+            ("step_ms", self.step_ms),
         ];
         for (field, found) in millis {
             if !(0.0..=LONGEST_MS).contains(&found) {
@@ -271,6 +274,7 @@ mod tests {
                 "`fixed_ms` of default: expected 0 to 3600000 ms, found -1",
             ),
             ("[default]\nfixed_ms = nan", "found NaN"),
+            ("[default]\nstep_ms = -5", "`step_ms` of default"),
             (
                 "[kinds.boxes]\nloss = 1.5",
                 "`loss` of boxes: expected a probability, 0 to 1, found 1.5",

@@ -19,6 +19,7 @@ fn the_profile_of_the_page_is_read_as_the_page_says() {
             uniform_ms: 0.5,
             gaussian_ms: 0.0,
         },
+        step_ms: 0.0,
         duplicate: 0.01,
         // A kind's table replaces the default as a whole.
         bits_per_second: None,

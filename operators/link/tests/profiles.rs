@@ -33,6 +33,7 @@ const WORDS: &[&str] = &[
     "jitter",
     "uniform_ms",
     "gaussian_ms",
+    "step_ms",
     "loss",
     "duplicate",
     "x",

@@ -1,6 +1,10 @@
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{EgoState, Header, Message, PayloadType, PointCloud, Pose, PoseStatus};
+use realo_operator::{
+    Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, StreamKey, unexpected, wrong_port,
+};
+use realo_schemas::{EgoState, Header, Kind, Message, PayloadType, PointCloud, Pose, PoseStatus};
 use serde::{Deserialize, Serialize};
+
+use crate::{PoseError, PoseNoise};
 
 const CLOUDS: PortId = PortId(0);
 const STATES: PortId = PortId(1);
@@ -18,12 +22,94 @@ pub enum Source {
     True,
 }
 
+/// Which errors of poses are one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseDraws {
+    /// Every agent and sweep has its own.
+    #[default]
+    Each,
+    /// All agents and sweeps have the same one, that of V2X-Real.
+    Same,
+}
+
 /// Settings of localization.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LocalizationConfig {
     /// Where poses come from.
     pub source: Source,
+    /// Standard deviation of errors of x, y and z, m.
+    pub position_noise_m: f64,
+    /// Standard deviation of errors of the heading, degrees.
+    pub heading_noise_deg: f64,
+    /// Which errors are one.
+    pub noise: NoiseDraws,
+    /// Seed of the errors.
+    pub seed: u64,
+}
+
+/// Greatest standard deviations, m and degrees.
+const MOST_NOISE: [f64; 2] = [1000.0, 180.0];
+
+/// The noise that is asked for; `None` without any.
+fn noise_of(config: &LocalizationConfig) -> Result<Option<Noise>, Error> {
+    let deviations = [config.position_noise_m, config.heading_noise_deg];
+    let names = ["position_noise_m", "heading_noise_deg"];
+    for ((name, found), most) in names.iter().zip(deviations).zip(MOST_NOISE) {
+        if !(0.0..=most).contains(&found) {
+            return Err(format!("argument `{name}`: expected 0 to {most}, found {found}").into());
+        }
+    }
+    if deviations == [0.0; 2] {
+        return Ok(None);
+    }
+    let noise = PoseNoise {
+        position_m: config.position_noise_m,
+        heading_deg: config.heading_noise_deg,
+    };
+    let draws = match config.noise {
+        NoiseDraws::Each => Draw::Each(StreamKey::new(config.seed, "localization")),
+        NoiseDraws::Same => {
+            let seed = u32::try_from(config.seed).map_err(|_| {
+                let (most, found) = (u32::MAX, config.seed);
+                format!("argument `seed`: expected 0 to {most} with noise=same, found {found}; or set noise=each")
+            })?;
+            Draw::Same(noise.reference(seed))
+        }
+    };
+    Ok(Some(Noise { noise, draws }))
+}
+
+/// Noise that is ready to be drawn.
+struct Noise {
+    noise: PoseNoise,
+    draws: Draw,
+}
+
+enum Draw {
+    Each(StreamKey),
+    Same(PoseError),
+}
+
+impl Noise {
+    /// The state with the error of its agent and sweep.
+    fn of(&self, header: &Header, mut state: EgoState) -> EgoState {
+        let error = match &self.draws {
+            Draw::Each(key) => self
+                .noise
+                .drawn(key.draws(&header.agent, "", Kind::EgoState, header.seq)),
+            Draw::Same(error) => *error,
+        };
+        state.map_from_body = error.of(&state.map_from_body);
+        if let Some(covariance) = &mut state.covariance {
+            self.noise.widen(covariance);
+        }
+        if state.status == PoseStatus::Truth {
+            state.status = PoseStatus::Recorded;
+        }
+        state
+    }
 }
 
 /// The state of an agent at a sweep, from what is known before.
@@ -41,6 +127,7 @@ pub fn localize(source: Source, prior: EgoState) -> Result<EgoState, Error> {
 /// Says where each agent is at each sweep.
 pub struct Localization {
     source: Source,
+    noise: Option<Noise>,
     /// The sweep whose state comes next.
     sweep: Option<(Header, PointCloud)>,
 }
@@ -48,11 +135,31 @@ pub struct Localization {
 impl Describe for Localization {
     type Config = LocalizationConfig;
     const NAME: &'static str = "localization";
-    const ABOUT: &'static str = "Says where each agent is at each sweep: the pose that the log gives";
-    const ARGUMENTS: &'static [Argument] = &[Argument {
-        name: "source",
-        about: "recorded (as the log gives them) or true (refuses any other)",
-    }];
+    const ABOUT: &'static str =
+        "Says where each agent is at each sweep: the pose that the log gives, with noise if asked for";
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Seed, "seed")];
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "source",
+            about: "recorded (as the log gives them) or true (refuses any other)",
+        },
+        Argument {
+            name: "position_noise_m",
+            about: "standard deviation of normal errors of x, y and z, m",
+        },
+        Argument {
+            name: "heading_noise_deg",
+            about: "standard deviation of normal errors of the heading, degrees",
+        },
+        Argument {
+            name: "noise",
+            about: "each (an error for each agent and sweep) or same (one for all, as V2X-Real draws it)",
+        },
+        Argument {
+            name: "seed",
+            about: "seed of the errors",
+        },
+    ];
     const INPUTS: &'static [Port] = &[
         Port::new(
             "clouds",
@@ -86,6 +193,7 @@ impl Describe for Localization {
 impl Operator for Localization {
     fn new(config: LocalizationConfig) -> Result<Self, Error> {
         Ok(Localization {
+            noise: noise_of(&config)?,
             source: config.source,
             sweep: None,
         })
@@ -102,7 +210,10 @@ impl Operator for Localization {
                         == (&state_header.agent, state_header.seq, state_header.stamp)
                 };
                 let (cloud_header, cloud) = sweep.filter(same).ok_or("a state whose sweep did not come before it")?;
-                let state = localize(self.source, prior)?;
+                let mut state = localize(self.source, prior)?;
+                if let Some(noise) = &self.noise {
+                    state = noise.of(&state_header, state);
+                }
                 let pose = Pose {
                     map_from_frame: state.map_from_body,
                     covariance: state.covariance.clone(),
@@ -136,10 +247,8 @@ impl Operator for Localization {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Isometry3;
-    use realo_schemas::Kind;
-
     use super::*;
+    use nalgebra::Isometry3;
 
     fn header(kind: Kind, seq: u64) -> Header {
         Header::origin(&"run".into(), &"cav1".into(), kind, seq, 100, 150)
@@ -188,7 +297,11 @@ mod tests {
 
     #[test]
     fn refuses_what_is_not_true_when_truth_is_asked_for() {
-        let mut localization = Localization::new(LocalizationConfig { source: Source::True }).unwrap();
+        let mut localization = Localization::new(LocalizationConfig {
+            source: Source::True,
+            ..LocalizationConfig::default()
+        })
+        .unwrap();
         let mut out = Outputs::at(150);
         localization.on_input(CLOUDS, cloud(4), &mut out).unwrap();
         let error = localization
@@ -219,6 +332,104 @@ mod tests {
                 .is_err()
         );
         assert_eq!(out.take_sent(), []);
+    }
+
+    fn noisy(noise: NoiseDraws, seed: u64) -> LocalizationConfig {
+        LocalizationConfig {
+            position_noise_m: 0.2,
+            heading_noise_deg: 0.4,
+            noise,
+            seed,
+            ..LocalizationConfig::default()
+        }
+    }
+
+    /// The state that leaves for a true one of an agent.
+    fn state_of(config: LocalizationConfig, agent: &str, seq: u64) -> EgoState {
+        let mut localization = Localization::new(config).unwrap();
+        let mut out = Outputs::at(150);
+        for (port, mut message) in [(CLOUDS, cloud(seq)), (STATES, state(seq, PoseStatus::Truth))] {
+            message.header.agent = agent.into();
+            localization.on_input(port, message, &mut out).unwrap();
+        }
+        let sent = out.take_sent();
+        let poses: Vec<_> = sent.iter().map(|(_, message)| message.header.pose.clone()).collect();
+        assert_eq!(poses[0], poses[1], "the sweep has the pose of the state");
+        let (_, state): (Header, EgoState) = sent.into_iter().next().unwrap().1.into_parts().unwrap();
+        assert_eq!(poses[0].as_ref().unwrap().map_from_frame, state.map_from_body);
+        state
+    }
+
+    #[test]
+    fn noise_is_of_seed_agent_and_sweep_or_the_same_for_all() {
+        let at = |noise, seed, agent: &str, seq| state_of(noisy(noise, seed), agent, seq).map_from_body;
+        let each = at(NoiseDraws::Each, 1, "cav1", 4);
+        assert_eq!(each, at(NoiseDraws::Each, 1, "cav1", 4));
+        for other in [
+            at(NoiseDraws::Each, 2, "cav1", 4),
+            at(NoiseDraws::Each, 1, "cav2", 4),
+            at(NoiseDraws::Each, 1, "cav1", 5),
+        ] {
+            assert_ne!(each, other);
+        }
+        let same = at(NoiseDraws::Same, 1, "cav1", 4);
+        assert_eq!(same, at(NoiseDraws::Same, 1, "rsu2", 9));
+        assert_ne!(same, at(NoiseDraws::Same, 2, "cav1", 4));
+    }
+
+    /// `numpy.random.seed(0)`, then `normal(0, 0.2, 3)` and the middle one of `normal(0, 0.4, 3)`.
+    #[test]
+    fn the_same_noise_is_that_of_the_reference() {
+        let state = state_of(noisy(NoiseDraws::Same, 0), "cav1", 4);
+        let shift = state.map_from_body.translation.vector - nalgebra::Vector3::new(1.0, 2.0, 3.0);
+        let expected = [0.3528104691935328, 0.08003144167344467, 0.19574759682114784];
+        assert!(
+            shift.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12),
+            "{shift}"
+        );
+        let heading = realo_schemas::geometry::yaw_of(&state.map_from_body.rotation).to_degrees();
+        assert!((heading - 0.747023196059987).abs() < 1e-12, "{heading}");
+        let variances = state
+            .covariance
+            .map(|covariance| [0, 7, 14, 21, 28, 35].map(|at| covariance[at]));
+        let turned = 0.5 + 0.4f64.to_radians() * 0.4f64.to_radians();
+        assert_eq!(variances, Some([0.54, 0.54, 0.54, 0.5, 0.5, turned]));
+        assert_eq!(state.status, PoseStatus::Recorded);
+    }
+
+    #[test]
+    fn drawn_noise_is_as_great_as_it_says() {
+        let errors: Vec<[f64; 2]> = (0..2000)
+            .map(|seq| {
+                let pose = state_of(noisy(NoiseDraws::Each, 7), "cav1", seq).map_from_body;
+                let heading = realo_schemas::geometry::yaw_of(&pose.rotation).to_degrees();
+                [pose.translation.x - 1.0, heading]
+            })
+            .collect();
+        for (axis, deviation) in [0.2, 0.4].into_iter().enumerate() {
+            let mean = errors.iter().map(|error| error[axis]).sum::<f64>() / 2000.0;
+            let square = errors.iter().map(|error| error[axis] * error[axis]).sum::<f64>() / 2000.0;
+            assert!(mean.abs() < 0.1 * deviation, "{mean}");
+            assert!((square.sqrt() / deviation - 1.0).abs() < 0.05, "{square}");
+        }
+    }
+
+    #[test]
+    fn refuses_noise_that_is_none() {
+        let error = |config| {
+            Localization::new(config)
+                .err()
+                .map(|error| error.to_string())
+                .unwrap_or_default()
+        };
+        let of = |position_noise_m, heading_noise_deg| LocalizationConfig {
+            position_noise_m,
+            heading_noise_deg,
+            ..LocalizationConfig::default()
+        };
+        assert!(error(of(-1.0, 0.0)).contains("`position_noise_m`: expected 0 to 1000, found -1"));
+        assert!(error(of(0.0, f64::NAN)).contains("`heading_noise_deg`: expected 0 to 180, found NaN"));
+        assert!(error(noisy(NoiseDraws::Same, 1 << 32)).contains("`seed`"));
     }
 
     #[test]

@@ -72,6 +72,14 @@ pub(crate) fn each_cell<E: Element>(
     });
 }
 
+/// Adds a map to another.
+pub(crate) fn add(to: &mut Map<f32>, from: &Map<f32>, pool: &mut Pool) {
+    let from = from.view();
+    each_cell(to, 1, pool, |row, to| {
+        to.iter_mut().zip(cells(&from, row)).for_each(|(to, from)| *to += from);
+    });
+}
+
 /// The map that a layer makes of another.
 pub(crate) fn run<E: Number>(layer: &Linear<E>, from: &Map<E>, outputs: usize, pool: &mut Pool) -> Map<f32> {
     let mut to = Map::new(from.rows, from.columns, outputs);

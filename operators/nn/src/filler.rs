@@ -47,6 +47,7 @@ pub(crate) fn tensors(layers: &Layers, seed: u64) -> HashMap<String, Tensor> {
             match spec.role {
                 Role::NormWeight | Role::RunningVariance => *value = 1.0 + 0.5 * *value,
                 Role::Bias | Role::NormBias | Role::RunningMean => *value *= 0.1,
+                Role::Delays => *value *= (6.0 / spec.shape[1] as f32).sqrt(),
                 Role::Weight { fan_in } => *value *= (6.0 / fan_in as f32).sqrt(),
             }
         }

@@ -2,7 +2,7 @@
 
 use crate::conv::{Pool, split};
 use crate::math::{exp, product};
-use crate::network::BevView;
+use crate::network::{BevMap, BevView};
 use crate::simd::dispatch;
 
 /// Where the cells of a map lie in another map of the same grid, in cells: `other = warp * (column, row, 1)`.
@@ -42,7 +42,9 @@ impl Warp {
         )
     }
 
-    fn at(&self, column: usize, row: usize) -> [f64; 2] {
+    /// Where a cell lies, as column and row in parts of a cell.
+    #[inline(always)]
+    pub fn at(&self, column: usize, row: usize) -> [f64; 2] {
         let (column, row) = (column as f64, row as f64);
         self.0.map(|[a, b, c]| a * column + b * row + c)
     }
@@ -71,6 +73,27 @@ impl<'a> Agent<'a> {
             delay: 0,
         }
     }
+
+    /// Column and row of its map's cell that is nearest to a cell of the ego's: the one that says whether the map covers it.
+    pub fn nearest(&self, column: usize, row: usize) -> Option<[usize; 2]> {
+        nearest(self.warp.at(column, row), [self.map.columns, self.map.rows])
+    }
+}
+
+/// An agent's map in the ego's cells, `[rows, columns]` of them, as every fusion takes it; and which of them it covers.
+pub fn placed(agent: &Agent, [rows, columns]: [usize; 2]) -> (BevMap, Vec<bool>) {
+    let channels = agent.map.channels;
+    let mut data = vec![0.0; rows * columns * channels];
+    let cells = data.chunks_exact_mut(channels).enumerate();
+    let covered = cells.map(|(index, to)| sample(agent, index % columns, index / columns, None, to));
+    let covered = covered.collect();
+    let map = BevMap {
+        rows,
+        columns,
+        channels,
+        data,
+    };
+    (map, covered)
 }
 
 /// Fuses maps of one size cell by cell, the ego's first; an agent takes no part in cells that its map does not cover.
@@ -162,11 +185,15 @@ pub(crate) fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f
             None => to.iter_mut().zip(from).for_each(|(to, from)| *to += from * weight),
         }
     }
-    let covers = |axis: usize| {
-        let nearest = place[axis].round_ties_even();
-        nearest >= 0.0 && nearest < size[axis] as f64
-    };
-    covers(0) && covers(1)
+    nearest(place, size).is_some()
+}
+
+/// Column and row of the cell that is nearest to a place, if the map has it.
+#[inline(always)]
+fn nearest(place: [f64; 2], size: [usize; 2]) -> Option<[usize; 2]> {
+    let cell = place.map(f64::round_ties_even);
+    let inside = |axis: usize| cell[axis] >= 0.0 && cell[axis] < size[axis] as f64;
+    (inside(0) && inside(1)).then(|| cell.map(|index| index as usize))
 }
 
 #[inline(always)]
@@ -207,7 +234,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::network::BevMap;
     use crate::testing::Numbers;
 
     fn map(seed: u64, [rows, columns, channels]: [usize; 3]) -> BevMap {

@@ -149,6 +149,8 @@ pub enum Role {
     NormWeight,
     /// Summands of a batch norm.
     NormBias,
+    /// What each delay adds, a row each; trained from sines on.
+    Delays,
     /// Running mean of a batch norm.
     RunningMean,
     /// Running variance of a batch norm.

@@ -34,7 +34,7 @@ pub mod layers;
 mod load;
 pub mod loss;
 mod math;
-mod messages;
+pub mod messages;
 pub mod model;
 pub mod network;
 mod part;
@@ -44,7 +44,7 @@ mod simd;
 pub mod targets;
 #[cfg(test)]
 mod testing;
-mod transformer;
+pub mod transformer;
 #[cfg(test)]
 mod vectors;
 pub mod weights;

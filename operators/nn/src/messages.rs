@@ -3,15 +3,17 @@
 //! The unit forgets everything between rounds, so of its weights only those on its inputs count; in the last round only the
 //! ego listens.
 
+mod unit;
+
 use crate::cells::{Linear, Specs, cells, each_cell, packed, run};
 use crate::conv::{Isa, Map, Pool, Rows};
 use crate::fuse::{Agent, sample};
 use crate::layers::{Role, TensorSpec};
-use crate::math::exp;
 use crate::network::{BevMap, BevView};
 use crate::part::Number;
-use crate::simd::dispatch;
 use crate::weights::Weights;
+use unit::Unit;
+pub use unit::{GatedUnit, GatedUnitTensors};
 
 const NET: &str = "fusion_net";
 const UNIT: &str = "fusion_net.conv_gru.cell_list.0";
@@ -38,9 +40,8 @@ pub(crate) struct Messages<E> {
     channels: usize,
     /// Of the sender's map and the receiver's.
     message: Linear<E>,
-    /// Of the receiver's map and the mean message: how much is taken of the candidate.
-    update: Linear<E>,
-    candidate: Linear<E>,
+    /// Takes the receiver's map and the mean message.
+    unit: Unit<E>,
     output: Linear<E>,
 }
 
@@ -48,25 +49,24 @@ impl<E: Number> Messages<E> {
     pub fn new(rounds: usize, channels: usize, weights: &Weights, isa: Isa) -> Self {
         let bias = |key: &str| weights.tensor(&format!("{key}.bias")).to_vec();
         let kernels = |key: &str| weights.tensor(&format!("{key}.weight"));
-        let (message, gates, candidate) = (
-            format!("{NET}.msg_cnn"),
-            format!("{UNIT}.conv_gates"),
-            format!("{UNIT}.conv_can"),
-        );
-        // What follows the inputs is for what the unit remembers.
-        let of_inputs = |weights: &[f32]| -> Vec<f32> {
-            let outputs = weights.chunks_exact(27 * channels);
-            outputs.flat_map(|weights| &weights[..18 * channels]).copied().collect()
+        let message = format!("{NET}.msg_cnn");
+        let [gates, candidate] = ["conv_gates", "conv_can"].map(|layer| {
+            let key = format!("{UNIT}.{layer}");
+            [kernels(&key), weights.tensor(&format!("{key}.bias"))]
+        });
+        let unit = GatedUnitTensors {
+            inputs: 2 * channels,
+            channels,
+            kernel: 3,
+            gates,
+            candidate,
         };
-        // The first half of the gates is for what it remembers, too.
-        let update = of_inputs(&kernels(&gates)[27 * channels * channels..]);
         let mlp = format!("{NET}.mlp");
         Messages {
             rounds,
             channels,
             message: packed(kernels(&message).to_vec(), bias(&message), [2 * channels, 3], isa),
-            update: packed(update, bias(&gates)[channels..].to_vec(), [2 * channels, 3], isa),
-            candidate: packed(of_inputs(kernels(&candidate)), bias(&candidate), [2 * channels, 3], isa),
+            unit: Unit::forgetful(&unit, isa),
             output: packed(kernels(&mlp).to_vec(), bias(&mlp), [channels, 1], isa),
         }
     }
@@ -122,10 +122,7 @@ impl<E: Number> Messages<E> {
                 from.zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
             }
         });
-        let mut taken = run(&self.update, &inputs, channels, pool);
-        let candidate = run(&self.candidate, &inputs, channels, pool);
-        let view = candidate.view();
-        each_cell(&mut taken, 1, pool, |row, to| gated(cells(&view, row), to));
+        let taken = self.unit.run(&inputs, None, pool);
         BevMap {
             rows,
             columns,
@@ -165,15 +162,5 @@ fn with<'a>(agent: &Agent, map: &'a BevMap) -> Agent<'a> {
         warp: agent.warp,
         roadside: agent.roadside,
         delay: agent.delay,
-    }
-}
-
-dispatch! {
-    /// The sigmoid of `to` times the hyperbolic tangent of the candidate.
-    fn gated(candidate: &[f32], to: &mut [f32]) {
-        for (to, candidate) in to.iter_mut().zip(candidate) {
-            let tangent = 2.0 / (1.0 + exp(-2.0 * candidate)) - 1.0;
-            *to = tangent / (1.0 + exp(-*to));
-        }
     }
 }

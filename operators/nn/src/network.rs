@@ -362,7 +362,7 @@ impl Core {
     }
 }
 
-fn choose(model: &Model, options: &NetworkOptions) -> Result<Choice, NetworkError> {
+pub(crate) fn choose(model: &Model, options: &NetworkOptions) -> Result<Choice, NetworkError> {
     if !options.isa.is_available() {
         return Err(NetworkError::Isa {
             asked: options.isa,

@@ -4,14 +4,17 @@
 //! and what follows is the ego's alone. An agent that is not there, or whose map does not reach a cell, is not asked.
 
 mod agents;
+mod parts;
 mod weights;
 mod windows;
 
 use agents::OverAgents;
+pub use parts::{Asking, Parts};
+pub use weights::initial_delays;
 pub(crate) use weights::tensors;
 use windows::OverWindows;
 
-use crate::cells::{Linear, cells, each_cell, run};
+use crate::cells::{Linear, add, cells, each_cell, run};
 use crate::conv::{Map, Pool, Rows, split};
 use crate::fuse::{Agent, sample};
 use crate::math::{erf, product, sum};
@@ -112,20 +115,28 @@ struct State {
     covered: Vec<bool>,
 }
 
+impl State {
+    fn asked(&self) -> Asked<'_> {
+        Asked {
+            kind: self.kind,
+            covered: &self.covered,
+        }
+    }
+}
+
+/// What must be known of an agent to ask it.
+#[derive(Clone, Copy)]
+struct Asked<'a> {
+    kind: usize,
+    covered: &'a [bool],
+}
+
 impl Delays {
     /// What a delay of so many frames adds; longer ones than the table knows are the longest.
     fn of(&self, frames: usize) -> &[f32] {
         let row = frames.saturating_mul(self.ratio).min(self.table.len() - 1);
         &self.table[row]
     }
-}
-
-/// Adds a map to another.
-fn add(to: &mut Map<f32>, from: &Map<f32>, pool: &mut Pool) {
-    let from = from.view();
-    each_cell(to, 1, pool, |row, to| {
-        to.iter_mut().zip(cells(&from, row)).for_each(|(to, from)| *to += from);
-    });
 }
 
 impl Norm {
@@ -157,6 +168,12 @@ dispatch! {
 
 impl<E: Number> Forward<E> {
     fn run(&self, map: &mut Map<f32>, pool: &mut Pool) {
+        let given = self.given(map, pool);
+        add(map, &given, pool);
+    }
+
+    /// What is added to a map.
+    fn given(&self, map: &Map<f32>, pool: &mut Pool) -> Map<f32> {
         let normed: Map<E> = self.norm.run(map, pool);
         let wide = self.wide.outputs();
         let made = run(&self.wide, &normed, wide, pool);
@@ -170,8 +187,7 @@ impl<E: Number> Forward<E> {
                 values.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
             }
         });
-        let given = run(&self.back, &active, map.channels, pool);
-        add(map, &given, pool);
+        run(&self.back, &active, map.channels, pool)
     }
 }
 

@@ -3,10 +3,12 @@
 //! - [`Operator`], [`Source`], [`Sink`]: what a stage implements; [`Port`] its contract.
 //! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links.
 //! - [`Registration`]: an operator whose type is no longer known; [`Registry`] what a binary hosts.
+//! - [`StreamKey`]: random draws that depend on what they are for alone.
 //! - [`run`]: the whole `main` of a plug-in; [`pipe`] is what it speaks.
 
 mod books;
 pub mod config;
+mod draw;
 mod operator;
 pub mod pipe;
 mod port;
@@ -14,6 +16,7 @@ mod registry;
 mod run;
 
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
+pub use draw::{Draws, StreamKey};
 pub use operator::{Argument, Decided, Describe, Error, Made, Operator, Outputs, Sink, Source, unexpected, wrong_port};
 pub use port::{Class, Lane, Port, PortId, Queue, WrongType};
 pub use registry::{AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::Kind;
 use crate::network::{backbone_of, before, compare_map, network, options, weights_of, wide};
-use crate::reference::{grid_of, model_of};
+use crate::reference::{cell_of, centered, grid_of, model_of, moved};
 use crate::vector::{Tensors, Vector, compare};
 
 pub(crate) const KINDS: &[Kind] = &[
@@ -25,7 +25,7 @@ pub(crate) const KINDS: &[Kind] = &[
 ];
 
 /// A model that fuses up to as many agents as a vector has.
-fn fusing(model: Model, arch: Arch) -> Result<Model, String> {
+pub(crate) fn fusing(model: Model, arch: Arch) -> Result<Model, String> {
     let model = Model { arch, ..model };
     model.validate().map_err(|error| error.to_string())?;
     Ok(model)
@@ -38,7 +38,7 @@ fn fused(network: &mut Network, maps: &[BevView]) -> Result<BevMap, String> {
 }
 
 /// Maps of one size that lie behind each other.
-fn views(cells: &[f32], [rows, columns, channels]: [usize; 3]) -> Vec<BevView<'_>> {
+pub(crate) fn views(cells: &[f32], [rows, columns, channels]: [usize; 3]) -> Vec<BevView<'_>> {
     let view = |data| BevView {
         rows,
         columns,
@@ -139,11 +139,13 @@ fn arch_of(config: &Value, shared: Sharing) -> Result<Arch, String> {
     }
 }
 
+/// A list of whole numbers of a transformer's configuration.
+pub(crate) fn list(value: &Value) -> Result<Vec<usize>, String> {
+    serde_json::from_value(value.clone()).map_err(|error| format!("config of the transformer: {error}"))
+}
+
 /// The settings of a transformer as the reference writes them.
 fn transformer_of(config: &Value, Sharing { agents, compression }: Sharing) -> Result<Transformer, String> {
-    let list = |value: &Value| -> Result<Vec<usize>, String> {
-        serde_json::from_value(value.clone()).map_err(|error| format!("config of the transformer: {error}"))
-    };
     let number = |value: &Value| list(&Value::Array(vec![value.clone()])).map(|list| list[0]);
     let (over_agents, over_windows) = (&config["cav_att_config"], &config["pwindow_att_config"]);
     let sides = list(&over_windows["window_size"])?.into_iter();
@@ -167,28 +169,6 @@ fn transformer_of(config: &Value, Sharing { agents, compression }: Sharing) -> R
         delay_ratio: number(&config["RTE_ratio"])?,
         ..Transformer::default()
     })
-}
-
-/// How a 4x4 matrix of metres moves the cells of a map, about its first cell: `cell` m to each.
-fn moved(matrix: &[f64], cell: f64) -> Warp {
-    Warp([0, 1].map(|row| [matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 3] / cell]))
-}
-
-/// Metres to a cell of the reference's warps: those of a pillar, times a rate.
-fn cell_of(settings: &Value) -> Result<f64, String> {
-    let number = |value: &Value| value.as_f64().ok_or("config of a warp: expected numbers");
-    let side = match settings.get("discrete_ratio") {
-        Some(ratio) => ratio,
-        None => &settings["voxel_size"][0],
-    };
-    Ok(number(side)? * number(&settings["downsample_rate"])?)
-}
-
-/// Where the ego's cells lie in a map that the reference moves by a matrix, about a middle that lies half a cell off.
-fn centered(matrix: &[f64], cell: f64, [rows, columns]: [usize; 2]) -> Warp {
-    let middle = [columns as f64 / 2.0, rows as f64 / 2.0];
-    let shift = |sign: f64| Warp([[1.0, 0.0, sign * middle[0]], [0.0, 1.0, sign * middle[1]]]);
-    shift(1.0).after(&moved(matrix, cell)).after(&shift(-1.0)).inverse()
 }
 
 /// Agents whose maps are moved into the ego's, the first one's, by a matrix each.
@@ -237,7 +217,7 @@ fn agents_of<'a>(maps: &[BevView<'a>], priors: &[[f64; 3]], matrices: &[f64], ce
             map: *map,
             warp: match index {
                 0 => Warp::IDENTITY,
-                _ => centered(matrix, cell, [map.rows, map.columns]),
+                _ => centered(matrix, cell, [map.rows, map.columns]).inverse(),
             },
             roadside: roadside == 1.0,
             delay: delay as usize,

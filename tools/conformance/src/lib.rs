@@ -1,5 +1,6 @@
 //! Runs conformance vectors (inputs and expected outputs of the reference implementation) through the code that the
-//! graphs run: the geometry of `realo-schemas`, `realo-nms`, `realo-nn`, `realo-scoring`.
+//! graphs run: the geometry of `realo-schemas`, `realo-nms`, `realo-nn`, `realo-scoring`, the noise of `realo-localization`, the
+//! delays of `realo-link`.
 //!
 //! A folder of vectors has a `manifest.json` that lists its files with tolerance, configuration, and the tensors of a
 //! safetensors file or the keys of a JSON document. Those alone decide which check a vector goes through, whatever its
@@ -12,11 +13,14 @@ mod iou_nms;
 mod keys;
 mod loss;
 mod network;
+mod noise;
+mod parts;
 mod pillars;
 mod postprocess;
 mod reference;
 mod targets;
 mod vector;
+mod warps;
 
 use std::fmt;
 use std::path::Path;
@@ -124,7 +128,7 @@ impl Kind {
 }
 
 /// All kinds; no two take the same vector.
-const KINDS: [&[Kind]; 10] = [
+const KINDS: [&[Kind]; 13] = [
     boxes::KINDS,
     iou_nms::KINDS,
     evaluation::KINDS,
@@ -134,6 +138,9 @@ const KINDS: [&[Kind]; 10] = [
     postprocess::KINDS,
     network::KINDS,
     fusion::KINDS,
+    warps::KINDS,
+    parts::KINDS,
+    noise::KINDS,
     keys::KINDS,
 ];
 

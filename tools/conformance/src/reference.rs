@@ -5,8 +5,10 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use realo_nn::anchors::Anchors;
+use realo_nn::fuse::Warp;
 use realo_nn::model::{Backbone, ClassAnchor, Frame, Grid, Model, PillarSettings, Precision};
 use realo_schemas::Box3;
+use serde_json::Value;
 
 /// The eight corners of a box: front-right, front-left, rear-left, rear-right of the bottom, then of the top.
 pub type Corners = [[f64; 3]; 8];
@@ -99,6 +101,28 @@ pub fn transform_of(matrix: &[f64]) -> Result<Isometry3<f64>, String> {
         ([a, b, c, _], []) => Ok(isometry([*a, *b, *c])),
         _ => Err(format!("a matrix has {} numbers, not 16", matrix.len())),
     }
+}
+
+/// How a 4x4 matrix of metres moves the cells of a map, about its first cell: `cell` m to each.
+pub fn moved(matrix: &[f64], cell: f64) -> Warp {
+    Warp([0, 1].map(|row| [matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 3] / cell]))
+}
+
+/// Metres to a cell of the reference's warps: those of a pillar, times a rate.
+pub fn cell_of(settings: &Value) -> Result<f64, String> {
+    let number = |value: &Value| value.as_f64().ok_or("config of a warp: expected numbers");
+    let side = match settings.get("discrete_ratio") {
+        Some(ratio) => ratio,
+        None => &settings["voxel_size"][0],
+    };
+    Ok(number(side)? * number(&settings["downsample_rate"])?)
+}
+
+/// How a 4x4 matrix of metres moves the cells of a map about a middle that lies half a cell off.
+pub fn centered(matrix: &[f64], cell: f64, [rows, columns]: [usize; 2]) -> Warp {
+    let middle = [columns as f64 / 2.0, rows as f64 / 2.0];
+    let shift = |sign: f64| Warp([[1.0, 0.0, sign * middle[0]], [0.0, 1.0, sign * middle[1]]]);
+    shift(1.0).after(&moved(matrix, cell)).after(&shift(-1.0))
 }
 
 /// Classes with their anchors, in the order of the heads. The second heading is 1.57, not π/2; weights depend on it.

@@ -216,6 +216,18 @@ impl Tensors {
         Ok(tensor.shape().to_vec())
     }
 
+    /// A tensor's numbers, if it has a shape.
+    pub fn shaped(&self, name: &str, expected: &[usize]) -> Result<Vec<f64>, String> {
+        let shape = self.shape(name)?;
+        match shape == expected {
+            true => self.numbers(name),
+            false => Err(format!(
+                "{}: tensor `{name}`: expected shape {expected:?}, found {shape:?}",
+                self.file
+            )),
+        }
+    }
+
     /// A `[boxes, 8, 3]` tensor.
     pub fn corners(&self, name: &str) -> Result<Vec<Corners>, String> {
         let rows = self.rows::<24>(name)?;

@@ -1,13 +1,14 @@
 //! The vectors of this repository, always; all vectors of `$REALO_SHARED/conformance`, where they are at hand; the same
 //! ones under other names; and some of other sizes, made here from the definitions.
 
-use std::collections::{BTreeMap, BTreeSet};
+mod common;
+
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use common::{Made, noise, not_passed};
 use realo_conformance::{CaseResult, Status, exit_code, run};
-use safetensors::Dtype;
-use safetensors::tensor::TensorView;
 use serde_json::{Value, json};
 
 fn own() -> PathBuf {
@@ -20,12 +21,6 @@ fn manifest(folder: &Path) -> Value {
     serde_json::from_slice(&text).unwrap()
 }
 
-/// Vectors that did not pass.
-fn not_passed(results: &[CaseResult]) -> Vec<String> {
-    let results = results.iter().filter(|result| result.status != Status::Passed);
-    results.map(|result| result.to_string()).collect()
-}
-
 fn count(results: &[CaseResult], folder: &str) -> usize {
     let of = results
         .iter()
@@ -34,7 +29,7 @@ fn count(results: &[CaseResult], folder: &str) -> usize {
 }
 
 /// How many vectors of a folder are checked: of the repository's, and of all.
-const SUPPORTED: [(&str, [usize; 2]); 10] = [
+const SUPPORTED: [(&str, [usize; 2]); 11] = [
     ("boxes", [8, 8]),
     ("iou_nms", [6, 6]),
     ("evaluation", [6, 6]),
@@ -42,7 +37,8 @@ const SUPPORTED: [(&str, [usize; 2]); 10] = [
     ("targets", [5, 5]),
     ("loss", [2, 2]),
     ("postprocess", [3, 3]),
-    ("network", [10, 17]),
+    ("network", [15, 29]),
+    ("noise", [1, 1]),
     ("model", [2, 8]),
     ("state_dict_keys", [2, 10]),
 ];
@@ -133,63 +129,6 @@ fn names_do_not_matter() {
     fs::write(dir.path().join("manifest.json"), json!({"files": files}).to_string()).unwrap();
     let results = run(dir.path());
     assert_eq!(count(&results, "any"), expected, "{}", not_passed(&results).join("\n"));
-}
-
-/// Vectors that are made from the definitions.
-#[derive(Default)]
-struct Made {
-    files: Vec<Value>,
-    contents: BTreeMap<String, Vec<u8>>,
-}
-
-impl Made {
-    fn tensors(&mut self, file: &str, tolerance: f64, config: Value, tensors: &[(&str, Vec<usize>, Vec<f64>)]) {
-        let bytes: Vec<(&str, Vec<usize>, Vec<u8>)> = tensors
-            .iter()
-            .map(|(name, shape, data)| {
-                let bytes = data.iter().flat_map(|value| value.to_le_bytes()).collect();
-                (*name, shape.clone(), bytes)
-            })
-            .collect();
-        let views = bytes.iter().map(|(name, shape, data)| {
-            let view = TensorView::new(Dtype::F64, shape.clone(), data);
-            (*name, view.unwrap_or_else(|error| panic!("{name}: {error}")))
-        });
-        self.contents
-            .insert(file.into(), safetensors::serialize(views, None).unwrap());
-        let names: BTreeMap<&str, Value> = tensors
-            .iter()
-            .map(|(name, shape, _)| (*name, json!(["float64", shape])))
-            .collect();
-        self.files
-            .push(json!({"file": file, "tolerance": tolerance, "config": config, "tensors": names}));
-    }
-
-    fn run(&self) -> Vec<CaseResult> {
-        let dir = tempfile::tempdir().unwrap();
-        for (file, bytes) in &self.contents {
-            fs::write(dir.path().join(file), bytes).unwrap();
-        }
-        fs::write(
-            dir.path().join("manifest.json"),
-            json!({"files": self.files}).to_string(),
-        )
-        .unwrap();
-        run(dir.path())
-    }
-}
-
-/// Numbers in [-1, 1) without a pattern.
-fn noise(seed: u64, count: usize) -> Vec<f64> {
-    let mut state = seed;
-    let mut next = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        // As many digits as an f32 has.
-        (state >> 40) as f64 / f64::from(1u32 << 23) - 1.0
-    };
-    (0..count).map(|_| next()).collect()
 }
 
 const CLASSES: [([f64; 3], f64); 3] = [

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use eyre::Result;
-use realo_graph::{FlatNode, normalized};
+use realo_graph::{FlatNode, normalized, with_variables};
 use realo_host::dora::{self, Hosted};
 use realo_operator::Decided;
 
@@ -49,12 +49,13 @@ pub struct ProgramArgs {
 /// Hosts the stages of a module until their streams end.
 pub fn module(args: &ModuleArgs) -> Result<Outcome> {
     let here = dora::graph_folder()?;
+    let settings = filled_in(&args.settings);
     let hosted = Hosted::Module {
         file: &args.module,
-        settings: &args.settings,
+        settings: &settings,
     };
     dora::run(hosted, &registry())?;
-    let graph = realo_graph::hosted("realo", &args.module, &args.settings, None, &here)?;
+    let graph = realo_graph::hosted("realo", &args.module, &settings, None, &here)?;
     report(&graph.nodes, &here)
 }
 
@@ -78,12 +79,18 @@ fn stage(word: &str, name: &str, args: &[String]) -> Result<Outcome> {
     let words: Vec<String> = [word, name]
         .map(String::from)
         .into_iter()
-        .chain(args.iter().cloned())
+        .chain(filled_in(args))
         .collect();
     let stage = FlatNode::alone(name, &words, &[]);
     demo::make_if_missing(&stage)?;
     dora::run(Hosted::Stage(&words), &registry())?;
     report(std::slice::from_ref(&stage), &here)
+}
+
+/// Arguments with what the graph's `env` says in place of its names: dora gives it to the process, and leaves arguments alone.
+fn filled_in(args: &[String]) -> Vec<String> {
+    let value = |name: &str| std::env::var(name).ok();
+    args.iter().map(|arg| with_variables(arg, value)).collect()
 }
 
 /// Prints the table of a run that nobody else reports on: dora started its graph.

@@ -12,6 +12,7 @@ use realo_nn::layers::{
 use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
 use realo_nn::model::Model;
 use realo_nn::targets::Targets;
+use realo_nn::transformer::initial_delays;
 use realo_nn::weights::{Weights, WeightsError};
 
 use crate::layers::{
@@ -381,6 +382,7 @@ fn initial(draws: &mut Stream, spec: &TensorSpec, of_heads: OfHeads) -> Vec<f32>
         Role::Weight { .. } if of_heads.scores || of_heads.deltas => normal(draws, 0.01),
         // Variance is kept through ReLU (He et al. 2015).
         Role::Weight { fan_in } => normal(draws, (2.0 / fan_in as f64).sqrt()),
+        Role::Delays => initial_delays(spec.shape[0], spec.shape[1]),
         Role::NormWeight | Role::RunningVariance => vec![1.0; count],
         Role::Bias | Role::NormBias | Role::RunningMean => vec![0.0; count],
     }

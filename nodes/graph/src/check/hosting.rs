@@ -3,6 +3,7 @@
 use serde_yaml::Value;
 
 use super::{Answer, Findings, FlatNode, Severity};
+use crate::variables;
 use realo_operator::{Registration, Registry};
 
 /// The stage that a node hosts, its arguments checked; `None` for foreign nodes and unknown names.
@@ -48,12 +49,9 @@ pub(super) fn stage(
             "`realo operators` prints them",
         );
     }
-    if let Some(arg) = node
-        .settings()
-        .iter()
-        .find(|arg| arg.contains("$PARAM_") || arg.contains("${"))
-    {
-        let mend = "dora replaces no variables in `args`, and a module's parameters only if its node sets them";
+    if let Some(arg) = node.settings().iter().find(|arg| variables::named(arg).is_some()) {
+        let mend = "`$NAME` stands for what the `env` at the graph's head says, in the arguments of the graph's own nodes; a \
+                    module's parameter only for what its node sets";
         findings.node(Severity::Warning, node, "values", format!("`{arg}`"), mend);
     }
     Some(stage)

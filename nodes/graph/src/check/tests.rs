@@ -400,6 +400,11 @@ const CASES: &[(&str, &str, &[&str])] = &[
     ),
     ("threshold=0.15", "threshold=$PARAM_T", &["`threshold=$PARAM_T`"]),
     (
+        "threshold=0.15",
+        "threshold=$LEAST",
+        &["`threshold=$LEAST`", "`env` at the graph's head"],
+    ),
+    (
         "output_types: { data: realo/v1/Boxes }",
         "",
         &[

@@ -1,7 +1,7 @@
 //! Attention over agents, each cell by itself.
 
-use super::{Norm, State, add};
-use crate::cells::{Linear, cells, each_cell, run};
+use super::{Asked, Norm, State};
+use crate::cells::{Linear, add, cells, each_cell, run};
 use crate::conv::{Map, Pool};
 use crate::math::{exp, product};
 use crate::part::Number;
@@ -22,15 +22,17 @@ impl<E: Number> OverAgents<E> {
     /// Attention of the first `asking` agents; what it gives is added to their maps.
     pub fn run(&self, states: &mut [State], asking: usize, pool: &mut Pool) {
         let normed: Vec<Map<E>> = states.iter().map(|state| self.norm.run(&state.map, pool)).collect();
-        let given: Vec<Map<f32>> = (0..asking).map(|asks| self.ask(states, &normed, asks, pool)).collect();
+        let asked: Vec<Asked> = states.iter().map(State::asked).collect();
+        let given: Vec<Map<f32>> = (0..asking).map(|asks| self.ask(&asked, &normed, asks, pool)).collect();
         for (state, given) in states.iter_mut().zip(&given) {
             add(&mut state.map, given, pool);
         }
     }
 
-    fn ask(&self, states: &[State], normed: &[Map<E>], asks: usize, pool: &mut Pool) -> Map<f32> {
+    /// What one of the agents is given for its questions to all; without norm and sum.
+    pub fn ask(&self, asked: &[Asked], normed: &[Map<E>], asks: usize, pool: &mut Pool) -> Map<f32> {
         let own = &normed[asks];
-        let (kind, channels, columns) = (states[asks].kind, own.channels, own.columns);
+        let (kind, channels, columns) = (asked[asks].kind, own.channels, own.columns);
         let queries = run(&self.queries[kind], own, channels, pool);
         let mut sums: Map<f32> = Map::new(own.rows, columns, channels);
         // For each head the greatest score so far, and the sum of weights.
@@ -42,8 +44,8 @@ impl<E: Number> OverAgents<E> {
                 .iter_mut()
                 .for_each(|head| *head = [f32::NEG_INFINITY, 0.0]);
         });
-        for (state, normed) in states.iter().zip(normed) {
-            let answers = run(&self.answers[kind][state.kind], normed, 2 * channels, pool);
+        for (agent, normed) in asked.iter().zip(normed) {
+            let answers = run(&self.answers[kind][agent.kind], normed, 2 * channels, pool);
             let (queries, answers) = (queries.view(), answers.view());
             let shares = sums
                 .shares(pool.threads(), 1)
@@ -56,7 +58,7 @@ impl<E: Number> OverAgents<E> {
                     .chunks_exact_mut(length)
                     .zip(weighed.data.chunks_exact_mut(weighed_length));
                 for (row, (sums, weighed)) in sums.range.zip(rows) {
-                    let covered = &state.covered[row * columns..][..columns];
+                    let covered = &agent.covered[row * columns..][..columns];
                     let asked = (cells(&queries, row), cells(&answers, row));
                     let sums = &mut sums[channels..(columns + 1) * channels];
                     let weighed = &mut weighed[2 * self.heads..(columns + 1) * 2 * self.heads];

@@ -6,12 +6,30 @@ use super::{Delays, Forward, KINDS, Norm, Round, Transformer};
 use crate::arch::{Transformer as Settings, Window};
 use crate::cells::{Linear, Specs, packed};
 use crate::conv::{Isa, Kernel};
-use crate::layers::TensorSpec;
+use crate::layers::{Role, TensorSpec};
 use crate::math::product;
 use crate::part::Number;
 use crate::weights::Weights;
 
 const ENCODER: &str = "fusion_net.encoder";
+/// The slowest sine of the first table of delays has this many times the period of the fastest.
+const PERIODS: f64 = 1e4;
+
+/// The table of delays that training begins with, `[delays, channels]`: sines and cosines in turn, slower from pair to pair.
+pub fn initial_delays(delays: usize, channels: usize) -> Vec<f32> {
+    let of = |delay: usize, channel: usize| {
+        let pair = (channel - channel % 2) as f64;
+        let angle = delay as f64 * libm::exp(-pair * libm::log(PERIODS) / channels as f64);
+        let wave = if channel.is_multiple_of(2) {
+            libm::sin(angle)
+        } else {
+            libm::cos(angle)
+        };
+        (wave / (channels as f64).sqrt()) as f32
+    };
+    let all = (0..delays).flat_map(|delay| (0..channels).map(move |channel| (delay, channel)));
+    all.map(|(delay, channel)| of(delay, channel)).collect()
+}
 
 fn agents_key(depth: usize, block: usize) -> String {
     format!("{ENCODER}.layers.{depth}.0.layers.{block}.0")
@@ -41,7 +59,11 @@ pub(crate) fn tensors(settings: &Settings, channels: usize) -> Vec<TensorSpec> {
         all.linear(&format!("{key}.fn.net.3"), settings.feed_forward, channels, true);
     }
     let key = format!("{ENCODER}.rte.emb");
-    all.weight(&format!("{key}.emb.weight"), vec![settings.delays, channels], channels);
+    all.push(
+        format!("{key}.emb.weight"),
+        vec![settings.delays, channels],
+        Role::Delays,
+    );
     all.linear(&format!("{key}.lin"), channels, channels, true);
     all.0
 }

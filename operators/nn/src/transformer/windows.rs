@@ -32,28 +32,20 @@ pub(super) struct Split {
 impl<E: Number> OverWindows<E> {
     pub fn run(&self, map: &mut Map<f32>, pool: &mut Pool) {
         let normed: Map<E> = self.norm.run(map, pool);
-        let made: Vec<Map<f32>> = self
-            .windows
-            .iter()
-            .map(|within| within.run(&normed, map.channels, pool))
-            .collect();
-        let counts = self.split.counts(&made, pool);
-        let views: Vec<View<f32>> = made.iter().map(Map::view).collect();
-        let channels = map.channels;
-        each_cell(map, 1, pool, |row, to| {
-            for (view, counts) in views.iter().zip(counts.chunks_exact(channels)) {
-                let from = cells(view, row).chunks_exact(channels);
-                for (from, to) in from.zip(to.chunks_exact_mut(channels)) {
-                    let numbers = to.iter_mut().zip(from).zip(counts);
-                    numbers.for_each(|((to, from), count)| *to += from * count);
-                }
-            }
-        });
+        self.add(&normed, map, pool);
+    }
+
+    /// Adds what all windows give; without the norm.
+    pub fn add(&self, normed: &Map<E>, to: &mut Map<f32>, pool: &mut Pool) {
+        let within = self.windows.iter().map(|within| within.run(normed, to.channels, pool));
+        let made: Vec<Map<f32>> = within.collect();
+        self.split.add(&made, to, pool);
     }
 }
 
 impl<E: Number> Within<E> {
-    fn run(&self, normed: &Map<E>, channels: usize, pool: &mut Pool) -> Map<f32> {
+    /// Without the norm.
+    pub fn run(&self, normed: &Map<E>, channels: usize, pool: &mut Pool) -> Map<f32> {
         let (side, width) = (self.window.side, self.window.width());
         let all = run(&self.all, normed, 3 * width, pool);
         let view = all.view();
@@ -115,6 +107,22 @@ dispatch! {
 }
 
 impl Split {
+    /// Adds what was made, each by how much it counts.
+    pub fn add(&self, made: &[Map<f32>], to: &mut Map<f32>, pool: &mut Pool) {
+        let counts = self.counts(made, pool);
+        let views: Vec<View<f32>> = made.iter().map(Map::view).collect();
+        let channels = to.channels;
+        each_cell(to, 1, pool, |row, to| {
+            for (view, counts) in views.iter().zip(counts.chunks_exact(channels)) {
+                let from = cells(view, row).chunks_exact(channels);
+                for (from, to) in from.zip(to.chunks_exact_mut(channels)) {
+                    let numbers = to.iter_mut().zip(from).zip(counts);
+                    numbers.for_each(|((to, from), count)| *to += from * count);
+                }
+            }
+        });
+    }
+
     /// `[attentions, channels]`: how much of each attention is taken.
     fn counts(&self, made: &[Map<f32>], pool: &mut Pool) -> Vec<f32> {
         let (rows, columns, channels) = (made[0].rows, made[0].columns, made[0].channels);
