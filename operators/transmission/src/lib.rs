@@ -14,28 +14,13 @@
 //! | `packets` | in, latest | Packet | what a link delivered |
 //! | `messages` | out | PointCloud, FeatureMap, Boxes, EgoState | what the sender said |
 //!
-//! # Feature maps
-//! The encoder makes maps of f32 small in up to three steps (arguments `elements`, `shuffle`, `zstd`):
+//! Maps of f32 are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
+//! f32 again; maps of other elements are not quantised. docs/transmission.md tells why, how exactly, and what is refused. Both
+//! stages time the steps of a feature map ([`realo_operator::Steps`]).
 //!
-//! 1. *quantisation*: `int8` takes the range of each channel in this map and writes the nearest of 256 evenly spaced
-//!    numbers from its least to its greatest, off by at most half a step (a 510th of the range). That is affine: maps behind a ReLU
-//!    have no number below 0, and codes symmetric about 0 would waste half of their range; where the least one is 0, as it nearly
-//!    always is, 0 stays exactly 0. `f16` is off by at most 2⁻¹¹ of the number, or 2⁻²⁵ below 2⁻¹⁴; what is beyond ±65,504
-//!    becomes ±65,504 and is counted as `bounded_features`. `f32` is exact.
-//! 2. *shuffling*: the bytes of the same place in each cell lie together, so that a channel is one run. Most cells are empty
-//!    and alike, and neighbours are similar: zstd finds them sooner.
-//! 3. *compression* by zstd.
-//!
-//! The decoder undoes them and gives a map of f32 again. A map of other elements than f32 crosses without the first step, as
-//! it is. A map with a number that is not finite is neither sent nor taken. The learned compressor is part of the model,
-//! before all this (see `realo-nn`).
-//!
-//! Both time their steps ([`realo_operator::Steps`]): `quantisation`, `shuffling`, `compression`, `serialisation` (shape, scales,
-//! bytes) and `packaging` (the envelope); `parsing`, `deserialisation`, `decompression`, `unshuffling`, `dequantisation`. Maps are in
-//! the host's memory, so there is no copy from a device.
-//!
-//! # Layout, version 2
-//! [`CODEC`] in words of a packet's codec chain, behind the steps that the elements of a map went through.
+//! # Layout of the codec `plain`, version 2
+//! It is the last one of a packet's codec chain; before it stand those of `f16` or `int8`, `shuffle` and `zstd` that the elements
+//! of a map went through, which the bytes say as well.
 //!
 //! Little endian, no padding. A *text* is a length (u8) and that many bytes of UTF-8. A *pose* is x y z (f64, m) and
 //! the unit quaternion x y z w (f64). A *triangle* of a symmetric matrix is its upper triangle by rows, f32.
@@ -67,10 +52,10 @@
 //! pose, triangle of the 6×6 covariance, velocity x y z (f64, m/s in `map`), angular rate x y z (f64, rad/s).
 //!
 //! Features: rows, columns, channels (u32), cell (f64, m), origin x y (f64, m), element type of the map (u8: 0 f32, 1 f16,
-//! 2 bf16, 3 u8), model (text: its name and a hash of model file and weights), conversion (u8: 0 none, 1 f16, 2 int8), flags (u8: 1 shuffled, 2 zstd); for int8 the columns least
-//! number and step (f32) of the channels; with flag 2 a length (u32) and so many bytes that zstd makes the elements of; else
-//! the elements. A number is least + code × step. Elements come as `[rows, columns, channels]`; shuffled, the bytes of a cell are
-//! the rows and the cells the columns of a matrix.
+//! 2 bf16, 3 u8), model (text: its name and a hash of model file and weights), conversion of f32 (u8: 0 none, 1 f16, 2 int8),
+//! flags (u8: 1 shuffled, 2 zstd); with int8 the columns least number and step (f32) of the channels, of which a number is
+//! least + code × step; with flag 2 a length (u32) and a zstd frame of the elements, else the elements. They come cell by cell,
+//! `[rows, columns, channels]`; shuffled, first byte 0 of every cell, then byte 1, and so on.
 //!
 //! Nothing else of a header crosses: the receiver's own clock, times and trace stay with the packet's header.
 
