@@ -12,7 +12,7 @@ const HEAD: usize = 12 + 24 + 1 + 1 + 6;
 
 /// Mostly empty, as behind a ReLU: channel 0 never is anything, channel 4 has both signs.
 fn number(i: usize) -> f32 {
-    let drawn = (i as u64 * 0x9E37_79B9_7F4A_7C15 >> 40) as f32 / (1u64 << 24) as f32;
+    let drawn = ((i as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f32 / (1u64 << 24) as f32;
     match i % SHAPE[2] {
         0 => 0.0,
         4 => 40.0 * (drawn - 0.5),
@@ -333,7 +333,7 @@ fn a_frame_makes_exactly_the_bytes_of_the_shape() {
 
 #[test]
 fn a_shape_beyond_the_limit_is_refused_before_anything_is_made() {
-    let zeros = zstd::bulk::compress(&vec![0; 40], 1).unwrap();
+    let zeros = zstd::bulk::compress(&[0; 40], 1).unwrap();
     for rows in [LIMIT as u32 / 160 + 1, u32::MAX] {
         let error = refused(&forged(rows, &zeros));
         assert!(
