@@ -157,7 +157,9 @@ fn features_of_collaborators_are_fused_and_their_bytes_counted() {
     for name in ["attfuse", "fcooper"] {
         for project in ["receiver", "sender"] {
             let out = format!("detector_{name}_{project}");
-            let result = run_fusing(&out, name, &["--project", project]);
+            let plain = ["others.sender.elements=f32", "others.sender.zstd=null"];
+            let args = ["--project", project, "--set", plain[0], "--set", plain[1]];
+            let result = run_fusing(&out, name, &args);
             assert_eq!(result["project"], project);
             let features = &result["links"]["cav2-cav1"]["features"];
             let used = if project == "sender" { 4 } else { 5 };

@@ -6,9 +6,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::{folder, graph, json, realo, realo_ok, root, text};
+use common::{folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
 use realo::registry;
 use realo_graph::{FlatGraph, Graph, audit, validate};
+use serde_json::Value;
 
 fn graphs() -> Vec<PathBuf> {
     let mut graphs: Vec<PathBuf> = std::fs::read_dir(root().join("dataflows"))
@@ -284,4 +285,133 @@ fn a_graph_without_a_detect_module_takes_no_recorded_detections() {
     ]);
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stderr).contains("detect"), "{}", text(&output.stderr));
+}
+
+/// Three agents for a second, every sweep scored.
+fn shared() -> PathBuf {
+    let args = [
+        "--seed",
+        "911",
+        "--seconds",
+        "1",
+        "--key-hz",
+        "10",
+        "--agents",
+        "cav1,cav2,rsu1",
+    ];
+    simulated("shared", &args)
+}
+
+/// All APs of a run, in the order `sorted`.
+fn precisions(result: &Value) -> Vec<f64> {
+    let classes = result["accuracy"]["sorted"]["AP"].as_object().expect("classes");
+    let of_class = |class: &Value| class.as_object().expect("IoUs").values().cloned().collect::<Vec<_>>();
+    classes
+        .values()
+        .flat_map(of_class)
+        .filter_map(|ap| ap.as_f64())
+        .collect()
+}
+
+/// Bytes of a message with features from `cav2`, all of which were used.
+fn bytes_of_a_map(result: &Value) -> u64 {
+    let books = &result["links"]["cav2-cav1"]["features"];
+    let count = |term: &str| books[term].as_u64().unwrap_or_else(|| panic!("{term} in {books}"));
+    assert!(count("used") >= 8 && count("rejected") == 0, "{books}");
+    count("bytes") / count("sent")
+}
+
+#[test]
+fn features_cross_in_all_elements_and_detect_alike() {
+    let log = shared();
+    let run = |name: &str, elements: &str, zstd: &str| {
+        let (elements, zstd) = (
+            format!("others.sender.elements={elements}"),
+            format!("others.sender.zstd={zstd}"),
+        );
+        let out = format!("elements_{name}");
+        let settings = [
+            "--set",
+            &elements,
+            "--set",
+            &zstd,
+            "--ego",
+            "cav1",
+            "--offline",
+            "--project",
+            "sender",
+        ];
+        run_virtual(&out, "attfuse", &log, &settings)
+    };
+    let plain = run("plain", "f32", "null");
+    let exact = precisions(&plain);
+    assert!(exact.len() >= 4 && exact.iter().any(|ap| *ap > 0.5), "{exact:?}");
+    let elements = 100 * 256 * 64;
+    assert!((4 * elements..4 * elements + 300).contains(&bytes_of_a_map(&plain)));
+    // Elements, how they are compressed, most bytes per element, greatest difference of an AP.
+    for (elements_name, zstd, most, bound) in [
+        ("f32", "1", 2.0, 0.0),
+        ("f16", "null", 2.01, 0.005),
+        ("f16", "1", 1.0, 0.005),
+        ("int8", "null", 1.01, 0.02),
+        ("int8", "1", 0.6, 0.02),
+    ] {
+        let result = run(&format!("{elements_name}_{zstd}"), elements_name, zstd);
+        let share = bytes_of_a_map(&result) as f64 / elements as f64;
+        assert!(share < most, "{elements_name}, zstd={zstd}: {share} bytes per element");
+        let found = precisions(&result);
+        assert_eq!(found.len(), exact.len());
+        for (found, exact) in found.iter().zip(&exact) {
+            assert!(
+                (found - exact).abs() <= bound,
+                "{elements_name}, zstd={zstd}: AP {found}, in f32 {exact}"
+            );
+        }
+    }
+}
+
+#[test]
+fn features_cross_on_dora_and_their_steps_are_timed() {
+    let (log, out) = (shared(), folder("elements_realtime"));
+    let (log, dir) = (log.to_string_lossy().into_owned(), out.to_string_lossy().into_owned());
+    let attfuse = graph("attfuse");
+    let virtually = run_virtual("elements_virtual", "attfuse", Path::new(&log), &["--ego", "cav1"]);
+    let args = [
+        "run", &attfuse, "--log", &log, "--ego", "cav1", "--out", &dir, "--rate", "0.1",
+    ];
+    let table = realo_ok(args);
+    let result = json(&out.join("result.json"));
+    assert_eq!(result["frames"]["processed"], virtually["frames"]["processed"]);
+    assert_eq!(result["nodes"]["fusion.receiver"]["errors"], 0);
+    assert_eq!(
+        bytes_of_a_map(&result),
+        bytes_of_a_map(&virtually),
+        "the same maps crossed"
+    );
+    let (timing, steps) = (json(&out.join("timing.json")), |stage: &str, timing: &Value| {
+        let steps = timing["steps_ms"][stage].as_object().expect("steps").clone();
+        assert!(
+            steps
+                .values()
+                .all(|step| step["p50"].is_number() && step["count"].as_u64() > Some(0)),
+            "{steps:?}"
+        );
+        steps.keys().cloned().collect::<Vec<_>>()
+    });
+    let encoding = ["compression", "packaging", "quantisation", "serialisation", "shuffling"];
+    assert_eq!(steps("others.sender", &timing), encoding);
+    let decoding = [
+        "decompression",
+        "dequantisation",
+        "deserialisation",
+        "parsing",
+        "unshuffling",
+    ];
+    assert_eq!(steps("fusion.receiver", &timing), decoding);
+    for step in encoding.iter().map(|step| format!("others.sender, {step}")) {
+        assert!(table.contains(&step), "{step} in {table}");
+    }
+    let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("elements_virtual");
+    let untimed = json(&virtual_out.join("timing.json"));
+    assert_eq!(untimed["steps_ms"], serde_json::json!({}), "virtual time has no clock");
 }

@@ -38,10 +38,9 @@ pub struct Called {
 }
 
 impl Call {
-    /// Calls a stage; `start` is the log time of the call, `fates` what a sink has not been told yet.
-    pub fn make(self, built: &mut Built, inputs: &Registration, start: Nanos, fates: &[Fated]) -> Called {
-        let mut called = Called::default();
-        let mut out = Outputs::at(start);
+    /// Calls a stage; `out` tells when the call starts, `fates` what a sink has not been told yet.
+    pub fn make(self, built: &mut Built, inputs: &Registration, mut out: Outputs, fates: &[Fated]) -> Called {
+        let (mut called, start) = (Called::default(), out.now());
         match built {
             Built::Operator(operator) => match self {
                 Call::Inputs(calls) => {
@@ -164,6 +163,12 @@ impl Stage {
             let count = self.books.counters.entry(counter.into_owned()).or_default();
             *count = count.saturating_add(n);
         }
+        for (step, took) in std::mem::take(&mut called.made.steps) {
+            match self.books.steps.get_mut(step) {
+                Some(durations) => durations.record(took),
+                None => self.books.steps.entry(step.into()).or_default().record(took),
+            }
+        }
         for channel in std::mem::take(&mut called.made.traffic) {
             self.books.carried(channel);
         }
@@ -267,7 +272,7 @@ mod tests {
 
     fn call(call: Call) -> Called {
         let mut built = Built::Operator(Box::new(Moody { gone: false }));
-        call.make(&mut built, &PORTS, 7, &[])
+        call.make(&mut built, &PORTS, Outputs::at(7), &[])
     }
 
     fn inputs(seqs: &[u64]) -> Call {
@@ -309,7 +314,7 @@ mod tests {
         assert_eq!(called.gone.as_ref().map(ToString::to_string), Some("dead".into()));
         assert_eq!((called.errors.len(), fates(&called)), (0, vec![(2, Fate::Used)]));
         let mut built = Built::Operator(Box::new(Moody { gone: true }));
-        let called = Call::Wake.make(&mut built, &PORTS, 7, &[]);
+        let called = Call::Wake.make(&mut built, &PORTS, Outputs::at(7), &[]);
         assert!(called.gone.is_some() && called.errors.is_empty());
     }
 
@@ -358,7 +363,7 @@ mod tests {
         let mut built = Built::Sink(Box::new(notes.clone()));
         let fate: Vec<Fated> = told(crossings(&message(0)), Fate::Lost).collect();
         let mut make = |call: Call, fates: &[Fated]| {
-            let called = call.make(&mut built, &PORTS, 7, fates);
+            let called = call.make(&mut built, &PORTS, Outputs::at(7), fates);
             let said = std::mem::take(&mut *notes.0.lock().unwrap());
             (said, called.gone.map(|error| error.to_string()))
         };
@@ -395,7 +400,7 @@ mod tests {
 
     #[test]
     fn a_source_is_not_called() {
-        let called = inputs(&[1]).make(&mut Built::Source(Box::new(Nothing)), &PORTS, 7, &[]);
+        let called = inputs(&[1]).make(&mut Built::Source(Box::new(Nothing)), &PORTS, Outputs::at(7), &[]);
         assert!(called.gone.is_none() && called.errors.is_empty() && called.made.sent.is_empty());
     }
 

@@ -275,7 +275,9 @@ impl Rig {
         loop {
             let step = self.engine.step(now).unwrap_or_else(|error| panic!("{error}"));
             let Some(Step::Call(task)) = step else { break };
-            let called = task.call.make(&mut self.built, self.registration, now, &task.fates);
+            let called = task
+                .call
+                .make(&mut self.built, self.registration, Outputs::at(now), &task.fates);
             let done = self.engine.complete(&task.ticket, called, now, 0);
             done.unwrap_or_else(|error| panic!("{error}"));
             self.engine.free(&task.ticket, now, now);

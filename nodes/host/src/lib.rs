@@ -7,8 +7,10 @@ mod profile;
 mod program;
 mod reorder;
 mod stages;
+mod time;
 pub mod virtual_time;
 
 pub use profile::ComputeProfile;
 pub use program::{Child, Program};
 pub use stages::{BuildError, Stages};
+pub use time::running_time;

@@ -5,7 +5,7 @@
 //! child process and answers one call at a time, so it changes nothing in that order.
 
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
-use realo_operator::{Books, Built};
+use realo_operator::{Books, Built, Outputs};
 use realo_schemas::{Message, Nanos};
 
 use crate::{BuildError, ComputeProfile, Stages};
@@ -80,7 +80,12 @@ impl Simulation<'_> {
 
     fn call(&mut self, Task { ticket, call, fates }: Task, now: Nanos) -> Result<(), EngineError> {
         let registration = self.engine.registration(ticket.stage);
-        let called = call.make(&mut self.built[ticket.stage], registration, ticket.start, &fates);
+        let called = call.make(
+            &mut self.built[ticket.stage],
+            registration,
+            Outputs::at(ticket.start),
+            &fates,
+        );
         let trigger = called.trigger(ticket.cause, registration);
         let took = match ticket.is_end() {
             true => 0,

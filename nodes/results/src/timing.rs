@@ -33,6 +33,9 @@ pub struct Timing {
     pub late_ms: BTreeMap<String, Spread>,
     /// By stage and by what triggered its calls: their median, ns; what a compute profile charges.
     pub compute_ns: BTreeMap<String, BTreeMap<String, Nanos>>,
+    /// By stage and by step of its calls, in realtime: see `realo_operator::Steps`.
+    #[serde(default)]
+    pub steps_ms: BTreeMap<String, BTreeMap<String, Spread>>,
     /// Sweeps of the ego that became boxes, per second of log time.
     pub rate_hz: Option<f64>,
     /// What all this is made from.
@@ -52,6 +55,9 @@ pub struct TimingSamples {
     pub late: BTreeMap<String, Durations>,
     /// By stage and trigger.
     pub compute: BTreeMap<String, BTreeMap<String, Durations>>,
+    /// By stage and step.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub steps: BTreeMap<String, BTreeMap<String, Durations>>,
     /// Sweeps that became boxes in the time below.
     pub processed: u64,
     /// Log time of all sweeps, each with the mean time to the next, ns.
@@ -100,17 +106,8 @@ impl TimingSamples {
             if node.late.count() > 0 {
                 self.late.entry(id.clone()).or_default().merge(&node.late);
             }
-            self.add_compute(id, &node.compute);
-        }
-    }
-
-    fn add_compute(&mut self, id: &str, compute: &BTreeMap<String, Durations>) {
-        if compute.is_empty() {
-            return;
-        }
-        let triggers = self.compute.entry(id.into()).or_default();
-        for (trigger, durations) in compute {
-            triggers.entry(trigger.clone()).or_default().merge(durations);
+            add(&mut self.compute, id, &node.compute);
+            add(&mut self.steps, id, &node.steps);
         }
     }
 
@@ -128,10 +125,24 @@ impl TimingSamples {
             self.late.entry(id.clone()).or_default().merge(durations);
         }
         for (id, compute) in &other.compute {
-            self.add_compute(id, compute);
+            add(&mut self.compute, id, compute);
+        }
+        for (id, steps) in &other.steps {
+            add(&mut self.steps, id, steps);
         }
         self.processed += other.processed;
         self.duration_ns += other.duration_ns;
+    }
+}
+
+/// Adds what a stage took to what all did, by name.
+fn add(all: &mut BTreeMap<String, BTreeMap<String, Durations>>, id: &str, more: &BTreeMap<String, Durations>) {
+    if more.is_empty() {
+        return;
+    }
+    let known = all.entry(id.into()).or_default();
+    for (name, durations) in more {
+        known.entry(name.clone()).or_default().merge(durations);
     }
 }
 
@@ -158,6 +169,10 @@ impl Timing {
         let medians = |(id, compute): (&String, &BTreeMap<String, Durations>)| {
             (id.clone(), compute.iter().filter_map(median).collect())
         };
+        let spreads = |(id, steps): (&String, &BTreeMap<String, Durations>)| {
+            let steps = steps.iter().map(|(step, took)| (step.clone(), Spread::of(took)));
+            (id.clone(), steps.collect())
+        };
         let seconds = samples.duration_ns as f64 / 1e9;
         Timing {
             schema: TIMING.into(),
@@ -172,6 +187,7 @@ impl Timing {
                 .map(|(id, late)| (id.clone(), Spread::of(late)))
                 .collect(),
             compute_ns: samples.compute.iter().map(medians).collect(),
+            steps_ms: samples.steps.iter().map(spreads).collect(),
             rate_hz: (samples.duration_ns > 0).then(|| samples.processed as f64 / seconds),
             samples,
         }
@@ -270,6 +286,9 @@ mod tests {
             sync.compute.entry("poses".into()).or_default().record(nanos);
         }
         sync.compute.entry("poses > sweeps".into()).or_default().record(2_000);
+        for nanos in [30_000, 10_000] {
+            sync.steps.entry("pairing".into()).or_default().record(nanos);
+        }
         let books = Books {
             nodes: [("player".into(), player), ("sync".into(), sync)].into(),
         };
@@ -280,6 +299,9 @@ mod tests {
         assert!(!timing.compute_ns.contains_key("player"));
         assert_eq!(timing.compute_ns["sync"]["poses"], 710);
         assert_eq!(timing.compute_ns["sync"]["poses > sweeps"], 2_000);
+        let pairing = timing.steps_ms["sync"]["pairing"];
+        assert_eq!((pairing.p50, pairing.max, pairing.count), (Some(0.01), Some(0.03), 2));
+        assert!(!timing.steps_ms.contains_key("player"));
     }
 
     #[test]

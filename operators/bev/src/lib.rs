@@ -90,19 +90,11 @@ impl Maps {
             return Err(format!("expected a map of f32, found {:?}", map.dtype).into());
         }
         let size = [map.rows, map.columns, map.channels].map(|n| n as usize);
-        let expected = size.iter().try_fold(size_of::<f32>(), |bytes, n| bytes.checked_mul(*n));
-        if expected != Some(map.data.len()) {
-            return Err(format!("expected 4 bytes for each number of {size:?}, found {}", map.data.len()).into());
-        }
-        let lies_well = map.data.as_ptr().align_offset(align_of::<f32>()) == 0;
-        let numbers = match cfg!(target_endian = "little") && lies_well {
-            true => Cow::Borrowed(map.data.typed_data()),
-            false => {
-                let numbers = map.data.as_chunks::<4>().0.iter().copied();
-                Cow::Owned(numbers.map(f32::from_le_bytes).collect())
-            }
-        };
-        Ok(Read { size, numbers })
+        let length = || format!("expected 4 bytes for each number of {size:?}, found {}", map.data.len());
+        Ok(Read {
+            size,
+            numbers: map.numbers().ok_or_else(length)?,
+        })
     }
 }
 

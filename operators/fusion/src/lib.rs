@@ -103,7 +103,7 @@ impl<T> Set<T> {
     }
 
     /// Leaves out whoever cannot be fused.
-    pub fn reject(&mut self, cannot: impl Fn(&Collaborator<T>) -> bool) {
+    pub fn reject(&mut self, mut cannot: impl FnMut(&Collaborator<T>) -> bool) {
         let left_out = &mut self.left_out;
         self.collaborators.retain(|collaborator| {
             let can = !cannot(collaborator);

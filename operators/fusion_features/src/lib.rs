@@ -7,7 +7,8 @@
 //! | in `selections` | Selection | what the bank chose for the ego's map of that seq |
 //! | out `features` | FeatureMap | one map for the heads, in the ego's frame |
 //!
-//! Maps of another model, size or place, and maps with numbers that are none are rejected. A collaborator's map is turned
+//! Maps of another model, size or place, and maps with numbers that are none are rejected, with an error that says why; the
+//! others are fused. A collaborator's map is turned
 //! and shifted as the ground moves from its frame at its stamp to the ego's at the ego's; in cells that it does not cover
 //! the collaborator takes no part. V2X-ViT also looks at who is a roadside unit and at how many whole frames of 0.1 s a map
 //! is old. The motion of objects between the stamps is not removed.
@@ -146,7 +147,12 @@ impl Operator for FusionFeatures {
             SELECTIONS => {
                 let mut set: Set<FeatureMap> = self.pairing.selection(message, Some(self.limit))?;
                 let size = self.maps.read(&set.ego)?.size();
-                set.reject(|collaborator| self.read(collaborator).is_none_or(|map| map.size() != size));
+                let mut refused = Vec::new();
+                set.reject(|collaborator| {
+                    let reason = self.refusal(&collaborator.payload, size);
+                    refused.extend(reason.iter().map(|reason| format!("{}: {reason}", collaborator.header)));
+                    reason.is_some()
+                });
                 let ego = self.maps.read(&set.ego)?;
                 let others = set.collaborators.iter();
                 let others: Vec<(&Collaborator<FeatureMap>, Read)> = others
@@ -164,6 +170,9 @@ impl Operator for FusionFeatures {
                 }));
                 let fused = self.maps.write(self.network.fuse(&agents)?);
                 set.send(fused, out);
+                if !refused.is_empty() {
+                    return Err(refused.join("; ").into());
+                }
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }
@@ -172,9 +181,20 @@ impl Operator for FusionFeatures {
 }
 
 impl FusionFeatures {
-    /// The map of a collaborator, if it can be fused.
-    fn read<'a>(&self, collaborator: &'a Collaborator<FeatureMap>) -> Option<Read<'a>> {
-        self.maps.read(&collaborator.payload).ok().filter(Read::is_sound)
+    /// Why a collaborator's map cannot be fused with one of this size; `None` if it can.
+    fn refusal(&self, map: &FeatureMap, size: [usize; 3]) -> Option<String> {
+        let map = match self.maps.read(map) {
+            Ok(map) => map,
+            Err(error) => return Some(error.to_string()),
+        };
+        let found = map.size();
+        if found != size {
+            return Some(format!(
+                "expected {size:?} rows, columns and channels, as the ego's map has, found {found:?}"
+            ));
+        }
+        (!map.is_sound())
+            .then(|| "expected numbers as a network makes them, found one that is none, or beyond 1e15".into())
     }
 
     fn warp(&self, collaborator: &Collaborator<FeatureMap>) -> Warp {
@@ -253,18 +273,30 @@ mod tests {
         ego: FeatureMap,
         entries: Vec<Message>,
     ) -> (FeatureMap, Vec<(String, Fate)>) {
+        let (fused, told, error) = try_to_fuse(operator, ego, entries);
+        assert_eq!(error, "");
+        (fused, told)
+    }
+
+    /// The fused map, what became of whom, and the error.
+    fn try_to_fuse(
+        operator: &mut FusionFeatures,
+        ego: FeatureMap,
+        entries: Vec<Message>,
+    ) -> (FeatureMap, Vec<(String, Fate)>, String) {
         let asked = header("cav1", 0.0);
         let mut out = Outputs::at(200 * MS);
         operator
             .on_input(EGO, Message::new(asked.clone(), ego), &mut out)
             .unwrap();
         let selection = Message::new(asked, Selection { query: 7, entries });
-        operator.on_input(SELECTIONS, selection, &mut out).unwrap();
+        let error = operator.on_input(SELECTIONS, selection, &mut out).err();
         let (port, fused) = out.take_sent().remove(0);
         assert_eq!((port, fused.header.kind, fused.header.seq), (FUSED, Kind::Features, 7));
         let told = out.take_fates().into_iter();
         let told = told.map(|fated| (fated.message.from, fated.fate)).collect();
-        (fused.into_parts().unwrap().1, told)
+        let error = error.map(|error| error.to_string()).unwrap_or_default();
+        (fused.into_parts().unwrap().1, told, error)
     }
 
     fn feature(map: &FeatureMap, row: usize, column: usize) -> f32 {
@@ -315,13 +347,26 @@ mod tests {
         };
         let maps = [("a", poisoned), ("b", other_model), ("c", good.clone())];
         let entries = maps.map(|(agent, map)| Message::new(header(agent, 0.0), map));
-        let (fused, told) = fuse(&mut operator, good.clone(), entries.to_vec());
+        let (fused, told, error) = try_to_fuse(&mut operator, good.clone(), entries.to_vec());
+        for reason in [
+            "numbers as a network makes them",
+            "found one of lite-0: name one model file in both",
+        ] {
+            assert!(error.contains(reason), "{error}");
+        }
         assert_eq!(fused, good, "the ego's and the one that is the same");
         let expected = [("c", Fate::Used), ("a", Fate::Rejected), ("b", Fate::Rejected)];
         assert_eq!(told, expected.map(|(agent, fate)| (agent.to_string(), fate)));
         let maps = [("a", narrow), ("b", cut), ("c", elsewhere)];
         let entries = maps.map(|(agent, map)| Message::new(header(agent, 0.0), map));
-        let (alone, told) = fuse(&mut operator, good.clone(), entries.to_vec());
+        let (alone, told, error) = try_to_fuse(&mut operator, good.clone(), entries.to_vec());
+        for reason in [
+            "found [100, 128, 64]",
+            "expected 4 bytes for each number",
+            "from [0.0, 0.0] on",
+        ] {
+            assert!(error.contains(reason), "{error}");
+        }
         assert_eq!(alone, good);
         assert!(
             told.len() == 3 && told.iter().all(|(_, fate)| *fate == Fate::Rejected),

@@ -40,6 +40,9 @@ pub struct NodeBooks {
     /// Time that its calls took, ns, by what triggered them (an input's name or `wake`; ` > OUTPUTS` follows for calls
     /// that sent something): measured in realtime, the profile's in virtual time.
     pub compute: BTreeMap<String, Durations>,
+    /// Time that steps of its calls took, ns, by name; measured in realtime only.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub steps: BTreeMap<String, Durations>,
     /// Of a source in realtime: how late it released its messages, ns.
     pub late: Durations,
     /// What crossed the channels of a link.

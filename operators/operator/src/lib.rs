@@ -1,7 +1,8 @@
 //! All that an operator needs: the trait, ports, arguments, outputs, and the pipe protocol of plug-ins.
 //!
 //! - [`Operator`], [`Source`], [`Sink`]: what a stage implements; [`Port`] its contract.
-//! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links.
+//! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links; [`Steps`] time parts
+//!   of a call.
 //! - [`Registration`]: an operator whose type is no longer known; [`Registry`] what a binary hosts.
 //! - [`StreamKey`]: random draws that depend on what they are for alone.
 //! - [`run`]: the whole `main` of a plug-in; [`pipe`] is what it speaks.
@@ -14,6 +15,7 @@ pub mod pipe;
 mod port;
 mod registry;
 mod run;
+mod steps;
 
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
 pub use draw::{Draws, StreamKey};
@@ -21,3 +23,4 @@ pub use operator::{Argument, Decided, Describe, Error, Made, Operator, Outputs, 
 pub use port::{Class, Lane, Port, PortId, Queue, WrongType};
 pub use registry::{AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 pub use run::run;
+pub use steps::Steps;

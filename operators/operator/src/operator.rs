@@ -6,7 +6,7 @@ use realo_schemas::{Header, Kind, Message, Name, Nanos, UnexpectedPayload};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{Port, PortId};
+use crate::{Port, PortId, Steps};
 
 /// Why an operator or node could not go on with a message or a configuration.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
@@ -171,6 +171,7 @@ pub trait Sink: Describe + Sized {
 pub struct Outputs {
     now: Nanos,
     made: Made,
+    steps: Steps,
 }
 
 /// All that came of one call.
@@ -186,6 +187,8 @@ pub struct Made {
     pub fates: Vec<Fated>,
     /// What crossed links.
     pub traffic: Vec<Channel>,
+    /// Steps that were timed, and what each took, ns.
+    pub steps: Vec<(&'static str, Nanos)>,
 }
 
 impl Outputs {
@@ -194,6 +197,15 @@ impl Outputs {
         Outputs {
             now,
             made: Made::default(),
+            steps: Steps::default(),
+        }
+    }
+
+    /// The same of a driver that has a clock, for the steps of the call.
+    pub fn with_clock(self, clock: fn() -> Nanos) -> Self {
+        Outputs {
+            steps: Steps::timed_by(clock),
+            ..self
         }
     }
 
@@ -258,8 +270,14 @@ impl Outputs {
         });
     }
 
+    /// Times the steps of the call.
+    pub fn steps(&mut self) -> &mut Steps {
+        &mut self.steps
+    }
+
     /// All that came of the call.
-    pub fn into_made(self) -> Made {
+    pub fn into_made(mut self) -> Made {
+        self.made.steps.append(&mut self.steps.take());
         self.made
     }
 
@@ -271,12 +289,14 @@ impl Outputs {
             counts,
             fates,
             traffic,
+            steps,
         } = made;
         sent.into_iter().for_each(|(port, message)| self.send(port, message));
         wakes.into_iter().for_each(|time| self.wake_at(time));
         counts.into_iter().for_each(|(counter, n)| self.count(counter, n));
         self.made.fates.extend(fates);
         self.made.traffic.extend(traffic);
+        self.made.steps.extend(steps);
     }
 
     /// What was sent so far, in order; for tests of operators.

@@ -24,8 +24,26 @@ pub enum EncodeError {
         limit: usize,
     },
     /// A number that is not finite, or a quaternion that is not of length 1.
-    #[error("{0} is not finite, or its quaternion is not of length 1")]
+    #[error("{0}: a number is not finite, or a quaternion is not of length 1")]
     NotFinite(&'static str),
+    /// A channel that 255 finite steps do not span.
+    #[error(
+        "feature map: channel {channel} goes from {least} to {most}, too far for int8: send it with `elements=f32`"
+    )]
+    Range {
+        /// The channel.
+        channel: usize,
+        /// Its least number.
+        least: f32,
+        /// Its greatest number.
+        most: f32,
+    },
+    /// A level that zstd does not have.
+    #[error("argument `zstd`: expected null or a level from -7 to 19 that is not 0, found {0}")]
+    Level(i32),
+    /// What zstd could not compress.
+    #[error("feature map: zstd: {0}")]
+    Zstd(String),
     /// A feature map without elements.
     #[error("a feature map of {0:?} rows, columns and channels has no elements")]
     Empty([u32; 3]),
@@ -71,8 +89,38 @@ pub enum DecodeError {
     #[error("`{0}` is not UTF-8")]
     Text(&'static str),
     /// A codec that this decoder does not have.
-    #[error("codec chain [{0}] is unknown; this decoder reads [plain]")]
+    #[error(
+        "codec chain [{0}] is unknown; this decoder reads chains of f16 or int8, shuffle and zstd that end with plain"
+    )]
     Codec(String),
+    /// A packet by another release.
+    #[error("`version`: expected {expected}, found {found}: run one release of realo at both ends of the link")]
+    Version {
+        /// That of this decoder.
+        expected: u8,
+        /// That of the packet.
+        found: u8,
+    },
+    /// A compressed map that is not what its shape says.
+    #[error("`compressed elements`: expected a zstd frame of {length} bytes, as the shape says, found: {found}")]
+    Zstd {
+        /// Bytes that the shape asks for.
+        length: usize,
+        /// What there was.
+        found: String,
+    },
+    /// A map beyond the limit.
+    #[error(
+        "feature map of {shape:?} rows, columns and channels takes {size} bytes, at most {limit} are made (argument `max_bytes`)"
+    )]
+    Expanded {
+        /// Rows, columns, channels.
+        shape: [u32; 3],
+        /// Its bytes in memory.
+        size: u128,
+        /// The limit.
+        limit: usize,
+    },
     /// A packet beyond the limit.
     #[error("packet of {bytes} bytes, at most {limit} are taken (argument `max_bytes`)")]
     Oversized {

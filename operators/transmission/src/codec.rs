@@ -1,35 +1,46 @@
-//! The plain codec: a message to bytes and back.
+//! A message to bytes and back.
 
-use realo_schemas::{Header, Kind, Message, Payload};
+use std::ops::RangeInclusive;
+
+use arrow::buffer::Buffer;
+use realo_operator::Steps;
+use realo_schemas::{Header, Kind, Message, Packet, Payload};
 
 use crate::bytes::{DecodeError, EncodeError, Reader};
 use crate::envelope::Envelope;
-use crate::{boxes, ego_state, envelope, features, points};
+use crate::{EncoderConfig, boxes, ego_state, envelope, features, points};
 
-/// The codec's name in [`realo_schemas::Packet::codec`].
+/// The last codec of every packet, in [`Packet::codec`]; before it stands how the elements of a feature map crossed.
 pub const CODEC: &str = "plain";
 
 /// Columns of a cloud that cross beside coordinates and intensity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Columns {
+pub(crate) struct Columns {
     /// Time of each point.
     pub time: bool,
     /// Beam of each point.
     pub ring: bool,
 }
 
-/// What was left out of a packet.
+/// Levels of zstd, of which 0 stands for 3; those above take memory and seconds for little.
+const LEVELS: RangeInclusive<i32> = -7..=19;
+
+/// What was left out of a packet, or bounded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Dropped {
     /// Points that are not finite.
     pub points: u64,
     /// Boxes that are not valid.
     pub boxes: u64,
+    /// Features beyond the range of half precision; its greatest number was sent for them.
+    pub range: u64,
 }
 
-/// What bytes say; see [`decode`].
+/// What bytes say; see [`Decoder::decode`].
 pub struct Content {
     envelope: Envelope,
+    /// Codecs that made the bytes.
+    codec: Vec<String>,
     /// The payload.
     pub payload: Payload,
 }
@@ -39,8 +50,9 @@ impl Content {
     /// packet's header.
     ///
     /// # Errors
-    /// [`DecodeError::Forged`] if the packet's header names another agent, kind, seq or stamp.
-    pub fn into_message(self, packet: Header) -> Result<Message, DecodeError> {
+    /// [`DecodeError::Forged`] if the packet says another codec, or its header another agent, kind, seq or stamp.
+    pub fn into_message(self, packet: Header, codec: &[String]) -> Result<Message, DecodeError> {
+        same("codec", &codec.join(", "), &self.codec.join(", "))?;
         let Envelope {
             kind,
             seq,
@@ -79,30 +91,69 @@ fn same<T: PartialEq + ToString>(field: &'static str, header: &T, content: &T) -
     })
 }
 
-/// A message as bytes, laid out as the crate's documentation says, and what was left out of them.
-///
-/// # Errors
-/// [`EncodeError`] if no link carries the payload, or a number or length in it cannot be sent.
-pub fn encode(message: &Message, columns: Columns) -> Result<(Vec<u8>, Dropped), EncodeError> {
-    let (header, payload) = (&message.header, &message.payload);
-    let refused = || EncodeError::Content {
-        payload: payload.payload_type().as_str(),
-        kind: header.kind.as_str(),
-    };
-    if kind_of(payload) != Some(header.kind) {
-        return Err(refused());
+/// Puts messages into bytes, laid out as the crate's documentation says; what it works in serves one after another.
+pub struct Encoder {
+    columns: Columns,
+    features: features::Writer,
+}
+
+impl Encoder {
+    /// An encoder.
+    ///
+    /// # Errors
+    /// A level that zstd does not have.
+    pub fn new(config: &EncoderConfig) -> Result<Self, EncodeError> {
+        if let Some(level) = config.zstd
+            && (level == 0 || !LEVELS.contains(&level))
+        {
+            return Err(EncodeError::Level(level));
+        }
+        let features = features::Writer::new(config.elements, config.shuffle, config.zstd);
+        Ok(Encoder {
+            columns: Columns {
+                time: config.time,
+                ring: config.ring,
+            },
+            features: features.map_err(|error| EncodeError::Zstd(error.to_string()))?,
+        })
     }
-    let mut out = Vec::new();
-    envelope::write(&mut out, header)?;
-    let mut dropped = Dropped::default();
-    match payload {
-        Payload::PointCloud(cloud) => dropped.points = points::write(&mut out, cloud, columns)?,
-        Payload::FeatureMap(map) => features::write(&mut out, map)?,
-        Payload::Boxes(list) => dropped.boxes = boxes::write(&mut out, list)?,
-        Payload::EgoState(state) => ego_state::write(&mut out, state)?,
-        _ => return Err(refused()),
+
+    /// A message as a packet, and what was left out of it; of a feature map the steps are timed.
+    ///
+    /// # Errors
+    /// [`EncodeError`] if no link carries the payload, or a number or length in it cannot be sent.
+    pub fn encode(&mut self, message: &Message, steps: &mut Steps) -> Result<(Packet, Dropped), EncodeError> {
+        let (header, payload) = (&message.header, &message.payload);
+        let refused = || EncodeError::Content {
+            payload: payload.payload_type().as_str(),
+            kind: header.kind.as_str(),
+        };
+        if kind_of(payload) != Some(header.kind) {
+            return Err(refused());
+        }
+        let (mut out, mut dropped, mut codec) = (Vec::new(), Dropped::default(), Vec::new());
+        let mut untimed = Steps::default();
+        let steps = if header.kind == Kind::Features {
+            steps
+        } else {
+            &mut untimed
+        };
+        steps.time("packaging", || envelope::write(&mut out, header))?;
+        match payload {
+            Payload::PointCloud(cloud) => dropped.points = points::write(&mut out, cloud, self.columns)?,
+            Payload::FeatureMap(map) => {
+                let (coding, range) = self.features.write(&mut out, map, steps)?;
+                codec.extend(coding.steps().map(String::from));
+                dropped.range = range;
+            }
+            Payload::Boxes(list) => dropped.boxes = boxes::write(&mut out, list)?,
+            Payload::EgoState(state) => ego_state::write(&mut out, state)?,
+            _ => return Err(refused()),
+        }
+        codec.push(CODEC.into());
+        let bytes = Buffer::from_vec(out);
+        Ok((Packet { codec, bytes }, dropped))
     }
-    Ok((out, dropped))
 }
 
 /// What a link carries a payload as.
@@ -116,29 +167,63 @@ fn kind_of(payload: &Payload) -> Option<Kind> {
     }
 }
 
-/// What bytes of [`encode`] say. Any bytes may come in; what is not exactly one message is refused.
-///
-/// # Errors
-/// [`DecodeError`] names the field that was wrong.
-pub fn decode(bytes: &[u8]) -> Result<Content, DecodeError> {
-    let mut bytes = Reader::new(bytes);
-    let envelope = envelope::read(&mut bytes)?;
-    let payload = match envelope.kind {
-        Kind::Points => points::read(&mut bytes)?.into(),
-        Kind::Features => features::read(&mut bytes)?.into(),
-        Kind::Boxes => boxes::read(&mut bytes)?.into(),
-        Kind::EgoState => ego_state::read(&mut bytes)?.into(),
-        Kind::Truth | Kind::Report => {
-            let found = envelope.kind.to_string();
-            return Err(DecodeError::Value {
-                field: "content",
-                expected: "what a link carries",
-                found,
-            });
-        }
-    };
-    bytes.end()?;
-    Ok(Content { envelope, payload })
+/// Gets messages out of bytes; what it works in serves one after another.
+pub struct Decoder {
+    features: features::Parser,
+}
+
+impl Decoder {
+    /// A decoder that makes feature maps up to so many bytes.
+    ///
+    /// # Errors
+    /// If zstd has no memory.
+    pub fn new(max_bytes: usize) -> std::io::Result<Self> {
+        Ok(Decoder {
+            features: features::Parser::new(max_bytes)?,
+        })
+    }
+
+    /// What bytes of [`Encoder::encode`] say. Any bytes may come in; what is not exactly one message is refused. Of a feature map the
+    /// steps are timed.
+    ///
+    /// # Errors
+    /// [`DecodeError`] names the field that was wrong.
+    pub fn decode(&mut self, bytes: &[u8], steps: &mut Steps) -> Result<Content, DecodeError> {
+        let mut untimed = Steps::default();
+        let steps = if envelope::says_features(bytes) {
+            steps
+        } else {
+            &mut untimed
+        };
+        let mut bytes = Reader::new(bytes);
+        let envelope = steps.time("parsing", || envelope::read(&mut bytes))?;
+        let mut codec = Vec::new();
+        let payload = match envelope.kind {
+            Kind::Points => points::read(&mut bytes)?.into(),
+            Kind::Features => {
+                let (map, coding) = self.features.read(&mut bytes, steps)?;
+                codec.extend(coding.steps().map(String::from));
+                map.into()
+            }
+            Kind::Boxes => boxes::read(&mut bytes)?.into(),
+            Kind::EgoState => ego_state::read(&mut bytes)?.into(),
+            Kind::Truth | Kind::Report => {
+                let found = envelope.kind.to_string();
+                return Err(DecodeError::Value {
+                    field: "content",
+                    expected: "what a link carries",
+                    found,
+                });
+            }
+        };
+        bytes.end()?;
+        codec.push(CODEC.into());
+        Ok(Content {
+            envelope,
+            codec,
+            payload,
+        })
+    }
 }
 
 #[cfg(test)]

@@ -2,13 +2,13 @@ use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId,
 use realo_schemas::{Header, Message, Packet, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
-use crate::{CODEC, DecodeError, decode};
+use crate::{CODEC, DecodeError, Decoder};
 
 /// Settings of the decoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DecoderConfig {
-    /// Greatest packet that is taken, bytes.
+    /// Greatest packet that is taken, and greatest feature map that is made of one, bytes.
     pub max_bytes: usize,
 }
 
@@ -27,6 +27,7 @@ const STATES: PortId = PortId(1);
 /// Gets what an agent said out of its bytes.
 pub struct TransmissionDecoder {
     max_bytes: usize,
+    decoder: Decoder,
 }
 
 impl Describe for TransmissionDecoder {
@@ -35,7 +36,7 @@ impl Describe for TransmissionDecoder {
     const ABOUT: &'static str = "Gets points, features, boxes or states out of the bytes that crossed a link";
     const ARGUMENTS: &'static [Argument] = &[Argument {
         name: "max_bytes",
-        about: "greatest packet that is taken, bytes; a greater one is rejected",
+        about: "greatest packet, and greatest feature map in memory, bytes; a greater one is rejected",
     }];
     const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
     const OUTPUTS: &'static [Port] = &[
@@ -45,8 +46,8 @@ impl Describe for TransmissionDecoder {
 }
 
 impl TransmissionDecoder {
-    fn message(&self, header: Header, packet: &Packet) -> Result<Message, DecodeError> {
-        if packet.codec != [CODEC] {
+    fn message(&mut self, header: Header, packet: &Packet, out: &mut Outputs) -> Result<Message, DecodeError> {
+        if packet.codec.last().is_none_or(|last| last != CODEC) {
             return Err(DecodeError::Codec(packet.codec.join(", ")));
         }
         if packet.bytes.len() > self.max_bytes {
@@ -55,7 +56,8 @@ impl TransmissionDecoder {
                 limit: self.max_bytes,
             });
         }
-        decode(&packet.bytes)?.into_message(header)
+        let content = self.decoder.decode(&packet.bytes, out.steps())?;
+        content.into_message(header, &packet.codec)
     }
 }
 
@@ -66,6 +68,7 @@ impl Operator for TransmissionDecoder {
         }
         Ok(TransmissionDecoder {
             max_bytes: config.max_bytes,
+            decoder: Decoder::new(config.max_bytes)?,
         })
     }
 
@@ -74,7 +77,7 @@ impl Operator for TransmissionDecoder {
             return Err(wrong_port(Self::INPUTS, port));
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
-        let message = self.message(header, &packet)?;
+        let message = self.message(header, &packet, out)?;
         let port = match message.payload {
             Payload::EgoState(_) => STATES,
             _ => MESSAGES,

@@ -1,9 +1,8 @@
-use arrow::buffer::Buffer;
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{Header, Message, Packet, PayloadType};
+use realo_schemas::{Header, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
-use crate::{CODEC, Columns, encode};
+use crate::{Elements, Encoder};
 
 /// Payloads that a link carries.
 pub(crate) const CARRIED: &[PayloadType] = &[
@@ -14,18 +13,36 @@ pub(crate) const CARRIED: &[PayloadType] = &[
 ];
 
 /// Settings of the encoder.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EncoderConfig {
     /// Whether the times of points cross.
     pub time: bool,
     /// Whether the beams of points cross.
     pub ring: bool,
+    /// What the numbers of feature maps cross as.
+    pub elements: Elements,
+    /// Whether bytes of the same place in every cell lie together.
+    pub shuffle: bool,
+    /// Level of zstd for feature maps, -7 to 19 but not 0; `None`: not compressed.
+    pub zstd: Option<i32>,
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        EncoderConfig {
+            time: false,
+            ring: false,
+            elements: Elements::Int8,
+            shuffle: true,
+            zstd: Some(1),
+        }
+    }
 }
 
 /// Puts what an agent says into bytes.
 pub struct TransmissionEncoder {
-    columns: Columns,
+    encoder: Encoder,
 }
 
 const MESSAGES: PortId = PortId(0);
@@ -44,6 +61,18 @@ impl Describe for TransmissionEncoder {
             name: "ring",
             about: "whether the beam of each point crosses (2 bytes a point)",
         },
+        Argument {
+            name: "elements",
+            about: "what numbers of feature maps cross as: f32, f16, or int8 with a scale for each channel of each map",
+        },
+        Argument {
+            name: "shuffle",
+            about: "whether the bytes of a channel of a feature map lie together, so that they compress better",
+        },
+        Argument {
+            name: "zstd",
+            about: "level at which zstd compresses feature maps, -7 (fastest) to 19; null = not at all",
+        },
     ];
     const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
@@ -52,10 +81,7 @@ impl Describe for TransmissionEncoder {
 impl Operator for TransmissionEncoder {
     fn new(config: EncoderConfig) -> Result<Self, Error> {
         Ok(TransmissionEncoder {
-            columns: Columns {
-                time: config.time,
-                ring: config.ring,
-            },
+            encoder: Encoder::new(&config)?,
         })
     }
 
@@ -63,18 +89,15 @@ impl Operator for TransmissionEncoder {
         if port != MESSAGES {
             return Err(wrong_port(Self::INPUTS, port));
         }
-        let (bytes, dropped) = encode(&message, self.columns)?;
+        let (packet, dropped) = self.encoder.encode(&message, out.steps())?;
         out.count("nan_points", dropped.points);
         out.count("invalid_boxes", dropped.boxes);
-        out.count("bytes", bytes.len() as u64);
+        out.count("bounded_features", dropped.range);
+        out.count("bytes", packet.bytes.len() as u64);
         // The pose crosses in the bytes only, so that a receiver cannot come to know it in another way.
         let header = Header {
             pose: None,
             ..message.header
-        };
-        let packet = Packet {
-            codec: vec![CODEC.into()],
-            bytes: Buffer::from_vec(bytes),
         };
         out.send(PACKETS, Message::new(header, packet));
         Ok(())

@@ -5,7 +5,7 @@ use realo_schemas::{Header, Kind, Name, Nanos, Pose};
 use crate::bytes::{DecodeError, EncodeError, Reader, put_covariance6, put_pose, put_text};
 
 const MAGIC: &[u8] = b"rl";
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 const POSE: u8 = 1;
 const COVARIANCE: u8 = 2;
 const FRAME: u8 = 4;
@@ -32,6 +32,11 @@ fn code_of(kind: Kind) -> Option<u8> {
         Kind::EgoState => Some(4),
         Kind::Truth | Kind::Report => None,
     }
+}
+
+/// Whether bytes say that features follow, if they say anything.
+pub(crate) fn says_features(bytes: &[u8]) -> bool {
+    bytes.get(3).copied() == code_of(Kind::Features)
 }
 
 pub(crate) fn write(out: &mut Vec<u8>, header: &Header) -> Result<(), EncodeError> {
@@ -72,10 +77,9 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
     }
     let version = bytes.u8("version")?;
     if version != VERSION {
-        return Err(DecodeError::Value {
-            field: "version",
-            expected: "1",
-            found: version.to_string(),
+        return Err(DecodeError::Version {
+            expected: VERSION,
+            found: version,
         });
     }
     let code = bytes.u8("content")?;

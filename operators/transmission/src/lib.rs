@@ -1,4 +1,4 @@
-//! What crosses a link, as bytes: the transmission encoder and decoder, and the plain codec that they share.
+//! What crosses a link, as bytes: the transmission encoder and decoder, and the layout that they share.
 //!
 //! `transmission-encoder`
 //!
@@ -14,7 +14,14 @@
 //! | `packets` | in, latest | Packet | what a link delivered |
 //! | `messages` | out | PointCloud, FeatureMap, Boxes, EgoState | what the sender said |
 //!
-//! # Layout of the codec `plain`, version 1
+//! Maps of f32 are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
+//! f32 again; maps of other elements are not quantised. docs/transmission.md tells why, how exactly, and what is refused. Both
+//! stages time the steps of a feature map ([`realo_operator::Steps`]).
+//!
+//! # Layout of the codec `plain`, version 2
+//! It is the last one of a packet's codec chain; before it stand those of `f16` or `int8`, `shuffle` and `zstd` that the elements
+//! of a map went through, which the bytes say as well.
+//!
 //! Little endian, no padding. A *text* is a length (u8) and that many bytes of UTF-8. A *pose* is x y z (f64, m) and
 //! the unit quaternion x y z w (f64). A *triangle* of a symmetric matrix is its upper triangle by rows, f32.
 //!
@@ -23,7 +30,7 @@
 //! | bytes | content |
 //! |---|---|
 //! | 2 | `rl` |
-//! | u8 | version, 1 |
+//! | u8 | version, 2 |
 //! | u8 | content: 1 points, 2 features, 3 boxes, 4 ego_state |
 //! | u8 | flags: 1 pose, 2 covariance of the pose, 4 a frame other than `<agent>/body` |
 //! | u64 | seq |
@@ -44,8 +51,11 @@
 //! EgoState: flags (u8: 1 covariance, 2 velocity, 4 angular rate), status (u8: 0 truth, 1 recorded, 2 extrapolated),
 //! pose, triangle of the 6×6 covariance, velocity x y z (f64, m/s in `map`), angular rate x y z (f64, rad/s).
 //!
-//! Features: rows, columns, channels (u32), cell (f64, m), origin x y (f64, m), element type (u8: 0 f32, 1 f16, 2 bf16,
-//! 3 u8), model (text), the elements.
+//! Features: rows, columns, channels (u32), cell (f64, m), origin x y (f64, m), element type of the map (u8: 0 f32, 1 f16,
+//! 2 bf16, 3 u8), model (text: its name and a hash of model file and weights), conversion of f32 (u8: 0 none, 1 f16, 2 int8),
+//! flags (u8: 1 shuffled, 2 zstd); with int8 the columns least number and step (f32) of the channels, of which a number is
+//! least + code × step; with flag 2 a length (u32) and a zstd frame of the elements, else the elements. They come cell by cell,
+//! `[rows, columns, channels]`; shuffled, first byte 0 of every cell, then byte 1, and so on.
 //!
 //! Nothing else of a header crosses: the receiver's own clock, times and trace stay with the packet's header.
 
@@ -54,12 +64,15 @@ mod bytes;
 mod codec;
 mod decoder;
 mod ego_state;
+mod elements;
 mod encoder;
 mod envelope;
 mod features;
 mod points;
+mod shuffle;
 
 pub use bytes::{DecodeError, EncodeError};
-pub use codec::{CODEC, Columns, Content, Dropped, decode, encode};
+pub use codec::{CODEC, Content, Decoder, Dropped, Encoder};
 pub use decoder::{DecoderConfig, TransmissionDecoder};
+pub use elements::Elements;
 pub use encoder::{EncoderConfig, TransmissionEncoder};

@@ -2,8 +2,8 @@
 
 use realo_schemas::PointCloud;
 
-use crate::Columns;
 use crate::bytes::{DecodeError, EncodeError, Reader, column, put_column};
+use crate::codec::Columns;
 
 const TIME: u8 = 1;
 const RING: u8 = 2;

@@ -86,6 +86,7 @@ pub fn sections(runs: &[&Run]) -> Vec<Section> {
         }),
         section("frames".into(), &frames),
         section("latency, ms: p50 / p95 / p99".into(), &latency),
+        section("steps of stages, ms: p50 / p95 / p99".into(), &steps),
         section("age of the data used, ms: p50 / p95 / p99".into(), &ages),
         section("sent per frame: messages / KB".into(), &volume),
     ]);
@@ -266,6 +267,18 @@ fn latency(rows: &mut Rows) {
     for source in sources {
         rows.add(format!("{source}, late by"), |run| {
             spread(run.timing.late_ms.get(&source))
+        });
+    }
+}
+
+fn steps(rows: &mut Rows) {
+    let stages = rows.runs.iter().flat_map(|run| &run.timing.steps_ms);
+    let all: BTreeSet<(String, String)> = stages
+        .flat_map(|(stage, steps)| steps.keys().map(|step| (stage.clone(), step.clone())))
+        .collect();
+    for (stage, step) in all {
+        rows.add(format!("{stage}, {step}"), |run| {
+            spread(run.timing.steps_ms.get(&stage)?.get(&step))
         });
     }
 }

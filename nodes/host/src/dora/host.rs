@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use dora_node_api::dora_core::config::DataId;
 use dora_node_api::{DoraNode, MetadataParameters, NodeResult};
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
-use realo_operator::{Built, InputBooks, PortId, Registration};
+use realo_operator::{Built, InputBooks, Outputs, PortId, Registration};
 use realo_schemas::{Message, Nanos, wire};
 
-use crate::Stages;
+use crate::{Stages, running_time};
 
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox, Nudge};
@@ -181,7 +181,8 @@ fn call(
     registration: &'static Registration,
 ) -> Result<(), HostError> {
     let begun = Instant::now();
-    let called = call.make(&mut built, registration, ticket.start, &fates);
+    let out = Outputs::at(ticket.start).with_clock(running_time);
+    let called = call.make(&mut built, registration, out, &fates);
     let took = begun.elapsed().as_nanos() as Nanos;
     let mut state = shared.lock();
     state.built[ticket.stage] = Some(built);

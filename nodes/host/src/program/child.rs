@@ -210,6 +210,7 @@ impl Child {
             counts: reply.counts.into_iter().map(|(name, n)| (name.into(), n)).collect(),
             fates: reply.told.fates,
             traffic: reply.told.traffic,
+            steps: Vec::new(),
         });
         Ok(reply.error)
     }

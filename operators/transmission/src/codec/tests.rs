@@ -1,11 +1,11 @@
 use arrow::buffer::Buffer;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use realo_operator::{Describe, Operator, Outputs, PortId};
-use realo_schemas::{Box3, Boxes, DType, EgoState, FeatureMap, Name, Packet, PointCloud, Pose, PoseStatus};
+use realo_operator::{Describe, Operator, Outputs, PortId, Steps};
+use realo_schemas::{Box3, Boxes, DType, EgoState, FeatureMap, Name, PointCloud, Pose, PoseStatus};
 
 use super::*;
-use crate::{DecoderConfig, EncoderConfig, TransmissionDecoder, TransmissionEncoder};
+use crate::{DecoderConfig, Elements, EncoderConfig, TransmissionDecoder, TransmissionEncoder};
 
 fn pose() -> Pose {
     let covariance =
@@ -106,13 +106,36 @@ fn messages() -> Vec<Message> {
     ]
 }
 
-const ALL: Columns = Columns { time: true, ring: true };
+/// Everything crosses as it is.
+const ALL: EncoderConfig = EncoderConfig {
+    time: true,
+    ring: true,
+    elements: Elements::F32,
+    shuffle: false,
+    zstd: None,
+};
+
+/// Greatest map that is made in these tests, bytes.
+const LIMIT: usize = 1 << 20;
+
+fn packed(message: &Message, config: &EncoderConfig) -> Result<(Packet, Dropped), EncodeError> {
+    Encoder::new(config)?.encode(message, &mut Steps::default())
+}
+
+fn encode(message: &Message, config: &EncoderConfig) -> Result<(Vec<u8>, Dropped), EncodeError> {
+    packed(message, config).map(|(packet, dropped)| (packet.bytes.to_vec(), dropped))
+}
+
+fn decode(bytes: &[u8]) -> Result<Content, DecodeError> {
+    Decoder::new(LIMIT).unwrap().decode(bytes, &mut Steps::default())
+}
 
 #[test]
 fn what_comes_out_is_what_went_in() {
     for message in messages() {
-        let (bytes, dropped) = encode(&message, ALL).unwrap();
-        let found = decode(&bytes).unwrap().into_message(message.header.clone()).unwrap();
+        let (packet, dropped) = packed(&message, &ALL).unwrap();
+        let found = decode(&packet.bytes).unwrap();
+        let found = found.into_message(message.header.clone(), &packet.codec).unwrap();
         assert_eq!(dropped, Dropped::default());
         assert_eq!(found.header, message.header);
         match (&found.payload, &message.payload) {
@@ -127,7 +150,7 @@ fn what_comes_out_is_what_went_in() {
 #[test]
 fn fifty_boxes_with_everything_known_fit_four_kilobytes() {
     let message = Message::new(header(Kind::Boxes), Boxes((0..50).map(object).collect()));
-    let (bytes, _) = encode(&message, Columns::default()).unwrap();
+    let (bytes, _) = encode(&message, &EncoderConfig::default()).unwrap();
     assert!(bytes.len() <= 4000, "{} bytes", bytes.len());
 }
 
@@ -150,7 +173,7 @@ fn invalid_boxes_and_points_stay_behind_and_are_counted() {
         ..object(0)
     };
     let message = Message::new(header(Kind::Boxes), Boxes(vec![nan, flat, object(1), far, fast]));
-    let (bytes, dropped) = encode(&message, ALL).unwrap();
+    let (bytes, dropped) = encode(&message, &ALL).unwrap();
     assert_eq!(dropped.boxes, 4);
     let Payload::Boxes(found) = decode(&bytes).unwrap().payload else {
         panic!("not boxes")
@@ -160,7 +183,7 @@ fn invalid_boxes_and_points_stay_behind_and_are_counted() {
     let x = vec![1.0f32, f32::NAN, 3.0];
     let y = vec![1.0f32, 2.0, f32::NEG_INFINITY];
     let cloud = PointCloud::new(x, y, vec![0.0f32; 3], vec![9u8, 8, 7], vec![1, 2, 3], vec![4u16, 5, 6]).unwrap();
-    let (bytes, dropped) = encode(&Message::new(header(Kind::Points), cloud), Columns::default()).unwrap();
+    let (bytes, dropped) = encode(&Message::new(header(Kind::Points), cloud), &EncoderConfig::default()).unwrap();
     assert_eq!(dropped.points, 2);
     let Payload::PointCloud(found) = decode(&bytes).unwrap().payload else {
         panic!("not points")
@@ -175,14 +198,14 @@ fn invalid_boxes_and_points_stay_behind_and_are_counted() {
 
 #[test]
 fn refuses_to_send_what_no_link_carries() {
-    let error = encode(&Message::new(header(Kind::Points), Boxes::default()), ALL)
+    let error = encode(&Message::new(header(Kind::Points), Boxes::default()), &ALL)
         .unwrap_err()
         .to_string();
     assert!(error.contains("Boxes") && error.contains("points"), "{error}");
     let mut bad = header(Kind::Boxes);
     bad.pose = Some(Pose::exact(Isometry3::translation(f64::NAN, 0.0, 0.0)));
     assert_eq!(
-        encode(&Message::new(bad, Boxes::default()), ALL),
+        encode(&Message::new(bad, Boxes::default()), &ALL),
         Err(EncodeError::NotFinite("pose"))
     );
 }
@@ -190,7 +213,7 @@ fn refuses_to_send_what_no_link_carries() {
 #[test]
 fn every_cut_and_every_extra_byte_is_refused() {
     for message in messages() {
-        let (mut bytes, _) = encode(&message, ALL).unwrap();
+        let (mut bytes, _) = encode(&message, &ALL).unwrap();
         for length in 0..bytes.len() {
             let error = decode(&bytes[..length])
                 .err()
@@ -207,14 +230,14 @@ fn every_cut_and_every_extra_byte_is_refused() {
 
 #[test]
 fn numbers_that_cannot_be_are_refused() {
-    let (bytes, _) = encode(&messages()[0], ALL).unwrap();
+    let (bytes, _) = encode(&messages()[0], &ALL).unwrap();
     let changed = |at: usize, value: u8| {
         let mut bytes = bytes.clone();
         bytes[at] = value;
         decode(&bytes).err().map(|error| error.to_string()).unwrap_or_default()
     };
     assert!(changed(0, b'x').contains("`magic`"));
-    assert!(changed(2, 9).contains("`version`: expected 1, found 9"));
+    assert!(changed(2, 9).contains("`version`: expected 2, found 9: run one release"));
     assert!(changed(3, 5).contains("`content`"));
     assert!(changed(4, 0xff).contains("`flags of the envelope`"));
     assert!(changed(21, 0).contains("`agent`"));
@@ -228,7 +251,7 @@ fn numbers_that_cannot_be_are_refused() {
 
 fn packet_of(message: Message) -> Message {
     let mut out = Outputs::at(message.header.ready);
-    let mut encoder = TransmissionEncoder::new(EncoderConfig { time: true, ring: true }).unwrap();
+    let mut encoder = TransmissionEncoder::new(ALL).unwrap();
     encoder.on_input(PortId(0), message, &mut out).unwrap();
     out.take_sent().remove(0).1
 }
@@ -276,6 +299,11 @@ fn decoder_rejects_forged_oversized_and_unknown_packets() {
     assert!(refuse(usual(), &|header, _| header.seq += 1).contains("seq 42"));
     assert!(refuse(usual(), &|header, _| header.stamp += 1).contains("stamp"));
     assert!(refuse(usual(), &|_, packet| packet.codec = vec!["zstd".into()]).contains("[zstd]"));
+    assert!(
+        refuse(usual(), &|_, packet| packet.codec.insert(0, "zstd".into()))
+            .contains("says codec zstd, plain, its bytes say plain")
+    );
+    assert!(refuse(usual(), &|_, packet| packet.codec.clear()).contains("end with plain"));
     assert!(refuse(DecoderConfig { max_bytes: 100 }, &|_, _| ()).contains("`max_bytes`"));
     assert!(TransmissionDecoder::new(DecoderConfig { max_bytes: 0 }).is_err());
 }
@@ -320,11 +348,11 @@ fn holds(bytes: &[u8]) {
         },
         payload: content.payload,
     };
-    let (again, dropped) = encode(&message, ALL).expect("what was accepted can be sent");
+    let (again, dropped) = encode(&message, &ALL).expect("what was accepted can be sent");
     assert_eq!(dropped, Dropped::default());
-    let again = decode(&again)
-        .expect("what was sent is accepted")
-        .into_message(message.header.clone());
+    let again = decode(&again).expect("what was sent is accepted");
+    let codec = again.codec.clone();
+    let again = again.into_message(message.header.clone(), &codec);
     let payload = again.unwrap().payload;
     assert_eq!(payload, message.payload);
 }
@@ -337,7 +365,7 @@ proptest! {
         holds(&bytes);
         // Past the magic and version, where arbitrary bytes hardly ever get.
         for content in 1..=4 {
-            let mut framed = vec![b'r', b'l', 1, content];
+            let mut framed = vec![b'r', b'l', 2, content];
             framed.extend(&bytes);
             holds(&framed);
         }
@@ -349,7 +377,7 @@ proptest! {
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
         cut in prop::option::of(any::<prop::sample::Index>()),
     ) {
-        let (mut bytes, _) = encode(&messages()[which], ALL).unwrap();
+        let (mut bytes, _) = encode(&messages()[which], &ALL).unwrap();
         for (at, value) in changes {
             let at = at.index(bytes.len());
             bytes[at] = value;

@@ -18,7 +18,7 @@ use serde_json::json;
 
 use super::peer::Peer;
 
-const MODEL: &str = "models/lite.toml";
+pub(super) const MODEL: &str = "models/lite.toml";
 const POINTS: usize = 100_000;
 const PILLARS: usize = 10_000;
 const ROUNDS: usize = 41;
@@ -116,7 +116,7 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
 }
 
 /// Every other point of a simulated sweep, up to 100,000.
-pub fn cloud() -> Result<PointCloud> {
+pub(super) fn cloud() -> Result<PointCloud> {
     let options = Options {
         seed: 900,
         seconds: 0.1,

@@ -8,6 +8,7 @@ mod nms;
 mod peer;
 mod simulate;
 mod train;
+mod transmission;
 
 use std::path::PathBuf;
 
@@ -47,6 +48,8 @@ enum Name {
     Network,
     /// A training step, against PyTorch
     Train,
+    /// A BEV map into bytes and out again, step by step, in all elements
+    Transmission,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
     Framework,
     /// Growth of resident memory over a looped realtime replay
@@ -61,6 +64,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Name::Detector => print(&detector::bench(args.python.as_deref())?, args.json),
         Name::Network => print(&network::bench(args.python.as_deref())?, args.json),
         Name::Train => print(&train::bench(args.python.as_deref())?, args.json),
+        Name::Transmission => print(&transmission::bench()?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
     }
