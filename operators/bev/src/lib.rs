@@ -6,7 +6,7 @@ use arrow::buffer::Buffer;
 use realo_nn::Loaded;
 use realo_nn::network::{BevMap, BevView};
 use realo_operator::Error;
-use realo_schemas::{DType, FeatureMap, Name};
+use realo_schemas::{DType, FeatureMap, Name, feature_map};
 
 /// Where the maps of one model lie, and whose they are.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,22 +70,7 @@ impl Maps {
             )
             .into());
         }
-        if map.dtype != DType::F32 {
-            return Err(format!("expected a map of f32, found {:?}", map.dtype).into());
-        }
-        let size = [map.rows, map.columns, map.channels].map(|n| n as usize);
-        let expected = size.iter().try_fold(size_of::<f32>(), |bytes, n| bytes.checked_mul(*n));
-        if expected != Some(map.data.len()) {
-            return Err(format!("expected 4 bytes for each number of {size:?}, found {}", map.data.len()).into());
-        }
-        let lies_well = map.data.as_ptr().align_offset(align_of::<f32>()) == 0;
-        let numbers = match cfg!(target_endian = "little") && lies_well {
-            true => Cow::Borrowed(map.data.typed_data()),
-            false => {
-                let numbers = map.data.as_chunks::<4>().0.iter().copied();
-                Cow::Owned(numbers.map(f32::from_le_bytes).collect())
-            }
-        };
+        let (size, numbers) = (map.size(), map.numbers()?);
         Ok(Read { size, numbers })
     }
 }
@@ -107,14 +92,11 @@ impl Read<'_> {
         self.size
     }
 
-    /// Whether all numbers are as a network makes them: none that is no number, none so great that sums of products of two
-    /// overflow.
+    /// Whether all numbers are as a network makes them, see [`feature_map::are_sound`].
     pub fn is_sound(&self) -> bool {
-        self.numbers.iter().all(|number| number.abs() <= GREATEST)
+        feature_map::are_sound(&self.numbers)
     }
 }
-
-const GREATEST: f32 = 1e15;
 
 #[cfg(test)]
 mod tests {

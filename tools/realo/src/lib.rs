@@ -12,6 +12,7 @@ pub mod host;
 pub mod import;
 pub mod info;
 pub mod operators;
+pub mod precompute;
 mod registry;
 pub mod render;
 pub mod run;
