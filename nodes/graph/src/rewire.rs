@@ -9,13 +9,16 @@ impl FlatGraph {
     /// whose outputs then nobody takes, directly or through others. A stage that nobody heard before stays.
     pub fn rewire(&mut self, from: (&str, &str), to: (&str, &str), of: &str) {
         let before = self.heard();
-        let source = InputSource::Output {
-            node: to.0.into(),
-            output: to.1.into(),
+        let of_node = |(node, output): (&str, &str)| InputSource::Output {
+            node: node.into(),
+            output: output.into(),
         };
+        let (from, source) = (of_node(from), of_node(to));
+        // Processes take it from the process of the stage.
+        let names = [from.clone(), self.as_dora_has_it(&from)];
         let inputs = self.nodes.iter_mut().chain(&mut self.hosts);
         for input in inputs.flat_map(|node| node.inputs.values_mut()) {
-            if input.output() == Some(from) {
+            if names.contains(&input.source) {
                 input.source = source.clone();
             }
         }
@@ -51,7 +54,17 @@ impl FlatGraph {
             }
             false => true,
         });
-        let of_gone = |input: &Input| input.output().is_some_and(|(node, _)| gone.contains(node));
+        let outlets = self.hosts.iter().flat_map(|process| {
+            let gone = process.outlets.iter().filter(|(_, (stage, _))| gone.contains(stage));
+            gone.map(|(output, _)| (process.id.clone(), output.clone()))
+        });
+        let outlets: BTreeSet<(String, String)> = outlets.collect();
+        let of_gone = |input: &Input| {
+            let source = input
+                .output()
+                .map(|(node, output)| (node.to_string(), output.to_string()));
+            source.is_some_and(|source| gone.contains(&source.0) || outlets.contains(&source))
+        };
         for node in self.nodes.iter_mut().chain(&mut self.hosts) {
             node.inputs.retain(|_, input| !of_gone(input));
         }
@@ -113,6 +126,8 @@ mod tests {
         let written = graph.to_yaml().unwrap();
         let again = Graph::parse(&written, &graph.file).unwrap().expand().unwrap();
         assert_eq!(ids(&again, ""), ids(&graph, ""), "{written}");
+        let link = again.node("v2x.link").unwrap();
+        assert_eq!(link.inputs["others"].output(), Some(("player", "packets")), "{written}");
         let others = again.hosts.iter().find(|process| process.id == "others").unwrap();
         assert!(
             !others.args.iter().any(|word| word.contains("encoder")),

@@ -239,6 +239,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_precomputed_is_read_back_or_refused() {
+        let mut info = LogInfo::new("a test", vec![]);
+        assert!(!info.to_record().contains_key(PRECOMPUTED));
+        info.precomputed = Some(Precomputed {
+            graph: "attfuse".into(),
+            agents: vec!["rsu1".into()],
+            compute: "measured".into(),
+            lane: vec![],
+        });
+        let mut record = info.to_record();
+        let read = |record: &BTreeMap<String, String>| LogInfo::from_record(Path::new("a.mcap"), record);
+        assert_eq!(read(&record).unwrap(), info);
+        for wrong in ["", "[]", "{\"graph\": 3}", "{\"graph\": \"a\", \"agents\": []}"] {
+            record.insert(PRECOMPUTED.into(), wrong.into());
+            let error = read(&record).unwrap_err().to_string();
+            assert!(
+                error.contains("a.mcap") && error.contains("metadata `precomputed`"),
+                "{wrong}: {error}"
+            );
+        }
+    }
+
+    #[test]
     fn agents_differ_and_have_outlines() {
         let agent = |name: &str, footprint| AgentInfo {
             name: name.into(),

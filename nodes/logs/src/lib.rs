@@ -34,7 +34,7 @@ mod log;
 mod log_writer;
 mod mcap_file;
 mod mcap_writer;
-mod packets;
+pub mod packets;
 pub mod pose;
 mod precomputed;
 mod records;

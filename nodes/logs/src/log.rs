@@ -76,6 +76,12 @@ impl Log {
         &self.file
     }
 
+    /// The channels of the file that have messages.
+    pub(crate) fn topics_by_id(&self) -> impl Iterator<Item = (u16, &ChannelInfo)> {
+        let channels = self.file.channels().iter().map(|(id, channel)| (*id, channel));
+        channels.filter(|(_, channel)| channel.messages > 0)
+    }
+
     /// The file's path.
     pub fn path(&self) -> &Path {
         self.file.path()

@@ -3,15 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::fs::{self, File};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use realo_schemas::Nanos;
 use serde::{Deserialize, Serialize};
 
 use crate::info::{END_RECORD, LOG_RECORD};
 use crate::log::parse_topic;
+use crate::log_writer::{open, partial};
 use crate::packets::{self, SentPacket};
-use crate::{ChannelId, Lane, Log, LogError, McapFile, McapWriter, Schema, Stream};
+use crate::{ChannelId, Lane, Log, LogError, McapWriter, Messages, RawMessage, Schema, Stream};
 
 /// What of a log was computed beforehand, and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,13 +51,21 @@ impl Precomputed {
             .chain(other)
             .map(|stage| stage.stage.as_str())
             .collect();
-        ids.into_iter()
-            .find_map(|id| match (find(&self.lane, id), find(other, id)) {
-                (Some(one), Some(other)) => one.difference(&other),
-                (Some(_), None) => Some(format!("with a stage `{id}`, which this graph does not have")),
-                (None, Some(_)) => Some(format!("without the stage `{id}` of this graph")),
-                (None, None) => None,
+        let pairs: Vec<_> = ids
+            .into_iter()
+            .map(|id| (id, find(&self.lane, id), find(other, id)))
+            .collect();
+        // Another argument may be why a stage is there or not.
+        let argument = pairs
+            .iter()
+            .find_map(|(_, one, other)| one.as_ref()?.difference(other.as_ref()?));
+        argument.or_else(|| {
+            pairs.iter().find_map(|(id, one, other)| match (one, other) {
+                (Some(_), None) => Some(format!("with the stage `{id}`, which has no part in it here")),
+                (None, Some(_)) => Some(format!("without the stage `{id}`, which has a part in it here")),
+                _ => None,
             })
+        })
     }
 }
 
@@ -89,71 +98,75 @@ impl fmt::Display for Precomputed {
     }
 }
 
-/// A copy of a log in the making, to which packets are added.
+/// A copy of a log in the making, to which packets are added. One that is not finished leaves nothing behind.
 pub struct LogCopy<'a> {
     log: &'a Log,
-    mcap: McapWriter,
+    /// Until it is finished.
+    mcap: Option<McapWriter>,
     /// By agent: where its packets go.
     packets: BTreeMap<String, ChannelId>,
     /// By channel of the log: where its messages go.
     channels: BTreeMap<u16, ChannelId>,
-    messages: crate::Messages,
-    ahead: Option<crate::RawMessage>,
-    path: std::path::PathBuf,
-    partial: std::path::PathBuf,
+    /// Topics that are not copied, for they hold nothing that realo reads.
+    strange: Vec<String>,
+    messages: Messages,
+    ahead: Option<RawMessage>,
+    target: PathBuf,
+    partial: PathBuf,
 }
 
 impl<'a> LogCopy<'a> {
-    /// Begins a copy beside `path`, which appears when it is finished. Packets that the log has of agents that
+    /// Begins a copy beside `target`, which appears when it is finished. Packets that the log has of agents that
     /// `precomputed` names are copied, but for those of `anew`, whose new ones [`LogCopy::add`] takes.
     ///
     /// # Errors
     /// A file that cannot be made; the log's own path.
-    pub fn begin(log: &'a Log, path: &Path, precomputed: &Precomputed, anew: &[String]) -> Result<Self, LogError> {
+    pub fn begin(log: &'a Log, target: &Path, precomputed: &Precomputed, anew: &[String]) -> Result<Self, LogError> {
         let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-        if same(log.path(), path) {
-            return Err(LogError::input(path, "it is the log that is read; choose another file"));
+        if same(log.path(), target) {
+            return Err(LogError::input(
+                target,
+                "it is the log that is read; choose another file",
+            ));
         }
-        let mut name = path.file_name().unwrap_or_default().to_os_string();
-        name.push(format!(".{}.partial", std::process::id()));
-        let partial = path.with_file_name(name);
+        let partial = partial(target);
         let file = File::create(&partial).map_err(LogError::io(&partial, "create"))?;
         let mut info = log.info().clone();
         info.precomputed = Some(precomputed.clone());
-        let mut mcap = McapWriter::new(file, &info.program, LOG_RECORD, &info.to_record())
-            .map_err(LogError::io(&partial, "start writing"))?;
+        let mcap = McapWriter::new(file, &info.program, LOG_RECORD, &info.to_record());
+        let mut copy = LogCopy {
+            log,
+            mcap: Some(mcap.map_err(LogError::io(&partial, "start writing"))?),
+            packets: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            strange: Vec::new(),
+            messages: log.file().messages(BTreeSet::new(), 0..0)?,
+            ahead: None,
+            target: target.into(),
+            partial,
+        };
         let stays = |topic: &str| match parse_topic(topic) {
             Some((agent, Stream::Packets)) => precomputed.agents.contains(&agent) && !anew.contains(&agent),
             _ => true,
         };
-        let mut channels = BTreeMap::new();
-        let file: &McapFile = log.file();
-        for (id, channel) in file.channels().iter().filter(|(_, channel)| stays(&channel.topic)) {
+        for (id, channel) in log.topics_by_id().filter(|(_, channel)| stays(&channel.topic)) {
             match Schema::named(&channel.schema).filter(|_| channel.encoding == "cdr") {
                 Some(schema) => {
-                    let lane = Lane::of(&channel.schema);
-                    channels.insert(*id, mcap.channel(&channel.topic, schema, lane));
+                    let to = open(&mut copy.mcap).channel(&channel.topic, schema, Lane::of(&channel.schema));
+                    copy.channels.insert(id, to);
                 }
-                None => eprintln!(
-                    "realo: {}: `{}` ({}, {}) is nothing that realo reads and is not copied",
-                    log.path().display(),
-                    channel.topic,
-                    channel.schema,
-                    channel.encoding
-                ),
+                None => copy.strange.push(channel.topic.clone()),
             }
         }
-        let messages = file.messages(channels.keys().copied().collect(), 0..u64::MAX)?;
-        Ok(LogCopy {
-            log,
-            mcap,
-            packets: BTreeMap::new(),
-            channels,
-            messages,
-            ahead: None,
-            path: path.into(),
-            partial,
-        })
+        copy.messages = log
+            .file()
+            .messages(copy.channels.keys().copied().collect(), 0..u64::MAX)?;
+        Ok(copy)
+    }
+
+    /// Topics that are not copied, for they hold nothing that realo reads.
+    pub fn strange(&self) -> &[String] {
+        &self.strange
     }
 
     /// Adds a packet; they come in order of `ready`, when they exist.
@@ -161,15 +174,19 @@ impl<'a> LogCopy<'a> {
     /// # Errors
     /// A log that cannot be read; why writing failed.
     pub fn add(&mut self, agent: &str, stamp: Nanos, ready: Nanos, packet: &SentPacket) -> Result<(), LogError> {
-        self.copy_until(ready.max(0) as u64)?;
-        let mcap = &mut self.mcap;
-        let schema = Stream::Packets.schema();
-        let channel = || mcap.channel(&Stream::Packets.topic(agent), schema, Lane::of(&schema.name()));
+        let (log_time, publish_time) = (ready.max(0) as u64, stamp.max(0) as u64);
+        self.copy_until(log_time)?;
+        let mcap = open(&mut self.mcap);
+        let channel = || {
+            mcap.channel(
+                &Stream::Packets.topic(agent),
+                Stream::Packets.schema(),
+                Stream::Packets.lane(),
+            )
+        };
         let channel = *self.packets.entry(agent.into()).or_insert_with(channel);
         let encode = |out: &mut Vec<u8>| packets::encode(out, stamp, packet);
-        let written = self
-            .mcap
-            .write(channel, ready.max(0) as u64, stamp.max(0) as u64, encode);
+        let written = mcap.write(channel, log_time, publish_time, encode);
         written.map(|_| ()).map_err(|failure| failure.of(&self.partial))
     }
 
@@ -185,13 +202,9 @@ impl<'a> LogCopy<'a> {
                 self.ahead = Some(raw);
                 return Ok(());
             }
-            let written = self.mcap.copy(
-                self.channels[&raw.channel],
-                raw.sequence,
-                raw.log_time,
-                raw.publish_time,
-                raw.data(),
-            );
+            let to = self.channels[&raw.channel];
+            let mcap = open(&mut self.mcap);
+            let written = mcap.copy(to, raw.sequence, raw.log_time, raw.publish_time, raw.data());
             written.map_err(|failure| failure.of(&self.partial))?;
         }
     }
@@ -201,21 +214,26 @@ impl<'a> LogCopy<'a> {
     /// # Errors
     /// As [`LogCopy::add`].
     pub fn finish(mut self) -> Result<(), LogError> {
-        let copied = self.copy_until(u64::MAX);
-        let done = copied.and_then(|()| {
-            if let Some(mut end) = self.log.file().metadata().get(END_RECORD).cloned() {
-                if let Some((first, last)) = self.mcap.span() {
-                    end.insert("start".into(), first.to_string());
-                    end.insert("end".into(), last.to_string());
-                }
-                self.mcap.metadata(END_RECORD, &end);
+        self.copy_until(u64::MAX)?;
+        let Some(mut mcap) = self.mcap.take() else {
+            return Ok(());
+        };
+        if let Some(mut end) = self.log.file().metadata().get(END_RECORD).cloned() {
+            if let Some((first, last)) = mcap.span() {
+                end.insert("start".into(), first.to_string());
+                end.insert("end".into(), last.to_string());
             }
-            self.mcap.finish().map_err(|failure| failure.of(&self.partial))?;
-            fs::rename(&self.partial, &self.path).map_err(LogError::io(&self.path, "rename the finished log to"))
-        });
-        if done.is_err() {
-            let _ = fs::remove_file(&self.partial);
+            mcap.metadata(END_RECORD, &end);
         }
-        done
+        mcap.finish().map_err(|failure| failure.of(&self.partial))?;
+        fs::rename(&self.partial, &self.target).map_err(LogError::io(&self.target, "rename the finished log to"))
+    }
+}
+
+impl Drop for LogCopy<'_> {
+    fn drop(&mut self) {
+        self.mcap = None;
+        // Once it has its name, there is none.
+        let _ = fs::remove_file(&self.partial);
     }
 }

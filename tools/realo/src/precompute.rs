@@ -93,6 +93,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
         lane: lane.described.clone(),
     };
     let copy = LogCopy::begin(&log, &args.output, &precomputed, &agents)?;
+    if !copy.strange().is_empty() {
+        let topics = copy.strange().join(", ");
+        eprintln!(
+            "realo: {}: not copied, for realo does not read them: {topics}",
+            args.log.display()
+        );
+    }
     let spool = Spool::create(&args.output)?;
     let spool = compute(&lane, &agents, spool)?;
     let sent = write(copy, spool)?;

@@ -172,7 +172,7 @@ pub fn precomputed(
     if let Some(difference) = known.difference(&lane.described(graph, networks)?) {
         bail!(
             "{path}: its messages of {} do not fit {file}: they were computed {difference}; take the log that it was made of, \
-             and `realo precompute` it with this graph and these options, or play it as it is",
+             or `realo precompute` that one with this graph and these options",
             known.agents.join(", ")
         );
     }
