@@ -1,6 +1,7 @@
-"""Frames, boxes and clouds: x forward, y left, z up, yaw from +x towards +y; metres, radians, poses as 4×4 matrices.
+"""Frames, boxes, clouds and feature maps: x forward, y left, z up, yaw from +x towards +y; metres, radians, poses as 4×4 matrices.
 
-`to_from_from @ point_in_from`, so poses compose by `@`. Boxes and clouds are dicts of columns.
+`to_from_from @ point_in_from`, so poses compose by `@`. Boxes and clouds are dicts of columns,
+feature maps have `data` of `[rows (y), columns (x), channels]`.
 """
 
 import numpy as np
@@ -48,6 +49,43 @@ def transform_cloud(to_from_from, cloud):
     """A cloud in another frame; the other columns are shared."""
     rows = zip("xyz", to_from_from.astype(np.float32))
     return {**cloud, **{axis: a * cloud["x"] + b * cloud["y"] + c * cloud["z"] + d for axis, (a, b, c, d) in rows}}
+
+
+def same_grid(one, other):
+    """Whether two feature maps are of one model, size and place, with f32 numbers of which all are finite."""
+    names = ("rows", "columns", "channels", "cell", "model", "dtype")
+    same = all(one[name] == other[name] for name in names) and list(one["origin"]) == list(other["origin"])
+    return same and one["dtype"] == "f32" and bool(np.isfinite(other["data"]).all())
+
+
+def warp_map(to_from_from, feature_map):
+    """The features of a map at the cells of a map of the same grid in another frame, `[rows, columns, channels]`, and which
+    of these cells it covers, `[rows, columns]`.
+
+    Bilinear between the four cells around, zeros outside. The map moves as the ground, z = 0, moves.
+    """
+    data, cell, origin = feature_map["data"], feature_map["cell"], np.asarray(feature_map["origin"])
+    size = np.array(data.shape[:2])
+    x, y = (origin[i] + (np.arange(n) + 0.5) * cell for i, n in ((0, size[1]), (1, size[0])))
+    own = inverse(to_from_from)[:2]
+    # Rows and columns of the map, not yet whole, at each cell.
+    x, y = ((a * x + b * y[:, None] + d - start) / cell - 0.5 for (a, b, _, d), start in zip(own, origin))
+    place = np.stack([y, x], axis=-1)
+    first = np.floor(place)
+    out = np.zeros(data.shape, np.float32)
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        weight = np.prod(np.where(corner, place - first, 1 - (place - first)), axis=-1)
+        inside, rows, columns = _cells(first + corner, size)
+        weight = np.where(inside, weight, 0).astype(np.float32)
+        out += weight[..., None] * data[rows, columns]
+    return out, _cells(np.rint(place), size)[0]
+
+
+def _cells(place, size):
+    """Which places lie on a map, and their rows and columns; of others those of its edge."""
+    inside = ((place >= 0) & (place < size)).all(axis=-1)
+    rows, columns = np.moveaxis(np.clip(place, 0, size - 1).astype(int), -1, 0)
+    return inside, rows, columns
 
 
 def select(columns, which):

@@ -183,6 +183,32 @@ class TestGeometry(unittest.TestCase):
         points = geometry.transform_cloud(quarter, cloud(3).payload)
         np.testing.assert_allclose([points["x"], points["y"]], [[10, 9, 8], [0, 1, 2]], atol=1e-6)
 
+    def test_maps_move_with_the_ground(self):
+        data = np.arange(5 * 7 * 2, dtype=np.float32).reshape(5, 7, 2)
+        map_ = {"rows": 5, "columns": 7, "channels": 2, "cell": 0.8, "origin": [-2.0, -1.6], "dtype": "f32", "model": "m"}
+        map_["data"] = data
+        # Two cells ahead and one to the right: its cell (1, 0) is the cell (0, 2) of the frame that it comes to.
+        moved, covered = geometry.warp_map(geometry.matrix([1.6, -0.8, 0.3, 0, 0, 0, 1]), map_)
+        np.testing.assert_allclose(moved[:4, 2:], data[1:, :5], atol=1e-4)
+        np.testing.assert_array_equal(covered, [[row < 4 and column > 1 for column in range(7)] for row in range(5)])
+        half, _ = geometry.warp_map(geometry.matrix([0.4, 0, 0, 0, 0, 0, 1]), map_)
+        np.testing.assert_allclose(half[:, 1:], (data[:, 1:] + data[:, :-1]) / 2, atol=1e-4)
+        around, covered = geometry.warp_map(geometry.matrix([1.6, 0.8, 0, 0, 0, 1, 0]), map_)
+        np.testing.assert_allclose(around[0, 0], data[4, 6], atol=1e-4)
+        self.assertTrue(covered.all())
+        _, far = geometry.warp_map(geometry.matrix([1e6, 0, 0, 0, 0, 0, 1]), map_)
+        self.assertFalse(far.any())
+
+    def test_maps_that_do_not_fit_are_seen(self):
+        data = np.zeros((2, 1, 3), np.float32)
+        map_ = {"rows": 2, "columns": 1, "channels": 3, "cell": 0.8, "origin": np.zeros(2), "dtype": "f32", "model": "m"}
+        map_["data"] = data
+        self.assertTrue(geometry.same_grid(map_, {**map_, "origin": [0, 0]}))
+        poisoned = np.array(data)
+        poisoned[0, 0, 1] = np.nan
+        for change in ({"model": "n"}, {"cell": 0.4}, {"origin": [0, 1]}, {"rows": 3}, {"data": poisoned}):
+            self.assertFalse(geometry.same_grid(map_, {**map_, **change}), change)
+
     def test_iou_of_cases_by_hand(self):
         one = boxes((0, 0, 4, 2, 0))
         cases = [((0, 0, 4, 2, 0), 1), ((2, 0, 4, 2, 0), 1 / 3), ((0, 0, 4, 2, math.pi / 2), 1 / 3)]

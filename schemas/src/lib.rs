@@ -4,6 +4,7 @@
 //! [`geometry`] holds what follows from frames and boxes alone, and
 //! [`file`] reads what people write by hand. No other I/O, no dora, no networks.
 
+pub mod feature_map;
 pub mod file;
 pub mod geometry;
 mod header;

@@ -1,5 +1,3 @@
-use std::borrow::Cow;
-
 use arrow_buffer::{Buffer, ScalarBuffer};
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -156,23 +154,6 @@ impl FeatureMap {
     /// Bytes of a map of this shape; no three dimensions are too great for 128 bits.
     pub fn size_of([rows, columns, channels]: [u32; 3], dtype: DType) -> u128 {
         [rows, columns, channels].map(u128::from).iter().product::<u128>() * dtype.size() as u128
-    }
-
-    /// The numbers of a map of f32: those of the message, or a copy where they do not lie as numbers do; `None` of other
-    /// elements, or where their count is not what the shape says.
-    pub fn numbers(&self) -> Option<Cow<'_, [f32]>> {
-        let shape = [self.rows, self.columns, self.channels];
-        if self.dtype != DType::F32 || self.data.len() as u128 != Self::size_of(shape, self.dtype) {
-            return None;
-        }
-        let lies_well = self.data.as_ptr().align_offset(align_of::<f32>()) == 0;
-        Some(match cfg!(target_endian = "little") && lies_well {
-            true => Cow::Borrowed(self.data.typed_data()),
-            false => {
-                let numbers = self.data.as_chunks::<4>().0.iter().copied();
-                Cow::Owned(numbers.map(f32::from_le_bytes).collect())
-            }
-        })
     }
 }
 

@@ -1,34 +1,52 @@
 //! Builds crates of plug-ins as their authors would, without the network.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
+use std::sync::Mutex;
 
 use crate::common::{REALO, root, text};
 
 /// The program of `examples/fusion_nearest`.
 pub fn fusion_nearest() -> PathBuf {
-    static BUILT: OnceLock<PathBuf> = OnceLock::new();
-    let built = BUILT.get_or_init(|| {
-        cargo(&example(), &["build", "--release"]);
-        target().join("release/fusion-nearest")
-    });
-    built.clone()
+    built("fusion_nearest", "fusion-nearest")
 }
 
-/// The example, with the versions that the workspace was tested with.
+/// The program of an example, built once.
+pub fn built(folder: &str, program: &str) -> PathBuf {
+    static BUILT: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let mut built = BUILT.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    if built.insert(folder.into()) {
+        cargo(&example_named(folder), &["build", "--release"]);
+    }
+    target().join("release").join(program)
+}
+
+/// `examples/fusion_nearest`.
 pub fn example() -> PathBuf {
-    let example = root().join("examples/fusion_nearest");
+    example_named("fusion_nearest")
+}
+
+/// An example, with the versions that the workspace was tested with and the target folder that all plug-ins share.
+pub fn example_named(folder: &str) -> PathBuf {
+    let example = root().join("examples").join(folder);
     if !example.join("Cargo.lock").exists() {
         fs::copy(root().join("Cargo.lock"), example.join("Cargo.lock")).expect("the lock file can be copied");
+    }
+    let own = example.join("target");
+    if own != target() && !own.exists() {
+        fs::create_dir_all(target()).expect("the folder can be made");
+        let linked = std::os::unix::fs::symlink(target(), &own);
+        // Another test may have made it.
+        assert!(linked.is_ok() || own.exists(), "links can be made: {linked:?}");
     }
     example
 }
 
-/// Where plug-ins are built: all of them share it.
+/// Where plug-ins are built.
 pub fn target() -> PathBuf {
-    example().join("target")
+    root().join("examples/fusion_nearest/target")
 }
 
 /// Runs cargo on a crate, which must succeed; gives what it said.

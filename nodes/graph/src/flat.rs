@@ -463,7 +463,7 @@ impl FlatGraph {
     }
 
     /// The sending end of a wire by its process: dora knows no stages within one.
-    fn as_dora_has_it(&self, source: &InputSource) -> InputSource {
+    pub(super) fn as_dora_has_it(&self, source: &InputSource) -> InputSource {
         let InputSource::Output { node, output } = source else {
             return source.clone();
         };

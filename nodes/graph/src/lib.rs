@@ -15,6 +15,7 @@ mod params;
 mod paths;
 mod place;
 mod read;
+mod rewire;
 mod variables;
 
 #[cfg(test)]

@@ -4,6 +4,8 @@
 //! gives the same bits each time. Time is the log's; computing takes what the [`ComputeProfile`] says. A plug-in runs as a
 //! child process and answers one call at a time, so it changes nothing in that order.
 
+use std::time::Instant;
+
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
 use realo_operator::{Books, Built, Outputs};
 use realo_schemas::{Message, Nanos};
@@ -29,6 +31,19 @@ pub type Observer<'a> = Box<dyn FnMut(&str, &str, &Message) + 'a>;
 /// # Errors
 /// [`RunError`] names the stage that could not be built or go on.
 pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>) -> Result<Books, RunError> {
+    simulate(stages, Some(compute), observer)
+}
+
+/// As [`run`], but a call takes in virtual time what it takes on this machine, on which the calls are made one by one. What
+/// is sent stays the same as long as no stage is late; when it is sent is not repeatable.
+///
+/// # Errors
+/// As [`run`].
+pub fn measure(stages: &Stages, observer: Option<Observer>) -> Result<Books, RunError> {
+    simulate(stages, None, observer)
+}
+
+fn simulate(stages: &Stages, compute: Option<&ComputeProfile>, observer: Option<Observer>) -> Result<Books, RunError> {
     let mut wiring = stages.wiring.clone();
     for stage in &mut wiring.stages {
         stage.leaves.fill(observer.is_some());
@@ -53,7 +68,8 @@ pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>
 struct Simulation<'a> {
     engine: Engine,
     built: Vec<Built>,
-    compute: &'a ComputeProfile,
+    /// `None`: as measured.
+    compute: Option<&'a ComputeProfile>,
     observer: Option<Observer<'a>>,
 }
 
@@ -80,6 +96,7 @@ impl Simulation<'_> {
 
     fn call(&mut self, Task { ticket, call, fates }: Task, now: Nanos) -> Result<(), EngineError> {
         let registration = self.engine.registration(ticket.stage);
+        let begun = Instant::now();
         let called = call.make(
             &mut self.built[ticket.stage],
             registration,
@@ -87,9 +104,10 @@ impl Simulation<'_> {
             &fates,
         );
         let trigger = called.trigger(ticket.cause, registration);
-        let took = match ticket.is_end() {
-            true => 0,
-            false => self.compute.of(self.engine.id(ticket.stage), &trigger),
+        let took = match self.compute {
+            _ if ticket.is_end() => 0,
+            Some(profile) => profile.of(self.engine.id(ticket.stage), &trigger),
+            None => Nanos::try_from(begun.elapsed().as_nanos()).unwrap_or(Nanos::MAX),
         };
         let done = ticket.start + took;
         self.engine.complete(&ticket, called, done, took)?;

@@ -221,6 +221,9 @@ impl fmt::Display for Description {
         writeln!(f, "  program   {}", self.info.program)?;
         writeln!(f, "  protocol  {}", self.info.protocol)?;
         write_time(f, self.first, self.duration_s)?;
+        if let Some(precomputed) = &self.info.precomputed {
+            writeln!(f, "  computed  {precomputed}")?;
+        }
         write!(f, "  scored    {}", self.info.key_frames)?;
         for (agent, frames) in self.scored_frames.iter().flatten() {
             write!(f, "; {agent} {frames}")?;

@@ -4,12 +4,14 @@ use std::path::Path;
 use realo_schemas::Nanos;
 use serde::{Deserialize, Serialize};
 
-use crate::LogError;
+use crate::{LogError, Precomputed};
 
 /// Name of the metadata record of a log.
 pub const LOG_RECORD: &str = "realo";
 /// Name of the metadata record that a finished log ends with.
 pub const END_RECORD: &str = "realo_end";
+/// Key of the record that says what was computed beforehand.
+const PRECOMPUTED: &str = "precomputed";
 /// Version of the layout.
 pub const FORMAT: &str = "1";
 
@@ -70,6 +72,9 @@ pub struct LogInfo {
     pub start: Option<Nanos>,
     /// Log time of the last message, ns, where known beforehand; a cut log is told by it.
     pub end: Option<Nanos>,
+    /// What of it was computed beforehand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub precomputed: Option<Precomputed>,
 }
 
 impl LogInfo {
@@ -84,6 +89,7 @@ impl LogInfo {
             key_frames: "every sweep with ground truth".into(),
             start: None,
             end: None,
+            precomputed: None,
         }
     }
 
@@ -110,6 +116,10 @@ impl LogInfo {
             if let Some(time) = time {
                 record.insert(key.into(), time.to_string());
             }
+        }
+        if let Some(precomputed) = &self.precomputed {
+            let text = serde_json::to_string(precomputed).expect("texts are plain data");
+            record.insert(PRECOMPUTED.into(), text);
         }
         record
     }
@@ -143,6 +153,8 @@ impl LogInfo {
         let agents: Vec<AgentInfo> =
             serde_json::from_str(&get("agents")?).map_err(|error| bad("agents", error.to_string()))?;
         check_agents(&agents).map_err(|reason| bad("agents", reason))?;
+        let precomputed = record.get(PRECOMPUTED).map(|text| serde_json::from_str(text));
+        let precomputed = precomputed.transpose();
         Ok(LogInfo {
             program: get("program")?,
             source: get("source")?,
@@ -152,6 +164,7 @@ impl LogInfo {
             key_frames: get("key_frames")?,
             start: time("start")?,
             end: time("end")?,
+            precomputed: precomputed.map_err(|error| bad(PRECOMPUTED, error.to_string()))?,
         })
     }
 }
@@ -221,6 +234,29 @@ mod tests {
             assert!(
                 error.contains(&format!("`{}` cannot name", shown.escape_debug())),
                 "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_precomputed_is_read_back_or_refused() {
+        let mut info = LogInfo::new("a test", vec![]);
+        assert!(!info.to_record().contains_key(PRECOMPUTED));
+        info.precomputed = Some(Precomputed {
+            graph: "attfuse".into(),
+            agents: vec!["rsu1".into()],
+            compute: "measured".into(),
+            lane: vec![],
+        });
+        let mut record = info.to_record();
+        let read = |record: &BTreeMap<String, String>| LogInfo::from_record(Path::new("a.mcap"), record);
+        assert_eq!(read(&record).unwrap(), info);
+        for wrong in ["", "[]", "{\"graph\": 3}", "{\"graph\": \"a\", \"agents\": []}"] {
+            record.insert(PRECOMPUTED.into(), wrong.into());
+            let error = read(&record).unwrap_err().to_string();
+            assert!(
+                error.contains("a.mcap") && error.contains("metadata `precomputed`"),
+                "{wrong}: {error}"
             );
         }
     }

@@ -10,12 +10,13 @@
 //! | `/<agent>/ground_truth` | the same | all objects at a sweep's stamp, in the agent's true body frame; `id` is the track |
 //! | `/<agent>/detections_info`, `/<agent>/ground_truth_info` | `realo_msgs/msg/BoxesInfo` | companion: exact headings, velocities, covariances, the agent's own point counts, whether the frame is scored |
 //! | `/<agent>/ground_truth_markers` | `visualization_msgs/msg/MarkerArray` | for viewers |
+//! | `/<agent>/packets` | `realo_msgs/msg/SentPacket` | what the agent gives to the link of a sweep, computed beforehand ([`LogCopy`]) |
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | for viewers: map from body as believed |
 //! | `/tf_static` | `tf2_msgs/msg/TFMessage` | of others: how frames lie in each other |
 //!
 //! Log time is when a message existed (a sweep: its end), publish time the measurement's stamp; the message's sequence
 //! counts per topic from 0. Messages of one sweep (points, detections, truth) share their stamp. Chunks are zstd, at
-//! most 0.5 s long, and never hold clouds beside other messages. A log that was cut is read up to the time before which
+//! most 0.5 s long, and never hold clouds or packets beside other messages. A log that was cut is read up to the time before which
 //! neither clouds nor anything else is missing. The metadata record `realo` at the beginning says what
 //! the log is ([`LogInfo`]); `realo_end` lists the scored frames. `docs/log-format.md` has all that a writer must know.
 //!
@@ -33,7 +34,9 @@ mod log;
 mod log_writer;
 mod mcap_file;
 mod mcap_writer;
+pub mod packets;
 pub mod pose;
+mod precomputed;
 mod records;
 mod schema;
 mod sweeps;
@@ -47,6 +50,8 @@ pub use log::{Entry, Log, LogReader};
 pub use log_writer::LogWriter;
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
+pub use packets::SentPacket;
+pub use precomputed::{LaneStage, LogCopy, Precomputed};
 pub use schema::Schema;
 pub use sweeps::SweepsInfo;
 pub use topics::Stream;

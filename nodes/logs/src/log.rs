@@ -9,6 +9,7 @@ use crate::frames::bare;
 use crate::info::{END_RECORD, LOG_RECORD};
 use crate::log_writer::body;
 use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
+use crate::packets::{self, SentPacket};
 use crate::sweeps::{Context, SweepsInfo};
 use crate::{BoxesInfo, LogError, LogInfo, Stream, boxes, pose};
 
@@ -69,6 +70,16 @@ impl Log {
             truncation,
             streams,
         })
+    }
+
+    pub(crate) fn file(&self) -> &McapFile {
+        &self.file
+    }
+
+    /// The channels of the file that have messages.
+    pub(crate) fn topics_by_id(&self) -> impl Iterator<Item = (u16, &ChannelInfo)> {
+        let channels = self.file.channels().iter().map(|(id, channel)| (*id, channel));
+        channels.filter(|(_, channel)| channel.messages > 0)
     }
 
     /// The file's path.
@@ -272,7 +283,7 @@ pub(crate) fn join<'a>(names: impl Iterator<Item = &'a str>) -> String {
     }
 }
 
-fn parse_topic(topic: &str) -> Option<(String, Stream)> {
+pub(crate) fn parse_topic(topic: &str) -> Option<(String, Stream)> {
     let (agent, rest) = topic.strip_prefix('/')?.split_once('/')?;
     let stream = Stream::ALL.into_iter().find(|stream| stream.as_str() == rest)?;
     Some((agent.into(), stream))
@@ -416,6 +427,21 @@ impl Entry {
         boxes::decode_info(self.data(), boxes)
             .map(|(_, info)| info)
             .map_err(|reason| self.bad(reason))
+    }
+
+    /// What the agent sent ([`Stream::Packets`]).
+    ///
+    /// # Errors
+    /// Bytes that are no such message, or of another stamp.
+    pub fn packet(&self) -> Result<SentPacket, LogError> {
+        let read = || match packets::decode(self.data())? {
+            (stamp, packet) if stamp == self.stamp() => Ok(packet),
+            (stamp, _) => Err(format!(
+                "its stamp is {stamp} ns, expected its publish time, {} ns",
+                self.stamp()
+            )),
+        };
+        read().map_err(|reason| self.bad(reason))
     }
 
     /// Stamp in the message itself ([`Stream::Sweeps`]).

@@ -47,9 +47,7 @@ impl LogWriter {
     /// As [`LogWriter::create`].
     pub fn create_atomic(path: impl AsRef<Path>, info: &LogInfo) -> Result<Self, LogError> {
         let target = path.as_ref();
-        let mut name = target.file_name().unwrap_or_default().to_os_string();
-        name.push(format!(".{}.partial", std::process::id()));
-        let mut writer = Self::create(target.with_file_name(name), info)?;
+        let mut writer = Self::create(partial(target), info)?;
         writer.target = Some(target.into());
         Ok(writer)
     }
@@ -284,8 +282,15 @@ impl Drop for LogWriter {
 }
 
 /// The writer is there until `finish` takes it together with the whole log writer.
-fn open(mcap: &mut Option<McapWriter>) -> &mut McapWriter {
+pub(crate) fn open(mcap: &mut Option<McapWriter>) -> &mut McapWriter {
     mcap.as_mut().expect("finish consumes the log writer")
+}
+
+/// Where a file is written that appears when it is finished.
+pub(crate) fn partial(target: &Path) -> PathBuf {
+    let mut name = target.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".{}.partial", std::process::id()));
+    target.with_file_name(name)
 }
 
 pub(crate) fn body(agent: &str) -> String {

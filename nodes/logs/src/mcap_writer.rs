@@ -43,18 +43,23 @@ pub struct ChannelId(u16);
 /// Messages of different lanes never share a chunk, so that small ones can be read without decompressing clouds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Lane {
-    /// Everything but clouds.
+    /// Everything but clouds and packets.
     Small,
     /// Clouds.
     Bulk,
+    /// What agents send, computed beforehand.
+    Packets,
 }
 
 impl Lane {
+    const ALL: [Lane; 3] = [Lane::Small, Lane::Bulk, Lane::Packets];
+
     /// The lane of messages of a schema, by its name.
     pub fn of(schema: &str) -> Self {
-        match schema == Schema::PointCloud2.name() {
-            true => Lane::Bulk,
-            false => Lane::Small,
+        match Schema::named(schema) {
+            Some(Schema::PointCloud2) => Lane::Bulk,
+            Some(Schema::SentPacket) => Lane::Packets,
+            _ => Lane::Small,
         }
     }
 }
@@ -120,7 +125,7 @@ type Work = (OpenChunk, SyncSender<Packed>);
 pub struct McapWriter {
     channels: Vec<Channel>,
     schemas: Vec<Schema>,
-    open: [OpenChunk; 2],
+    open: [OpenChunk; Lane::ALL.len()],
     span: Option<(u64, u64)>,
     work: Option<SyncSender<Work>>,
     order: Option<SyncSender<Receiver<Packed>>>,
@@ -159,7 +164,7 @@ impl McapWriter {
         let mut mcap = McapWriter {
             channels: Vec::new(),
             schemas: Vec::new(),
-            open: [OpenChunk::default(), OpenChunk::default()],
+            open: Default::default(),
             span: None,
             work: Some(work),
             order: Some(order),
@@ -212,6 +217,37 @@ impl McapWriter {
         publish_time: u64,
         encode: impl FnOnce(&mut Vec<u8>),
     ) -> Result<u64, Failure> {
+        let ChannelId(id) = channel;
+        let number = self.channels[usize::from(id)].count;
+        self.put(channel, number as u32, log_time, publish_time, encode)?;
+        Ok(number)
+    }
+
+    /// Adds a message of another file as it is, with its number there.
+    ///
+    /// # Errors
+    /// As [`McapWriter::write`].
+    pub fn copy(
+        &mut self,
+        channel: ChannelId,
+        number: u32,
+        log_time: u64,
+        publish_time: u64,
+        data: &[u8],
+    ) -> Result<(), Failure> {
+        self.put(channel, number, log_time, publish_time, |out| {
+            out.extend_from_slice(data)
+        })
+    }
+
+    fn put(
+        &mut self,
+        channel: ChannelId,
+        number: u32,
+        log_time: u64,
+        publish_time: u64,
+        encode: impl FnOnce(&mut Vec<u8>),
+    ) -> Result<(), Failure> {
         let too_long = |open: &OpenChunk| !open.records.is_empty() && open.span_with(log_time) >= CHUNK_NANOS;
         if self.open.iter().any(too_long) {
             self.flush()?;
@@ -219,7 +255,6 @@ impl McapWriter {
         self.announce(channel);
         let ChannelId(id) = channel;
         let known = &mut self.channels[usize::from(id)];
-        let number = known.count;
         known.count += 1;
         self.span = Some(
             self.span
@@ -230,7 +265,7 @@ impl McapWriter {
         open.note(id, log_time);
         record(&mut open.records, op::MESSAGE, |out| {
             out.extend(id.to_le_bytes());
-            out.extend((number as u32).to_le_bytes());
+            out.extend(number.to_le_bytes());
             out.extend(log_time.to_le_bytes());
             out.extend(publish_time.to_le_bytes());
             encode(out);
@@ -238,14 +273,12 @@ impl McapWriter {
         if open.records.len() >= CHUNK_BYTES {
             self.close(lane);
         }
-        self.check()?;
-        Ok(number)
+        self.check()
     }
 
     /// Adds a metadata record behind what was written so far.
     pub fn metadata(&mut self, name: &str, entries: &BTreeMap<String, String>) {
-        self.close(Lane::Small);
-        self.close(Lane::Bulk);
+        self.close_all();
         let mut bytes = Vec::new();
         record(&mut bytes, op::METADATA, |out| {
             text(out, name);
@@ -263,8 +296,7 @@ impl McapWriter {
     /// # Errors
     /// Why an earlier chunk could not be written.
     pub fn flush(&mut self) -> Result<(), Failure> {
-        self.close(Lane::Small);
-        self.close(Lane::Bulk);
+        self.close_all();
         self.check()
     }
 
@@ -316,6 +348,10 @@ impl McapWriter {
         let records = &mut self.open[channel.lane as usize].records;
         write_schema(records, channel.schema, self.schemas[usize::from(channel.schema) - 1]);
         write_channel(records, id, channel);
+    }
+
+    fn close_all(&mut self) {
+        Lane::ALL.into_iter().for_each(|lane| self.close(lane));
     }
 
     fn close(&mut self, lane: Lane) {

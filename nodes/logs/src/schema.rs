@@ -21,9 +21,29 @@ pub enum Schema {
     String,
     /// Headers of what crossed a link.
     PacketInfo,
+    /// What an agent sent, computed beforehand.
+    SentPacket,
 }
 
 impl Schema {
+    const ALL: [Schema; 10] = [
+        Schema::PointCloud2,
+        Schema::Header,
+        Schema::PoseWithCovarianceStamped,
+        Schema::Detection3DArray,
+        Schema::BoxesInfo,
+        Schema::MarkerArray,
+        Schema::TfMessage,
+        Schema::String,
+        Schema::PacketInfo,
+        Schema::SentPacket,
+    ];
+
+    /// The schema of a name, if it is one of these.
+    pub fn named(name: &str) -> Option<Self> {
+        Schema::ALL.into_iter().find(|schema| schema.name() == name)
+    }
+
     /// Name in MCAP, `package/msg/Type`.
     pub fn name(self) -> String {
         self.short().replacen('/', "/msg/", 1)
@@ -62,6 +82,7 @@ impl Schema {
             Schema::TfMessage => "tf2_msgs/TFMessage",
             Schema::String => "std_msgs/String",
             Schema::PacketInfo => "realo_msgs/PacketInfo",
+            Schema::SentPacket => "realo_msgs/SentPacket",
         }
     }
 }
@@ -188,6 +209,15 @@ const DEFINITIONS: &[(&str, &str)] = &[
          int64 ready\n\
          # Codecs, first applied first, and the size they left.\n\
          string[] codec\nuint64 bytes\n",
+    ),
+    (
+        "realo_msgs/SentPacket",
+        "# A message as its sender gave it to the link. The header's frame is that of the content.\n\
+         std_msgs/Header header\n\
+         # points, features or boxes, and the number of the sweep.\n\
+         string kind\nuint64 seq\n\
+         # Codecs, first applied first.\n\
+         string[] codec\nuint8[] data\n",
     ),
 ];
 

@@ -22,11 +22,13 @@ pub enum Stream {
     GroundTruthInfo,
     /// Ground truth for viewers.
     GroundTruthMarkers,
+    /// What the agent sends of its sweeps, computed beforehand.
+    Packets,
 }
 
 impl Stream {
     /// Every stream; at equal log times messages are read in this order.
-    pub const ALL: [Stream; 9] = [
+    pub const ALL: [Stream; 10] = [
         Stream::Pose,
         Stream::PoseTruth,
         Stream::Sweeps,
@@ -36,6 +38,7 @@ impl Stream {
         Stream::GroundTruth,
         Stream::GroundTruthInfo,
         Stream::GroundTruthMarkers,
+        Stream::Packets,
     ];
 
     /// The part of the topic behind the agent's name.
@@ -50,6 +53,7 @@ impl Stream {
             Stream::GroundTruth => "ground_truth",
             Stream::GroundTruthInfo => "ground_truth_info",
             Stream::GroundTruthMarkers => "ground_truth_markers",
+            Stream::Packets => "packets",
         }
     }
 
@@ -67,6 +71,7 @@ impl Stream {
             Stream::Detections | Stream::GroundTruth => Schema::Detection3DArray,
             Stream::DetectionsInfo | Stream::GroundTruthInfo => Schema::BoxesInfo,
             Stream::GroundTruthMarkers => Schema::MarkerArray,
+            Stream::Packets => Schema::SentPacket,
         }
     }
 

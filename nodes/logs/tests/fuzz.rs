@@ -12,8 +12,8 @@ use damage::{Draw, cases, most_held};
 use mcap::records::op;
 use nalgebra::Isometry3;
 use realo_logs::cdr::CdrWriter;
-use realo_logs::{BoxesInfo, Log, LogError, McapFile, Stream, boxes, cloud, describe_any, pose};
-use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
+use realo_logs::{BoxesInfo, Log, LogError, McapFile, SentPacket, Stream, boxes, cloud, describe_any, packets, pose};
+use realo_schemas::{Box3, Boxes, EgoState, Kind, Nanos, PointCloud, PoseStatus};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 const START: u64 = 1_700_000_000_000_000_000;
@@ -74,6 +74,7 @@ fn read(path: &Path) -> Result<u64, LogError> {
                 let _ = entry.info(&mut boxes);
             }
             Stream::GroundTruthMarkers => {}
+            Stream::Packets => drop(entry.packet()),
         }
         read += 1;
     }
@@ -237,6 +238,13 @@ fn channels() -> Vec<Channel> {
         points: Some(vec![5]),
         ..BoxesInfo::default()
     };
+    let packet = SentPacket {
+        seq: 3,
+        kind: Kind::Features,
+        frame: "a/body".into(),
+        codec: vec!["plain".into()],
+        bytes: (0..99).collect(),
+    };
     for agent in ["a", "b"] {
         let (body, sensor) = (format!("{agent}/body"), if agent == "b" { "b/lidar" } else { "a/body" });
         for stream in Stream::ALL {
@@ -253,6 +261,7 @@ fn channels() -> Vec<Channel> {
                 Stream::GroundTruthMarkers => {
                     payloads(&|out, k| boxes::encode_markers(out, stamp(k), &body, "x", &[object()]))
                 }
+                Stream::Packets => payloads(&|out, k| packets::encode(out, stamp(k), &packet)),
             };
             channels.push(Channel {
                 topic: stream.topic(agent),

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use realo_logs::{Entry, Log, LogError, LogReader, Stream};
 use realo_operator::PortId;
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Payload, PointCloud, to_seconds};
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds};
 
 use crate::truth::TruthJoin;
 use crate::{PlannedRun, ports};
@@ -29,6 +29,8 @@ pub struct Script {
     pub true_poses: bool,
     pub points: bool,
     pub detections: bool,
+    /// Whether the collaborators' packets are played.
+    pub precomputed: bool,
     pub repeat: u32,
     /// Log times from (inclusive) and until (exclusive) which sweeps are played.
     pub from: Nanos,
@@ -87,9 +89,17 @@ impl Script {
         if truth { Stream::PoseTruth } else { Stream::Pose }
     }
 
+    fn is_precomputed(&self, agent: &str) -> bool {
+        self.precomputed && agent != self.cast.ego
+    }
+
+    fn wants_points(&self, agent: &str) -> bool {
+        self.points && !self.is_precomputed(agent)
+    }
+
     /// Sweeps by their points, or, where nobody wants these, by the topic that only says when they were taken.
     fn sweep_stream(&self, agent: &str) -> Stream {
-        match self.points || !self.log.has(agent, Stream::Sweeps) {
+        match self.wants_points(agent) || !self.log.has(agent, Stream::Sweeps) {
             true => Stream::Points,
             false => Stream::Sweeps,
         }
@@ -100,6 +110,9 @@ impl Script {
         for agent in self.cast.agents() {
             wanted.push((agent, self.pose_stream(agent)));
             wanted.push((agent, self.sweep_stream(agent)));
+            if self.is_precomputed(agent) {
+                wanted.push((agent, Stream::Packets));
+            }
             if self.detections {
                 let streams = [Stream::Detections, Stream::DetectionsInfo];
                 let there = streams.into_iter().filter(|stream| self.log.has(agent, *stream));
@@ -200,7 +213,7 @@ impl Feed {
             Stream::Pose | Stream::PoseTruth => self.send_pose(entry),
             _ if !playing => {}
             Stream::Points => {
-                let cloud = if self.script.points {
+                let cloud = if self.script.wants_points(&entry.agent) {
                     entry.cloud()?
                 } else {
                     PointCloud::empty()
@@ -210,6 +223,7 @@ impl Feed {
             Stream::Sweeps => self.send_sweep(entry, PointCloud::empty())?,
             Stream::Detections => self.take_detections(entry)?,
             Stream::DetectionsInfo => self.take_info(entry)?,
+            Stream::Packets => self.send_packet(entry)?,
             _ => {}
         }
         Ok(())
@@ -260,6 +274,18 @@ impl Feed {
         Ok(())
     }
 
+    fn send_packet(&mut self, entry: &Entry) -> Result<(), LogError> {
+        let sent = entry.packet()?;
+        let packet = Packet {
+            codec: sent.codec,
+            bytes: sent.bytes.into(),
+        };
+        let (port, mut message) = self.message(entry, sent.seq, sent.kind, [ports::PACKETS; 2], packet);
+        message.header.frame = sent.frame.into();
+        self.queue(entry, port, message);
+        Ok(())
+    }
+
     fn take_detections(&mut self, entry: &Entry) -> Result<(), LogError> {
         let boxes = entry.boxes()?;
         if !self.script.log.has(&entry.agent, Stream::DetectionsInfo) {
@@ -292,13 +318,21 @@ impl Feed {
         }
     }
 
-    fn send(&mut self, entry: &Entry, seq: u64, kind: Kind, [ego, other]: [PortId; 2], payload: impl Into<Payload>) {
-        let rank = self.agents.iter().position(|agent| *agent == entry.agent).unwrap_or(0);
-        let release = if self.script.offline {
-            entry.stamp()
-        } else {
-            entry.ready()
-        };
+    fn send(&mut self, entry: &Entry, seq: u64, kind: Kind, ports: [PortId; 2], payload: impl Into<Payload>) {
+        let (port, message) = self.message(entry, seq, kind, ports, payload);
+        self.queue(entry, port, message);
+    }
+
+    /// A message of this pass, and the port of its agent's lane.
+    fn message(
+        &self,
+        entry: &Entry,
+        seq: u64,
+        kind: Kind,
+        [ego, other]: [PortId; 2],
+        payload: impl Into<Payload>,
+    ) -> (PortId, Message) {
+        let rank = self.rank(entry);
         let shift = Nanos::from(self.pass) * self.period;
         let per_pass = match kind {
             Kind::EgoState => self.script.log.count(&entry.agent, entry.stream),
@@ -306,15 +340,36 @@ impl Feed {
         };
         let seq = seq + u64::from(self.pass) * per_pass;
         let (run, agent) = (&self.script.run, &self.agents[rank]);
-        let header = Header::origin(run, agent, kind, seq, entry.stamp() + shift, release + shift);
+        let header = Header::origin(
+            run,
+            agent,
+            kind,
+            seq,
+            entry.stamp() + shift,
+            self.release(entry) + shift,
+        );
         let port = if rank == 0 { ego } else { other };
+        (port, Message::new(header, payload))
+    }
+
+    fn queue(&mut self, entry: &Entry, port: PortId, message: Message) {
         let order = ports::ORDER.iter().position(|known| *known == port).unwrap_or(0);
-        let message = Message::new(header, payload);
         self.queue.push(Reverse(Queued {
-            key: (release, order, rank, seq),
+            key: (self.release(entry), order, self.rank(entry), message.header.seq),
             port,
             message,
         }));
+    }
+
+    fn rank(&self, entry: &Entry) -> usize {
+        self.agents.iter().position(|agent| *agent == entry.agent).unwrap_or(0)
+    }
+
+    fn release(&self, entry: &Entry) -> Nanos {
+        match self.script.offline {
+            true => entry.stamp(),
+            false => entry.ready(),
+        }
     }
 }
 

@@ -9,9 +9,10 @@
 //! | `poses` | EgoState | their poses |
 //! | `recorded` | Boxes | their recorded detections |
 //! | `truth` | GroundTruth | one for each of the ego's sweeps, in its true body frame |
+//! | `packets` | Packet | with `precomputed`, what the collaborators give to the link; their sweeps then have no points |
 //!
 //! Messages leave in order of their time on the log's line; at equal times poses go first, then clouds, recorded
-//! detections, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
+//! detections, packets, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
 //! up to the cut and counted as `log_truncated`.
 
 mod ahead;
@@ -36,6 +37,9 @@ pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
 /// Priority (`nice`) of the thread that reads ahead.
 const LOW_PRIORITY: i32 = 5;
 
+/// Of a point in memory.
+const POINT_BYTES: usize = 20;
+
 mod ports {
     use realo_operator::PortId;
 
@@ -46,8 +50,18 @@ mod ports {
     pub const POSES: PortId = PortId(4);
     pub const RECORDED: PortId = PortId(5);
     pub const TRUTH: PortId = PortId(6);
+    pub const PACKETS: PortId = PortId(7);
     /// Who goes first at equal times.
-    pub const ORDER: [PortId; 7] = [EGO_POSES, POSES, EGO_CLOUDS, CLOUDS, EGO_RECORDED, RECORDED, TRUTH];
+    pub const ORDER: [PortId; 8] = [
+        EGO_POSES,
+        POSES,
+        EGO_CLOUDS,
+        CLOUDS,
+        EGO_RECORDED,
+        RECORDED,
+        PACKETS,
+        TRUTH,
+    ];
 }
 
 /// Which poses are sent.
@@ -94,6 +108,8 @@ pub struct Config {
     pub points: bool,
     /// What to do about recorded detections.
     pub detections: Detections,
+    /// Whether the collaborators' messages are played that the log has precomputed.
+    pub precomputed: bool,
     /// Seconds of log time per second, in a realtime run.
     pub rate: f64,
     /// Passes over the log.
@@ -117,6 +133,7 @@ impl Default for Config {
             offline: false,
             points: true,
             detections: Detections::Optional,
+            precomputed: false,
             rate: 1.0,
             repeat: 1,
             start: 0.0,
@@ -183,6 +200,10 @@ impl Describe for Player {
             about: "recorded detections: optional, required or off",
         },
         Argument {
+            name: "precomputed",
+            about: "whether the log's packets of the collaborators are played, and their sweeps without points",
+        },
+        Argument {
             name: "rate",
             about: "seconds of log time per second, in a realtime run",
         },
@@ -227,6 +248,12 @@ impl Describe for Player {
             "ground truth for each of the ego's sweeps",
         )
         .of(Lane::Ego),
+        Port::new(
+            "packets",
+            &[PayloadType::Packet],
+            "what the collaborators give to the link, if it is precomputed",
+        )
+        .of(Lane::Others),
     ];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Log, "log"),
@@ -237,6 +264,7 @@ impl Describe for Player {
         (Decided::Rate, "rate"),
         (Decided::Points, "points"),
         (Decided::Detections, "detections"),
+        (Decided::Precomputed, "precomputed"),
     ];
 }
 
@@ -263,6 +291,7 @@ impl Source for Player {
             true_poses: config.pose == PoseSource::True,
             points: config.points,
             detections: config.detections != Detections::Off,
+            precomputed: config.precomputed,
             repeat: config.repeat,
             from,
             until,
@@ -317,6 +346,20 @@ fn check(config: &Config) -> Result<(), Error> {
     if config.repeat == 0 {
         return Err("player: `repeat` must be at least 1, found 0".into());
     }
+    if config.precomputed && config.repeat > 1 {
+        let found = config.repeat;
+        return Err(format!(
+            "player: `precomputed`: packets say their own number and time, so that `repeat` must be 1, found {found}"
+        )
+        .into());
+    }
+    if config.precomputed && config.offline {
+        return Err(
+            "player: `precomputed`: packets were made with poses and at times as recorded, which `offline` does not \
+                    play: leave one of the two"
+                .into(),
+        );
+    }
     if !config.start.is_finite() || config.start < 0.0 {
         return Err(format!("player: `start` must not be negative, found {}", config.start).into());
     }
@@ -344,8 +387,12 @@ fn need_topics(log: &Log, cast: &PlannedRun, config: &Config) -> Result<(), LogE
             Stream::Pose
         };
         log.need(agent, pose)?;
-        let bare = !config.points && log.has(agent, Stream::Sweeps);
+        let precomputed = config.precomputed && agent != cast.ego;
+        let bare = (precomputed || !config.points) && log.has(agent, Stream::Sweeps);
         log.need(agent, if bare { Stream::Sweeps } else { Stream::Points })?;
+        if precomputed {
+            log.need(agent, Stream::Packets)?;
+        }
         if config.detections == Detections::Required {
             log.need(agent, Stream::Detections)?;
         }
@@ -377,14 +424,7 @@ fn read_ahead(mut feed: Feed) -> Result<Taker<Next>, Error> {
         loop {
             let next = feed.next();
             let points = match &next {
-                Ok(Some((
-                    _,
-                    _,
-                    Message {
-                        payload: Payload::PointCloud(cloud),
-                        ..
-                    },
-                ))) => cloud.len(),
+                Ok(Some((_, _, message))) => points(&message.payload),
                 _ => 0,
             };
             let last = !matches!(next, Ok(Some(_)));
@@ -395,6 +435,15 @@ fn read_ahead(mut feed: Feed) -> Result<Taker<Next>, Error> {
     };
     thread::Builder::new().name("player-read".into()).spawn(read)?;
     Ok(releases)
+}
+
+/// What a payload takes of memory, in points.
+fn points(payload: &Payload) -> usize {
+    match payload {
+        Payload::PointCloud(cloud) => cloud.len(),
+        Payload::Packet(packet) => packet.bytes.len() / POINT_BYTES,
+        _ => 0,
+    }
 }
 
 #[cfg(test)]

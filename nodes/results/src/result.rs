@@ -94,6 +94,10 @@ pub struct Settings {
     /// Who brings what crosses the link to the ego's frame: `receiver`, `sender`, or empty where nobody can choose.
     #[serde(default)]
     pub project: String,
+    /// The collaborators whose messages came out of the log, and in brackets where the time comes from that making them
+    /// took: `measured`, or the name of a compute profile; empty where every agent computed.
+    #[serde(default)]
+    pub precomputed: String,
     /// Arguments changed by hand, `node.key=value`; files by their names alone.
     #[serde(default)]
     pub set: String,

@@ -6,7 +6,7 @@ use arrow::buffer::Buffer;
 use realo_nn::Loaded;
 use realo_nn::network::{BevMap, BevView};
 use realo_operator::{Argument, Error};
-use realo_schemas::{DType, FeatureMap, Name};
+use realo_schemas::{DType, FeatureMap, Name, feature_map};
 
 /// Argument of every operator with a network: its instructions.
 pub const ISA: Argument = Argument {
@@ -86,15 +86,8 @@ impl Maps {
             )
             .into());
         }
-        if map.dtype != DType::F32 {
-            return Err(format!("expected a map of f32, found {:?}", map.dtype).into());
-        }
-        let size = [map.rows, map.columns, map.channels].map(|n| n as usize);
-        let length = || format!("expected 4 bytes for each number of {size:?}, found {}", map.data.len());
-        Ok(Read {
-            size,
-            numbers: map.numbers().ok_or_else(length)?,
-        })
+        let (size, numbers) = (map.size(), map.numbers()?);
+        Ok(Read { size, numbers })
     }
 }
 
@@ -115,14 +108,11 @@ impl Read<'_> {
         self.size
     }
 
-    /// Whether all numbers are as a network makes them: none that is no number, none so great that sums of products of two
-    /// overflow.
+    /// Whether all numbers are as a network makes them, see [`feature_map::are_sound`].
     pub fn is_sound(&self) -> bool {
-        self.numbers.iter().all(|number| number.abs() <= GREATEST)
+        feature_map::are_sound(&self.numbers)
     }
 }
-
-const GREATEST: f32 = 1e15;
 
 #[cfg(test)]
 mod tests {

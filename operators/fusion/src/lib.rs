@@ -1,13 +1,18 @@
 //! What every fusion operator does before it fuses: pairs the ego's message with what the bank selected for it, puts the
 //! collaborators in order, places them in the ego's frame, and says what became of each.
 //!
-//! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group ([`inputs`]), and the output [`FUSED`].
+//! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group ([`inputs`]), and the output [`FUSED`]. One of BEV maps
+//! finds the collaborators' features at the cells of the ego's map by [`Set::maps`].
+
+mod maps;
 
 use nalgebra::Isometry3;
 use realo_operator::{Error, Lane, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::relative;
 use realo_schemas::report::Fate;
 use realo_schemas::{Header, Message, Payload, PayloadType, Selection, UnexpectedPayload};
+
+pub use maps::{Maps, PlacedMap};
 
 /// Input: the ego's own.
 pub const EGO: PortId = PortId(0);

@@ -324,6 +324,44 @@ mod tests {
     }
 
     #[test]
+    fn who_fuses_by_own_means_finds_the_same_features() {
+        let mut operator = operator("lite-fcooper");
+        let own = map(&operator, |_, _| -5.0);
+        let theirs = map(&operator, |row, column| {
+            (row as f32 * 0.7).sin() + (column as f32 * 0.3).cos()
+        });
+        let mut moved = header("cav2", 11.3);
+        let turned = UnitQuaternion::from_euler_angles(0.01, -0.02, 2.1);
+        if let Some(pose) = &mut moved.pose {
+            pose.map_from_frame.rotation = turned;
+        }
+        let (fused, _) = fuse(
+            &mut operator,
+            own.clone(),
+            vec![Message::new(moved.clone(), theirs.clone())],
+        );
+        let asked = Message::new(header("cav1", 0.0), own);
+        let entries = vec![Message::new(moved, theirs)];
+        let mut pairing = Pairing::default();
+        pairing.ego(asked.clone());
+        let selection = Message::new(asked.header, Selection { query: 7, entries });
+        let mut set: Set<FeatureMap> = pairing.selection(selection, None).unwrap();
+        let maps = set.maps().unwrap();
+        let (mut covered, mut found) = (0, [0.0; SIZE[2]]);
+        for (row, column) in (0..SIZE[0]).flat_map(|row| (0..SIZE[1]).map(move |column| (row, column))) {
+            let covers = maps.others[0].features_at(row, column, &mut found);
+            covered += usize::from(covers);
+            let expected = if covers { found[0] } else { -5.0 };
+            let there = feature(&fused, row, column);
+            assert!(
+                (there - expected).abs() < 1e-4,
+                "{row} {column}: {there}, expected {expected}"
+            );
+        }
+        assert!((1000..SIZE[0] * SIZE[1] - 1000).contains(&covered), "{covered}");
+    }
+
+    #[test]
     fn maps_that_cannot_be_fused_are_rejected_and_the_others_stay() {
         let mut operator = operator("lite-attfuse");
         let good = map(&operator, |_, _| 2.0);

@@ -63,6 +63,8 @@ pub enum Decided {
     Points,
     /// Whether the log's detections are played.
     Detections,
+    /// Whether what the log has precomputed is played.
+    Precomputed,
     /// Channel model of a link.
     Link,
     /// Seed of what is drawn.

@@ -105,7 +105,7 @@ impl Writer {
         if !are_finite(&map.data, map.dtype) {
             return Err(EncodeError::NotFinite("feature map"));
         }
-        let Some(numbers) = map.numbers().filter(|_| self.elements != Elements::F32) else {
+        let Some(numbers) = map.numbers().ok().filter(|_| self.elements != Elements::F32) else {
             return Ok((Elements::F32, 0));
         };
         let beyond = match self.elements {

@@ -5,8 +5,8 @@ use clap::{Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, compare, conformance, evaluate, host, import, info, operators, quantize, registry, render, run,
-    simulate, train, validate,
+    Outcome, bench, compare, conformance, evaluate, host, import, info, operators, precompute, quantize, registry,
+    render, run, simulate, train, validate,
 };
 
 /// Online cooperative perception for vehicles and roadside units, on dora
@@ -23,6 +23,7 @@ enum Command {
     Compare(compare::Args),
     Evaluate(evaluate::Args),
     Render(render::Args),
+    Precompute(precompute::Args),
     Simulate(simulate::Args),
     Train(train::Args),
     Quantize(quantize::Args),
@@ -72,6 +73,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),
         Command::Render(args) => render::main(&args),
+        Command::Precompute(args) => precompute::main(&args),
         Command::Simulate(args) => simulate::main(&args),
         Command::Train(args) => train::main(&args),
         Command::Quantize(args) => quantize::main(&args),

@@ -12,6 +12,7 @@ pub mod host;
 pub mod import;
 pub mod info;
 pub mod operators;
+pub mod precompute;
 mod quantize;
 mod registry;
 pub mod render;

@@ -46,12 +46,14 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
     let mut timing = TimingSamples::default();
     let mut result = RunResult::new(first.result.settings.clone());
     (result.runs, result.settings.seed) = (0, String::new());
-    let mut seeds = Vec::new();
+    let (mut seeds, mut precomputed) = (Vec::new(), Vec::new());
     for run in &ordered {
         timing.merge(&run.timing.samples);
         add(&mut result, &run.result);
         add_name(&mut seeds, &run.result.settings.seed);
+        add_name(&mut precomputed, &run.result.settings.precomputed);
     }
+    result.settings.precomputed = precomputed.join("; ");
     result.settings.seed = seeds.join(", ");
     result.settings.ego = result.egos.join(", ");
     result.conclude(&samples);
@@ -89,12 +91,17 @@ fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
         ("project", |s| &s.project),
         ("set", |s| &s.set),
     ];
+    let differ = |what, get: fn(&Settings) -> &String| PoolError::Differ {
+        what,
+        one: get(one).clone(),
+        other: get(other).clone(),
+    };
+    // Each ego has other collaborators; but either all of them computed, or none.
+    if one.precomputed.is_empty() != other.precomputed.is_empty() {
+        return Err(differ("precomputed", |s| &s.precomputed));
+    }
     match settings.into_iter().find(|(_, get)| get(one) != get(other)) {
-        Some((what, get)) => Err(PoolError::Differ {
-            what,
-            one: get(one).clone(),
-            other: get(other).clone(),
-        }),
+        Some((what, get)) => Err(differ(what, get)),
         None => Ok(()),
     }
 }

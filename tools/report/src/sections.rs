@@ -103,10 +103,11 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Settings that are shown if a run has them.
-const RARE: [Setting; 4] = [
+const RARE: [Setting; 5] = [
     ("projected by", |settings| &settings.project),
     ("model", |settings| &settings.model),
     ("kernels", |settings| &settings.isa),
+    ("precomputed", |settings| &settings.precomputed),
     ("changed", |settings| &settings.set),
 ];
 

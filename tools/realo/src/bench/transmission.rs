@@ -144,7 +144,7 @@ fn coding(sent: &Message, config: &EncoderConfig) -> Result<Coding> {
 }
 
 fn difference(sent: &FeatureMap, found: &FeatureMap) -> Result<f32> {
-    let (Some(sent), Some(found)) = (sent.numbers(), found.numbers()) else {
+    let (Ok(sent), Ok(found)) = (sent.numbers(), found.numbers()) else {
         bail!("expected maps of f32");
     };
     let differences = sent.iter().zip(&*found).map(|(sent, found)| (sent - found).abs());

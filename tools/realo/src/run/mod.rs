@@ -3,6 +3,7 @@
 mod compute;
 mod dora;
 mod folders;
+mod lane;
 mod networks;
 mod nodes;
 mod prepare;
@@ -24,6 +25,7 @@ use prepare::Cell;
 
 pub use dora::find as find_dora;
 pub(crate) use nodes::{argument, decided_argument};
+pub use prepare::{Lane, lane};
 pub use replay::replay;
 
 /// Runs graphs over logs and prints what came out, side by side

@@ -51,6 +51,19 @@ impl Networks {
         Ok(&self.0[&key])
     }
 
+    /// Name of the model of a node, with a hash of its file and weights; `None` without a network.
+    ///
+    /// # Errors
+    /// A model or weights that cannot be had.
+    pub fn identity(&mut self, node: &FlatNode) -> Result<Option<String>> {
+        let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
+        let Some(path) = value(Decided::Model) else {
+            return Ok(None);
+        };
+        let known = self.known(Path::new(&path), &value(Decided::Isa).unwrap_or_default())?;
+        Ok(Some(known.loaded.identity.clone()))
+    }
+
     /// Loads every network of a graph.
     ///
     /// # Errors

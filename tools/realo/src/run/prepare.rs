@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
-use realo_logs::{AgentKind, Log, Stream};
+use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_operator::Decided;
 use realo_results::{Settings, Told as ToldFile};
 
+use super::lane::{self, SendingLane};
 use super::networks::Networks;
 use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_relative_path, set_model,
@@ -81,7 +82,7 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
         let coop = args.coop.map_or(realo_player::Coop::All, super::Coop::for_player);
         let plan = realo_player::plan(&log, args.ego.as_deref().unwrap_or_default(), coop, &args.agents)?;
         for planned in plan.runs {
-            let ego = planned.ego;
+            let ego = planned.ego.clone();
             if planned.collaborators.is_empty() {
                 eprintln!("realo: {stem}: no agent can collaborate with {ego} in mode {coop}: it runs alone");
             }
@@ -97,8 +98,16 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 out: &out,
             };
             let (graph, mut settings) = told.to(&graph, &set)?;
-            let networks = networks.check(&graph)?;
-            (settings.isa, settings.model) = (networks.kernels, networks.models);
+            let words = networks.check(&graph)?;
+            (settings.isa, settings.model) = (words.kernels, words.models);
+            let played = lane::precomputed(&graph, &log, &planned, args.offline, &mut networks)?;
+            let graph = match played {
+                Some((played, words)) => {
+                    settings.precomputed = words;
+                    played
+                }
+                None => graph,
+            };
             spare(&graph, &logs)?;
             check(&graph)?;
             cells.push(Cell {
@@ -118,6 +127,74 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
         }
     }
     Ok(cells)
+}
+
+/// The lane of the agents that send, alone.
+pub struct Lane {
+    /// Its stages and the player, with all their arguments.
+    pub graph: FlatGraph,
+    /// The stage that gives packets to the link.
+    pub stage: String,
+    /// Its output.
+    pub output: String,
+    /// All that decides what it makes.
+    pub described: Vec<LaneStage>,
+    /// How long its stages take, if that is said.
+    pub compute: Option<ComputeProfile>,
+}
+
+/// The lane that sends to the one ego of the one log of the options.
+///
+/// # Errors
+/// As [`cells`]; a graph in which nobody sends what is made of sweeps.
+pub fn lane(args: &Args) -> Result<Lane> {
+    let set: Vec<Setting> = args.set.iter().map(|text| setting(text)).collect::<Result<_>>()?;
+    let path = &args.graphs[0];
+    let base = base_graph(args, &set, path)?;
+    let compute = args
+        .compute
+        .as_deref()
+        .map(|profile| compute::profile(Some(profile), &base));
+    let compute = compute.transpose()?;
+    if let Some(stranger) = compute
+        .iter()
+        .find_map(|profile| profile.stranger(|id| base.node(id).is_some()))
+    {
+        bail!(
+            "--compute: it names `{stranger}`, which is no stage of {}",
+            path.display()
+        );
+    }
+    let log_path = std::path::absolute(&args.log[0])?;
+    let log = Log::open(&log_path)?;
+    let told = Told {
+        args,
+        mode: Mode::Virtual,
+        graph: "",
+        log_path: &log_path,
+        log: &log,
+        ego: args.ego.as_deref().unwrap_or_default(),
+        coop: realo_player::Coop::All.as_str(),
+        out: Path::new(""),
+    };
+    let (graph, _) = told.to(&base, &set)?;
+    let mut networks = Networks::default();
+    networks.check(&graph)?;
+    check(&graph)?;
+    let Some(lane) = SendingLane::of(&graph)? else {
+        let file = path.display();
+        bail!("{file}: no agent sends what it makes of its sweeps in this graph: there is nothing to precompute");
+    };
+    if lane.knows_ego(&graph) {
+        eprintln!("realo: senders project: what they send is for {} alone", told.ego);
+    }
+    Ok(Lane {
+        described: lane.described(&graph, &mut networks)?,
+        graph: lane.cut_out(&graph),
+        stage: lane.stage,
+        output: lane.output,
+        compute,
+    })
 }
 
 /// A `--set`; a path in it, and the name of a file that is there, is seen from where the user is.
