@@ -14,6 +14,10 @@ pub struct Pillarer {
     net: PillarNet,
     canvas: Canvas,
     intensity: bool,
+    /// How far the model's frame lies above that of the points, m.
+    height: f32,
+    /// The points' z in the model's frame, where it is another one.
+    lowered: Vec<f32>,
 }
 
 impl Pillarer {
@@ -25,6 +29,8 @@ impl Pillarer {
             net: PillarNet::of(model, weights),
             canvas: Canvas::new(grid.rows(), grid.columns(), pillars.channels),
             intensity: pillars.intensity,
+            height: model.height() as f32,
+            lowered: Vec::new(),
         }
     }
 
@@ -33,9 +39,16 @@ impl Pillarer {
         self.intensity
     }
 
-    /// The canvas of points in the model's frame, and how many were left out.
+    /// The canvas of points, and how many were left out. They are in the model's frame, or in the body frame where the model
+    /// says how far its own lies above that ([`Model::height`]).
     pub fn run(&mut self, points: &Points) -> (&Canvas, Dropped) {
-        let pillars = self.pillariser.run(points);
+        let mut points = *points;
+        if self.height != 0.0 {
+            self.lowered.clear();
+            self.lowered.extend(points.z.iter().map(|z| z - self.height));
+            points.z = &self.lowered;
+        }
+        let pillars = self.pillariser.run(&points);
         self.net.run(pillars, &mut self.canvas);
         (&self.canvas, pillars.dropped)
     }
@@ -61,7 +74,7 @@ impl Encoder {
         self.pillarer.wants_intensity()
     }
 
-    /// The BEV map of points in the model's frame, and how many were left out.
+    /// The BEV map of points as [`Pillarer::run`] takes them, and how many were left out.
     ///
     /// # Errors
     /// Those of [`Network::encode`].

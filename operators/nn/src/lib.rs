@@ -27,6 +27,7 @@ mod cells;
 pub mod conv;
 pub mod decode;
 mod encoder;
+pub mod full;
 pub mod fuse;
 pub mod layers;
 mod load;

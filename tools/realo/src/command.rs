@@ -5,8 +5,8 @@ use clap::{Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, compare, conformance, evaluate, host, import, info, operators, registry, render, run, simulate,
-    train, validate,
+    Outcome, bench, checkpoint, compare, conformance, evaluate, host, import, info, operators, registry, render, run,
+    simulate, train, validate,
 };
 
 /// Online cooperative perception for vehicles and roadside units, on dora
@@ -25,6 +25,7 @@ enum Command {
     Render(render::Args),
     Simulate(simulate::Args),
     Train(train::Args),
+    Checkpoint(checkpoint::Args),
     Import(import::Args),
     Info(info::Args),
     Validate(validate::Args),
@@ -73,6 +74,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Render(args) => render::main(&args),
         Command::Simulate(args) => simulate::main(&args),
         Command::Train(args) => train::main(&args),
+        Command::Checkpoint(args) => checkpoint::main(&args),
         Command::Import(args) => import::main(&args),
         Command::Info(args) => info::main(&args),
         Command::Validate(args) => validate::main(&args),

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, InputSource};
 use realo_nn::Loaded;
+use realo_nn::model::Model;
 
 use realo_operator::Decided;
 
@@ -37,6 +38,15 @@ impl Networks {
         if !self.0.contains_key(&key) {
             if !path.exists() {
                 bail!("{}: no such model file; --model FILE names another one", path.display());
+            }
+            let weights = Model::read(path)?.weights_beside(path);
+            if !weights.exists() {
+                bail!(
+                    "{}: this model has no weights, {} is not there: `realo checkpoint convert` makes them of a PyTorch checkpoint, \
+                     `realo train` trains a detector of one agent; --model FILE, or --set NODE.model=FILE, names a model that has some",
+                    path.display(),
+                    weights.display()
+                );
             }
             let loaded = realo_nn::load(path, isa, 1)?;
             let choice = loaded.network.choice();
