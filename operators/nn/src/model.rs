@@ -738,4 +738,30 @@ mod tests {
         std::fs::write(&path, of("kind = \"pointpillars\"")).unwrap();
         assert_eq!(Model::read(&path).unwrap(), lite());
     }
+
+    #[test]
+    fn the_height_of_a_lidar_belongs_to_its_frame() {
+        let with = |frame: &str, height: &str| {
+            let text = LITE.replace(
+                "frame = \"body\"",
+                &format!("frame = \"{frame}\"\nlidar_height = {height}"),
+            );
+            Model::parse(text.as_bytes(), Path::new("m.toml"))
+        };
+        let model = with("lidar", "1.9").unwrap();
+        assert_eq!(model.height(), 1.9);
+        model.check_frame(Path::new("m.toml")).unwrap();
+        for (frame, height, expected) in [
+            ("body", "1.9", "only with frame = \"lidar\""),
+            ("lidar", "-1.0", "expected 0 to 100 m, found -1"),
+            ("lidar", "nan", "expected 0 to 100 m"),
+        ] {
+            let error = with(frame, height).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        let none = LITE.replace("frame = \"body\"", "frame = \"lidar\"");
+        let none = Model::parse(none.as_bytes(), Path::new("m.toml")).unwrap();
+        let error = none.check_frame(Path::new("m.toml")).unwrap_err().to_string();
+        assert!(error.starts_with("m.toml: `lidar_height`: expected metres"), "{error}");
+    }
 }

@@ -29,7 +29,7 @@ pub enum ConvertError {
     Read(#[from] ReadError),
     /// Its tensors are others.
     #[error(
-        "{}: not the weights of model `{model}`, {} differences:\n{}\n{hint}",
+        "{}: not the weights of model `{model}`; differences: {}\n{}\n{hint}",
         path.display(), problems.len(), listed(problems)
     )]
     Mismatch {
@@ -150,14 +150,15 @@ fn origin(checkpoint: &Checkpoint) -> String {
 }
 
 fn hint(checkpoint: &Checkpoint, model: &Model) -> String {
-    let Some(mut fitting) = fitting(&shapes(checkpoint)) else {
+    let shapes = shapes(checkpoint);
+    if fits(model, &shapes) {
+        return "names and shapes fit: save the weights again, in a type with fractions and without NaN".into();
+    }
+    let Some(mut fitting) = fitting(&shapes) else {
         return "none of V2X-Real's networks at full size has these tensors: --model FILE.toml describes one of another size, \
                 and `realo checkpoint show` lists what is there"
             .into();
     };
-    if fitting.arch == model.arch && fits(model, &shapes(checkpoint)) {
-        return "names and shapes fit: save the weights again, in a type with fractions and without NaN".into();
-    }
     let arch = fitting.arch.to_string();
     let compression = fitting.arch.compression_mut().map_or(0, |compression| *compression);
     match compression {

@@ -105,11 +105,6 @@ impl View {
         &self.sizes
     }
 
-    /// Numbers that it has.
-    pub fn count(&self) -> usize {
-        self.count
-    }
-
     /// Its numbers in row-major order, from the bytes of its storage; `None` for a type that holds no fractions.
     pub fn numbers(&self, bytes: &[u8], big_endian: bool) -> Option<Vec<f32>> {
         let mut numbers = Vec::with_capacity(self.count);
