@@ -185,7 +185,7 @@ fn find(pickle: &Pickle) -> Result<Found, Problem> {
     };
     let holds_tensors = top.iter().any(|(_, value)| pickle.tensor(value).is_some());
     let inner = |key: &&'static str| Some((*key, pickle.dict(entry(top, key)?)?));
-    let inner: Vec<_> = NESTED.iter().filter_map(|key| inner(key)).collect();
+    let inner: Vec<_> = NESTED.iter().filter_map(inner).collect();
     let (within, dict) = match (holds_tensors, &inner[..]) {
         (true, _) => (None, top),
         (false, [(key, dict)]) => (Some(*key), *dict),

@@ -163,8 +163,9 @@ fn hint(checkpoint: &Checkpoint, model: &Model) -> String {
     let compression = fitting.arch.compression_mut().map_or(0, |compression| *compression);
     match compression {
         0 => format!("names and shapes are those of --arch {arch}"),
-        _ => {
-            format!("names and shapes are those of --arch {arch}, whose model file says `compression = {compression}`")
-        }
+        _ => format!(
+            "names and shapes are those of --arch {arch}, which finds the compressor by itself; a --model file says \
+             `compression = {compression}`"
+        ),
     }
 }

@@ -146,7 +146,8 @@ mod tests {
 
     #[test]
     fn elements_lie_where_offset_and_strides_say() {
-        let cases: [(usize, &[usize], &[usize], &[f32]); 6] = [
+        type Case<'a> = (usize, &'a [usize], &'a [usize], &'a [f32]);
+        let cases: [Case; 6] = [
             (0, &[2, 3], &[3, 1], &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
             (0, &[3, 2], &[1, 3], &[0.0, 3.0, 1.0, 4.0, 2.0, 5.0]),
             (5, &[2, 1, 2], &[4, 9, 2], &[5.0, 7.0, 9.0, 11.0]),

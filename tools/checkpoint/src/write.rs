@@ -114,7 +114,7 @@ fn text(converted: &Converted, name: &str, output: &Path) -> Result<String, Writ
     let settings = toml::to_string(&model).expect("a model is plain data");
     let (of, origin) = (&converted.model.name, &converted.origin);
     Ok(format!(
-        "# Weights of {origin}; grid, anchors and thresholds, which no checkpoint tells, of model `{of}`.\n{settings}"
+        "# Weights of {origin}.\n# Grid, anchors and thresholds, which no checkpoint tells, are those of `{of}`.\n{settings}"
     ))
 }
 

@@ -166,7 +166,7 @@ fn a_model_runs_from_what_was_written_and_nothing_is_replaced_unasked() {
     assert_eq!(loaded.model.name, "mine");
     assert_eq!(difference(&loaded.weights), 0.0);
     let text = std::fs::read_to_string(dir.path().join("mine.toml")).unwrap();
-    assert!(text.starts_with("# Weights of nested.pth (epoch 30);"), "{text}");
+    assert!(text.starts_with("# Weights of nested.pth (epoch 30).\n"), "{text}");
     let listed = list(&output).unwrap();
     assert_eq!(listed.rows.len(), 26);
     assert!(listed.to_string().contains("those of model `mine`"), "{listed}");

@@ -112,11 +112,12 @@ impl Convert {
 
 /// The command that runs a model; those of V2X-Real were trained on points in the ego's frame.
 fn next(model: &Model, written: &Written) -> String {
-    let graph = match model.arch.to_string().as_str() {
+    let arch = model.arch.to_string();
+    let graph = match &*arch {
         "pointpillars" => "early_fusion",
         // The graph's fusion is the model's.
         "v2vnet" => "attfuse",
-        arch => &arch.to_string(),
+        arch => arch,
     };
     let file = quoted(&written.model);
     format!("realo run dataflows/{graph}.yml --offline --project sender --model {file}")
