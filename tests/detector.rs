@@ -259,7 +259,10 @@ fn what_does_not_fit_is_refused_by_name() {
             &["early_fusion", "--model", &wider],
             &["detector_bad/small.safetensors", "backbone.blocks.0.1.weight", "16"],
         ),
-        (&["no_fusion", "--model", &lidar], &["lidar.toml", "`frame`", "`body`"]),
+        (
+            &["no_fusion", "--model", &lidar],
+            &["lidar.toml", "`lidar_height`", "\"body\""],
+        ),
         (
             &["late_fusion", "--model", &wider, "--recorded-detections"],
             &["--model", "no node that runs a network", "drop --model"],

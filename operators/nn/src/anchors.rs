@@ -19,12 +19,16 @@ pub struct Anchors {
 }
 
 impl Anchors {
-    /// The anchors of a model's heads.
+    /// The anchors of a model's heads, in the frame in which its boxes go.
     pub fn of(model: &Model) -> Self {
         let [rows, columns] = model.map_size();
+        let class = |class: &ClassAnchor| ClassAnchor {
+            z: class.z + model.height(),
+            ..class.clone()
+        };
         Anchors {
             cells: Cells::divided(model.grid.x, model.grid.y, rows, columns),
-            classes: model.classes.clone(),
+            classes: model.classes.iter().map(class).collect(),
             rotations: model.rotations.clone(),
         }
     }

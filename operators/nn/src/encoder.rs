@@ -17,6 +17,10 @@ pub struct Pillarer {
     net: PillarNet,
     canvas: Canvas,
     intensity: bool,
+    /// How far the model's frame lies above that of the points, m.
+    height: f32,
+    /// The points' z in the model's frame, where it is another one.
+    lowered: Vec<f32>,
     pool: Arc<Mutex<Pool>>,
 }
 
@@ -38,6 +42,8 @@ impl Pillarer {
             net: PillarNet::of(model, weights),
             canvas: Canvas::new(grid.rows(), grid.columns(), pillars.channels),
             intensity: pillars.intensity,
+            height: model.height() as f32,
+            lowered: Vec::new(),
             pool,
         }
     }
@@ -47,9 +53,16 @@ impl Pillarer {
         self.intensity
     }
 
-    /// The canvas of points in the model's frame, and how many were left out.
+    /// The canvas of points, and how many were left out. They are in the model's frame, or in the body frame where the model
+    /// says how far its own lies above that ([`Model::height`]).
     pub fn run(&mut self, points: &Points) -> (&Canvas, Dropped) {
-        let pillars = self.pillariser.run(points);
+        let mut points = *points;
+        if self.height != 0.0 {
+            self.lowered.clear();
+            self.lowered.extend(points.z.iter().map(|z| z - self.height));
+            points.z = &self.lowered;
+        }
+        let pillars = self.pillariser.run(&points);
         self.net.run_on(pillars, &mut self.canvas, &mut lock(&self.pool));
         (&self.canvas, pillars.dropped)
     }
@@ -75,12 +88,48 @@ impl Encoder {
         self.pillarer.wants_intensity()
     }
 
-    /// The BEV map of points in the model's frame, and how many were left out.
+    /// The BEV map of points as [`Pillarer::run`] takes them, and how many were left out.
     ///
     /// # Errors
     /// Those of [`Network::encode`].
     pub fn run(&mut self, points: &Points) -> Result<(BevMap, Dropped), NetworkError> {
         let (canvas, dropped) = self.pillarer.run(points);
         Ok((self.network.encode(canvas)?, dropped))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::anchors::Anchors;
+    use crate::model::Frame;
+    use crate::testing::{random_tensors, small};
+
+    #[test]
+    fn a_model_of_the_lidars_frame_sees_points_and_tells_boxes_above_the_ground() {
+        let body = small(8, 12, false);
+        let mut lidar = body.clone();
+        (lidar.frame, lidar.lidar_height) = (Frame::Lidar, Some(1.75));
+        lidar.validate().unwrap();
+        let weights = Weights::new(&body, random_tensors(&body, 7)).unwrap();
+        let (x, y) = ([3.25, 3.5, 7.125, 0.5], [2.5, 2.25, 4.75, 7.5]);
+        let canvas = |model: &Model, z: [f32; 4]| {
+            let points = Points {
+                x: &x,
+                y: &y,
+                z: &z,
+                intensity: None,
+            };
+            let mut pillarer = Pillarer::new(model, &weights);
+            let (canvas, dropped) = pillarer.run(&points);
+            (canvas.clone(), dropped)
+        };
+        let z = [0.5, 0.25, 1.0, 6.5];
+        let seen = canvas(&lidar, z);
+        assert!(seen == canvas(&body, z.map(|z| z - 1.75)) && seen != canvas(&body, z));
+        // 6.5 m above the ground is inside of a volume that ends 5 m above the LiDAR.
+        assert_eq!((seen.1.out_of_range, canvas(&body, z).1.out_of_range), (0, 1));
+        let [ours, theirs] = [&lidar, &body].map(|model| Anchors::of(model).get(0));
+        assert_eq!((ours[2], &ours[3..]), (theirs[2] + 1.75, &theirs[3..]));
     }
 }

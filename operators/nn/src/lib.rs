@@ -29,6 +29,7 @@ pub mod conv;
 pub mod decode;
 mod encoder;
 pub mod filler;
+pub mod full;
 pub mod fuse;
 pub mod layers;
 mod load;

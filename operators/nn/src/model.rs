@@ -23,8 +23,12 @@ pub struct Model {
     /// Stem of the file of weights where it is another model's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<String>,
-    /// Frame of the points, the anchors and the boxes.
+    /// Frame of the points and the anchors as the network knows them.
     pub frame: Frame,
+    /// For `frame = "lidar"`: how far above the ground the LiDAR stood in training, m. Graphs need it, to bring points from
+    /// the agents' body frame to the model's, and boxes back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lidar_height: Option<f64>,
     /// Arithmetic of inference, where the CPU has it.
     pub precision: Precision,
     /// Headings of the anchors, rad.
@@ -223,9 +227,10 @@ pub enum ModelError {
         /// What is wrong with it.
         reason: String,
     },
-    /// It looks at points in a frame that nobody brings them to.
+    /// It looks at points in a frame that nobody can bring them to.
     #[error(
-        "{}: `frame`: expected `body`, found `lidar`: sweeps reach the network in the agent's body frame",
+        "{}: `lidar_height`: expected metres, found none: sweeps reach the network in the agent's body frame, on the ground; \
+         say how far above it the LiDAR stood, or take a model of `frame = \"body\"`",
         path.display()
     )]
     Frame {
@@ -331,16 +336,21 @@ impl Model {
         Ok(model)
     }
 
-    /// Refuses a model of another frame than the agents' body frame, in which the graphs' sweeps are; `path` is for the
-    /// error.
+    /// Refuses a model whose frame cannot be had from the agents' body frame, in which the graphs' sweeps are; `path` is for
+    /// the error.
     ///
     /// # Errors
     /// [`ModelError::Frame`].
     pub fn check_frame(&self, path: &Path) -> Result<(), ModelError> {
-        match self.frame {
-            Frame::Body => Ok(()),
-            Frame::Lidar => Err(ModelError::Frame { path: path.into() }),
+        match (self.frame, self.lidar_height) {
+            (Frame::Body, _) | (Frame::Lidar, Some(_)) => Ok(()),
+            (Frame::Lidar, None) => Err(ModelError::Frame { path: path.into() }),
         }
+    }
+
+    /// How far the model's frame lies above the frame in which points come and boxes go, m: 0 where the two are the same.
+    pub fn height(&self) -> f64 {
+        self.lidar_height.unwrap_or(0.0)
     }
 
     /// The file of weights that lies beside a model file.
@@ -379,6 +389,7 @@ impl Model {
     pub fn validate(&self) -> Result<(), ModelError> {
         let mut problems = Problems(Vec::new());
         self.check_names(&mut problems);
+        self.check_height(&mut problems);
         self.check_anchors(&mut problems);
         self.check_pillars(&mut problems);
         let grid_fits = self.check_grid(&mut problems);
@@ -421,6 +432,18 @@ impl Model {
                 format!("class `{}` is listed twice", class.name)
             });
         }
+    }
+
+    fn check_height(&self, problems: &mut Problems) {
+        let Some(height) = self.lidar_height else {
+            return;
+        };
+        problems.require(self.frame == Frame::Lidar, || {
+            "lidar_height: expected only with frame = \"lidar\", found frame = \"body\"".into()
+        });
+        problems.require((0.0..=HIGHEST).contains(&height), || {
+            format!("lidar_height: expected 0 to {HIGHEST} m, found {height}")
+        });
     }
 
     fn check_anchors(&self, problems: &mut Problems) {
@@ -549,6 +572,9 @@ const MOST_CHANNELS: usize = 4096;
 const MOST_CELLS: usize = 1 << 24;
 const MOST_NUMBERS: usize = 1 << 28;
 const MOST_BYTES: u64 = 1 << 20;
+
+/// No LiDAR of an agent stands higher above its ground, m.
+const HIGHEST: f64 = 100.0;
 
 /// Model files that extend each other, at most.
 const MOST_EXTENDED: usize = 8;
@@ -762,5 +788,31 @@ mod tests {
         let path = dir.path().join("m.toml");
         std::fs::write(&path, of("kind = \"pointpillars\"")).unwrap();
         assert_eq!(Model::read(&path).unwrap(), lite());
+    }
+
+    #[test]
+    fn the_height_of_a_lidar_belongs_to_its_frame() {
+        let with = |frame: &str, height: &str| {
+            let text = LITE.replace(
+                "frame = \"body\"",
+                &format!("frame = \"{frame}\"\nlidar_height = {height}"),
+            );
+            Model::parse(text.as_bytes(), Path::new("m.toml"))
+        };
+        let model = with("lidar", "1.9").unwrap();
+        assert_eq!(model.height(), 1.9);
+        model.check_frame(Path::new("m.toml")).unwrap();
+        for (frame, height, expected) in [
+            ("body", "1.9", "only with frame = \"lidar\""),
+            ("lidar", "-1.0", "expected 0 to 100 m, found -1"),
+            ("lidar", "nan", "expected 0 to 100 m"),
+        ] {
+            let error = with(frame, height).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        let none = LITE.replace("frame = \"body\"", "frame = \"lidar\"");
+        let none = Model::parse(none.as_bytes(), Path::new("m.toml")).unwrap();
+        let error = none.check_frame(Path::new("m.toml")).unwrap_err().to_string();
+        assert!(error.starts_with("m.toml: `lidar_height`: expected metres"), "{error}");
     }
 }

@@ -42,7 +42,8 @@ pub struct Tensor {
 pub enum WeightsError {
     /// The file cannot be read.
     #[error(
-        "{}: {error}; weights lie beside their model file, under the model's `name`; `realo train` makes some",
+        "{}: {error}; weights lie beside their model file, under the model's `name`: `realo checkpoint convert` makes them of \
+         a PyTorch checkpoint, `realo train` trains a detector of one agent",
         path.display()
     )]
     Read {
@@ -218,8 +219,8 @@ fn problem(spec: &TensorSpec, shape: &[usize], data: Option<&[f32]>) -> Option<S
     negative.then(|| format!("`{key}`: a variance is negative"))
 }
 
-/// Torch counts the batches that a norm has seen; inference has no use for it.
-fn is_counter(key: &str) -> bool {
+/// Whether a tensor of a state dict counts the batches that a norm has seen, which inference has no use for.
+pub fn is_counter(key: &str) -> bool {
     key.ends_with(".num_batches_tracked")
 }
 

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_nn::arch::Arch;
+use realo_nn::full;
 use realo_nn::layers::Layers;
 use realo_nn::model::Model;
 use serde::Deserialize;
@@ -34,26 +34,21 @@ struct Entry {
     shape: Vec<usize>,
 }
 
-const FULL: &str = include_str!("../../../models/full.toml");
-
 /// The shipped model of a network of the reference, by its class and its configuration's name.
 fn shipped(document: &Document) -> Result<Model, String> {
     let late = document.config.contains("late");
-    let text = match document.class.as_str() {
-        "PointPillar" if late => include_str!("../../../models/full-late.toml"),
-        "PointPillar" => FULL,
-        "PointPillarFCooper" => include_str!("../../../models/full-fcooper.toml"),
-        "PointPillarIntermediate" => include_str!("../../../models/full-attfuse.toml"),
-        "PointPillarTransformer" => include_str!("../../../models/full-v2xvit.toml"),
-        "PointPillarV2VNet" => include_str!("../../../models/full-v2vnet.toml"),
+    let name = match document.class.as_str() {
+        "PointPillar" if late => "full-late",
+        "PointPillar" => "full",
+        "PointPillarFCooper" => "full-fcooper",
+        "PointPillarIntermediate" => "full-attfuse",
+        "PointPillarTransformer" => "full-v2xvit",
+        "PointPillarV2VNet" => "full-v2vnet",
         other => return Err(format!("class `{other}`: no shipped model is of it")),
     };
-    let mut model = Model::of_texts(text, FULL).map_err(|error| error.to_string())?;
-    match &mut model.arch {
-        Arch::PointPillars {} => {}
-        Arch::FCooper(shared) | Arch::AttFuse(shared) => shared.compression = document.overrides.compression,
-        Arch::V2XViT(settings) => settings.compression = document.overrides.compression,
-        Arch::V2VNet(settings) => settings.compression = document.overrides.compression,
+    let mut model = full::model(name).expect("a model that is built in");
+    if let Some(compression) = model.arch.compression_mut() {
+        *compression = document.overrides.compression;
     }
     model.validate().map_err(|error| error.to_string())?;
     Ok(model)

@@ -159,6 +159,7 @@ pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model
         name: "vector".into(),
         weights: None,
         frame: Frame::Lidar,
+        lidar_height: None,
         precision: Precision::F32,
         rotations: vec![0.0, 1.57],
         score_threshold: 0.2,

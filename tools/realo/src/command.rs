@@ -5,8 +5,8 @@ use clap::{Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, compare, conformance, evaluate, host, import, info, operators, precompute, quantize, registry,
-    render, run, simulate, train, validate,
+    Outcome, bench, checkpoint, compare, conformance, evaluate, host, import, info, operators, precompute, quantize,
+    registry, render, run, simulate, train, validate,
 };
 
 /// Online cooperative perception for vehicles and roadside units, on dora
@@ -27,6 +27,7 @@ enum Command {
     Simulate(simulate::Args),
     Train(train::Args),
     Quantize(quantize::Args),
+    Checkpoint(checkpoint::Args),
     Import(import::Args),
     Info(info::Args),
     Validate(validate::Args),
@@ -77,6 +78,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Simulate(args) => simulate::main(&args),
         Command::Train(args) => train::main(&args),
         Command::Quantize(args) => quantize::main(&args),
+        Command::Checkpoint(args) => checkpoint::main(&args),
         Command::Import(args) => import::main(&args),
         Command::Info(args) => info::main(&args),
         Command::Validate(args) => validate::main(&args),

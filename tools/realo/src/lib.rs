@@ -3,6 +3,7 @@
 //! One file for each subcommand. Perception happens in the graph's stages, never here.
 
 pub mod bench;
+pub mod checkpoint;
 mod command;
 pub mod compare;
 pub mod conformance;

@@ -38,9 +38,12 @@ pub struct Args {
     /// Model file of every detector [default: each node's own]
     #[arg(long)]
     pub model: Option<PathBuf>,
-    /// Kernels of the networks: auto, portable, avx2, avx512, avx512bf16 [default: auto]
+    /// Kernels of the networks: auto, portable, avx2, avx512, avx512bf16, amx [default: auto]
     #[arg(long)]
     pub isa: Option<String>,
+    /// Number type of the networks: auto (the model's), f32, bf16, int8 [default: auto]
+    #[arg(long)]
+    pub precision: Option<String>,
     /// Who brings what crosses the link to the ego's frame
     #[arg(long, value_enum)]
     pub project: Option<run::Project>,
@@ -170,6 +173,7 @@ fn run_args(args: &Args, ego: &str, agents: &[String]) -> run::Args {
         recorded_detections: args.recorded_detections,
         model: args.model.clone(),
         isa: args.isa.clone(),
+        precision: args.precision.clone(),
         project: args.project,
         seed: args.seed,
         set: args.set.clone(),

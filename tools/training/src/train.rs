@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use realo_nn::loss;
-use realo_nn::model::Model;
+use realo_nn::model::{Frame, Model};
 
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
@@ -257,7 +257,13 @@ impl Drop for Filling {
 impl<'a> Training<'a> {
     fn new(options: &'a TrainOptions) -> Result<Self, TrainError> {
         let model = Model::read(&options.model)?;
-        model.check_frame(&options.model)?;
+        if model.frame != Frame::Body {
+            let reason = "its frame is `lidar`, and frames of training data are those of the agents' bodies".into();
+            return Err(TrainError::Model {
+                model: model.name,
+                reason,
+            });
+        }
         if model.name == "checkpoint" {
             let reason = "its weights would take the checkpoint's place: rename it".into();
             return Err(TrainError::Model {

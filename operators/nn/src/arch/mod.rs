@@ -12,7 +12,7 @@ use std::fmt;
 #[cfg(test)]
 pub(crate) use pointpillars::heads;
 use serde::{Deserialize, Serialize};
-pub use sharing::Sharing;
+pub use sharing::{Sharing, compression_of};
 pub use v2vnet::MessagePassing;
 pub use v2xvit::{Transformer, Window};
 
@@ -82,6 +82,16 @@ impl Arch {
             Arch::FCooper(sharing) | Arch::AttFuse(sharing) => sharing.agents,
             Arch::V2XViT(settings) => settings.agents,
             Arch::V2VNet(settings) => settings.agents,
+        }
+    }
+
+    /// How many times fewer channels cross than the map has, of an architecture that shares maps; 0: all of them cross.
+    pub fn compression_mut(&mut self) -> Option<&mut usize> {
+        match self {
+            Arch::PointPillars {} => None,
+            Arch::FCooper(sharing) | Arch::AttFuse(sharing) => Some(&mut sharing.compression),
+            Arch::V2XViT(settings) => Some(&mut settings.compression),
+            Arch::V2VNet(settings) => Some(&mut settings.compression),
         }
     }
 

@@ -62,17 +62,28 @@ impl Sharing {
     }
 }
 
+/// The compression of a network by the shapes of its weights; 0 if it has no such compressor.
+pub fn compression_of<'a>(shape_of: impl Fn(&str) -> Option<&'a [usize]>) -> usize {
+    match shape_of(&format!("{}.weight", key("encoder", 0))) {
+        Some([outputs, inputs, ..]) if *outputs > 0 && inputs.is_multiple_of(*outputs) => inputs / outputs,
+        _ => 0,
+    }
+}
+
+fn key(part: &str, index: usize) -> String {
+    format!("naive_compressor.{part}.{index}")
+}
+
 fn convolution(builder: &mut Builder, part: &str, index: usize, outputs: usize, from: MapId) -> MapId {
-    let key = |index: usize| format!("naive_compressor.{part}.{index}");
     let layer = ConvLayer {
-        key: key(index),
+        key: key(part, index),
         inputs: builder.size(from)[2],
         outputs,
         kernel: 3,
         stride: 1,
         transposed: false,
         bias: true,
-        norm: Some(key(index + 1)),
+        norm: Some(key(part, index + 1)),
         relu: true,
     };
     builder.convolution(layer, from)

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, InputSource};
+use realo_nn::model::Model;
 use realo_nn::{AUTO, Kernels, Loaded};
 
 use realo_operator::Decided;
@@ -38,6 +39,15 @@ impl Networks {
             if !path.exists() {
                 bail!("{}: no such model file; --model FILE names another one", path.display());
             }
+            let weights = Model::read(path)?.weights_beside(path);
+            if !weights.exists() {
+                bail!(
+                    "{}: this model has no weights, {} is not there: `realo checkpoint convert` makes them of a PyTorch checkpoint, \
+                     `realo train` trains a detector of one agent; --model FILE, or --set NODE.model=FILE, names a model that has some",
+                    path.display(),
+                    weights.display()
+                );
+            }
             let kernels = Kernels {
                 isa,
                 precision,
@@ -56,12 +66,18 @@ impl Networks {
     /// # Errors
     /// A model or weights that cannot be had.
     pub fn identity(&mut self, node: &FlatNode) -> Result<Option<String>> {
+        let known = self.of_node(node)?;
+        Ok(known.map(|(_, known)| known.loaded.identity.clone()))
+    }
+
+    fn of_node(&mut self, node: &FlatNode) -> Result<Option<(PathBuf, &Known)>> {
         let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
-        let Some(path) = value(Decided::Model) else {
+        let Some(path) = value(Decided::Model).map(PathBuf::from) else {
             return Ok(None);
         };
-        let known = self.known(Path::new(&path), &value(Decided::Isa).unwrap_or_default())?;
-        Ok(Some(known.loaded.identity.clone()))
+        let [isa, precision] = [Decided::Isa, Decided::Precision].map(|of| value(of).unwrap_or_else(|| AUTO.into()));
+        let known = self.known(&path, &isa, &precision)?;
+        Ok(Some((path, known)))
     }
 
     /// Loads every network of a graph.
@@ -73,16 +89,17 @@ impl Networks {
         let mut identities: BTreeMap<&str, (PathBuf, String)> = BTreeMap::new();
         let mut kernels = BTreeSet::new();
         for node in deciding(graph, Decided::Model) {
-            let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
-            let path = PathBuf::from(value(Decided::Model).unwrap_or_default());
-            let [isa, precision] =
-                [Decided::Isa, Decided::Precision].map(|of| value(of).unwrap_or_else(|| AUTO.into()));
-            let Known {
-                loaded,
-                kernels: runs_on,
-            } = self
-                .known(&path, &isa, &precision)
-                .wrap_err_with(|| format!("node `{}`", node.id))?;
+            let known = self.of_node(node).wrap_err_with(|| format!("node `{}`", node.id))?;
+            let Some((
+                path,
+                Known {
+                    loaded,
+                    kernels: runs_on,
+                },
+            )) = known
+            else {
+                continue;
+            };
             let identity = loaded.identity.clone();
             if let Some(known) = registration(node) {
                 let built = (known.build)(node.settings());
