@@ -300,7 +300,10 @@ mod tests {
         assert_eq!(timing.compute_ns["sync"]["poses"], 710);
         assert_eq!(timing.compute_ns["sync"]["poses > sweeps"], 2_000);
         let pairing = timing.steps_ms["sync"]["pairing"];
-        assert_eq!((pairing.p50, pairing.max, pairing.count), (Some(0.0007), Some(0.001), 2));
+        assert_eq!(
+            (pairing.p50, pairing.max, pairing.count),
+            (Some(0.0007), Some(0.001), 2)
+        );
         assert!(!timing.steps_ms.contains_key("player"));
     }
 
