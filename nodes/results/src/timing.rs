@@ -286,7 +286,7 @@ mod tests {
             sync.compute.entry("poses".into()).or_default().record(nanos);
         }
         sync.compute.entry("poses > sweeps".into()).or_default().record(2_000);
-        for nanos in [30_000, 10_000] {
+        for nanos in [1_000, 700] {
             sync.steps.entry("pairing".into()).or_default().record(nanos);
         }
         let books = Books {
@@ -300,7 +300,10 @@ mod tests {
         assert_eq!(timing.compute_ns["sync"]["poses"], 710);
         assert_eq!(timing.compute_ns["sync"]["poses > sweeps"], 2_000);
         let pairing = timing.steps_ms["sync"]["pairing"];
-        assert_eq!((pairing.p50, pairing.max, pairing.count), (Some(0.01), Some(0.03), 2));
+        assert_eq!(
+            (pairing.p50, pairing.max, pairing.count),
+            (Some(0.0007), Some(0.001), 2)
+        );
         assert!(!timing.steps_ms.contains_key("player"));
     }
 
