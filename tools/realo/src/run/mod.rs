@@ -242,6 +242,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
         .zip(&names)
         .map(|(graph, name)| prepare::cells(args, mode, graph, name))
         .collect::<Result<_>>()?;
+    if args.project.is_some() && !cells.iter().flatten().any(Cell::can_project) {
+        return Err(prepare::nobody_projects(&names.join(", ")));
+    }
     let mut folders = Folders::default();
     for (name, cells) in names.iter().zip(&cells) {
         folders.lock(&dir_of(args, name))?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, WrapErr, bail, eyre};
+use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
@@ -41,6 +41,11 @@ pub struct Cell {
 pub(super) const TOLD: &str = "told.json";
 
 impl Cell {
+    /// Whether somebody can choose who brings what crosses the link to the ego's frame.
+    pub fn can_project(&self) -> bool {
+        !self.told.settings.project.is_empty()
+    }
+
     /// Writes what the result tells of the run to where the graph has it.
     pub fn tell(&self) -> Result<()> {
         let path = self.out.join(TOLD);
@@ -177,7 +182,10 @@ pub fn lane(args: &Args) -> Result<Lane> {
         coop: realo_player::Coop::All.as_str(),
         out: Path::new(""),
     };
-    let (graph, _) = told.to(&base, &set)?;
+    let (graph, settings) = told.to(&base, &set)?;
+    if args.project.is_some() && settings.project.is_empty() {
+        return Err(nobody_projects(&path.display().to_string()));
+    }
     let mut networks = Networks::default();
     networks.check(&graph)?;
     check(&graph)?;
@@ -195,6 +203,12 @@ pub fn lane(args: &Args) -> Result<Lane> {
         output: lane.output,
         compute,
     })
+}
+
+/// What `--project` is told where it decides nothing.
+pub fn nobody_projects(graphs: &str) -> Report {
+    let node = takers(Decided::Project);
+    eyre!("--project: no {node} of {graphs} gets the ego's states, so no sender can project")
 }
 
 /// A `--set`; a path in it, and the name of a file that is there, is seen from where the user is.
@@ -217,13 +231,6 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     };
     let mut flat = graph.expand()?;
     anchor_paths(&mut flat)?;
-    if args.project.is_some() && !flat.nodes.iter().any(can_project) {
-        bail!(
-            "--project: {} has no {} that gets the ego's states, so no sender can project",
-            flat.file.display(),
-            takers(Decided::Project)
-        );
-    }
     for needed in [Decided::Log, Decided::Out] {
         if deciding(&flat, needed).next().is_none() {
             let (file, node) = (flat.file.display(), takers(needed));
