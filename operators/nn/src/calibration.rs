@@ -1,4 +1,4 @@
-//! What bytes stand for: the greatest result of every layer over some sweeps.
+//! What bytes stand for: the greatest result of every layer that they keep, found over some sweeps.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ pub struct Calibration {
     canvas: String,
     /// The layers from the canvas to each map, by the key of the layer that makes it.
     sections: Vec<(String, Section)>,
-    greatest: BTreeMap<String, f32>,
+    results: BTreeMap<String, Histogram>,
 }
 
 impl Calibration {
@@ -36,7 +36,7 @@ impl Calibration {
             pillarer: Pillarer::new(model, weights),
             canvas: layers.key(layers.canvas),
             sections: others.map(section).collect::<Result<_, NetworkError>>()?,
-            greatest: BTreeMap::new(),
+            results: BTreeMap::new(),
         })
     }
 
@@ -48,7 +48,7 @@ impl Calibration {
         let (canvas, _) = self.pillarer.run(points);
         let cells = canvas.cells();
         let size = [canvas.rows(), canvas.columns(), canvas.channels()];
-        note(&mut self.greatest, &self.canvas, &cells);
+        self.results.entry(self.canvas.clone()).or_default().add(&cells);
         let [rows, columns, channels] = size;
         let view = BevView {
             rows,
@@ -58,22 +58,117 @@ impl Calibration {
         };
         for (key, section) in &mut self.sections {
             let map = section.run(view)?;
-            note(&mut self.greatest, key, &map.data);
+            self.results.entry(key.clone()).or_default().add(&map.data);
         }
         Ok(())
     }
 
-    /// The greatest result of each layer so far. A layer that never gave more than 0 counts as having given 1.
+    /// The greatest result of each layer that bytes keep best. A layer that never gave more than 0 counts as having given 1.
     pub fn activations(&self) -> BTreeMap<String, f32> {
-        let greatest = self.greatest.iter();
-        greatest
-            .map(|(key, greatest)| (key.clone(), if *greatest > 0.0 { *greatest } else { 1.0 }))
+        let results = self.results.iter();
+        results
+            .map(|(key, histogram)| (key.clone(), histogram.best_limit()))
             .collect()
     }
 }
 
-fn note(greatest: &mut BTreeMap<String, f32>, key: &str, numbers: &[f32]) {
-    let found = numbers.iter().copied().fold(0.0, f32::max);
-    let entry = greatest.entry(key.into()).or_insert(0.0);
-    *entry = entry.max(found);
+/// How often positive results occurred, in bins of equal width from 0 on; they grow by pairs as results do.
+#[derive(Clone, Debug)]
+struct Histogram {
+    width: f64,
+    counts: Vec<u64>,
+}
+
+const BINS: usize = 4096;
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Histogram {
+            width: 1.0 / 1024.0,
+            counts: vec![0; BINS],
+        }
+    }
+}
+
+impl Histogram {
+    fn add(&mut self, numbers: &[f32]) {
+        let greatest = f64::from(numbers.iter().copied().fold(0.0, f32::max));
+        while greatest.is_finite() && greatest >= self.width * BINS as f64 {
+            let pairs = self.counts.chunks_exact(2).map(|pair| pair[0] + pair[1]);
+            self.counts = pairs.chain([0; BINS / 2]).collect();
+            self.width *= 2.0;
+        }
+        // 0 is kept whatever bytes stand for.
+        for number in numbers.iter().filter(|number| **number > 0.0) {
+            self.counts[((f64::from(*number) / self.width) as usize).min(BINS - 1)] += 1;
+        }
+    }
+
+    /// The limit at which rounding to 255 steps and cutting off what is greater lose least: the sum of the squares of both.
+    fn best_limit(&self) -> f32 {
+        let Some(last) = self.counts.iter().rposition(|count| *count > 0) else {
+            return 1.0;
+        };
+        // From behind: numbers beyond a bin, the sum of how far and of its square.
+        let (mut beyond, mut sum, mut squares) = (0.0, 0.0, 0.0);
+        let all: u64 = self.counts.iter().sum();
+        let mut best = (f64::INFINITY, 0.0);
+        for bin in (0..=last).rev() {
+            let limit = (bin + 1) as f64 * self.width;
+            let rounded = (limit / 255.0).powi(2) / 12.0 * (all as f64 - beyond);
+            let lost = rounded + squares;
+            if lost < best.0 {
+                best = (lost, limit);
+            }
+            // The next limit lies a width lower: what lies beyond it is farther by that.
+            let count = self.counts[bin] as f64;
+            squares += 2.0 * self.width * sum + beyond * self.width.powi(2);
+            sum += beyond * self.width;
+            let half = self.width / 2.0;
+            (beyond, sum, squares) = (beyond + count, sum + count * half, squares + count * half * half);
+        }
+        best.1 as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn loss(numbers: &[f32], limit: f32) -> f64 {
+        let step = limit / 255.0;
+        let error = |number: f32| number - (number / step).round().min(255.0) * step;
+        numbers.iter().map(|number| f64::from(error(*number)).powi(2)).sum()
+    }
+
+    #[test]
+    fn a_few_great_numbers_are_cut_off_and_even_ones_are_kept() {
+        let even: Vec<f32> = (0..100_000).map(|i| 8.0 * i as f32 / 100_000.0).collect();
+        let mut histogram = Histogram::default();
+        histogram.add(&even);
+        assert!(
+            (7.9..8.05).contains(&histogram.best_limit()),
+            "{}",
+            histogram.best_limit()
+        );
+        // Two of a hundred thousand lie far out.
+        let mut few = even.clone();
+        few.extend([60.0, 61.0]);
+        histogram.add(&[60.0, 61.0]);
+        let limit = histogram.best_limit();
+        assert!((8.0..60.0).contains(&limit), "{limit}");
+        for other in [0.8 * limit, 1.25 * limit, 61.0] {
+            assert!(
+                loss(&few, limit) < 1.02 * loss(&few, other),
+                "{limit} loses more than {other}"
+            );
+        }
+    }
+
+    #[test]
+    fn no_result_above_zero_counts_as_one() {
+        let mut histogram = Histogram::default();
+        histogram.add(&[0.0, -3.0, f32::NAN]);
+        assert_eq!(histogram.best_limit(), 1.0);
+    }
 }

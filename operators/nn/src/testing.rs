@@ -6,7 +6,8 @@ use std::path::Path;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-pub use crate::filler::{Numbers, tensors as random_tensors_of};
+pub use crate::filler::Numbers;
+pub(crate) use crate::filler::tensors as random_tensors_of;
 use crate::layers::Layers;
 use crate::model::{Backbone, Frame, Grid, Model, Precision, Shrink};
 use crate::weights::Tensor;

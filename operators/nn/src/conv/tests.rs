@@ -183,7 +183,7 @@ fn verify_bytes(case: &Case) {
         input: 1.0 / 200.0,
         output: 0.01 * (case.inputs as f32).sqrt(),
     };
-    let whole = |value: f32| f64::from((value / steps.input).round_ties_even().clamp(0.0, 255.0));
+    let whole = |value: f32| f64::from((value * (1.0 / steps.input)).round_ties_even().clamp(0.0, 255.0));
     let rounded: Vec<f64> = cells(case).into_iter().map(whole).collect();
     let mut in_steps = layer.clone();
     in_steps.relu = false;

@@ -226,7 +226,7 @@ mod tests {
         let (without, of_zeros) = (run(&forgetful, None), run(&remembering, Some(&zeros)));
         assert_eq!(without, run(&remembering, None));
         assert!(without.iter().zip(&of_zeros).all(|(a, b)| (a - b).abs() < 1e-6));
-        let mut state = zeros.clone();
+        let mut state = Map::new(SIZE[0], SIZE[1], channels);
         state.fill_with(&mut Pool::new(1), &vec![0.5; SIZE[0] * SIZE[1] * channels]);
         let remembered = run(&remembering, Some(&state));
         assert!(without.iter().zip(&remembered).any(|(a, b)| (a - b).abs() > 0.05));
