@@ -136,6 +136,18 @@ mod tests {
     }
 
     #[test]
+    fn arguments_name_all_instructions_and_number_types() {
+        let isas = realo_nn::conv::Isa::ALL.map(|isa| isa.to_string());
+        let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
+        for (argument, names) in [(super::ISA, &isas[..]), (super::PRECISION, &precisions[..])] {
+            let words: Vec<&str> = argument.about.split([' ', ',', ':']).collect();
+            for name in names {
+                assert!(words.contains(&&**name), "{}: {name}", argument.about);
+            }
+        }
+    }
+
+    #[test]
     fn a_map_is_read_as_it_was_written_where_it_lies_and_copied_only_if_it_lies_askew() {
         let numbers: Vec<f32> = (0..6).map(|k| k as f32 - 2.5).collect();
         let written = maps().write(map(numbers.clone()));

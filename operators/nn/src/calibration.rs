@@ -1,7 +1,9 @@
 //! What bytes stand for: the greatest result of every layer that they keep, found over some sweeps.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
 
+use crate::conv::Pool;
 use crate::encoder::Pillarer;
 use crate::layers::{Layers, MapId};
 use crate::model::{Model, Precision};
@@ -31,7 +33,11 @@ impl Calibration {
         };
         let read: Vec<(String, MapId)> = layers.read_in_bytes();
         let others = read.into_iter().filter(|(_, map)| *map != layers.canvas);
-        let section = |(key, map)| Ok((key, Section::new(model, weights, options, [layers.canvas, map])?));
+        let pool = Arc::new(Mutex::new(Pool::new(options.threads)));
+        let section = |(key, map)| {
+            let section = Section::on(Arc::clone(&pool), model, weights, options, [layers.canvas, map])?;
+            Ok((key, section))
+        };
         Ok(Calibration {
             pillarer: Pillarer::new(model, weights),
             canvas: layers.key(layers.canvas),
@@ -40,15 +46,15 @@ impl Calibration {
         })
     }
 
-    /// Looks at a sweep in the model's frame.
+    /// Looks at a sweep, in the frame that [`Pillarer::run`] takes.
     ///
     /// # Errors
-    /// Those of [`Section::run`].
+    /// Those of [`Section::run`], and [`NetworkError::NotFinite`].
     pub fn observe(&mut self, points: &Points) -> Result<(), NetworkError> {
         let (canvas, _) = self.pillarer.run(points);
         let cells = canvas.cells();
         let size = [canvas.rows(), canvas.columns(), canvas.channels()];
-        self.results.entry(self.canvas.clone()).or_default().add(&cells);
+        note(&mut self.results, &self.canvas, &cells)?;
         let [rows, columns, channels] = size;
         let view = BevView {
             rows,
@@ -58,7 +64,7 @@ impl Calibration {
         };
         for (key, section) in &mut self.sections {
             let map = section.run(view)?;
-            self.results.entry(key.clone()).or_default().add(&map.data);
+            note(&mut self.results, key, &map.data)?;
         }
         Ok(())
     }
@@ -72,6 +78,14 @@ impl Calibration {
     }
 }
 
+fn note(results: &mut BTreeMap<String, Histogram>, layer: &str, numbers: &[f32]) -> Result<(), NetworkError> {
+    if !numbers.iter().all(|number| number.is_finite()) {
+        return Err(NetworkError::NotFinite { layer: layer.into() });
+    }
+    results.entry(layer.into()).or_default().add(numbers);
+    Ok(())
+}
+
 /// How often positive results occurred, in bins of equal width from 0 on; they grow by pairs as results do.
 #[derive(Clone, Debug)]
 struct Histogram {
@@ -80,11 +94,13 @@ struct Histogram {
 }
 
 const BINS: usize = 4096;
+/// Width of a bin before any result, 2^-40: results of sound networks are far greater.
+const FINEST: f64 = 1.0 / (1u64 << 40) as f64;
 
 impl Default for Histogram {
     fn default() -> Self {
         Histogram {
-            width: 1.0 / 1024.0,
+            width: FINEST,
             counts: vec![0; BINS],
         }
     }
@@ -93,7 +109,7 @@ impl Default for Histogram {
 impl Histogram {
     fn add(&mut self, numbers: &[f32]) {
         let greatest = f64::from(numbers.iter().copied().fold(0.0, f32::max));
-        while greatest.is_finite() && greatest >= self.width * BINS as f64 {
+        while greatest >= self.width * BINS as f64 {
             let pairs = self.counts.chunks_exact(2).map(|pair| pair[0] + pair[1]);
             self.counts = pairs.chain([0; BINS / 2]).collect();
             self.width *= 2.0;
@@ -115,14 +131,15 @@ impl Histogram {
         let mut best = (f64::INFINITY, 0.0);
         for bin in (0..=last).rev() {
             let limit = (bin + 1) as f64 * self.width;
-            let rounded = (limit / 255.0).powi(2) / 12.0 * (all as f64 - beyond);
+            let step = limit / 255.0;
+            let rounded = step * step / 12.0 * (all as f64 - beyond);
             let lost = rounded + squares;
             if lost < best.0 {
                 best = (lost, limit);
             }
             // The next limit lies a width lower: what lies beyond it is farther by that.
             let count = self.counts[bin] as f64;
-            squares += 2.0 * self.width * sum + beyond * self.width.powi(2);
+            squares += 2.0 * self.width * sum + beyond * self.width * self.width;
             sum += beyond * self.width;
             let half = self.width / 2.0;
             (beyond, sum, squares) = (beyond + count, sum + count * half, squares + count * half * half);
@@ -168,7 +185,20 @@ mod tests {
     #[test]
     fn no_result_above_zero_counts_as_one() {
         let mut histogram = Histogram::default();
-        histogram.add(&[0.0, -3.0, f32::NAN]);
+        histogram.add(&[0.0, -3.0]);
         assert_eq!(histogram.best_limit(), 1.0);
+    }
+
+    #[test]
+    fn small_results_have_fine_limits_and_what_is_no_number_is_told() {
+        let small: Vec<f32> = (0..10_000).map(|i| 1e-7 * i as f32 / 10_000.0).collect();
+        let mut results = BTreeMap::new();
+        note(&mut results, "layer", &small).unwrap();
+        let limit = results["layer"].best_limit();
+        assert!((0.95e-7..1.05e-7).contains(&limit), "{limit}");
+        for number in [f32::NAN, f32::INFINITY] {
+            let error = note(&mut results, "layer", &[1.0, number]).unwrap_err().to_string();
+            assert!(error.contains("`layer`"), "{error}");
+        }
     }
 }

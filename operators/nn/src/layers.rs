@@ -335,6 +335,18 @@ impl Layers {
         maps.into_iter().map(|map| (self.key(map), map)).collect()
     }
 
+    /// Products of a sum of each convolution that reads bytes, by its key.
+    pub fn products_in_bytes(&self) -> Vec<(String, usize)> {
+        let parts = [[self.canvas, self.features], [self.features, self.restored]];
+        let steps = parts.into_iter().flat_map(|[from, to]| self.between(&[from], &[to]));
+        steps
+            .filter_map(|step| match &step.layer {
+                Layer::Convolution(layer) => Some((layer.key.clone(), layer.inputs * layer.kernel * layer.kernel)),
+                _ => None,
+            })
+            .collect()
+    }
+
     /// The maps that a map of others side by side is made of; of every other map, itself.
     pub fn members(&self, map: MapId) -> Vec<MapId> {
         match self.steps.iter().find(|step| step.to == map) {

@@ -5,6 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -84,7 +85,7 @@ impl Precision {
 
 /// No number type has this name.
 #[derive(Debug, thiserror::Error)]
-#[error("expected one of bf16, f32, int8, found `{0}`")]
+#[error("expected one of {}, found `{name}`", Precision::ALL.map(|precision| precision.to_string()).join(", "), name = .0)]
 pub struct UnknownPrecision(String);
 
 impl FromStr for Precision {
@@ -521,8 +522,14 @@ impl Model {
             problems.require(wanted.contains(&**key), || {
                 format!("activations: `{key}` is no layer whose results int8 layers read")
             });
-            problems.require(greatest.is_finite() && *greatest > 0.0, || {
-                format!("activations: `{key}`: expected a number above 0, found {greatest}")
+            problems.require(ACTIVATIONS.contains(greatest), || {
+                let [least, most] = [ACTIVATIONS.start(), ACTIVATIONS.end()];
+                format!("activations: `{key}`: expected {least} to {most}, found {greatest}")
+            });
+        }
+        for (key, products) in Layers::of(self).products_in_bytes() {
+            problems.require(products <= MOST_BYTE_PRODUCTS, || {
+                format!("layer `{key}`: sums of {products} products of bytes, expected at most {MOST_BYTE_PRODUCTS}")
             });
         }
     }
@@ -572,6 +579,10 @@ const MOST_CHANNELS: usize = 4096;
 const MOST_CELLS: usize = 1 << 24;
 const MOST_NUMBERS: usize = 1 << 28;
 const MOST_BYTES: u64 = 1 << 20;
+/// Results of layers beyond which nothing sensible was calibrated.
+const ACTIVATIONS: RangeInclusive<f32> = 1e-6..=1e6;
+/// Products of 255 steps and a weight of 64 that 32 bits hold.
+const MOST_BYTE_PRODUCTS: usize = i32::MAX as usize / (255 * 64);
 
 /// No LiDAR of an agent stands higher above its ground, m.
 const HIGHEST: f64 = 100.0;

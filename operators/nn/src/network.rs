@@ -130,6 +130,12 @@ pub enum NetworkError {
         /// The model's name.
         model: String,
     },
+    /// A layer gives numbers that are none.
+    #[error("layer `{layer}` gives NaN or infinity: nothing can stand for its results")]
+    NotFinite {
+        /// Its key.
+        layer: String,
+    },
     /// The model does not say what bytes stand for.
     #[error("model `{model}` has no `activations`, which int8 needs: `realo quantize` makes a model file that has")]
     NoActivations {
@@ -410,6 +416,18 @@ impl Section {
         options: NetworkOptions,
         ends: [MapId; 2],
     ) -> Result<Self, NetworkError> {
+        let pool = Arc::new(Mutex::new(Pool::new(options.threads)));
+        Section::on(pool, model, weights, options, ends)
+    }
+
+    /// As [`Section::new`], on threads that others use too.
+    pub(crate) fn on(
+        pool: Arc<Mutex<Pool>>,
+        model: &Model,
+        weights: &Weights,
+        options: NetworkOptions,
+        ends: [MapId; 2],
+    ) -> Result<Self, NetworkError> {
         model.validate()?;
         let (layers, choice) = (Layers::of(model), choose(model, &options)?);
         let parts = Parts {
@@ -423,7 +441,7 @@ impl Section {
             from: layers.size(ends[0]),
             to: layers.size(ends[1]),
             running: parts.engine(choice.precision, ends, Outcome::Single).running(),
-            pool: Arc::new(Mutex::new(Pool::new(choice.threads))),
+            pool,
         })
     }
 
@@ -652,6 +670,8 @@ fn check_size(what: &'static str, model: &str, found: MapSize, expected: MapSize
     })
 }
 
+#[cfg(test)]
+mod byte_tests;
 #[cfg(test)]
 mod fusion_tests;
 #[cfg(test)]

@@ -97,8 +97,8 @@ pub(crate) struct Part<E> {
     result: Option<usize>,
     size: MapSize,
     needs_border: bool,
-    /// What 1 stands for in the part's input and in its result.
-    ends: Steps,
+    /// What 1 stands for in the part's input.
+    step: f32,
 }
 
 struct PartStep<E> {
@@ -127,7 +127,6 @@ pub(crate) struct Rooms<E> {
 pub(crate) enum Made<'a> {
     Single(&'a Map<f32>),
     Half(&'a Map<Bf16>),
-    Bytes(&'a Map<U8>),
 }
 
 impl Made<'_> {
@@ -136,7 +135,6 @@ impl Made<'_> {
         match self {
             Made::Single(map) => map.to_f32(pool),
             Made::Half(map) => map.to_f32(pool),
-            Made::Bytes(map) => map.to_f32(pool),
         }
     }
 }
@@ -158,22 +156,26 @@ impl<E> Running<E> {
 }
 
 macro_rules! runner {
-    ($element:ty, $made:ident) => {
+    ($element:ty, $made:path) => {
         impl Runner for Running<$element> {
             fn run(&mut self, pool: &mut Pool, input: View<f32>) -> Made<'_> {
                 let rooms = self.rooms.get_or_insert_with(|| self.part.rooms());
                 self.part.run(rooms, pool, input);
                 match self.part.result {
-                    Some(room) => Made::$made(&rooms.own[room]),
+                    Some(room) => $made(&rooms.own[room]),
                     None => Made::Single(rooms.single.as_ref().expect("a map of f32")),
                 }
             }
         }
     };
 }
-runner!(f32, Single);
-runner!(Bf16, Half);
-runner!(U8, Bytes);
+runner!(f32, Made::Single);
+runner!(Bf16, Made::Half);
+runner!(U8, never);
+
+fn never(_: &Map<U8>) -> Made<'_> {
+    unreachable!("parts of bytes end in f32");
+}
 
 impl<E: Number> Part<E> {
     /// The layers from one map to another; `step_of`: what 1 stands for in a map of this type.
@@ -207,10 +209,7 @@ impl<E: Number> Part<E> {
             result: None,
             size: layers.size(to),
             needs_border: false,
-            ends: Steps {
-                input: step_of(from),
-                output: if outcome == Outcome::Own { step_of(to) } else { 1.0 },
-            },
+            step: step_of(from),
         };
         let (mut places, mut free) = (BTreeMap::new(), Vec::new());
         for (index, together) in groups(&order, &homes) {
@@ -252,11 +251,11 @@ impl<E: Number> Part<E> {
         let [rows, columns, channels] = self.size;
         Rooms {
             copy: None,
-            // Maps with different steps share a room; but for the result, layers alone read them, and know the step.
+            // Layers know the steps of what they read and write here.
             own: self
                 .rooms
                 .iter()
-                .map(|size| Map::with_step(*size, self.ends.output))
+                .map(|[rows, columns, channels]| Map::new(*rows, *columns, *channels))
                 .collect(),
             single: self.result.is_none().then(|| Map::new(rows, columns, channels)),
         }
@@ -264,7 +263,7 @@ impl<E: Number> Part<E> {
 
     fn run(&self, rooms: &mut Rooms<E>, pool: &mut Pool, input: View<f32>) {
         let Rooms { copy, own, single } = rooms;
-        let input = E::take(input, self.needs_border, self.ends.input, copy, pool);
+        let input = E::take(input, self.needs_border, self.step, copy, pool);
         for step in &self.steps {
             match &step.run {
                 Run::Own(layer, room) => {

@@ -2,7 +2,7 @@
 //!
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
-//! | `clouds` | in, latest | PointCloud | sweeps in the model's frame |
+//! | `clouds` | in, latest | PointCloud | sweeps in the agent's body frame |
 //! | `features` | out | FeatureMap | the BEV map `[rows, columns, channels]`, f32, in the sweep's frame |
 //!
 //! | counter | meaning |
@@ -70,7 +70,7 @@ impl Describe for PillarEncoder {
         realo_bev::THREADS,
     ];
     const INPUTS: &'static [Port] =
-        &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the model's frame").latest()];
+        &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the agent's body frame").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps")];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Model, "model"),
@@ -114,7 +114,7 @@ impl Operator for PillarEncoder {
 }
 
 impl PillarEncoder {
-    /// The BEV map of a cloud in the model's frame, and which points it leaves out.
+    /// The BEV map of a cloud in the agent's body frame, and which points it leaves out.
     fn encode(&mut self, cloud: &PointCloud) -> Result<(FeatureMap, Dropped), Error> {
         let intensity: Option<Vec<f32>> = self
             .encoder

@@ -63,7 +63,7 @@ pub enum TrainError {
         found: String,
     },
     /// A model that training has no data for.
-    #[error("model `{model}` cannot be trained: {reason}")]
+    #[error("model `{model}` does not go with the training data: {reason}")]
     Model {
         /// Its name.
         model: String,

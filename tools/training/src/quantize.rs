@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use realo_nn::anchors::Anchors;
 use realo_nn::calibration::Calibration;
+use realo_nn::fuse::Agent;
 use realo_nn::model::{Model, Precision};
 use realo_nn::network::{Network, NetworkOptions};
 use realo_nn::weights::Weights;
@@ -14,6 +15,7 @@ use serde::Serialize;
 
 use crate::TrainError;
 use crate::data::{Frames, write_whole};
+use crate::train::check_frames_suit;
 use crate::validate::{Validation, boxes, each_scene, validate_by};
 
 /// What quantising came to.
@@ -53,6 +55,7 @@ pub fn quantize(
 ) -> Result<Quantized, TrainError> {
     let loaded = load(file, Kernels::auto(0))?;
     let (model, weights) = (&*loaded.model, &*loaded.weights);
+    check_frames_suit(model)?;
     let name = format!("{}-int8", model.name);
     let path = file.with_file_name(format!("{name}.toml"));
     if !replace && path.exists() {
@@ -100,6 +103,10 @@ fn score(model: &Model, weights: &Weights, frames: &Arc<dyn Frames>) -> Result<V
     validate_by(model, frames, |scene| {
         let (canvas, _) = pillarer.run(&scene.points());
         let map = network.encode(canvas)?;
+        let map = match model.arch.fuses() {
+            true => network.fuse(&[Agent::beside(&map)])?,
+            false => map,
+        };
         let heads = network.heads(&map)?;
         let found = boxes(&anchors, &heads.scores, &heads.deltas);
         Ok((found, scene.objects_within(&model.grid).0))

@@ -254,25 +254,27 @@ impl Drop for Filling {
     }
 }
 
+/// Refuses a model that sees what frames of training data do not hold.
+pub(crate) fn check_frames_suit(model: &Model) -> Result<(), TrainError> {
+    let reason = match model {
+        _ if model.frame != Frame::Body => {
+            "its frame is `lidar`, and frames of training data are those of the agents' bodies"
+        }
+        _ if model.pillars.intensity => "it looks at intensity, which frames of training data do not hold",
+        _ => return Ok(()),
+    };
+    Err(TrainError::Model {
+        model: model.name.clone(),
+        reason: reason.into(),
+    })
+}
+
 impl<'a> Training<'a> {
     fn new(options: &'a TrainOptions) -> Result<Self, TrainError> {
         let model = Model::read(&options.model)?;
-        if model.frame != Frame::Body {
-            let reason = "its frame is `lidar`, and frames of training data are those of the agents' bodies".into();
-            return Err(TrainError::Model {
-                model: model.name,
-                reason,
-            });
-        }
+        check_frames_suit(&model)?;
         if model.name == "checkpoint" {
             let reason = "its weights would take the checkpoint's place: rename it".into();
-            return Err(TrainError::Model {
-                model: model.name,
-                reason,
-            });
-        }
-        if model.pillars.intensity {
-            let reason = "it looks at intensity, which frames of training data do not hold".into();
             return Err(TrainError::Model {
                 model: model.name,
                 reason,

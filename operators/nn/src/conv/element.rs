@@ -80,7 +80,7 @@ impl Element for U8 {
     }
 
     fn weight(steps: f32) -> Self {
-        U8(steps.round_ties_even() as i8 as u8)
+        U8(steps.round_ties_even().clamp(-MOST_WEIGHT, MOST_WEIGHT) as i8 as u8)
     }
 }
 

@@ -18,7 +18,7 @@ pub enum Isa {
 
 /// No set of instructions has this name.
 #[derive(Debug, thiserror::Error)]
-#[error("expected one of amx, avx512bf16, avx512, avx2, portable, found `{0}`")]
+#[error("expected one of {}, found `{name}`", Isa::ALL.map(|isa| isa.to_string()).join(", "), name = .0)]
 pub struct UnknownIsa(String);
 
 impl Isa {
@@ -43,7 +43,12 @@ impl Isa {
     pub fn is_available(self) -> bool {
         match self {
             Isa::Amx => super::x86::has_tiles(),
-            Isa::Avx512Bf16 => Isa::Avx512.is_available() && is_x86_feature_detected!("avx512bf16"),
+            // The compiler takes those with bf16 to have the instructions on words too.
+            Isa::Avx512Bf16 => {
+                Isa::Avx512.is_available()
+                    && is_x86_feature_detected!("avx512bw")
+                    && is_x86_feature_detected!("avx512bf16")
+            }
             Isa::Avx512 => is_x86_feature_detected!("avx512f"),
             Isa::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
             Isa::Portable => true,

@@ -68,7 +68,6 @@ where
 
     #[inline(always)]
     unsafe fn row(mut tile: Tile<S::Element, O>, mut windows: usize) {
-        const { assert!(P * J * S::LANES <= MOST_RESULTS) };
         // SAFETY: the caller's promise; no step computes more windows than are left.
         unsafe {
             while windows >= P {
@@ -305,6 +304,7 @@ impl<E: Element, O: Element> Tile<E, O> {
     where
         S: Store<O, Element = E>,
     {
+        const { assert!(P * J * S::LANES <= MOST_RESULTS) };
         // SAFETY: the caller's promise.
         unsafe {
             if self.valid == J * S::LANES {

@@ -13,6 +13,7 @@ use realo_nn::layers::{Layer, Layers, MapId};
 use realo_nn::model::{Model, Precision};
 use realo_nn::network::{BevMap, Network, NetworkOptions};
 use realo_nn::pillars::Points;
+use realo_nn::weights::Weights;
 use realo_nn::{Pillarer, calibration::Calibration};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -42,7 +43,7 @@ struct Row {
     minimum_ms: f64,
     median_ms: f64,
     /// Multiplications and additions of its convolutions a second, where they are most of it.
-    gflops: Option<f64>,
+    gigaoperations: Option<f64>,
     peer: Option<Compared>,
 }
 
@@ -73,10 +74,8 @@ pub fn bench(python: Option<&Path>) -> Result<Networks> {
 /// From a sweep to boxes with the detector that ships, in all that this processor has.
 fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<()> {
     let loaded = realo_nn::load(Path::new(LITE), realo_nn::Kernels::auto(1))?;
-    let (weights, mut model) = (loaded.weights, (*loaded.model).clone());
-    let mut calibration = Calibration::new(&model, &weights)?;
-    calibration.observe(points)?;
-    model.activations = calibration.activations();
+    let weights = loaded.weights;
+    let model = calibrated((*loaded.model).clone(), &weights, points)?;
     let anchors = Anchors::of(&model);
     for isa in Isa::ALL
         .into_iter()
@@ -113,17 +112,21 @@ fn precisions(isa: Isa) -> Vec<Precision> {
     }
 }
 
-/// A network without training, ready for int8.
-fn untrained(file: &str, points: &Points) -> Result<(Model, realo_nn::weights::Weights)> {
-    let mut model = Model::read(Path::new(file))?;
-    let weights = filler::weights(&model, 1);
-    let mut calibration = Calibration::new(&model, &weights)?;
+fn calibrated(mut model: Model, weights: &Weights, points: &Points) -> Result<Model> {
+    let mut calibration = Calibration::new(&model, weights)?;
     calibration.observe(points)?;
     model.activations = calibration.activations();
-    Ok((model, weights))
+    Ok(model)
 }
 
-fn canvas(model: &Model, weights: &realo_nn::weights::Weights, points: &Points) -> Canvas {
+/// A network without training, ready for int8.
+fn untrained(file: &str, points: &Points) -> Result<(Model, Weights)> {
+    let model = Model::read(Path::new(file))?;
+    let weights = filler::weights(&model, 1);
+    Ok((calibrated(model, &weights, points)?, weights))
+}
+
+fn canvas(model: &Model, weights: &Weights, points: &Points) -> Canvas {
     Pillarer::new(model, weights).run(points).0.clone()
 }
 
@@ -327,7 +330,7 @@ fn row(what: String, seconds: &[f64], operations: Option<f64>) -> Row {
         what,
         minimum_ms: minimum * 1e3,
         median_ms: median * 1e3,
-        gflops: operations.map(|operations| operations / minimum * 1e-9),
+        gigaoperations: operations.map(|operations| operations / minimum * 1e-9),
         peer: None,
     }
 }
@@ -348,8 +351,8 @@ impl fmt::Display for Networks {
         writeln!(f, "{} points of a simulated sweep; least and median, ms", self.points)?;
         for row in &self.rows {
             write!(f, "{:<78} {:>8.2} {:>8.2}", row.what, row.minimum_ms, row.median_ms)?;
-            if let Some(gflops) = row.gflops {
-                write!(f, "  {gflops:.0} GFLOP/s")?;
+            if let Some(gigaoperations) = row.gigaoperations {
+                write!(f, "  {gigaoperations:.0} Gop/s")?;
             }
             if let Some(peer) = &row.peer {
                 let Compared {

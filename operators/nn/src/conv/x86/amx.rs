@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 use super::avx512::{Avx512Bf16, Avx512Bytes};
 use crate::conv::pack::{Kernel, Packed, Share};
 use crate::conv::tile::{Registers, Row, Store, Tile, share};
-use crate::conv::{Bf16, Element, U8};
+use crate::conv::{Bf16, Element, Isa, U8};
 
 /// Outputs side by side: two tiles.
 pub(super) const BLOCK: usize = 32;
@@ -22,11 +22,7 @@ const ROW: usize = 64;
 /// Whether the CPU has tiles with products of bf16 and bytes and the system has given them to this process.
 pub(super) fn is_available() -> bool {
     static AVAILABLE: LazyLock<bool> = LazyLock::new(|| {
-        is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512bf16")
-            && is_x86_feature_detected!("avx512vnni")
-            && has_tiles()
-            && ask_for_tiles()
+        Isa::Avx512Bf16.is_available() && is_x86_feature_detected!("avx512vnni") && has_tiles() && ask_for_tiles()
     });
     *AVAILABLE
 }
