@@ -10,8 +10,8 @@ mod windows;
 
 use agents::OverAgents;
 pub use parts::{Asking, Parts};
-pub use weights::initial_delays;
 pub(crate) use weights::tensors;
+pub use weights::{ENCODER, agents_key, forward_key, initial_delays, windows_key};
 use windows::OverWindows;
 
 use crate::cells::{Linear, add, cells, each_cell, run};
@@ -22,9 +22,9 @@ use crate::part::Number;
 use crate::simd::dispatch;
 
 /// Kinds of agents: vehicles, and roadside units.
-const KINDS: usize = 2;
+pub const KINDS: usize = 2;
 /// Added to the variance by every layer norm.
-const LAYER_NORM_EPS: f32 = 1e-5;
+pub const LAYER_NORM_EPS: f32 = 1e-5;
 
 /// A transformer that is ready to run; maps are computed in `E`, what is added up in f32.
 pub(crate) struct Transformer<E> {

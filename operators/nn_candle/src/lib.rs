@@ -1,0 +1,14 @@
+//! The networks on candle's tensors, on any of its devices: what the kernels of `realo_nn` are held against, what training
+//! leads gradients back through, and the way to a GPU.
+//!
+//! A [`Network`] computes what the model's list of layers says, from the canvas on; the pillar layer stays with
+//! [`realo_nn::Pillarer`]. Every fusion is a function of [`Tensors`], the weights by their keys, so that variables of a
+//! training can stand in for them.
+
+mod ops;
+mod tensors;
+pub mod transformer;
+mod warp;
+
+pub use tensors::Tensors;
+pub use warp::Placed;
