@@ -48,7 +48,6 @@ impl Placed {
             covered: plane(covered)?,
         })
     }
-
 }
 
 /// Where the ego's cells lie in another map, from the exact places: computed on the host in f64.

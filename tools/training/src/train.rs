@@ -14,9 +14,7 @@ use realo_nn::{Kernels, Loaded, loss};
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
-use crate::data::{
-    Augmentation, Batch, Frames, Input, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, write_whole,
-};
+use crate::data::{Augmentation, Batch, Frames, Input, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, write_whole};
 use crate::fusing::{beginning, learns_to_fuse, other_maps};
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
@@ -557,7 +555,9 @@ fn encoder(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>, TrainEr
         )),
         (true, Some(file)) => {
             if model.arch.clone().compression_mut().is_some_and(|ratio| *ratio > 0) {
-                return Err(refuse("its `arch.compression` is not 0, and compressors are not trained here"));
+                return Err(refuse(
+                    "its `arch.compression` is not 0, and compressors are not trained here",
+                ));
             }
             let loaded = realo_nn::load(file, Kernels::auto(1))?;
             match &other_maps(model, &loaded.model)[..] {

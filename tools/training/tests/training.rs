@@ -294,7 +294,11 @@ fn a_fusion_learns_and_its_encoder_stays() {
     let mut options = fusing(&folder);
     (options.steps, options.checkpoint_minutes) = (60, 1.0);
     let mut losses = Vec::new();
-    assert!(train(&options, |progress| losses.push(progress.point.loss())).unwrap().complete);
+    assert!(
+        train(&options, |progress| losses.push(progress.point.loss()))
+            .unwrap()
+            .complete
+    );
     let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
     let (before, after) = (mean(&losses[..10]), mean(&losses[50..]));
     assert!(after < 0.8 * before, "from {before} to {after}");
@@ -337,7 +341,10 @@ fn a_fusion_without_an_encoder_that_fits_is_refused() {
         ..options.clone()
     };
     let said = refused(&none);
-    assert!(said.contains("`from`") && said.contains("--from models/lite.toml"), "{said}");
+    assert!(
+        said.contains("`from`") && said.contains("--from models/lite.toml"),
+        "{said}"
+    );
     let detector = TrainOptions {
         encoder: options.encoder.clone(),
         ..folder.options("truck", "other")
@@ -348,7 +355,11 @@ fn a_fusion_without_an_encoder_that_fits_is_refused() {
     let narrow = text.replace("channels = [8, 16]", "channels = [8, 12]");
     fs::write(folder.path("small.toml"), narrow).unwrap();
     let said = refused(&options);
-    for part in ["small.toml`", "`fusing`", "backbone.channels: expected [8,12], found [8,16]"] {
+    for part in [
+        "small.toml`",
+        "`fusing`",
+        "backbone.channels: expected [8,12], found [8,16]",
+    ] {
         assert!(said.contains(part), "{part}: {said}");
     }
     let compressing = FUSING.replace("heads = 2\n", "heads = 2\ncompression = 2\n");

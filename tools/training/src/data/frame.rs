@@ -165,7 +165,10 @@ impl Frame {
                 rest.len()
             ));
         }
-        let classes = frame.sweeps().flat_map(|agent| &agent.objects).map(|object| object.class);
+        let classes = frame
+            .sweeps()
+            .flat_map(|agent| &agent.objects)
+            .map(|object| object.class);
         let greatest = classes.max();
         if let Some(class) = greatest.filter(|class| *class >= frame.classes.len()) {
             return Err(format!("an object of class {class} of {}", frame.classes.len()));
@@ -173,7 +176,10 @@ impl Frame {
         if frame.agents.is_empty() {
             return Err("it has no agents".into());
         }
-        let earlier = frame.earlier.as_ref().map_or(frame.agents.len(), |earlier| earlier.agents.len());
+        let earlier = frame
+            .earlier
+            .as_ref()
+            .map_or(frame.agents.len(), |earlier| earlier.agents.len());
         if earlier != frame.agents.len() {
             return Err(format!("{} agents were {earlier} before", frame.agents.len()));
         }

@@ -1,7 +1,7 @@
 //! Prepares batches on a thread of its own.
 
-use std::sync::{Arc, Mutex, PoisonError};
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use realo_nn::anchors::Anchors;
@@ -163,7 +163,10 @@ pub(crate) fn gather(model: &Model, samples: Vec<Sample>) -> (Arc<PillarBatch>, 
 
 fn least_common_multiple(a: usize, b: usize) -> usize {
     let multiples = (1..=b).map(|factor| a * factor);
-    multiples.into_iter().find(|multiple| multiple.is_multiple_of(b)).unwrap_or(a)
+    multiples
+        .into_iter()
+        .find(|multiple| multiple.is_multiple_of(b))
+        .unwrap_or(a)
 }
 
 /// The model on half of its range along x: the middle, or any other part. Cells keep their places in the world.

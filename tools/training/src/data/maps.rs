@@ -191,7 +191,11 @@ impl MapEncoder {
         let map_from_ego = frame.agents[party.ego].map_from_body;
         for (index, part) in party.parts(frame).into_iter().enumerate() {
             let is_ego = index == 0;
-            let error = if is_ego { Isometry3::identity() } else { how.pose_error(draws) };
+            let error = if is_ego {
+                Isometry3::identity()
+            } else {
+                how.pose_error(draws)
+            };
             let map_from_sweep = part.sweep.map_from_body * error;
             let map_from_points = match party.project {
                 Project::Sender => part.map_from_ego_then,
