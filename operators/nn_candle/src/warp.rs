@@ -48,6 +48,7 @@ impl Placed {
             covered: plane(covered)?,
         })
     }
+
 }
 
 /// Where the ego's cells lie in another map, from the exact places: computed on the host in f64.
