@@ -2,6 +2,7 @@
 //! that are fused is another model's and stays as it is.
 
 use std::collections::HashSet;
+use std::path::Path;
 
 use candle_core::{Tensor, Var};
 use realo_nn::arch::Arch;
@@ -11,20 +12,69 @@ use realo_nn::model::{Grid, Model};
 use realo_nn::targets::Targets;
 use realo_nn::transformer::initial_delays;
 use realo_nn::weights::{self, Weights};
+use realo_nn::{Kernels, Loaded};
 use realo_nn_candle::Tensors;
 use realo_nn_candle::transformer::{Agent, fuse};
 
+use crate::TrainError;
 use crate::checkpoint::differences;
 use crate::layers::{tensor, with_numbers};
-use crate::network::{Network, Pass};
+use crate::network::{Network, Parameter, Pass};
 use crate::random::Stream;
+use crate::train::option;
 
 /// Layers whose results are added to a map: what they begin with is 0, so that a fusion begins as the ego's map.
 const ADDED: [&str; 4] = [".fn.a_linears.", ".to_out.0.", ".fn.net.3.", ".rte.emb.lin."];
 
 /// Whether a model's fusion has weights that are trained here, its encoder's not.
-pub(crate) fn learns_to_fuse(model: &Model) -> bool {
+fn learns_to_fuse(model: &Model) -> bool {
     matches!(model.arch, Arch::V2XViT(_))
+}
+
+/// The network whose encoder a model takes that learns to fuse; `None` for one that learns as a whole.
+///
+/// # Errors
+/// [`TrainError`] if the model cannot be trained so, the file is not given, not to be had, or makes other maps.
+pub(crate) fn encoder(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>, TrainError> {
+    let refuse = |reason: &str| TrainError::Model {
+        model: model.name.clone(),
+        reason: reason.into(),
+    };
+    if matches!(model.arch, Arch::V2VNet(_)) {
+        return Err(refuse("the fusion of V2VNet cannot be trained here"));
+    }
+    let (settings, file) = match (&model.arch, file) {
+        (Arch::V2XViT(settings), Some(file)) => (settings, file),
+        (Arch::V2XViT(_), None) => {
+            return Err(option(
+                "from",
+                "a model file with weights whose encoder is taken, as --from models/lite.toml, since this model learns to fuse",
+                "none",
+            ));
+        }
+        (_, Some(file)) => {
+            return Err(option(
+                "from",
+                "none, since this model's fusion has no weights: it is trained as a whole, as one agent sees",
+                file.display(),
+            ));
+        }
+        (_, None) => return Ok(None),
+    };
+    if settings.compression > 0 {
+        return Err(refuse(
+            "its `arch.compression` is not 0, and compressors are not trained here",
+        ));
+    }
+    let loaded = realo_nn::load(file, Kernels::auto(1))?;
+    match &other_maps(model, &loaded.model)[..] {
+        [] => Ok(Some(loaded)),
+        found => Err(TrainError::OtherMaps {
+            model: model.name.clone(),
+            encoder: file.into(),
+            differences: found.join("; "),
+        }),
+    }
 }
 
 /// Keys of what training leaves as it is.
@@ -39,7 +89,7 @@ pub(crate) fn frozen(model: &Model, layers: &Layers) -> HashSet<String> {
 
 /// In which settings a model's maps are not those of another one's encoder, as `name: expected, found`; empty if they are. The
 /// range of the grid may differ.
-pub(crate) fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
+fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
     // What does not change a map, nor what the heads read in it.
     let maps = |of: &Model| Model {
         name: String::new(),
@@ -103,19 +153,16 @@ impl Network {
     /// Its tensors as inference takes them.
     ///
     /// # Errors
-    /// Those of candle.
-    ///
-    /// # Panics
-    /// If a number is not finite.
-    pub(crate) fn weights(&self) -> candle_core::Result<Weights> {
-        let tensor = |parameter: &crate::network::Parameter| {
+    /// [`TrainError::Weights`] if a number is not finite.
+    pub(crate) fn weights(&self) -> Result<Weights, TrainError> {
+        let tensor = |parameter: &Parameter| -> candle_core::Result<_> {
             let data = with_numbers(&parameter.value, |values| Ok(values.to_vec()))?;
             let shape = parameter.value.dims().to_vec();
             Ok((parameter.name.clone(), weights::Tensor { shape, data }))
         };
         let tensors = self.parameters().iter().map(tensor);
-        let weights = Weights::new(self.model(), tensors.collect::<candle_core::Result<_>>()?);
-        Ok(weights.expect("the tensors of the model"))
+        let tensors = tensors.collect::<candle_core::Result<_>>()?;
+        Ok(Weights::new(self.model(), tensors)?)
     }
 
     /// Forward and backward pass of the fusion and the heads, of a batch of agents' maps with the targets of its samples.
@@ -232,8 +279,6 @@ impl Learning<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use realo_nn::anchors::Anchors;
     use realo_nn::targets::{Object, assign};
     use realo_nn_candle::Placed;

@@ -6,16 +6,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use realo_nn::arch::Arch;
+use realo_nn::loss;
 use realo_nn::model::{Frame, Model};
 use realo_nn::weights::Weights;
-use realo_nn::{Kernels, Loaded, loss};
 
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
 use crate::data::{Augmentation, Batch, Frames, Input, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, write_whole};
-use crate::fusing::{beginning, learns_to_fuse, other_maps};
+use crate::fusing::{beginning, encoder};
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
 use crate::validate::{Validation, validate, validate_fusion};
@@ -123,7 +122,7 @@ pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> 
     pool.install(|| Training::new(options)?.run(progress))
 }
 
-fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
+pub(crate) fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
     TrainError::Option {
         field,
         expected,
@@ -530,46 +529,6 @@ pub fn validation_frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
 /// [`TrainError`] if there can be no folder for them, or logs have none.
 pub fn frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
     Ok(Source::open(data, false)?.frames)
-}
-
-/// The network whose encoder a model takes that learns to fuse; `None` for one that learns as a whole.
-fn encoder(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>, TrainError> {
-    let refuse = |reason: &str| TrainError::Model {
-        model: model.name.clone(),
-        reason: reason.into(),
-    };
-    if matches!(model.arch, Arch::V2VNet(_)) {
-        return Err(refuse("the fusion of V2VNet cannot be trained here"));
-    }
-    match (learns_to_fuse(model), file) {
-        (false, None) => Ok(None),
-        (false, Some(file)) => Err(option(
-            "from",
-            "none, since this model's fusion has no weights: it is trained as a whole, as one agent sees",
-            file.display(),
-        )),
-        (true, None) => Err(option(
-            "from",
-            "a model file with weights whose encoder is taken, as --from models/lite.toml, since this model learns to fuse",
-            "none",
-        )),
-        (true, Some(file)) => {
-            if model.arch.clone().compression_mut().is_some_and(|ratio| *ratio > 0) {
-                return Err(refuse(
-                    "its `arch.compression` is not 0, and compressors are not trained here",
-                ));
-            }
-            let loaded = realo_nn::load(file, Kernels::auto(1))?;
-            match &other_maps(model, &loaded.model)[..] {
-                [] => Ok(Some(loaded)),
-                found => Err(TrainError::OtherMaps {
-                    model: model.name.clone(),
-                    encoder: file.into(),
-                    differences: found.join("; "),
-                }),
-            }
-        }
-    }
 }
 
 /// `encoder`: weights of the network whose encoder is taken.
