@@ -38,10 +38,9 @@ ln -sfn libcuda.so "$stubs/libcuda.so.1"
 
 export CUDA_HOME=$toolkit CUDA_PATH=$toolkit CUDA_ROOT=$toolkit CUDA_TOOLKIT_ROOT_DIR=$toolkit
 export PATH=$toolkit/bin:$PATH CUDA_COMPUTE_CAP=${CUDA_COMPUTE_CAP:-90}
+# Found by the linker without flags of rustc's, so that a usual build before or after this one has the same dependencies.
 export LIBRARY_PATH=$toolkit/lib:$stubs${LIBRARY_PATH:+:$LIBRARY_PATH}
 export LD_LIBRARY_PATH=$toolkit/lib:$stubs${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
-# With its own folder, so that the usual build need not start anew afterwards.
-export CARGO_TARGET_DIR=$PWD/target/cuda/build RUSTFLAGS="-L native=$toolkit/lib -L native=$stubs ${RUSTFLAGS:-}"
 if [ $# -gt 0 ]; then
   exec cargo "$@"
 fi

@@ -53,8 +53,8 @@ struct Transformer<'a> {
 struct State {
     kind: usize,
     map: Tensor,
-    /// `[cells, 1]`: 1 where the agent can be asked.
-    covered: Tensor,
+    /// `[cells, 1]`: 0 where the agent can be asked, see [`Placed::absence`].
+    absence: Tensor,
 }
 
 impl Transformer<'_> {
@@ -90,11 +90,11 @@ impl Transformer<'_> {
         let row = agent.delay.saturating_mul(self.settings.delay_ratio);
         let row = table.narrow(0, row.min(table.dim(0)? - 1), 1)?;
         let added = self.tensors.linear(&format!("{key}.lin"), &row)?;
-        let Placed { map, reach, covered } = &agent.placed;
+        let Placed { map, reach, .. } = &agent.placed;
         Ok(State {
             kind: usize::from(agent.roadside),
             map: (cells(map)? + cells(reach)?.broadcast_mul(&added)?)?,
-            covered: cells(covered)?,
+            absence: cells(&agent.placed.absence()?)?,
         })
     }
 

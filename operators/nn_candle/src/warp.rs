@@ -3,6 +3,9 @@
 use candle_core::{Result, Tensor};
 use realo_nn::fuse::Warp;
 
+/// Added to a score or a feature where an agent takes no part: no other is less, and no sum overflows.
+const NOT_THERE: f64 = 1e30;
+
 /// An agent's map in the ego's cells.
 #[derive(Clone, Debug)]
 pub struct Placed {
@@ -49,6 +52,10 @@ impl Placed {
         })
     }
 
+    /// `[rows, columns, 1]`: 0 where the agent takes part, else what makes nobody look at it.
+    pub(crate) fn absence(&self) -> Result<Tensor> {
+        self.covered.affine(NOT_THERE, -NOT_THERE)
+    }
 }
 
 /// Where the ego's cells lie in another map, from the exact places: computed on the host in f64.

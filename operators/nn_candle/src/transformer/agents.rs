@@ -6,9 +6,6 @@ use realo_nn::transformer::KINDS;
 use super::{State, Transformer};
 use crate::ops::softmax;
 
-/// Added to the score of an agent that cannot be asked: its weight is 0, and no sum overflows.
-const NOT_THERE: f64 = 1e30;
-
 impl Transformer<'_> {
     /// What the first `asking` agents are given for their questions to all.
     pub(super) fn over_agents(&self, key: &str, states: &[State], asking: usize) -> Result<Vec<Tensor>> {
@@ -38,10 +35,8 @@ impl Transformer<'_> {
     /// The values of all agents, by how well their keys answer to the query.
     fn mean(&self, query: &Tensor, answers: &[[Tensor; 2]], states: &[State]) -> Result<Tensor> {
         let query = (self.of_heads(query)? / (self.settings.head_width as f64).sqrt())?;
-        let score = |([key, _], state): (&[Tensor; 2], &State)| {
-            let there = state.covered.affine(NOT_THERE, -NOT_THERE)?;
-            query.mul(key)?.sum(D::Minus1)?.broadcast_add(&there)
-        };
+        let score =
+            |([key, _], state): (&[Tensor; 2], &State)| query.mul(key)?.sum(D::Minus1)?.broadcast_add(&state.absence);
         let scores = answers.iter().zip(states).map(score).collect::<Result<Vec<Tensor>>>()?;
         let weights = softmax(&Tensor::stack(&scores, 0)?, 0)?;
         let mut mean = query.zeros_like()?;
