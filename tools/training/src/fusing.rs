@@ -101,7 +101,7 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
         grid: Grid {
             x: model.grid.x,
             y: model.grid.y,
-            ..of.grid.clone()
+            ..of.grid
         },
         ..of.clone()
     };
@@ -136,7 +136,7 @@ fn initial(spec: &TensorSpec, draws: &mut Stream) -> Vec<f32> {
         Role::Weight { .. } if spec.key.ends_with(".pos_embedding") => vec![0.0; count],
         // A matrix for each head: to begin with the relation changes nothing.
         Role::Weight { fan_in } if spec.key.contains(".relation_") => {
-            let diagonal = |at: usize| at % (fan_in * fan_in) % (fan_in + 1) == 0;
+            let diagonal = |at: usize| (at % (fan_in * fan_in)).is_multiple_of(fan_in + 1);
             (0..count).map(|at| f32::from(u8::from(diagonal(at)))).collect()
         }
         Role::Weight { fan_in } => {

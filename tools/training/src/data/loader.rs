@@ -162,11 +162,8 @@ pub(crate) fn gather(model: &Model, samples: Vec<Sample>) -> (Arc<PillarBatch>, 
 }
 
 fn least_common_multiple(a: usize, b: usize) -> usize {
-    let multiples = (1..=b).map(|factor| a * factor);
-    multiples
-        .into_iter()
-        .find(|multiple| multiple.is_multiple_of(b))
-        .unwrap_or(a)
+    let mut multiples = (1..=b).map(|factor| a * factor);
+    multiples.find(|multiple| multiple.is_multiple_of(b)).unwrap_or(a)
 }
 
 /// The model on half of its range along x: the middle, or any other part. Cells keep their places in the world.
