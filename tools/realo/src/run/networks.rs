@@ -109,7 +109,9 @@ impl Networks {
             identities.insert(&node.id, (path, identity));
         }
         for node in deciding(graph, Decided::Model) {
-            let (ours, b) = &identities[&*node.id];
+            let Some((ours, b)) = identities.get(&*node.id) else {
+                continue;
+            };
             for source in behind(graph, node, |id| identities.contains_key(id)) {
                 let (theirs, a) = &identities[source];
                 if a != b {
