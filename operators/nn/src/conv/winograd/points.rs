@@ -1,5 +1,5 @@
 //! The three transforms, Toom and Cook's for the points 0, ±√½, ±√2 and ∞. Of points in pairs, which share half of the
-//! work, these lose least in f32: twice the error of a direct sum, where ±1 and ±2 make it four times.
+//! work, these lose least in f32, half as much as ±1 and ±2.
 #![allow(unsafe_code)]
 
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
