@@ -5,9 +5,6 @@ use super::*;
 use crate::conv::tests::{Case, UNTOUCHED, cells, layer, plain, written};
 use crate::conv::{Bf16, Packed, Steps};
 
-/// A matrix as a function of its row and column.
-type Matrix<'a> = &'a dyn Fn(usize, usize) -> f64;
-
 const FINITE: usize = POINTS - 1;
 
 fn point(index: usize) -> f64 {
@@ -43,11 +40,19 @@ fn of_outputs(power: usize, at: usize) -> f64 {
     }
 }
 
-/// `|matrix| |numbers| |matrix|ᵀ` at a row and column, of `size` x `size` numbers.
-fn size_at(matrix: Matrix, size: usize, numbers: Matrix, [row, column]: [usize; 2]) -> f64 {
-    let terms = (0..size * size).map(|index| {
-        let (y, x) = (index / size, index % size);
-        (matrix(row, y) * numbers(y, x) * matrix(column, x)).abs()
+fn matrix<const R: usize, const C: usize>(of: fn(usize, usize) -> f64) -> [[f64; C]; R] {
+    std::array::from_fn(|row| std::array::from_fn(|column| of(row, column)))
+}
+
+/// `|matrix| |numbers| |matrix|ᵀ` at a row and column.
+fn size_at<const R: usize, const C: usize>(
+    matrix: &[[f64; C]; R],
+    numbers: impl Fn(usize, usize) -> f64,
+    [row, column]: [usize; 2],
+) -> f64 {
+    let terms = (0..C * C).map(|index| {
+        let (y, x) = (index / C, index % C);
+        (matrix[row][y] * numbers(y, x) * matrix[column][x]).abs()
     });
     terms.sum()
 }
@@ -55,10 +60,13 @@ fn size_at(matrix: Matrix, size: usize, numbers: Matrix, [row, column]: [usize; 
 /// The sums that lead to each output with all signs dropped, `[rows, columns, outputs]`.
 fn sizes(layer: &Convolution, case: &Case, cells: &[f32]) -> Vec<f64> {
     let both = |index: usize, size: usize| [index / size, index % size];
+    let of_weights: [[f64; 3]; POINTS] = matrix(of_weights);
+    let of_inputs: [[f64; POINTS]; POINTS] = matrix(of_inputs);
+    let of_outputs: [[f64; POINTS]; SIDE] = matrix(of_outputs);
     let weights: Vec<[f64; PLACES]> = (0..layer.outputs * layer.inputs)
         .map(|index| {
             let window = |y, x| f64::from(layer.weights[index * 9 + y * 3 + x]);
-            std::array::from_fn(|place| size_at(&of_weights, 3, &window, both(place, POINTS)))
+            std::array::from_fn(|place| size_at(&of_weights, window, both(place, POINTS)))
         })
         .collect();
     let mut sizes = vec![0.0; case.rows * case.columns * layer.outputs];
@@ -74,7 +82,7 @@ fn sizes(layer: &Convolution, case: &Case, cells: &[f32]) -> Vec<f64> {
                     }
                     _ => 0.0,
                 };
-                std::array::from_fn(|place| size_at(&of_inputs, POINTS, &cell, both(place, POINTS)))
+                std::array::from_fn(|place| size_at(&of_inputs, cell, both(place, POINTS)))
             })
             .collect();
         for output in 0..layer.outputs {
@@ -86,7 +94,7 @@ fn sizes(layer: &Convolution, case: &Case, cells: &[f32]) -> Vec<f64> {
                 let (row, column) = (top + y, left + x);
                 if row < case.rows && column < case.columns {
                     sizes[(row * case.columns + column) * layer.outputs + output] =
-                        size_at(&of_outputs, POINTS, &product, [y, x]) + f64::from(layer.bias[output].abs());
+                        size_at(&of_outputs, product, [y, x]) + f64::from(layer.bias[output].abs());
                 }
             }
         }
