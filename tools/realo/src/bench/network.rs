@@ -42,7 +42,8 @@ struct Row {
     what: String,
     minimum_ms: f64,
     median_ms: f64,
-    /// Multiplications and additions of its convolutions a second, where they are most of it.
+    /// Multiplications and additions of its convolutions a second, where they are most of it; as many as direct sums take,
+    /// though f32 runs by tiles that need fewer.
     gigaoperations: Option<f64>,
     peer: Option<Compared>,
 }
@@ -367,7 +368,8 @@ impl fmt::Display for Networks {
         }
         write!(
             f,
-            "ratios: medians of rounds in turns; --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
+            "Gop/s: of direct sums, though f32 needs fewer; ratios: medians of rounds in turns; \
+             --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
         )
     }
 }
