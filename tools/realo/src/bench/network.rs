@@ -271,6 +271,7 @@ fn told(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
         "channels": model.pillars.channels,
         "backbone": model.backbone,
         "shrink": model.shrink,
+        "arch": model.arch,
         "outputs": outputs,
     })
 }
