@@ -40,7 +40,9 @@ pub(crate) fn erf(x: f32) -> f32 {
 const LANES: usize = 16;
 
 #[inline(always)]
-fn lanes(mut sums: [f32; LANES]) -> f32 {
+fn lanes(sums: [f32; LANES]) -> f32 {
+    // Behind this, compilers cannot spread the tree of additions into the loops that made the lanes.
+    let mut sums = std::hint::black_box(sums);
     let mut half = LANES / 2;
     while half > 0 {
         for lane in 0..half {

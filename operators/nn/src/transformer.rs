@@ -25,7 +25,7 @@ use windows::{OverWindows, add_counted, sum_up};
 use crate::arch::Window;
 use crate::cells::{Linear, line, line_mut};
 use crate::conv::{Map, Pool, split};
-use crate::fuse::{Agent, sample};
+use crate::fuse::{Agent, place};
 use crate::load::lock;
 use crate::math::{erf, product, sum};
 use crate::part::Number;
@@ -146,23 +146,10 @@ impl<E: Number> Transformer<E> {
     }
 
     /// Takes an agent's map in the ego's cells, with what its delay adds.
-    fn take(&self, agent: &Agent, [rows, columns]: [usize; 2], state: &mut State, pool: &mut Pool) {
-        let added = self.delays.of(agent.delay);
-        let State { kind, map, covered } = state;
-        *kind = usize::from(agent.roadside);
-        map.resize(rows * columns * self.channels, 0.0);
-        covered.resize(rows * columns, false);
-        let maps = split(map, columns * self.channels, rows, pool.threads(), 1);
-        let covers = split(covered, columns, rows, pool.threads(), 1);
-        pool.each(maps.into_iter().zip(covers).collect(), |(map, covers)| {
-            let rows = map.data.chunks_exact_mut(columns * self.channels);
-            for ((row, to), covered) in map.range.zip(rows).zip(covers.data.chunks_exact_mut(columns)) {
-                let cells = to.chunks_exact_mut(self.channels).zip(covered);
-                for (column, (to, covered)) in cells.enumerate() {
-                    *covered = sample(agent, column, row, Some(added), to);
-                }
-            }
-        });
+    fn take(&self, agent: &Agent, size: [usize; 2], state: &mut State, pool: &mut Pool) {
+        state.kind = usize::from(agent.roadside);
+        let added = Some(self.delays.of(agent.delay));
+        place(agent, size, added, &mut state.map, &mut state.covered, pool);
     }
 }
 

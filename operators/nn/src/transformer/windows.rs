@@ -121,27 +121,22 @@ dispatch! {
             for (block, factors) in factors.iter().enumerate() {
                 let scores = &scores[block * cells..][..cells];
                 let asking = (cells - block * LANES).min(LANES);
-                let mut write = |lane: usize, from: usize, values: &[f32]| {
-                    let to = &mut to[(first + offsets[block * LANES + lane]) * stored + head * head_width + from..];
-                    values.iter().zip(to).for_each(|(value, to)| *to = E::from_f32(value * factors[lane]));
-                };
                 for lane in 0..asking {
                     let mut from = 0;
-                    while from + 64 <= head_width {
-                        write(lane, from, &mean::<64>(scores, lane, |cell| &of(2, cell)[from..]));
-                        from += 64;
-                    }
-                    while from + 32 <= head_width {
-                        write(lane, from, &mean::<32>(scores, lane, |cell| &of(2, cell)[from..]));
-                        from += 32;
-                    }
-                    while from + LANES <= head_width {
-                        write(lane, from, &mean::<LANES>(scores, lane, |cell| &of(2, cell)[from..]));
-                        from += LANES;
-                    }
                     while from < head_width {
-                        write(lane, from, &mean::<1>(scores, lane, |cell| &of(2, cell)[from..]));
-                        from += 1;
+                        let values = |cell| &of(2, cell)[from..];
+                        let mut write = |made: &[f32]| {
+                            let at = (first + offsets[block * LANES + lane]) * stored + head * head_width + from;
+                            let to = to[at..at + made.len()].iter_mut().zip(made);
+                            to.for_each(|(to, value)| *to = E::from_f32(value * factors[lane]));
+                            made.len()
+                        };
+                        from += match head_width - from {
+                            64.. => write(&mean::<64>(scores, lane, values)),
+                            32.. => write(&mean::<32>(scores, lane, values)),
+                            16.. => write(&mean::<16>(scores, lane, values)),
+                            _ => write(&mean::<1>(scores, lane, values)),
+                        };
                     }
                 }
             }
@@ -238,6 +233,56 @@ dispatch! {
     pub(super) fn add_counted<E: Number>(cells: &[E], stored: usize, counts: &[f32], to: &mut [f32]) {
         for (cell, to) in cells.chunks_exact(stored).zip(to.chunks_exact_mut(counts.len())) {
             to.iter_mut().zip(cell).zip(counts).for_each(|((to, value), count)| *to += value.to_f32() * count);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::cells::packed;
+    use crate::conv::Isa;
+    use crate::testing::Numbers;
+
+    proptest! {
+        #[test]
+        fn attention_is_what_its_formula_says_with_the_same_bits_on_all_instructions(
+            seed in any::<u64>(),
+            side in 1usize..6,
+            heads in 1usize..4,
+            head_width in prop_oneof![1usize..20, Just(32usize), Just(83usize)],
+            across in [1usize..3, 1usize..3],
+        ) {
+            let window = Window { side, heads, head_width };
+            let [rows, columns] = across.map(|windows| windows * side);
+            let width = heads * head_width;
+            let mut numbers = Numbers::new(seed);
+            let (all, offsets) = (numbers.list(rows * columns * 3 * width), numbers.list((2 * side - 1).pow(2)));
+            let layer = || packed::<f32, f32>(vec![1.0], vec![0.0], [1, 1], Isa::Portable);
+            let within = Within::new(window, &offsets, layer(), layer());
+            let [mut found, mut portable] = [(); 2].map(|()| vec![0.0f32; rows * columns * width]);
+            attend(window, columns, &all, &within.positions, width, &mut found);
+            attend::portable(window, columns, &all, &within.positions, width, &mut portable);
+            prop_assert_eq!(&found, &portable);
+            for (at, found) in found.iter().enumerate() {
+                let (cell, head, channel) = (at / width, at % width / head_width, at % head_width);
+                let [row, column] = [cell / columns, cell % columns];
+                let number = |part: usize, [row, column]: [usize; 2], channel: usize| {
+                    f64::from(all[((row * columns + column) * 3 + part) * width + head * head_width + channel])
+                };
+                let asked = (0..side * side).map(|k| [row / side * side + k / side, column / side * side + k % side]);
+                let weights = asked.clone().map(|asked| {
+                    let products = (0..head_width).map(|d| number(0, [row, column], d) * number(1, asked, d));
+                    let [down, right] = [asked[0] + side - 1 - row, asked[1] + side - 1 - column];
+                    let offset = f64::from(offsets[down * (2 * side - 1) + right]);
+                    (products.sum::<f64>() / (head_width as f64).sqrt() + offset).exp()
+                });
+                let values = weights.clone().zip(asked).map(|(weight, asked)| weight * number(2, asked, channel));
+                let expected = values.sum::<f64>() / weights.sum::<f64>();
+                prop_assert!((f64::from(*found) - expected).abs() < 1e-5, "{} {}", found, expected);
+            }
         }
     }
 }

@@ -1,0 +1,123 @@
+//! Whether a network of bytes finds the boxes that it finds in f32.
+
+use std::fmt;
+
+use eyre::Result;
+use realo_detection_head::Decoder;
+use realo_nn::anchors::Anchors;
+use realo_nn::canvas::Canvas;
+use realo_nn::fuse::Agent;
+use realo_nn::model::{Model, Precision};
+use realo_nn::network::{Heads, Network, NetworkOptions};
+use realo_nn::weights::Weights;
+use realo_schemas::Box3;
+use realo_schemas::geometry::{Footprint, iou};
+use serde::Serialize;
+
+/// Candidates before suppression of duplicates, in f32: their least score is the threshold of both.
+const CANDIDATES: usize = 800;
+/// What counts as the same box.
+const SAME_SCORE: f32 = 0.02;
+const SAME_IOU: f64 = 0.95;
+
+/// Boxes after suppression in int8 beside those in f32, of one frame.
+#[derive(Clone, Debug, Serialize)]
+pub struct Agreement {
+    model: String,
+    /// In f32.
+    boxes: usize,
+    /// In int8.
+    boxes_int8: usize,
+    /// Share of the boxes in f32 that one of int8 overlaps by more than half.
+    matched: f64,
+    /// Share of these whose score is within 0.02 and whose IoU is at least 0.95.
+    same: f64,
+    /// Of the matched ones.
+    greatest_score_difference: f32,
+    /// Of the matched ones.
+    least_iou: f64,
+    median_iou: f64,
+}
+
+/// Compares the boxes of a frame of an agent alone.
+pub fn agreement(model: &Model, weights: &Weights, canvas: &Canvas, threads: usize) -> Result<Agreement> {
+    let heads = |precision| -> Result<Heads> {
+        let options = NetworkOptions {
+            precision: Some(precision),
+            threads,
+            ..NetworkOptions::default()
+        };
+        let mut network = Network::new(model, weights, options)?;
+        let map = network.encode(canvas)?;
+        let map = match model.arch.fuses() {
+            true => network.fuse(&[Agent::beside(&map)])?,
+            false => map,
+        };
+        Ok(network.heads(&map)?.clone())
+    };
+    let (single, bytes) = (heads(Precision::F32)?, heads(Precision::Int8)?);
+    let anchors = Anchors::of(model);
+    let mut greatest: Vec<f32> = single
+        .scores
+        .chunks_exact(anchors.classes.len())
+        .map(|scores| scores.iter().copied().fold(f32::NEG_INFINITY, f32::max))
+        .collect();
+    greatest.sort_by(|a, b| b.total_cmp(a));
+    let logit = greatest[CANDIDATES.min(greatest.len() - 1)];
+    let decoder = Decoder::new(anchors, 1.0 / (1.0 + (-logit).exp()));
+    let boxes = |heads: &Heads| -> Vec<Box3> {
+        let boxes = decoder.decode(&heads.scores, &heads.deltas).boxes;
+        let kept = realo_nms::nms(&boxes, &realo_nms::Config::default(), None).kept;
+        kept.iter().map(|index| boxes[*index as usize].clone()).collect()
+    };
+    Ok(compared(&model.name, &boxes(&single), &boxes(&bytes)))
+}
+
+fn compared(model: &str, single: &[Box3], bytes: &[Box3]) -> Agreement {
+    let footprints: Vec<Footprint> = bytes.iter().map(Footprint::of).collect();
+    let pair = |object: &Box3| {
+        let own = Footprint::of(object);
+        let ious = footprints
+            .iter()
+            .zip(bytes)
+            .map(|(other, found)| (iou(&own, other), found.score));
+        ious.max_by(|a, b| a.0.total_cmp(&b.0))
+            .filter(|(iou, _)| *iou > 0.5)
+            .map(|(iou, score)| (iou, (score - object.score).abs()))
+    };
+    let pairs: Vec<(f64, f32)> = single.iter().filter_map(pair).collect();
+    let same = pairs
+        .iter()
+        .filter(|(iou, score)| *iou >= SAME_IOU && *score <= SAME_SCORE)
+        .count();
+    let mut ious: Vec<f64> = pairs.iter().map(|(iou, _)| *iou).collect();
+    ious.sort_by(f64::total_cmp);
+    Agreement {
+        model: model.into(),
+        boxes: single.len(),
+        boxes_int8: bytes.len(),
+        matched: pairs.len() as f64 / single.len() as f64,
+        same: same as f64 / single.len() as f64,
+        greatest_score_difference: pairs.iter().map(|(_, score)| *score).fold(0.0, f32::max),
+        least_iou: ious.first().copied().unwrap_or(0.0),
+        median_iou: ious.get(ious.len() / 2).copied().unwrap_or(0.0),
+    }
+}
+
+impl fmt::Display for Agreement {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(
+            f,
+            "boxes of {}: {} in f32, {} in int8; {:.1} % lie over one of int8, {:.1} % are the same; of those that lie over one, \
+             scores differ by {:.4} at most, IoU is {:.3} at least, {:.3} in the middle",
+            self.model,
+            self.boxes,
+            self.boxes_int8,
+            100.0 * self.matched,
+            100.0 * self.same,
+            self.greatest_score_difference,
+            self.least_iou,
+            self.median_iou
+        )
+    }
+}
