@@ -1,8 +1,9 @@
 //! The parts of a transformer, each by itself: what a check against another implementation asks for.
 
+use super::blocks::mean;
 use super::tiles::{Tile, Worker};
 use super::windows::{add_counted, sum_up};
-use super::{Asked, State, Transformer, mean};
+use super::{Asked, State, Transformer};
 use crate::cells::{line, line_mut};
 use crate::conv::{Map, Pool};
 use crate::fuse::Agent;
@@ -93,7 +94,7 @@ impl Parts {
         let channels = made[0].channels;
         let mut sums = vec![0.0; channels];
         made.iter().for_each(|map| sum_up(map.data, channels, &mut sums));
-        let mean = mean(&sums, channels, made[0].rows * made[0].columns);
+        let mean = mean(&[&sums], made[0].rows * made[0].columns);
         let counts = self.transformer.rounds[0].blocks[0].windows.split.counts(&mean);
         let mut data = vec![0.0; made[0].data.len()];
         for (map, counts) in made.iter().zip(counts.chunks_exact(channels)) {

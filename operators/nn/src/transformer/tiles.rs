@@ -49,6 +49,14 @@ impl Tile {
             .map(move |row| &mut row[part.clone()])
     }
 
+    /// Adds its cells to its rows of a map.
+    pub fn add(self, cells: &[f32], channels: usize, rows: &mut [f32]) {
+        let lines = cells.chunks_exact(self.columns * channels);
+        for (from, to) in lines.zip(self.lines_mut(rows, channels)) {
+            to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
+        }
+    }
+
     fn part(self, numbers: usize) -> Range<usize> {
         self.first * numbers..(self.first + self.columns) * numbers
     }
@@ -57,35 +65,45 @@ impl Tile {
 /// How a map is cut into tiles: whole windows of every size lie in one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tiles {
-    /// Rows of a tile.
-    pub rows: usize,
-    columns: usize,
-    of: usize,
+    /// Rows and columns of a tile.
+    tile: [usize; 2],
+    /// Rows and columns of the map.
+    map: [usize; 2],
 }
 
 impl Tiles {
     /// Of a map whose rows and columns all windows divide.
-    pub fn new(windows: &[Window], columns: usize) -> Self {
+    pub fn new(windows: &[Window], map: [usize; 2]) -> Self {
         let side = windows
             .iter()
             .fold(1, |side, window| common_multiple(side, window.side));
-        let across = columns / side;
+        let across = map[1] / side;
         let most = (CELLS / (side * side)).clamp(1, across.max(1));
         let together = (1..=most).rev().find(|count| across.is_multiple_of(*count));
         Tiles {
-            rows: side,
-            columns: together.unwrap_or(1) * side,
-            of: columns,
+            tile: [side, together.unwrap_or(1) * side],
+            map,
         }
     }
 
-    /// Side by side.
+    /// Cells of the map.
+    pub fn cells(self) -> usize {
+        self.map[0] * self.map[1]
+    }
+
+    /// Bands of tiles side by side, one under the other.
+    pub fn bands(self) -> usize {
+        self.map[0] / self.tile[0]
+    }
+
+    /// The tiles of a band.
     pub fn across(self) -> impl Iterator<Item = Tile> {
-        (0..self.of).step_by(self.columns).map(move |first| Tile {
-            rows: self.rows,
-            columns: self.columns,
+        let ([rows, columns], of) = (self.tile, self.map[1]);
+        (0..of).step_by(columns).map(move |first| Tile {
+            rows,
+            columns,
             first,
-            of: self.of,
+            of,
         })
     }
 }
@@ -170,17 +188,17 @@ mod tests {
             head_width: 1,
         };
         let cases = [
-            (vec![2, 4, 8], 256, (8, 16)),
-            (vec![2, 4, 8], 24, (8, 8)),
-            (vec![2, 3], 36, (6, 18)),
-            (vec![1], 7, (1, 7)),
-            (vec![32], 64, (32, 32)),
+            (vec![2, 4, 8], 256, [8, 16]),
+            (vec![2, 4, 8], 24, [8, 8]),
+            (vec![2, 3], 36, [6, 18]),
+            (vec![1], 7, [1, 7]),
+            (vec![32], 64, [32, 32]),
         ];
         for (sides, columns, expected) in cases {
             let windows: Vec<Window> = sides.iter().map(|side| window(*side)).collect();
-            let tiles = Tiles::new(&windows, columns);
-            assert_eq!((tiles.rows, tiles.columns), expected, "{sides:?}");
-            let rows: Vec<usize> = (0..tiles.rows * columns * 3).collect();
+            let tiles = Tiles::new(&windows, [2 * expected[0], columns]);
+            assert_eq!((tiles.tile, tiles.bands()), (expected, 2), "{sides:?}");
+            let rows: Vec<usize> = (0..expected[0] * columns * 3).collect();
             let mut seen: Vec<usize> = tiles
                 .across()
                 .flat_map(|tile| tile.lines(&rows, 3))

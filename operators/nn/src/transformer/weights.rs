@@ -3,8 +3,9 @@
 use std::sync::Mutex;
 
 use super::agents::OverAgents;
+use super::blocks::Block;
 use super::windows::{OverWindows, Split, Within};
-use super::{Block, Delays, Forward, KINDS, Norm, Round, Transformer};
+use super::{Delays, Forward, KINDS, Norm, Round, Transformer};
 use crate::arch::{Transformer as Settings, Window};
 use crate::cells::{Linear, Specs, packed};
 use crate::conv::{Isa, Kernel, Packed};
