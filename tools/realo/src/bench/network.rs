@@ -24,7 +24,7 @@ use serde_json::{Value, json};
 use super::detector::{cloud, points, spread};
 use super::peer::Peer;
 
-use boxes::{Agreement, agreement};
+use boxes::{Agreement, Trained, agreement};
 
 const LITE: &str = "models/lite.toml";
 const FULL: &str = "models/full-attfuse.toml";
@@ -40,7 +40,7 @@ const MOST: usize = 1000;
 pub struct Networks {
     points: usize,
     rows: Vec<Row>,
-    /// Whether int8 finds the boxes of f32, on weights that nobody trained.
+    /// Whether int8 finds the boxes of f32.
     boxes: Vec<Agreement>,
 }
 
@@ -69,9 +69,8 @@ pub fn bench(python: Option<&Path>) -> Result<Networks> {
     let cloud = cloud()?;
     let points = points(&cloud);
     let mut rows = Vec::new();
-    lite(&points, all, &mut rows)?;
+    let mut boxes = vec![lite(&points, all, &mut rows)?];
     encoders(&points, python, all, &mut rows)?;
-    let mut boxes = Vec::new();
     frames(&points, python, all, &mut rows, &mut boxes)?;
     Ok(Networks {
         points: points.x.len(),
@@ -80,8 +79,8 @@ pub fn bench(python: Option<&Path>) -> Result<Networks> {
     })
 }
 
-/// From a sweep to boxes with the detector that ships, in all that this processor has.
-fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<()> {
+/// From a sweep to boxes with the detector that ships, in all that this processor has; and whether int8 finds them.
+fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<Agreement> {
     let loaded = realo_nn::load(Path::new(LITE), realo_nn::Kernels::auto(1))?;
     let weights = loaded.weights;
     let model = calibrated((*loaded.model).clone(), &weights, points)?;
@@ -111,7 +110,7 @@ fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<()> {
             }
         }
     }
-    Ok(())
+    agreement(&model, &weights, Trained::Yes, &canvas(&model, &weights, points), all)
 }
 
 fn precisions(isa: Isa) -> Vec<Precision> {
@@ -216,7 +215,7 @@ fn frames(
                 parts::fusion(&model, &mut network, rows)?;
             }
         }
-        boxes.push(agreement(&model, &weights, &canvas, threads)?);
+        boxes.push(agreement(&model, &weights, Trained::No, &canvas, threads)?);
         if file == FULL {
             parts::warp(&model, threads, rows)?;
             parts::compressor(&model, points, threads, rows)?;
