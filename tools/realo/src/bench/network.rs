@@ -1,4 +1,5 @@
 mod boxes;
+mod kernel;
 mod parts;
 
 use std::fmt;
@@ -25,6 +26,7 @@ use super::detector::{cloud, points, spread};
 use super::peer::Peer;
 
 use boxes::{Agreement, Trained, agreement};
+use kernel::Best;
 
 const LITE: &str = "models/lite.toml";
 const FULL: &str = "models/full-attfuse.toml";
@@ -51,6 +53,8 @@ struct Row {
     median_ms: f64,
     /// Multiplications and additions of its convolutions a second, where they are most of it.
     gigaoperations: Option<f64>,
+    /// That rate over the best that convolutions reach here.
+    share_of_best: Option<f64>,
     peer: Option<Compared>,
 }
 
@@ -70,8 +74,9 @@ pub fn bench(python: Option<&Path>) -> Result<Networks> {
     let points = points(&cloud);
     let mut rows = Vec::new();
     let mut boxes = vec![lite(&points, all, &mut rows)?];
-    encoders(&points, python, all, &mut rows)?;
-    frames(&points, python, all, &mut rows, &mut boxes)?;
+    let best = kernel::best(&Model::read(Path::new(FULL))?, &points, all)?;
+    encoders(&points, python, all, &best, &mut rows)?;
+    frames(&points, python, all, &best, &mut rows, &mut boxes)?;
     Ok(Networks {
         points: points.x.len(),
         rows,
@@ -106,7 +111,7 @@ fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<Agreement> {
                     Ok(())
                 })?;
                 let what = format!("lite, sweep to boxes, {}", network.choice());
-                rows.push(row(what, &times, None));
+                rows.push(row(what, &times));
             }
         }
     }
@@ -139,7 +144,7 @@ fn canvas(model: &Model, weights: &Weights, points: &Points) -> Canvas {
 }
 
 /// The encoder of V2X-Real's full size from the canvas, against other engines in the same precision.
-fn encoders(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
+fn encoders(points: &Points, python: Option<&Path>, threads: usize, best: &Best, rows: &mut Vec<Row>) -> Result<()> {
     let (model, weights) = untrained(FULL, points)?;
     let canvas = canvas(&model, &weights, points);
     let layers = Layers::of(&model);
@@ -175,7 +180,7 @@ fn encoders(points: &Points, python: Option<&Path>, threads: usize, rows: &mut V
                 network.encode(&canvas)?;
                 Ok(())
             })?;
-            rows.push(measured.row(what.clone(), Some(operations)));
+            rows.push(measured.row(what.clone()).computing(operations, precision, best));
         }
     }
     Ok(())
@@ -186,6 +191,7 @@ fn frames(
     points: &Points,
     python: Option<&Path>,
     threads: usize,
+    best: &Best,
     rows: &mut Vec<Row>,
     boxes: &mut Vec<Agreement>,
 ) -> Result<()> {
@@ -210,7 +216,7 @@ fn frames(
                 candidates(&anchors, &heads.scores, &heads.deltas, model.score_threshold, MOST);
                 Ok(())
             })?;
-            rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice()), None));
+            rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice())));
             if precision == Precision::Int8 {
                 parts::fusion(&model, &mut network, rows)?;
             }
@@ -218,7 +224,7 @@ fn frames(
         boxes.push(agreement(&model, &weights, Trained::No, &canvas, threads)?);
         if file == FULL {
             parts::warp(&model, threads, rows)?;
-            parts::compressor(&model, points, threads, rows)?;
+            parts::compressor(&model, points, threads, best, rows)?;
         }
     }
     Ok(())
@@ -278,8 +284,8 @@ fn against(mut peer: Option<Peer>, mut run: impl FnMut() -> Result<()>) -> Resul
 }
 
 impl Measured {
-    fn row(self, what: String, operations: Option<f64>) -> Row {
-        let mut row = row(what, &self.ours, operations);
+    fn row(self, what: String) -> Row {
+        let mut row = row(what, &self.ours);
         row.peer = self.theirs.map(|(name, theirs)| {
             let ratios: Vec<f64> = self
                 .ours
@@ -299,14 +305,26 @@ impl Measured {
     }
 }
 
-fn row(what: String, seconds: &[f64], operations: Option<f64>) -> Row {
+fn row(what: String, seconds: &[f64]) -> Row {
     let (minimum, median) = spread(seconds);
     Row {
         what,
         minimum_ms: minimum * 1e3,
         median_ms: median * 1e3,
-        gigaoperations: operations.map(|operations| operations / minimum * 1e-9),
+        gigaoperations: None,
+        share_of_best: None,
         peer: None,
+    }
+}
+
+impl Row {
+    /// The row of so many multiplications and additions in a precision.
+    fn computing(mut self, operations: f64, precision: Precision, best: &Best) -> Row {
+        let rate = operations / self.minimum_ms * 1e-6;
+        self.gigaoperations = Some(rate);
+        let best = best.iter().find(|(of, _)| *of == precision);
+        self.share_of_best = best.map(|(_, best)| rate / best);
+        self
     }
 }
 
@@ -329,6 +347,9 @@ impl fmt::Display for Networks {
             if let Some(gigaoperations) = row.gigaoperations {
                 write!(f, "  {gigaoperations:.0} Gop/s")?;
             }
+            if let Some(share) = row.share_of_best {
+                write!(f, ", {:.0} % of the best", 100.0 * share)?;
+            }
             if let Some(peer) = &row.peer {
                 let Compared {
                     name,
@@ -345,7 +366,7 @@ impl fmt::Display for Networks {
         }
         write!(
             f,
-            "ratios: medians of rounds in turns; --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
+            "the best: convolutions of 64 channels that stay in the caches; ratios: medians of rounds in turns; --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
         )
     }
 }
