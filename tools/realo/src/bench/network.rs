@@ -1,5 +1,4 @@
 mod boxes;
-mod kernel;
 mod parts;
 
 use std::fmt;
@@ -26,7 +25,6 @@ use super::detector::{cloud, points, spread};
 use super::peer::Peer;
 
 use boxes::{Agreement, Trained, agreement};
-use kernel::Best;
 
 const LITE: &str = "models/lite.toml";
 const FULL: &str = "models/full-attfuse.toml";
@@ -53,8 +51,6 @@ struct Row {
     median_ms: f64,
     /// Multiplications and additions of its convolutions a second, where they are most of it.
     gigaoperations: Option<f64>,
-    /// That rate over the best that convolutions reach here.
-    share_of_best: Option<f64>,
     peer: Option<Compared>,
 }
 
@@ -74,9 +70,8 @@ pub fn bench(python: Option<&Path>) -> Result<Networks> {
     let points = points(&cloud);
     let mut rows = Vec::new();
     let mut boxes = vec![lite(&points, all, &mut rows)?];
-    let best = kernel::best(&Model::read(Path::new(FULL))?, &points, all)?;
-    encoders(&points, python, all, &best, &mut rows)?;
-    frames(&points, python, all, &best, &mut rows, &mut boxes)?;
+    encoders(&points, python, all, &mut rows)?;
+    frames(&points, python, all, &mut rows, &mut boxes)?;
     Ok(Networks {
         points: points.x.len(),
         rows,
@@ -111,7 +106,7 @@ fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<Agreement> {
                     Ok(())
                 })?;
                 let what = format!("lite, sweep to boxes, {}", network.choice());
-                rows.push(row(what, &times));
+                rows.push(row(what, &times, None));
             }
         }
     }
@@ -144,7 +139,7 @@ fn canvas(model: &Model, weights: &Weights, points: &Points) -> Canvas {
 }
 
 /// The encoder of V2X-Real's full size from the canvas, against other engines in the same precision.
-fn encoders(points: &Points, python: Option<&Path>, threads: usize, best: &Best, rows: &mut Vec<Row>) -> Result<()> {
+fn encoders(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
     let (model, weights) = untrained(FULL, points)?;
     let canvas = canvas(&model, &weights, points);
     let layers = Layers::of(&model);
@@ -180,7 +175,7 @@ fn encoders(points: &Points, python: Option<&Path>, threads: usize, best: &Best,
                 network.encode(&canvas)?;
                 Ok(())
             })?;
-            rows.push(measured.row(what.clone()).computing(operations, precision, best));
+            rows.push(measured.row(what.clone(), Some(operations)));
         }
     }
     Ok(())
@@ -191,7 +186,6 @@ fn frames(
     points: &Points,
     python: Option<&Path>,
     threads: usize,
-    best: &Best,
     rows: &mut Vec<Row>,
     boxes: &mut Vec<Agreement>,
 ) -> Result<()> {
@@ -216,7 +210,7 @@ fn frames(
                 candidates(&anchors, &heads.scores, &heads.deltas, model.score_threshold, MOST);
                 Ok(())
             })?;
-            rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice())));
+            rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice()), None));
             if precision == Precision::Int8 {
                 parts::fusion(&model, &mut network, rows)?;
             }
@@ -224,7 +218,7 @@ fn frames(
         boxes.push(agreement(&model, &weights, Trained::No, &canvas, threads)?);
         if file == FULL {
             parts::warp(&model, threads, rows)?;
-            parts::compressor(&model, points, threads, best, rows)?;
+            parts::compressor(&model, points, threads, rows)?;
         }
     }
     Ok(())
@@ -284,8 +278,8 @@ fn against(mut peer: Option<Peer>, mut run: impl FnMut() -> Result<()>) -> Resul
 }
 
 impl Measured {
-    fn row(self, what: String) -> Row {
-        let mut row = row(what, &self.ours);
+    fn row(self, what: String, operations: Option<f64>) -> Row {
+        let mut row = row(what, &self.ours, operations);
         row.peer = self.theirs.map(|(name, theirs)| {
             let ratios: Vec<f64> = self
                 .ours
@@ -305,26 +299,14 @@ impl Measured {
     }
 }
 
-fn row(what: String, seconds: &[f64]) -> Row {
+fn row(what: String, seconds: &[f64], operations: Option<f64>) -> Row {
     let (minimum, median) = spread(seconds);
     Row {
         what,
         minimum_ms: minimum * 1e3,
         median_ms: median * 1e3,
-        gigaoperations: None,
-        share_of_best: None,
+        gigaoperations: operations.map(|operations| operations / minimum * 1e-9),
         peer: None,
-    }
-}
-
-impl Row {
-    /// The row of so many multiplications and additions in a precision.
-    fn computing(mut self, operations: f64, precision: Precision, best: &Best) -> Row {
-        let rate = operations / self.minimum_ms * 1e-6;
-        self.gigaoperations = Some(rate);
-        let best = best.iter().find(|(of, _)| *of == precision);
-        self.share_of_best = best.map(|(_, best)| rate / best);
-        self
     }
 }
 
@@ -347,9 +329,6 @@ impl fmt::Display for Networks {
             if let Some(gigaoperations) = row.gigaoperations {
                 write!(f, "  {gigaoperations:.0} Gop/s")?;
             }
-            if let Some(share) = row.share_of_best {
-                write!(f, ", {:.0} % of the best", 100.0 * share)?;
-            }
             if let Some(peer) = &row.peer {
                 let Compared {
                     name,
@@ -366,7 +345,7 @@ impl fmt::Display for Networks {
         }
         write!(
             f,
-            "the best: convolutions of 64 channels that stay in the caches; ratios: medians of rounds in turns; --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
+            "ratios: medians of rounds in turns; --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
         )
     }
 }

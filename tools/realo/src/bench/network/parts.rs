@@ -1,7 +1,6 @@
 //! What lies between encoders and heads, by itself: compressor, warp, fusion.
 
 use eyre::{OptionExt, Result};
-use realo_nn::conv::Isa;
 use realo_nn::filler::{self, Numbers};
 use realo_nn::fuse::{Agent, Placer, Warp};
 use realo_nn::layers::Layers;
@@ -9,7 +8,6 @@ use realo_nn::model::Model;
 use realo_nn::network::{BevMap, Network, NetworkOptions, Section};
 use realo_nn::pillars::Points;
 
-use super::kernel::Best;
 use super::{ROUNDS, ROUNDS_OF_FULL, Row, calibrated, operations, precisions, row, timed};
 
 /// Channels cross at a 32nd, as in the paper.
@@ -18,7 +16,7 @@ const COMPRESSION: usize = 32;
 const TURNED: Warp = Warp([[0.995, -0.0998, 12.3], [0.0998, 0.995, -7.7]]);
 
 /// The learned compressor of a model, on either side of the link: from f32 to f32.
-pub fn compressor(model: &Model, points: &Points, threads: usize, best: &Best, rows: &mut Vec<Row>) -> Result<()> {
+pub fn compressor(model: &Model, points: &Points, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
     let mut model = model.clone();
     let compression = model.arch.compression_mut();
     *compression.ok_or_eyre("a model that shares no maps has no compressor")? = COMPRESSION;
@@ -28,7 +26,7 @@ pub fn compressor(model: &Model, points: &Points, threads: usize, best: &Best, r
     let layers = Layers::of(&model);
     let last = layers.steps().iter().find(|step| step.to == layers.features);
     let whole = last.ok_or_eyre("no layer makes the shared map")?.from[0];
-    for precision in precisions(Isa::detect()) {
+    for precision in precisions(realo_nn::conv::Isa::detect()) {
         let options = NetworkOptions {
             precision: Some(precision),
             threads,
@@ -45,7 +43,7 @@ pub fn compressor(model: &Model, points: &Points, threads: usize, best: &Best, r
                 Ok(())
             })?;
             let what = format!("map of {} {what} 1:{COMPRESSION}, {precision}", model.name);
-            rows.push(row(what, &times).computing(operations(&layers, ends), precision, best));
+            rows.push(row(what, &times, Some(operations(&layers, ends))));
         }
     }
     Ok(())
@@ -67,6 +65,7 @@ pub fn warp(model: &Model, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
     rows.push(row(
         format!("warp of a turned map, {map_rows}x{columns}x{channels}"),
         &times,
+        None,
     ));
     Ok(())
 }
@@ -93,7 +92,7 @@ pub fn fusion(model: &Model, network: &mut Network, rows: &mut Vec<Row>) -> Resu
             "fusion of {}, 3 agents {how}, {map_rows}x{columns}x{channels}",
             model.name
         );
-        rows.push(row(what, &times));
+        rows.push(row(what, &times, None));
     }
     Ok(())
 }
