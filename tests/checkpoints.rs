@@ -114,12 +114,15 @@ fn v2xvit_runs_on_dora() {
 fn a_graph_without_weights_is_refused_before_it_starts() {
     let (out, log) = (folder("checkpoints_bare").join("out"), log());
     let (out_text, log) = (out.to_string_lossy(), log.to_string_lossy());
-    let output = realo(["run", &graph("v2xvit"), "--offline", "--log", &log, "--out", &out_text]);
+    let model = root().join("models/full-v2xvit.toml");
+    let model = model.to_string_lossy();
+    let run = ["run", &graph("v2xvit"), "--offline", "--model", &model];
+    let output = realo(run.into_iter().chain(["--log", &log, "--out", &out_text]));
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
     for part in [
-        "lite-v2xvit.toml: this model has no weights",
-        "lite-v2xvit.safetensors is not there",
+        "full-v2xvit.toml: this model has no weights",
+        "full-v2xvit.safetensors is not there",
         "realo checkpoint convert",
         "--model FILE",
     ] {

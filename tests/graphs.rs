@@ -371,6 +371,26 @@ fn features_cross_in_all_elements_and_detect_alike() {
 }
 
 #[test]
+fn the_shipped_v2xvit_sees_more_with_others_than_alone_whoever_projects() {
+    let log = shared();
+    let run = |out: &str, settings: &[&str]| {
+        let result = run_virtual(out, "v2xvit", &log, &[&["--ego", "cav1"], settings].concat());
+        let all = precisions(&result);
+        (all.iter().sum::<f64>() / all.len() as f64, result)
+    };
+    let (alone, _) = run("v2xvit_alone", &["--offline", "--agents", "cav1"]);
+    for (out, settings) in [
+        ("v2xvit_sender", &["--offline", "--project", "sender"][..]),
+        ("v2xvit_receiver", &["--offline", "--project", "receiver"]),
+        ("v2xvit_virtual", &["--project", "sender"]),
+    ] {
+        let (together, result) = run(out, settings);
+        assert!(bytes_of_a_map(&result) > 100_000);
+        assert!(together > alone + 0.02, "{out}: {together}, alone {alone}");
+    }
+}
+
+#[test]
 fn features_cross_on_dora_and_their_steps_are_timed() {
     let (log, out) = (shared(), folder("elements_realtime"));
     let (log, dir) = (log.to_string_lossy().into_owned(), out.to_string_lossy().into_owned());

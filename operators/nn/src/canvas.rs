@@ -55,6 +55,13 @@ impl Canvas {
         rows.flatten().copied().collect()
     }
 
+    /// Rows and columns of the cells that are not known to be zero, in no order, some of them perhaps twice.
+    pub fn written_cells(&self) -> impl Iterator<Item = [usize; 2]> {
+        let length = self.columns + 2;
+        let cells = self.written.iter().map(|start| start / self.channels);
+        cells.map(move |cell| [cell / length - 1, cell % length - 1])
+    }
+
     /// The channels of a cell.
     ///
     /// # Panics

@@ -15,8 +15,10 @@ use crate::weights::Weights;
 use unit::Unit;
 pub use unit::{GatedUnit, GatedUnitTensors};
 
-const NET: &str = "fusion_net";
-const UNIT: &str = "fusion_net.conv_gru.cell_list.0";
+/// Key of the fusion.
+pub const NET: &str = "fusion_net";
+/// Key of its gated unit.
+pub const UNIT: &str = "fusion_net.conv_gru.cell_list.0";
 
 /// The tensors on maps of so many channels, in the order of the state dict.
 pub(crate) fn tensors(channels: usize) -> Vec<TensorSpec> {

@@ -560,18 +560,10 @@ impl Network {
     /// that does not fit.
     pub fn fuse(&mut self, agents: &[Agent]) -> Result<BevMap, NetworkError> {
         let core = &*self.core;
-        let model = || core.name.clone();
-        let (fuser, most) = core
-            .fusion
-            .as_ref()
-            .ok_or_else(|| NetworkError::NoFusion { model: model() })?;
-        if !(1..=*most).contains(&agents.len()) {
-            return Err(NetworkError::Agents {
-                model: model(),
-                most: *most,
-                found: agents.len(),
-            });
-        }
+        let (fuser, most) = core.fusion.as_ref().ok_or_else(|| NetworkError::NoFusion {
+            model: core.name.clone(),
+        })?;
+        check_agents(&core.name, agents.len(), *most)?;
         let mut pool = lock(&self.pool);
         let mut restored = Vec::new();
         for agent in agents {
@@ -639,26 +631,54 @@ fn map_of([rows, columns, channels]: MapSize, data: Vec<f32>) -> BevMap {
 
 /// A map without a border, if it is of the expected size and has as many numbers.
 fn plain<'a>(model: &str, map: BevView<'a>, expected: MapSize) -> Result<View<'a, f32>, NetworkError> {
-    check_size("the BEV map", model, [map.rows, map.columns, map.channels], expected)?;
-    let view = View {
+    check_map(model, map, expected)?;
+    Ok(View {
         rows: map.rows,
         columns: map.columns,
         stored: map.channels,
         border: 0,
         data: map.data,
         written: None,
-    };
-    match view.numbers() == map.data.len() {
-        true => Ok(view),
+    })
+}
+
+/// Whether a model of this name, which fuses `most` agents, fuses so many.
+///
+/// # Errors
+/// [`NetworkError::Agents`] if it does not.
+pub fn check_agents(model: &str, found: usize, most: usize) -> Result<(), NetworkError> {
+    match (1..=most).contains(&found) {
+        true => Ok(()),
+        false => Err(NetworkError::Agents {
+            model: model.into(),
+            most,
+            found,
+        }),
+    }
+}
+
+/// Whether a BEV map is of the size that a model of this name expects, and has as many numbers.
+///
+/// # Errors
+/// [`NetworkError::Shape`] and [`NetworkError::Length`].
+pub fn check_map(model: &str, map: BevView, expected: MapSize) -> Result<(), NetworkError> {
+    check_size("the BEV map", model, [map.rows, map.columns, map.channels], expected)?;
+    let numbers = expected.iter().product();
+    match numbers == map.data.len() {
+        true => Ok(()),
         false => Err(NetworkError::Length {
             what: "the BEV map",
-            expected: view.numbers(),
+            expected: numbers,
             found: map.data.len(),
         }),
     }
 }
 
-fn check_size(what: &'static str, model: &str, found: MapSize, expected: MapSize) -> Result<(), NetworkError> {
+/// Whether a map is of the size that a model of this name expects.
+///
+/// # Errors
+/// [`NetworkError::Shape`] if it is not.
+pub fn check_size(what: &'static str, model: &str, found: MapSize, expected: MapSize) -> Result<(), NetworkError> {
     if found == expected {
         return Ok(());
     }

@@ -18,8 +18,8 @@ use std::sync::Mutex;
 use blocks::Block;
 pub use parts::{Asking, Parts};
 use tiles::{Tile, Tiles, Worker};
-pub use weights::initial_delays;
 pub(crate) use weights::tensors;
+pub use weights::{ENCODER, agents_key, forward_key, initial_delays, windows_key};
 
 use crate::arch::Window;
 use crate::cells::{Linear, line, line_mut};
@@ -31,9 +31,9 @@ use crate::part::Number;
 use crate::simd::dispatch;
 
 /// Kinds of agents: vehicles, and roadside units.
-const KINDS: usize = 2;
+pub const KINDS: usize = 2;
 /// Added to the variance by every layer norm.
-const LAYER_NORM_EPS: f32 = 1e-5;
+pub const LAYER_NORM_EPS: f32 = 1e-5;
 
 /// A transformer that is ready to run; maps are computed in `E`, what is added up in f32.
 pub(crate) struct Transformer<E> {

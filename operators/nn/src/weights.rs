@@ -43,7 +43,7 @@ pub enum WeightsError {
     /// The file cannot be read.
     #[error(
         "{}: {error}; weights lie beside their model file, under the model's `name`: `realo checkpoint convert` makes them of \
-         a PyTorch checkpoint, `realo train` trains a detector of one agent",
+         a PyTorch checkpoint, `realo train` trains detectors and V2X-ViT's fusion",
         path.display()
     )]
     Read {

@@ -1,4 +1,4 @@
-//! `realo train`: the detector, on the CPU.
+//! `realo train`: the detector, or V2X-ViT's fusion behind one, on the CPU.
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -17,6 +17,9 @@ pub struct Args {
     /// The model file
     #[arg(default_value = "models/lite.toml")]
     model: PathBuf,
+    /// For a V2X-ViT model: the model file whose encoder it keeps, and whose heads it begins with
+    #[arg(long, value_name = "MODEL")]
+    from: Option<PathBuf>,
     /// Folder of the results: checkpoint, weights, curve (CSV and SVG)
     #[arg(long, default_value = "target/realo/training")]
     out: PathBuf,
@@ -99,6 +102,7 @@ impl Args {
         };
         TrainOptions {
             model: self.model.clone(),
+            encoder: self.from.clone(),
             output: self.out.clone(),
             resume: self.resume,
             data,
@@ -113,7 +117,10 @@ impl Args {
                 rate: self.rate,
                 ..OptimizerSettings::default()
             },
-            augmentation: Augmentation::default(),
+            augmentation: match self.from {
+                Some(_) => Augmentation::of_fusion(),
+                None => Augmentation::default(),
+            },
             threads: self.threads,
         }
     }
@@ -140,16 +147,17 @@ fn show(bar: &ProgressBar, progress: &Progress) {
         progress.seconds_per_step,
         progress.left.as_secs_f64() / 60.0
     ));
-    if let Some(validation) = progress.validation {
-        bar.suspend(|| println!("step {}: {}", point.step + 1, scores(validation)));
+    for (steps, validation) in progress.validations {
+        bar.suspend(|| println!("step {steps}: {}", scores(validation)));
     }
 }
 
 pub(crate) fn scores(validation: &Validation) -> String {
     let percent = |ap: Option<f64>| ap.map_or("none".into(), |ap| format!("{:.3}", ap));
     let class = validation.classes.iter().map(|class| {
-        let (alone, merged) = (percent(class.alone), percent(class.merged));
-        format!("{} AP@{} alone {alone}, merged {merged}", class.name, class.iou)
+        let reached = class.reached.iter().map(|(way, ap)| format!("{way} {}", percent(*ap)));
+        let reached = reached.collect::<Vec<_>>().join(", ");
+        format!("{} AP@{} {reached}", class.name, class.iou)
     });
     class.collect::<Vec<_>>().join("; ")
 }

@@ -49,6 +49,8 @@ pub struct TrainingPlan {
     pub augmentation: Augmentation,
     /// Where frames come from, in words.
     pub data: String,
+    /// The model whose encoder it has, of one that learns to fuse.
+    pub encoder: Option<String>,
 }
 
 impl TrainingPlan {
@@ -56,27 +58,34 @@ impl TrainingPlan {
     pub fn differences(&self, asked: &TrainingPlan) -> Vec<String> {
         let mut asked = asked.clone();
         asked.optimizer.rate = self.optimizer.rate;
-        let plain = |plan: &TrainingPlan| serde_json::to_value(plan).expect("plans are plain data");
-        let mut found = Vec::new();
-        differ("", &plain(self), &plain(&asked), &mut found);
-        found
+        let told = differences(self, &asked).into_iter();
+        told.map(|(name, was, asked)| format!("{name}: was {was}, now {asked} is asked for"))
+            .collect()
     }
 }
 
-fn differ(name: &str, was: &Value, asked: &Value, found: &mut Vec<String>) {
-    if let (Value::Object(a), Value::Object(b)) = (was, asked)
-        && a.keys().eq(b.keys())
+/// What differs between two of plain data: name, first and second value.
+pub(crate) fn differences<T: Serialize>(a: &T, b: &T) -> Vec<(String, Value, Value)> {
+    let [a, b] = [a, b].map(|data| serde_json::to_value(data).expect("plain data"));
+    let mut found = Vec::new();
+    differ("", &a, &b, &mut found);
+    found
+}
+
+fn differ(name: &str, a: &Value, b: &Value, found: &mut Vec<(String, Value, Value)>) {
+    if let (Value::Object(first), Value::Object(second)) = (a, b)
+        && first.keys().eq(second.keys())
     {
-        for (key, was) in a {
+        for (key, a) in first {
             let name = if name.is_empty() {
                 key.clone()
             } else {
                 format!("{name}.{key}")
             };
-            differ(&name, was, &b[key], found);
+            differ(&name, a, &second[key], found);
         }
-    } else if was != asked {
-        found.push(format!("{name}: was {was}, now {asked} is asked for"));
+    } else if a != b {
+        found.push((name.into(), a.clone(), b.clone()));
     }
 }
 

@@ -70,6 +70,20 @@ pub enum TrainError {
         /// Why.
         reason: String,
     },
+    /// A model whose maps are not those that a fusion needs.
+    #[error(
+        "`{}` makes other maps than `{model}` fuses: {differences}; name a model file that `{model}` extends, or one with the \
+         same layers",
+        encoder.display()
+    )]
+    OtherMaps {
+        /// The model that fuses.
+        model: String,
+        /// The file of the other.
+        encoder: PathBuf,
+        /// What differs.
+        differences: String,
+    },
     /// A class without a single object.
     #[error(
         "class `{class}` does not appear in the training data ({frames} frames were looked at); it cannot be learnt"

@@ -1,12 +1,13 @@
-//! Trains the PointPillars detector on the CPU.
+//! Trains the PointPillars detector, and V2X-ViT's fusion behind its encoder, on the CPU.
 //!
-//! Frames ([`data`]) become batches on a thread of their own; the network ([`network`]) is made of custom operations
-//! ([`layers`]) that a [`tape`] leads gradients back through; [`train`] is the loop around it.
+//! Frames ([`data`]) become batches on a thread of their own; the detector ([`network`]) is made of custom operations
+//! ([`layers`]) that a [`tape`] leads gradients back through, the fusion of candle's; [`train`] is the loop around both.
 
 mod checkpoint;
 mod curve;
 pub mod data;
 mod error;
+mod fusing;
 pub mod layers;
 pub mod network;
 pub mod optimizer;

@@ -15,6 +15,7 @@ use realo_nn::targets::Targets;
 use realo_nn::transformer::initial_delays;
 use realo_nn::weights::{Weights, WeightsError};
 
+use crate::fusing::frozen;
 use crate::layers::{
     Bias, Conv, MapShape, Moments, Norm, PillarBatch, PillarLayer, Pointwise, Statistics, WeightOrder, buffer, tensor,
     with_numbers,
@@ -35,7 +36,7 @@ pub struct Parameter {
     pub name: String,
     /// Numbers.
     pub value: Tensor,
-    /// Whether gradients move it; running statistics follow the batches instead.
+    /// Whether gradients move it; running statistics follow the batches instead, and an encoder that is given stays.
     pub trained: bool,
     /// Whether large values are discouraged: weights of layers, not biases and norms.
     pub decayed: bool,
@@ -107,12 +108,13 @@ impl Network {
     /// A network of given numbers for each tensor, asked for in the order of the weights.
     pub(crate) fn with(model: &Model, mut values: impl FnMut(&TensorSpec) -> Vec<f32>) -> candle_core::Result<Self> {
         let layers = Layers::of(model);
+        let frozen = frozen(model, &layers);
         let (mut parameters, mut places) = (Vec::new(), HashMap::new());
         for spec in layers.tensors() {
             places.insert(spec.key.clone(), parameters.len());
             parameters.push(Parameter {
                 value: tensor(values(&spec), spec.shape)?,
-                trained: spec.role.is_trained(),
+                trained: spec.role.is_trained() && !frozen.contains(&spec.key),
                 decayed: matches!(spec.role, Role::Weight { .. }),
                 name: spec.key,
             });
@@ -134,6 +136,10 @@ impl Network {
     /// The model.
     pub fn model(&self) -> &Model {
         &self.model
+    }
+
+    pub(crate) fn layers(&self) -> &Layers {
+        &self.layers
     }
 
     /// All tensors, in the order of the file of weights.
@@ -177,7 +183,7 @@ impl Network {
                 Layer::Fuse(FuseLayer {
                     fusion: Fusion::Transformer(_) | Fusion::Messages { .. },
                     ..
-                }) => candle_core::bail!("the fusions of V2X-ViT and V2VNet cannot be trained here"),
+                }) => candle_core::bail!("the fusions of V2X-ViT and V2VNet look at maps, not at points"),
             };
             maps.made.insert(step.to, made);
         }

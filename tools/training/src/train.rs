@@ -2,20 +2,22 @@
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use realo_nn::loss;
 use realo_nn::model::{Frame, Model};
+use realo_nn::weights::Weights;
 
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
-use crate::data::{Augmentation, Batch, Frames, LoggedFrames, Recipe, SimulatedFrames, write_whole};
+use crate::data::{Augmentation, Batch, Frames, Input, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, write_whole};
+use crate::fusing::{beginning, encoder};
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
-use crate::validate::{Validation, validate};
+use crate::validate::{Validation, validate, validate_fusion};
 
 /// Simulated frames that are searched for an object of each class before training begins; of logs all are.
 const SEARCHED: usize = 100;
@@ -28,6 +30,8 @@ const TRAINING_SEEDS: u64 = 800;
 pub struct TrainOptions {
     /// The model file.
     pub model: PathBuf,
+    /// The model file whose encoder and first heads are taken, for a model that learns to fuse.
+    pub encoder: Option<PathBuf>,
     /// Folder of the results: `checkpoint.safetensors`, `<model>.safetensors`, `curve.csv`, `curve.svg`.
     pub output: PathBuf,
     /// Whether to go on from the checkpoint that is there.
@@ -90,8 +94,8 @@ pub struct Progress<'a> {
     pub waiting: f64,
     /// Until the last step or the end of the time, whichever comes first.
     pub left: Duration,
-    /// A validation that was just made.
-    pub validation: Option<&'a Validation>,
+    /// Validations since the last step, each with the steps that were done before it.
+    pub validations: &'a [(u64, Validation)],
 }
 
 /// What a training came to.
@@ -118,7 +122,7 @@ pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> 
     pool.install(|| Training::new(options)?.run(progress))
 }
 
-fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
+pub(crate) fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
     TrainError::Option {
         field,
         expected,
@@ -206,12 +210,17 @@ struct Source {
 }
 
 impl Source {
-    fn open(data: &Data) -> Result<Self, TrainError> {
+    /// `earlier`: whether simulated frames have earlier sweeps too.
+    fn open(data: &Data, earlier: bool) -> Result<Self, TrainError> {
         match data {
             Data::Simulated { cache, seeds, per_seed } => {
-                let frames = SimulatedFrames::new(cache, seeds.clone(), *per_seed)?;
+                let mut frames = SimulatedFrames::new(cache, seeds.clone(), *per_seed)?;
                 let world = crate::data::world();
-                let name = format!("simulator seeds {seeds:?}, {per_seed} frames each, {world}");
+                let mut name = format!("simulator seeds {seeds:?}, {per_seed} frames each, {world}");
+                if earlier {
+                    frames = frames.with_earlier();
+                    name.push_str(" and earlier");
+                }
                 Ok(Source {
                     frames: Arc::new(frames.clone()),
                     name,
@@ -280,7 +289,8 @@ impl<'a> Training<'a> {
                 reason,
             });
         }
-        let source = Source::open(&options.data)?;
+        let encoder = encoder(&model, options.encoder.as_deref())?;
+        let source = Source::open(&options.data, encoder.is_some())?;
         let plan = TrainingPlan {
             model: model.clone(),
             seed: options.seed,
@@ -290,10 +300,16 @@ impl<'a> Training<'a> {
             optimizer: options.optimizer,
             augmentation: options.augmentation.clone(),
             data: source.name.clone(),
+            encoder: encoder.as_ref().map(|encoder| encoder.identity.clone()),
         };
         let lock = lock(&options.output)?;
         let checkpoint = options.output.join("checkpoint.safetensors");
-        let state = state(options, &model, plan, &checkpoint)?;
+        let weights = encoder.as_ref().map(|encoder| &*encoder.weights);
+        let state = state(options, &model, weights, plan, &checkpoint)?;
+        let maps = match encoder {
+            Some(_) => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
+            None => None,
+        };
         let recipe = Recipe {
             frames: source.frames.clone(),
             model: model.clone(),
@@ -301,6 +317,7 @@ impl<'a> Training<'a> {
             seed: options.seed,
             batch: options.batch,
             half_range: options.half_range,
+            encoder: maps.map(|maps| Arc::new(Mutex::new(maps))),
         };
         let mut filling = Filling::default();
         filling.threads.extend(
@@ -377,6 +394,11 @@ impl<'a> Training<'a> {
         // A step may throw the weights far away and show it only in the next one's loss, so a state waits for that.
         let mut waiting: Option<Checkpoint> = None;
         let mut pace = Pace::default();
+        let mut validations = Vec::new();
+        // What is learnt in addition to a detector is measured by where it began.
+        if self.recipe.encoder.is_some() && self.state.optimizer.steps == 0 && self.options.validate_every.is_some() {
+            validations.push((0, self.validate()?));
+        }
         while self.state.optimizer.steps < self.options.steps && budget.is_none_or(|budget| begin.elapsed() < budget) {
             let start = Instant::now();
             let batch = batches.recv().map_err(|_| TrainError::Stopped)??;
@@ -390,7 +412,9 @@ impl<'a> Training<'a> {
                 .options
                 .validate_every
                 .is_some_and(|every| self.state.optimizer.steps.is_multiple_of(every));
-            let validation = if due { Some(self.validate()?) } else { None };
+            if due {
+                validations.push((self.state.optimizer.steps, self.validate()?));
+            }
             let steps_left = (self.options.steps - self.state.optimizer.steps) as f64 * pace.seconds;
             let time_left = budget.map_or(f64::INFINITY, |budget| {
                 (budget.saturating_sub(begin.elapsed())).as_secs_f64()
@@ -401,8 +425,9 @@ impl<'a> Training<'a> {
                 seconds_per_step: pace.seconds,
                 waiting: pace.waiting,
                 left: Duration::from_secs_f64(steps_left.min(time_left)),
-                validation: validation.as_ref(),
+                validations: &validations,
             });
+            validations.clear();
             if saved.elapsed().as_secs_f64() > self.options.checkpoint_minutes * 60.0 {
                 waiting = Some(self.state.clone());
                 saved = Instant::now();
@@ -430,7 +455,11 @@ impl<'a> Training<'a> {
         } = &mut self.state;
         let step = optimizer.steps;
         let how = &self.options.optimizer;
-        let pass = network.pass(&batch.pillars, &batch.targets, &loss::LossWeights::default())?;
+        let weights = loss::LossWeights::default();
+        let pass = match &batch.input {
+            Input::Points(pillars) => network.pass(pillars, &batch.targets, &weights)?,
+            Input::Maps(samples) => network.pass_on_maps(samples, &batch.targets, &weights)?,
+        };
         let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
         let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
         if !(class + regression).is_finite() {
@@ -460,7 +489,11 @@ impl<'a> Training<'a> {
     }
 
     fn validate(&self) -> Result<Validation, TrainError> {
-        validate(&self.state.network, &validation_frames(&self.options.data)?)
+        let (network, frames) = (&self.state.network, validation_frames(&self.options.data)?);
+        match self.recipe.encoder {
+            Some(_) => validate_fusion(network, &frames),
+            None => validate(network, &frames),
+        }
     }
 
     /// Writes everything; each file is replaced as a whole.
@@ -495,10 +528,17 @@ pub fn validation_frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
 /// # Errors
 /// [`TrainError`] if there can be no folder for them, or logs have none.
 pub fn frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
-    Ok(Source::open(data)?.frames)
+    Ok(Source::open(data, false)?.frames)
 }
 
-fn state(options: &TrainOptions, model: &Model, plan: TrainingPlan, path: &Path) -> Result<Checkpoint, TrainError> {
+/// `encoder`: weights of the network whose encoder is taken.
+fn state(
+    options: &TrainOptions,
+    model: &Model,
+    encoder: Option<&Weights>,
+    plan: TrainingPlan,
+    path: &Path,
+) -> Result<Checkpoint, TrainError> {
     let refuse = |reason: String| TrainError::Checkpoint {
         path: path.into(),
         reason,
@@ -516,7 +556,10 @@ fn state(options: &TrainOptions, model: &Model, plan: TrainingPlan, path: &Path)
                     "there is none, but there are weights, {weights}, that a training would overwrite; choose another folder"
                 )));
             }
-            let network = Network::random(model, options.seed)?;
+            let network = match encoder {
+                Some(encoder) => beginning(model, encoder, options.seed)?,
+                None => Network::random(model, options.seed)?,
+            };
             Ok(Checkpoint {
                 optimizer: AdamW::new(&network),
                 network,

@@ -9,7 +9,7 @@ use realo_nn::targets::Object;
 use realo_schemas::geometry::{Footprint, iou, iou_exceeds};
 
 use crate::TrainError;
-use crate::data::{Augmentation, Cast, Frames, Scene, gather, near};
+use crate::data::{AgentSweep, Augmentation, Cast, Frame, Frames, MapEncoder, Party, Project, Scene, gather, near};
 use crate::layers::{MapShape, with_numbers};
 use crate::network::{Network, inner};
 use crate::random::Stream;
@@ -21,7 +21,7 @@ const MOST_CANDIDATES: usize = 1000;
 /// Scores from which boxes count; the curve of precision and recall needs low ones too.
 const THRESHOLD: f32 = 0.1;
 
-/// Average precision by class, for egos alone and for merged clouds.
+/// Average precision by class, for several ways to perceive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Validation {
     /// Frames that were looked at; each from every vehicle.
@@ -37,11 +37,16 @@ pub struct ClassScore {
     pub name: String,
     /// Least IoU on the ground plane.
     pub iou: f64,
-    /// An ego alone, on objects with at least 5 of its points.
-    pub alone: Option<f64>,
-    /// Clouds of all within 70 m, on objects with at least 5 points of all.
-    pub merged: Option<f64>,
+    /// Each way by name, and what was reached on objects with at least 5 points of those who take part.
+    pub reached: Vec<(&'static str, Option<f64>)>,
 }
+
+/// The ways of a detector: an ego alone, and the clouds of all within 70 m in one.
+const OF_DETECTORS: [&str; 2] = ["alone", "merged"];
+
+/// The ways of a fusion: an ego alone, and with the maps of others within 70 m, brought to its frame by them as points or by
+/// the fusion as maps.
+const OF_FUSIONS: [&str; 3] = ["alone", "by sender", "by receiver"];
 
 /// Scores a network in training on frames, with each vehicle of a frame as ego.
 ///
@@ -52,8 +57,8 @@ pub fn validate(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validatio
     validate_by(model, frames, |scene| {
         let sample = scene.sample(model);
         let objects = sample.objects.clone();
-        let batch = gather(model, vec![sample]);
-        Ok((detect(network, &batch.pillars)?, objects))
+        let (pillars, _) = gather(model, vec![sample]);
+        Ok((detect(network, &pillars)?, objects))
     })
 }
 
@@ -67,29 +72,89 @@ pub(crate) fn validate_by(
     frames: &Arc<dyn Frames>,
     mut detect: impl FnMut(Scene) -> Result<(Vec<Detection>, Vec<Object>), TrainError>,
 ) -> Result<Validation, TrainError> {
-    let mut ledgers = [(); 2].map(|()| vec![Ledger::default(); model.classes.len()]);
+    let mut books = Books::new(model, &OF_DETECTORS);
     each_scene(model, frames, |merged, scene| {
         let (found, objects) = detect(scene)?;
-        for (class, ledger) in ledgers[usize::from(merged)].iter_mut().enumerate() {
-            ledger.add(&found, &objects, class, least_iou(&model.classes[class].name));
-        }
+        books.add(usize::from(merged), &found, &objects);
         Ok(())
     })?;
-    let [alone, merged] = ledgers;
-    let classes = model
-        .classes
-        .iter()
-        .zip(alone.iter().zip(&merged))
-        .map(|(class, (alone, merged))| ClassScore {
-            name: class.name.clone(),
-            iou: least_iou(&class.name),
-            alone: alone.average_precision(),
-            merged: merged.average_precision(),
+    Ok(books.close(frames.len()))
+}
+
+/// Scores a network that learns to fuse on frames, with each vehicle of a frame as ego.
+///
+/// # Errors
+/// [`TrainError`] if a frame cannot be had or the network does not run.
+pub(crate) fn validate_fusion(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validation, TrainError> {
+    let model = network.model();
+    let mut encoder = MapEncoder::new(model, &network.weights()?, rayon::current_num_threads())?;
+    let anchors = Anchors::of(model);
+    let mut books = Books::new(model, &OF_FUSIONS);
+    let (how, mut draws) = (Augmentation::none(), Stream::new(0, "validation", 0));
+    for index in 0..frames.len() {
+        let frame = frames.load(index)?;
+        for (ego, _) in vehicles(&frame) {
+            let mut others = near(&frame, ego);
+            others.truncate(model.arch.agents() - 1);
+            let all = || others.iter().map(|other| (*other, false)).collect();
+            let parties = [
+                (Vec::new(), Project::Receiver),
+                (all(), Project::Sender),
+                (all(), Project::Receiver),
+            ];
+            for (way, (others, project)) in parties.into_iter().enumerate() {
+                let party = Party { ego, others, project };
+                let maps = encoder.run(&frame, &party, &how, &mut draws)?;
+                let heads = encoder.detect(&maps)?;
+                let found = boxes(&anchors, &heads.scores, &heads.deltas);
+                books.add(way, &found, &party.objects(&frame, model).objects_within(&model.grid).0);
+            }
+        }
+    }
+    Ok(books.close(frames.len()))
+}
+
+/// What was found and what was there, by way and class.
+struct Books<'a> {
+    model: &'a Model,
+    ways: Vec<(&'static str, Vec<Ledger>)>,
+}
+
+impl<'a> Books<'a> {
+    fn new(model: &'a Model, ways: &[&'static str]) -> Self {
+        let empty = |way: &&'static str| (*way, vec![Ledger::default(); model.classes.len()]);
+        Books {
+            model,
+            ways: ways.iter().map(empty).collect(),
+        }
+    }
+
+    fn add(&mut self, way: usize, found: &[Detection], objects: &[Object]) {
+        for (class, ledger) in self.ways[way].1.iter_mut().enumerate() {
+            ledger.add(found, objects, class, least_iou(&self.model.classes[class].name));
+        }
+    }
+
+    fn close(self, frames: usize) -> Validation {
+        let classes = self.model.classes.iter().enumerate();
+        let classes = classes.map(|(index, class)| {
+            let reached = |(way, ledgers): &(&'static str, Vec<Ledger>)| (*way, ledgers[index].average_precision());
+            ClassScore {
+                name: class.name.clone(),
+                iou: least_iou(&class.name),
+                reached: self.ways.iter().map(reached).collect(),
+            }
         });
-    Ok(Validation {
-        frames: frames.len(),
-        classes: classes.collect(),
-    })
+        Validation {
+            frames,
+            classes: classes.collect(),
+        }
+    }
+}
+
+fn vehicles(frame: &Frame) -> impl Iterator<Item = (usize, &AgentSweep)> {
+    let agents = frame.agents.iter().enumerate();
+    agents.filter(|(_, agent)| !agent.roadside)
 }
 
 /// Looks at every frame as each of its vehicles sees it, alone and with the clouds of all within 70 m.
@@ -103,8 +168,7 @@ pub(crate) fn each_scene(
 ) -> Result<(), TrainError> {
     for index in 0..frames.len() {
         let frame = frames.load(index)?;
-        let vehicles = frame.agents.iter().enumerate().filter(|(_, agent)| !agent.roadside);
-        for (ego, _) in vehicles {
+        for (ego, _) in vehicles(&frame) {
             for (merged, others) in [(false, Vec::new()), (true, near(&frame, ego))] {
                 let (cast, how) = (Cast { ego, others }, Augmentation::none());
                 let mut draws = Stream::new(0, "validation", 0);

@@ -30,6 +30,18 @@ backbone = { layers = [1, 1], strides = [2, 2], channels = [8, 16], up_strides =
 shrink = [{ kernel = 3, channels = 12 }]
 "#;
 
+/// A fusion behind the small model's encoder.
+const FUSING: &str = r#"
+extends = "small.toml"
+name = "fusing"
+[arch]
+kind = "v2xvit"
+heads = 2
+head_width = 6
+windows = [{ side = 2, heads = 2, head_width = 6 }, { side = 8, heads = 1, head_width = 4 }]
+feed_forward = 12
+"#;
+
 /// Frames that all tests share.
 fn cache() -> &'static Path {
     static CACHE: OnceLock<tempfile::TempDir> = OnceLock::new();
@@ -56,6 +68,7 @@ impl Folder {
         fs::write(&model, MODEL.replace("CLASS", second_class)).unwrap();
         TrainOptions {
             model,
+            encoder: None,
             output: self.path(output),
             resume: false,
             data: Data::Simulated {
@@ -258,4 +271,99 @@ fn a_checkpoint_of_another_plan_is_refused() {
     );
     fs::write(options.output.join("checkpoint.safetensors"), b"nonsense").unwrap();
     assert!(matches!(train(&options, |_| ()), Err(TrainError::Checkpoint { .. })));
+}
+
+/// Options for a fusion behind an encoder that was trained for some steps.
+fn fusing(folder: &Folder) -> TrainOptions {
+    let detector = folder.options("truck", "detector");
+    train(&detector, |_| ()).unwrap();
+    // The model file lies beside its weights.
+    let model = folder.path("fusing.toml");
+    fs::write(&model, FUSING).unwrap();
+    TrainOptions {
+        model,
+        encoder: Some(detector.output.join("small.toml")),
+        augmentation: Augmentation::of_fusion(),
+        ..folder.options("truck", "fusing")
+    }
+}
+
+#[test]
+fn a_fusion_learns_and_its_encoder_stays() {
+    let folder = Folder::new();
+    let mut options = fusing(&folder);
+    (options.steps, options.checkpoint_minutes) = (60, 1.0);
+    let mut losses = Vec::new();
+    assert!(
+        train(&options, |progress| losses.push(progress.point.loss()))
+            .unwrap()
+            .complete
+    );
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    let (before, after) = (mean(&losses[..10]), mean(&losses[50..]));
+    assert!(after < 0.8 * before, "from {before} to {after}");
+    let encoder = bits(&folder.path("detector/small.safetensors"));
+    let trained = bits(&options.output.join("fusing.safetensors"));
+    let heads = |name: &str| name.starts_with("cls_head") || name.starts_with("reg_head");
+    for (name, numbers) in &encoder {
+        assert_eq!(trained[name] == *numbers, !heads(name), "{name}");
+    }
+    let model = Model::read(&options.model).unwrap();
+    Weights::read(&options.output.join("fusing.safetensors"), &model).unwrap();
+}
+
+#[test]
+fn a_killed_training_of_a_fusion_goes_on_to_the_same_bits() {
+    let folder = Folder::new();
+    let whole = fusing(&folder);
+    assert!(train(&whole, |_| ()).unwrap().complete);
+    let mut parts = TrainOptions {
+        output: folder.path("parts"),
+        ..whole.clone()
+    };
+    let killed = catch_unwind(AssertUnwindSafe(|| {
+        train(&parts, |progress| assert!(progress.point.step < 3))
+    }));
+    assert!(killed.is_err());
+    parts.resume = true;
+    assert!(train(&parts, |_| ()).unwrap().complete);
+    let [whole, parts] = [whole, parts].map(|options| bits(&options.output.join("checkpoint.safetensors")));
+    assert!(whole == parts);
+}
+
+#[test]
+fn a_fusion_without_an_encoder_that_fits_is_refused() {
+    let folder = Folder::new();
+    let options = fusing(&folder);
+    let refused = |options: &TrainOptions| train(options, |_| ()).unwrap_err().to_string();
+    let none = TrainOptions {
+        encoder: None,
+        ..options.clone()
+    };
+    let said = refused(&none);
+    assert!(
+        said.contains("`from`") && said.contains("--from models/lite.toml"),
+        "{said}"
+    );
+    let detector = TrainOptions {
+        encoder: options.encoder.clone(),
+        ..folder.options("truck", "other")
+    };
+    let said = refused(&detector);
+    assert!(said.contains("`from`: expected none"), "{said}");
+    let text = fs::read_to_string(folder.path("small.toml")).unwrap();
+    let narrow = text.replace("channels = [8, 16]", "channels = [8, 12]");
+    fs::write(folder.path("small.toml"), narrow).unwrap();
+    let said = refused(&options);
+    for part in [
+        "small.toml`",
+        "`fusing`",
+        "backbone.channels: expected [8,12], found [8,16]",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let compressing = FUSING.replace("heads = 2\n", "heads = 2\ncompression = 2\n");
+    fs::write(&options.model, compressing).unwrap();
+    let said = refused(&options);
+    assert!(said.contains("arch.compression"), "{said}");
 }

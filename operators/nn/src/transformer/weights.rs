@@ -14,7 +14,8 @@ use crate::math::product;
 use crate::part::Number;
 use crate::weights::Weights;
 
-const ENCODER: &str = "fusion_net.encoder";
+/// Key of the whole transformer.
+pub const ENCODER: &str = "fusion_net.encoder";
 /// The slowest sine of the first table of delays has this many times the period of the fastest.
 const PERIODS: f64 = 1e4;
 
@@ -34,15 +35,18 @@ pub fn initial_delays(delays: usize, channels: usize) -> Vec<f32> {
     all.map(|(delay, channel)| of(delay, channel)).collect()
 }
 
-fn agents_key(depth: usize, block: usize) -> String {
+/// Key of an attention over agents: its norm, and under `fn` its layers.
+pub fn agents_key(depth: usize, block: usize) -> String {
     format!("{ENCODER}.layers.{depth}.0.layers.{block}.0")
 }
 
-fn windows_key(depth: usize, block: usize) -> String {
+/// Key of an attention within windows: its norm, and under `fn` its layers.
+pub fn windows_key(depth: usize, block: usize) -> String {
     format!("{ENCODER}.layers.{depth}.0.layers.{block}.1")
 }
 
-fn forward_key(depth: usize) -> String {
+/// Key of a feed-forward: its norm, and under `fn` its layers.
+pub fn forward_key(depth: usize) -> String {
     format!("{ENCODER}.layers.{depth}.1")
 }
 

@@ -58,6 +58,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
         let _ = std::fs::remove_dir_all(&output);
         let options = TrainOptions {
             model: MODEL.into(),
+            encoder: None,
             output,
             resume: false,
             data: Data::Simulated {

@@ -43,7 +43,7 @@ impl Networks {
             if !weights.exists() {
                 bail!(
                     "{}: this model has no weights, {} is not there: `realo checkpoint convert` makes them of a PyTorch checkpoint, \
-                     `realo train` trains a detector of one agent; --model FILE, or --set NODE.model=FILE, names a model that has some",
+                     `realo train` trains detectors and V2X-ViT's fusion; --model FILE, or --set NODE.model=FILE, names a model that has some",
                     path.display(),
                     weights.display()
                 );

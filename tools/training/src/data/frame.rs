@@ -22,6 +22,18 @@ pub struct Frame {
     pub classes: Vec<String>,
     /// The agents.
     pub agents: Vec<AgentSweep>,
+    /// The same agents some sweeps before, where that is kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub earlier: Option<Earlier>,
+}
+
+/// The agents of a frame as they were before.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Earlier {
+    /// How many sweeps before.
+    pub delay: usize,
+    /// The agents in the frame's order.
+    pub agents: Vec<AgentSweep>,
 }
 
 /// What one agent measured and what was there.
@@ -90,18 +102,24 @@ impl AgentSweep {
 }
 
 impl Frame {
+    /// All sweeps: the agents', then those before.
+    fn sweeps(&self) -> impl Iterator<Item = &AgentSweep> {
+        let earlier = self.earlier.iter().flat_map(|earlier| &earlier.agents);
+        self.agents.iter().chain(earlier)
+    }
+
     /// Writes the frame; a reader never finds a part of it.
     ///
     /// # Errors
     /// [`TrainError::Write`], for instance on a full disk.
     pub fn write(&self, path: &Path) -> Result<(), TrainError> {
         let header = serde_json::to_vec(self).expect("frames are plain data");
-        let points = self.agents.iter().map(|agent| agent.points.len()).sum::<usize>();
+        let points = self.sweeps().map(|agent| agent.points.len()).sum::<usize>();
         let mut bytes = Vec::with_capacity(16 + header.len() + 6 * points);
         bytes.extend_from_slice(MAGIC);
         bytes.extend_from_slice(&(header.len() as u64).to_le_bytes());
         bytes.extend_from_slice(&header);
-        for agent in &self.agents {
+        for agent in self.sweeps() {
             let values = agent.points.as_flattened();
             bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         }
@@ -138,8 +156,7 @@ impl Frame {
         let mut frame: Frame = serde_json::from_slice(header).map_err(|error| error.to_string())?;
         let mut values = rest.as_chunks::<2>().0.iter().map(|bytes| i16::from_le_bytes(*bytes));
         let expected = frame
-            .agents
-            .iter()
+            .sweeps()
             .try_fold(0usize, |sum, agent| sum.checked_add(agent.count));
         if expected.and_then(|points| points.checked_mul(6)) != Some(rest.len()) {
             let expected = expected.unwrap_or(usize::MAX);
@@ -148,18 +165,26 @@ impl Frame {
                 rest.len()
             ));
         }
-        let mut classes = frame
-            .agents
-            .iter()
+        let classes = frame
+            .sweeps()
             .flat_map(|agent| &agent.objects)
             .map(|object| object.class);
-        if let Some(class) = classes.find(|class| *class >= frame.classes.len()) {
+        let greatest = classes.max();
+        if let Some(class) = greatest.filter(|class| *class >= frame.classes.len()) {
             return Err(format!("an object of class {class} of {}", frame.classes.len()));
         }
         if frame.agents.is_empty() {
             return Err("it has no agents".into());
         }
-        for agent in &mut frame.agents {
+        let earlier = frame
+            .earlier
+            .as_ref()
+            .map_or(frame.agents.len(), |earlier| earlier.agents.len());
+        if earlier != frame.agents.len() {
+            return Err(format!("{} agents were {earlier} before", frame.agents.len()));
+        }
+        let earlier = frame.earlier.iter_mut().flat_map(|earlier| &mut earlier.agents);
+        for agent in frame.agents.iter_mut().chain(earlier) {
             let mut next = || values.next().unwrap_or(0);
             agent.points = (0..agent.count).map(|_| [next(), next(), next()]).collect();
         }
@@ -231,9 +256,21 @@ mod tests {
             points.into_iter(),
             vec![object],
         );
+        let before = AgentSweep::new(
+            "cav1",
+            false,
+            Isometry3::translation(0.5, 2.0, 3.0),
+            [[2.0, 0.5, -1.0]].into_iter(),
+            Vec::new(),
+        );
+        let earlier = Earlier {
+            delay: 2,
+            agents: vec![before],
+        };
         Frame {
             classes: vec!["vehicle".into(), "pedestrian".into()],
             agents: vec![agent],
+            earlier: Some(earlier),
         }
     }
 

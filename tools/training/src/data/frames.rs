@@ -43,6 +43,8 @@ pub struct SimulatedFrames {
     folder: PathBuf,
     seeds: Range<u64>,
     per_seed: usize,
+    /// Whether each frame has earlier sweeps too.
+    earlier: bool,
     busy: Arc<(Mutex<BTreeSet<u64>>, Condvar)>,
 }
 
@@ -60,8 +62,15 @@ impl SimulatedFrames {
             folder: folder.into(),
             seeds,
             per_seed,
+            earlier: false,
             busy: Arc::default(),
         })
+    }
+
+    /// The same with what was some sweeps before each frame.
+    #[must_use]
+    pub fn with_earlier(self) -> Self {
+        SimulatedFrames { earlier: true, ..self }
     }
 
     /// Makes what is missing of a seed, unless somebody else is at it; then waits for him.
@@ -85,7 +94,7 @@ impl SimulatedFrames {
     }
 
     fn write(&self, seed: u64) -> Result<(), TrainError> {
-        let frames = simulated::frames(&simulated::options(seed), self.per_seed)?;
+        let frames = simulated::frames(&simulated::options(seed), self.per_seed, self.earlier)?;
         frames
             .iter()
             .enumerate()
@@ -95,8 +104,9 @@ impl SimulatedFrames {
     fn path(&self, seed: u64, number: usize) -> PathBuf {
         // The number of frames is part of the name: it decides which moments they are.
         let (world, of) = (world(), self.per_seed);
+        let earlier = if self.earlier { "-and-earlier" } else { "" };
         self.folder
-            .join(format!("{world}-seed-{seed:06}-{number}-of-{of}.frame"))
+            .join(format!("{world}-seed-{seed:06}-{number}-of-{of}{earlier}.frame"))
     }
 
     /// Makes what is missing in the background, in the order of `indices`, until all is there or `stop` says so.

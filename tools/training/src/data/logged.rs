@@ -207,7 +207,11 @@ impl Reading {
         }
         let complete = agents.iter().any(|agent| agent.name == labelled);
         let classes = class_names(&self.protocol);
-        Ok(complete.then_some(Frame { classes, agents }))
+        Ok(complete.then_some(Frame {
+            classes,
+            agents,
+            earlier: None,
+        }))
     }
 
     fn nearest(&self, agent: &str, stamp: Nanos) -> Result<Option<(Nanos, PointCloud)>, TrainError> {

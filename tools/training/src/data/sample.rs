@@ -73,6 +73,24 @@ impl Augmentation {
             ..Augmentation::default()
         }
     }
+
+    /// For a fusion: the others' poses err, and most egos have company.
+    pub fn of_fusion() -> Self {
+        Augmentation {
+            alone: 0.1,
+            everybody: 0.6,
+            pose_noise: Augmentation::default().pose_noise,
+            ..Augmentation::none()
+        }
+    }
+
+    /// How far a collaborator believes itself from where it is, as `true_from_believed`.
+    pub(crate) fn pose_error(&self, draws: &mut Stream) -> Isometry3<f64> {
+        let [position, heading] = self.pose_noise;
+        let off = Vector3::from_fn(|_, _| position * draws.normal());
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading * draws.normal());
+        Isometry3::from_parts(off.into(), turn)
+    }
 }
 
 /// A sample of a batch.
@@ -160,41 +178,38 @@ impl Scene {
         let mut scene = Scene::default();
         scene.add_points(ego, &Isometry3::identity(), keep, draws);
         let map_from_ego = ego.map_from_body;
-        for other in cast.others.iter().map(|other| &frame.agents[*other]) {
-            let [position, heading] = how.pose_noise;
-            let error = Isometry3::from_parts(
-                Vector3::new(
-                    position * draws.normal(),
-                    position * draws.normal(),
-                    position * draws.normal(),
-                )
-                .into(),
-                UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading * draws.normal()),
-            );
-            let ego_from_other = map_from_ego.inverse() * other.map_from_body * error;
+        let others: Vec<&AgentSweep> = cast.others.iter().map(|other| &frame.agents[*other]).collect();
+        for other in &others {
+            let ego_from_other = map_from_ego.inverse() * other.map_from_body * how.pose_error(draws);
             scene.add_points(other, &ego_from_other, keep, draws);
         }
-        let classes = classes_in(model, &frame.classes);
-        for object in &ego.objects {
-            let of = |agent: &AgentSweep| {
-                let known = agent.objects.iter().find(|known| known.track == object.track);
-                known.map_or(0, |known| known.points)
-            };
-            let others: u32 = cast.others.iter().map(|other| of(&frame.agents[*other])).sum();
-            let Some(class) = classes[object.class] else { continue };
-            if f64::from(object.points + others) * keep >= LEAST_POINTS {
-                let [x, y, z, length, width, height, yaw] = object.lwh;
-                scene.objects.push(Object {
-                    class,
-                    hwl: [x, y, z, height, width, length, yaw],
-                });
-                scene.ego_points.push(object.points);
-            }
-        }
+        scene.add_objects(frame, ego, &others, model, keep);
         scene
     }
 
-    fn add_points(&mut self, agent: &AgentSweep, ego_from_agent: &Isometry3<f64>, keep: f64, draws: &mut Stream) {
+    /// Adds the objects around an ego of which a share of its own and others' points is enough.
+    pub fn add_objects(&mut self, frame: &Frame, ego: &AgentSweep, others: &[&AgentSweep], model: &Model, keep: f64) {
+        let classes = classes_in(model, &frame.classes);
+        for object in &ego.objects {
+            let of = |agent: &&AgentSweep| {
+                let known = agent.objects.iter().find(|known| known.track == object.track);
+                known.map_or(0, |known| known.points)
+            };
+            let others: u32 = others.iter().map(of).sum();
+            let Some(class) = classes[object.class] else { continue };
+            if f64::from(object.points + others) * keep >= LEAST_POINTS {
+                let [x, y, z, length, width, height, yaw] = object.lwh;
+                self.objects.push(Object {
+                    class,
+                    hwl: [x, y, z, height, width, length, yaw],
+                });
+                self.ego_points.push(object.points);
+            }
+        }
+    }
+
+    /// Adds a share of an agent's points.
+    pub fn add_points(&mut self, agent: &AgentSweep, ego_from_agent: &Isometry3<f64>, keep: f64, draws: &mut Stream) {
         let rotation = ego_from_agent.rotation.to_rotation_matrix();
         let (r, t) = (
             rotation.matrix().cast::<f32>(),
@@ -330,6 +345,7 @@ mod tests {
                 agent("cav1", pose(5.0, 1.0, 0.3), [20.0, 4.0, 0.8, 4.5, 1.9, 1.6, 0.7], 4),
                 agent("cav2", pose(60.0, 9.0, 2.0), SECOND, 4),
             ],
+            earlier: None,
         }
     }
 

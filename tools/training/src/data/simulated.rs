@@ -6,12 +6,15 @@ use realo_scoring::Protocol;
 use realo_simulator::{AgentKind, Options, Phase, Scenario, Simulation, Sweep};
 use realo_sync::{OwnBody, clean};
 
-use super::frame::{AgentSweep, Frame, Seen};
+use super::frame::{AgentSweep, Earlier, Frame, Seen};
 use crate::TrainError;
 use crate::random::Stream;
 
 /// Length of the simulations, s; frames lie in different seconds.
 const SECONDS: f64 = 10.0;
+
+/// The earlier sweeps of a frame lie at most so many before it.
+const LONGEST_DELAY: u64 = 3;
 
 /// What a training seed simulates: all combinations of place and traffic, and every eighth with sweeps that do not start
 /// together.
@@ -34,11 +37,12 @@ pub fn options(seed: u64) -> Options {
     }
 }
 
-/// `count` frames of a simulation, at least a second apart; at most 10.
+/// `count` frames of a simulation, at least a second apart; at most 10. With `earlier`, each has what was one to three sweeps
+/// before as well, unless there was none.
 ///
 /// # Errors
 /// [`TrainError::Simulation`].
-pub fn frames(options: &Options, count: usize) -> Result<Vec<Frame>, TrainError> {
+pub fn frames(options: &Options, count: usize, earlier: bool) -> Result<Vec<Frame>, TrainError> {
     let simulation = Simulation::new(options)?;
     let tracks: Vec<PoseTrack> = simulation
         .agents()
@@ -46,7 +50,17 @@ pub fn frames(options: &Options, count: usize) -> Result<Vec<Frame>, TrainError>
         .collect();
     Ok(numbers(options.seed, count)
         .into_iter()
-        .map(|seq| frame(&simulation, &tracks, seq))
+        .map(|seq| {
+            let frame = frame(&simulation, &tracks, seq);
+            let before = |delay| Earlier {
+                delay: delay as usize,
+                agents: self::frame(&simulation, &tracks, seq - delay).agents,
+            };
+            Frame {
+                earlier: delay(options.seed, seq).filter(|_| earlier).map(before),
+                ..frame
+            }
+        })
         .collect())
 }
 
@@ -58,6 +72,12 @@ fn numbers(seed: u64, count: usize) -> Vec<u64> {
     (0..count.min(seconds.len()))
         .map(|_| seconds.swap_remove(draws.below(seconds.len())) * 10 + moment)
         .collect()
+}
+
+/// How many sweeps before one the earlier ones lie; `None` for the first.
+fn delay(seed: u64, seq: u64) -> Option<u64> {
+    let longest = LONGEST_DELAY.min(seq);
+    (longest > 0).then(|| 1 + Stream::new(seed, "delay", seq).below(longest as usize) as u64)
 }
 
 /// An agent's true poses.
@@ -83,6 +103,7 @@ fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
     Frame {
         classes: class_names(&protocol),
         agents: agents.collect(),
+        earlier: None,
     }
 }
 
@@ -167,7 +188,7 @@ mod tests {
             column_stride: 4,
             ..options(2)
         };
-        let frame = frames(&options, 1).unwrap().remove(0);
+        let frame = frames(&options, 1, false).unwrap().remove(0);
         let ego = &frame.agents[0];
         for agent in &frame.agents {
             let ego_from_agent = ego.map_from_body.inverse() * agent.map_from_body;

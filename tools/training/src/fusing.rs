@@ -1,0 +1,415 @@
+//! Training of a fusion that has weights of its own, V2X-ViT's, and of the heads behind it. What leads from points to the maps
+//! that are fused is another model's and stays as it is.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use candle_core::{Tensor, Var};
+use realo_nn::arch::Arch;
+use realo_nn::layers::{FuseLayer, Fusion, Layer, Layers, Role, TensorSpec};
+use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
+use realo_nn::model::{Grid, Model};
+use realo_nn::targets::Targets;
+use realo_nn::transformer::initial_delays;
+use realo_nn::weights::{self, Weights};
+use realo_nn::{Kernels, Loaded};
+use realo_nn_candle::Tensors;
+use realo_nn_candle::transformer::{Agent, fuse};
+
+use crate::TrainError;
+use crate::checkpoint::differences;
+use crate::layers::{tensor, with_numbers};
+use crate::network::{Network, Parameter, Pass};
+use crate::random::Stream;
+use crate::train::option;
+
+/// Layers whose results are added to a map: what they begin with is 0, so that a fusion begins as the ego's map.
+const ADDED: [&str; 4] = [".fn.a_linears.", ".to_out.0.", ".fn.net.3.", ".rte.emb.lin."];
+
+/// Whether a model's fusion has weights that are trained here, its encoder's not.
+fn learns_to_fuse(model: &Model) -> bool {
+    matches!(model.arch, Arch::V2XViT(_))
+}
+
+/// The network whose encoder a model takes that learns to fuse; `None` for one that learns as a whole.
+///
+/// # Errors
+/// [`TrainError`] if the model cannot be trained so, the file is not given, not to be had, or makes other maps.
+pub(crate) fn encoder(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>, TrainError> {
+    let refuse = |reason: &str| TrainError::Model {
+        model: model.name.clone(),
+        reason: reason.into(),
+    };
+    if matches!(model.arch, Arch::V2VNet(_)) {
+        return Err(refuse("the fusion of V2VNet cannot be trained here"));
+    }
+    let (settings, file) = match (&model.arch, file) {
+        (Arch::V2XViT(settings), Some(file)) => (settings, file),
+        (Arch::V2XViT(_), None) => {
+            return Err(option(
+                "from",
+                "a model file with weights whose encoder is taken, as --from models/lite.toml, since this model learns to fuse",
+                "none",
+            ));
+        }
+        (_, Some(file)) => {
+            return Err(option(
+                "from",
+                "none, since this model's fusion has no weights: it is trained as a whole, as one agent sees",
+                file.display(),
+            ));
+        }
+        (_, None) => return Ok(None),
+    };
+    if settings.compression > 0 {
+        return Err(refuse(
+            "its `arch.compression` is not 0, and compressors are not trained here",
+        ));
+    }
+    let loaded = realo_nn::load(file, Kernels::auto(1))?;
+    match &other_maps(model, &loaded.model)[..] {
+        [] => Ok(Some(loaded)),
+        found => Err(TrainError::OtherMaps {
+            model: model.name.clone(),
+            encoder: file.into(),
+            differences: found.join("; "),
+        }),
+    }
+}
+
+/// Keys of what training leaves as it is.
+pub(crate) fn frozen(model: &Model, layers: &Layers) -> HashSet<String> {
+    let steps = match learns_to_fuse(model) {
+        true => layers.between(&[], &[layers.restored]),
+        false => Vec::new(),
+    };
+    let tensors = steps.into_iter().flat_map(|step| step.layer.tensors());
+    tensors.map(|spec| spec.key).collect()
+}
+
+/// In which settings a model's maps are not those of another one's encoder, as `name: expected, found`; empty if they are. The
+/// range of the grid may differ.
+fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
+    // What does not change a map, nor what the heads read in it.
+    let maps = |of: &Model| Model {
+        name: String::new(),
+        weights: None,
+        arch: Arch::default(),
+        precision: model.precision,
+        score_threshold: model.score_threshold,
+        activations: Default::default(),
+        grid: Grid {
+            x: model.grid.x,
+            y: model.grid.y,
+            ..of.grid
+        },
+        ..of.clone()
+    };
+    let told = differences(&maps(model), &maps(encoder)).into_iter();
+    told.map(|(name, expected, found)| format!("{name}: expected {expected}, found {found}"))
+        .collect()
+}
+
+/// A network whose encoder and heads are another one's, and whose fusion gives the ego's map as it is.
+///
+/// # Errors
+/// Those of candle.
+pub(crate) fn beginning(model: &Model, encoder: &Weights, seed: u64) -> candle_core::Result<Network> {
+    let of_fusion: HashSet<String> = of_fusion(&Layers::of(model)).map(|spec| spec.key).collect();
+    let mut number = 0..;
+    Network::with(model, |spec| match of_fusion.contains(&spec.key) {
+        true => initial(spec, &mut Stream::new(seed, "fusion", number.next().unwrap_or(0))),
+        false => encoder.tensor(&spec.key).to_vec(),
+    })
+}
+
+fn of_fusion(layers: &Layers) -> impl Iterator<Item = TensorSpec> {
+    let steps = layers.steps().iter();
+    let fusions = steps.filter(|step| matches!(step.layer, Layer::Fuse(_)));
+    fusions.flat_map(|step| step.layer.tensors())
+}
+
+fn initial(spec: &TensorSpec, draws: &mut Stream) -> Vec<f32> {
+    let count = spec.count();
+    match spec.role {
+        Role::Weight { .. } if ADDED.iter().any(|part| spec.key.contains(part)) => vec![0.0; count],
+        Role::Weight { .. } if spec.key.ends_with(".pos_embedding") => vec![0.0; count],
+        // A matrix for each head: to begin with the relation changes nothing.
+        Role::Weight { fan_in } if spec.key.contains(".relation_") => {
+            let diagonal = |at: usize| (at % (fan_in * fan_in)).is_multiple_of(fan_in + 1);
+            (0..count).map(|at| f32::from(u8::from(diagonal(at)))).collect()
+        }
+        Role::Weight { fan_in } => {
+            let deviation = (1.0 / fan_in as f64).sqrt();
+            (0..count).map(|_| (deviation * draws.normal()) as f32).collect()
+        }
+        Role::Delays => initial_delays(spec.shape[0], spec.shape[1]),
+        Role::NormWeight | Role::RunningVariance => vec![1.0; count],
+        Role::Bias | Role::NormBias | Role::RunningMean => vec![0.0; count],
+    }
+}
+
+impl Network {
+    /// Its tensors as inference takes them.
+    ///
+    /// # Errors
+    /// [`TrainError::Weights`] if a number is not finite.
+    pub(crate) fn weights(&self) -> Result<Weights, TrainError> {
+        let tensor = |parameter: &Parameter| -> candle_core::Result<_> {
+            let data = with_numbers(&parameter.value, |values| Ok(values.to_vec()))?;
+            let shape = parameter.value.dims().to_vec();
+            Ok((parameter.name.clone(), weights::Tensor { shape, data }))
+        };
+        let tensors = self.parameters().iter().map(tensor);
+        let tensors = tensors.collect::<candle_core::Result<_>>()?;
+        Ok(Weights::new(self.model(), tensors)?)
+    }
+
+    /// Forward and backward pass of the fusion and the heads, of a batch of agents' maps with the targets of its samples.
+    ///
+    /// # Errors
+    /// Those of candle; a model whose fusion or heads are no such layers.
+    pub(crate) fn pass_on_maps(
+        &self,
+        samples: &[Vec<Agent>],
+        targets: &[Targets],
+        settings: &LossWeights,
+    ) -> candle_core::Result<Pass> {
+        let parameters = self.parameters().iter();
+        let variables = parameters.map(|parameter| {
+            parameter
+                .trained
+                .then(|| Var::from_tensor(&parameter.value))
+                .transpose()
+        });
+        let variables: Vec<Option<Var>> = variables.collect::<candle_core::Result<_>>()?;
+        let named = self.parameters().iter().zip(&variables);
+        let named = named
+            .filter_map(|(parameter, variable)| Some((parameter.name.clone(), variable.as_ref()?.as_tensor().clone())));
+        let fusion = Learning {
+            layers: self.layers(),
+            tensors: Tensors::new(named.collect()),
+        };
+        let mut pass = Pass {
+            losses: Vec::new(),
+            gradients: vec![None; variables.len()],
+        };
+        for (agents, targets) in samples.iter().zip(targets) {
+            let (loss, descent) = fusion.loss(agents, targets, settings, samples.len())?;
+            pass.losses.push(loss);
+            let found = descent.backward()?;
+            for (variable, sum) in variables.iter().zip(&mut pass.gradients) {
+                let Some(gradient) = variable.as_ref().and_then(|variable| found.get(variable)) else {
+                    continue;
+                };
+                let gradient = gradient.flatten_all()?.to_vec1::<f32>()?;
+                match sum {
+                    None => *sum = Some(gradient),
+                    Some(sum) => sum.iter_mut().zip(gradient).for_each(|(sum, part)| *sum += part),
+                }
+            }
+        }
+        Ok(pass)
+    }
+}
+
+/// A fusion and the heads behind it, whose tensors gradients lead to.
+struct Learning<'a> {
+    layers: &'a Layers,
+    tensors: Tensors,
+}
+
+impl Learning<'_> {
+    /// A sample's share of the loss, and a number whose gradient is the loss's.
+    fn loss(
+        &self,
+        agents: &[Agent],
+        targets: &Targets,
+        settings: &LossWeights,
+        batch: usize,
+    ) -> candle_core::Result<(Loss, Tensor)> {
+        let Some(FuseLayer {
+            fusion: Fusion::Transformer(transformer),
+            ..
+        }) = self.layers.fusion()
+        else {
+            candle_core::bail!("only the fusion of V2X-ViT is trained on maps");
+        };
+        let fused = fuse(transformer, &self.tensors, agents)?;
+        let [scores, deltas] = [self.layers.scores, self.layers.deltas].map(|head| self.head(head, &fused));
+        let (scores, deltas) = (scores?, deltas?);
+        let (mut of_scores, mut of_deltas) = (vec![0.0; scores.elem_count()], vec![0.0; deltas.elem_count()]);
+        let mut gradient = HeadMaps {
+            scores: &mut of_scores[..],
+            deltas: &mut of_deltas[..],
+        };
+        let loss = with_numbers(&scores, |scores| {
+            with_numbers(&deltas, |deltas| {
+                Ok(loss(
+                    &HeadMaps { scores, deltas },
+                    targets,
+                    settings,
+                    batch,
+                    &mut gradient,
+                ))
+            })
+        })?;
+        let along = |head: &Tensor, gradient: Vec<f32>| (head * tensor(gradient, head.shape().clone())?)?.sum_all();
+        Ok((loss, (along(&scores, of_scores)? + along(&deltas, of_deltas)?)?))
+    }
+
+    /// What a head makes of the fused map, `[cells, outputs]`.
+    fn head(&self, head: realo_nn::layers::MapId, fused: &Tensor) -> candle_core::Result<Tensor> {
+        match &self.layers.between(&[self.layers.fused], &[head])[..] {
+            [step]
+                if let Layer::Convolution(layer) = &step.layer
+                    && layer.kernel == 1 =>
+            {
+                let weight = self.tensors.get(&layer.weight_key())?.flatten_from(1)?;
+                let made = fused.flatten_to(1)?.matmul(&weight.t()?)?;
+                match layer.bias_key() {
+                    Some(key) => made.broadcast_add(self.tensors.get(&key)?),
+                    None => Ok(made),
+                }
+            }
+            _ => candle_core::bail!("expected heads of one layer that looks at one cell"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_nn::anchors::Anchors;
+    use realo_nn::targets::{Object, assign};
+    use realo_nn_candle::Placed;
+
+    use super::*;
+
+    fn model() -> Model {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/lite-v2xvit.toml");
+        let mut model = Model::read(&path).unwrap();
+        (model.grid.x, model.grid.y) = ([-6.4, 6.4], [-6.4, 6.4]);
+        model.validate().unwrap();
+        model
+    }
+
+    /// A network all of whose tensors take part.
+    fn network(model: &Model) -> Network {
+        let mut number = 0..;
+        let values = |spec: &TensorSpec| {
+            let mut draws = Stream::new(5, "test", number.next().unwrap());
+            let fan_in = match spec.role {
+                Role::Weight { fan_in } => fan_in,
+                _ => 16,
+            };
+            let deviation = (1.0 / fan_in as f64).sqrt();
+            let number = |_| (deviation * draws.normal()).abs().max(0.05) as f32;
+            let signed = |(index, value): (usize, f32)| if index % 3 == 0 { -value } else { value };
+            let positive: Vec<f32> = (0..spec.count()).map(number).collect();
+            match spec.role {
+                Role::RunningVariance => positive,
+                _ => positive.into_iter().enumerate().map(signed).collect(),
+            }
+        };
+        Network::with(model, values).unwrap()
+    }
+
+    /// An ego of a kind, a vehicle whose map is two frames old, and a roadside unit that covers half of the map.
+    fn agents(model: &Model, roadside: bool) -> Vec<Agent> {
+        let [rows, columns] = model.map_size();
+        let channels = 64;
+        let agent = |number: u64, covered: usize| {
+            let mut draws = Stream::new(9, "maps", number);
+            let mut numbers = |count: usize| (0..count).map(|_| draws.unit() as f32).collect::<Vec<f32>>();
+            let reach: Vec<f32> = (0..rows * columns)
+                .map(|cell| f32::from(u8::from(cell < covered)))
+                .collect();
+            Agent {
+                placed: Placed {
+                    map: tensor(numbers(rows * columns * channels), (rows, columns, channels)).unwrap(),
+                    reach: tensor(reach.clone(), (rows, columns, 1)).unwrap(),
+                    covered: tensor(reach, (rows, columns, 1)).unwrap(),
+                },
+                roadside: number == 2 || number == 0 && roadside,
+                delay: if number == 1 { 2 } else { 0 },
+            }
+        };
+        let all = rows * columns;
+        vec![agent(0, all), agent(1, all), agent(2, all / 2)]
+    }
+
+    fn targets(model: &Model) -> Vec<Targets> {
+        let object = |class: usize, x: f64| Object {
+            class,
+            hwl: [x, 1.0, 0.8, 1.6, 1.7, 4.0, 0.3],
+        };
+        let targets = assign(&Anchors::of(model), &[object(0, 3.0), object(1, -5.0), object(2, -2.0)]);
+        vec![targets.clone(), targets]
+    }
+
+    fn loss_of(network: &Network, samples: &[Vec<Agent>], targets: &[Targets]) -> f64 {
+        let pass = network.pass_on_maps(samples, targets, &LossWeights::default()).unwrap();
+        pass.losses.iter().map(Loss::total).sum()
+    }
+
+    #[test]
+    fn gradients_are_the_slopes_of_the_loss() {
+        let model = model();
+        let network = network(&model);
+        let samples = [false, true].map(|roadside| agents(&model, roadside));
+        let targets = targets(&model);
+        let pass = network
+            .pass_on_maps(&samples, &targets, &LossWeights::default())
+            .unwrap();
+        let mut checked = 0;
+        for (index, (parameter, gradient)) in network.parameters().iter().zip(&pass.gradients).enumerate() {
+            let Some(gradient) = gradient else {
+                let unused = parameter.name.contains("prior_feed");
+                assert!(!parameter.trained || unused, "{} has no gradient", parameter.name);
+                continue;
+            };
+            let length = gradient.iter().map(|g| f64::from(*g).powi(2)).sum::<f64>().sqrt();
+            // Less is lost in the loss's rounding.
+            if length < 3.0 {
+                continue;
+            }
+            let values = with_numbers(&parameter.value, |values| Ok(values.to_vec())).unwrap();
+            let step = 2e-3;
+            let moved = |sign: f64| {
+                let mut network = network.clone();
+                let along = values.iter().zip(gradient);
+                let along = along.map(|(value, g)| value + (sign * step * f64::from(*g) / length) as f32);
+                network.set(index, along.collect()).unwrap();
+                loss_of(&network, &samples, &targets)
+            };
+            let slope = (moved(1.0) - moved(-1.0)) / (2.0 * step);
+            assert!(
+                (slope - length).abs() < 0.05 * length,
+                "{}: a slope of {slope}, a gradient of {length}",
+                parameter.name
+            );
+            checked += 1;
+        }
+        assert!(checked > 40, "only {checked} tensors have a gradient to speak of");
+    }
+
+    #[test]
+    fn a_fusion_begins_as_the_egos_map() {
+        let model = model();
+        let weights = network(&model).weights().unwrap();
+        let network = beginning(&model, &weights, 1).unwrap();
+        let tensors = network.parameters().iter();
+        let tensors = tensors.map(|parameter| (parameter.name.clone(), parameter.value.clone()));
+        let agents = agents(&model, false);
+        let Some(FuseLayer {
+            fusion: Fusion::Transformer(settings),
+            ..
+        }) = network.layers().fusion()
+        else {
+            panic!("a transformer")
+        };
+        let fused = fuse(settings, &Tensors::new(tensors.collect()), &agents).unwrap();
+        let numbers = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(numbers(&fused), numbers(&agents[0].placed.map));
+    }
+}
