@@ -371,22 +371,25 @@ fn features_cross_in_all_elements_and_detect_alike() {
 }
 
 #[test]
-fn the_shipped_v2xvit_sees_more_with_others_than_alone_whoever_projects() {
-    let log = shared();
-    let run = |out: &str, settings: &[&str]| {
-        let result = run_virtual(out, "v2xvit", &log, &[&["--ego", "cav1"], settings].concat());
+fn the_shipped_v2xvit_sees_more_with_others_than_the_detector_alone_whoever_projects() {
+    // The ego does not see half of what is there.
+    let args = "--seed 914 --seconds 2 --key-hz 5 --agents cav1,cav2,rsu1";
+    let log = simulated("hidden", &args.split(' ').collect::<Vec<_>>());
+    let run = |out: &str, graph: &str, settings: &[&str]| {
+        let result = run_virtual(out, graph, &log, &[&["--ego", "cav1"], settings].concat());
         let all = precisions(&result);
         (all.iter().sum::<f64>() / all.len() as f64, result)
     };
-    let (alone, _) = run("v2xvit_alone", &["--offline", "--agents", "cav1"]);
+    let (alone, _) = run("v2xvit_alone", "no_fusion", &["--offline"]);
     for (out, settings) in [
         ("v2xvit_sender", &["--offline", "--project", "sender"][..]),
         ("v2xvit_receiver", &["--offline", "--project", "receiver"]),
         ("v2xvit_virtual", &["--project", "sender"]),
     ] {
-        let (together, result) = run(out, settings);
+        let (together, result) = run(out, "v2xvit", settings);
+        println!("{out}: mean AP {together}, alone {alone}");
         assert!(bytes_of_a_map(&result) > 100_000);
-        assert!(together > alone + 0.02, "{out}: {together}, alone {alone}");
+        assert!(together > alone + 0.05, "{out}: {together}, alone {alone}");
     }
 }
 
