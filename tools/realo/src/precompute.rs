@@ -44,6 +44,9 @@ pub struct Args {
     /// Number type of the networks: auto (the model's), f32, bf16, int8 [default: auto]
     #[arg(long)]
     pub precision: Option<String>,
+    /// What computes the networks: cpu, or cuda where the build has it [default: cpu]
+    #[arg(long)]
+    pub device: Option<String>,
     /// Who brings what crosses the link to the ego's frame
     #[arg(long, value_enum)]
     pub project: Option<run::Project>,
@@ -174,6 +177,7 @@ fn run_args(args: &Args, ego: &str, agents: &[String]) -> run::Args {
         model: args.model.clone(),
         isa: args.isa.clone(),
         precision: args.precision.clone(),
+        device: args.device.clone(),
         project: args.project,
         seed: args.seed,
         set: args.set.clone(),

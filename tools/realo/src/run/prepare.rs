@@ -378,6 +378,7 @@ impl Told<'_> {
                 .iter()
                 .map(|precision| (Decided::Precision, precision.clone())),
         );
+        told.extend(args.device.iter().map(|device| (Decided::Device, device.clone())));
         if let Some(profile) = &args.link {
             told.push((Decided::Link, name_or_file(profile)?));
         }
