@@ -156,7 +156,9 @@ mod tests {
     fn a_build_without_cuda_says_how_to_build_one_that_has_it() {
         let lite = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
         let loaded = realo_nn::load(lite.as_ref(), realo_nn::Kernels::auto(1)).unwrap();
-        let error = Engine::new(loaded, Device::Cuda, Elements::Int8).err().expect("refused");
+        let error = Engine::new(loaded, Device::Cuda, Elements::Int8)
+            .err()
+            .expect("refused");
         let error = error.to_string();
         assert!(
             error.contains("`device`") && error.contains("--features cuda"),
