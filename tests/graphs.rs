@@ -374,7 +374,7 @@ fn features_cross_in_all_elements_and_detect_alike() {
 fn the_shipped_v2xvit_sees_more_with_others_than_the_detector_alone_whoever_projects() {
     // The ego does not see half of what is there.
     let args = "--seed 914 --seconds 2 --key-hz 5 --agents cav1,cav2,rsu1";
-    let log = simulated("hidden", &args.split(' ').collect::<Vec<_>>());
+    let log = simulated("much_hidden", &args.split(' ').collect::<Vec<_>>());
     let run = |out: &str, graph: &str, settings: &[&str]| {
         let result = run_virtual(out, graph, &log, &[&["--ego", "cav1"], settings].concat());
         let all = precisions(&result);

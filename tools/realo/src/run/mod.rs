@@ -90,6 +90,9 @@ pub struct Choices {
     /// Number type of the networks: auto (the model's), f32, bf16, int8 [default: auto]
     #[arg(long)]
     pub precision: Option<String>,
+    /// What computes the networks: cpu, or cuda where the build has it [default: cpu]
+    #[arg(long)]
+    pub device: Option<String>,
     /// Who brings what crosses the link to the ego's frame: its receiver, or its sender with the ego's newest known state
     #[arg(long, value_enum)]
     pub project: Option<Project>,

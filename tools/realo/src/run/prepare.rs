@@ -389,6 +389,8 @@ impl Told<'_> {
                 .iter()
                 .map(|precision| (Decided::Precision, precision.clone())),
         );
+        let device = args.choices.device.iter();
+        told.extend(device.map(|device| (Decided::Device, device.clone())));
         if let Some(profile) = &args.choices.link {
             told.push((Decided::Link, name_or_file(profile)?));
         }
