@@ -289,13 +289,9 @@ fn a_graph_without_a_detect_module_takes_no_recorded_detections() {
 
 /// Three agents for a second, every sweep scored.
 fn shared() -> PathBuf {
-    second("shared", "911")
-}
-
-fn second(name: &str, seed: &str) -> PathBuf {
     let args = [
         "--seed",
-        seed,
+        "911",
         "--seconds",
         "1",
         "--key-hz",
@@ -303,7 +299,7 @@ fn second(name: &str, seed: &str) -> PathBuf {
         "--agents",
         "cav1,cav2,rsu1",
     ];
-    simulated(name, &args)
+    simulated("shared", &args)
 }
 
 /// All APs of a run, in the order `sorted`.
@@ -375,11 +371,12 @@ fn features_cross_in_all_elements_and_detect_alike() {
 }
 
 #[test]
-fn the_shipped_v2xvit_sees_more_than_no_fusion_whoever_projects() {
-    // Much lies behind others there.
-    let log = second("behind_others", "905");
-    let run = |out: &str, name: &str, settings: &[&str]| {
-        let result = run_virtual(out, name, &log, &[&["--ego", "cav1"], settings].concat());
+fn the_shipped_v2xvit_sees_more_with_others_than_the_detector_alone_whoever_projects() {
+    // The ego does not see half of what is there.
+    let args = "--seed 914 --seconds 2 --key-hz 5 --agents cav1,cav2,rsu1";
+    let log = simulated("much_hidden", &args.split(' ').collect::<Vec<_>>());
+    let run = |out: &str, graph: &str, settings: &[&str]| {
+        let result = run_virtual(out, graph, &log, &[&["--ego", "cav1"], settings].concat());
         let all = precisions(&result);
         (all.iter().sum::<f64>() / all.len() as f64, result)
     };
@@ -390,8 +387,9 @@ fn the_shipped_v2xvit_sees_more_than_no_fusion_whoever_projects() {
         ("v2xvit_virtual", &["--project", "sender"]),
     ] {
         let (together, result) = run(out, "v2xvit", settings);
+        println!("{out}: mean AP {together}, alone {alone}");
         assert!(bytes_of_a_map(&result) > 100_000);
-        assert!(together > alone + 0.02, "{out}: {together}, alone {alone}");
+        assert!(together > alone + 0.05, "{out}: {together}, alone {alone}");
     }
 }
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds realo with `--features cuda` on a machine that has neither a GPU nor CUDA: fetches the toolkit as wheels, puts a libcuda
-# without a driver behind it in the linker's place, builds, and runs what was built on the CPU. CI does not: the kernels of
-# candle take up to an hour to compile.
+# without a driver behind it in the linker's place, builds, and runs tests of what was built on the CPU. CI does not: the kernels
+# of candle take long to compile. What it builds is for checks, not for a GPU: kernels that nobody needs are slow.
 #
 # Usage: tools/check_cuda.sh [cargo arguments; default: build --release --features cuda -p realo]
 # CUDA_COMPUTE_CAP is the GPU's generation that kernels are compiled for, 90 (H100) unless set.
@@ -22,6 +22,18 @@ for library in cudart cublas cublasLt curand nvrtc; do
   ln -sfn "$found" "$toolkit/lib/lib$library.so"
 done
 
+# Kernels of quantised language models, which nothing here calls, take most of an hour to optimise: they are left as they are.
+compiler=$toolkit/bin/nvcc-check
+cat > "$compiler" <<'EOF'
+#!/usr/bin/env bash
+arguments=("$@")
+case "${!#}" in
+  *mmq_gguf/* | *mmvq_gguf.cu | *moe/*) arguments=("${@/#-O3/-O0}" -Xcicc -O0 -Xptxas -O0) ;;
+esac
+exec "$(dirname "$0")/nvcc" "${arguments[@]}"
+EOF
+chmod +x "$compiler"
+
 # The driver's library belongs to the driver. In its place: every function that the bindings declare, each failing with
 # CUDA_ERROR_NO_DEVICE.
 stubs=$toolkit/lib/stubs
@@ -37,7 +49,7 @@ cc -shared -fPIC -Wl,-soname,libcuda.so.1 -o "$stubs/libcuda.so" "$stubs/libcuda
 ln -sfn libcuda.so "$stubs/libcuda.so.1"
 
 export CUDA_HOME=$toolkit CUDA_PATH=$toolkit CUDA_ROOT=$toolkit CUDA_TOOLKIT_ROOT_DIR=$toolkit
-export PATH=$toolkit/bin:$PATH CUDA_COMPUTE_CAP=${CUDA_COMPUTE_CAP:-90}
+export NVCC=$compiler PATH=$toolkit/bin:$PATH CUDA_COMPUTE_CAP=${CUDA_COMPUTE_CAP:-90}
 # Found by the linker without flags of rustc's, so that a usual build before or after this one has the same dependencies.
 export LIBRARY_PATH=$toolkit/lib:$stubs${LIBRARY_PATH:+:$LIBRARY_PATH}
 export LD_LIBRARY_PATH=$toolkit/lib:$stubs${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}

@@ -1,4 +1,7 @@
-//! BEV maps as messages: what a network makes, written; what another stage of the same model sent, read.
+//! BEV maps as messages: what a network makes, written; what another stage of the same model sent, read. And what computes
+//! the network: the [`Engine`].
+
+mod engine;
 
 use std::borrow::Cow;
 
@@ -7,6 +10,8 @@ use realo_nn::Loaded;
 use realo_nn::network::{BevMap, BevView};
 use realo_operator::{Argument, Error};
 use realo_schemas::{DType, FeatureMap, Name, feature_map};
+
+pub use engine::{Device, Elements, Engine, EngineError};
 
 /// Argument of every operator with a network: its instructions.
 pub const ISA: Argument = Argument {
@@ -17,6 +22,11 @@ pub const ISA: Argument = Argument {
 pub const PRECISION: Argument = Argument {
     name: "precision",
     about: "number type: auto (the model's), f32, bf16 or int8",
+};
+/// Argument of every operator with a network: what computes it.
+pub const DEVICE: Argument = Argument {
+    name: "device",
+    about: "what computes the network: cpu, or cuda where the build has it",
 };
 /// Argument of every operator with a network: its threads.
 pub const THREADS: Argument = Argument {

@@ -12,11 +12,10 @@
 
 use std::path::PathBuf;
 
-use realo_bev::Maps;
+use realo_bev::{Device, Elements, Engine, Maps};
 use realo_nn::Kernels;
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
-use realo_nn::network::Network;
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::is_valid;
 use realo_schemas::{Box3, Boxes, FeatureMap, Header, Kind, Message, Name, PayloadType};
@@ -39,6 +38,8 @@ pub struct Config {
     pub precision: String,
     /// Threads of the convolutions; 0: one for each processor.
     pub threads: usize,
+    /// What computes the network.
+    pub device: Device,
 }
 
 impl Default for Config {
@@ -49,13 +50,14 @@ impl Default for Config {
             isa: realo_nn::AUTO.into(),
             precision: realo_nn::AUTO.into(),
             threads: 0,
+            device: Device::default(),
         }
     }
 }
 
 /// The operator `detection-head`.
 pub struct DetectionHead {
-    network: Network,
+    engine: Engine,
     decoder: Decoder,
     maps: Maps,
 }
@@ -141,6 +143,7 @@ impl Describe for DetectionHead {
         realo_bev::ISA,
         realo_bev::PRECISION,
         realo_bev::THREADS,
+        realo_bev::DEVICE,
     ];
     const INPUTS: &'static [Port] =
         &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps of the model").latest()];
@@ -149,6 +152,7 @@ impl Describe for DetectionHead {
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),
         (Decided::Precision, "precision"),
+        (Decided::Device, "device"),
     ];
 }
 
@@ -167,7 +171,7 @@ impl Operator for DetectionHead {
         Ok(DetectionHead {
             decoder: Decoder::new(Anchors::of(&loaded.model), threshold),
             maps: Maps::of(&loaded),
-            network: loaded.network,
+            engine: Engine::new(loaded, config.device, Elements::F32)?,
         })
     }
 
@@ -176,7 +180,7 @@ impl Operator for DetectionHead {
             return Err(wrong_port(Self::INPUTS, port));
         }
         let (header, map): (Header, FeatureMap) = message.into_parts().map_err(unexpected)?;
-        let heads = self.network.heads(self.maps.read(&map)?.view())?;
+        let heads = self.engine.heads(self.maps.read(&map)?.view(), out.steps())?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas);
         out.count("over_limit_boxes", found.over_limit);
         out.count("invalid_boxes", found.invalid);

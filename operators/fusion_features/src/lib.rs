@@ -16,11 +16,10 @@
 use std::path::PathBuf;
 
 use nalgebra::Isometry3;
-use realo_bev::{Maps, Read};
+use realo_bev::{Device, Elements, Engine, Maps, Read};
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
 use realo_nn::Kernels;
 use realo_nn::fuse::{Agent, Warp};
-use realo_nn::network::Network;
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{FeatureMap, Message, Name, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -41,6 +40,8 @@ pub struct Config {
     pub precision: String,
     /// Threads; 0: one for each processor.
     pub threads: usize,
+    /// What computes the network.
+    pub device: Device,
 }
 
 impl Default for Config {
@@ -52,13 +53,14 @@ impl Default for Config {
             isa: realo_nn::AUTO.into(),
             precision: realo_nn::AUTO.into(),
             threads: 0,
+            device: Device::default(),
         }
     }
 }
 
 /// The operator `fusion-features`.
 pub struct FusionFeatures {
-    network: Network,
+    engine: Engine,
     maps: Maps,
     /// Collaborators that a fusion takes.
     limit: usize,
@@ -86,6 +88,7 @@ impl Describe for FusionFeatures {
         realo_bev::ISA,
         realo_bev::PRECISION,
         realo_bev::THREADS,
+        realo_bev::DEVICE,
     ];
     const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::FeatureMap]);
     const OUTPUTS: &'static [Port] = &[Port::new(
@@ -97,6 +100,7 @@ impl Describe for FusionFeatures {
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),
         (Decided::Precision, "precision"),
+        (Decided::Device, "device"),
         (Decided::Roadside, "roadside"),
     ];
 }
@@ -129,7 +133,7 @@ impl Operator for FusionFeatures {
         }
         Ok(FusionFeatures {
             maps: Maps::of(&loaded),
-            network: loaded.network,
+            engine: Engine::new(loaded, config.device, Elements::F32)?,
             limit,
             roadside: config
                 .roadside
@@ -168,7 +172,7 @@ impl Operator for FusionFeatures {
                     roadside: self.roadside.contains(&collaborator.header.agent),
                     delay: frames(set.header.stamp - collaborator.header.stamp),
                 }));
-                let fused = self.maps.write(self.network.fuse(&agents)?);
+                let fused = self.maps.write(self.engine.fuse(&agents, out.steps())?);
                 set.send(fused, out);
                 if !refused.is_empty() {
                     return Err(refused.join("; ").into());

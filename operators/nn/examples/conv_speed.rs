@@ -1,4 +1,5 @@
-//! Times the network of a model file with random weights, on every path that this CPU has.
+//! Times the network of a model file with random weights, on every path that this CPU has. GFLOP are those of direct
+//! sums, though f32 needs fewer.
 //!
 //! `cargo run --release -p realo-nn --example conv_speed -- [models/lite.toml] [runs]`
 

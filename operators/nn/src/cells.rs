@@ -33,12 +33,12 @@ impl Specs {
 }
 
 /// A layer of so many inputs with a kernel of a side.
-pub(crate) fn packed<E: Kernel<f32>>(
+pub(crate) fn packed<E: Kernel<O>, O: Element>(
     weights: Vec<f32>,
     bias: Vec<f32>,
     [inputs, kernel]: [usize; 2],
     isa: Isa,
-) -> Linear<E> {
+) -> Packed<E, O> {
     let layer = Convolution {
         inputs,
         outputs: bias.len(),
@@ -55,6 +55,20 @@ pub(crate) fn packed<E: Kernel<f32>>(
 /// The cells of a row, border left out.
 pub(crate) fn cells<'a, E>(view: &View<'a, E>, row: usize) -> &'a [E] {
     &view.data[(row + view.border) * view.line() + view.border * view.stored..][..view.columns * view.stored]
+}
+
+/// The cells of a map of one row.
+pub(crate) fn line<E: Element>(map: &Map<E>) -> &[E] {
+    debug_assert_eq!(map.rows, 1, "rows of a map of one");
+    let length = map.columns * map.stored;
+    &map.view().data[map.row_length() + map.stored..][..length]
+}
+
+/// As [`line`], to be written.
+pub(crate) fn line_mut<E: Element>(map: &mut Map<E>) -> &mut [E] {
+    let (stored, length) = (map.stored, map.columns * map.stored);
+    let row = map.shares(1, 1).swap_remove(0);
+    &mut row.data[stored..][..length]
 }
 
 /// Does something with the cells of every row of a map; `scale` rows stay with one worker.

@@ -81,19 +81,75 @@ impl<'a> Agent<'a> {
 }
 
 /// An agent's map in the ego's cells, `[rows, columns]` of them, as every fusion takes it; and which of them it covers.
-pub fn placed(agent: &Agent, [rows, columns]: [usize; 2]) -> (BevMap, Vec<bool>) {
-    let channels = agent.map.channels;
-    let mut data = vec![0.0; rows * columns * channels];
-    let cells = data.chunks_exact_mut(channels).enumerate();
-    let covered = cells.map(|(index, to)| sample(agent, index % columns, index / columns, None, to));
-    let covered = covered.collect();
-    let map = BevMap {
-        rows,
-        columns,
-        channels,
-        data,
-    };
-    (map, covered)
+pub fn placed(agent: &Agent, size: [usize; 2]) -> (BevMap, Vec<bool>) {
+    let mut placer = Placer::new(1);
+    placer.place(agent, size);
+    (placer.map, placer.covered)
+}
+
+/// One agent's map after the other in the ego's cells, in the same memory.
+pub struct Placer {
+    pool: Pool,
+    map: BevMap,
+    covered: Vec<bool>,
+}
+
+impl Placer {
+    /// With so many threads, the caller's included.
+    pub fn new(threads: usize) -> Self {
+        Placer {
+            pool: Pool::new(threads),
+            map: BevMap {
+                rows: 0,
+                columns: 0,
+                channels: 0,
+                data: Vec::new(),
+            },
+            covered: Vec::new(),
+        }
+    }
+
+    /// An agent's map in `[rows, columns]` cells of the ego, and which of them it covers.
+    pub fn place(&mut self, agent: &Agent, size: [usize; 2]) -> (&BevMap, &[bool]) {
+        let map = &mut self.map;
+        ([map.rows, map.columns], map.channels) = (size, agent.map.channels);
+        place(agent, size, None, &mut map.data, &mut self.covered, &mut self.pool);
+        (&self.map, &self.covered)
+    }
+}
+
+/// Takes an agent's map in `[rows, columns]` cells of the ego; `added` is added to each of the map's own cells.
+pub(crate) fn place(
+    agent: &Agent,
+    [rows, columns]: [usize; 2],
+    added: Option<&[f32]>,
+    map: &mut Vec<f32>,
+    covered: &mut Vec<bool>,
+    pool: &mut Pool,
+) {
+    let length = columns * agent.map.channels;
+    map.resize(rows * length, 0.0);
+    covered.resize(rows * columns, false);
+    let maps = split(map, length, rows, pool.threads(), 1);
+    let covers = split(covered, columns, rows, pool.threads(), 1);
+    pool.each(maps.into_iter().zip(covers).collect(), |(map, covers)| {
+        let rows = map
+            .data
+            .chunks_exact_mut(length)
+            .zip(covers.data.chunks_exact_mut(columns));
+        for (row, (to, covered)) in map.range.zip(rows) {
+            place_row(agent, row, added, to, covered);
+        }
+    });
+}
+
+dispatch! {
+    fn place_row(agent: &Agent, row: usize, added: Option<&[f32]>, to: &mut [f32], covered: &mut [bool]) {
+        let cells = to.chunks_exact_mut(agent.map.channels).zip(covered);
+        for (column, (to, covered)) in cells.enumerate() {
+            *covered = sample(agent, column, row, added, to);
+        }
+    }
 }
 
 /// Fuses maps of one size cell by cell, the ego's first; an agent takes no part in cells that its map does not cover.
@@ -150,43 +206,59 @@ pub(crate) fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f
     let (map, channels) = (agent.map, to.len());
     let place = agent.warp.at(column, row);
     let size = [map.columns, map.rows];
-    to.fill(0.0);
     let near = |axis: usize| (-1.0..size[axis] as f64).contains(&place[axis]);
     if !(near(0) && near(1)) {
+        to.fill(0.0);
         return false;
     }
     let first = place.map(f64::floor);
     let part = [0, 1].map(|axis| (place[axis] - first[axis]) as f32);
-    for corner in [[0, 0], [1, 0], [0, 1], [1, 1]] {
-        let weight: f32 = [0, 1]
-            .map(|axis| {
-                if corner[axis] == 1 {
-                    part[axis]
-                } else {
-                    1.0 - part[axis]
-                }
-            })
-            .iter()
-            .product();
-        let cell = [0, 1].map(|axis| first[axis] as isize + corner[axis] as isize);
-        let inside = |axis: usize| usize::try_from(cell[axis]).ok().filter(|cell| *cell < size[axis]);
-        let (Some(column), Some(row)) = (inside(0), inside(1)) else {
-            continue;
-        };
-        if weight == 0.0 {
-            continue;
-        }
-        let from = &map.data[(row * map.columns + column) * channels..][..channels];
-        match added {
-            Some(added) => {
-                let numbers = to.iter_mut().zip(from).zip(added);
-                numbers.for_each(|((to, from), added)| *to += (from + added) * weight);
+    let corners = CORNERS.map(|corner| {
+        let weight = |axis: usize| {
+            if corner[axis] == 1 {
+                part[axis]
+            } else {
+                1.0 - part[axis]
             }
-            None => to.iter_mut().zip(from).for_each(|(to, from)| *to += from * weight),
+        };
+        let cell = [0, 1].map(|axis| first[axis] as isize + corner[axis]);
+        let inside = |axis: usize| usize::try_from(cell[axis]).ok().filter(|cell| *cell < size[axis]);
+        let (column, row) = (inside(0)?, inside(1)?);
+        let weight = weight(0) * weight(1);
+        (weight != 0.0).then(|| (&map.data[(row * map.columns + column) * channels..][..channels], weight))
+    });
+    match (corners, added) {
+        ([Some(a), Some(b), Some(c), Some(d)], None) => {
+            let numbers = a.0.iter().zip(b.0).zip(c.0).zip(d.0);
+            for ((((from_a, from_b), from_c), from_d), to) in numbers.zip(to) {
+                *to = from_a * a.1 + from_b * b.1 + from_c * c.1 + from_d * d.1;
+            }
+        }
+        ([Some(a), Some(b), Some(c), Some(d)], Some(added)) => {
+            let numbers = a.0.iter().zip(b.0).zip(c.0).zip(d.0).zip(added);
+            for (((((from_a, from_b), from_c), from_d), added), to) in numbers.zip(to) {
+                let [from_a, from_b, from_c, from_d] = [from_a, from_b, from_c, from_d].map(|from| from + added);
+                *to = from_a * a.1 + from_b * b.1 + from_c * c.1 + from_d * d.1;
+            }
+        }
+        (corners, added) => {
+            to.fill(0.0);
+            for (from, weight) in corners.into_iter().flatten() {
+                match added {
+                    Some(added) => {
+                        let numbers = to.iter_mut().zip(from).zip(added);
+                        numbers.for_each(|((to, from), added)| *to += (from + added) * weight);
+                    }
+                    None => to.iter_mut().zip(from).for_each(|(to, from)| *to += from * weight),
+                }
+            }
         }
     }
     nearest(place, size).is_some()
 }
+
+/// The cells around a place, as columns and rows from the first.
+const CORNERS: [[isize; 2]; 4] = [[0, 0], [1, 0], [0, 1], [1, 1]];
 
 /// Column and row of the cell that is nearest to a place, if the map has it.
 #[inline(always)]

@@ -24,6 +24,8 @@ pub struct Loaded {
     pub weights: Arc<Weights>,
     /// Its network.
     pub network: Network,
+    /// Number type that was asked for, or else the model's.
+    pub precision: Precision,
     /// Name and digest of file and weights: the same only for the same network.
     pub identity: String,
 }
@@ -127,6 +129,7 @@ pub fn load(model_file: &Path, kernels: Kernels) -> Result<Loaded, LoadError> {
         }
     };
     Ok(Loaded {
+        precision: options.precision.unwrap_or(shared.model.precision),
         model: shared.model,
         weights: shared.weights,
         network: Network::sharing(shared.core, known.pool(options.threads)),

@@ -6,18 +6,20 @@
 pub(crate) fn exp(x: f32) -> f32 {
     // Below, the result is no normal number; above, infinity would not come from the bits.
     let x = x.clamp(-87.5, 88.0);
-    let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
+    let rounded = x * std::f32::consts::LOG2_E + ROUND;
+    let n = rounded - ROUND;
     // In two steps, the first of which is exact.
     let r = (x - n * 0.693_359_4) - n * -2.121_944_4e-4;
     let tail = 1.0 / 120.0 + r * (1.0 / 720.0);
     let tail = 1.0 / 24.0 + r * tail;
     let tail = 1.0 / 6.0 + r * tail;
     let series = 1.0 + r + r * r * (0.5 + r * tail);
-    let power = f32::from_bits(((n as i32 + 127) as u32) << 23);
+    let exponent = rounded.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127);
+    let power = f32::from_bits(exponent << 23);
     if x < -87.0 { 0.0 } else { series * power }
 }
 
-/// Added and taken away again, it rounds a small number to the nearest whole one.
+/// Added and taken away again, it rounds a small number to the nearest whole one, which the last bits hold in between.
 const ROUND: f32 = 12_582_912.0;
 
 /// The error function; off by at most 6e-7 (Abramowitz and Stegun 7.1.26).
@@ -38,7 +40,9 @@ pub(crate) fn erf(x: f32) -> f32 {
 const LANES: usize = 16;
 
 #[inline(always)]
-fn lanes(mut sums: [f32; LANES]) -> f32 {
+fn lanes(sums: [f32; LANES]) -> f32 {
+    // Behind this, compilers cannot spread the tree of additions into the loops that made the lanes.
+    let mut sums = std::hint::black_box(sums);
     let mut half = LANES / 2;
     while half > 0 {
         for lane in 0..half {

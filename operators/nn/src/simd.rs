@@ -1,21 +1,30 @@
-//! Loops that are compiled twice, for every processor and for those with AVX2, and give the same bits on both: they hold
-//! no fused multiply-add and no sum whose order depends on the width of a vector.
+//! Loops that are compiled several times, for every processor and for those with AVX2 and AVX-512, and give the same bits on
+//! all: they hold no fused multiply-add and no sum whose order depends on the width of a vector.
 
-/// Defines a function whose body is compiled for AVX2 as well and chosen when it is called; `name::portable` is the
-/// plain form. What the body calls must be `#[inline(always)]` to profit.
+/// Defines a function whose body is compiled for AVX2 and AVX-512 as well and chosen when it is called; `name::portable` is
+/// the plain form. What the body calls must be `#[inline(always)]` to profit.
 macro_rules! dispatch {
-    ($(#[$doc:meta])* $vis:vis fn $name:ident($($argument:ident: $kind:ty),* $(,)?) $(-> $result:ty)? $body:block) => {
+    (
+        $(#[$doc:meta])*
+        $vis:vis fn $name:ident $(<$type:ident: $bound:ident>)? ($($argument:ident: $kind:ty),* $(,)?) $(-> $result:ty)? $body:block
+    ) => {
         $(#[$doc])*
-        $vis fn $name($($argument: $kind),*) $(-> $result)? {
+        $vis fn $name $(<$type: $bound>)? ($($argument: $kind),*) $(-> $result)? {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx2")]
-                fn wide($($argument: $kind),*) $(-> $result)? {
+                fn wide $(<$type: $bound>)? ($($argument: $kind),*) $(-> $result)? {
                     $name::portable($($argument),*)
                 }
-                if std::arch::is_x86_feature_detected!("avx2") {
-                    // SAFETY: the processor has what `wide` is compiled for.
-                    #[allow(unsafe_code)]
+                #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
+                fn widest $(<$type: $bound>)? ($($argument: $kind),*) $(-> $result)? {
+                    $name::portable($($argument),*)
+                }
+                // SAFETY: the processor has what the functions are compiled for.
+                #[allow(unsafe_code)]
+                if $crate::simd::has_avx512() {
+                    return unsafe { widest($($argument),*) };
+                } else if std::arch::is_x86_feature_detected!("avx2") {
                     return unsafe { wide($($argument),*) };
                 }
             }
@@ -26,9 +35,18 @@ macro_rules! dispatch {
             use super::*;
 
             #[inline(always)]
-            pub(super) fn portable($($argument: $kind),*) $(-> $result)? $body
+            pub(super) fn portable $(<$type: $bound>)? ($($argument: $kind),*) $(-> $result)? $body
         }
     };
 }
 
 pub(crate) use dispatch;
+
+/// Whether the processor has AVX-512 with all widths of vectors and numbers.
+#[cfg(target_arch = "x86_64")]
+pub(crate) fn has_avx512() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512bw")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512vl")
+}

@@ -2,21 +2,30 @@
 //!
 //! The result is the ego's map. What nobody reads for it is not computed: in the last attention over agents only the ego asks,
 //! and what follows is the ego's alone. An agent that is not there, or whose map does not reach a cell, is not asked.
+//!
+//! Workers take tiles of the map through one layer after the other. All of them wait only where a mean over the whole map
+//! decides how much each size of windows counts.
 
 mod agents;
+mod blocks;
 mod parts;
+mod tiles;
 mod weights;
 mod windows;
 
-use agents::OverAgents;
+use std::sync::Mutex;
+
+use blocks::Block;
 pub use parts::{Asking, Parts};
+use tiles::{Tile, Tiles, Worker};
 pub(crate) use weights::tensors;
 pub use weights::{ENCODER, agents_key, forward_key, initial_delays, windows_key};
-use windows::OverWindows;
 
-use crate::cells::{Linear, add, cells, each_cell, run};
-use crate::conv::{Map, Pool, Rows, split};
-use crate::fuse::{Agent, sample};
+use crate::arch::Window;
+use crate::cells::{Linear, line, line_mut};
+use crate::conv::{Map, Pool};
+use crate::fuse::{Agent, place};
+use crate::load::lock;
 use crate::math::{erf, product, sum};
 use crate::part::Number;
 use crate::simd::dispatch;
@@ -29,12 +38,14 @@ pub const LAYER_NORM_EPS: f32 = 1e-5;
 /// A transformer that is ready to run; maps are computed in `E`, what is added up in f32.
 pub(crate) struct Transformer<E> {
     channels: usize,
+    windows: Vec<Window>,
     delays: Delays,
     rounds: Vec<Round<E>>,
+    room: Mutex<Room<E>>,
 }
 
 struct Round<E> {
-    blocks: Vec<(OverAgents<E>, OverWindows<E>)>,
+    blocks: Vec<Block<E>>,
     forward: Forward<E>,
 }
 
@@ -56,79 +67,77 @@ struct Forward<E> {
     back: Linear<E>,
 }
 
-impl<E: Number> Transformer<E> {
-    /// The fused map, `[rows, columns, channels]`. The first agent is the ego.
-    pub fn run(&self, agents: &[Agent], pool: &mut Pool) -> Vec<f32> {
-        let mut states: Vec<State> = agents.iter().map(|agent| self.state(agent, agents[0], pool)).collect();
-        let last = self.rounds.len() - 1;
-        for (depth, round) in self.rounds.iter().enumerate() {
-            for (block, (agents, windows)) in round.blocks.iter().enumerate() {
-                if depth == last && block == round.blocks.len() - 1 {
-                    agents.run(&mut states, 1, pool);
-                    states.truncate(1);
-                } else {
-                    let all = states.len();
-                    agents.run(&mut states, all, pool);
-                }
-                states.iter_mut().for_each(|state| windows.run(&mut state.map, pool));
-            }
-            states
-                .iter_mut()
-                .for_each(|state| round.forward.run(&mut state.map, pool));
-        }
-        states[0].map.to_f32(pool)
-    }
+/// Maps that are kept from frame to frame.
+struct Room<E> {
+    states: Vec<State>,
+    /// By agent that asks, then by size of windows: what attention gave it, `[rows, columns, stored]`.
+    made: Vec<Vec<Vec<E>>>,
+    workers: Vec<Worker<E>>,
+}
 
-    /// An agent's map in the ego's cells, with what its delay adds.
-    fn state(&self, agent: &Agent, ego: Agent, pool: &mut Pool) -> State {
-        let (rows, columns) = (ego.map.rows, ego.map.columns);
-        let added = self.delays.of(agent.delay);
-        let mut map = Map::new(rows, columns, self.channels);
-        let mut covered = vec![false; rows * columns];
-        let covers = split(&mut covered, columns, rows, pool.threads(), 1);
-        let shares = map.shares(pool.threads(), 1).into_iter().zip(covers);
-        let length = (columns + 2) * self.channels;
-        pool.each(shares.collect(), |(Rows { range, data }, covers)| {
-            let rows = range
-                .zip(data.chunks_exact_mut(length))
-                .zip(covers.data.chunks_exact_mut(columns));
-            for ((row, to), covered) in rows {
-                let cells = to[self.channels..].chunks_exact_mut(self.channels);
-                for (column, (to, covered)) in cells.zip(covered).enumerate() {
-                    *covered = sample(agent, column, row, Some(added), to);
-                }
-            }
-        });
-        State {
-            kind: usize::from(agent.roadside),
-            map,
-            covered,
+impl<E> Default for Room<E> {
+    fn default() -> Self {
+        Room {
+            states: Vec::new(),
+            made: Vec::new(),
+            workers: Vec::new(),
         }
     }
 }
 
 /// An agent on its way through the transformer.
+#[derive(Default)]
 struct State {
     kind: usize,
-    map: Map<f32>,
-    /// By cell: whether the agent can be asked there.
+    /// `[rows, columns, channels]`.
+    map: Vec<f32>,
+    /// `[rows, columns]`: whether the agent can be asked there.
     covered: Vec<bool>,
-}
-
-impl State {
-    fn asked(&self) -> Asked<'_> {
-        Asked {
-            kind: self.kind,
-            covered: &self.covered,
-        }
-    }
 }
 
 /// What must be known of an agent to ask it.
 #[derive(Clone, Copy)]
 struct Asked<'a> {
     kind: usize,
+    /// By cell of a tile.
     covered: &'a [bool],
+}
+
+impl<E: Number> Transformer<E> {
+    /// The fused map, `[rows, columns, channels]`. The first agent is the ego.
+    pub fn run(&self, agents: &[Agent], pool: &mut Pool) -> Vec<f32> {
+        let mut room = lock(&self.room);
+        let Room { states, made, workers } = &mut *room;
+        let size = [agents[0].map.rows, agents[0].map.columns];
+        states.resize_with(states.len().max(agents.len()), State::default);
+        workers.resize_with(pool.threads(), Worker::new);
+        let states = &mut states[..agents.len()];
+        for (state, agent) in states.iter_mut().zip(agents) {
+            self.take(agent, size, state, pool);
+        }
+        let tiles = Tiles::new(&self.windows, size);
+        let stored = self.channels.next_multiple_of(E::PER_UNIT);
+        let last = self.rounds.len() - 1;
+        for (depth, round) in self.rounds.iter().enumerate() {
+            for (index, block) in round.blocks.iter().enumerate() {
+                let ends = index == round.blocks.len() - 1;
+                let asking = if ends && depth == last { 1 } else { agents.len() };
+                made.resize_with(made.len().max(asking), || vec![Vec::new(); self.windows.len()]);
+                let made = &mut made[..asking];
+                let maps = made.iter_mut().flatten();
+                maps.for_each(|map| map.resize(tiles.cells() * stored, E::default()));
+                block.run(tiles, states, made, ends.then_some(&round.forward), workers, pool);
+            }
+        }
+        std::mem::take(&mut states[0].map)
+    }
+
+    /// Takes an agent's map in the ego's cells, with what its delay adds.
+    fn take(&self, agent: &Agent, size: [usize; 2], state: &mut State, pool: &mut Pool) {
+        state.kind = usize::from(agent.roadside);
+        let added = Some(self.delays.of(agent.delay));
+        place(agent, size, added, &mut state.map, &mut state.covered, pool);
+    }
 }
 
 impl Delays {
@@ -140,61 +149,57 @@ impl Delays {
 }
 
 impl Norm {
-    fn run<E: Number>(&self, from: &Map<f32>, pool: &mut Pool) -> Map<E> {
-        let mut to: Map<E> = Map::new(from.rows, from.columns, from.channels);
-        let (view, channels, stored) = (from.view(), from.channels, to.stored);
-        each_cell(&mut to, 1, pool, |row, to| {
-            let mut normed = vec![0.0; channels];
-            let from = cells(&view, row).chunks_exact(channels);
-            for (from, to) in from.zip(to.chunks_exact_mut(stored)) {
-                normalized(from, &self.weight, &self.bias, &mut normed);
-                normed.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
-            }
-        });
+    /// Of the cells of a tile; `rows` are its rows of the map.
+    fn run<E: Number>(&self, tile: Tile, rows: &[f32], worker: &mut Worker<E>) -> Map<E> {
+        let channels = self.weight.len();
+        let mut to = worker.own(tile.cells(), channels);
+        let stored = to.stored;
+        let cells = line_mut(&mut to).chunks_exact_mut(tile.columns * stored);
+        for (from, to) in tile.lines(rows, channels).zip(cells) {
+            normalize(from, [&self.weight, &self.bias], stored, to);
+        }
         to
     }
 }
 
 dispatch! {
-    fn normalized(from: &[f32], weight: &[f32], bias: &[f32], to: &mut [f32]) {
-        let mean = sum(from) / from.len() as f32;
-        to.iter_mut().zip(from).for_each(|(to, from)| *to = from - mean);
-        let factor = 1.0 / (product(to, to) / from.len() as f32 + LAYER_NORM_EPS).sqrt();
-        for ((to, weight), bias) in to.iter_mut().zip(weight).zip(bias) {
-            *to = *to * factor * weight + bias;
+    /// A layer norm of each cell, with its weights and biases; `to` has `stored` numbers for each cell.
+    fn normalize<E: Number>(cells: &[f32], norm: [&[f32]; 2], stored: usize, to: &mut [E]) {
+        let [weight, bias] = norm;
+        let mut centered = vec![0.0; weight.len()];
+        for (cell, to) in cells.chunks_exact(weight.len()).zip(to.chunks_exact_mut(stored)) {
+            let mean = sum(cell) / cell.len() as f32;
+            centered.iter_mut().zip(cell).for_each(|(to, from)| *to = from - mean);
+            let factor = 1.0 / (product(&centered, &centered) / cell.len() as f32 + LAYER_NORM_EPS).sqrt();
+            for (((to, from), weight), bias) in to.iter_mut().zip(&centered).zip(weight).zip(bias) {
+                *to = E::from_f32(from * factor * weight + bias);
+            }
         }
     }
 }
 
 impl<E: Number> Forward<E> {
-    fn run(&self, map: &mut Map<f32>, pool: &mut Pool) {
-        let given = self.given(map, pool);
-        add(map, &given, pool);
-    }
-
-    /// What is added to a map.
-    fn given(&self, map: &Map<f32>, pool: &mut Pool) -> Map<f32> {
-        let normed: Map<E> = self.norm.run(map, pool);
-        let wide = self.wide.outputs();
-        let made = run(&self.wide, &normed, wide, pool);
-        let view = made.view();
-        let mut active: Map<E> = Map::new(map.rows, map.columns, wide);
+    /// What is added to the cells of a tile; `rows` are its rows of the map.
+    fn run(&self, tile: Tile, rows: &[f32], worker: &mut Worker<E>) -> Map<f32> {
+        let normed = self.norm.run(tile, rows, worker);
+        let made = worker.run(&self.wide, &normed);
+        let mut active = worker.own(tile.cells(), made.channels);
         let stored = active.stored;
-        each_cell(&mut active, 1, pool, |row, to| {
-            let mut values = vec![0.0; wide];
-            for (from, to) in cells(&view, row).chunks_exact(wide).zip(to.chunks_exact_mut(stored)) {
-                gelu(from, &mut values);
-                values.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
-            }
-        });
-        run(&self.back, &active, map.channels, pool)
+        gelu(line(&made), made.channels, stored, line_mut(&mut active));
+        let given = worker.run(&self.back, &active);
+        worker.keep_single([made]);
+        worker.keep_own([normed, active]);
+        given
     }
 }
 
 dispatch! {
-    fn gelu(from: &[f32], to: &mut [f32]) {
-        for (from, to) in from.iter().zip(to) {
-            *to = 0.5 * from * (1.0 + erf(from * std::f32::consts::FRAC_1_SQRT_2));
+    /// `to` has `stored` numbers for each cell of `channels`.
+    fn gelu<E: Number>(from: &[f32], channels: usize, stored: usize, to: &mut [E]) {
+        for (from, to) in from.chunks_exact(channels).zip(to.chunks_exact_mut(stored)) {
+            for (from, to) in from.iter().zip(to) {
+                *to = E::from_f32(0.5 * from * (1.0 + erf(from * std::f32::consts::FRAC_1_SQRT_2)));
+            }
         }
     }
 }

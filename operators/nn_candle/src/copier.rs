@@ -31,8 +31,8 @@ pub struct Taken {
     size: [usize; 3],
     /// The cells that cross, of all.
     cells: Vec<u32>,
-    /// `[cells that cross, channels]`.
-    elements: Tensor,
+    /// `[cells that cross, channels]`, if any do.
+    elements: Option<Tensor>,
     /// Least number and step of each channel, of codes.
     scales: Option<[Tensor; 2]>,
 }
@@ -83,9 +83,9 @@ impl Copier {
             .map(|(cell, _)| cell);
         let cells: Vec<u32> = cells.collect();
         let elements = match cells.len() {
-            crossing if crossing == rows * columns => elements,
-            0 => elements.narrow(0, 0, 0)?,
-            crossing => elements.index_select(&Tensor::from_slice(&cells, crossing, map.device())?, 0)?,
+            crossing if crossing == rows * columns => Some(elements),
+            0 => None,
+            crossing => Some(elements.index_select(&Tensor::from_slice(&cells, crossing, map.device())?, 0)?),
         };
         let size = [rows, columns, channels];
         Ok(Taken {
@@ -102,16 +102,18 @@ impl Copier {
     /// Those of candle.
     pub fn copy(&self, taken: &Taken) -> Result<Copied> {
         let [rows, columns, channels] = taken.size;
-        let bytes = taken.elements.elem_count() * taken.elements.dtype().size_in_bytes();
-        let mut data = self.on_host.clone();
-        let crossed = taken.elements.flatten_all()?;
-        match &taken.scales {
-            None => fill(&mut data, taken, &numbers(&crossed)?, |number, _| number),
-            Some([least, step]) => {
-                let [least, step] = [least, step].map(|scale| scale.to_vec1::<f32>());
-                let (least, step) = (least?, step?);
-                let number = |code: u8, channel: usize| least[channel] + f32::from(code) * step[channel];
-                fill(&mut data, taken, &crossed.to_vec1::<u8>()?, number);
+        let (mut data, mut bytes) = (self.on_host.clone(), 0);
+        if let Some(elements) = &taken.elements {
+            bytes = elements.elem_count() * elements.dtype().size_in_bytes();
+            let crossed = elements.flatten_all()?;
+            match &taken.scales {
+                None => fill(&mut data, taken, &numbers(&crossed)?, |number, _| number),
+                Some([least, step]) => {
+                    let [least, step] = [least, step].map(|scale| scale.to_vec1::<f32>());
+                    let (least, step) = (least?, step?);
+                    let number = |code: u8, channel: usize| least[channel] + f32::from(code) * step[channel];
+                    fill(&mut data, taken, &crossed.to_vec1::<u8>()?, number);
+                }
             }
         }
         let map = BevMap {

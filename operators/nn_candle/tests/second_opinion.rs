@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::atomic::{AtomicI64, Ordering};
 
 use candle_core::{DType, Device, Tensor, Var};
 use realo_nn::arch::{Arch, Transformer, Window};
@@ -11,7 +12,8 @@ use realo_nn::fuse::{Agent, Warp};
 use realo_nn::layers::{Fusion, Layers};
 use realo_nn::model::{Model, Precision};
 use realo_nn::network::{self, BevMap, NetworkOptions};
-use realo_nn_candle::{Copier, Elements, Error, Network, Placed, Tensors, transformer};
+use realo_nn_candle::{Copier, Elements, Engine, Error, Network, Placed, Tensors, transformer};
+use realo_operator::Steps;
 
 /// Numbers of a result that sums in another order, of some dozen layers, may give: f32 is exact to 6e-8.
 const TOLERANCE: f32 = 1e-5;
@@ -241,6 +243,38 @@ fn gradients_lead_through_the_transformer_to_all_weights_that_count() -> candle_
             "{key}: grows by {grown}, gradient {length}"
         );
     }
+    Ok(())
+}
+
+#[test]
+fn an_engine_gives_what_the_kernels_give_and_times_its_steps() -> Result<(), Error> {
+    static NOW: AtomicI64 = AtomicI64::new(0);
+    let model = models().into_iter().find(|model| model.name == "lite-attfuse").unwrap();
+    let (layers, weights) = (Layers::of(&model), weights(&model, 7));
+    let mut kernels = kernels(&model);
+    let mut engine = Engine::new(&model, &weights, &Device::Cpu, DType::F32, Elements::F32)?;
+    let mut steps = Steps::timed_by(|| NOW.fetch_add(1, Ordering::Relaxed));
+    let named = |steps: &mut Steps| steps.take().into_iter().map(|(step, _)| step).collect::<Vec<_>>();
+
+    let canvas = canvas(&layers);
+    let encoded = engine.encode(&canvas, &mut steps)?;
+    let expected = ["to_device", "launch", "synchronisation", "masking", "to_host"];
+    assert_eq!(named(&mut steps), expected);
+    assert_near(&encoded.data, &kernels.encode(&canvas).unwrap().data, "encode");
+
+    let other = map(2, layers.size(layers.features));
+    let maps = [encoded, other];
+    let agents = crowd(&maps);
+    let fused = engine.fuse(&agents, &mut steps)?;
+    assert_eq!(named(&mut steps), ["to_device", "launch", "synchronisation", "to_host"]);
+    assert_near(&fused.data, &kernels.fuse(&agents).unwrap().data, "fuse");
+
+    let found = engine.heads((&fused).into(), &mut steps)?;
+    assert_eq!(named(&mut steps), ["to_device", "launch", "synchronisation", "to_host"]);
+    let expected = kernels.heads(&fused).unwrap();
+    assert_eq!((found.rows, found.columns), (expected.rows, expected.columns));
+    assert_near(&found.scores, &expected.scores, "scores");
+    assert_near(&found.deltas, &expected.deltas, "deltas");
     Ok(())
 }
 

@@ -77,6 +77,8 @@ pub enum Decided {
     Isa,
     /// Number type of a network.
     Precision,
+    /// What computes a network.
+    Device,
     /// Who brings what crosses a link to the ego's frame.
     Project,
     /// Folder of the results.

@@ -14,11 +14,12 @@
 
 use std::path::PathBuf;
 
-use realo_bev::Maps;
-use realo_nn::Encoder;
-use realo_nn::Kernels;
+use realo_bev::{Device, Elements, Engine, Maps};
 use realo_nn::pillars::{Dropped, Points};
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_nn::{Kernels, Pillarer};
+use realo_operator::{
+    Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, Steps, unexpected, wrong_port,
+};
 use realo_schemas::{FeatureMap, Header, Kind, Message, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +35,10 @@ pub struct Config {
     pub precision: String,
     /// Threads of the convolutions; 0: one for each processor.
     pub threads: usize,
+    /// What computes the network.
+    pub device: Device,
+    /// What the numbers of maps leave a GPU as.
+    pub copied: Elements,
 }
 
 impl Default for Config {
@@ -43,13 +48,16 @@ impl Default for Config {
             isa: realo_nn::AUTO.into(),
             precision: realo_nn::AUTO.into(),
             threads: 0,
+            device: Device::default(),
+            copied: Elements::default(),
         }
     }
 }
 
 /// The operator `pillar-encoder`.
 pub struct PillarEncoder {
-    encoder: Encoder,
+    pillarer: Pillarer,
+    engine: Engine,
     maps: Maps,
 }
 
@@ -68,6 +76,11 @@ impl Describe for PillarEncoder {
         realo_bev::ISA,
         realo_bev::PRECISION,
         realo_bev::THREADS,
+        realo_bev::DEVICE,
+        Argument {
+            name: "copied",
+            about: "what numbers of maps leave a GPU as: f32, f16, or int8 with a scale for each channel of each map",
+        },
     ];
     const INPUTS: &'static [Port] =
         &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the agent's body frame").latest()];
@@ -76,6 +89,7 @@ impl Describe for PillarEncoder {
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),
         (Decided::Precision, "precision"),
+        (Decided::Device, "device"),
     ];
 }
 
@@ -90,7 +104,8 @@ impl Operator for PillarEncoder {
         loaded.model.check_frame(&config.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),
-            encoder: Encoder::new(loaded),
+            pillarer: Pillarer::beside(&loaded.network, &loaded.model, &loaded.weights),
+            engine: Engine::new(loaded, config.device, config.copied)?,
         })
     }
 
@@ -99,7 +114,7 @@ impl Operator for PillarEncoder {
             return Err(wrong_port(Self::INPUTS, port));
         }
         let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
-        let (map, dropped) = self.encode(&cloud)?;
+        let (map, dropped) = self.encode(&cloud, out.steps())?;
         out.count("nan_points", dropped.not_finite);
         out.count("out_of_range_points", dropped.out_of_range);
         out.count("over_points", dropped.over_points);
@@ -115,9 +130,9 @@ impl Operator for PillarEncoder {
 
 impl PillarEncoder {
     /// The BEV map of a cloud in the agent's body frame, and which points it leaves out.
-    fn encode(&mut self, cloud: &PointCloud) -> Result<(FeatureMap, Dropped), Error> {
+    fn encode(&mut self, cloud: &PointCloud, steps: &mut Steps) -> Result<(FeatureMap, Dropped), Error> {
         let intensity: Option<Vec<f32>> = self
-            .encoder
+            .pillarer
             .wants_intensity()
             .then(|| cloud.intensity.iter().map(|value| f32::from(*value) / 255.0).collect());
         let points = Points {
@@ -126,7 +141,8 @@ impl PillarEncoder {
             z: &cloud.z,
             intensity: intensity.as_deref(),
         };
-        let (map, dropped) = self.encoder.run(&points)?;
+        let (canvas, dropped) = self.pillarer.run(&points);
+        let map = self.engine.encode(canvas, steps)?;
         Ok((self.maps.write(map), dropped))
     }
 }

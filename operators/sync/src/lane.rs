@@ -37,7 +37,7 @@ pub struct Lane {
     points: VecDeque<PosePoint>,
     /// Stamp of the newest sweep that was taken.
     pub newest: Option<Nanos>,
-    /// Sweeps that wait, with the time at which they give up; oldest first.
+    /// Sweeps that wait, with the time at which they came; oldest first.
     pub waiting: VecDeque<(Nanos, Header, PointCloud)>,
 }
 
@@ -112,9 +112,20 @@ impl Lane {
         self.points.iter().min_by_key(|point| point.stamp.abs_diff(stamp))
     }
 
-    /// Lets a sweep wait; returns one that must give up for it.
-    pub fn wait(&mut self, until: Nanos, header: Header, cloud: PointCloud) -> Option<(Header, PointCloud)> {
-        self.waiting.push_back((until, header, cloud));
+    /// Whether the newest pose is missing `now` that by the rhythm of the last two exists, and that would tell of the motion
+    /// until `last`. Where more than one is missing, poses come late or not at all.
+    pub fn misses_pose(&self, last: Nanos, now: Nanos) -> bool {
+        let mut stamps = self.points.iter().rev().map(|point| point.stamp);
+        let (Some(newest), Some(previous)) = (stamps.next(), stamps.next()) else {
+            return false;
+        };
+        let (period, since) = (newest.saturating_sub(previous), now.saturating_sub(newest));
+        newest < last && (period..period.saturating_mul(2)).contains(&since)
+    }
+
+    /// Lets a sweep wait that came `now`; returns one that must give up for it.
+    pub fn wait(&mut self, now: Nanos, header: Header, cloud: PointCloud) -> Option<(Header, PointCloud)> {
+        self.waiting.push_back((now, header, cloud));
         if self.waiting.len() <= WAITING {
             return None;
         }

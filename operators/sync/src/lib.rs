@@ -9,8 +9,9 @@
 //! | `states` | out | EgoState | pose and motion at each sweep's stamp, with the sweep's seq, stamp and ready |
 //!
 //! Poses between two recorded ones are interpolated, and beyond the newest one carried on by its motion, over at most
-//! `max_gap_ms`; so a sweep waits for nothing that it can do without. If its pose cannot be known that way it waits up
-//! to `patience_ms`, and is then dropped and counted as `no_pose`.
+//! `max_gap_ms`; so a sweep waits for nothing that it can do without, but 2 ms for a pose that its last points need and that
+//! by the rhythm of the others must be on its way. If its pose cannot be known that way it waits up to `patience_ms`, and is then
+//! dropped and counted as `no_pose`.
 //!
 //! A log may have one pose for each sweep and none near it: that pose is exact, but nothing says how the agent moved;
 //! such a sweep passes as it is (`not_deskewed`), without velocity.

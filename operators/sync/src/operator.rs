@@ -16,6 +16,9 @@ const NANOS_PER_MILLI: Nanos = 1_000_000;
 /// A stamp may lie so far after its message's arrival, ns; more would block the agent's stream until then.
 const AHEAD: Nanos = 1_000_000_000;
 
+/// A pose that is due is awaited so long, ns: it and a sweep that exist at the same time may overtake each other.
+const OVERTAKING: Nanos = 2_000_000;
+
 /// Settings of sync.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -133,12 +136,13 @@ impl Sync {
             return Ok(());
         }
         lane.newest = Some(header.stamp);
-        let until = out.now().saturating_add(self.settings.patience);
-        let overflow = lane.wait(until, header, cloud);
+        let now = out.now();
+        let overflow = lane.wait(now, header, cloud);
         out.count("no_pose", u64::from(overflow.is_some()));
         self.settings.release(lane, out, false);
         if !lane.waiting.is_empty() {
-            out.wake_at(until);
+            out.wake_at(now.saturating_add(OVERTAKING));
+            out.wake_at(now.saturating_add(self.settings.patience));
         }
         Ok(())
     }
@@ -147,8 +151,14 @@ impl Sync {
 impl SweepRules {
     /// Sends an agent's sweeps that can go on, oldest first; none overtakes another.
     fn release(self, lane: &mut Lane, out: &mut Outputs, at_end: bool) {
-        while let Some((until, header, cloud)) = lane.waiting.front() {
-            let gives_up = at_end || *until <= out.now();
+        while let Some((came, header, cloud)) = lane.waiting.front() {
+            let waited = out.now().saturating_sub(*came);
+            let gives_up = at_end || waited >= self.patience;
+            let last = span(cloud).map_or(0, |[_, last]| Nanos::from(last));
+            let may_be_overtaken = !gives_up && waited < OVERTAKING;
+            if may_be_overtaken && lane.misses_pose(header.stamp.saturating_add(last), *came) {
+                break;
+            }
             let pairing = lane.pair(header.stamp, span(cloud), self.deskew, gives_up);
             if pairing.is_none() && !gives_up {
                 break;

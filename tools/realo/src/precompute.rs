@@ -32,30 +32,9 @@ pub struct Args {
     /// How long stages take: a TOML file of stage = ns [default: as measured, one agent at a time on this machine]
     #[arg(long)]
     pub compute: Option<PathBuf>,
-    /// Agents send the detections that the log recorded
-    #[arg(long)]
-    pub recorded_detections: bool,
-    /// Model file of every detector [default: each node's own]
-    #[arg(long)]
-    pub model: Option<PathBuf>,
-    /// Kernels of the networks: auto, portable, avx2, avx512, avx512bf16, amx [default: auto]
-    #[arg(long)]
-    pub isa: Option<String>,
-    /// Number type of the networks: auto (the model's), f32, bf16, int8 [default: auto]
-    #[arg(long)]
-    pub precision: Option<String>,
-    /// Who brings what crosses the link to the ego's frame
-    #[arg(long, value_enum)]
-    pub project: Option<run::Project>,
-    /// Channel model of the links, by which senders that project hear of the ego: a name or a file
-    #[arg(long)]
-    pub link: Option<String>,
-    /// Seed of the links' jitter and loss
-    #[arg(long)]
-    pub seed: Option<u64>,
-    /// node.key=value: changes an argument of a node
-    #[arg(long)]
-    pub set: Vec<String>,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    pub choices: run::Choices,
 }
 
 /// Computes, and writes the copy.
@@ -167,16 +146,9 @@ fn run_args(args: &Args, ego: &str, agents: &[String]) -> run::Args {
         coop: None,
         ego: Some(ego.into()),
         agents: all,
-        link: args.link.clone(),
         compute: args.compute.clone(),
         protocol: None,
-        recorded_detections: args.recorded_detections,
-        model: args.model.clone(),
-        isa: args.isa.clone(),
-        precision: args.precision.clone(),
-        project: args.project,
-        seed: args.seed,
-        set: args.set.clone(),
+        choices: args.choices.clone(),
         out: None,
         json: false,
     }

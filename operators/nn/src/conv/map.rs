@@ -82,7 +82,7 @@ impl<E: Element> Map<E> {
         (self.columns + 2) * self.stored
     }
 
-    /// The rows without the border, cut for workers; `scale` rows stay together.
+    /// The rows without the border, cut for workers; every `scale` rows stay together.
     pub fn shares(&mut self, workers: usize, scale: usize) -> Vec<Rows<'_, E>> {
         let (rows, length) = (self.rows, self.row_length());
         split(
@@ -188,7 +188,7 @@ impl<E: Element> Map<E> {
     }
 }
 
-/// Rows of `length` numbers cut into one share for each worker; `scale` rows stay together.
+/// Rows of `length` numbers cut into one share for each worker; every `scale` rows stay together.
 pub(crate) fn split<T>(
     mut data: &mut [T],
     length: usize,
@@ -196,10 +196,11 @@ pub(crate) fn split<T>(
     workers: usize,
     scale: usize,
 ) -> Vec<Rows<'_, T>> {
-    let groups = rows / scale;
+    let groups = rows.div_ceil(scale);
     let mut shares = Vec::with_capacity(workers);
     for worker in 0..workers {
-        let range = groups * worker / workers * scale..groups * (worker + 1) / workers * scale;
+        let [start, end] = [worker, worker + 1].map(|worker| (groups * worker / workers * scale).min(rows));
+        let range = start..end;
         let (share, rest) = data.split_at_mut(range.len() * length);
         data = rest;
         shares.push(Rows { range, data: share });
@@ -231,6 +232,9 @@ mod tests {
                 (8..12, 4 * row)
             ]
         );
+        let ranges = |shares: Vec<Rows<f32>>| shares.into_iter().map(|share| share.range).collect::<Vec<_>>();
+        assert_eq!(ranges(map.shares(2, 8)), [0..8, 8..12]);
+        assert_eq!(ranges(Map::<f32>::new(9, 3, 2).shares(4, 4)), [0..0, 0..4, 4..8, 8..9]);
         assert_eq!(
             map.shares(40, 1).iter().filter(|share| !share.range.is_empty()).count(),
             12

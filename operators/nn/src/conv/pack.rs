@@ -1,7 +1,7 @@
 use std::ops::{Deref, DerefMut, Range};
 
 use super::map::{Map, Rows, View};
-use super::{Convolution, Element, Isa, Pool};
+use super::{Convolution, Element, Isa, Pool, winograd};
 
 /// Computes a share of a layer, on a CPU that has the instructions.
 pub(crate) type Run<E, O> = unsafe fn(&Packed<E, O>, Share<E, O>);
@@ -21,6 +21,8 @@ pub(crate) struct Share<'a, E, O> {
     pub cell: usize,
     /// The first channel to write.
     pub first: usize,
+    /// Numbers for the worker's own use, as many as [`Packed::room`] says.
+    pub room: &'a mut [f32],
 }
 
 /// A number type with its kernels, which read maps of it and write maps of `O`.
@@ -28,6 +30,9 @@ pub(crate) trait Kernel<O>: Element {
     /// The kernel for cells of so many numbers and so many outputs in these instructions, and the outputs that it computes
     /// side by side.
     fn kernel(isa: Isa, stored: usize, outputs: usize) -> (Run<Self, O>, usize);
+
+    /// The same by [`winograd`]'s tiles, for number types that have it.
+    fn winograd(isa: Isa, outputs: usize) -> Option<(Run<Self, O>, usize)>;
 }
 
 /// What a number of a map stands for: 1, but for bytes.
@@ -57,9 +62,11 @@ pub(crate) struct Packed<E, O = E> {
     pub(super) up: usize,
     /// Least result.
     pub(super) floor: f32,
+    /// Rows and columns of outputs that are computed as one: 1, or those of a tile of [`winograd`].
+    pub(super) side: usize,
     /// Outputs side by side.
     pub(super) block: usize,
-    /// `[up, up, blocks, kernel, kernel, units, block, numbers of a unit]`.
+    /// `[up, up, blocks, taps, units, block, numbers of a unit]`.
     pub(super) weights: Aligned<E>,
     /// What a sum is multiplied by, `[blocks, block]`.
     pub(super) scales: Vec<f32>,
@@ -69,9 +76,16 @@ pub(crate) struct Packed<E, O = E> {
 }
 
 impl<E: Kernel<O>, O: Element> Packed<E, O> {
+    /// By tiles where that is faster.
+    ///
     /// # Panics
     /// If the CPU lacks `isa`, or the convolution's sizes do not fit together.
     pub fn new(layer: &Convolution, isa: Isa, steps: Steps) -> Self {
+        Packed::with(layer, isa, steps, winograd::suits(layer))
+    }
+
+    /// As [`Packed::new`], by tiles only if they are wanted and the number type has them.
+    pub(super) fn with(layer: &Convolution, isa: Isa, steps: Steps, tiles: bool) -> Self {
         assert!(isa.is_available(), "this CPU has no {isa}");
         let Convolution {
             inputs,
@@ -95,7 +109,10 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
                 "kernel of a convolution: 1 or 3, found {kernel}"
             ),
         }
-        let (run, block) = E::kernel(isa, inputs.next_multiple_of(E::PER_UNIT), outputs);
+        let direct = || E::kernel(isa, inputs.next_multiple_of(E::PER_UNIT), outputs);
+        let tiled = E::winograd(isa, outputs).filter(|_| tiles);
+        let side = if tiled.is_some() { winograd::SIDE } else { 1 };
+        let (run, block) = tiled.unwrap_or_else(direct);
         let weight_steps = layer.greatest_weights().map(E::weight_step);
         let weight_steps: Vec<f32> = weight_steps.collect();
         let filled = |numbers: &mut dyn Iterator<Item = f32>| {
@@ -111,8 +128,12 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
             stride: if layer.transposed { 1 } else { stride },
             up,
             floor: if layer.relu { 0.0 } else { f32::NEG_INFINITY },
+            side,
             block,
-            weights: pack(layer, &weight_steps, up, block),
+            weights: match side {
+                1 => pack(layer, &weight_steps, up, block),
+                _ => pack(&winograd::at_places(layer), &weight_steps, up, block),
+            },
             scales: filled(&mut weight_steps.iter().map(|step| step * steps.input / steps.output)),
             bias: filled(&mut layer.bias.iter().map(|bias| bias / steps.output)),
             run,
@@ -122,6 +143,19 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
     /// Numbers of an input cell.
     pub(super) fn stored(&self) -> usize {
         self.inputs.next_multiple_of(E::PER_UNIT)
+    }
+
+    /// Matrices of weights for each of the cells that an input cell becomes.
+    pub(super) fn taps(&self) -> usize {
+        (self.side + self.kernel - 1).pow(2)
+    }
+
+    /// Numbers that a worker needs beside its maps.
+    pub(super) fn room(&self) -> usize {
+        match self.side {
+            1 => 0,
+            _ => winograd::room(self.inputs),
+        }
     }
 
     pub(super) fn windows(&self, input: usize) -> usize {
@@ -153,8 +187,8 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
         assert!(input.border == 1 || !self.needs_border(), "border of an input map");
         assert_eq!(input.data.len(), input.numbers(), "numbers of an input map");
         let (row, cell) = (output.row_length(), output.stored);
-        let shares = output.shares(pool.threads(), self.up);
-        pool.each(shares, |Rows { range, data }| {
+        let shares = output.shares(pool.threads(), self.up * self.side);
+        pool.each_in_room(shares, self.room(), |Rows { range, data }, room| {
             let share = Share {
                 input,
                 rows: range.start / self.up..range.end / self.up,
@@ -163,6 +197,7 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
                 row,
                 cell,
                 first,
+                room,
             };
             // SAFETY: `new` has chosen the kernel for instructions that the CPU has.
             #[allow(unsafe_code)]

@@ -8,6 +8,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use super::pack::Aligned;
+
 /// How long a thread looks for work, or for the others' end, before it sleeps: layers follow each other within
 /// microseconds, but other processes share the cores.
 const PATIENCE: Duration = Duration::from_micros(20);
@@ -16,6 +18,8 @@ const PATIENCE: Duration = Duration::from_micros(20);
 pub(crate) struct Pool {
     shared: Arc<Shared>,
     workers: Vec<JoinHandle<()>>,
+    /// Each thread's, kept from call to call.
+    rooms: Vec<Aligned<f32>>,
 }
 
 type Work = &'static (dyn Fn(usize) + Sync);
@@ -60,7 +64,11 @@ impl Pool {
             std::thread::spawn(move || shared.serve(index))
         };
         let workers = (1..threads.max(1)).map(worker).collect();
-        Pool { shared, workers }
+        Pool {
+            shared,
+            workers,
+            rooms: Vec::new(),
+        }
     }
 
     pub fn threads(&self) -> usize {
@@ -82,6 +90,20 @@ impl Pool {
                 work(item);
             }
         });
+    }
+
+    /// As [`Pool::each`], with so many numbers for each thread's own use; they hold anything.
+    pub fn each_in_room<T: Send>(&mut self, items: Vec<T>, numbers: usize, work: impl Fn(T, &mut [f32]) + Sync) {
+        let mut rooms = std::mem::take(&mut self.rooms);
+        rooms.resize_with(self.threads(), || Aligned::zeros(0));
+        for room in rooms.iter_mut().filter(|room| room.len() < numbers) {
+            *room = Aligned::zeros(numbers);
+        }
+        let items = items.into_iter().zip(rooms.iter_mut());
+        self.each(items.collect(), |(item, room): (T, &mut Aligned<f32>)| {
+            work(item, &mut room[..numbers])
+        });
+        self.rooms = rooms;
     }
 
     fn run(&mut self, work: &(dyn Fn(usize) + Sync)) {
@@ -189,6 +211,20 @@ mod tests {
             assert_eq!(sums, vec![199 * 100; threads.max(1)]);
             pool.each(vec![&mut sums[0]], |sum| *sum = 1);
             assert_eq!(sums[0], 1);
+        }
+    }
+
+    #[test]
+    fn every_thread_has_a_room_of_its_own_that_grows() {
+        let mut pool = Pool::new(3);
+        for numbers in [5, 2, 9] {
+            let mut sums = [0.0f32; 3];
+            let items = sums.iter_mut().zip([1.0f32, 2.0, 3.0]).collect();
+            pool.each_in_room(items, numbers, |(sum, value): (&mut f32, f32), room| {
+                room.fill(value);
+                *sum = room.iter().sum();
+            });
+            assert_eq!(sums, [1.0, 2.0, 3.0].map(|value| value * numbers as f32));
         }
     }
 

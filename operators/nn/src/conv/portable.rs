@@ -3,7 +3,7 @@
 
 use super::pack::{Kernel, Packed, Run, Share};
 use super::tile::{Registers, Simd, Store, share};
-use super::{Bf16, Element, Isa, U8};
+use super::{Bf16, Element, Isa, U8, winograd};
 
 const LANES: usize = 8;
 
@@ -196,7 +196,10 @@ unsafe fn finish(mut sum: [f32; LANES], bias: *const f32, floor: f32) -> [f32; L
 
 /// Defines a kernel and says for which maps it is the one of all CPUs.
 macro_rules! kernel {
-    ($name:ident, $simd:ty, $element:ty, [$($output:ty),*], |$isa:ident, $stored:ident, $outputs:ident| $better:expr) => {
+    (
+        $name:ident, $simd:ty, $element:ty, [$($output:ty),*],
+        |$isa:ident, $stored:ident, $outputs:ident| $better:expr, $winograd:expr
+    ) => {
         /// # Safety
         /// None is needed.
         unsafe fn $name<O: Element>(layer: &Packed<$element, O>, part: Share<$element, O>)
@@ -217,15 +220,45 @@ macro_rules! kernel {
                 let _ = ($isa, $stored, $outputs);
                 ($name, LANES)
             }
+
+            fn winograd($isa: Isa, $outputs: usize) -> Option<(Run<$element, $output>, usize)> {
+                let _ = ($isa, $outputs);
+                $winograd
+            }
         })*
     };
 }
-kernel!(single, Single, f32, [f32], |isa, stored, outputs| super::x86::single(
-    isa, outputs
-));
-kernel!(half, Half, Bf16, [Bf16, f32], |isa, stored, outputs| super::x86::half(
-    isa, stored, outputs
-));
-kernel!(bytes, Bytes, U8, [U8, f32], |isa, stored, outputs| super::x86::bytes(
-    isa, stored, outputs
-));
+kernel!(
+    single,
+    Single,
+    f32,
+    [f32],
+    |isa, stored, outputs| super::x86::single(isa, outputs),
+    Some(winograd::kernel(isa, outputs))
+);
+kernel!(
+    half,
+    Half,
+    Bf16,
+    [Bf16, f32],
+    |isa, stored, outputs| super::x86::half(isa, stored, outputs),
+    None
+);
+kernel!(
+    bytes,
+    Bytes,
+    U8,
+    [U8, f32],
+    |isa, stored, outputs| super::x86::bytes(isa, stored, outputs),
+    None
+);
+
+/// The kernel of [`winograd`]'s tiles, and the outputs of a block.
+pub(super) const WINOGRAD: (Run<f32, f32>, usize) = (tiles, LANES);
+
+/// # Safety
+/// None is needed.
+unsafe fn tiles(layer: &Packed<f32, f32>, part: Share<f32, f32>) {
+    // SAFETY: every CPU has these instructions.
+    unsafe { winograd::share::<Single, 4, 1>(layer, part) }
+}

@@ -1,4 +1,4 @@
-//! Every path that this CPU has, against a plain loop in f64.
+//! Every path that this CPU has, against a plain loop in f64; [`winograd`] has tests of its own.
 
 use proptest::prelude::*;
 
@@ -6,17 +6,17 @@ use super::*;
 use crate::testing::Numbers;
 
 #[derive(Clone, Debug)]
-struct Case {
-    rows: usize,
-    columns: usize,
-    inputs: usize,
-    outputs: usize,
+pub(super) struct Case {
+    pub rows: usize,
+    pub columns: usize,
+    pub inputs: usize,
+    pub outputs: usize,
     /// (kernel, stride, transposed).
-    shape: (usize, usize, bool),
-    relu: bool,
+    pub shape: (usize, usize, bool),
+    pub relu: bool,
     /// Channels of the output map before and after those written.
-    beside: (usize, usize),
-    seed: u64,
+    pub beside: (usize, usize),
+    pub seed: u64,
 }
 
 fn cases() -> impl Strategy<Value = Case> {
@@ -50,7 +50,7 @@ fn cases() -> impl Strategy<Value = Case> {
         })
 }
 
-fn layer(case: &Case) -> Convolution {
+pub(super) fn layer(case: &Case) -> Convolution {
     let mut numbers = Numbers::new(case.seed);
     let (kernel, stride, transposed) = case.shape;
     Convolution {
@@ -65,12 +65,12 @@ fn layer(case: &Case) -> Convolution {
     }
 }
 
-fn cells(case: &Case) -> Vec<f32> {
+pub(super) fn cells(case: &Case) -> Vec<f32> {
     Numbers::new(!case.seed).list(case.rows * case.columns * case.inputs)
 }
 
 /// One output by the definition.
-fn plain(layer: &Convolution, case: &Case, cells: &[f64], at: [usize; 3]) -> f64 {
+pub(super) fn plain(layer: &Convolution, case: &Case, cells: &[f64], at: [usize; 3]) -> f64 {
     let [row, column, output] = at;
     let mut sum = f64::from(layer.bias[output]);
     for tap in 0..layer.kernel * layer.kernel {
@@ -101,7 +101,7 @@ fn plain(layer: &Convolution, case: &Case, cells: &[f64], at: [usize; 3]) -> f64
     if layer.relu { sum.max(0.0) } else { sum }
 }
 
-const UNTOUCHED: f32 = 7.25;
+pub(super) const UNTOUCHED: f32 = 7.25;
 
 fn run<E: Kernel<O>, O: Element>(layer: &Convolution, case: &Case, isa: Isa, threads: usize) -> Vec<f32> {
     run_in_steps::<E, O>(layer, case, isa, threads, Steps::ONE)
@@ -114,13 +114,26 @@ fn run_in_steps<E: Kernel<O>, O: Element>(
     threads: usize,
     steps: Steps,
 ) -> Vec<f32> {
+    let packed = Packed::<E, O>::with(layer, isa, steps, false);
+    written(&packed, layer, case, &cells(case), threads, steps)
+}
+
+/// What a layer makes of cells, the channels beside its own included.
+pub(super) fn written<E: Kernel<O>, O: Element>(
+    packed: &Packed<E, O>,
+    layer: &Convolution,
+    case: &Case,
+    cells: &[f32],
+    threads: usize,
+    steps: Steps,
+) -> Vec<f32> {
     let mut input = Map::<E>::with_step([case.rows, case.columns, layer.inputs], steps.input);
-    input.fill_from(&cells(case));
+    input.fill_from(cells);
     let channels = case.beside.0 + layer.outputs + case.beside.1;
     let size = [layer.size(case.rows), layer.size(case.columns), channels];
     let mut output = Map::<O>::with_step(size, steps.output);
     output.fill_from(&vec![UNTOUCHED; output.rows * output.columns * channels]);
-    Packed::<E, O>::new(layer, isa, steps).run(&mut Pool::new(threads), input.view(), &mut output, case.beside.0);
+    packed.run(&mut Pool::new(threads), input.view(), &mut output, case.beside.0);
     let border = output
         .view()
         .data

@@ -41,6 +41,29 @@ pub(super) trait Store<O>: Simd {
     unsafe fn store(results: Self::Results, to: *mut O);
 }
 
+/// Instructions on registers of f32 for everything.
+///
+/// # Safety
+/// As for [`Simd`].
+pub(super) trait Float:
+    Store<f32>
+    + Simd<
+        Element = f32,
+        Sum = <Self as Float>::Register,
+        Units = <Self as Float>::Register,
+        Results = <Self as Float>::Register,
+    >
+{
+    type Register: Copy;
+}
+
+impl<S, R: Copy> Float for S
+where
+    S: Store<f32> + Simd<Element = f32, Sum = R, Units = R, Results = R>,
+{
+    type Register = R;
+}
+
 /// How neighbouring windows of a row are computed.
 ///
 /// # Safety
@@ -112,6 +135,7 @@ where
     O: Element,
 {
     check::<R, E, O>(layer, &share);
+    assert_eq!(layer.side, 1, "outputs that are computed as one");
     let blocks = layer.bias.len() / layer.block;
     let size = layer.weights.len() / (layer.up * layer.up * blocks);
     let Range { start, end } = share.rows.clone();
@@ -148,8 +172,8 @@ struct Window {
     block: usize,
 }
 
-/// What the pointers of [`windows`] rely on.
-fn check<R, E, O>(layer: &Packed<E, O>, share: &Share<E, O>)
+/// What the pointers of [`windows`] and of tiles rely on.
+pub(super) fn check<R, E, O>(layer: &Packed<E, O>, share: &Share<E, O>)
 where
     R: Row<E, O>,
     E: super::Kernel<O>,
@@ -166,8 +190,9 @@ where
     assert!(R::BLOCK == layer.block && layer.bias.len().is_multiple_of(layer.block));
     assert_eq!(layer.scales.len(), layer.bias.len(), "scales of a convolution");
     assert!(layer.bias.len() - layer.block < layer.outputs && layer.outputs <= layer.bias.len());
-    let weights = layer.up * layer.up * layer.kernel * layer.kernel * stored * layer.bias.len();
+    let weights = layer.up * layer.up * layer.taps() * stored * layer.bias.len();
     assert_eq!(layer.weights.len(), weights, "packed weights");
+    assert_eq!(share.room.len(), layer.room(), "numbers of a worker's room");
     assert_eq!(stored, layer.stored(), "channels of an input map");
     assert_eq!(data.len(), share.input.numbers(), "numbers of an input map");
     assert!(share.rows.end <= layer.windows(rows) && share.columns == layer.windows(columns));

@@ -1,8 +1,9 @@
 //! Attention over agents, each cell by itself.
 
-use super::{Asked, Norm, State};
-use crate::cells::{Linear, add, cells, each_cell, run};
-use crate::conv::{Map, Pool};
+use super::tiles::Worker;
+use super::{Asked, Norm};
+use crate::cells::{Linear, line, line_mut};
+use crate::conv::Map;
 use crate::math::{exp, product};
 use crate::part::Number;
 use crate::simd::dispatch;
@@ -19,95 +20,91 @@ pub(super) struct OverAgents<E> {
 }
 
 impl<E: Number> OverAgents<E> {
-    /// Attention of the first `asking` agents; what it gives is added to their maps.
-    pub fn run(&self, states: &mut [State], asking: usize, pool: &mut Pool) {
-        let normed: Vec<Map<E>> = states.iter().map(|state| self.norm.run(&state.map, pool)).collect();
-        let asked: Vec<Asked> = states.iter().map(State::asked).collect();
-        let given: Vec<Map<f32>> = (0..asking).map(|asks| self.ask(&asked, &normed, asks, pool)).collect();
-        for (state, given) in states.iter_mut().zip(&given) {
-            add(&mut state.map, given, pool);
-        }
-    }
-
     /// What one of the agents is given for its questions to all; without norm and sum.
-    pub fn ask(&self, asked: &[Asked], normed: &[Map<E>], asks: usize, pool: &mut Pool) -> Map<f32> {
+    pub fn ask(&self, asked: &[Asked], normed: &[Map<E>], asks: usize, worker: &mut Worker<E>) -> Map<f32> {
         let own = &normed[asks];
-        let (kind, channels, columns) = (asked[asks].kind, own.channels, own.columns);
-        let queries = run(&self.queries[kind], own, channels, pool);
-        let mut sums: Map<f32> = Map::new(own.rows, columns, channels);
-        // For each head the greatest score so far, and the sum of weights.
-        let mut weighed: Map<f32> = Map::new(own.rows, columns, 2 * self.heads);
-        each_cell(&mut weighed, 1, pool, |_, cells| {
-            cells
-                .as_chunks_mut::<2>()
-                .0
-                .iter_mut()
-                .for_each(|head| *head = [f32::NEG_INFINITY, 0.0]);
-        });
+        let (kind, cells, channels) = (asked[asks].kind, own.columns, own.channels);
+        let queries = worker.run(&self.queries[kind], own);
+        let (mut sums, mut weighed) = (worker.single(cells, channels), worker.single(cells, 2 * self.heads));
+        line_mut(&mut sums).fill(0.0);
+        let of_heads = line_mut(&mut weighed).chunks_exact_mut(self.heads);
+        of_heads
+            .zip([f32::NEG_INFINITY, 0.0].into_iter().cycle())
+            .for_each(|(of_heads, start)| of_heads.fill(start));
         for (agent, normed) in asked.iter().zip(normed) {
-            let answers = run(&self.answers[kind][agent.kind], normed, 2 * channels, pool);
-            let (queries, answers) = (queries.view(), answers.view());
-            let shares = sums
-                .shares(pool.threads(), 1)
-                .into_iter()
-                .zip(weighed.shares(pool.threads(), 1));
-            let (length, weighed_length) = ((columns + 2) * channels, (columns + 2) * 2 * self.heads);
-            pool.each(shares.collect(), |(sums, weighed)| {
-                let rows = sums
-                    .data
-                    .chunks_exact_mut(length)
-                    .zip(weighed.data.chunks_exact_mut(weighed_length));
-                for (row, (sums, weighed)) in sums.range.zip(rows) {
-                    let covered = &agent.covered[row * columns..][..columns];
-                    let asked = (cells(&queries, row), cells(&answers, row));
-                    let sums = &mut sums[channels..(columns + 1) * channels];
-                    let weighed = &mut weighed[2 * self.heads..(columns + 1) * 2 * self.heads];
-                    weigh(asked, covered, self.heads, sums, weighed);
-                }
-            });
+            let answers = worker.run(&self.answers[kind][agent.kind], normed);
+            let asked = [line(&queries), line(&answers)];
+            weigh(
+                asked,
+                agent.covered,
+                self.heads,
+                line_mut(&mut sums),
+                line_mut(&mut weighed),
+            );
+            worker.keep_single([answers]);
         }
-        let mut mean: Map<E> = Map::new(own.rows, columns, channels);
-        let (sums, weighed, stored, width) = (sums.view(), weighed.view(), mean.stored, channels / self.heads);
-        each_cell(&mut mean, 1, pool, |row, to| {
-            let from = cells(&sums, row).chunks_exact(channels);
-            let weighed = cells(&weighed, row).chunks_exact(2 * self.heads);
-            for ((from, weighed), to) in from.zip(weighed).zip(to.chunks_exact_mut(stored)) {
-                for (index, (from, to)) in from.iter().zip(to).enumerate() {
-                    *to = E::from_f32(from / weighed[index / width * 2 + 1]);
-                }
-            }
-        });
-        run(&self.outputs[kind], &mean, channels, pool)
+        let mut mean = worker.own(cells, channels);
+        let stored = mean.stored;
+        divide(
+            [line(&sums), line(&weighed)],
+            self.heads,
+            [channels, stored],
+            line_mut(&mut mean),
+        );
+        let given = worker.run(&self.outputs[kind], &mean);
+        worker.keep_single([queries, sums, weighed]);
+        worker.keep_own([mean]);
+        given
     }
 }
 
 dispatch! {
-    /// Takes one agent's answers to the queries of a row into the sums; `weighed` has two numbers for each head.
-    fn weigh(asked: (&[f32], &[f32]), covered: &[bool], heads: usize, sums: &mut [f32], weighed: &mut [f32]) {
+    /// Takes one agent's answers to queries into the sums. `weighed` has for each cell the heads' greatest scores so far, then
+    /// their sums of weights.
+    fn weigh(asked: [&[f32]; 2], covered: &[bool], heads: usize, sums: &mut [f32], weighed: &mut [f32]) {
         let channels = sums.len() / covered.len();
         let width = channels / heads;
         let scale = 1.0 / (width as f32).sqrt();
-        let cells = asked.0.chunks_exact(channels).zip(asked.1.chunks_exact(2 * channels)).zip(covered);
+        let mut factors = vec![0.0f32; 2 * heads];
+        let (before, now) = factors.split_at_mut(heads);
+        let cells = asked[0].chunks_exact(channels).zip(asked[1].chunks_exact(2 * channels)).zip(covered);
         let to = sums.chunks_exact_mut(channels).zip(weighed.chunks_exact_mut(2 * heads));
         for (((query, answer), covered), (sums, weighed)) in cells.zip(to) {
             if !covered {
                 continue;
             }
             let (keys, values) = answer.split_at(channels);
-            let of_heads = query.chunks_exact(width).zip(keys.chunks_exact(width)).zip(values.chunks_exact(width));
-            let to = sums.chunks_exact_mut(width).zip(weighed.as_chunks_mut::<2>().0);
-            for (((query, key), value), (sums, [greatest, sum])) in of_heads.zip(to) {
-                let score = product(query, key) * scale;
-                // What was summed before a greater score came is made smaller.
-                let (before, now) = match score > *greatest {
-                    true => (exp(*greatest - score), 1.0),
-                    false => (1.0, exp(score - *greatest)),
-                };
-                *greatest = greatest.max(score);
-                *sum = *sum * before + now;
-                for (sum, value) in sums.iter_mut().zip(value) {
+            for ((query, key), score) in query.chunks_exact(width).zip(keys.chunks_exact(width)).zip(&mut *now) {
+                *score = product(query, key) * scale;
+            }
+            // What was summed before a greater score came is made smaller.
+            let (greatest, weights) = weighed.split_at_mut(heads);
+            for (((greatest, weight), before), now) in greatest.iter_mut().zip(weights).zip(&mut *before).zip(&mut *now) {
+                let most = greatest.max(*now);
+                *before = exp(*greatest - most);
+                *now = exp(*now - most);
+                *weight = *weight * *before + *now;
+                *greatest = most;
+            }
+            let of_heads = sums.chunks_exact_mut(width).zip(values.chunks_exact(width));
+            for ((sums, values), (before, now)) in of_heads.zip(before.iter().zip(&*now)) {
+                for (sum, value) in sums.iter_mut().zip(values) {
                     *sum = *sum * before + value * now;
                 }
+            }
+        }
+    }
+}
+
+dispatch! {
+    /// Sums over the sums of weights that stand behind the greatest scores in `weighed`.
+    fn divide<E: Number>(summed: [&[f32]; 2], heads: usize, cell: [usize; 2], to: &mut [E]) {
+        let [channels, stored] = cell;
+        let width = channels / heads;
+        let from = summed[0].chunks_exact(channels).zip(summed[1].chunks_exact(2 * heads));
+        for ((sums, weighed), to) in from.zip(to.chunks_exact_mut(stored)) {
+            for ((sums, weight), to) in sums.chunks_exact(width).zip(&weighed[heads..]).zip(to.chunks_exact_mut(width)) {
+                sums.iter().zip(to).for_each(|(sum, to)| *to = E::from_f32(sum / weight));
             }
         }
     }

@@ -1,6 +1,10 @@
 //! The parts of a transformer, each by itself: what a check against another implementation asks for.
 
-use super::{Asked, Transformer};
+use super::blocks::mean;
+use super::tiles::{Tile, Worker};
+use super::windows::{add_counted, sum_up};
+use super::{Asked, State, Transformer};
+use crate::cells::{line, line_mut};
 use crate::conv::{Map, Pool};
 use crate::fuse::Agent;
 use crate::layers::{FuseLayer, Fusion, Layers};
@@ -11,6 +15,7 @@ use crate::weights::Weights;
 /// The parts of a transformer as fusions run them, in f32: those of its first round, and of the first block there.
 pub struct Parts {
     transformer: Transformer<f32>,
+    worker: Worker<f32>,
     pool: Pool,
 }
 
@@ -38,6 +43,7 @@ impl Parts {
                 channels,
             }) => Ok(Parts {
                 transformer: Transformer::new(settings, *channels, weights, choice.isa),
+                worker: Worker::new(),
                 pool: Pool::new(choice.threads),
             }),
             _ => Err(NetworkError::NoFusion {
@@ -48,13 +54,20 @@ impl Parts {
 
     /// An agent's map in the ego's cells, with what its delay adds.
     pub fn delayed(&mut self, agent: &Agent, ego: Agent) -> BevMap {
-        let state = self.transformer.state(agent, ego, &mut self.pool);
-        self.taken(&state.map)
+        let mut state = State::default();
+        let size = [ego.map.rows, ego.map.columns];
+        self.transformer.take(agent, size, &mut state, &mut self.pool);
+        BevMap {
+            rows: size[0],
+            columns: size[1],
+            channels: self.transformer.channels,
+            data: state.map,
+        }
     }
 
     /// What attention over agents gives each of them; without norm and sum.
     pub fn over_agents(&mut self, agents: &[Asking]) -> Vec<BevMap> {
-        let maps: Vec<Map<f32>> = agents.iter().map(|agent| self.given(&agent.map)).collect();
+        let maps: Vec<Map<f32>> = agents.iter().map(|agent| taken(&agent.map)).collect();
         let asked: Vec<Asked> = agents
             .iter()
             .map(|agent| Asked {
@@ -62,59 +75,70 @@ impl Parts {
                 covered: agent.covered,
             })
             .collect();
-        let attention = &self.transformer.rounds[0].blocks[0].0;
-        let asking = 0..agents.len();
-        let given: Vec<Map<f32>> = asking
-            .map(|asks| attention.ask(&asked, &maps, asks, &mut self.pool))
-            .collect();
-        given.iter().map(|map| self.taken(map)).collect()
+        let attention = &self.transformer.rounds[0].blocks[0].agents;
+        let given = |(asks, agent): (usize, &Asking)| {
+            let given = attention.ask(&asked, &maps, asks, &mut self.worker);
+            made(&given, &agent.map)
+        };
+        agents.iter().enumerate().map(given).collect()
     }
 
     /// What attention within windows of the size at an index of the settings gives; without norm and sum.
     pub fn within_windows(&mut self, index: usize, map: &BevView) -> BevMap {
-        let map = self.given(map);
-        let within = &self.transformer.rounds[0].blocks[0].1.windows[index];
-        let given = within.run(&map, map.channels, &mut self.pool);
-        self.taken(&given)
+        let within = &self.transformer.rounds[0].blocks[0].windows.windows[index];
+        made(&within.run(whole(map), &taken(map), &mut self.worker), map)
     }
 
     /// One map of those that attention within windows of each size gave.
     pub fn split_attention(&mut self, made: &[BevView]) -> BevMap {
-        let made: Vec<Map<f32>> = made.iter().map(|map| self.given(map)).collect();
-        let mut sum = Map::new(made[0].rows, made[0].columns, made[0].channels);
-        let split = &self.transformer.rounds[0].blocks[0].1.split;
-        split.add(&made, &mut sum, &mut self.pool);
-        self.taken(&sum)
+        let channels = made[0].channels;
+        let mut sums = vec![0.0; channels];
+        made.iter().for_each(|map| sum_up(map.data, channels, &mut sums));
+        let mean = mean(&[&sums], made[0].rows * made[0].columns);
+        let counts = self.transformer.rounds[0].blocks[0].windows.split.counts(&mean);
+        let mut data = vec![0.0; made[0].data.len()];
+        for (map, counts) in made.iter().zip(counts.chunks_exact(channels)) {
+            add_counted(map.data, channels, counts, &mut data);
+        }
+        BevMap {
+            rows: made[0].rows,
+            columns: made[0].columns,
+            channels,
+            data,
+        }
     }
 
     /// What attention within windows of all sizes gives; without norm and sum.
     pub fn over_windows(&mut self, map: &BevView) -> BevMap {
-        let map = self.given(map);
-        let mut sum = Map::new(map.rows, map.columns, map.channels);
-        let windows = &self.transformer.rounds[0].blocks[0].1;
-        windows.add(&map, &mut sum, &mut self.pool);
-        self.taken(&sum)
+        let sizes = 0..self.transformer.windows.len();
+        let made: Vec<BevMap> = sizes.map(|index| self.within_windows(index, map)).collect();
+        self.split_attention(&made.iter().map(BevView::from).collect::<Vec<_>>())
     }
 
     /// What the feed-forward adds to a map, its norm included.
     pub fn feed_forward(&mut self, map: &BevView) -> BevMap {
-        let map = self.given(map);
-        let given = self.transformer.rounds[0].forward.given(&map, &mut self.pool);
-        self.taken(&given)
+        let forward = &self.transformer.rounds[0].forward;
+        made(&forward.run(whole(map), map.data, &mut self.worker), map)
     }
+}
 
-    fn given(&mut self, map: &BevView) -> Map<f32> {
-        let mut given = Map::new(map.rows, map.columns, map.channels);
-        given.fill_with(&mut self.pool, map.data);
-        given
-    }
+fn whole(map: &BevView) -> Tile {
+    Tile::whole([map.rows, map.columns])
+}
 
-    fn taken(&mut self, map: &Map<f32>) -> BevMap {
-        BevMap {
-            rows: map.rows,
-            columns: map.columns,
-            channels: map.channels,
-            data: map.to_f32(&mut self.pool),
-        }
+/// The cells of a map, as a tile.
+fn taken(map: &BevView) -> Map<f32> {
+    let mut taken = Map::new(1, map.rows * map.columns, map.channels);
+    line_mut(&mut taken).copy_from_slice(map.data);
+    taken
+}
+
+/// The map that a tile became which was another.
+fn made(tile: &Map<f32>, from: &BevView) -> BevMap {
+    BevMap {
+        rows: from.rows,
+        columns: from.columns,
+        channels: tile.channels,
+        data: line(tile).to_vec(),
     }
 }

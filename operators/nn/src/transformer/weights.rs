@@ -1,11 +1,14 @@
 //! The tensors of a transformer: their names and shapes, and the layers that are made of them.
 
+use std::sync::Mutex;
+
 use super::agents::OverAgents;
+use super::blocks::Block;
 use super::windows::{OverWindows, Split, Within};
 use super::{Delays, Forward, KINDS, Norm, Round, Transformer};
 use crate::arch::{Transformer as Settings, Window};
 use crate::cells::{Linear, Specs, packed};
-use crate::conv::{Isa, Kernel};
+use crate::conv::{Isa, Kernel, Packed};
 use crate::layers::{Role, TensorSpec};
 use crate::math::product;
 use crate::part::Number;
@@ -113,10 +116,9 @@ impl<E: Number> Transformer<E> {
     pub fn new(settings: &Settings, channels: usize, weights: &Weights, isa: Isa) -> Self {
         let load = Load { weights, isa };
         let round = |depth: usize| {
-            let block = |block: usize| {
-                let agents = load.agents(&agents_key(depth, block), settings, channels);
-                let windows = load.windows(&windows_key(depth, block), settings, channels);
-                (agents, windows)
+            let block = |block: usize| Block {
+                agents: load.agents(&agents_key(depth, block), settings, channels),
+                windows: load.windows(&windows_key(depth, block), settings, channels),
             };
             let key = forward_key(depth);
             Round {
@@ -130,8 +132,10 @@ impl<E: Number> Transformer<E> {
         };
         Transformer {
             channels,
+            windows: settings.windows.clone(),
             delays: load.delays(settings, channels),
             rounds: (0..settings.depth).map(round).collect(),
+            room: Mutex::default(),
         }
     }
 }
@@ -164,6 +168,12 @@ impl Load<'_> {
     }
 
     fn packed<E: Kernel<f32>>(&self, (weights, bias): (Vec<f32>, Vec<f32>), inputs: usize) -> Linear<E> {
+        packed(weights, bias, [inputs, 1], self.isa)
+    }
+
+    /// A layer that writes the numbers it reads.
+    fn own<E: Kernel<E>>(&self, key: &str, inputs: usize) -> Packed<E> {
+        let (weights, bias) = self.numbers(key, inputs);
         packed(weights, bias, [inputs, 1], self.isa)
     }
 
@@ -216,15 +226,15 @@ impl Load<'_> {
         }
     }
 
-    fn windows<E: Kernel<f32>>(&self, key: &str, settings: &Settings, channels: usize) -> OverWindows<E> {
+    fn windows<E: Number>(&self, key: &str, settings: &Settings, channels: usize) -> OverWindows<E> {
         let within = |(index, window): (usize, &Window)| {
             let key = format!("{key}.fn.pwmsa.{index}");
-            Within {
-                window: *window,
-                positions: self.tensor(&format!("{key}.pos_embedding")),
-                all: self.linear(&format!("{key}.to_qkv"), channels),
-                output: self.linear(&format!("{key}.to_out.0"), window.width()),
-            }
+            Within::new(
+                *window,
+                &self.tensor(&format!("{key}.pos_embedding")),
+                self.linear(&format!("{key}.to_qkv"), channels),
+                self.own(&format!("{key}.to_out.0"), window.width()),
+            )
         };
         let split = format!("{key}.fn.split_attn");
         OverWindows {

@@ -1,10 +1,11 @@
 //! Attention within windows of a map, of several sizes, and how much each of them counts.
 
-use super::{Norm, normalized};
+use super::tiles::{Tile, Worker};
+use super::{Norm, normalize};
 use crate::arch::Window;
-use crate::cells::{Linear, cells, each_cell, run};
-use crate::conv::{Map, Pool, Rows, View, split};
-use crate::math::{exp, product, sum};
+use crate::cells::{Linear, line, line_mut};
+use crate::conv::{Map, Packed};
+use crate::math::{exp, product};
 use crate::part::Number;
 use crate::simd::dispatch;
 
@@ -15,11 +16,10 @@ pub(super) struct OverWindows<E> {
 }
 
 pub(super) struct Within<E> {
-    pub window: Window,
-    /// `[2 side - 1, 2 side - 1]`, by the offset from who asks to who is asked.
-    pub positions: Vec<f32>,
-    pub all: Linear<E>,
-    pub output: Linear<E>,
+    window: Window,
+    positions: Vec<Lanes>,
+    all: Linear<E>,
+    output: Packed<E>,
 }
 
 /// How much each attention over windows counts, by channel.
@@ -29,136 +29,260 @@ pub(super) struct Split {
     pub second: Vec<f32>,
 }
 
-impl<E: Number> OverWindows<E> {
-    pub fn run(&self, map: &mut Map<f32>, pool: &mut Pool) {
-        let normed: Map<E> = self.norm.run(map, pool);
-        self.add(&normed, map, pool);
-    }
+/// Those who ask side by side.
+type Lanes = [f32; LANES];
+const LANES: usize = 16;
 
-    /// Adds what all windows give; without the norm.
-    pub fn add(&self, normed: &Map<E>, to: &mut Map<f32>, pool: &mut Pool) {
-        let within = self.windows.iter().map(|within| within.run(normed, to.channels, pool));
-        let made: Vec<Map<f32>> = within.collect();
-        self.split.add(&made, to, pool);
+impl<E: Number> OverWindows<E> {
+    /// What windows of each size give the cells of a tile; `rows` are its rows of the map.
+    pub fn run(&self, tile: Tile, rows: &[f32], worker: &mut Worker<E>) -> Vec<Map<E>> {
+        let normed = self.norm.run(tile, rows, worker);
+        let made = self.windows.iter().map(|within| within.run(tile, &normed, worker));
+        let made = made.collect();
+        worker.keep_own([normed]);
+        made
     }
 }
 
 impl<E: Number> Within<E> {
-    /// Without the norm.
-    pub fn run(&self, normed: &Map<E>, channels: usize, pool: &mut Pool) -> Map<f32> {
-        let (side, width) = (self.window.side, self.window.width());
-        let all = run(&self.all, normed, 3 * width, pool);
-        let view = all.view();
-        let mut attended: Map<E> = Map::new(normed.rows, normed.columns, width);
-        let (length, stored, columns) = (attended.row_length(), attended.stored, attended.columns);
-        pool.each(attended.shares(pool.threads(), side), |Rows { range, data }| {
-            let mut made = vec![0.0; side * columns * width];
-            for (band, to) in range.step_by(side).zip(data.chunks_exact_mut(side * length)) {
-                let start = (band + view.border) * view.line();
-                let rows = &view.data[start..start + side * view.line()];
-                attend(self.window, rows, &self.positions, columns, &mut made);
-                for (from, to) in made.chunks_exact(columns * width).zip(to.chunks_exact_mut(length)) {
-                    let to = to[stored..].chunks_exact_mut(stored);
-                    for (from, to) in from.chunks_exact(width).zip(to) {
-                        from.iter().zip(to).for_each(|(from, to)| *to = E::from_f32(*from));
-                    }
-                }
-            }
-        });
-        run(&self.output, &attended, channels, pool)
+    /// `positions`: `[2 side - 1, 2 side - 1]`, by the offset from who asks to who is asked.
+    pub fn new(window: Window, positions: &[f32], all: Linear<E>, output: Packed<E>) -> Self {
+        let (side, cells) = (window.side, window.side * window.side);
+        let position = |asks: usize, asked: usize| {
+            let offset = |of: fn(usize, usize) -> usize| of(asked, side) + side - 1 - of(asks, side);
+            let at = offset(std::ops::Div::div) * (2 * side - 1) + offset(std::ops::Rem::rem);
+            if asks < cells { positions[at] } else { 0.0 }
+        };
+        let blocks = (0..cells)
+            .step_by(LANES)
+            .flat_map(|first| (0..cells).map(move |asked| (first, asked)));
+        Within {
+            window,
+            positions: blocks
+                .map(|(first, asked)| std::array::from_fn(|lane| position(first + lane, asked)))
+                .collect(),
+            all,
+            output,
+        }
+    }
+
+    /// What the attention gives the cells of a tile; without the norm.
+    pub fn run(&self, tile: Tile, normed: &Map<E>, worker: &mut Worker<E>) -> Map<E> {
+        let all = worker.run(&self.all, normed);
+        let mut attended = worker.own(tile.cells(), self.window.width());
+        let stored = attended.stored;
+        attend(
+            self.window,
+            tile.columns,
+            line(&all),
+            &self.positions,
+            stored,
+            line_mut(&mut attended),
+        );
+        let made = worker.run_own(&self.output, &attended);
+        worker.keep_single([all]);
+        worker.keep_own([attended]);
+        made
     }
 }
 
 dispatch! {
-    /// Attention within the windows of a band of rows: `rows` has queries, keys and values of each cell, with a border of one
-    /// cell; `to` is `[side, columns, width]`.
-    fn attend(window: Window, rows: &[f32], positions: &[f32], columns: usize, to: &mut [f32]) {
+    /// Attention within the windows of a tile of so many columns. `all` has queries, keys and values of each cell; `positions`
+    /// those who ask in lanes, for each who is asked; `to` has `stored` numbers for each cell.
+    fn attend<E: Number>(
+        window: Window, columns: usize, all: &[f32], positions: &[Lanes], stored: usize, to: &mut [E],
+    ) {
         let Window { side, heads, head_width } = window;
-        let width = heads * head_width;
+        let (cells, width) = (side * side, heads * head_width);
+        let (rows, blocks) = (all.len() / (3 * width * columns), cells.div_ceil(LANES));
         let scale = 1.0 / (head_width as f32).sqrt();
-        let cell = |row: usize, column: usize| ((row * (columns + 2)) + column + 1) * 3 * width;
-        let mut scores = vec![0.0f32; side * side];
-        for (first, head) in (0..columns).step_by(side).flat_map(|first| (0..heads).map(move |head| (first, head))) {
-            let head_at = head * head_width;
-            for asks in 0..side * side {
-                let (row, column) = (asks / side, asks % side);
-                let query = &rows[cell(row, first + column) + head_at..][..head_width];
-                let mut greatest = f32::NEG_INFINITY;
-                for (asked, score) in scores.iter_mut().enumerate() {
-                    let (to_row, to_column) = (asked / side, asked % side);
-                    let key = &rows[cell(to_row, first + to_column) + width + head_at..][..head_width];
-                    let position = (to_row + side - 1 - row) * (2 * side - 1) + to_column + side - 1 - column;
-                    *score = product(query, key) * scale + positions[position];
-                    greatest = greatest.max(*score);
+        let offsets: Vec<usize> = (0..cells).map(|cell| cell / side * columns + cell % side).collect();
+        let mut queries = vec![[0.0; LANES]; blocks * head_width];
+        let mut scores = vec![[0.0; LANES]; blocks * cells];
+        let mut factors = vec![[0.0; LANES]; blocks];
+        let corners = (0..rows).step_by(side).flat_map(|row| (0..columns).step_by(side).map(move |column| row * columns + column));
+        for (first, head) in corners.flat_map(|first| (0..heads).map(move |head| (first, head))) {
+            let of = |part: usize, cell: usize| {
+                &all[((first + offsets[cell]) * 3 + part) * width + head * head_width..][..head_width]
+            };
+            for cell in 0..cells {
+                let lanes = &mut queries[cell / LANES * head_width..][..head_width];
+                lanes.iter_mut().zip(of(0, cell)).for_each(|(lanes, query)| lanes[cell % LANES] = query * scale);
+            }
+            for (block, factors) in factors.iter_mut().enumerate() {
+                let queries = &queries[block * head_width..][..head_width];
+                let scores = &mut scores[block * cells..][..cells];
+                let positions = &positions[block * cells..][..cells];
+                for (cell, scores) in scores.iter_mut().enumerate() {
+                    *scores = score(queries, of(1, cell));
                 }
-                scores.iter_mut().for_each(|score| *score = exp(*score - greatest));
-                let factor = 1.0 / sum(&scores);
-                let to = &mut to[(row * columns + first + column) * width + head_at..][..head_width];
-                to.fill(0.0);
-                for (asked, score) in scores.iter().enumerate() {
-                    let (from_row, from_column) = (asked / side, asked % side);
-                    let value = &rows[cell(from_row, first + from_column) + 2 * width + head_at..][..head_width];
-                    let weight = score * factor;
-                    to.iter_mut().zip(value).for_each(|(to, value)| *to += value * weight);
+                *factors = weights(scores, positions);
+            }
+            for (block, factors) in factors.iter().enumerate() {
+                let scores = &scores[block * cells..][..cells];
+                let asking = (cells - block * LANES).min(LANES);
+                for lane in 0..asking {
+                    let mut from = 0;
+                    while from < head_width {
+                        let values = |cell| &of(2, cell)[from..];
+                        let mut write = |made: &[f32]| {
+                            let at = (first + offsets[block * LANES + lane]) * stored + head * head_width + from;
+                            let to = to[at..at + made.len()].iter_mut().zip(made);
+                            to.for_each(|(to, value)| *to = E::from_f32(value * factors[lane]));
+                            made.len()
+                        };
+                        from += match head_width - from {
+                            64.. => write(&mean::<64>(scores, lane, values)),
+                            32.. => write(&mean::<32>(scores, lane, values)),
+                            16.. => write(&mean::<16>(scores, lane, values)),
+                            _ => write(&mean::<1>(scores, lane, values)),
+                        };
+                    }
                 }
             }
         }
     }
 }
 
-impl Split {
-    /// Adds what was made, each by how much it counts.
-    pub fn add(&self, made: &[Map<f32>], to: &mut Map<f32>, pool: &mut Pool) {
-        let counts = self.counts(made, pool);
-        let views: Vec<View<f32>> = made.iter().map(Map::view).collect();
-        let channels = to.channels;
-        each_cell(to, 1, pool, |row, to| {
-            for (view, counts) in views.iter().zip(counts.chunks_exact(channels)) {
-                let from = cells(view, row).chunks_exact(channels);
-                for (from, to) in from.zip(to.chunks_exact_mut(channels)) {
-                    let numbers = to.iter_mut().zip(from).zip(counts);
-                    numbers.for_each(|((to, from), count)| *to += from * count);
-                }
-            }
-        });
+/// Products of queries, `[head width]` of lanes, with a key.
+#[inline(always)]
+fn score(queries: &[Lanes], key: &[f32]) -> Lanes {
+    let mut sums = [0.0; LANES];
+    for (queries, key) in queries.iter().zip(key) {
+        sums.iter_mut()
+            .zip(queries)
+            .for_each(|(sum, query)| *sum += query * key);
     }
+    sums
+}
 
-    /// `[attentions, channels]`: how much of each attention is taken.
-    fn counts(&self, made: &[Map<f32>], pool: &mut Pool) -> Vec<f32> {
-        let (rows, columns, channels) = (made[0].rows, made[0].columns, made[0].channels);
-        let views: Vec<View<f32>> = made.iter().map(Map::view).collect();
-        // A sum for each row, so that threads change no order.
-        let mut sums = vec![0.0f32; rows * channels];
-        pool.each(split(&mut sums, channels, rows, pool.threads(), 1), |share| {
-            for (row, to) in share.range.zip(share.data.chunks_exact_mut(channels)) {
-                for from in views.iter().flat_map(|view| cells(view, row).chunks_exact(channels)) {
-                    to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
-                }
-            }
-        });
-        let mut mean = vec![0.0f32; channels];
-        for row in sums.chunks_exact(channels) {
-            mean.iter_mut().zip(row).for_each(|(mean, row)| *mean += row);
+/// Makes weights of scores, but for the factors that it returns.
+#[inline(always)]
+fn weights(scores: &mut [Lanes], positions: &[Lanes]) -> Lanes {
+    let mut greatest = [f32::NEG_INFINITY; LANES];
+    for (scores, positions) in scores.iter_mut().zip(positions) {
+        for ((score, position), greatest) in scores.iter_mut().zip(positions).zip(&mut greatest) {
+            *score += position;
+            *greatest = greatest.max(*score);
         }
-        mean.iter_mut().for_each(|mean| *mean /= (rows * columns) as f32);
+    }
+    let mut sums = [0.0; LANES];
+    for scores in scores {
+        for ((score, greatest), sum) in scores.iter_mut().zip(&greatest).zip(&mut sums) {
+            *score = exp(*score - greatest);
+            *sum += *score;
+        }
+    }
+    sums.map(|sum| 1.0 / sum)
+}
+
+/// Values, weighed by the scores of a lane.
+#[inline(always)]
+fn mean<'a, const D: usize>(scores: &[Lanes], lane: usize, value: impl Fn(usize) -> &'a [f32]) -> [f32; D] {
+    let mut sums = [0.0; D];
+    for (cell, scores) in scores.iter().enumerate() {
+        let score = scores[lane];
+        sums.iter_mut()
+            .zip(&value(cell)[..D])
+            .for_each(|(sum, value)| *sum += value * score);
+    }
+    sums
+}
+
+impl Split {
+    /// `[attentions, channels]`: how much of each attention is taken, from the mean over all cells of their sum.
+    pub fn counts(&self, mean: &[f32]) -> Vec<f32> {
+        let channels = mean.len();
         let linear = |weights: &[f32], from: &[f32]| -> Vec<f32> {
             weights
                 .chunks_exact(from.len())
                 .map(|weights| product(weights, from))
                 .collect()
         };
-        let first = linear(&self.first, &mean);
         let mut hidden = vec![0.0; channels];
-        normalized(&first, &self.norm.weight, &self.norm.bias, &mut hidden);
-        hidden.iter_mut().for_each(|value| *value = value.max(0.0));
+        normalize(
+            &linear(&self.first, mean),
+            [&self.norm.weight, &self.norm.bias],
+            channels,
+            &mut hidden,
+        );
+        hidden.iter_mut().for_each(|value: &mut f32| *value = value.max(0.0));
         let mut counts = linear(&self.second, &hidden);
         for channel in 0..channels {
-            let of = || (channel..made.len() * channels).step_by(channels);
+            let of = || (channel..self.second.len() / channels).step_by(channels);
             let greatest = of().fold(f32::NEG_INFINITY, |greatest, at| greatest.max(counts[at]));
             of().for_each(|at| counts[at] = exp(counts[at] - greatest));
             let all: f32 = of().map(|at| counts[at]).sum();
             of().for_each(|at| counts[at] /= all);
         }
         counts
+    }
+}
+
+dispatch! {
+    /// Adds cells to a sum of each channel.
+    pub(super) fn sum_up<E: Number>(cells: &[E], stored: usize, sums: &mut [f32]) {
+        for cell in cells.chunks_exact(stored) {
+            sums.iter_mut().zip(cell).for_each(|(sum, value)| *sum += value.to_f32());
+        }
+    }
+}
+
+dispatch! {
+    /// Adds cells, each channel by how much it counts.
+    pub(super) fn add_counted<E: Number>(cells: &[E], stored: usize, counts: &[f32], to: &mut [f32]) {
+        for (cell, to) in cells.chunks_exact(stored).zip(to.chunks_exact_mut(counts.len())) {
+            to.iter_mut().zip(cell).zip(counts).for_each(|((to, value), count)| *to += value.to_f32() * count);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::cells::packed;
+    use crate::conv::Isa;
+    use crate::testing::Numbers;
+
+    proptest! {
+        #[test]
+        fn attention_is_what_its_formula_says_with_the_same_bits_on_all_instructions(
+            seed in any::<u64>(),
+            side in 1usize..6,
+            heads in 1usize..4,
+            head_width in prop_oneof![1usize..20, Just(32usize), Just(83usize)],
+            across in [1usize..3, 1usize..3],
+        ) {
+            let window = Window { side, heads, head_width };
+            let [rows, columns] = across.map(|windows| windows * side);
+            let width = heads * head_width;
+            let mut numbers = Numbers::new(seed);
+            let (all, offsets) = (numbers.list(rows * columns * 3 * width), numbers.list((2 * side - 1).pow(2)));
+            let layer = || packed::<f32, f32>(vec![1.0], vec![0.0], [1, 1], Isa::Portable);
+            let within = Within::new(window, &offsets, layer(), layer());
+            let [mut found, mut portable] = [(); 2].map(|()| vec![0.0f32; rows * columns * width]);
+            attend(window, columns, &all, &within.positions, width, &mut found);
+            attend::portable(window, columns, &all, &within.positions, width, &mut portable);
+            prop_assert_eq!(&found, &portable);
+            for (at, found) in found.iter().enumerate() {
+                let (cell, head, channel) = (at / width, at % width / head_width, at % head_width);
+                let [row, column] = [cell / columns, cell % columns];
+                let number = |part: usize, [row, column]: [usize; 2], channel: usize| {
+                    f64::from(all[((row * columns + column) * 3 + part) * width + head * head_width + channel])
+                };
+                let asked = (0..side * side).map(|k| [row / side * side + k / side, column / side * side + k % side]);
+                let weights = asked.clone().map(|asked| {
+                    let products = (0..head_width).map(|d| number(0, [row, column], d) * number(1, asked, d));
+                    let [down, right] = [asked[0] + side - 1 - row, asked[1] + side - 1 - column];
+                    let offset = f64::from(offsets[down * (2 * side - 1) + right]);
+                    (products.sum::<f64>() / (head_width as f64).sqrt() + offset).exp()
+                });
+                let values = weights.clone().zip(asked).map(|(weight, asked)| weight * number(2, asked, channel));
+                let expected = values.sum::<f64>() / weights.sum::<f64>();
+                prop_assert!((f64::from(*found) - expected).abs() < 1e-5, "{} {}", found, expected);
+            }
+        }
     }
 }

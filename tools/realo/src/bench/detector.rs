@@ -5,9 +5,7 @@ use std::time::Instant;
 
 use eyre::{Result, eyre};
 use realo_nn::Kernels;
-use realo_nn::anchors::Anchors;
 use realo_nn::canvas::Canvas;
-use realo_nn::decode::candidates;
 use realo_nn::model::Model;
 use realo_nn::pillar_net::PillarNet;
 use realo_nn::pillars::{Pillariser, Points};
@@ -22,10 +20,8 @@ pub(super) const MODEL: &str = "models/lite.toml";
 const POINTS: usize = 100_000;
 const PILLARS: usize = 10_000;
 const ROUNDS: usize = 41;
-/// Most boxes that are decoded, as in the graphs.
-const MOST: usize = 1000;
 
-/// The steps of the detector that ships.
+/// From points to the canvas, with the detector that ships.
 #[derive(Serialize)]
 pub struct Detector {
     /// Pillars that the cloud falls into.
@@ -55,7 +51,7 @@ struct PeerStep {
     goal: f64,
 }
 
-/// Times the pillar step, the pillar net and the whole network; with an interpreter also spconv's pillar step.
+/// Times the pillar step and the pillar net; with an interpreter also spconv's pillar step.
 pub fn bench(python: Option<&Path>) -> Result<Detector> {
     let model = Model::read(Path::new(MODEL))?;
     let cloud = cloud()?;
@@ -90,24 +86,8 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
     });
     let times: Vec<f64> = (0..ROUNDS).map(|_| time(|| net.run(even, &mut canvas))).collect();
     let name = format!("pillar net, {} pillars, 1 thread", even.len());
-    steps.push(step(&name, &times, Some(5.0)));
+    steps.push(step(&name, &times, Some(1.5)));
 
-    let all = std::thread::available_parallelism().map_or(1, |n| n.get());
-    let anchors = Anchors::of(&model);
-    for threads in [1, all] {
-        let mut network = realo_nn::load(Path::new(MODEL), Kernels::auto(threads))?.network;
-        let mut times = Vec::new();
-        for _ in 0..ROUNDS {
-            let start = Instant::now();
-            net.run(pillariser.run(&points), &mut canvas);
-            let map = network.encode(&canvas)?;
-            let heads = network.heads(&map)?;
-            candidates(&anchors, &heads.scores, &heads.deltas, model.score_threshold, MOST);
-            times.push(start.elapsed().as_secs_f64());
-        }
-        let name = format!("sweep to boxes, {threads} threads ({})", network.choice());
-        steps.push(step(&name, &times, (threads == all).then_some(30.0)));
-    }
     Ok(Detector {
         pillars: pillars.len(),
         steps,

@@ -42,7 +42,7 @@ enum Name {
     Nms,
     /// Finished points per second and core of the simulator
     Simulate,
-    /// The detector's steps; the pillar step against spconv
+    /// From points to the canvas; the pillar step against spconv
     Detector,
     /// Networks from sweep to boxes, encoders and whole frames; against PyTorch, OpenVINO and ONNX Runtime
     Network,

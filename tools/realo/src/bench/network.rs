@@ -1,3 +1,6 @@
+mod boxes;
+mod parts;
+
 use std::fmt;
 use std::path::Path;
 use std::time::Instant;
@@ -7,11 +10,11 @@ use realo_nn::anchors::Anchors;
 use realo_nn::canvas::Canvas;
 use realo_nn::conv::Isa;
 use realo_nn::decode::candidates;
-use realo_nn::filler::{self, Numbers};
+use realo_nn::filler;
 use realo_nn::fuse::Agent;
 use realo_nn::layers::{Layer, Layers, MapId};
 use realo_nn::model::{Model, Precision};
-use realo_nn::network::{BevMap, Network, NetworkOptions};
+use realo_nn::network::{Network, NetworkOptions};
 use realo_nn::pillars::Points;
 use realo_nn::weights::Weights;
 use realo_nn::{Pillarer, calibration::Calibration};
@@ -20,6 +23,8 @@ use serde_json::{Value, json};
 
 use super::detector::{cloud, points, spread};
 use super::peer::Peer;
+
+use boxes::{Agreement, Trained, agreement};
 
 const LITE: &str = "models/lite.toml";
 const FULL: &str = "models/full-attfuse.toml";
@@ -35,6 +40,8 @@ const MOST: usize = 1000;
 pub struct Networks {
     points: usize,
     rows: Vec<Row>,
+    /// Whether int8 finds the boxes of f32.
+    boxes: Vec<Agreement>,
 }
 
 #[derive(Serialize)]
@@ -42,7 +49,8 @@ struct Row {
     what: String,
     minimum_ms: f64,
     median_ms: f64,
-    /// Multiplications and additions of its convolutions a second, where they are most of it.
+    /// Multiplications and additions of its convolutions a second, where they are most of it; as many as direct sums take,
+    /// though f32 runs by tiles that need fewer.
     gigaoperations: Option<f64>,
     peer: Option<Compared>,
 }
@@ -62,17 +70,18 @@ pub fn bench(python: Option<&Path>) -> Result<Networks> {
     let cloud = cloud()?;
     let points = points(&cloud);
     let mut rows = Vec::new();
-    lite(&points, all, &mut rows)?;
+    let mut boxes = vec![lite(&points, all, &mut rows)?];
     encoders(&points, python, all, &mut rows)?;
-    frames(&points, python, all, &mut rows)?;
+    frames(&points, python, all, &mut rows, &mut boxes)?;
     Ok(Networks {
         points: points.x.len(),
         rows,
+        boxes,
     })
 }
 
-/// From a sweep to boxes with the detector that ships, in all that this processor has.
-fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<()> {
+/// From a sweep to boxes with the detector that ships, in all that this processor has; and whether int8 finds them.
+fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<Agreement> {
     let loaded = realo_nn::load(Path::new(LITE), realo_nn::Kernels::auto(1))?;
     let weights = loaded.weights;
     let model = calibrated((*loaded.model).clone(), &weights, points)?;
@@ -102,7 +111,7 @@ fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<()> {
             }
         }
     }
-    Ok(())
+    agreement(&model, &weights, Trained::Yes, &canvas(&model, &weights, points), all)
 }
 
 fn precisions(isa: Isa) -> Vec<Precision> {
@@ -174,7 +183,13 @@ fn encoders(points: &Points, python: Option<&Path>, threads: usize, rows: &mut V
 }
 
 /// A whole frame of an ego and a collaborator at full size: both encoders, fusion, heads, boxes.
-fn frames(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
+fn frames(
+    points: &Points,
+    python: Option<&Path>,
+    threads: usize,
+    rows: &mut Vec<Row>,
+    boxes: &mut Vec<Agreement>,
+) -> Result<()> {
     for file in FRAMES {
         let (model, weights) = untrained(file, points)?;
         let canvas = canvas(&model, &weights, points);
@@ -188,9 +203,7 @@ fn frames(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec
             let mut network = Network::new(&model, &weights, options)?;
             let outputs = anchors.classes.len() * model.rotations.len() * (anchors.classes.len() + 7);
             let told = told(&model, threads, 2, outputs);
-            let peer = python
-                .filter(|_| file == FULL)
-                .map(|python| Peer::start(python, "attfuse", &told));
+            let peer = python.map(|python| Peer::start(python, &model.arch.to_string(), &told));
             let measured = against(peer.transpose()?, || {
                 let [ego, other] = [network.encode(&canvas)?, network.encode(&canvas)?];
                 let fused = network.fuse(&[Agent::beside(&ego), Agent::beside(&other)])?;
@@ -200,52 +213,14 @@ fn frames(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec
             })?;
             rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice()), None));
             if precision == Precision::Int8 {
-                fusion(&model, &mut network, rows)?;
+                parts::fusion(&model, &mut network, rows)?;
             }
         }
-    }
-    Ok(())
-}
-
-/// The fusion alone: of three agents' maps, each turned and moved.
-fn fusion(model: &Model, network: &mut Network, rows: &mut Vec<Row>) -> Result<()> {
-    let ([map_rows, columns], channels) = (model.map_size(), model.map_channels());
-    let mut numbers = Numbers::new(7);
-    let mut map = || BevMap {
-        rows: map_rows,
-        columns,
-        channels,
-        data: numbers
-            .list(map_rows * columns * channels)
-            .iter()
-            .map(|number| number.abs())
-            .collect(),
-    };
-    let maps = [map(), map(), map()];
-    for (how, warp) in [
-        ("lying alike", realo_nn::fuse::Warp::IDENTITY),
-        (
-            "turned",
-            realo_nn::fuse::Warp([[0.995, -0.0998, 12.3], [0.0998, 0.995, -7.7]]),
-        ),
-    ] {
-        let agents: Vec<Agent> = maps
-            .iter()
-            .enumerate()
-            .map(|(i, map)| Agent {
-                warp: if i == 0 { realo_nn::fuse::Warp::IDENTITY } else { warp },
-                ..Agent::beside(map)
-            })
-            .collect();
-        let times = timed(ROUNDS_OF_FULL, || {
-            network.fuse(&agents)?;
-            Ok(())
-        })?;
-        let what = format!(
-            "fusion of {}, 3 agents {how}, {map_rows}x{columns}x{channels}",
-            model.name
-        );
-        rows.push(row(what, &times, None));
+        boxes.push(agreement(&model, &weights, Trained::No, &canvas, threads)?);
+        if file == FULL {
+            parts::warp(&model, threads, rows)?;
+            parts::compressor(&model, points, threads, rows)?;
+        }
     }
     Ok(())
 }
@@ -271,6 +246,7 @@ fn told(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
         "channels": model.pillars.channels,
         "backbone": model.backbone,
         "shrink": model.shrink,
+        "arch": model.arch,
         "outputs": outputs,
     })
 }
@@ -365,9 +341,13 @@ impl fmt::Display for Networks {
             }
             writeln!(f)?;
         }
+        for boxes in &self.boxes {
+            writeln!(f, "{boxes}")?;
+        }
         write!(
             f,
-            "ratios: medians of rounds in turns; --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
+            "Gop/s: of direct sums, though f32 needs fewer; ratios: medians of rounds in turns; \
+             --python PYTHON, one with torch, openvino, nncf and onnxruntime, compares"
         )
     }
 }

@@ -98,8 +98,9 @@ def training(told):
     return f"PyTorch {torch.__version__}, f32, channels_last", step
 
 
-def attfuse(told):
-    """AttFuse of two agents in PyTorch, from canvases that are there already: both encoders, attention, heads."""
+def fusing(told, fuse):
+    """A whole frame in PyTorch, from canvases that are there already: all encoders, a fusion of [agents, rows, columns,
+    channels] that gives the ego's map, heads."""
     import torch
 
     torch.set_num_threads(told["threads"])
@@ -107,12 +108,117 @@ def attfuse(told):
 
     @torch.inference_mode()
     def run():
-        maps = network.features(canvas).flatten(2).permute(2, 0, 1)
-        weights = torch.softmax(maps @ maps.transpose(1, 2) / maps.shape[2] ** 0.5, 2)
-        fused = (weights @ maps)[:, 0].T.reshape(1, -1, told["rows"] // 2, told["columns"] // 2)
-        return network.heads(fused)
+        fused = fuse(network.features(canvas).permute(0, 2, 3, 1))
+        return network.heads(fused.permute(2, 0, 1).unsqueeze(0))
 
     return f"PyTorch {torch.__version__}, f32, channels_last", run
+
+
+def fcooper(told):
+    """F-Cooper: the greatest of each feature."""
+    return fusing(told, lambda maps: maps.amax(0))
+
+
+def attfuse(told):
+    """AttFuse: attention in each cell."""
+
+    def fuse(maps):
+        maps = maps.permute(1, 2, 0, 3)
+        weights = (maps @ maps.transpose(2, 3) / maps.shape[3] ** 0.5).softmax(3)
+        return (weights @ maps)[:, :, 0]
+
+    return fusing(told, fuse)
+
+
+def v2xvit(told):
+    """V2X-ViT: its transformer for all agents, of which the ego's map is taken; no agents are added to fill a batch."""
+    import torch
+    from torch import nn
+
+    settings, channels = told["arch"], told["shrink"][-1]["channels"]
+
+    class OverAgents(nn.Module):
+        """In each cell, with layers for each kind of agent and matrices for each pair of kinds."""
+
+        def __init__(self):
+            super().__init__()
+            self.heads, width = settings["heads"], settings["head_width"]
+            self.norm, self.scale = nn.LayerNorm(channels), width**-0.5
+            of_kinds = lambda: nn.ModuleList(nn.Linear(channels, channels) for _ in range(2))
+            self.queries, self.keys, self.values, self.outputs = (of_kinds() for _ in range(4))
+            relations = lambda: nn.Parameter(torch.randn(2, 2, self.heads, width, width) * self.scale)
+            self.attention, self.message = relations(), relations()
+
+        def forward(self, maps, kinds, covered):
+            normed = self.norm(maps)
+            each = lambda layers, maps: torch.stack([layers[kind](map) for kind, map in zip(kinds.tolist(), maps)])
+            of = lambda layers: each(layers, normed).unflatten(3, (self.heads, -1))
+            queries, keys, values = of(self.queries), of(self.keys), of(self.values)
+            pairs = kinds[:, None], kinds[None]
+            queries = torch.einsum("irchp,ijhpq->ijrchq", queries, self.attention[pairs])
+            scores = (queries * keys).sum(5) * self.scale
+            weights = scores.masked_fill(~covered[None, :, :, :, None], -torch.inf).softmax(1)
+            values = torch.einsum("jrchp,ijhpq->ijrchq", values, self.message[pairs])
+            return each(self.outputs, (weights[..., None] * values).sum(1).flatten(3))
+
+    class WithinWindows(nn.Module):
+        def __init__(self, side, heads, head_width):
+            super().__init__()
+            self.side, self.heads, width = side, heads, heads * head_width
+            self.qkv, self.output = nn.Linear(channels, 3 * width, bias=False), nn.Linear(width, channels)
+            self.positions = nn.Parameter(torch.randn(2 * side - 1, 2 * side - 1))
+            at = torch.cartesian_prod(torch.arange(side), torch.arange(side))
+            self.offsets = (at[None] - at[:, None] + side - 1).unbind(2)
+
+        def forward(self, maps):
+            agents, rows, columns, _ = maps.shape
+            cut = agents, rows // self.side, self.side, columns // self.side, self.side, 3, self.heads, -1
+            qkv = self.qkv(maps).reshape(cut).permute(5, 0, 1, 3, 6, 2, 4, 7)
+            queries, keys, values = qkv.flatten(5, 6).flatten(1, 3)
+            attend = nn.functional.scaled_dot_product_attention
+            made = attend(queries, keys, values, attn_mask=self.positions[self.offsets])
+            made = made.reshape(*cut[:2], cut[3], self.heads, self.side, self.side, -1).permute(0, 1, 4, 2, 5, 3, 6)
+            return self.output(made.reshape(agents, rows, columns, -1))
+
+    class OverWindows(nn.Module):
+        """Windows of all sizes, each taken by how much it counts in a channel."""
+
+        def __init__(self):
+            super().__init__()
+            self.norm, self.windows = nn.LayerNorm(channels), nn.ModuleList(WithinWindows(**w) for w in settings["windows"])
+            first, second = (nn.Linear(channels, n * channels, bias=False) for n in (1, len(self.windows)))
+            self.counts = nn.Sequential(first, nn.LayerNorm(channels), nn.ReLU(), second)
+
+        def forward(self, maps):
+            normed = self.norm(maps)
+            made = torch.stack([window(normed) for window in self.windows])
+            counts = self.counts(made.sum(0).mean((1, 2))).unflatten(1, (len(made), channels)).softmax(1)
+            return torch.einsum("narci,ani->arci", made, counts)
+
+    class Transformer(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.delays, self.delayed = nn.Embedding(settings["delays"], channels), nn.Linear(channels, channels)
+            wide = settings["feed_forward"]
+            forward = lambda: [nn.LayerNorm(channels), nn.Linear(channels, wide), nn.GELU(), nn.Linear(wide, channels)]
+            block = lambda: nn.ModuleList([OverAgents(), OverWindows()])
+            blocks = lambda: nn.ModuleList(block() for _ in range(settings["blocks"]))
+            rounds = (nn.ModuleList([blocks(), nn.Sequential(*forward())]) for _ in range(settings["depth"]))
+            self.rounds = nn.ModuleList(rounds)
+
+        def forward(self, maps, kinds, delays, covered):
+            maps = maps + self.delayed(self.delays(delays * settings["delay_ratio"]))[:, None, None]
+            for blocks, feed_forward in self.rounds:
+                for over_agents, over_windows in blocks:
+                    maps = maps + over_agents(maps, kinds, covered)
+                    maps = maps + over_windows(maps)
+                maps = maps + feed_forward(maps)
+            return maps[0]
+
+    transformer = Transformer().eval()
+    vehicles = torch.zeros(told["batch"], dtype=torch.long)
+    everywhere = lambda maps: torch.ones(maps.shape[:3], dtype=torch.bool)
+    return fusing(told, lambda maps: transformer(maps, vehicles, vehicles, everywhere(maps)))
 
 
 def pytorch(told):
@@ -166,10 +272,12 @@ def onnxruntime(told):
 
 PEERS = {
     "attfuse": attfuse,
+    "fcooper": fcooper,
     "onnxruntime": onnxruntime,
     "openvino": openvino,
     "pytorch": pytorch,
     "training": training,
+    "v2xvit": v2xvit,
     "voxels": voxels,
 }
 

@@ -55,15 +55,29 @@ pub struct Args {
     /// Only these agents take part
     #[arg(long, value_delimiter = ',')]
     pub agents: Vec<String>,
-    /// Channel model of the links: a name or a file
-    #[arg(long)]
-    pub link: Option<String>,
     /// How long stages take in virtual time: a TOML file of stage = ns (a realtime run leaves a compute.toml), or `paper`
     #[arg(long)]
     pub compute: Option<PathBuf>,
     /// Evaluation protocol: a name or a file [default: the log's]
     #[arg(long)]
     pub protocol: Option<String>,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    pub choices: Choices,
+    /// Where results go [default: out/GRAPH]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Print JSON instead of the table
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What changes a graph, whoever runs it.
+#[derive(clap::Args, Clone)]
+pub struct Choices {
+    /// Channel model of the links: a name or a file
+    #[arg(long)]
+    pub link: Option<String>,
     /// Agents report the detections that the log recorded
     #[arg(long)]
     pub recorded_detections: bool,
@@ -76,6 +90,9 @@ pub struct Args {
     /// Number type of the networks: auto (the model's), f32, bf16, int8 [default: auto]
     #[arg(long)]
     pub precision: Option<String>,
+    /// What computes the networks: cpu, or cuda where the build has it [default: cpu]
+    #[arg(long)]
+    pub device: Option<String>,
     /// Who brings what crosses the link to the ego's frame: its receiver, or its sender with the ego's newest known state
     #[arg(long, value_enum)]
     pub project: Option<Project>,
@@ -85,12 +102,6 @@ pub struct Args {
     /// node.key=value: changes an argument of a node
     #[arg(long)]
     pub set: Vec<String>,
-    /// Where results go [default: out/GRAPH]
-    #[arg(long)]
-    pub out: Option<PathBuf>,
-    /// Print JSON instead of the table
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// Who brings what crosses the link to the ego's frame.
@@ -167,7 +178,7 @@ impl Args {
             (None, true) => Mode::Virtual,
             (None, false) => Mode::Realtime,
         };
-        if self.offline && (self.link.is_some() || self.compute.is_some()) {
+        if self.offline && (self.choices.link.is_some() || self.compute.is_some()) {
             bail!("--offline has neither delays nor loss: drop --link and --compute, or --offline");
         }
         if mode == Mode::Realtime && self.compute.is_some() {
@@ -242,7 +253,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         .zip(&names)
         .map(|(graph, name)| prepare::cells(args, mode, graph, name))
         .collect::<Result<_>>()?;
-    if args.project.is_some() && !cells.iter().flatten().any(Cell::can_project) {
+    if args.choices.project.is_some() && !cells.iter().flatten().any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
     let mut folders = Folders::default();

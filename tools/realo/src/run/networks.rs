@@ -15,8 +15,19 @@ use super::nodes::{argument, decided_argument, deciding, registration};
 /// A network that was looked at; as long as it is kept, whoever loads it too shares it.
 struct Known {
     loaded: Loaded,
-    /// What it runs on.
+    /// What it runs on, on this processor.
     kernels: String,
+}
+
+impl Known {
+    /// What it runs on, as a node says.
+    fn runs_on(&self, node: &FlatNode) -> String {
+        let device = decided_argument(node, Decided::Device).and_then(|name| argument(node, name));
+        match device.filter(|device| device != "cpu") {
+            Some(device) => format!("{} on {device}", self.loaded.precision),
+            None => self.kernels.clone(),
+        }
+    }
 }
 
 /// The networks of a graph in words, each once; empty without any.
@@ -90,26 +101,21 @@ impl Networks {
         let mut kernels = BTreeSet::new();
         for node in deciding(graph, Decided::Model) {
             let known = self.of_node(node).wrap_err_with(|| format!("node `{}`", node.id))?;
-            let Some((
-                path,
-                Known {
-                    loaded,
-                    kernels: runs_on,
-                },
-            )) = known
-            else {
+            let Some((path, known)) = known else {
                 continue;
             };
-            let identity = loaded.identity.clone();
+            let identity = known.loaded.identity.clone();
+            kernels.insert(known.runs_on(node));
             if let Some(known) = registration(node) {
                 let built = (known.build)(node.settings());
                 built.map_err(|error| eyre!("node `{}`: {error}", node.id))?;
             }
-            kernels.insert(runs_on.clone());
             identities.insert(&node.id, (path, identity));
         }
         for node in deciding(graph, Decided::Model) {
-            let (ours, b) = &identities[&*node.id];
+            let Some((ours, b)) = identities.get(&*node.id) else {
+                continue;
+            };
             for source in behind(graph, node, |id| identities.contains_key(id)) {
                 let (theirs, a) = &identities[source];
                 if a != b {

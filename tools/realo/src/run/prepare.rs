@@ -67,7 +67,12 @@ const OWNED: &[(Decided, &str)] = &[
 
 /// The runs of one graph.
 pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cell>> {
-    let set: Vec<Setting> = args.set.iter().map(|text| setting(text)).collect::<Result<_>>()?;
+    let set: Vec<Setting> = args
+        .choices
+        .set
+        .iter()
+        .map(|text| setting(text))
+        .collect::<Result<_>>()?;
     let graph = base_graph(args, &set, path)?;
     let compute = compute::profile(args.compute.as_deref(), &graph)?;
     let logs = logs(args, &graph)?;
@@ -153,7 +158,12 @@ pub struct Lane {
 /// # Errors
 /// As [`cells`]; a graph in which nobody sends what is made of sweeps.
 pub fn lane(args: &Args) -> Result<Lane> {
-    let set: Vec<Setting> = args.set.iter().map(|text| setting(text)).collect::<Result<_>>()?;
+    let set: Vec<Setting> = args
+        .choices
+        .set
+        .iter()
+        .map(|text| setting(text))
+        .collect::<Result<_>>()?;
     let path = &args.graphs[0];
     let base = base_graph(args, &set, path)?;
     let compute = args
@@ -183,7 +193,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
         out: Path::new(""),
     };
     let (graph, settings) = told.to(&base, &set)?;
-    if args.project.is_some() && settings.project.is_empty() {
+    if args.choices.project.is_some() && settings.project.is_empty() {
         return Err(nobody_projects(&path.display().to_string()));
     }
     let mut networks = Networks::default();
@@ -224,7 +234,7 @@ fn setting(text: &str) -> Result<Setting> {
 
 fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
-    let graph = if args.recorded_detections {
+    let graph = if args.choices.recorded_detections {
         graph.with_detection("recorded")
     } else {
         graph
@@ -303,10 +313,10 @@ impl Told<'_> {
         for (decided, value) in told {
             decide(&mut graph, decided, &value);
         }
-        if let Some(model) = &self.args.model {
+        if let Some(model) = &self.args.choices.model {
             set_model(&mut graph, model)?;
         }
-        if let Some(project) = self.args.project {
+        if let Some(project) = self.args.choices.project {
             for node in graph.nodes.iter_mut().filter(|node| can_project(node)) {
                 if let Some(argument) = decided_argument(node, Decided::Project) {
                     node.set(argument, project.as_str());
@@ -367,18 +377,21 @@ impl Told<'_> {
         if args.offline {
             told.push((Decided::Offline, "true".into()));
         }
-        if args.recorded_detections {
+        if args.choices.recorded_detections {
             told.push((Decided::Detections, "required".into()));
         }
         told.extend(args.rate.map(|rate| (Decided::Rate, rate.to_string())));
-        told.extend(args.seed.map(|seed| (Decided::Seed, seed.to_string())));
-        told.extend(args.isa.iter().map(|isa| (Decided::Isa, isa.clone())));
+        told.extend(args.choices.seed.map(|seed| (Decided::Seed, seed.to_string())));
+        told.extend(args.choices.isa.iter().map(|isa| (Decided::Isa, isa.clone())));
         told.extend(
-            args.precision
+            args.choices
+                .precision
                 .iter()
                 .map(|precision| (Decided::Precision, precision.clone())),
         );
-        if let Some(profile) = &args.link {
+        let device = args.choices.device.iter();
+        told.extend(device.map(|device| (Decided::Device, device.clone())));
+        if let Some(profile) = &args.choices.link {
             told.push((Decided::Link, name_or_file(profile)?));
         }
         Ok(told)

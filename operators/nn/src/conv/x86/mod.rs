@@ -30,6 +30,16 @@ pub(super) fn single(isa: Isa, outputs: usize) -> Option<(Run<f32, f32>, usize)>
     }
 }
 
+/// The f32 kernel of [`winograd`](super::winograd)'s tiles, if these instructions are of x86-64, and the outputs of a block.
+pub(super) fn winograd(isa: Isa, outputs: usize) -> Option<(Run<f32, f32>, usize)> {
+    match isa {
+        Isa::Portable => None,
+        Isa::Avx2 => Some((avx2_tiles, 16)),
+        Isa::Avx512 | Isa::Avx512Bf16 | Isa::Amx if wide(outputs) => Some((avx512_wide_tiles, 64)),
+        Isa::Avx512 | Isa::Avx512Bf16 | Isa::Amx => Some((avx512_narrow_tiles, 32)),
+    }
+}
+
 /// The bf16 kernel, if these instructions have products of bf16, and the outputs of a block; `stored`: numbers of a cell.
 pub(super) fn half<O: Element>(isa: Isa, stored: usize, outputs: usize) -> Option<(Run<Bf16, O>, usize)>
 where
@@ -94,3 +104,20 @@ kernel!(bf16_narrow, "avx512f,avx512bf16", Bf16, Registers<Avx512Bf16, 12, 2>);
 kernel!(avx2_bytes, "avx2", U8, Registers<Avx2Bytes, 6, 2>);
 kernel!(vnni_wide, "avx512f,avx512vnni", U8, Registers<Avx512Bytes, 6, 4>);
 kernel!(vnni_narrow, "avx512f,avx512vnni", U8, Registers<Avx512Bytes, 12, 2>);
+
+/// Defines a kernel of [`winograd`](super::winograd)'s tiles.
+macro_rules! tiles {
+    ($name:ident, $features:literal, $simd:ty, $windows:literal, $registers:literal) => {
+        /// # Safety
+        /// The CPU has the instructions.
+        #[target_feature(enable = $features)]
+        unsafe fn $name(layer: &Packed<f32, f32>, part: Share<f32, f32>) {
+            // SAFETY: the caller's promise.
+            unsafe { super::winograd::share::<$simd, $windows, $registers>(layer, part) }
+        }
+    };
+}
+
+tiles!(avx2_tiles, "avx2,fma", Avx2, 6, 2);
+tiles!(avx512_wide_tiles, "avx512f", Avx512, 6, 4);
+tiles!(avx512_narrow_tiles, "avx512f", Avx512, 12, 2);

@@ -1,0 +1,168 @@
+//! What computes a network: the kernels on this processor, or candle on a GPU. No operator knows which.
+
+use realo_nn::Loaded;
+use realo_nn::canvas::Canvas;
+use realo_nn::fuse::Agent;
+use realo_nn::network::{BevMap, BevView, Heads, Network, NetworkError};
+use realo_operator::Steps;
+use serde::{Deserialize, Serialize};
+
+/// The devices that a network may be computed on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Device {
+    /// This processor.
+    #[default]
+    Cpu,
+    /// The first GPU that CUDA lists.
+    Cuda,
+}
+
+/// What the numbers of maps leave a GPU as; on this processor they stay as they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Elements {
+    /// Single precision.
+    F32,
+    /// Half precision.
+    F16,
+    /// Codes of 8 bits, from a channel's least number in the map to its greatest.
+    #[default]
+    Int8,
+}
+
+/// Why there is no network, or no result.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// The kernels, or what they were given.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    /// The build has no GPU.
+    #[cfg(not(feature = "cuda"))]
+    #[error(
+        "argument `device`: this build has no cuda: expected cpu, or a build of `cargo build --release --features cuda -p realo`, \
+         which needs the CUDA toolkit"
+    )]
+    NotBuilt,
+    /// A number type that is not computed in on a GPU.
+    #[cfg(feature = "cuda")]
+    #[error("argument `precision`: on cuda, expected f32 or bf16, found int8 of model `{model}`: say precision=bf16")]
+    Precision {
+        /// The model's name.
+        model: String,
+    },
+    /// The GPU, or what it was given.
+    #[cfg(feature = "cuda")]
+    #[error("cuda: {0}")]
+    Device(#[from] realo_nn_candle::Error),
+}
+
+/// A network that is ready to run.
+pub enum Engine {
+    /// On this processor.
+    Kernels(Network),
+    /// On a GPU.
+    #[cfg(feature = "cuda")]
+    Candle(Box<realo_nn_candle::Engine>),
+}
+
+impl Engine {
+    /// The network of a model on a device; `elements`: what maps that agents share leave a GPU as.
+    ///
+    /// # Errors
+    /// A device that is not there or that the build lacks, and a number type that it does not compute in.
+    pub fn new(loaded: Loaded, device: Device, elements: Elements) -> Result<Self, EngineError> {
+        match device {
+            Device::Cpu => Ok(Engine::Kernels(loaded.network)),
+            Device::Cuda => on_cuda(&loaded, elements),
+        }
+    }
+
+    /// From the canvas to the BEV map that agents share.
+    ///
+    /// # Errors
+    /// Those of [`Network::encode`], and of the device.
+    pub fn encode(&mut self, canvas: &Canvas, steps: &mut Steps) -> Result<BevMap, EngineError> {
+        match self {
+            Engine::Kernels(network) => of_kernels(network.encode(canvas), steps),
+            #[cfg(feature = "cuda")]
+            Engine::Candle(engine) => Ok(engine.encode(canvas, steps)?),
+        }
+    }
+
+    /// From the maps that agents share, the ego's first, to the one that the heads read.
+    ///
+    /// # Errors
+    /// Those of [`Network::fuse`], and of the device.
+    pub fn fuse(&mut self, agents: &[Agent], steps: &mut Steps) -> Result<BevMap, EngineError> {
+        match self {
+            Engine::Kernels(network) => of_kernels(network.fuse(agents), steps),
+            #[cfg(feature = "cuda")]
+            Engine::Candle(engine) => Ok(engine.fuse(agents, steps)?),
+        }
+    }
+
+    /// From a BEV map to the heads, which stay until the next one.
+    ///
+    /// # Errors
+    /// Those of [`Network::heads`], and of the device.
+    pub fn heads(&mut self, map: BevView, steps: &mut Steps) -> Result<&Heads, EngineError> {
+        match self {
+            Engine::Kernels(network) => of_kernels(network.heads(map), steps),
+            #[cfg(feature = "cuda")]
+            Engine::Candle(engine) => Ok(engine.heads(map, steps)?),
+        }
+    }
+}
+
+/// Kernels have no steps that are worth a name: their call is the stage's.
+fn of_kernels<T>(made: Result<T, NetworkError>, _: &mut Steps) -> Result<T, EngineError> {
+    Ok(made?)
+}
+
+#[cfg(not(feature = "cuda"))]
+fn on_cuda(_: &Loaded, _: Elements) -> Result<Engine, EngineError> {
+    Err(EngineError::NotBuilt)
+}
+
+#[cfg(feature = "cuda")]
+fn on_cuda(loaded: &Loaded, elements: Elements) -> Result<Engine, EngineError> {
+    use candle_core::{DType, Device};
+    use realo_nn::model::Precision;
+
+    let products = match loaded.precision {
+        Precision::F32 => DType::F32,
+        Precision::Bf16 => DType::BF16,
+        Precision::Int8 => {
+            let model = loaded.model.name.clone();
+            return Err(EngineError::Precision { model });
+        }
+    };
+    let elements = match elements {
+        Elements::F32 => realo_nn_candle::Elements::F32,
+        Elements::F16 => realo_nn_candle::Elements::F16,
+        Elements::Int8 => realo_nn_candle::Elements::Int8,
+    };
+    let device = Device::new_cuda(0).map_err(realo_nn_candle::Error::from)?;
+    let engine = realo_nn_candle::Engine::new(&loaded.model, &loaded.weights, &device, products, elements)?;
+    Ok(Engine::Candle(Box::new(engine)))
+}
+
+#[cfg(all(test, not(feature = "cuda")))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_build_without_cuda_says_how_to_build_one_that_has_it() {
+        let lite = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
+        let loaded = realo_nn::load(lite.as_ref(), realo_nn::Kernels::auto(1)).unwrap();
+        let error = Engine::new(loaded, Device::Cuda, Elements::Int8)
+            .err()
+            .expect("refused");
+        let error = error.to_string();
+        assert!(
+            error.contains("`device`") && error.contains("--features cuda"),
+            "{error}"
+        );
+    }
+}

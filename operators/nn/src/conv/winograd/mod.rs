@@ -1,0 +1,37 @@
+//! Convolutions of 3x3 with stride 1 by tiles of 4x4 outputs, with a quarter of the direct kernels' products.
+//!
+//! Winograd's F(4x4, 3x3), as in Lavin and Gray 2016 (arXiv:1509.09308): `Y = Aᵀ [(G g Gᵀ) ⊙ (Bᵀ d B)] A`, where the
+//! sum over channels makes each of the 6x6 places a product of matrices. Tiles lie on a grid that begins at the map's first
+//! cell, so that it does not matter which thread computes them.
+
+mod points;
+mod share;
+#[cfg(test)]
+mod tests;
+
+pub(super) use points::{SIDE, at_places};
+pub(super) use share::{room, share};
+
+use super::pack::Run;
+use super::{Convolution, Isa};
+
+/// Channels come in whole registers of all instructions.
+const MOST_LANES: usize = 16;
+
+/// Whether a convolution is faster by tiles.
+pub(super) fn suits(layer: &Convolution) -> bool {
+    (layer.kernel, layer.stride, layer.transposed) == (3, 1, false)
+        && [layer.inputs, layer.outputs]
+            .iter()
+            .all(|channels| channels.is_multiple_of(MOST_LANES))
+}
+
+/// The kernel in these instructions, and the outputs that it computes side by side.
+pub(super) fn kernel(isa: Isa, outputs: usize) -> (Run<f32, f32>, usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(kernel) = super::x86::winograd(isa, outputs) {
+        return kernel;
+    }
+    let _ = (isa, outputs);
+    super::portable::WINOGRAD
+}
