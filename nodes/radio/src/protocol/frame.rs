@@ -5,7 +5,7 @@
 //! | 0 | version, 1 | version, 1 |
 //! | 1 | what: 0 | what: 1 |
 //! | 2 | kind: 0 points, 1 features, 2 boxes, 3 ego_state | kind |
-//! | 3 | 1: asks for acknowledgement | 0 |
+//! | 3 | 0, 1: asks for acknowledgement, 3: at once | 0 |
 //! | 4–11 | session of the sender | session |
 //! | 12–19 | number of the message | number |
 //! | 20–23 | index of the part | index |
@@ -41,8 +41,10 @@ pub enum Frame {
 pub struct Head {
     /// Kind of the message.
     pub kind: Kind,
-    /// Whether the sender waits for an acknowledgement.
+    /// Whether the sender wants an acknowledgement.
     pub asks: bool,
+    /// Whether it sends no more before that.
+    pub waits: bool,
     /// Greater for a sender that was started later.
     pub session: u64,
     /// Counts the messages of a kind.
@@ -117,7 +119,11 @@ impl Frame {
     /// The bytes that cross.
     pub fn to_bytes(&self) -> Bytes {
         let (what, kind, flags) = match self {
-            Frame::Part(head, _) => (PART, head.kind, u8::from(head.asks)),
+            Frame::Part(head, _) => (
+                PART,
+                head.kind,
+                u8::from(head.asks) | u8::from(head.asks && head.waits) << 1,
+            ),
             Frame::Acknowledgement(ack) => (ACKNOWLEDGEMENT, ack.kind, 0),
         };
         let mut bytes = Vec::with_capacity(self.len());
@@ -178,12 +184,13 @@ impl Frame {
         let [session, seq, places, sent, last] = [0, 1, 2, 3, 4].map(|at: usize| u64::from_le_bytes(words[at]));
         let (index, upper) = (places as u32, (places >> 32) as u32);
         match what {
-            PART if flags > 1 => Err(field("flags", "0 or 1", flags.into())),
+            PART if ![0, 1, 3].contains(&flags) => Err(field("flags", "0, 1 or 3", flags.into())),
             PART if index >= upper => Err(field("index", "one below the number of parts", index.into())),
             PART => Ok(Frame::Part(
                 Head {
                     kind,
-                    asks: flags == 1,
+                    asks: flags > 0,
+                    waits: flags > 1,
                     session,
                     seq,
                     index,
@@ -228,19 +235,14 @@ mod tests {
 
     fn frames() -> impl Strategy<Value = Frame> {
         let kind = prop::sample::select(&KINDS[..]);
-        let head = (
-            kind,
-            any::<[u64; 2]>(),
-            any::<[u32; 2]>(),
-            any::<[i64; 2]>(),
-            any::<bool>(),
-        );
+        let head = (kind, any::<[u64; 2]>(), any::<[u32; 2]>(), any::<[i64; 2]>(), 0..3u8);
         (head, prop::option::of(prop::collection::vec(any::<u8>(), 0..100))).prop_map(
             |((kind, [session, seq], [index, upper], [sent, last], asks), part)| match part {
                 Some(part) => {
                     let head = Head {
                         kind,
-                        asks,
+                        asks: asks > 0,
+                        waits: asks > 1,
                         session,
                         seq,
                         index: index / 2,
@@ -293,6 +295,7 @@ mod tests {
             Head {
                 kind: Kind::Boxes,
                 asks: false,
+                waits: false,
                 session: 7,
                 seq: 3,
                 index: 0,
@@ -312,7 +315,7 @@ mod tests {
             (0, 2, "expected version 1 of the protocol, found 2"),
             (1, 9, "what: expected 0 or 1, found 9"),
             (2, 4, "kind: expected 0 to 3, found 4"),
-            (3, 2, "flags: expected 0 or 1, found 2"),
+            (3, 2, "flags: expected 0, 1 or 3, found 2"),
             (24, 0, "index: expected one below the number of parts, found 0"),
         ] {
             let error = damaged(at, value);

@@ -227,9 +227,9 @@ impl Lane {
         let close = self
             .acknowledged
             .is_some_and(|last| (0..TOGETHER).contains(&(now - last)));
-        let is_last = complete || head.index + 1 == head.count;
+        let waits = head.waits || complete;
         self.silent += 1;
-        if close && !is_last && self.silent < SHARED {
+        if close && !waits && self.silent < SHARED {
             return None;
         }
         (self.acknowledged, self.silent) = (Some(now), 0);
@@ -267,6 +267,7 @@ mod tests {
         Head {
             kind: Kind::Points,
             asks: true,
+            waits: index + 1 == count,
             session: 1,
             seq,
             index,

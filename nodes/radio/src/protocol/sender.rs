@@ -159,13 +159,16 @@ impl Sender {
         self.give_up_silence(now);
         loop {
             self.give_up_late(now);
-            if !self.has_room() || self.window.opens_at() > now {
+            if !self.has_room() {
                 return None;
             }
             match self.transfers.iter().position(|transfer| transfer.due().is_some()) {
-                Some(place) => return Some(self.part(place, now)),
+                // A trial that goes at the pace of what is believed would confirm it.
+                Some(place) if self.transfers[place].trial.is_some() || self.window.opens_at() <= now => {
+                    return Some(self.part(place, now));
+                }
                 None if self.start(now) => {}
-                None => return None,
+                _ => return None,
             }
         }
     }
@@ -264,6 +267,7 @@ impl Sender {
         let head = Head {
             kind: offer.kind,
             asks: false,
+            waits: false,
             session: self.session,
             seq: offer.seq,
             index: 0,
@@ -288,7 +292,8 @@ impl Sender {
             sent: now,
         });
         self.flying_bytes += bytes;
-        transfer.frame(index, self.session, now)
+        let waits = !self.has_room() || self.transfers.iter().all(|transfer| transfer.due().is_none());
+        self.transfers[place].frame(index, waits, self.session, now)
     }
 
     fn has_room(&self) -> bool {

@@ -54,10 +54,11 @@ impl Transfer {
     }
 
     /// The frame of a part.
-    pub fn frame(&self, index: u32, session: u64, now: Nanos) -> Frame {
+    pub fn frame(&self, index: u32, waits: bool, session: u64, now: Nanos) -> Frame {
         let head = Head {
             kind: self.offer.kind,
             asks: true,
+            waits,
             session,
             seq: self.offer.seq,
             index,
