@@ -1,0 +1,379 @@
+//! The receiving side: parts become messages, and are acknowledged.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use bytes::Bytes;
+use realo_schemas::{Kind, Nanos};
+
+use super::frame::{Acknowledgement, Head};
+use super::window::SMALLEST;
+
+/// Messages of a kind that may be incomplete at a time.
+const INCOMPLETE: usize = 4;
+/// Numbers of messages of a kind that are remembered, so that each is given once.
+const REMEMBERED: usize = 256;
+/// Parts of a message that come closer together than this share an acknowledgement.
+const TOGETHER: Nanos = 1_000_000;
+/// Parts that share one at most.
+const SHARED: u32 = 4;
+
+/// A message that came in whole.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Arrived {
+    /// What it carries.
+    pub kind: Kind,
+    /// Its number.
+    pub seq: u64,
+    /// When what it tells was measured, as its sender said.
+    pub stamp: Nanos,
+    /// What crossed.
+    pub bytes: Bytes,
+}
+
+/// What a part leads to.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Received {
+    /// What goes back at once.
+    pub acknowledgement: Option<Acknowledgement>,
+    /// A message that is complete now.
+    pub message: Option<Arrived>,
+}
+
+/// What became of parts and messages that were not given.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReceiverCounts {
+    /// Messages that were given.
+    pub messages: u64,
+    /// Parts that had come in before, or belong to a message that had.
+    pub repeated: u64,
+    /// Incomplete messages that were forgotten for newer ones.
+    pub forgotten: u64,
+    /// Parts of a sender that has been started anew since, of messages that are too large, or that contradict others.
+    pub rejected: u64,
+}
+
+/// The receiving side of a way from a peer.
+#[derive(Debug)]
+pub struct Receiver {
+    largest: usize,
+    session: u64,
+    kinds: BTreeMap<Kind, Lane>,
+    counts: ReceiverCounts,
+}
+
+/// Messages of a kind.
+#[derive(Debug, Default)]
+struct Lane {
+    incomplete: BTreeMap<u64, Incomplete>,
+    /// Numbers of messages that were given, the newest of them.
+    given: BTreeSet<u64>,
+    /// The first number that is still remembered; older ones count as given.
+    from: u64,
+    /// The newest message that came in parts; older ones in parts are not given any more.
+    newest: u64,
+    acknowledged: Option<Nanos>,
+    silent: u32,
+}
+
+#[derive(Debug)]
+struct Incomplete {
+    stamp: Nanos,
+    parts: Vec<Option<Bytes>>,
+    missing: usize,
+    bytes: usize,
+}
+
+impl Receiver {
+    /// From a peer of whom nothing came yet; messages have at most `largest` bytes.
+    pub fn new(largest: usize) -> Self {
+        Receiver {
+            largest,
+            session: 0,
+            kinds: BTreeMap::new(),
+            counts: ReceiverCounts::default(),
+        }
+    }
+
+    /// Takes a part that came in.
+    pub fn take(&mut self, head: &Head, part: Bytes, now: Nanos) -> Received {
+        if head.session < self.session {
+            self.counts.rejected += 1;
+            return Received::default();
+        }
+        if head.session > self.session {
+            self.session = head.session;
+            self.kinds.clear();
+        }
+        let lane = self.kinds.entry(head.kind).or_default();
+        let message = match lane.insert(head, part, self.largest) {
+            Inserted::Whole(bytes) => {
+                self.counts.messages += 1;
+                self.counts.forgotten += lane.forget_before(head.seq);
+                Some(Arrived {
+                    kind: head.kind,
+                    seq: head.seq,
+                    stamp: head.stamp,
+                    bytes,
+                })
+            }
+            Inserted::Part => {
+                self.counts.forgotten += lane.forget_most();
+                None
+            }
+            Inserted::Again => {
+                self.counts.repeated += 1;
+                None
+            }
+            Inserted::Refused => {
+                self.counts.rejected += 1;
+                return Received::default();
+            }
+        };
+        Received {
+            acknowledgement: head
+                .asks
+                .then(|| lane.acknowledge(head, now, message.is_some()))
+                .flatten(),
+            message,
+        }
+    }
+
+    /// What was counted.
+    pub fn counts(&self) -> ReceiverCounts {
+        self.counts
+    }
+
+    /// Bytes of incomplete messages.
+    pub fn held(&self) -> usize {
+        let incomplete = self.kinds.values().flat_map(|lane| lane.incomplete.values());
+        incomplete.map(|message| message.bytes).sum()
+    }
+}
+
+enum Inserted {
+    Part,
+    Whole(Bytes),
+    Again,
+    Refused,
+}
+
+impl Lane {
+    fn insert(&mut self, head: &Head, part: Bytes, largest: usize) -> Inserted {
+        let count = head.count as usize;
+        if head.seq < self.from || self.given.contains(&head.seq) || (count > 1 && head.seq < self.newest) {
+            return Inserted::Again;
+        }
+        // Senders make no smaller parts, so that nobody can ask for a long list with a short message.
+        let most = largest.div_ceil(SMALLEST);
+        if part.len() > largest || count > most || (part.is_empty() && count > 1) {
+            return Inserted::Refused;
+        }
+        if count == 1 {
+            self.given(head.seq);
+            return Inserted::Whole(part);
+        }
+        let message = self.incomplete.entry(head.seq).or_insert_with(|| Incomplete {
+            stamp: head.stamp,
+            parts: vec![None; count],
+            missing: count,
+            bytes: 0,
+        });
+        if message.parts.len() != count || message.stamp != head.stamp || message.bytes + part.len() > largest {
+            return Inserted::Refused;
+        }
+        let place = &mut message.parts[head.index as usize];
+        if place.is_some() {
+            return Inserted::Again;
+        }
+        message.bytes += part.len();
+        message.missing -= 1;
+        *place = Some(part);
+        if message.missing > 0 {
+            return Inserted::Part;
+        }
+        let message = self.incomplete.remove(&head.seq).expect("it was just there");
+        self.given(head.seq);
+        self.newest = head.seq;
+        let parts: Vec<Bytes> = message.parts.into_iter().flatten().collect();
+        Inserted::Whole(parts.concat().into())
+    }
+
+    fn given(&mut self, seq: u64) {
+        self.given.insert(seq);
+        while self.given.len() > REMEMBERED {
+            if let Some(oldest) = self.given.pop_first() {
+                self.from = oldest + 1;
+            }
+        }
+    }
+
+    /// Older messages would tell of the past: their senders have given them up, or will.
+    fn forget_before(&mut self, seq: u64) -> u64 {
+        let newer = self.incomplete.split_off(&seq);
+        std::mem::replace(&mut self.incomplete, newer).len() as u64
+    }
+
+    fn forget_most(&mut self) -> u64 {
+        let mut forgotten = 0;
+        while self.incomplete.len() > INCOMPLETE {
+            self.incomplete.pop_first();
+            forgotten += 1;
+        }
+        forgotten
+    }
+
+    /// The acknowledgement of a part, unless the next part's can say it too.
+    fn acknowledge(&mut self, head: &Head, now: Nanos, complete: bool) -> Option<Acknowledgement> {
+        let close = self
+            .acknowledged
+            .is_some_and(|last| (0..TOGETHER).contains(&(now - last)));
+        let waits = head.waits || complete;
+        self.silent += 1;
+        if close && !waits && self.silent < SHARED {
+            return None;
+        }
+        (self.acknowledged, self.silent) = (Some(now), 0);
+        Some(Acknowledgement {
+            kind: head.kind,
+            session: head.session,
+            seq: head.seq,
+            index: head.index,
+            before: self.before(head),
+            sent: head.sent,
+            received: now,
+        })
+    }
+
+    /// Which of the 32 parts before one came in.
+    fn before(&self, head: &Head) -> u32 {
+        let known = self.incomplete.get(&head.seq).map(|message| &message.parts);
+        let arrived = |index: u32| match known {
+            Some(parts) => parts[index as usize].is_some(),
+            None => true,
+        };
+        let back = (0..32u32).filter(|back| head.index.checked_sub(1 + back).is_some_and(arrived));
+        back.fold(0, |bits, back| bits | 1 << back)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Nanos = 1_000_000;
+    const LARGEST: usize = 1 << 20;
+
+    fn head(seq: u64, index: u32, count: u32) -> Head {
+        Head {
+            kind: Kind::Points,
+            asks: true,
+            waits: index + 1 == count,
+            session: 1,
+            seq,
+            index,
+            count,
+            sent: 0,
+            stamp: seq as Nanos,
+        }
+    }
+
+    fn part(text: &'static str) -> Bytes {
+        Bytes::from_static(text.as_bytes())
+    }
+
+    #[test]
+    fn parts_in_any_order_and_number_become_a_message_once() {
+        let mut receiver = Receiver::new(LARGEST);
+        let parts = [(2, "ef"), (0, "ab"), (2, "ef"), (1, "cd"), (1, "cd")];
+        let mut given = Vec::new();
+        for (index, text) in parts {
+            given.extend(receiver.take(&head(5, index, 3), part(text), 10 * MS).message);
+        }
+        assert_eq!(given.len(), 1);
+        assert_eq!((given[0].seq, &given[0].bytes[..]), (5, &b"abcdef"[..]));
+        let counts = receiver.counts();
+        assert_eq!((counts.messages, counts.repeated, receiver.held()), (1, 2, 0));
+    }
+
+    #[test]
+    fn acknowledges_at_once_or_with_the_next_parts() {
+        let mut receiver = Receiver::new(LARGEST);
+        let mut acks = |at: Nanos, index: u32| {
+            let received = receiver.take(&head(1, index, 50), part("x"), at);
+            received.acknowledgement.map(|ack| (ack.index, ack.before))
+        };
+        assert_eq!(acks(0, 0), Some((0, 0)));
+        assert_eq!([acks(10, 1), acks(20, 2), acks(30, 3)], [None; 3]);
+        assert_eq!(acks(40, 4), Some((4, 0b1111)));
+        assert_eq!(acks(2 * MS, 6), Some((6, 0b11_1110)), "part 5 is missing");
+        assert_eq!(acks(2 * MS + 1, 49).map(|(index, _)| index), Some(49), "the last one");
+    }
+
+    #[test]
+    fn a_newer_message_makes_an_older_incomplete_one_forgotten() {
+        let mut receiver = Receiver::new(LARGEST);
+        receiver.take(&head(1, 0, 2), part("a"), 0);
+        receiver.take(&head(2, 0, 2), part("b"), 0);
+        assert!(receiver.take(&head(2, 1, 2), part("b"), 0).message.is_some());
+        assert_eq!((receiver.counts().forgotten, receiver.held()), (1, 0));
+        for seq in 10..30 {
+            receiver.take(&head(seq, 0, 2), part("a"), 0);
+        }
+        assert_eq!(receiver.held(), INCOMPLETE);
+    }
+
+    #[test]
+    fn an_older_small_message_is_given_once_too() {
+        let mut receiver = Receiver::new(LARGEST);
+        let mut small = |seq: u64| {
+            let head = Head {
+                kind: Kind::Boxes,
+                asks: false,
+                ..head(seq, 0, 1)
+            };
+            let received = receiver.take(&head, part("boxes"), 0);
+            assert_eq!(received.acknowledgement, None);
+            received.message.is_some()
+        };
+        assert_eq!([7, 6, 7, 6, 8].map(&mut small), [true, true, false, false, true]);
+        (9..1000).for_each(|seq| assert!(small(seq)));
+        assert!(!small(5), "older than what is remembered");
+    }
+
+    #[test]
+    fn a_sender_that_starts_anew_begins_anew_and_its_past_is_rejected() {
+        let mut receiver = Receiver::new(LARGEST);
+        assert!(receiver.take(&head(9, 0, 1), part("a"), 0).message.is_some());
+        let anew = Head {
+            session: 2,
+            ..head(0, 0, 1)
+        };
+        assert!(receiver.take(&anew, part("a"), 0).message.is_some());
+        assert_eq!(receiver.take(&head(10, 0, 1), part("a"), 0), Received::default());
+        assert_eq!(receiver.counts().rejected, 1);
+    }
+
+    #[test]
+    fn what_is_too_large_or_contradicts_is_rejected_and_held_memory_is_bounded() {
+        let mut receiver = Receiver::new(3 * SMALLEST);
+        let zeros = |bytes: usize| Bytes::from(vec![0; bytes]);
+        let rejected = |receiver: &mut Receiver, head: Head, bytes: usize| {
+            let before = receiver.counts().rejected;
+            assert_eq!(receiver.take(&head, zeros(bytes), 0), Received::default());
+            assert_eq!(receiver.counts().rejected, before + 1, "{head:?}");
+        };
+        rejected(&mut receiver, head(1, 0, 1), 3 * SMALLEST + 1);
+        rejected(&mut receiver, head(1, 0, 4), 1);
+        rejected(&mut receiver, head(1, 0, u32::MAX), 1);
+        rejected(&mut receiver, head(1, 0, 3), 0);
+        receiver.take(&head(1, 0, 3), zeros(2 * SMALLEST), 0);
+        rejected(&mut receiver, head(1, 1, 3), SMALLEST + 1);
+        rejected(&mut receiver, head(1, 1, 2), 6);
+        let moved = Head {
+            stamp: 77,
+            ..head(1, 1, 3)
+        };
+        rejected(&mut receiver, moved, 6);
+        assert_eq!(receiver.held(), 2 * SMALLEST);
+    }
+}

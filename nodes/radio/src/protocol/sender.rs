@@ -1,0 +1,440 @@
+//! The sending side: which message goes when, and what became of those that did not.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use bytes::Bytes;
+use realo_schemas::{Kind, Nanos};
+
+use super::frame::{Acknowledgement, Frame, Head};
+use super::is_bulk;
+use super::transfer::Transfer;
+use super::window::Window;
+
+const MS: Nanos = 1_000_000;
+/// Transfers of which the last parts are awaited at most.
+const TRANSFERS: usize = 4;
+/// A part is taken for lost if one that went out so many later came in.
+const OVERTAKEN: usize = 3;
+/// Parts that are on their way are taken for lost after so long without a word, or after four round trips.
+const SILENCE: Nanos = 1_000 * MS;
+/// The link's time that a trial may take, s.
+const TRIAL_TIME: f64 = 0.05;
+/// Parts of a trial.
+const TRIAL_PARTS: (u32, u32) = (4, 8);
+
+/// How a sender weighs freshness against completeness.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Bytes of a part at most.
+    pub part: usize,
+    /// Data that may stand in queues on the way, as time.
+    pub queue: Nanos,
+    /// Age at which bulk must have arrived, by when it was measured.
+    pub deadline: Nanos,
+    /// A kind that does not fit is tried again after so long, for the way may have become better.
+    pub trial: Nanos,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings {
+            part: 16_384,
+            queue: 20 * MS,
+            deadline: 400 * MS,
+            trial: 1_000 * MS,
+        }
+    }
+}
+
+/// A message that should cross.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Offer {
+    /// What it carries.
+    pub kind: Kind,
+    /// Counts the messages of a kind.
+    pub seq: u64,
+    /// When what it tells was measured, on the log's time line; messages of several kinds with one stamp say the same.
+    pub stamp: Nanos,
+    /// The same on the sender's clock.
+    pub born: Nanos,
+    /// What crosses.
+    pub bytes: Bytes,
+}
+
+/// What became of a message at its sender.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Outcome {
+    /// It went out whole; bulk is known to have arrived.
+    Sent,
+    /// A newer one took its place, or a richer one of the same moment crossed.
+    Superseded,
+    /// It would have arrived after its deadline, or began and could not.
+    Late,
+    /// The peer went, or the way was lost, while it crossed.
+    Lost,
+}
+
+/// That a message left the sender's hands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Told {
+    /// Which.
+    pub kind: Kind,
+    /// Which.
+    pub seq: u64,
+    /// How.
+    pub outcome: Outcome,
+}
+
+/// A part that is on its way.
+#[derive(Clone, Copy, Debug)]
+struct Flying {
+    kind: Kind,
+    seq: u64,
+    index: u32,
+    bytes: usize,
+    sent: Nanos,
+}
+
+/// The sending side of a way to a peer.
+#[derive(Debug)]
+pub struct Sender {
+    settings: Settings,
+    session: u64,
+    window: Window,
+    /// Small messages; all go out at once.
+    small: BTreeMap<Kind, Offer>,
+    /// Bulk that waits.
+    waiting: BTreeMap<Kind, Offer>,
+    /// Bulk that has begun, oldest first.
+    transfers: VecDeque<Transfer>,
+    flying: VecDeque<Flying>,
+    flying_bytes: usize,
+    /// Number of the last start of each kind, so that they take turns.
+    started: BTreeMap<Kind, u64>,
+    starts: u64,
+    /// When each kind was last tried although it did not fit.
+    tried: BTreeMap<Kind, Nanos>,
+    told: Vec<Told>,
+    /// When it was last asked what goes out.
+    asked: Nanos,
+}
+
+impl Sender {
+    /// To a peer of whom nothing is known; `session` is greater for a sender that is started later.
+    pub fn new(settings: Settings, session: u64) -> Self {
+        Sender {
+            window: Window::new(settings.part, settings.queue),
+            settings,
+            session,
+            small: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            transfers: VecDeque::new(),
+            flying: VecDeque::new(),
+            flying_bytes: 0,
+            started: BTreeMap::new(),
+            starts: 0,
+            tried: BTreeMap::new(),
+            told: Vec::new(),
+            asked: Nanos::MIN,
+        }
+    }
+
+    /// Takes the place of the message of its kind that waits.
+    pub fn offer(&mut self, offer: Offer) {
+        let slots = match is_bulk(offer.kind) {
+            true => &mut self.waiting,
+            false => &mut self.small,
+        };
+        if let Some(older) = slots.insert(offer.kind, offer) {
+            self.tell(&older, Outcome::Superseded);
+        }
+    }
+
+    /// A frame that goes out now; ask until there is none.
+    pub fn next(&mut self, now: Nanos) -> Option<Frame> {
+        self.asked = now;
+        if let Some((_, offer)) = self.small.pop_first() {
+            return Some(self.whole(&offer, now));
+        }
+        self.give_up_silence(now);
+        loop {
+            self.give_up_late(now);
+            if !self.has_room() {
+                return None;
+            }
+            match self.transfers.iter().position(|transfer| transfer.due().is_some()) {
+                // A trial that goes at the pace of what is believed would confirm it.
+                Some(place) if self.transfers[place].trial.is_some() || self.window.opens_at() <= now => {
+                    return Some(self.part(place, now));
+                }
+                None if self.start(now) => {}
+                _ => return None,
+            }
+        }
+    }
+
+    /// When [`Sender::next`] should be asked again though nothing came in; `None`: not before.
+    pub fn wakes_at(&self) -> Option<Nanos> {
+        let silence = self.flying.front().map(|first| first.sent + self.silence());
+        let more = !self.waiting.is_empty() || self.transfers.iter().any(|transfer| transfer.due().is_some());
+        let opens = (more && self.has_room()).then(|| self.window.opens_at());
+        silence.into_iter().chain(opens.filter(|time| *time > self.asked)).min()
+    }
+
+    /// Parts came in.
+    pub fn acknowledged(&mut self, ack: &Acknowledgement, now: Nanos) {
+        if ack.session != self.session {
+            return;
+        }
+        let (mut newest, mut bytes) = (None, 0);
+        for (place, part) in self.flying.iter().enumerate() {
+            if (part.kind, part.seq) == (ack.kind, ack.seq) && ack.covers(part.index) {
+                newest = Some(place);
+                bytes += part.bytes;
+            }
+        }
+        let Some(newest) = newest else {
+            return;
+        };
+        self.window.acknowledged(now, ack.sent, ack.received, bytes);
+        if let Some(transfer) = self.transfers.iter_mut().find(|transfer| transfer.is_of(ack)) {
+            (ack.index.saturating_sub(32)..=ack.index)
+                .filter(|index| ack.covers(*index))
+                .for_each(|index| transfer.arrived(index));
+        }
+        let overtaken = newest.saturating_sub(OVERTAKEN);
+        let mut place = 0;
+        let (mut lost, mut kept) = (Vec::new(), VecDeque::with_capacity(self.flying.len()));
+        for part in self.flying.drain(..) {
+            let arrived = (part.kind, part.seq) == (ack.kind, ack.seq) && ack.covers(part.index);
+            match (arrived, place < overtaken) {
+                (true, _) => self.flying_bytes -= part.bytes,
+                (false, true) => {
+                    self.flying_bytes -= part.bytes;
+                    lost.push(part);
+                }
+                (false, false) => kept.push_back(part),
+            }
+            place += 1;
+        }
+        self.flying = kept;
+        lost.iter().for_each(|part| self.repeat(part));
+        self.finish();
+    }
+
+    /// The peer is gone: what is on its way is lost; what waits stays, and the newest goes when it is back.
+    pub fn disconnected(&mut self) {
+        let lost: Vec<Transfer> = self.transfers.drain(..).collect();
+        lost.iter()
+            .for_each(|transfer| self.tell(&transfer.offer, Outcome::Lost));
+        self.flying.clear();
+        self.flying_bytes = 0;
+        self.window.lost();
+    }
+
+    /// Messages that left the sender's hands since the last call, in that order.
+    pub fn take_told(&mut self) -> Vec<Told> {
+        std::mem::take(&mut self.told)
+    }
+
+    /// What is known of the way.
+    pub fn window(&self) -> &Window {
+        &self.window
+    }
+
+    /// Bytes that are kept: those that wait, and those that cross.
+    pub fn held(&self) -> usize {
+        let slots = self.small.values().chain(self.waiting.values());
+        let crossing = self.transfers.iter().map(|transfer| &transfer.offer);
+        slots.chain(crossing).map(|offer| offer.bytes.len()).sum()
+    }
+
+    /// Bytes of bulk that are on the way.
+    pub fn on_the_way(&self) -> usize {
+        self.flying_bytes
+    }
+
+    fn tell(&mut self, offer: &Offer, outcome: Outcome) {
+        self.told.push(Told {
+            kind: offer.kind,
+            seq: offer.seq,
+            outcome,
+        });
+    }
+
+    fn whole(&mut self, offer: &Offer, now: Nanos) -> Frame {
+        self.tell(offer, Outcome::Sent);
+        let head = Head {
+            kind: offer.kind,
+            asks: false,
+            waits: false,
+            session: self.session,
+            seq: offer.seq,
+            index: 0,
+            count: 1,
+            sent: now,
+            stamp: offer.stamp,
+        };
+        Frame::Part(head, offer.bytes.clone())
+    }
+
+    fn part(&mut self, place: usize, now: Nanos) -> Frame {
+        let transfer = &mut self.transfers[place];
+        let index = transfer.due().expect("the caller looked");
+        transfer.take(index);
+        let bytes = transfer.bytes(index).len();
+        self.window.sent(now, bytes, self.flying.is_empty());
+        self.flying.push_back(Flying {
+            kind: transfer.offer.kind,
+            seq: transfer.offer.seq,
+            index,
+            bytes,
+            sent: now,
+        });
+        self.flying_bytes += bytes;
+        let waits = !self.has_room() || self.transfers.iter().all(|transfer| transfer.due().is_none());
+        self.transfers[place].frame(index, waits, self.session, now)
+    }
+
+    fn has_room(&self) -> bool {
+        self.flying.is_empty() || self.flying_bytes + self.window.part() <= self.window.bytes()
+    }
+
+    /// Begins with a message that waits and arrives in time, or tries one; `false` if there is none.
+    fn start(&mut self, now: Nanos) -> bool {
+        while self.transfers.len() < TRANSFERS {
+            let Some(kind) = self.turn() else {
+                return false;
+            };
+            let offer = self.waiting.remove(&kind).expect("it is its turn");
+            let arrives = self.arrival(now, offer.bytes.len());
+            let trial = match arrives <= offer.born + self.settings.deadline {
+                true => None,
+                false if self.may_try(kind, now) => Some(self.trial_parts()),
+                false => {
+                    self.tell(&offer, Outcome::Late);
+                    continue;
+                }
+            };
+            self.starts += 1;
+            self.started.insert(kind, self.starts);
+            if trial.is_none() {
+                self.supersede_poorer(kind, offer.stamp);
+            }
+            self.transfers
+                .push_back(Transfer::new(offer, self.window.part(), trial));
+            return true;
+        }
+        false
+    }
+
+    /// The kind that begins next: of those that carry the same moment the richest, else the one that began longest ago.
+    fn turn(&self) -> Option<Kind> {
+        let crossing = |offer: &Offer| {
+            let mut richer = self.transfers.iter().map(|transfer| &transfer.offer);
+            richer.any(|other| other.stamp == offer.stamp && other.kind < offer.kind)
+        };
+        let waiting = self.waiting.values().filter(|offer| !crossing(offer));
+        let longest_ago = waiting.min_by_key(|offer| self.started.get(&offer.kind))?;
+        let same = self.waiting.values().filter(|offer| offer.stamp == longest_ago.stamp);
+        same.map(|offer| offer.kind).min()
+    }
+
+    fn supersede_poorer(&mut self, kind: Kind, stamp: Nanos) {
+        let poorer = self
+            .waiting
+            .extract_if(.., |other, offer| *other > kind && offer.stamp == stamp);
+        let poorer: Vec<Offer> = poorer.map(|(_, offer)| offer).collect();
+        poorer.iter().for_each(|offer| self.tell(offer, Outcome::Superseded));
+    }
+
+    fn may_try(&mut self, kind: Kind, now: Nanos) -> bool {
+        let due = self
+            .tried
+            .get(&kind)
+            .is_none_or(|last| now - last >= self.settings.trial);
+        let may = due && self.transfers.is_empty();
+        if may {
+            self.tried.insert(kind, now);
+        }
+        may
+    }
+
+    fn trial_parts(&self) -> u32 {
+        let rate = self.window.rate().unwrap_or(0.0);
+        let parts = (rate * TRIAL_TIME / self.window.part() as f64) as u32;
+        parts.clamp(TRIAL_PARTS.0, TRIAL_PARTS.1)
+    }
+
+    /// When so many bytes more will have arrived, as far as is known.
+    fn arrival(&self, now: Nanos, bytes: usize) -> Nanos {
+        let Some(rate) = self.window.rate() else {
+            return now;
+        };
+        let crossing = (self.flying_bytes + bytes) as f64 / rate * 1e9;
+        now.saturating_add(crossing as Nanos) + self.window.round_trip().unwrap_or(0) / 2
+    }
+
+    /// Gives up transfers that cannot arrive in time, and decides about trials.
+    fn give_up_late(&mut self, now: Nanos) {
+        for place in (0..self.transfers.len()).rev() {
+            let transfer = &self.transfers[place];
+            if transfer.due().is_some() && transfer.trial.is_some() {
+                continue;
+            }
+            let is_under_trial = transfer.trial.is_some() && !transfer.is_complete();
+            if is_under_trial && self.is_flying(transfer) {
+                continue;
+            }
+            let late = self.arrival(now, transfer.remaining()) > transfer.offer.born + self.settings.deadline;
+            if transfer.remaining() > 0 && late {
+                let transfer = self.transfers.remove(place).expect("it was just there");
+                self.tell(&transfer.offer, Outcome::Late);
+            } else if is_under_trial {
+                self.transfers[place].trial = None;
+            }
+        }
+    }
+
+    fn is_flying(&self, transfer: &Transfer) -> bool {
+        let offer = &transfer.offer;
+        self.flying
+            .iter()
+            .any(|part| (part.kind, part.seq) == (offer.kind, offer.seq))
+    }
+
+    /// Takes everything for lost that is on its way, if nothing came back for too long.
+    fn give_up_silence(&mut self, now: Nanos) {
+        if self
+            .flying
+            .front()
+            .is_none_or(|first| now < first.sent + self.silence())
+        {
+            return;
+        }
+        self.window.lost();
+        self.flying_bytes = 0;
+        let lost: Vec<Flying> = self.flying.drain(..).rev().collect();
+        lost.iter().for_each(|part| self.repeat(part));
+    }
+
+    fn silence(&self) -> Nanos {
+        SILENCE.max(4 * self.window.round_trip().unwrap_or(0))
+    }
+
+    fn repeat(&mut self, part: &Flying) {
+        let mut transfers = self.transfers.iter_mut();
+        let transfer = transfers.find(|transfer| (transfer.offer.kind, transfer.offer.seq) == (part.kind, part.seq));
+        if let Some(transfer) = transfer {
+            transfer.repeat(part.index);
+        }
+    }
+
+    fn finish(&mut self) {
+        while let Some(place) = self.transfers.iter().position(Transfer::is_complete) {
+            let transfer = self.transfers.remove(place).expect("it was just there");
+            self.tell(&transfer.offer, Outcome::Sent);
+            self.supersede_poorer(transfer.offer.kind, transfer.offer.stamp);
+        }
+    }
+}

@@ -1,0 +1,376 @@
+//! The protocol over networks that are drawn at random, with peers that are: each seed is a network, what is sent, and what
+//! goes wrong. `REALO_SEEDS=100000 cargo test --release -p realo-radio --test simulated` tries more of them.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+
+use bytes::Bytes;
+use rand_chacha::ChaCha8Rng;
+use rand_core::{Rng, SeedableRng};
+use realo_radio::protocol::{Frame, Offer, Outcome, Receiver, Sender, Settings, is_bulk};
+use realo_schemas::{Kind, Nanos};
+
+const MS: Nanos = 1_000_000;
+const SECOND: Nanos = 1_000 * MS;
+/// How long a network lives.
+const LASTS: Nanos = 20 * SECOND;
+/// Largest message that is offered.
+const LARGEST: usize = 5_000_000;
+
+struct Draws(ChaCha8Rng);
+
+impl Draws {
+    fn unit(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn between(&mut self, from: f64, to: f64) -> f64 {
+        from + (to - from) * self.unit()
+    }
+
+    /// Between the two, each order of magnitude as often as the other.
+    fn scaled(&mut self, from: f64, to: f64) -> f64 {
+        self.between(from.ln(), to.ln()).exp()
+    }
+
+    fn chance(&mut self, probability: f64) -> bool {
+        self.unit() < probability
+    }
+}
+
+/// One direction of a network.
+#[derive(Clone, Debug)]
+struct Way {
+    /// Bytes a second, from each time on.
+    rates: Vec<(Nanos, f64)>,
+    delay: Nanos,
+    jitter: Nanos,
+    /// What the queue before the link holds, as time.
+    queue: Nanos,
+    loss: f64,
+    duplicate: f64,
+    /// When nothing passes.
+    cuts: Vec<(Nanos, Nanos)>,
+    /// When the link is free again.
+    free: Nanos,
+}
+
+impl Way {
+    fn draw(draws: &mut Draws) -> Way {
+        let mut rates = vec![(0, draws.scaled(1e5, 2e7))];
+        if draws.chance(0.3) {
+            let from = draws.between(5e9, 12e9) as Nanos;
+            rates.push((from, rates[0].1 * draws.scaled(0.2, 5.0)));
+        }
+        let mut cuts = Vec::new();
+        if draws.chance(0.3) {
+            let from = draws.between(2e9, 8e9) as Nanos;
+            cuts.push((from, from + draws.between(0.05e9, 5e9) as Nanos));
+        }
+        Way {
+            rates,
+            delay: draws.scaled(0.1e6, 100e6) as Nanos,
+            jitter: if draws.chance(0.4) {
+                draws.between(0.0, 20e6) as Nanos
+            } else {
+                0
+            },
+            queue: draws.between(60e6, 400e6) as Nanos,
+            loss: if draws.chance(0.4) {
+                draws.scaled(0.001, 0.1)
+            } else {
+                0.0
+            },
+            duplicate: if draws.chance(0.3) {
+                draws.between(0.0, 0.1)
+            } else {
+                0.0
+            },
+            cuts,
+            free: 0,
+        }
+    }
+
+    fn rate(&self, now: Nanos) -> f64 {
+        let known = self.rates.iter().rev().find(|(from, _)| *from <= now);
+        known.map_or(self.rates[0].1, |(_, rate)| *rate)
+    }
+
+    /// When the copies of a frame that goes in now come out.
+    fn pass(&mut self, now: Nanos, bytes: usize, draws: &mut Draws) -> Vec<Nanos> {
+        let cut = self.cuts.iter().any(|(from, to)| (*from..*to).contains(&now));
+        if cut || self.free - now > self.queue || draws.chance(self.loss) {
+            return Vec::new();
+        }
+        self.free = self.free.max(now) + (bytes as f64 / self.rate(now) * 1e9) as Nanos;
+        let copies = 1 + usize::from(draws.chance(self.duplicate));
+        let mut arrival = || self.free + self.delay + (draws.unit() * self.jitter as f64) as Nanos;
+        (0..copies).map(|_| arrival()).collect()
+    }
+
+    fn is_steady(&self) -> bool {
+        self.rates.len() == 1 && self.cuts.is_empty() && self.loss == 0.0
+    }
+}
+
+/// Messages of a kind, offered again and again.
+#[derive(Clone, Debug)]
+struct Stream {
+    kind: Kind,
+    bytes: usize,
+    period: Nanos,
+    /// Where in the period it is measured; streams that share it tell of the same moments.
+    phase: Nanos,
+}
+
+impl Stream {
+    fn bits(&self) -> f64 {
+        self.bytes as f64 * 1e9 / self.period as f64
+    }
+}
+
+fn streams(draws: &mut Draws) -> Vec<Stream> {
+    let period = draws.between(50e6, 200e6) as Nanos;
+    let mut streams = Vec::new();
+    for (kind, least, most, often) in [
+        (Kind::Points, 2e4, LARGEST as f64, 0.6),
+        (Kind::Features, 5e3, 1.5e6, 0.6),
+        (Kind::Boxes, 200.0, 5e3, 0.9),
+        (Kind::EgoState, 300.0, 301.0, 0.7),
+    ] {
+        if draws.chance(often) {
+            let together = draws.chance(0.5);
+            streams.push(Stream {
+                kind,
+                bytes: draws.scaled(least, most) as usize,
+                period: if kind == Kind::EgoState { 20 * MS } else { period },
+                phase: if together {
+                    0
+                } else {
+                    draws.between(0.0, 0.9 * period as f64) as Nanos
+                },
+            });
+        }
+    }
+    streams
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Event {
+    Offer(usize, u64),
+    Arrives(Bytes),
+    Acknowledged(Bytes),
+    Wake,
+}
+
+/// What happened in a network.
+#[derive(Debug, Default)]
+struct Story {
+    offered: BTreeMap<(Kind, u64), Nanos>,
+    told: BTreeMap<(Kind, u64), Outcome>,
+    given: BTreeMap<(Kind, u64), Nanos>,
+    largest_held: (usize, usize),
+}
+
+/// Contents that tell the message.
+fn contents(kind: Kind, seq: u64, bytes: usize) -> Bytes {
+    let word = (seq << 8 | kind as u64)
+        .wrapping_mul(0x9e37_79b9_7f4a_7c15)
+        .to_le_bytes();
+    word.iter().copied().cycle().take(bytes).collect::<Vec<u8>>().into()
+}
+
+fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings, draws: &mut Draws) -> Story {
+    let mut story = Story::default();
+    let (mut sender, mut receiver) = (Sender::new(settings.clone(), 1), Receiver::new(LARGEST));
+    let mut events = BinaryHeap::new();
+    for (index, stream) in streams.iter().enumerate() {
+        events.push(Reverse((stream.phase, 0u64, Event::Offer(index, 0))));
+    }
+    // The peer's clock is off, and runs 50 ppm faster.
+    let peers = |now: Nanos| now + now / 20_000 - 123_456_789;
+    let (mut number, mut wake) = (0u64, None);
+    while let Some(Reverse((now, _, event))) = events.pop() {
+        let mut push = |time: Nanos, event: Event| {
+            number += 1;
+            events.push(Reverse((time, number, event)));
+        };
+        match event {
+            Event::Offer(index, seq) => {
+                let stream = &streams[index];
+                story.offered.insert((stream.kind, seq), now);
+                sender.offer(Offer {
+                    kind: stream.kind,
+                    seq,
+                    stamp: now,
+                    born: now,
+                    bytes: contents(stream.kind, seq, stream.bytes),
+                });
+                if now + stream.period < LASTS {
+                    push(now + stream.period, Event::Offer(index, seq + 1));
+                }
+            }
+            Event::Arrives(bytes) => {
+                let Ok(Frame::Part(head, part)) = Frame::parse(&bytes) else {
+                    panic!("a part came as something else");
+                };
+                let received = receiver.take(&head, part, peers(now));
+                if let Some(message) = received.message {
+                    let stream = streams.iter().find(|stream| stream.kind == message.kind);
+                    let stream = stream.expect("only what is offered comes in");
+                    assert_eq!(message.bytes, contents(message.kind, message.seq, stream.bytes));
+                    assert_eq!(message.stamp, story.offered[&(message.kind, message.seq)]);
+                    let twice = story.given.insert((message.kind, message.seq), now);
+                    assert_eq!(twice, None, "a message is given once");
+                }
+                if let Some(ack) = received.acknowledgement {
+                    let frame = Frame::Acknowledgement(ack).to_bytes();
+                    for time in back.pass(now, frame.len(), draws) {
+                        push(time, Event::Acknowledged(frame.clone()));
+                    }
+                }
+            }
+            Event::Acknowledged(bytes) => {
+                let Ok(Frame::Acknowledgement(ack)) = Frame::parse(&bytes) else {
+                    panic!("an acknowledgement came as something else");
+                };
+                sender.acknowledged(&ack, now);
+            }
+            Event::Wake => wake = None,
+        }
+        while let Some(frame) = sender.next(now) {
+            let bytes = frame.to_bytes();
+            for time in there.pass(now, bytes.len(), draws) {
+                push(time, Event::Arrives(bytes.clone()));
+            }
+        }
+        if let Some(time) = sender.wakes_at()
+            && wake.is_none_or(|known| time < known)
+        {
+            wake = Some(time);
+            push(time.max(now + 1), Event::Wake);
+        }
+        for told in sender.take_told() {
+            let twice = story.told.insert((told.kind, told.seq), told.outcome);
+            assert_eq!(twice, None, "{told:?}: a message has one outcome");
+        }
+        let (sending, receiving) = story.largest_held;
+        story.largest_held = (sending.max(sender.held()), receiving.max(receiver.held()));
+        assert!(now < 2 * LASTS, "everything comes to an end");
+    }
+    let open: BTreeSet<(Kind, u64)> = (story.offered.keys().copied())
+        .filter(|message| !story.told.contains_key(message))
+        .collect();
+    assert!(
+        open.is_empty(),
+        "after the last word every message has its outcome: {open:?}"
+    );
+    story
+}
+
+/// Ages in which messages of a kind came in, of those offered after `from`, ns.
+fn ages(story: &Story, kind: Kind, from: Nanos) -> Vec<Nanos> {
+    let given = story.given.iter().filter(|((of, _), _)| *of == kind);
+    let ages = given.map(|(message, time)| (story.offered[message], time));
+    ages.filter(|(offered, _)| *offered >= from)
+        .map(|(offered, time)| time - offered)
+        .collect()
+}
+
+fn check(seed: u64) {
+    let mut draws = Draws(ChaCha8Rng::seed_from_u64(seed));
+    let ways = [Way::draw(&mut draws), Way::draw(&mut draws)];
+    let streams = streams(&mut draws);
+    let settings = Settings::default();
+    let story = live(&streams, ways.clone(), &settings, &mut draws);
+    let [there, back] = &ways;
+    let about = || format!("seed {seed}: {streams:?} over {there:?} and {back:?}");
+
+    for (message, outcome) in &story.told {
+        let (kind, seq) = *message;
+        // Where messages overtake each other, an older one is forgotten for a newer one.
+        let newer = || story.given.range((kind, seq)..).any(|((of, _), _)| *of == kind);
+        match outcome {
+            Outcome::Sent if is_bulk(kind) => assert!(newer(), "{message:?} did not arrive; {}", about()),
+            Outcome::Superseded => {
+                let given = story.given.contains_key(message);
+                assert!(!given, "{message:?} arrived all the same; {}", about());
+            }
+            _ => {}
+        }
+    }
+    let largest = streams.iter().map(|stream| stream.bytes).max().unwrap_or(0);
+    let (sending, receiving) = story.largest_held;
+    assert!(
+        sending <= 8 * largest && receiving <= 10 * largest,
+        "{sending} {receiving}; {}",
+        about()
+    );
+
+    let small: f64 = streams
+        .iter()
+        .filter(|stream| !is_bulk(stream.kind))
+        .map(Stream::bits)
+        .sum();
+    let slowest = there.rates.iter().map(|(_, rate)| *rate).fold(f64::INFINITY, f64::min);
+    let settled = 3 * SECOND;
+    if there.is_steady() && back.is_steady() && small < 0.3 * slowest {
+        // Before a small message stand the queue that bulk may fill, parts, and other small ones.
+        let part = (16_384.0f64.min(slowest * 0.01).max(1024.0) / slowest * 1e9) as Nanos;
+        let own = (12_000.0 / slowest * 1e9) as Nanos;
+        let bound = there.delay + 2 * there.jitter + back.jitter + 3 * settings.queue + 8 * part + own;
+        for kind in [Kind::Boxes, Kind::EgoState] {
+            let worst = ages(&story, kind, settled).into_iter().max().unwrap_or(0);
+            assert!(worst <= bound, "{kind} of age {worst} ns, bound {bound}; {}", about());
+        }
+        for kind in [Kind::Points, Kind::Features] {
+            let worst = ages(&story, kind, settled).into_iter().max().unwrap_or(0);
+            let bound = settings.deadline + bound;
+            assert!(worst <= bound, "{kind} of age {worst} ns, bound {bound}; {}", about());
+        }
+    }
+
+    // What fits easily arrives, once nothing is cut any more and however much is lost.
+    let healed = [there, back]
+        .iter()
+        .flat_map(|way| &way.cuts)
+        .map(|(_, to)| *to)
+        .max()
+        .unwrap_or(0);
+    for stream in &streams {
+        let alone = stream.bytes as f64 / slowest * 1e9;
+        let round = (there.delay + back.delay + there.jitter + back.jitter) as f64;
+        let fits = alone + 2.0 * round < 0.2 * settings.deadline as f64 && small < 0.3 * slowest;
+        let richer = streams
+            .iter()
+            .any(|other| other.kind < stream.kind && other.phase == stream.phase);
+        if fits && !richer && there.loss.max(back.loss) < 0.03 {
+            let from = (healed + 4 * SECOND).max(there.rates.last().map_or(0, |(from, _)| from + 4 * SECOND));
+            let offered = story
+                .offered
+                .iter()
+                .filter(|((kind, _), time)| *kind == stream.kind && **time >= from);
+            let (offered, arrived) = (offered.count(), ages(&story, stream.kind, from).len());
+            assert!(
+                4 * arrived >= offered,
+                "{arrived} of {offered} {} arrived; {}",
+                stream.kind,
+                about()
+            );
+        }
+    }
+}
+
+#[test]
+fn holds_over_networks_drawn_at_random() {
+    let seeds = std::env::var("REALO_SEEDS")
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .unwrap_or(1000);
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get() as u64);
+    std::thread::scope(|scope| {
+        for thread in 0..threads {
+            scope.spawn(move || (thread..seeds).step_by(threads as usize).for_each(check));
+        }
+    });
+}
