@@ -203,9 +203,8 @@ impl Sender {
                 .for_each(|index| transfer.arrived(index));
         }
         let overtaken = newest.saturating_sub(OVERTAKEN);
-        let mut place = 0;
         let (mut lost, mut kept) = (Vec::new(), VecDeque::with_capacity(self.flying.len()));
-        for part in self.flying.drain(..) {
+        for (place, part) in self.flying.drain(..).enumerate() {
             let arrived = (part.kind, part.seq) == (ack.kind, ack.seq) && ack.covers(part.index);
             match (arrived, place < overtaken) {
                 (true, _) => self.flying_bytes -= part.bytes,
@@ -215,7 +214,6 @@ impl Sender {
                 }
                 (false, false) => kept.push_back(part),
             }
-            place += 1;
         }
         self.flying = kept;
         lost.iter().for_each(|part| self.repeat(part));
