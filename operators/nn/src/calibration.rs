@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use crate::conv::Pool;
-use crate::encoder::Pillarer;
 use crate::layers::{Layers, MapId};
 use crate::model::{Model, Precision};
 use crate::network::{BevView, NetworkError, NetworkOptions, Section};
+use crate::pillarer::Pillarer;
 use crate::pillars::Points;
 use crate::weights::Weights;
 

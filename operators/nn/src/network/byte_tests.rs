@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::calibration::Calibration;
-use crate::encoder::Pillarer;
 use crate::model::ModelError;
+use crate::pillarer::Pillarer;
 use crate::pillars::Points;
 use crate::testing::{Numbers, lite, random_tensors, small};
 

@@ -67,12 +67,7 @@ const OWNED: &[(Decided, &str)] = &[
 
 /// The runs of one graph.
 pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cell>> {
-    let set: Vec<Setting> = args
-        .choices
-        .set
-        .iter()
-        .map(|text| setting(text))
-        .collect::<Result<_>>()?;
+    let set = settings(args)?;
     let graph = base_graph(args, &set, path)?;
     let compute = compute::profile(args.compute.as_deref(), &graph)?;
     let logs = logs(args, &graph)?;
@@ -158,12 +153,7 @@ pub struct Lane {
 /// # Errors
 /// As [`cells`]; a graph in which nobody sends what is made of sweeps.
 pub fn lane(args: &Args) -> Result<Lane> {
-    let set: Vec<Setting> = args
-        .choices
-        .set
-        .iter()
-        .map(|text| setting(text))
-        .collect::<Result<_>>()?;
+    let set = settings(args)?;
     let path = &args.graphs[0];
     let base = base_graph(args, &set, path)?;
     let compute = args
@@ -230,6 +220,11 @@ fn setting(text: &str) -> Result<Setting> {
         setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
     }
     Ok(setting)
+}
+
+/// What `--set` says.
+fn settings(args: &Args) -> Result<Vec<Setting>> {
+    args.choices.set.iter().map(|text| setting(text)).collect()
 }
 
 fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {

@@ -1,12 +1,12 @@
-//! From points to the BEV map: pillars, pillar layer, backbone.
+//! From points to the canvas: pillars and the pillar layer.
 
 use std::sync::{Arc, Mutex};
 
 use crate::canvas::Canvas;
 use crate::conv::Pool;
-use crate::load::{Loaded, lock};
+use crate::load::lock;
 use crate::model::Model;
-use crate::network::{BevMap, Network, NetworkError};
+use crate::network::Network;
 use crate::pillar_net::PillarNet;
 use crate::pillars::{Dropped, Pillariser, Points};
 use crate::weights::Weights;
@@ -65,36 +65,6 @@ impl Pillarer {
         let pillars = self.pillariser.run(&points);
         self.net.run_on(pillars, &mut self.canvas, &mut lock(&self.pool));
         (&self.canvas, pillars.dropped)
-    }
-}
-
-/// From points to the BEV map of a model.
-pub struct Encoder {
-    pillarer: Pillarer,
-    network: Network,
-}
-
-impl Encoder {
-    /// The encoder of a model that was loaded.
-    pub fn new(loaded: Loaded) -> Self {
-        Encoder {
-            pillarer: Pillarer::beside(&loaded.network, &loaded.model, &loaded.weights),
-            network: loaded.network,
-        }
-    }
-
-    /// Whether it looks at the points' intensity.
-    pub fn wants_intensity(&self) -> bool {
-        self.pillarer.wants_intensity()
-    }
-
-    /// The BEV map of points as [`Pillarer::run`] takes them, and how many were left out.
-    ///
-    /// # Errors
-    /// Those of [`Network::encode`].
-    pub fn run(&mut self, points: &Points) -> Result<(BevMap, Dropped), NetworkError> {
-        let (canvas, dropped) = self.pillarer.run(points);
-        Ok((self.network.encode(canvas)?, dropped))
     }
 }
 
