@@ -129,6 +129,19 @@ impl DType {
     }
 }
 
+/// What the numbers of a feature map cross as, between machines or from a GPU to its host.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Elements {
+    /// Single precision: exactly.
+    F32,
+    /// Half precision: to 2⁻¹¹ of the number, or 2⁻²⁵ where it is below 2⁻¹⁴; beyond ±65,504 it becomes ±65,504.
+    F16,
+    /// Codes of 8 bits: to half a step, which is a 255th of the channel's range in this map.
+    #[default]
+    Int8,
+}
+
 /// A BEV feature map, `[rows, columns, channels]`; rows run along y, columns along x.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureMap {

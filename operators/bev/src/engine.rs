@@ -5,6 +5,7 @@ use realo_nn::canvas::Canvas;
 use realo_nn::fuse::Agent;
 use realo_nn::network::{BevMap, BevView, Heads, Network, NetworkError};
 use realo_operator::Steps;
+use realo_schemas::Elements;
 use serde::{Deserialize, Serialize};
 
 /// The devices that a network may be computed on.
@@ -16,19 +17,6 @@ pub enum Device {
     Cpu,
     /// The first GPU that CUDA lists.
     Cuda,
-}
-
-/// What the numbers of maps leave a GPU as; on this processor they stay as they are.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Elements {
-    /// Single precision.
-    F32,
-    /// Half precision.
-    F16,
-    /// Codes of 8 bits, from a channel's least number in the map to its greatest.
-    #[default]
-    Int8,
 }
 
 /// Why there is no network, or no result.
@@ -51,6 +39,10 @@ pub enum EngineError {
         /// The model's name.
         model: String,
     },
+    /// No GPU, or none that its driver lets this process use.
+    #[cfg(feature = "cuda")]
+    #[error("argument `device`: expected a GPU that CUDA can use, or device=cpu; found: {0}")]
+    NoDevice(candle_core::Error),
     /// The GPU, or what it was given.
     #[cfg(feature = "cuda")]
     #[error("cuda: {0}")]
@@ -138,12 +130,7 @@ fn on_cuda(loaded: &Loaded, elements: Elements) -> Result<Engine, EngineError> {
             return Err(EngineError::Precision { model });
         }
     };
-    let elements = match elements {
-        Elements::F32 => realo_nn_candle::Elements::F32,
-        Elements::F16 => realo_nn_candle::Elements::F16,
-        Elements::Int8 => realo_nn_candle::Elements::Int8,
-    };
-    let device = Device::new_cuda(0).map_err(realo_nn_candle::Error::from)?;
+    let device = Device::new_cuda(0).map_err(EngineError::NoDevice)?;
     let engine = realo_nn_candle::Engine::new(&loaded.model, &loaded.weights, &device, products, elements)?;
     Ok(Engine::Candle(Box::new(engine)))
 }

@@ -11,7 +11,7 @@ use realo_nn::network::{BevMap, BevView};
 use realo_operator::{Argument, Error};
 use realo_schemas::{DType, FeatureMap, Name, feature_map};
 
-pub use engine::{Device, Elements, Engine, EngineError};
+pub use engine::{Device, Engine, EngineError};
 
 /// Argument of every operator with a network: its instructions.
 pub const ISA: Argument = Argument {

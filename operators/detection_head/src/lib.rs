@@ -12,13 +12,13 @@
 
 use std::path::PathBuf;
 
-use realo_bev::{Device, Elements, Engine, Maps};
+use realo_bev::{Device, Engine, Maps};
 use realo_nn::Kernels;
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::geometry::is_valid;
-use realo_schemas::{Box3, Boxes, FeatureMap, Header, Kind, Message, Name, PayloadType};
+use realo_schemas::{Box3, Boxes, Elements, FeatureMap, Header, Kind, Message, Name, PayloadType};
 use serde::{Deserialize, Serialize};
 
 /// Boxes that a frame gives at most.

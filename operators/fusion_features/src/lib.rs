@@ -16,12 +16,12 @@
 use std::path::PathBuf;
 
 use nalgebra::Isometry3;
-use realo_bev::{Device, Elements, Engine, Maps, Read};
+use realo_bev::{Device, Engine, Maps, Read};
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
 use realo_nn::Kernels;
 use realo_nn::fuse::{Agent, Warp};
 use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{FeatureMap, Message, Name, Nanos, PayloadType};
+use realo_schemas::{Elements, FeatureMap, Message, Name, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionFeatures`].

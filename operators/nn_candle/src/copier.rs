@@ -2,20 +2,10 @@
 
 use candle_core::{DType, Result, Tensor};
 use realo_nn::network::BevMap;
+use realo_schemas::Elements;
 
 /// Steps between the least and the greatest code.
 const STEPS: f64 = 255.0;
-
-/// What the numbers of a map leave the device as.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Elements {
-    /// As they are.
-    F32,
-    /// In half precision.
-    F16,
-    /// As codes of 8 bits from a channel's least number in this map to its greatest.
-    Int8,
-}
 
 /// Copies maps of one network to the host. Cells that say what they say of an empty sweep are masked: they stay on the device,
 /// and the host puts its own copy of them in their place.

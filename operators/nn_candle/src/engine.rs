@@ -15,8 +15,9 @@ use realo_nn::model::Model;
 use realo_nn::network::{BevMap, BevView, Heads};
 use realo_nn::weights::Weights;
 use realo_operator::Steps;
+use realo_schemas::Elements;
 
-use crate::copier::{Copier, Elements};
+use crate::copier::Copier;
 use crate::network::{Error, Network};
 
 /// A network on a device.

@@ -17,7 +17,7 @@ mod tensors;
 pub mod transformer;
 mod warp;
 
-pub use copier::{Copied, Copier, Elements, Taken};
+pub use copier::{Copied, Copier, Taken};
 pub use engine::Engine;
 pub use network::{Agent, Error, Network};
 pub use tensors::Tensors;

@@ -12,8 +12,9 @@ use realo_nn::fuse::{Agent, Warp};
 use realo_nn::layers::{Fusion, Layers};
 use realo_nn::model::{Model, Precision};
 use realo_nn::network::{self, BevMap, NetworkOptions};
-use realo_nn_candle::{Copier, Elements, Engine, Error, Network, Placed, Tensors, transformer};
+use realo_nn_candle::{Copier, Engine, Error, Network, Placed, Tensors, transformer};
 use realo_operator::Steps;
+use realo_schemas::Elements;
 
 /// Numbers of a result that sums in another order, of some dozen layers, may give: f32 is exact to 6e-8.
 const TOLERANCE: f32 = 1e-5;

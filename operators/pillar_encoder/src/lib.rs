@@ -14,13 +14,13 @@
 
 use std::path::PathBuf;
 
-use realo_bev::{Device, Elements, Engine, Maps};
+use realo_bev::{Device, Engine, Maps};
 use realo_nn::pillars::{Dropped, Points};
 use realo_nn::{Kernels, Pillarer};
 use realo_operator::{
     Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, Steps, unexpected, wrong_port,
 };
-use realo_schemas::{FeatureMap, Header, Kind, Message, PayloadType, PointCloud};
+use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`PillarEncoder`].

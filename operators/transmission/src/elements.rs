@@ -5,22 +5,8 @@
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use realo_schemas::DType;
-use serde::{Deserialize, Serialize};
 
 use crate::bytes::{DecodeError, EncodeError};
-
-/// What the numbers of a feature map cross as.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Elements {
-    /// Single precision: exactly.
-    F32,
-    /// Half precision: to 2⁻¹¹ of the number, or 2⁻²⁵ where it is below 2⁻¹⁴; beyond ±65,504 it becomes ±65,504.
-    F16,
-    /// Codes of 8 bits: to half a step, which is a 255th of the channel's range in this map.
-    #[default]
-    Int8,
-}
 
 /// Greatest number of half precision.
 const GREATEST: f32 = 65_504.0;

@@ -1,8 +1,8 @@
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{Header, Message, PayloadType};
+use realo_schemas::{Elements, Header, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
-use crate::{Elements, Encoder};
+use crate::Encoder;
 
 /// Payloads that a link carries.
 pub(crate) const CARRIED: &[PayloadType] = &[

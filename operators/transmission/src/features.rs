@@ -2,11 +2,11 @@
 
 use arrow::buffer::Buffer;
 use realo_operator::Steps;
-use realo_schemas::{DType, FeatureMap};
+use realo_schemas::{DType, Elements, FeatureMap};
 use zstd::bulk::{Compressor, Decompressor};
 
 use crate::bytes::{DecodeError, EncodeError, Reader, column, put_column, put_f64s, put_text};
-use crate::elements::{Elements, Scales, are_finite, from_f16, not_finite, to_f16};
+use crate::elements::{Scales, are_finite, from_f16, not_finite, to_f16};
 use crate::shuffle::transpose;
 
 const DTYPES: [DType; 4] = [DType::F32, DType::F16, DType::Bf16, DType::U8];

@@ -74,5 +74,4 @@ mod shuffle;
 pub use bytes::{DecodeError, EncodeError};
 pub use codec::{CODEC, Content, Decoder, Dropped, Encoder};
 pub use decoder::{DecoderConfig, TransmissionDecoder};
-pub use elements::Elements;
 pub use encoder::{EncoderConfig, TransmissionEncoder};

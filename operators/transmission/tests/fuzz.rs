@@ -8,9 +8,9 @@ use damage::{Draw, cases, most_held};
 use nalgebra::{Isometry3, Vector3};
 use realo_operator::Steps;
 use realo_schemas::{
-    Box3, Boxes, DType, EgoState, FeatureMap, Header, Kind, Message, Payload, PointCloud, Pose, PoseStatus,
+    Box3, Boxes, DType, EgoState, Elements, FeatureMap, Header, Kind, Message, Payload, PointCloud, Pose, PoseStatus,
 };
-use realo_transmission::{Content, Decoder, Elements, Encoder, EncoderConfig};
+use realo_transmission::{Content, Decoder, Encoder, EncoderConfig};
 
 /// Greatest feature map that the decoders make here, bytes.
 const LIMIT: usize = 1 << 18;

@@ -3,7 +3,7 @@
 //! A kernel row of a 3x3 window is then 3 x channels contiguous numbers, no bounds test is needed, and concatenation is a
 //! channel offset at write. Channels are counted in units of 4 bytes (1 f32, 2 bf16, 4 bytes), so that one loop nest serves all.
 //! Every output is one sum in one order, whatever thread computes it: bits do not depend on the number of threads.
-//! 3x3 windows of f32 with stride 1 are computed by tiles ([`winograd`]), all else directly ([`tile`]).
+//! 3x3 windows with stride 1 are computed by tiles ([`winograd`]), all else and bytes directly ([`tile`]).
 
 mod element;
 mod isa;

@@ -31,7 +31,7 @@ pub(crate) trait Kernel<O>: Element {
     /// side by side.
     fn kernel(isa: Isa, stored: usize, outputs: usize) -> (Run<Self, O>, usize);
 
-    /// The same by [`winograd`]'s tiles, for number types that have it.
+    /// The same by [`winograd`]'s tiles, where they are faster.
     fn winograd(isa: Isa, outputs: usize) -> Option<(Run<Self, O>, usize)>;
 }
 
@@ -66,8 +66,10 @@ pub(crate) struct Packed<E, O = E> {
     pub(super) side: usize,
     /// Outputs side by side.
     pub(super) block: usize,
-    /// `[up, up, blocks, taps, units, block, numbers of a unit]`.
+    /// `[up, up, blocks, taps, units, block, numbers of a unit]`; none if outputs are computed by tiles.
     pub(super) weights: Aligned<E>,
+    /// `[blocks, places, inputs, block]`; none if they are not.
+    pub(super) at_places: Aligned<f32>,
     /// What a sum is multiplied by, `[blocks, block]`.
     pub(super) scales: Vec<f32>,
     /// `[blocks, block]`.
@@ -120,6 +122,13 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
             numbers.resize(outputs.next_multiple_of(block), 0.0);
             numbers
         };
+        let (weights, at_places) = match side {
+            1 => (pack(layer, &weight_steps, up, block), Aligned::zeros(0)),
+            _ => (
+                Aligned::zeros(0),
+                pack(&winograd::at_places(layer), &vec![1.0; outputs], up, block),
+            ),
+        };
         Packed {
             inputs,
             outputs,
@@ -130,10 +139,8 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
             floor: if layer.relu { 0.0 } else { f32::NEG_INFINITY },
             side,
             block,
-            weights: match side {
-                1 => pack(layer, &weight_steps, up, block),
-                _ => pack(&winograd::at_places(layer), &weight_steps, up, block),
-            },
+            weights,
+            at_places,
             scales: filled(&mut weight_steps.iter().map(|step| step * steps.input / steps.output)),
             bias: filled(&mut layer.bias.iter().map(|bias| bias / steps.output)),
             run,

@@ -2,7 +2,7 @@
 #![allow(unsafe_code)]
 
 use super::pack::{Kernel, Packed, Run, Share};
-use super::tile::{Registers, Simd, Store, share};
+use super::tile::{Load, Registers, Simd, Store, share};
 use super::{Bf16, Element, Isa, U8, winograd};
 
 const LANES: usize = 8;
@@ -45,6 +45,14 @@ impl Simd for Single {
     unsafe fn finish(sum: [f32; LANES], _: *const f32, bias: *const f32, floor: f32) -> [f32; LANES] {
         // SAFETY: the caller gives `LANES` biases.
         unsafe { finish(sum, bias, floor) }
+    }
+}
+
+impl Load for Single {
+    #[inline(always)]
+    unsafe fn load(at: *const f32) -> [f32; LANES] {
+        // SAFETY: the caller's promise.
+        unsafe { Single::weights(at) }
     }
 }
 
@@ -98,6 +106,14 @@ impl Simd for Half {
     unsafe fn finish(sum: [f32; LANES], _: *const f32, bias: *const f32, floor: f32) -> [f32; LANES] {
         // SAFETY: the caller gives `LANES` biases.
         unsafe { finish(sum, bias, floor) }
+    }
+}
+
+impl Load for Half {
+    #[inline(always)]
+    unsafe fn load(at: *const Bf16) -> [f32; LANES] {
+        // SAFETY: the caller gives `LANES` numbers.
+        unsafe { at.cast::<[Bf16; LANES]>().read_unaligned() }.map(Bf16::to_f32)
     }
 }
 
@@ -194,6 +210,17 @@ unsafe fn finish(mut sum: [f32; LANES], bias: *const f32, floor: f32) -> [f32; L
     sum
 }
 
+/// A kernel in instructions of x86-64 if there is one, or else that of all CPUs.
+macro_rules! better {
+    ($x86:expr, $all:expr) => {{
+        #[cfg(target_arch = "x86_64")]
+        let better = $x86;
+        #[cfg(not(target_arch = "x86_64"))]
+        let better = None;
+        better.unwrap_or($all)
+    }};
+}
+
 /// Defines a kernel and says for which maps it is the one of all CPUs.
 macro_rules! kernel {
     (
@@ -213,12 +240,8 @@ macro_rules! kernel {
 
         $(impl Kernel<$output> for $element {
             fn kernel($isa: Isa, $stored: usize, $outputs: usize) -> (Run<$element, $output>, usize) {
-                #[cfg(target_arch = "x86_64")]
-                if let Some(kernel) = $better {
-                    return kernel;
-                }
                 let _ = ($isa, $stored, $outputs);
-                ($name, LANES)
+                better!($better, ($name, LANES))
             }
 
             fn winograd($isa: Isa, $outputs: usize) -> Option<(Run<$element, $output>, usize)> {
@@ -234,7 +257,10 @@ kernel!(
     f32,
     [f32],
     |isa, stored, outputs| super::x86::single(isa, outputs),
-    Some(winograd::kernel(isa, outputs))
+    Some(better!(
+        super::x86::winograd(isa, outputs),
+        (tiles::<Single, f32>, LANES)
+    ))
 );
 kernel!(
     half,
@@ -242,7 +268,8 @@ kernel!(
     Bf16,
     [Bf16, f32],
     |isa, stored, outputs| super::x86::half(isa, stored, outputs),
-    None
+    // Sixteen times the products at once are more than a quarter of them.
+    (isa != Isa::Amx).then(|| better!(super::x86::half_winograd(isa, outputs), (tiles::<Half, _>, LANES)))
 );
 kernel!(
     bytes,
@@ -253,12 +280,15 @@ kernel!(
     None
 );
 
-/// The kernel of [`winograd`]'s tiles, and the outputs of a block.
-pub(super) const WINOGRAD: (Run<f32, f32>, usize) = (tiles, LANES);
-
+/// [`winograd`]'s tiles, with `M` to read and write maps.
+///
 /// # Safety
 /// None is needed.
-unsafe fn tiles(layer: &Packed<f32, f32>, part: Share<f32, f32>) {
+unsafe fn tiles<M, O: Element>(layer: &Packed<M::Element, O>, part: Share<M::Element, O>)
+where
+    M: Load + Store<O, Results = [f32; LANES]>,
+    M::Element: Kernel<O>,
+{
     // SAFETY: every CPU has these instructions.
-    unsafe { winograd::share::<Single, 4, 1>(layer, part) }
+    unsafe { winograd::share::<Single, M, O, 4, 1>(layer, part) }
 }

@@ -41,12 +41,22 @@ pub(super) trait Store<O>: Simd {
     unsafe fn store(results: Self::Results, to: *mut O);
 }
 
+/// Reads a register of results from `LANES` numbers of any alignment, exactly.
+///
+/// # Safety
+/// As for [`Simd`].
+pub(super) trait Load: Simd {
+    unsafe fn load(at: *const Self::Element) -> Self::Results;
+}
+
 /// Instructions on registers of f32 for everything.
+
 ///
 /// # Safety
 /// As for [`Simd`].
 pub(super) trait Float:
     Store<f32>
+    + Load
     + Simd<
         Element = f32,
         Sum = <Self as Float>::Register,
@@ -59,7 +69,7 @@ pub(super) trait Float:
 
 impl<S, R: Copy> Float for S
 where
-    S: Store<f32> + Simd<Element = f32, Sum = R, Units = R, Results = R>,
+    S: Store<f32> + Load + Simd<Element = f32, Sum = R, Units = R, Results = R>,
 {
     type Register = R;
 }
@@ -134,8 +144,10 @@ where
     E: super::Kernel<O>,
     O: Element,
 {
-    check::<R, E, O>(layer, &share);
+    check(layer, &share, R::BLOCK);
     assert_eq!(layer.side, 1, "outputs that are computed as one");
+    let count = layer.up * layer.up * layer.taps() * layer.stored() * layer.bias.len();
+    assert_eq!(layer.weights.len(), count, "packed weights");
     let blocks = layer.bias.len() / layer.block;
     let size = layer.weights.len() / (layer.up * layer.up * blocks);
     let Range { start, end } = share.rows.clone();
@@ -172,10 +184,9 @@ struct Window {
     block: usize,
 }
 
-/// What the pointers of [`windows`] and of tiles rely on.
-pub(super) fn check<R, E, O>(layer: &Packed<E, O>, share: &Share<E, O>)
+/// What the pointers of [`windows`] and of tiles rely on, beside the number of weights; `block`: outputs side by side.
+pub(super) fn check<E, O>(layer: &Packed<E, O>, share: &Share<E, O>, block: usize)
 where
-    R: Row<E, O>,
     E: super::Kernel<O>,
     O: Element,
 {
@@ -187,11 +198,9 @@ where
         data,
         ..
     } = share.input;
-    assert!(R::BLOCK == layer.block && layer.bias.len().is_multiple_of(layer.block));
+    assert!(block == layer.block && layer.bias.len().is_multiple_of(block));
     assert_eq!(layer.scales.len(), layer.bias.len(), "scales of a convolution");
     assert!(layer.bias.len() - layer.block < layer.outputs && layer.outputs <= layer.bias.len());
-    let weights = layer.up * layer.up * layer.taps() * stored * layer.bias.len();
-    assert_eq!(layer.weights.len(), weights, "packed weights");
     assert_eq!(share.room.len(), layer.room(), "numbers of a worker's room");
     assert_eq!(stored, layer.stored(), "channels of an input map");
     assert_eq!(data.len(), share.input.numbers(), "numbers of an input map");

@@ -2,10 +2,10 @@ use arrow::buffer::Buffer;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use realo_operator::{Describe, Operator, Outputs, PortId, Steps};
-use realo_schemas::{Box3, Boxes, DType, EgoState, FeatureMap, Name, PointCloud, Pose, PoseStatus};
+use realo_schemas::{Box3, Boxes, DType, EgoState, Elements, FeatureMap, Name, PointCloud, Pose, PoseStatus};
 
 use super::*;
-use crate::{DecoderConfig, Elements, EncoderConfig, TransmissionDecoder, TransmissionEncoder};
+use crate::{DecoderConfig, EncoderConfig, TransmissionDecoder, TransmissionEncoder};
 
 fn pose() -> Pose {
     let covariance =

@@ -4,8 +4,8 @@ use eyre::{Result, bail, eyre};
 use realo_host::running_time;
 use realo_operator::{Operator, Outputs, PortId, Steps};
 use realo_pillar_encoder::PillarEncoder;
-use realo_schemas::{FeatureMap, Header, Kind, Message, Nanos, Payload};
-use realo_transmission::{Decoder, Elements, Encoder, EncoderConfig};
+use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, Nanos, Payload};
+use realo_transmission::{Decoder, Encoder, EncoderConfig};
 use serde::Serialize;
 
 use super::detector::{MODEL, cloud, spread};

@@ -12,8 +12,7 @@ mod tests;
 pub(super) use points::{SIDE, at_places};
 pub(super) use share::{room, share};
 
-use super::pack::Run;
-use super::{Convolution, Isa};
+use super::Convolution;
 
 /// Channels come in whole registers of all instructions.
 const MOST_LANES: usize = 16;
@@ -24,14 +23,4 @@ pub(super) fn suits(layer: &Convolution) -> bool {
         && [layer.inputs, layer.outputs]
             .iter()
             .all(|channels| channels.is_multiple_of(MOST_LANES))
-}
-
-/// The kernel in these instructions, and the outputs that it computes side by side.
-pub(super) fn kernel(isa: Isa, outputs: usize) -> (Run<f32, f32>, usize) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(kernel) = super::x86::winograd(isa, outputs) {
-        return kernel;
-    }
-    let _ = (isa, outputs);
-    super::portable::WINOGRAD
 }

@@ -5,7 +5,7 @@
 use std::f64::consts::{FRAC_1_SQRT_2, SQRT_2};
 
 use crate::conv::Convolution;
-use crate::conv::tile::Float;
+use crate::conv::tile::{Float, Load};
 
 /// Rows and columns of outputs of a tile.
 pub(in crate::conv) const SIDE: usize = 4;
@@ -46,12 +46,13 @@ pub(in crate::conv) fn at_places(layer: &Convolution) -> Convolution {
 }
 
 /// `Bᵀ d B` of a register of channels: reads cells `line` and `cell` numbers apart, writes places `place` numbers apart.
+/// `M` reads the map.
 ///
 /// # Safety
-/// All of them are there, and the CPU has the instructions of `S`.
+/// All of them are there, and the CPU has the instructions of `S` and `M`.
 #[inline(always)]
-pub(super) unsafe fn inputs_at_places<S: Float>(
-    from: *const f32,
+pub(super) unsafe fn inputs_at_places<S: Float, M: Load<Results = S::Register>>(
+    from: *const M::Element,
     [line, cell]: [usize; 2],
     to: *mut f32,
     place: usize,
@@ -63,7 +64,7 @@ pub(super) unsafe fn inputs_at_places<S: Float>(
         for x in 0..POINTS {
             let mut column = [S::zero(); POINTS];
             for (y, number) in column.iter_mut().enumerate() {
-                *number = S::weights(from.add(y * line + x * cell));
+                *number = M::load(from.add(y * line + x * cell));
             }
             for (row, number) in rows.iter_mut().zip(inputs_at_points::<S>(column)) {
                 row[x] = number;

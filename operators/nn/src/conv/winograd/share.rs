@@ -3,9 +3,9 @@
 
 use super::MOST_LANES;
 use super::points::{PLACES, POINTS, SIDE, inputs_at_places, outputs_of_places};
-use crate::conv::View;
-use crate::conv::pack::{Packed, Share};
-use crate::conv::tile::{Float, Registers, Row, Tile, check};
+use crate::conv::pack::{Kernel, Packed, Share};
+use crate::conv::tile::{Float, Load, Registers, Row, Store, Tile, check};
+use crate::conv::{Element, View};
 
 /// Tiles that are multiplied together: enough to use each weight often, few enough for a core's second cache.
 const TILES: usize = 24;
@@ -20,23 +20,28 @@ const fn place(channels: usize) -> usize {
     TILES * channels + MOST_LANES
 }
 
-/// Numbers that a worker needs beside its maps, for cells of so many numbers.
+/// Numbers that a worker needs beside its maps, for cells of so many numbers of at most 4 bytes.
 pub(in crate::conv) fn room(stored: usize) -> usize {
     PLACES * (place(stored) + place(OUTPUTS) + stored)
 }
 
-/// A share, some tiles at a time.
+/// A share, some tiles at a time, with `M` to read and write maps.
 ///
 /// # Safety
-/// The CPU has the instructions of `S`.
+/// The CPU has the instructions of `S` and `M`.
 #[inline(always)]
-pub(in crate::conv) unsafe fn share<S: Float, const P: usize, const J: usize>(
-    layer: &Packed<f32, f32>,
-    mut share: Share<f32, f32>,
-) {
-    check::<Registers<S, P, J>, f32, f32>(layer, &share);
+pub(in crate::conv) unsafe fn share<S, M, O, const P: usize, const J: usize>(
+    layer: &Packed<M::Element, O>,
+    mut share: Share<M::Element, O>,
+) where
+    S: Float,
+    M: Load + Store<O, Results = S::Register>,
+    M::Element: Kernel<O>,
+    O: Element,
+{
+    check(layer, &share, <Registers<S, P, J> as Row<f32, f32>>::BLOCK);
     assert_eq!(layer.side, SIDE, "side of a tile");
-    assert!(layer.inputs.is_multiple_of(S::LANES) && layer.outputs.is_multiple_of(S::LANES));
+    assert!(S::LANES == M::LANES && layer.inputs.is_multiple_of(S::LANES) && layer.outputs.is_multiple_of(S::LANES));
     assert!(OUTPUTS.is_multiple_of(layer.block) && share.rows.start.is_multiple_of(SIDE));
     let across = share.columns.div_ceil(SIDE);
     let tiles = across * share.rows.len().div_ceil(SIDE);
@@ -48,16 +53,21 @@ pub(in crate::conv) unsafe fn share<S: Float, const P: usize, const J: usize>(
         let count = TILES.min(tiles - first);
         for tile in 0..count {
             let [row, column] = corner(first + tile);
-            let cells = Cells::of(share.input, [share.rows.start + row, column], edge);
+            let at = [share.rows.start + row, column];
             // SAFETY: `tile` is less than `TILES`; the CPU has the instructions.
-            unsafe { cells.at_places::<S>(inputs, tile) };
+            unsafe {
+                match Cells::inside(share.input, at) {
+                    Some(cells) => cells.at_places::<S, M>(inputs, tile),
+                    None => Cells::at_edge(share.input, at, edge).at_places::<S, S>(inputs, tile),
+                }
+            }
         }
         for output in (0..layer.outputs).step_by(OUTPUTS) {
             // SAFETY: `count` is at most `TILES`, tiles begin inside of the share; the CPU has the instructions.
             unsafe {
-                multiply::<S, P, J>(layer, output, inputs, products, count);
+                multiply::<S, M::Element, O, P, J>(layer, output, inputs, products, count);
                 for tile in 0..count {
-                    write::<S>(layer, output, products, tile, &mut share, corner(first + tile));
+                    write::<S, M, O>(layer, output, products, tile, &mut share, corner(first + tile));
                 }
             }
         }
@@ -65,48 +75,37 @@ pub(in crate::conv) unsafe fn share<S: Float, const P: usize, const J: usize>(
 }
 
 /// The inputs of a tile, 6x6 cells.
-struct Cells<'a> {
-    data: &'a [f32],
+struct Cells<'a, E> {
+    data: &'a [E],
     /// Numbers from one row to the next.
     line: usize,
     /// Numbers of a cell.
     stored: usize,
 }
 
-impl<'a> Cells<'a> {
-    /// The cells where they lie or, at a tile that the map ends in, in `edge` with zeros behind the map's border.
-    fn of(map: View<'a, f32>, [row, column]: [usize; 2], edge: &'a mut [f32]) -> Self {
-        let View { stored, data, .. } = map;
-        let (line, tile_line) = (map.line(), POINTS * stored);
-        let data = &data[row * line + column * stored..];
-        let [rows, columns] = [map.rows + 2 - row, map.columns + 2 - column].map(|cells| cells.min(POINTS));
-        if [rows, columns] == [POINTS; 2] {
-            return Cells { data, line, stored };
-        }
-        edge.fill(0.0);
-        for (from, to) in data.chunks(line).zip(edge.chunks_exact_mut(tile_line)).take(rows) {
-            to[..columns * stored].copy_from_slice(&from[..columns * stored]);
-        }
-        Cells {
-            data: edge,
-            line: tile_line,
-            stored,
-        }
+impl<'a, E: Element> Cells<'a, E> {
+    /// The cells where they lie, unless the map ends in the tile.
+    fn inside(map: View<'a, E>, [row, column]: [usize; 2]) -> Option<Self> {
+        (row + POINTS <= map.rows + 2 && column + POINTS <= map.columns + 2).then(|| Cells {
+            data: &map.data[row * map.line() + column * map.stored..],
+            line: map.line(),
+            stored: map.stored,
+        })
     }
 
-    /// Writes the numbers of a tile at all places.
+    /// Writes the numbers of a tile at all places; `M` reads the cells.
     ///
     /// # Safety
-    /// `tile` is less than [`TILES`], and the CPU has the instructions of `S`.
+    /// `tile` is less than [`TILES`], and the CPU has the instructions of `S` and `M`.
     #[inline(always)]
-    unsafe fn at_places<S: Float>(&self, inputs: &mut [f32], tile: usize) {
+    unsafe fn at_places<S: Float, M: Load<Element = E, Results = S::Register>>(&self, inputs: &mut [f32], tile: usize) {
         let place = place(self.stored);
         let from = &self.data[..(POINTS - 1) * self.line + POINTS * self.stored];
         let to = &mut inputs[tile * self.stored..(PLACES - 1) * place + (tile + 1) * self.stored];
         for channel in (0..self.stored).step_by(S::LANES) {
             // SAFETY: a cell holds whole registers, and both slices end with the last cell that is read or written.
             unsafe {
-                inputs_at_places::<S>(
+                inputs_at_places::<S, M>(
                     from.as_ptr().add(channel),
                     [self.line, self.stored],
                     to.as_mut_ptr().add(channel),
@@ -117,13 +116,33 @@ impl<'a> Cells<'a> {
     }
 }
 
+impl<'a> Cells<'a, f32> {
+    /// The cells in `edge`, with zeros behind the map's border.
+    fn at_edge<E: Element>(map: View<E>, [row, column]: [usize; 2], edge: &'a mut [f32]) -> Self {
+        let (line, stored) = (POINTS * map.stored, map.stored);
+        let [rows, columns] = [map.rows + 2 - row, map.columns + 2 - column].map(|cells| cells.min(POINTS));
+        edge.fill(0.0);
+        let data = &map.data[row * map.line() + column * stored..];
+        for (from, to) in data.chunks(map.line()).zip(edge.chunks_exact_mut(line)).take(rows) {
+            for (from, to) in from.iter().zip(to).take(columns * stored) {
+                *to = from.to_f32();
+            }
+        }
+        Cells {
+            data: edge,
+            line,
+            stored,
+        }
+    }
+}
+
 /// Multiplies the inputs of so many tiles by the weights of up to [`OUTPUTS`] outputs, place by place.
 ///
 /// # Safety
 /// The layer has blocks of `Registers<S, P, J>`, and the CPU has the instructions of `S`.
 #[inline(always)]
-unsafe fn multiply<S: Float, const P: usize, const J: usize>(
-    layer: &Packed<f32, f32>,
+unsafe fn multiply<S: Float, E, O, const P: usize, const J: usize>(
+    layer: &Packed<E, O>,
     first: usize,
     inputs: &[f32],
     products: &mut [f32],
@@ -146,7 +165,7 @@ unsafe fn multiply<S: Float, const P: usize, const J: usize>(
                 window: channels,
                 taps: 1,
                 run: channels,
-                weights: layer.weights[(output / block * PLACES + at) * size..][..size].as_ptr(),
+                weights: layer.at_places[(output / block * PLACES + at) * size..][..size].as_ptr(),
                 scale: ZEROS.as_ptr(),
                 bias: ZEROS.as_ptr(),
                 floor: f32::NEG_INFINITY,
@@ -163,14 +182,14 @@ unsafe fn multiply<S: Float, const P: usize, const J: usize>(
 /// Writes outputs `first..first + OUTPUTS`, as far as there are, of the tile where the share begins with `row` and `column`.
 ///
 /// # Safety
-/// [`check`] has passed, and the CPU has the instructions of `S`.
+/// [`check`] has passed, and the CPU has the instructions of `S` and `M`.
 #[inline(always)]
-unsafe fn write<S: Float>(
-    layer: &Packed<f32, f32>,
+unsafe fn write<S: Float, M: Store<O, Results = S::Register>, O>(
+    layer: &Packed<M::Element, O>,
     first: usize,
     products: &[f32],
     tile: usize,
-    share: &mut Share<f32, f32>,
+    share: &mut Share<M::Element, O>,
     [row, column]: [usize; 2],
 ) {
     let place = place(OUTPUTS);
@@ -189,7 +208,7 @@ unsafe fn write<S: Float>(
                 for (x, sum) in tile.into_iter().enumerate() {
                     if y < rows && x < columns {
                         let results = S::finish(sum, ZEROS.as_ptr(), bias.as_ptr().add(output), layer.floor);
-                        S::store(results, to.as_mut_ptr().add(y * share.row + x * share.cell + output));
+                        M::store(results, to.as_mut_ptr().add(y * share.row + x * share.cell + output));
                     }
                 }
             }

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::points::{PLACES, POINTS};
 use super::*;
 use crate::conv::tests::{Case, UNTOUCHED, cells, layer, plain, written};
-use crate::conv::{Bf16, Packed, Steps};
+use crate::conv::{Bf16, Isa, Kernel, Packed, Steps, U8};
 
 const FINITE: usize = POINTS - 1;
 
@@ -106,14 +106,25 @@ fn isas() -> impl Iterator<Item = Isa> {
     Isa::ALL.into_iter().filter(|isa| isa.is_available())
 }
 
-fn tiled(layer: &Convolution, case: &Case, cells: &[f32], isa: Isa, threads: usize) -> Vec<f32> {
-    let packed = Packed::<f32>::with(layer, isa, Steps::ONE, true);
+/// With AMX, bf16 is computed directly.
+fn isas_of<E: Kernel<E>>() -> impl Iterator<Item = Isa> {
+    isas().filter(|isa| E::winograd(*isa, MOST_LANES).is_some())
+}
+
+fn tiled<E: Kernel<E>>(layer: &Convolution, case: &Case, cells: &[f32], isa: Isa, threads: usize) -> Vec<f32> {
+    let packed = Packed::<E>::with(layer, isa, Steps::ONE, true);
     assert_eq!(packed.side, SIDE);
     written(&packed, layer, case, cells, threads, Steps::ONE)
 }
 
-/// Compares with the plain loop, one number of threads with others, and what lies beside the outputs with what was there.
 fn verify(case: &Case) {
+    verify_maps::<f32>(case, f64::from(f32::EPSILON) / 2.0);
+    verify_maps::<Bf16>(case, 2f64.powi(-8));
+}
+
+/// Compares with the plain loop, one number of threads with others, and what lies beside the outputs with what was there.
+/// `unit`: what a number of a map loses at most when it is rounded.
+fn verify_maps<E: Kernel<E>>(case: &Case, unit: f64) {
     let layer = layer(case);
     // Cells of very different size side by side: a tile's large ones decide how exact all of its outputs are.
     let columns = (0..case.rows * case.columns).flat_map(|cell| vec![cell % case.columns; case.inputs]);
@@ -121,16 +132,17 @@ fn verify(case: &Case) {
         .iter()
         .zip(columns)
         .map(|(number, column)| number * [1.0, 1.0, 1e3, 1.0, 1e-3, 1.0, 1.0][column % 7])
+        .map(|number| E::from_f32(number).to_f32())
         .collect();
     let sizes = sizes(&layer, case, &cells);
     let exact: Vec<f64> = cells.iter().map(|cell| f64::from(*cell)).collect();
     // Roundings on the way of a number: of its weight, 2 x 4 before the sum over channels, that sum's, 2 x 5 behind it, and
     // of the bias.
     let roundings = (layer.inputs + 20) as f64;
-    for isa in isas() {
-        let found = tiled(&layer, case, &cells, isa, 1);
+    for isa in isas_of::<E>() {
+        let found = tiled::<E>(&layer, case, &cells, isa, 1);
         for threads in [2, 3] {
-            let again = tiled(&layer, case, &cells, isa, threads);
+            let again = tiled::<E>(&layer, case, &cells, isa, threads);
             let same = found.iter().zip(&again).all(|(a, b)| a.to_bits() == b.to_bits());
             assert!(same, "{isa}: bits of {threads} threads differ: {case:?}");
         }
@@ -147,9 +159,10 @@ fn verify(case: &Case) {
                 ),
                 None => (f64::from(UNTOUCHED), 0.0),
             };
+            let lost = roundings * size * f64::from(f32::EPSILON) / 2.0;
             let (difference, bound) = (
                 (f64::from(found) - expected).abs(),
-                roundings * size * f64::from(f32::EPSILON) / 2.0,
+                lost + (expected.abs() + lost) * unit,
             );
             assert!(
                 difference <= bound,
@@ -218,7 +231,7 @@ fn tiles_lose_little_more_than_direct_sums() {
     for isa in isas() {
         let direct = Packed::<f32>::with(&layer, isa, Steps::ONE, false);
         let direct = root_mean_square(written(&direct, &layer, &case, &cells, 2, Steps::ONE));
-        let tiled = root_mean_square(tiled(&layer, &case, &cells, isa, 2));
+        let tiled = root_mean_square(tiled::<f32>(&layer, &case, &cells, isa, 2));
         assert!(tiled < 3.0 * direct, "{isa}: {tiled}, directly {direct}");
     }
 }
@@ -232,8 +245,11 @@ fn nan_is_not_hidden() {
     let (layer, mut cells) = (layer(&case), cells(&case));
     let (row, column) = (4, 3);
     cells[(row * 9 + column) * 16 + 5] = f32::NAN;
-    for isa in isas() {
-        let found = tiled(&layer, &case, &cells, isa, 2);
+    let of_halves = isas_of::<Bf16>().map(|isa| (isa, tiled::<Bf16>(&layer, &case, &cells, isa, 2)));
+    for (isa, found) in isas()
+        .map(|isa| (isa, tiled::<f32>(&layer, &case, &cells, isa, 2)))
+        .chain(of_halves)
+    {
         for (y, x) in (row - 1..=row + 1).flat_map(|y| (column - 1..=column + 1).map(move |x| (y, x))) {
             assert!(
                 found[(y * 9 + x) * 16..][..16].iter().all(|output| output.is_nan()),
@@ -246,7 +262,7 @@ fn nan_is_not_hidden() {
 }
 
 #[test]
-fn tiles_are_for_f32_and_windows_of_3x3_side_by_side() {
+fn tiles_are_for_windows_of_3x3_side_by_side() {
     let of = |shape, inputs, outputs| {
         layer(&Case {
             shape,
@@ -264,6 +280,6 @@ fn tiles_are_for_f32_and_windows_of_3x3_side_by_side() {
     ] {
         assert_eq!(side(&direct), 1);
     }
-    let half = Packed::<Bf16>::new(&of((3, 1, false), 16, 16), Isa::Portable, Steps::ONE);
-    assert_eq!(half.side, 1);
+    let bytes = Packed::<U8>::new(&of((3, 1, false), 16, 16), Isa::Portable, Steps::ONE);
+    assert_eq!(bytes.side, 1);
 }

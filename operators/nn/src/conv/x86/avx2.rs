@@ -6,7 +6,7 @@
 use std::arch::x86_64::*;
 
 use crate::conv::U8;
-use crate::conv::tile::{Simd, Store};
+use crate::conv::tile::{Load, Simd, Store};
 
 pub(in crate::conv) struct Avx2;
 
@@ -40,6 +40,13 @@ impl Simd for Avx2 {
     #[inline(always)]
     unsafe fn finish(sum: __m256, _: *const f32, bias: *const f32, floor: f32) -> __m256 {
         unsafe { _mm256_max_ps(_mm256_set1_ps(floor), _mm256_add_ps(sum, _mm256_loadu_ps(bias))) }
+    }
+}
+
+impl Load for Avx2 {
+    #[inline(always)]
+    unsafe fn load(at: *const f32) -> __m256 {
+        unsafe { Avx2::weights(at) }
     }
 }
 

@@ -5,7 +5,7 @@
 
 use std::arch::x86_64::*;
 
-use crate::conv::tile::{Simd, Store};
+use crate::conv::tile::{Load, Simd, Store};
 use crate::conv::{Bf16, U8};
 
 pub(in crate::conv) struct Avx512;
@@ -40,6 +40,13 @@ impl Simd for Avx512 {
     #[inline(always)]
     unsafe fn finish(sum: __m512, _: *const f32, bias: *const f32, floor: f32) -> __m512 {
         unsafe { _mm512_max_ps(_mm512_set1_ps(floor), _mm512_add_ps(sum, _mm512_loadu_ps(bias))) }
+    }
+}
+
+impl Load for Avx512 {
+    #[inline(always)]
+    unsafe fn load(at: *const f32) -> __m512 {
+        unsafe { Avx512::weights(at) }
     }
 }
 
@@ -85,6 +92,16 @@ impl Simd for Avx512Bf16 {
     #[inline(always)]
     unsafe fn finish(sum: __m512, _: *const f32, bias: *const f32, floor: f32) -> __m512 {
         unsafe { Avx512::finish(sum, std::ptr::null(), bias, floor) }
+    }
+}
+
+impl Load for Avx512Bf16 {
+    #[inline(always)]
+    unsafe fn load(at: *const Bf16) -> __m512 {
+        unsafe {
+            let halves = _mm512_cvtepu16_epi32(_mm256_loadu_si256(at.cast()));
+            _mm512_castsi512_ps(_mm512_slli_epi32::<16>(halves))
+        }
     }
 }
 

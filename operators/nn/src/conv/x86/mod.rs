@@ -40,6 +40,20 @@ pub(super) fn winograd(isa: Isa, outputs: usize) -> Option<(Run<f32, f32>, usize
     }
 }
 
+/// The kernel of [`winograd`](super::winograd)'s tiles of bf16 maps with products of f32, if these instructions round to bf16,
+/// and the outputs of a block.
+pub(super) fn half_winograd<O: Element>(isa: Isa, outputs: usize) -> Option<(Run<Bf16, O>, usize)>
+where
+    Avx512Bf16: Store<O>,
+    Bf16: Kernel<O>,
+{
+    match isa {
+        Isa::Amx | Isa::Avx512Bf16 if wide(outputs) => Some((bf16_wide_tiles, 64)),
+        Isa::Amx | Isa::Avx512Bf16 => Some((bf16_narrow_tiles, 32)),
+        Isa::Avx512 | Isa::Avx2 | Isa::Portable => None,
+    }
+}
+
 /// The bf16 kernel, if these instructions have products of bf16, and the outputs of a block; `stored`: numbers of a cell.
 pub(super) fn half<O: Element>(isa: Isa, stored: usize, outputs: usize) -> Option<(Run<Bf16, O>, usize)>
 where
@@ -105,19 +119,25 @@ kernel!(avx2_bytes, "avx2", U8, Registers<Avx2Bytes, 6, 2>);
 kernel!(vnni_wide, "avx512f,avx512vnni", U8, Registers<Avx512Bytes, 6, 4>);
 kernel!(vnni_narrow, "avx512f,avx512vnni", U8, Registers<Avx512Bytes, 12, 2>);
 
-/// Defines a kernel of [`winograd`](super::winograd)'s tiles.
+/// Defines a kernel of [`winograd`](super::winograd)'s tiles, from the instructions for products and those for maps.
 macro_rules! tiles {
-    ($name:ident, $features:literal, $simd:ty, $windows:literal, $registers:literal) => {
+    ($name:ident, $features:literal, $simd:ty, $maps:ty, $element:ty, $windows:literal, $registers:literal) => {
         /// # Safety
         /// The CPU has the instructions.
         #[target_feature(enable = $features)]
-        unsafe fn $name(layer: &Packed<f32, f32>, part: Share<f32, f32>) {
+        unsafe fn $name<O: Element>(layer: &Packed<$element, O>, part: Share<$element, O>)
+        where
+            $maps: Store<O>,
+            $element: Kernel<O>,
+        {
             // SAFETY: the caller's promise.
-            unsafe { super::winograd::share::<$simd, $windows, $registers>(layer, part) }
+            unsafe { super::winograd::share::<$simd, $maps, O, $windows, $registers>(layer, part) }
         }
     };
 }
 
-tiles!(avx2_tiles, "avx2,fma", Avx2, 6, 2);
-tiles!(avx512_wide_tiles, "avx512f", Avx512, 6, 4);
-tiles!(avx512_narrow_tiles, "avx512f", Avx512, 12, 2);
+tiles!(avx2_tiles, "avx2,fma", Avx2, Avx2, f32, 6, 2);
+tiles!(avx512_wide_tiles, "avx512f", Avx512, Avx512, f32, 6, 4);
+tiles!(avx512_narrow_tiles, "avx512f", Avx512, Avx512, f32, 12, 2);
+tiles!(bf16_wide_tiles, "avx512f,avx512bf16", Avx512, Avx512Bf16, Bf16, 6, 4);
+tiles!(bf16_narrow_tiles, "avx512f,avx512bf16", Avx512, Avx512Bf16, Bf16, 12, 2);
