@@ -50,7 +50,6 @@ pub(super) trait Load: Simd {
 }
 
 /// Instructions on registers of f32 for everything.
-
 ///
 /// # Safety
 /// As for [`Simd`].
