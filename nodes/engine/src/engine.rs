@@ -319,6 +319,15 @@ impl Engine {
         self.dispatch(stage, vec![(port, message)], time, done, done);
     }
 
+    /// Has a stage called as if it had asked to be woken now.
+    pub fn wake(&mut self, stage: usize, now: Nanos) {
+        let running = &mut self.stages[stage];
+        if running.life == Life::Open && running.wakes.insert((now, Name::default())) {
+            let key = self.key(now, stage, Order::Wake, PortId(0), Name::default());
+            self.push(key, What::Wake);
+        }
+    }
+
     /// Ends a source.
     pub fn close_source(&mut self, stage: usize, counters: BTreeMap<String, u64>, now: Nanos) {
         self.stages[stage].stage.books.counters = counters;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use realo_operator::{Built, Error, Made, NodeBooks, Outputs, PortId, Registration};
+use realo_operator::{AnyOperator, Built, Error, Made, NodeBooks, Outputs, PortId, Registration};
 use realo_schemas::report::{Crossing, Fate, Fated};
 use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry, file};
 
@@ -40,29 +40,10 @@ pub struct Called {
 impl Call {
     /// Calls a stage; `out` tells when the call starts, `fates` what a sink has not been told yet.
     pub fn make(self, built: &mut Built, inputs: &Registration, mut out: Outputs, fates: &[Fated]) -> Called {
-        let (mut called, start) = (Called::default(), out.now());
+        let mut called = Called::default();
         match built {
-            Built::Operator(operator) => match self {
-                Call::Inputs(calls) => {
-                    for (port, message) in calls {
-                        let (text, carried) = (message.header.to_string(), crossings(&message));
-                        let Err(error) = operator.on_input(port, message, &mut out) else {
-                            continue;
-                        };
-                        if error.is::<Gone>() {
-                            called.gone = Some(error);
-                            break;
-                        }
-                        let name = inputs.inputs.get(port.0).map_or("?", |port| port.name);
-                        called
-                            .errors
-                            .push(format!("input `{name}`, {text}: {}", words_of(&error)));
-                        called.made.fates.extend(told(carried, Fate::Rejected));
-                    }
-                }
-                Call::Wake => called.note(&format!("wake at {start} ns"), operator.on_wake(start, &mut out)),
-                Call::End(_) => called.note("end of the stream", operator.on_end(&mut out)),
-            },
+            Built::Operator(operator) => self.of_operator(operator.as_mut(), inputs, &mut out, &mut called),
+            Built::Gateway(gateway) => self.of_operator(gateway.stage(), inputs, &mut out, &mut called),
             Built::Sink(sink) => {
                 let taken = sink.fates(fates).and_then(|()| match self {
                     Call::Inputs(calls) => calls
@@ -79,6 +60,33 @@ impl Call {
         called.made = out.into_made();
         called.made.fates.extend(rejected);
         called
+    }
+}
+
+impl Call {
+    fn of_operator(self, operator: &mut dyn AnyOperator, known: &Registration, out: &mut Outputs, called: &mut Called) {
+        let start = out.now();
+        match self {
+            Call::Inputs(calls) => {
+                for (port, message) in calls {
+                    let (text, carried) = (message.header.to_string(), crossings(&message));
+                    let Err(error) = operator.on_input(port, message, out) else {
+                        continue;
+                    };
+                    if error.is::<Gone>() {
+                        called.gone = Some(error);
+                        break;
+                    }
+                    let name = known.inputs.get(port.0).map_or("?", |port| port.name);
+                    called
+                        .errors
+                        .push(format!("input `{name}`, {text}: {}", words_of(&error)));
+                    called.made.fates.extend(told(carried, Fate::Rejected));
+                }
+            }
+            Call::Wake => called.note(&format!("wake at {start} ns"), operator.on_wake(start, out)),
+            Call::End(_) => called.note("end of the stream", operator.on_end(out)),
+        }
     }
 }
 
@@ -215,7 +223,7 @@ mod tests {
     use std::sync::{Arc, Mutex};
 
     use realo_operator::{AnyOperator, AnySink, AnySource, Books, Port, Role};
-    use realo_schemas::{Boxes, Header, Kind, PayloadType, Selection};
+    use realo_schemas::{Boxes, Clock, Header, Kind, PayloadType, Selection};
 
     use super::*;
 
@@ -392,6 +400,9 @@ mod tests {
         }
         fn rate(&self) -> f64 {
             1.0
+        }
+        fn clock(&self, _: Nanos) -> Option<Clock> {
+            None
         }
         fn counters(&self) -> std::collections::BTreeMap<String, u64> {
             Default::default()

@@ -7,7 +7,7 @@
 use std::time::Instant;
 
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
-use realo_operator::{Books, Built, Outputs};
+use realo_operator::{Books, Built, Outputs, Role};
 use realo_schemas::{Message, Nanos};
 
 use crate::{BuildError, ComputeProfile, Stages};
@@ -21,6 +21,16 @@ pub enum RunError {
     /// A stage could not go on.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// A stage needs the world outside.
+    #[error(
+        "node `{node}`: {name} exists in realtime only: run the graph with --mode realtime, or put a link in its place"
+    )]
+    Outside {
+        /// Its id.
+        node: String,
+        /// What it is.
+        name: &'static str,
+    },
 }
 
 /// Sees every message that a stage sends, with the stage's id and the output's name.
@@ -45,6 +55,16 @@ pub fn measure(stages: &Stages, observer: Option<Observer>) -> Result<Books, Run
 
 fn simulate(stages: &Stages, compute: Option<&ComputeProfile>, observer: Option<Observer>) -> Result<Books, RunError> {
     let mut wiring = stages.wiring.clone();
+    if let Some(stage) = wiring
+        .stages
+        .iter()
+        .find(|stage| stage.registration.role == Role::Gateway)
+    {
+        return Err(RunError::Outside {
+            node: stage.id.to_string(),
+            name: stage.registration.name,
+        });
+    }
     for stage in &mut wiring.stages {
         stage.leaves.fill(observer.is_some());
     }

@@ -31,10 +31,14 @@ pub struct Script {
     pub detections: bool,
     /// Whether the collaborators' packets are played.
     pub precomputed: bool,
+    /// Whether only the ego's streams are played.
+    pub alone: bool,
     pub repeat: u32,
     /// Log times from (inclusive) and until (exclusive) which sweeps are played.
     pub from: Nanos,
     pub until: Nanos,
+    /// A pass takes a multiple of this.
+    pub slot: Option<Nanos>,
     pub counters: Counters,
 }
 
@@ -107,7 +111,8 @@ impl Script {
 
     fn open(&self) -> Result<LogReader, LogError> {
         let mut wanted = Vec::new();
-        for agent in self.cast.agents() {
+        let played = if self.alone { 1 } else { usize::MAX };
+        for agent in self.cast.agents().take(played) {
             wanted.push((agent, self.pose_stream(agent)));
             wanted.push((agent, self.sweep_stream(agent)));
             if self.is_precomputed(agent) {
@@ -133,10 +138,13 @@ impl Feed {
         let agents = script.agents();
         let (first, last) = script.log.span().unwrap_or_default();
         let played = script.until.min(last) - script.from.max(first);
+        let period = played.max(0) + PAUSE + LEAD_IN;
         Ok(Feed {
             reader: script.open()?,
             truth: TruthJoin::new(&script.log, &agents, script.from, script.until)?,
-            period: played.max(0) + PAUSE + LEAD_IN,
+            period: script
+                .slot
+                .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
             sweeps: BTreeMap::new(),
             unjoined: BTreeMap::new(),
             queue: BinaryHeap::new(),
@@ -146,6 +154,16 @@ impl Feed {
             agents,
             script,
         })
+    }
+
+    /// From one pass to the next, ns.
+    pub fn period(&self) -> Nanos {
+        self.period
+    }
+
+    /// The first time of the log that is played.
+    pub fn begins(&self) -> Nanos {
+        self.script.from.saturating_sub(LEAD_IN)
     }
 
     /// The next message, `None` after the last pass.

@@ -23,10 +23,11 @@ mod truth;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::thread;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Argument, Decided, Describe, Error, Lane, Port, PortId, Source};
-use realo_schemas::{Message, Nanos, Payload, PayloadType, from_seconds};
+use realo_schemas::{Clock, Message, Nanos, Payload, PayloadType, from_seconds};
 use serde::{Deserialize, Serialize};
 
 use ahead::{Taker, ahead};
@@ -36,6 +37,11 @@ pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
 
 /// Priority (`nice`) of the thread that reads ahead.
 const LOW_PRIORITY: i32 = 5;
+
+/// With wall time, a pass over a log takes a multiple of this.
+const SLOT: Nanos = 5_000_000_000;
+/// Between the first call and the first message on wall time at least: nodes find each other meanwhile.
+const LEAD: Nanos = 4_000_000_000;
 
 /// Of a point in memory.
 const POINT_BYTES: usize = 20;
@@ -75,6 +81,17 @@ pub enum PoseSource {
     True,
 }
 
+/// The line on which a log's times are played.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TimeLine {
+    /// The log's own.
+    #[default]
+    Log,
+    /// Wall time: everybody who plays the log or a part of it, on any machine, is at the same place of it.
+    Wall,
+}
+
 /// What to do about recorded detections.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -96,6 +113,12 @@ pub struct Config {
     pub log: PathBuf,
     /// Name of the ego; empty: the first eligible agent.
     pub ego: String,
+    /// The agent whose sensors alone are played, and which is the ego then; empty: those of all.
+    pub agent: String,
+    /// What the log's time lies on.
+    pub clock: TimeLine,
+    /// How much stamps are ahead of the wall clock, ms.
+    pub skew_ms: f64,
     /// Who collaborates.
     pub coop: Coop,
     /// Who may take part; empty: all.
@@ -127,6 +150,9 @@ impl Default for Config {
         Config {
             log: "../target/realo/demo.mcap".into(),
             ego: String::new(),
+            agent: String::new(),
+            clock: TimeLine::Log,
+            skew_ms: 0.0,
             coop: Coop::All,
             agents: Vec::new(),
             pose: PoseSource::Recorded,
@@ -153,6 +179,34 @@ pub struct Player {
     counters: Counters,
     rate: f64,
     cast: PlannedRun,
+    wall: Option<Wall>,
+}
+
+/// How a log is moved to wall time: by a whole number of slots, which depends on nothing but when it is played.
+struct Wall {
+    /// The first time of the log that is played.
+    from: Nanos,
+    /// From one pass to the next.
+    slot: Nanos,
+    skew: Nanos,
+    /// Known with the first message.
+    shift: Option<Nanos>,
+}
+
+impl Wall {
+    /// Moves a message.
+    fn shift(&mut self, (time, port, mut message): Release) -> Release {
+        let (from, slot) = (self.from, self.slot);
+        let shift = *self.shift.get_or_insert_with(|| {
+            let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+            let begins = since.as_nanos() as Nanos + LEAD;
+            (begins - from).div_euclid(slot) * slot + slot
+        });
+        let shift = shift + self.skew;
+        message.header.stamp += shift;
+        message.header.ready += shift;
+        (time + shift, port, message)
+    }
 }
 
 impl Player {
@@ -174,6 +228,18 @@ impl Describe for Player {
         Argument {
             name: "ego",
             about: "name of the ego; empty: the first eligible agent",
+        },
+        Argument {
+            name: "agent",
+            about: "the agent whose sensors alone are played, and which is the ego then; empty: those of all",
+        },
+        Argument {
+            name: "clock",
+            about: "log: its own times; wall: moved to wall time, at the same place of the log on all machines",
+        },
+        Argument {
+            name: "skew_ms",
+            about: "with clock=wall, how much stamps are ahead of the wall clock: a clock that is off",
         },
         Argument {
             name: "coop",
@@ -258,6 +324,7 @@ impl Describe for Player {
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Log, "log"),
         (Decided::Ego, "ego"),
+        (Decided::Own, "agent"),
         (Decided::Coop, "coop"),
         (Decided::Agents, "agents"),
         (Decided::Offline, "offline"),
@@ -276,7 +343,12 @@ impl Source for Player {
         if log.truncation().is_some() {
             count(&counters, "log_truncated");
         }
-        let plan = plan(&log, &config.ego, config.coop, &config.agents)?;
+        let ego = if config.agent.is_empty() {
+            &config.ego
+        } else {
+            &config.agent
+        };
+        let plan = plan(&log, ego, config.coop, &config.agents)?;
         let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
         if cast.collaborators.is_empty() {
             count(&counters, "runs_alone");
@@ -292,17 +364,27 @@ impl Source for Player {
             points: config.points,
             detections: config.detections != Detections::Off,
             precomputed: config.precomputed,
+            alone: !config.agent.is_empty(),
             repeat: config.repeat,
             from,
             until,
+            slot: (config.clock == TimeLine::Wall).then_some(SLOT),
             counters: counters.clone(),
         };
-        let releases = read_ahead(Feed::new(script)?)?;
+        let feed = Feed::new(script)?;
+        let wall = (config.clock == TimeLine::Wall).then(|| Wall {
+            from: feed.begins(),
+            slot: feed.period(),
+            skew: (config.skew_ms * 1e6) as Nanos,
+            shift: None,
+        });
+        let releases = read_ahead(feed)?;
         Ok(Player {
             releases,
             counters,
             rate: config.rate,
             cast,
+            wall,
             ended: false,
         })
     }
@@ -313,11 +395,22 @@ impl Source for Player {
         }
         let next = self.releases.take().ok_or("player: the reading thread stopped")??;
         self.ended = next.is_none();
-        Ok(next)
+        Ok(match &mut self.wall {
+            Some(wall) => next.map(|release| wall.shift(release)),
+            None => next,
+        })
     }
 
     fn rate(&self) -> f64 {
         self.rate
+    }
+
+    fn clock(&self, first: Nanos) -> Option<Clock> {
+        self.wall.as_ref().map(|wall| Clock {
+            wall_origin: first - wall.skew,
+            log_origin: first,
+            rate: 1.0,
+        })
     }
 
     fn counters(&self) -> BTreeMap<String, u64> {
@@ -342,6 +435,17 @@ fn check(config: &Config) -> Result<(), Error> {
     let positive = |value: f64| value.is_finite() && value > 0.0;
     if !positive(config.rate) {
         return Err(format!("player: `rate` must be a positive number, found {}", config.rate).into());
+    }
+    if config.clock == TimeLine::Wall && (config.rate != 1.0 || config.offline) {
+        let (rate, offline) = (config.rate, config.offline);
+        return Err(format!(
+            "player: `clock=wall`: expected `rate` 1 and not `offline`, found rate {rate}, offline {offline}: leave them, or clock=log"
+        )
+        .into());
+    }
+    if config.skew_ms != 0.0 && !(config.clock == TimeLine::Wall && config.skew_ms.abs() <= 1e7) {
+        let found = config.skew_ms;
+        return Err(format!("player: `skew_ms` needs clock=wall, and must be within ±1e7, found {found}").into());
     }
     if config.repeat == 0 {
         return Err("player: `repeat` must be at least 1, found 0".into());
@@ -379,7 +483,8 @@ fn no_log(path: &Path) -> String {
 }
 
 fn need_topics(log: &Log, cast: &PlannedRun, config: &Config) -> Result<(), LogError> {
-    for agent in cast.agents() {
+    let played = if config.agent.is_empty() { usize::MAX } else { 1 };
+    for agent in cast.agents().take(played) {
         let exact = config.offline && log.has(agent, Stream::PoseTruth);
         let pose = if config.pose == PoseSource::True || exact {
             Stream::PoseTruth

@@ -1,5 +1,18 @@
 //! Packets between agents on different machines, fresh on links that are slow, lossy and shared.
 //!
-//! [`protocol`] decides what goes out when, without socket or clock.
+//! - [`protocol`]: what goes out when to one peer, and what came in, without socket or clock.
+//! - [`station`]: an agent among its peers, likewise; with [`books`] of what became of messages and the [`offset`] of clocks.
+//! - [`network`]: Zenoh, and the thread that drives a station.
+//! - [`Radio`]: the node of a graph.
 
+pub mod body;
+pub mod books;
+mod endpoint;
+pub mod network;
+mod node;
+pub mod offset;
 pub mod protocol;
+pub mod station;
+
+pub use endpoint::{Endpoint, NoEndpoint};
+pub use node::{Config, Radio};

@@ -1,6 +1,6 @@
 //! All that an operator needs: the trait, ports, arguments, outputs, and the pipe protocol of plug-ins.
 //!
-//! - [`Operator`], [`Source`], [`Sink`]: what a stage implements; [`Port`] its contract.
+//! - [`Operator`], [`Source`], [`Sink`], [`Gateway`]: what a stage implements; [`Port`] its contract.
 //! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links; [`Steps`] time parts
 //!   of a call.
 //! - [`Registration`]: an operator whose type is no longer known; [`Registry`] what a binary hosts.
@@ -19,8 +19,10 @@ mod steps;
 
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
 pub use draw::{Draws, StreamKey};
-pub use operator::{Argument, Decided, Describe, Error, Made, Operator, Outputs, Sink, Source, unexpected, wrong_port};
+pub use operator::{
+    Argument, Decided, Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker, unexpected, wrong_port,
+};
 pub use port::{Class, Lane, Port, PortId, Queue, WrongType};
-pub use registry::{AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
+pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 pub use run::run;
 pub use steps::Steps;

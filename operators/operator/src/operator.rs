@@ -1,8 +1,10 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::sync::Arc;
 
 use realo_schemas::report::{Channel, Crossing, Fate, Fated, Traffic, Use};
-use realo_schemas::{Header, Kind, Message, Name, Nanos, UnexpectedPayload};
+use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos, UnexpectedPayload};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -49,6 +51,8 @@ pub enum Decided {
     Log,
     /// The ego's name.
     Ego,
+    /// The agent whose sensors alone are played, in a run over several machines; the graph's own names the ego.
+    Own,
     /// Who cooperates.
     Coop,
     /// The agents that take part.
@@ -134,9 +138,64 @@ pub trait Source: Describe + Sized {
         1.0
     }
 
+    /// How its times lie on the wall clock, if that is given; otherwise the message of time `first` is released at once.
+    fn clock(&self, first: Nanos) -> Option<Clock> {
+        let _ = first;
+        None
+    }
+
     /// What it counted so far, for the run's books.
     fn counters(&self) -> BTreeMap<String, u64> {
         BTreeMap::new()
+    }
+}
+
+/// A node that exchanges messages with the world outside while its graph runs: a radio. It exists in realtime only.
+///
+/// Messages of the graph come as to an [`Operator`]. What comes from outside it keeps until it is called, which it asks for
+/// by its [`Waker`], and sends in `on_wake`.
+pub trait Gateway: Describe + Sized {
+    /// Opens what it needs; nothing comes in yet.
+    ///
+    /// # Errors
+    /// Anything wrong with the configuration, or an address that cannot be had.
+    fn new(config: Self::Config) -> Result<Self, Error>;
+
+    /// Is called once, before all other calls.
+    ///
+    /// # Errors
+    /// What keeps it from the world outside; the run fails.
+    fn open(&mut self, waker: Waker) -> Result<(), Error>;
+
+    /// As [`Operator::on_input`]; it must not wait for anybody outside.
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error>;
+
+    /// As [`Operator::on_wake`], and whenever the waker has asked for it.
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error>;
+
+    /// As [`Operator::on_end`]. Nothing comes in after it.
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error>;
+}
+
+/// Asks a driver to call a [`Gateway`], from any thread.
+#[derive(Clone)]
+pub struct Waker(Arc<dyn Fn() + Send + Sync>);
+
+impl Waker {
+    /// A waker that does this.
+    pub fn new(wake: impl Fn() + Send + Sync + 'static) -> Self {
+        Waker(Arc::new(wake))
+    }
+
+    /// Asks for a call of `on_wake`, soon.
+    pub fn wake(&self) {
+        (self.0)();
+    }
+}
+
+impl fmt::Debug for Waker {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("Waker")
     }
 }
 
@@ -261,6 +320,11 @@ impl Outputs {
             }),
         });
         self.made.fates.extend(fated);
+    }
+
+    /// Says what became of messages that crossed a link, as a peer or another stage has said it.
+    pub fn know(&mut self, fates: Vec<Fated>) {
+        self.made.fates.extend(fates);
     }
 
     /// Counts what a channel carried.

@@ -1,11 +1,11 @@
 use std::collections::BTreeMap;
 
 use realo_schemas::report::Fated;
-use realo_schemas::{Message, Nanos};
+use realo_schemas::{Clock, Message, Nanos};
 use serde_json::Value;
 
 use crate::config::{ConfigError, defaults, nearest_name, parse};
-use crate::{Argument, Books, Decided, Error, Operator, Outputs, Port, PortId, Sink, Source};
+use crate::{Argument, Books, Decided, Error, Gateway, Operator, Outputs, Port, PortId, Sink, Source, Waker};
 
 /// What a node is to its graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +16,8 @@ pub enum Role {
     Source,
     /// Node that takes messages out.
     Sink,
+    /// Node that exchanges messages with the world outside.
+    Gateway,
 }
 
 /// An [`Operator`] whose type is no longer known.
@@ -40,12 +42,46 @@ impl<O: Operator + Send> AnyOperator for O {
     }
 }
 
+/// A [`Gateway`] whose type is no longer known.
+pub trait AnyGateway: Send {
+    /// See [`Gateway::open`].
+    fn open(&mut self, waker: Waker) -> Result<(), Error>;
+    /// Its calls, which are those of an operator.
+    fn stage(&mut self) -> &mut dyn AnyOperator;
+}
+
+/// The calls of a [`Gateway`] as those of an [`AnyOperator`].
+struct Calls<G>(G);
+
+impl<G: Gateway + Send> AnyOperator for Calls<G> {
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        self.0.on_input(port, message, out)
+    }
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+        self.0.on_wake(now, out)
+    }
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        self.0.on_end(out)
+    }
+}
+
+impl<G: Gateway + Send> AnyGateway for Calls<G> {
+    fn open(&mut self, waker: Waker) -> Result<(), Error> {
+        self.0.open(waker)
+    }
+    fn stage(&mut self) -> &mut dyn AnyOperator {
+        self
+    }
+}
+
 /// A [`Source`] whose type is no longer known.
 pub trait AnySource: Send {
     /// See [`Source::next`].
     fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error>;
     /// See [`Source::rate`].
     fn rate(&self) -> f64;
+    /// See [`Source::clock`].
+    fn clock(&self, first: Nanos) -> Option<Clock>;
     /// See [`Source::counters`].
     fn counters(&self) -> BTreeMap<String, u64>;
 }
@@ -56,6 +92,9 @@ impl<S: Source + Send> AnySource for S {
     }
     fn rate(&self) -> f64 {
         Source::rate(self)
+    }
+    fn clock(&self, first: Nanos) -> Option<Clock> {
+        Source::clock(self, first)
     }
     fn counters(&self) -> BTreeMap<String, u64> {
         Source::counters(self)
@@ -84,7 +123,7 @@ impl<S: Sink + Send> AnySink for S {
     }
 }
 
-/// A built operator, source or sink.
+/// A built operator or node.
 pub enum Built {
     /// Pure stage.
     Operator(Box<dyn AnyOperator>),
@@ -92,6 +131,8 @@ pub enum Built {
     Source(Box<dyn AnySource>),
     /// Takes messages out.
     Sink(Box<dyn AnySink>),
+    /// Exchanges messages with the world outside.
+    Gateway(Box<dyn AnyGateway>),
 }
 
 /// One operator or node that the binary hosts.
@@ -122,7 +163,7 @@ pub struct Registration {
 }
 
 macro_rules! registration {
-    ($(#[$doc:meta])* $function:ident, $bound:ident, $role:expr, $built:expr) => {
+    ($(#[$doc:meta])* $function:ident, $bound:ident, $role:expr, |$made:ident| $built:expr) => {
         $(#[$doc])*
         pub const fn $function<T: $bound + Send + 'static>() -> Self {
             Registration {
@@ -136,7 +177,10 @@ macro_rules! registration {
                 paper_inference: T::PAPER_INFERENCE,
                 defaults: defaults::<T::Config>,
                 check: |args| parse::<T::Config>(args).map(|_| ()),
-                build: |args| Ok($built(Box::new(T::new(parse(args)?)?))),
+                build: |args| {
+                    let $made = T::new(parse(args)?)?;
+                    Ok($built)
+                },
             }
         }
     };
@@ -145,22 +189,26 @@ macro_rules! registration {
 impl Registration {
     registration!(
         /// Registers an operator.
-        operator, Operator, Role::Operator, Built::Operator
+        operator, Operator, Role::Operator, |made| Built::Operator(Box::new(made))
     );
     registration!(
         /// Registers a source.
-        source, Source, Role::Source, Built::Source
+        source, Source, Role::Source, |made| Built::Source(Box::new(made))
     );
     registration!(
         /// Registers a sink.
-        sink, Sink, Role::Sink, Built::Sink
+        sink, Sink, Role::Sink, |made| Built::Sink(Box::new(made))
+    );
+    registration!(
+        /// Registers a gateway.
+        gateway, Gateway, Role::Gateway, |made| Built::Gateway(Box::new(Calls(made)))
     );
 
     /// The word before the name in a node's `args`: `operator` or `node`.
     pub fn word(&self) -> &'static str {
         match self.role {
             Role::Operator => "operator",
-            Role::Source | Role::Sink => "node",
+            Role::Source | Role::Sink | Role::Gateway => "node",
         }
     }
 

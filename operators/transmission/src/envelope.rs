@@ -1,6 +1,6 @@
 //! What of a header crosses a link.
 
-use realo_schemas::{Header, Kind, Name, Nanos, Pose};
+use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose};
 
 use crate::bytes::{DecodeError, EncodeError, Reader, put_covariance6, put_pose, put_text};
 
@@ -64,6 +64,20 @@ pub(crate) fn write(out: &mut Vec<u8>, header: &Header) -> Result<(), EncodeErro
         put_covariance6(out, covariance, "covariance of the pose")?;
     }
     Ok(())
+}
+
+/// Bytes before the stamp: magic, version, content, flags, number.
+const STAMP_AT: usize = 2 + 3 + 8;
+
+/// The same packet, measured at another time: the sender's time line is another one.
+pub fn restamped(packet: &Packet, stamp: Nanos) -> Option<Packet> {
+    let mut bytes = packet.bytes.to_vec();
+    let place = bytes.get_mut(STAMP_AT..STAMP_AT + 8)?;
+    place.copy_from_slice(&stamp.to_le_bytes());
+    Some(Packet {
+        codec: packet.codec.clone(),
+        bytes: bytes.into(),
+    })
 }
 
 pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {

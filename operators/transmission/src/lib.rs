@@ -75,3 +75,4 @@ pub use bytes::{DecodeError, EncodeError};
 pub use codec::{CODEC, Content, Decoder, Dropped, Encoder};
 pub use decoder::{DecoderConfig, TransmissionDecoder};
 pub use encoder::{EncoderConfig, TransmissionEncoder};
+pub use envelope::restamped;

@@ -14,6 +14,7 @@ const SHIPPED: &[Registration] = &[
     Registration::operator::<realo_nms::Nms>(),
     Registration::operator::<realo_transmission::TransmissionEncoder>(),
     Registration::operator::<realo_link::Link>(),
+    Registration::gateway::<realo_radio::Radio>(),
     Registration::operator::<realo_transmission::TransmissionDecoder>(),
     Registration::operator::<realo_feature_bank::FeatureBank>(),
     Registration::operator::<realo_fusion_features::FusionFeatures>(),

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use dora_node_api::dora_core::config::DataId;
 use dora_node_api::{DoraNode, MetadataParameters, NodeResult};
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
-use realo_operator::{Built, InputBooks, Outputs, PortId, Registration};
+use realo_operator::{Built, InputBooks, Outputs, PortId, Registration, Waker};
 use realo_schemas::{Message, Nanos, wire};
 
 use crate::{Stages, running_time};
@@ -104,6 +104,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         exits,
         nudge: inbox.nudge(),
     });
+    open_gateways(&shared)?;
     start_threads(&shared);
     let mut host = Host {
         shared: shared.clone(),
@@ -125,6 +126,30 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         shared.leave();
     }
     ended
+}
+
+/// Opens the ways to the world outside. What comes in before the process has a clock waits for the next call.
+fn open_gateways(shared: &Arc<Shared>) -> Result<(), HostError> {
+    let mut state = shared.lock();
+    let State { engine, built, .. } = &mut *state;
+    for (stage, built) in built.iter_mut().enumerate() {
+        let Some(Built::Gateway(gateway)) = built else {
+            continue;
+        };
+        let shared = shared.clone();
+        let waker = Waker::new(move || {
+            let mut state = shared.lock();
+            if state.engine.clock().is_some() {
+                let now = state.log_now();
+                state.engine.wake(stage, now);
+                shared.follow(&mut state, now);
+            }
+        });
+        gateway
+            .open(waker)
+            .map_err(|error| HostError::Stage(format!("node `{}`: {error}", engine.id(stage))))?;
+    }
+    Ok(())
 }
 
 /// A thread for each source, and as many for calls as there are other stages.

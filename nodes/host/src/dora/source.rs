@@ -34,11 +34,11 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
         if !opened {
             open_routes(shared)?;
             opened = true;
-            let clock = Clock {
+            let clock = source.clock(time).unwrap_or_else(|| Clock {
                 wall_origin: wall_now(),
                 log_origin: time,
                 rate: source.rate(),
-            };
+            });
             shared.lock().engine.set_clock(clock);
         }
         let clock = shared.lock().engine.clock();

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
 use realo_schemas::{Kind, Nanos};
+use serde::{Deserialize, Serialize};
 
 use super::frame::{Acknowledgement, Frame, Head};
 use super::is_bulk;
@@ -62,7 +63,8 @@ pub struct Offer {
 }
 
 /// What became of a message at its sender.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// It went out whole; bulk is known to have arrived.
     Sent,

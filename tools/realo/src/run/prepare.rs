@@ -85,7 +85,9 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
             eprintln!("realo: {}: {cut}", log_path.display());
         }
         let coop = args.coop.map_or(realo_player::Coop::All, super::Coop::for_player);
-        let plan = realo_player::plan(&log, args.ego.as_deref().unwrap_or_default(), coop, &args.agents)?;
+        let own = values(&graph, Decided::Own, str::to_string);
+        let ego = args.ego.as_deref().unwrap_or(&own);
+        let plan = realo_player::plan(&log, ego, coop, &args.agents)?;
         for planned in plan.runs {
             let ego = planned.ego.clone();
             if planned.collaborators.is_empty() {
@@ -304,7 +306,10 @@ impl Told<'_> {
     /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
     fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
         let mut graph = graph.clone();
-        let told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
+        let mut told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
+        if !values(&graph, Decided::Own, str::to_string).is_empty() {
+            told.push((Decided::Own, self.ego.into()));
+        }
         for (decided, value) in told {
             decide(&mut graph, decided, &value);
         }

@@ -1,0 +1,101 @@
+//! Addresses of agents: `tcp/HOST:PORT`, where the port behind it is taken too.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// An address.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Endpoint {
+    host: String,
+    port: u16,
+}
+
+/// No address.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected an address tcp/HOST:PORT with a port from 1 to 65534, such as tcp/0.0.0.0:7447, found `{0}`")]
+pub struct NoEndpoint(String);
+
+impl Endpoint {
+    /// As zenoh writes it, so many ports behind.
+    pub fn text(&self, after: u16) -> String {
+        format!("tcp/{}:{}", self.host, self.port.saturating_add(after))
+    }
+}
+
+impl FromStr for Endpoint {
+    type Err = NoEndpoint;
+
+    fn from_str(text: &str) -> Result<Self, NoEndpoint> {
+        let wrong = || NoEndpoint(text.into());
+        let (host, port) = text
+            .strip_prefix("tcp/")
+            .and_then(|rest| rest.rsplit_once(':'))
+            .ok_or_else(wrong)?;
+        let port: u16 = port.parse().map_err(|_| wrong())?;
+        let bare = host.starts_with('[') == host.ends_with(']');
+        if host.is_empty() || !bare || !(1..u16::MAX).contains(&port) || host.contains(['/', '#', '?']) {
+            return Err(wrong());
+        }
+        Ok(Endpoint {
+            host: host.into(),
+            port,
+        })
+    }
+}
+
+impl TryFrom<String> for Endpoint {
+    type Error = NoEndpoint;
+
+    fn try_from(text: String) -> Result<Self, NoEndpoint> {
+        text.parse()
+    }
+}
+
+impl From<Endpoint> for String {
+    fn from(endpoint: Endpoint) -> String {
+        endpoint.text(0)
+    }
+}
+
+impl fmt::Display for Endpoint {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(&self.text(0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_and_the_port_behind_it() {
+        for text in ["tcp/0.0.0.0:7447", "tcp/rsu1.local:1", "tcp/[::1]:65534"] {
+            let endpoint: Endpoint = text.parse().unwrap();
+            assert_eq!(endpoint.to_string(), text);
+        }
+        let endpoint: Endpoint = "tcp/[::1]:7447".parse().unwrap();
+        assert_eq!(endpoint.text(1), "tcp/[::1]:7448");
+    }
+
+    #[test]
+    fn what_is_no_address_is_shown() {
+        for text in [
+            "",
+            "tcp/",
+            "10.0.0.1:7447",
+            "udp/10.0.0.1:7447",
+            "tcp/10.0.0.1",
+            "tcp/10.0.0.1:0",
+            "tcp/10.0.0.1:65535",
+            "tcp/:7447",
+            "tcp/[::1:7447",
+            "tcp/a#iface=eth0:7447",
+        ] {
+            let error = text.parse::<Endpoint>().unwrap_err().to_string();
+            assert!(error.contains(&format!("found `{text}`")), "{error}");
+        }
+    }
+}

@@ -1,0 +1,326 @@
+//! The radio as a node of a graph.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use realo_operator::{
+    Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Waker, unexpected, wrong_port,
+};
+use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType};
+use realo_transmission::restamped;
+use serde::{Deserialize, Serialize};
+
+use crate::body;
+use crate::books::News;
+use crate::endpoint::Endpoint;
+use crate::network::{Network, Place, steady};
+use crate::protocol::{Arrived, Offer, Settings};
+use crate::station::{Event, Report, Station};
+
+const PACKETS: PortId = PortId(0);
+const TO_EGO: PortId = PortId(0);
+/// Time lines that differ by less are taken for one, ns: stamps are not moved.
+const SAME: Nanos = 1_000_000;
+/// Time lines that differ by more are of runs that have nothing to do with each other, ns.
+const APART: Nanos = 10_000_000_000;
+
+/// Settings of the radio.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Who this is.
+    pub agent: String,
+    /// Agents of one site hear each other.
+    pub site: String,
+    /// Where others connect.
+    pub listen: Vec<Endpoint>,
+    /// Whom to connect to.
+    pub connect: Vec<Endpoint>,
+    /// Age at which points and features must have arrived, ms.
+    pub deadline_ms: f64,
+    /// What points and features may add to the delay of everything else, ms.
+    pub queue_ms: f64,
+    /// Greatest message that is taken, bytes.
+    pub max_bytes: usize,
+    /// A peer of whom nothing was heard for so long has gone, ms.
+    pub lease_ms: u64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            agent: String::new(),
+            site: "realo".into(),
+            listen: Vec::new(),
+            connect: Vec::new(),
+            deadline_ms: 400.0,
+            queue_ms: 20.0,
+            max_bytes: 16 << 20,
+            lease_ms: 2000,
+        }
+    }
+}
+
+/// Exchanges packets with the agents of a site.
+pub struct Radio {
+    place: Place,
+    settings: Settings,
+    max_bytes: usize,
+    network: Option<Network>,
+    /// What was counted of the network so far.
+    counted: BTreeMap<&'static str, u64>,
+    reports: Vec<Report>,
+}
+
+impl Describe for Radio {
+    type Config = Config;
+    const NAME: &'static str = "radio";
+    const ABOUT: &'static str = "exchanges packets with agents on other machines, over Zenoh";
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "agent",
+            about: "who this is",
+        },
+        Argument {
+            name: "site",
+            about: "agents of one site hear each other",
+        },
+        Argument {
+            name: "listen",
+            about: "addresses where others connect, tcp/HOST:PORT; each takes the port behind it too",
+        },
+        Argument {
+            name: "connect",
+            about: "addresses of others",
+        },
+        Argument {
+            name: "deadline_ms",
+            about: "age at which points and features must have arrived, or they are not sent",
+        },
+        Argument {
+            name: "queue_ms",
+            about: "what points and features may add to the delay of everything else",
+        },
+        Argument {
+            name: "max_bytes",
+            about: "greatest message that is taken",
+        },
+        Argument {
+            name: "lease_ms",
+            about: "a peer of whom nothing was heard for so long has gone",
+        },
+    ];
+    const INPUTS: &'static [Port] =
+        &[Port::new("packets", &[PayloadType::Packet], "what this agent has for all others").of(Lane::Ego)];
+    const OUTPUTS: &'static [Port] =
+        &[Port::new("to_ego", &[PayloadType::Packet], "what the others have for this agent").of(Lane::OthersReceived)];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
+}
+
+impl Gateway for Radio {
+    fn new(config: Config) -> Result<Self, Error> {
+        check(&config)?;
+        let millis = |value: f64| (value * 1e6) as Nanos;
+        Ok(Radio {
+            place: Place {
+                site: config.site,
+                agent: config.agent.into(),
+                listen: config.listen,
+                connect: config.connect,
+                lease: Duration::from_millis(config.lease_ms),
+            },
+            settings: Settings {
+                queue: millis(config.queue_ms),
+                deadline: millis(config.deadline_ms),
+                ..Settings::default()
+            },
+            max_bytes: config.max_bytes,
+            network: None,
+            counted: BTreeMap::new(),
+            reports: Vec::new(),
+        })
+    }
+
+    fn open(&mut self, waker: Waker) -> Result<(), Error> {
+        let session = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH)?;
+        let session = session.as_nanos() as u64;
+        let station = Station::new(self.place.agent.clone(), self.settings.clone(), self.max_bytes, session);
+        self.network = Some(Network::join(&self.place, station, waker)?);
+        Ok(())
+    }
+
+    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        if port != PACKETS {
+            return Err(wrong_port(Self::INPUTS, port));
+        }
+        let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
+        let Some(network) = &self.network else { return Ok(()) };
+        network.set_time(out.now());
+        if matches!(header.kind, Kind::Truth | Kind::Report) {
+            return Err(format!("a packet of {}, which no link carries", header.kind).into());
+        }
+        let age = (out.now() - header.stamp).max(0);
+        let offer = Offer {
+            kind: header.kind,
+            seq: header.seq,
+            stamp: header.stamp,
+            born: steady() - age,
+            bytes: body::to_bytes(&packet)?,
+        };
+        if !network.offer(offer) {
+            out.count("overrun", 1);
+        }
+        Ok(())
+    }
+
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+        let Some(network) = &self.network else { return Ok(()) };
+        network.set_time(now);
+        let taken = network.take();
+        self.reports = taken.reports;
+        let totals = [
+            ("malformed", taken.refused.malformed),
+            ("strangers", taken.refused.strangers),
+            ("overrun", taken.overrun),
+        ];
+        for (counter, total) in totals {
+            let counted = self.counted.entry(counter).or_default();
+            out.count(counter, total - *counted);
+            *counted = total;
+        }
+        taken.events.into_iter().for_each(|event| self.take(event, out));
+        Ok(())
+    }
+
+    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        if let Some(network) = &mut self.network {
+            network.leave();
+        }
+        let now = out.now();
+        self.on_wake(now, out)?;
+        self.network = None;
+        for report in &self.reports {
+            eprintln!("radio: {}", words(report));
+        }
+        Ok(())
+    }
+}
+
+impl Radio {
+    fn take(&self, event: Event, out: &mut Outputs) {
+        match event {
+            Event::Arrived(from, message) => self.deliver(&from, message, out),
+            Event::Books(from, News { traffic, fates }) => {
+                for (kind, traffic) in traffic {
+                    out.carried(&from, &self.place.agent, kind, traffic);
+                }
+                out.know(fates);
+            }
+        }
+    }
+
+    /// Gives a message of a peer to the graph, on this agent's time line.
+    fn deliver(&self, from: &Name, message: Arrived, out: &mut Outputs) {
+        let Arrived {
+            kind,
+            seq,
+            stamp,
+            bytes,
+        } = message;
+        let (shift, now) = (self.shift(from), out.now());
+        let header = |stamp| Header {
+            to: Some(self.place.agent.clone()),
+            ..Header::origin(&Name::default(), from, kind, seq, stamp, now)
+        };
+        let packet = body::of_bytes(&bytes).and_then(|packet| match shift {
+            Some(0) => Some(packet),
+            Some(shift) => restamped(&packet, stamp.checked_add(shift)?),
+            None => None,
+        });
+        match packet {
+            Some(packet) => out.send(TO_EGO, Message::new(header(stamp + shift.unwrap_or(0)), packet)),
+            None => {
+                let counter = if shift.is_none() {
+                    "other_time_line"
+                } else {
+                    "malformed"
+                };
+                out.count(counter, 1);
+                out.tell(&header(stamp), realo_schemas::report::Fate::Rejected);
+            }
+        }
+    }
+
+    /// What a peer's stamps are moved by; `None`: its time line has nothing to do with this one.
+    fn shift(&self, from: &Name) -> Option<Nanos> {
+        let report = self.reports.iter().find(|report| report.peer == *from);
+        let Some(clock) = report.and_then(|report| report.clock) else {
+            return Some(0);
+        };
+        let differs = clock.offset.saturating_abs();
+        match differs {
+            _ if differs > APART => None,
+            _ if differs <= SAME.max(3 * clock.uncertainty) => Some(0),
+            _ => Some(-clock.offset),
+        }
+    }
+}
+
+fn check(config: &Config) -> Result<(), Error> {
+    let is_word = |text: &str| !text.is_empty() && !text.contains(['/', '*', '$', '?', '#']);
+    if !is_word(&config.agent) {
+        let found = &config.agent;
+        return Err(format!("argument `agent`: expected a name without / * $ ? #, found `{found}`").into());
+    }
+    if config.site.split('/').any(|part| !is_word(part)) {
+        let found = &config.site;
+        return Err(
+            format!("argument `site`: expected names without * $ ? # and / between them, found `{found}`").into(),
+        );
+    }
+    if config.listen.is_empty() && config.connect.is_empty() {
+        return Err(
+            "arguments `listen`, `connect`: expected an address in one of them at least, such as listen=tcp/0.0.0.0:7447; \
+             found none, and so nobody to exchange packets with"
+                .into(),
+        );
+    }
+    for (name, value) in [("deadline_ms", config.deadline_ms), ("queue_ms", config.queue_ms)] {
+        if !(value.is_finite() && value > 0.0 && value <= 1e6) {
+            return Err(format!("argument `{name}`: expected milliseconds above 0, found {value}").into());
+        }
+    }
+    if config.max_bytes < 1024 || config.lease_ms < 100 {
+        return Err("arguments `max_bytes`, `lease_ms`: expected at least 1024 bytes and 100 ms".into());
+    }
+    Ok(())
+}
+
+/// A line about a peer.
+fn words(report: &Report) -> String {
+    let Report {
+        peer,
+        clock,
+        round_trip,
+        rate,
+        received,
+    } = report;
+    let millis = |nanos: Nanos| format!("{:.2} ms", nanos as f64 * 1e-6);
+    let clock = clock.map_or("unknown".into(), |clock| {
+        format!("{} ± {}", millis(clock.offset), millis(clock.uncertainty))
+    });
+    let way = match (round_trip, rate) {
+        (Some(round_trip), Some(rate)) => {
+            format!(
+                ", round trip {}, carried {:.1} Mbit/s",
+                millis(*round_trip),
+                rate * 8e-6
+            )
+        }
+        _ => String::new(),
+    };
+    format!(
+        "{peer}: {} messages; its clock minus this one {clock}{way}",
+        received.messages
+    )
+}

@@ -1,0 +1,418 @@
+//! An agent among its peers: what goes out to each, and what came in, without socket or clock.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use bytes::Bytes;
+use realo_schemas::{Name, Nanos};
+
+use crate::books::{Heard, News, Sent, Sheet};
+use crate::offset::{Estimate, Exchange, Offset};
+use crate::protocol::{Arrived, Frame, FrameError, Offer, Receiver, ReceiverCounts, Sender, Settings, is_bulk};
+
+const MS: Nanos = 1_000_000;
+/// Peers at most, so that strangers cannot take all memory.
+pub const MOST_PEERS: usize = 64;
+/// Between two sheets of the books.
+const SHEETS: Nanos = 500 * MS;
+/// Between two questions for the peer's time, at first and later.
+const QUESTIONS: [Nanos; 2] = [100 * MS, 500 * MS];
+/// Questions at first.
+const FIRST_QUESTIONS: u32 = 20;
+
+/// What a message between agents is about; each has a key of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Topic {
+    /// Parts of points and features, under the window.
+    Bulk,
+    /// Boxes and states.
+    Small,
+    /// Acknowledgements.
+    Ack,
+    /// Questions and answers about time.
+    Clock,
+    /// Sheets of the books.
+    Books,
+}
+
+impl Topic {
+    /// All.
+    pub const ALL: [Topic; 5] = [Topic::Bulk, Topic::Small, Topic::Ack, Topic::Clock, Topic::Books];
+
+    /// Its part of a key.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Topic::Bulk => "bulk",
+            Topic::Small => "small",
+            Topic::Ack => "ack",
+            Topic::Clock => "clock",
+            Topic::Books => "books",
+        }
+    }
+}
+
+/// One moment, on the clocks that count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moment {
+    /// On a clock that never steps.
+    pub steady: Nanos,
+    /// On the graph's time line, once it is known.
+    pub log: Option<Nanos>,
+}
+
+/// Bytes for a peer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outgoing {
+    /// Who gets them.
+    pub to: Name,
+    /// What they are about.
+    pub topic: Topic,
+    /// What they are.
+    pub bytes: Bytes,
+}
+
+/// What came of frames, for the graph.
+#[derive(Debug)]
+pub enum Event {
+    /// A message of a peer is whole.
+    Arrived(Name, Arrived),
+    /// What became of messages of a peer.
+    Books(Name, News),
+}
+
+/// What was not taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Refused {
+    /// Bytes that are no frame, question, answer or sheet.
+    pub malformed: u64,
+    /// Messages of more peers than there may be.
+    pub strangers: u64,
+}
+
+/// What is known of a peer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Report {
+    /// Its name.
+    pub peer: Name,
+    /// How far its time line lies from this agent's.
+    pub clock: Option<Estimate>,
+    /// Least round trip of late of parts, ns.
+    pub round_trip: Option<Nanos>,
+    /// Bytes a second that the way to it carries, as far as it was used.
+    pub rate: Option<f64>,
+    /// What came in.
+    pub received: ReceiverCounts,
+}
+
+/// All that an agent keeps of a peer.
+struct Peer {
+    is_up: bool,
+    sender: Sender,
+    sent: Sent,
+    receiver: Receiver,
+    heard: Heard,
+    offset: Offset,
+    questions: u32,
+    /// The question that has no answer yet.
+    asked: Option<Nanos>,
+    asks_at: Nanos,
+    sheet_at: Nanos,
+    outgoing: VecDeque<(Topic, Bytes)>,
+}
+
+/// The agent.
+pub struct Station {
+    name: Name,
+    settings: Settings,
+    largest: usize,
+    session: u64,
+    peers: BTreeMap<Name, Peer>,
+    /// The peer whose turn it is.
+    turn: usize,
+    events: Vec<Event>,
+    refused: Refused,
+}
+
+impl Station {
+    /// An agent that knows nobody; `session` is greater than that of its earlier starts, messages have `largest` bytes at most.
+    pub fn new(name: Name, settings: Settings, largest: usize, session: u64) -> Self {
+        Station {
+            name,
+            settings,
+            largest,
+            session,
+            peers: BTreeMap::new(),
+            turn: 0,
+            events: Vec::new(),
+            refused: Refused::default(),
+        }
+    }
+
+    /// A peer has come.
+    pub fn up(&mut self, name: &Name, now: Moment) {
+        if let Some(peer) = self.peer(name) {
+            peer.is_up = true;
+            peer.questions = 0;
+            peer.asks_at = now.steady;
+        }
+    }
+
+    /// A peer has gone.
+    pub fn down(&mut self, name: &Name) {
+        if let Some(peer) = self.peers.get_mut(name) {
+            peer.is_up = false;
+            peer.sender.disconnected();
+            peer.sent.told(&peer.sender.take_told());
+            peer.outgoing.clear();
+        }
+    }
+
+    /// A message for all peers that are there.
+    pub fn offer(&mut self, offer: &Offer) {
+        for peer in self.peers.values_mut().filter(|peer| peer.is_up) {
+            peer.sent.offered(offer.kind, offer.seq, offer.bytes.len());
+            peer.sender.offer(offer.clone());
+        }
+    }
+
+    /// Takes what a peer sent.
+    pub fn take(&mut self, from: &Name, topic: Topic, bytes: &Bytes, now: Moment) {
+        let Some(peer) = self.peer(from) else {
+            self.refused.strangers += 1;
+            return;
+        };
+        let mut events = Vec::new();
+        let taken = match topic {
+            Topic::Bulk | Topic::Small | Topic::Ack => peer.frame(bytes, now, from, &mut events),
+            Topic::Clock => peer.time(bytes, now),
+            Topic::Books => peer.sheet(bytes, now, from, &mut events),
+        };
+        self.events.append(&mut events);
+        if taken.is_err() {
+            self.refused.malformed += 1;
+        }
+    }
+
+    /// What goes out now; ask until there is nothing. Peers take turns.
+    pub fn next(&mut self, now: Moment) -> Option<Outgoing> {
+        let count = self.peers.len();
+        for k in 0..count {
+            let place = (self.turn + k) % count;
+            let (name, peer) = self.peers.iter_mut().nth(place)?;
+            if let Some((topic, bytes)) = peer.next(now, self.session) {
+                self.turn = (place + 1) % count;
+                return Some(Outgoing {
+                    to: name.clone(),
+                    topic,
+                    bytes,
+                });
+            }
+        }
+        None
+    }
+
+    /// When [`Station::next`] should be asked again though nothing came in.
+    pub fn wakes_at(&self) -> Option<Nanos> {
+        let up = self.peers.values().filter(|peer| peer.is_up);
+        up.flat_map(|peer| {
+            let own = [peer.asks_at, peer.sheet_at];
+            peer.sender.wakes_at().into_iter().chain(own)
+        })
+        .min()
+    }
+
+    /// What came in for the graph since the last call.
+    pub fn take_events(&mut self, now: Moment) -> Vec<Event> {
+        for (name, peer) in &mut self.peers {
+            let mut news = News::default();
+            peer.heard.settle(Some(now.steady), &mut news);
+            note(&mut self.events, name, news);
+        }
+        std::mem::take(&mut self.events)
+    }
+
+    /// The last words about messages that have not come in.
+    pub fn end(&mut self) -> Vec<Event> {
+        for (name, peer) in &mut self.peers {
+            let mut news = News::default();
+            peer.heard.settle(None, &mut news);
+            note(&mut self.events, name, news);
+        }
+        std::mem::take(&mut self.events)
+    }
+
+    /// Has the next sheets go out now: nothing will be offered any more.
+    pub fn close(&mut self, now: Moment) {
+        for peer in self.peers.values_mut() {
+            peer.sheet_at = now.steady;
+        }
+    }
+
+    /// Bytes that wait or are on their way to peers that are there.
+    pub fn held(&self) -> usize {
+        let up = self.peers.values().filter(|peer| peer.is_up);
+        up.map(|peer| peer.sender.held()).sum()
+    }
+
+    /// How far the time line of a peer lies from this agent's, now.
+    pub fn clock_of(&self, peer: &str, now: Moment) -> Option<Estimate> {
+        self.peers.get(peer)?.offset.estimate(now.log?)
+    }
+
+    /// What is known of all peers.
+    pub fn reports(&self, now: Moment) -> Vec<Report> {
+        let report = |(name, peer): (&Name, &Peer)| Report {
+            peer: name.clone(),
+            clock: self.clock_of(name, now),
+            round_trip: peer.sender.window().round_trip(),
+            rate: peer.sender.window().rate(),
+            received: peer.receiver.counts(),
+        };
+        self.peers.iter().map(report).collect()
+    }
+
+    /// What was not taken.
+    pub fn refused(&self) -> Refused {
+        self.refused
+    }
+
+    /// A peer, known or new; `None` if there are too many.
+    fn peer(&mut self, name: &Name) -> Option<&mut Peer> {
+        if !self.peers.contains_key(name) {
+            if self.peers.len() >= MOST_PEERS || **name == *self.name {
+                return None;
+            }
+            let peer = Peer {
+                is_up: false,
+                sender: Sender::new(self.settings.clone(), self.session),
+                sent: Sent::default(),
+                receiver: Receiver::new(self.largest),
+                heard: Heard::new(name.clone(), self.name.clone()),
+                offset: Offset::default(),
+                questions: 0,
+                asked: None,
+                asks_at: Nanos::MIN,
+                sheet_at: Nanos::MIN,
+                outgoing: VecDeque::new(),
+            };
+            self.peers.insert(name.clone(), peer);
+        }
+        self.peers.get_mut(name)
+    }
+}
+
+/// Bytes that are not what their topic says.
+struct Malformed;
+
+impl From<FrameError> for Malformed {
+    fn from(_: FrameError) -> Self {
+        Malformed
+    }
+}
+
+impl Peer {
+    fn frame(&mut self, bytes: &Bytes, now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Malformed> {
+        match Frame::parse(bytes)? {
+            Frame::Part(head, part) => {
+                let received = self.receiver.take(&head, part, now.steady);
+                if let Some(ack) = received.acknowledgement {
+                    let bytes = Frame::Acknowledgement(ack).to_bytes();
+                    self.outgoing.push_back((Topic::Ack, bytes));
+                }
+                if let Some(message) = received.message {
+                    let mut news = News::default();
+                    self.heard
+                        .arrived(message.kind, message.seq, message.bytes.len(), &mut news);
+                    note(events, name, news);
+                    events.push(Event::Arrived(name.clone(), message));
+                }
+            }
+            Frame::Acknowledgement(ack) => {
+                self.sender.acknowledged(&ack, now.steady);
+                self.sent.told(&self.sender.take_told());
+            }
+        }
+        Ok(())
+    }
+
+    fn sheet(&mut self, bytes: &[u8], now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Malformed> {
+        let sheet: Sheet = serde_json::from_slice(bytes).map_err(|_| Malformed)?;
+        let mut news = News::default();
+        self.heard.sheet(&sheet, now.steady, &mut news);
+        note(events, name, news);
+        Ok(())
+    }
+
+    fn time(&mut self, bytes: &[u8], now: Moment) -> Result<(), Malformed> {
+        let Some(log) = now.log else {
+            return Ok(());
+        };
+        let (words, rest) = bytes.as_chunks();
+        let words: Vec<Nanos> = words.iter().map(|word| Nanos::from_le_bytes(*word)).collect();
+        match (&*words, rest) {
+            ([asked], []) => {
+                let answer = [*asked, log].map(Nanos::to_le_bytes).concat();
+                self.outgoing.push_back((Topic::Clock, answer.into()));
+            }
+            // The answer goes out where the question came in: no time between them counts.
+            ([asked, answered], []) => {
+                if self.asked.take_if(|open| open == asked).is_some() {
+                    self.offset.take(Exchange {
+                        asked: *asked,
+                        heard: *answered,
+                        answered: *answered,
+                        known: log,
+                    });
+                }
+            }
+            _ => return Err(Malformed),
+        }
+        Ok(())
+    }
+
+    fn next(&mut self, now: Moment, session: u64) -> Option<(Topic, Bytes)> {
+        if let Some(outgoing) = self.outgoing.pop_front() {
+            return Some(outgoing);
+        }
+        if !self.is_up {
+            return None;
+        }
+        if let (true, Some(log)) = (now.steady >= self.asks_at, now.log) {
+            let [often, seldom] = QUESTIONS;
+            self.questions = self.questions.saturating_add(1);
+            self.asks_at = now.steady
+                + if self.questions < FIRST_QUESTIONS {
+                    often
+                } else {
+                    seldom
+                };
+            self.asked = Some(log);
+            return Some((Topic::Clock, log.to_le_bytes().to_vec().into()));
+        }
+        if now.steady >= self.asks_at {
+            self.asks_at = now.steady + QUESTIONS[0];
+        }
+        if now.steady >= self.sheet_at {
+            self.sheet_at = now.steady + SHEETS;
+            if let Some(sheet) = self.sent.sheet(session) {
+                let bytes = serde_json::to_vec(&sheet).expect("a sheet has numbers and names only");
+                return Some((Topic::Books, bytes.into()));
+            }
+        }
+        let frame = self.sender.next(now.steady);
+        self.sent.told(&self.sender.take_told());
+        frame.map(|frame| {
+            let topic = match &frame {
+                Frame::Part(head, _) if is_bulk(head.kind) => Topic::Bulk,
+                Frame::Part(..) => Topic::Small,
+                Frame::Acknowledgement(_) => Topic::Ack,
+            };
+            (topic, frame.to_bytes())
+        })
+    }
+}
+
+fn note(events: &mut Vec<Event>, peer: &Name, news: News) {
+    if news != News::default() {
+        events.push(Event::Books(peer.clone(), news));
+    }
+}
