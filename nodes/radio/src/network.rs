@@ -201,11 +201,15 @@ fn open(place: &Place, after: u16) -> Result<Session, NetworkError> {
         "listen": { "endpoints": listen, "exit_on_failure": true },
         "connect": {
             "endpoints": connect,
-            "timeout_ms": 0,
+            "timeout_ms": -1,
             "exit_on_failure": false,
             "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5 },
         },
-        "transport": { "link": { "tx": { "lease": lease, "keep_alive": 4 } } },
+        // Two agents on one machine would measure its memory instead of their link.
+        "transport": {
+            "link": { "tx": { "lease": lease, "keep_alive": 4 } },
+            "shared_memory": { "enabled": false },
+        },
     });
     let config = zenoh::Config::from_json5(&config.to_string()).map_err(|error| zenoh_error(&*what, &error))?;
     zenoh::open(config).wait().map_err(|error| zenoh_error(what, &error))

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::frame::{Acknowledgement, Frame, Head};
 use super::is_bulk;
-use super::transfer::Transfer;
+use super::transfer::{Transfer, Trial};
 use super::window::Window;
 
 const MS: Nanos = 1_000_000;
@@ -164,7 +164,8 @@ impl Sender {
             if !self.has_room() {
                 return None;
             }
-            match self.transfers.iter().position(|transfer| transfer.due().is_some()) {
+            while self.squeeze_in(now) {}
+            match self.next_transfer() {
                 // A trial that goes at the pace of what is believed would confirm it.
                 Some(place) if self.transfers[place].trial.is_some() || self.window.opens_at() <= now => {
                     return Some(self.part(place, now));
@@ -300,6 +301,35 @@ impl Sender {
         self.flying.is_empty() || self.flying_bytes + self.window.part() <= self.window.bytes()
     }
 
+    /// The transfer whose part goes next: the one that is over first, so that little waits for much.
+    fn next_transfer(&self) -> Option<usize> {
+        let due = self.transfers.iter().enumerate();
+        let due = due.filter(|(_, transfer)| transfer.due().is_some());
+        due.min_by_key(|(_, transfer)| transfer.remaining())
+            .map(|(place, _)| place)
+    }
+
+    /// Begins with a message of another kind beside those that cross, if all of them arrive in time nevertheless.
+    fn squeeze_in(&mut self, now: Nanos) -> bool {
+        let crossing = || self.transfers.iter().filter(|transfer| transfer.due().is_some());
+        let is_full =
+            self.transfers.len() >= TRANSFERS || self.transfers.iter().any(|transfer| transfer.trial.is_some());
+        if is_full || crossing().next().is_none() {
+            return false;
+        }
+        let Some(offer) = self.turn().and_then(|kind| self.waiting.get(&kind)) else {
+            return false;
+        };
+        if crossing().any(|transfer| transfer.offer.kind == offer.kind) {
+            return false;
+        }
+        let bytes = crossing().map(Transfer::remaining).sum::<usize>() + offer.bytes.len();
+        let born = crossing()
+            .map(|transfer| transfer.offer.born)
+            .fold(offer.born, Nanos::min);
+        self.arrival(now, bytes) <= born + self.settings.deadline && self.start(now)
+    }
+
     /// Begins with a message that waits and arrives in time, or tries one; `false` if there is none.
     fn start(&mut self, now: Nanos) -> bool {
         while self.transfers.len() < TRANSFERS {
@@ -310,7 +340,10 @@ impl Sender {
             let arrives = self.arrival(now, offer.bytes.len());
             let trial = match arrives <= offer.born + self.settings.deadline {
                 true => None,
-                false if self.may_try(kind, now) => Some(self.trial_parts()),
+                false if self.may_try(kind, now) => Some(Trial {
+                    parts: self.trial_parts(),
+                    since: now,
+                }),
                 false => {
                     self.tell(&offer, Outcome::Late);
                     continue;
@@ -387,7 +420,18 @@ impl Sender {
                 continue;
             }
             let late = self.arrival(now, transfer.remaining()) > transfer.offer.born + self.settings.deadline;
-            if transfer.remaining() > 0 && late {
+            let in_time = now <= transfer.offer.born + self.settings.deadline;
+            if let Some(trial) = transfer
+                .trial
+                .filter(|trial| late && in_time && self.window.grew_since(trial.since))
+            {
+                // The parts came in faster than was known: twice as many say how fast the way is.
+                let more = Trial {
+                    parts: trial.parts.saturating_mul(2),
+                    since: now,
+                };
+                self.transfers[place].trial = Some(more);
+            } else if transfer.remaining() > 0 && late {
                 let transfer = self.transfers.remove(place).expect("it was just there");
                 self.tell(&transfer.offer, Outcome::Late);
             } else if is_under_trial {

@@ -6,6 +6,15 @@ use realo_schemas::Nanos;
 use super::frame::{Acknowledgement, Frame, Head};
 use super::sender::Offer;
 
+/// Parts that go out, to see what the way carries, before the others of their message may.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Trial {
+    /// How many of the first parts.
+    pub parts: u32,
+    /// When the last of them were let go.
+    pub since: Nanos,
+}
+
 /// A message that has begun to cross.
 #[derive(Debug)]
 pub(super) struct Transfer {
@@ -18,12 +27,12 @@ pub(super) struct Transfer {
     again: Vec<u32>,
     /// By part: whether it is acknowledged.
     arrived: Vec<bool>,
-    /// Parts that may go out before what they tell of the way decides about the others.
-    pub trial: Option<u32>,
+    /// While it is not known whether the message arrives in time.
+    pub trial: Option<Trial>,
 }
 
 impl Transfer {
-    pub fn new(offer: Offer, part: usize, trial: Option<u32>) -> Self {
+    pub fn new(offer: Offer, part: usize, trial: Option<Trial>) -> Self {
         let count = offer.bytes.len().div_ceil(part).max(1);
         Transfer {
             offer,
@@ -41,7 +50,8 @@ impl Transfer {
 
     /// The part that goes out next; `None` if all are on the way, or a trial is.
     pub fn due(&self) -> Option<u32> {
-        let fresh = (self.next < self.trial.unwrap_or(u32::MAX).min(self.count())).then_some(self.next);
+        let fresh =
+            (self.next < self.trial.map_or(u32::MAX, |trial| trial.parts).min(self.count())).then_some(self.next);
         self.again.last().copied().or(fresh)
     }
 

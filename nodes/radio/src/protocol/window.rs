@@ -101,6 +101,11 @@ impl Window {
         self.least.map(|(least, _)| least)
     }
 
+    /// Whether the way was found to carry more than was known, after this time.
+    pub fn grew_since(&self, then: Nanos) -> bool {
+        self.grew.is_some_and(|grew| grew > then)
+    }
+
     /// When the next part may go out, if the window has room: all at once would stand in a queue on the way.
     pub fn opens_at(&self) -> Nanos {
         self.crossed.saturating_sub(TOGETHER)
