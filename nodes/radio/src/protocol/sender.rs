@@ -20,7 +20,7 @@ const OVERTAKEN: usize = 3;
 const SILENCE: Nanos = 1_000 * MS;
 /// The link's time that a trial may take, s.
 const TRIAL_TIME: f64 = 0.05;
-/// Parts of a trial.
+/// Parts of a trial, as it begins.
 const TRIAL_PARTS: (u32, u32) = (4, 8);
 
 /// How a sender weighs freshness against completeness.
@@ -341,7 +341,7 @@ impl Sender {
             let trial = match arrives <= offer.born + self.settings.deadline {
                 true => None,
                 false if self.may_try(kind, now) => Some(Trial {
-                    parts: self.trial_parts(),
+                    parts: self.trial_parts(TRIAL_PARTS.1),
                     since: now,
                 }),
                 false => {
@@ -393,10 +393,10 @@ impl Sender {
         may
     }
 
-    fn trial_parts(&self) -> u32 {
+    fn trial_parts(&self, most: u32) -> u32 {
         let rate = self.window.rate().unwrap_or(0.0);
         let parts = (rate * TRIAL_TIME / self.window.part() as f64) as u32;
-        parts.clamp(TRIAL_PARTS.0, TRIAL_PARTS.1)
+        parts.clamp(TRIAL_PARTS.0, most)
     }
 
     /// When so many bytes more will have arrived, as far as is known.
@@ -425,9 +425,9 @@ impl Sender {
                 .trial
                 .filter(|trial| late && in_time && self.window.grew_since(trial.since))
             {
-                // The parts came in faster than was known: twice as many say how fast the way is.
+                // The parts came in faster than was known: some more say how fast the way is.
                 let more = Trial {
-                    parts: trial.parts.saturating_mul(2),
+                    parts: trial.parts.saturating_add(self.trial_parts(u32::MAX)),
                     since: now,
                 };
                 self.transfers[place].trial = Some(more);

@@ -1,0 +1,212 @@
+//! Agents on machines of their own, here on one: each has its graph, and they meet over Zenoh alone.
+
+mod common;
+
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, MutexGuard};
+use std::time::{Duration, Instant};
+
+use common::{REALO, folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
+use serde_json::Value;
+
+/// Realtime runs share the machine's cores with nothing of ours.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// Sweeps of the agents lie at least 15 ms apart, so that no race decides which message is the newest.
+fn log() -> PathBuf {
+    let args = "--seed 903 --seconds 3 --phase spread --no-clouds --key-hz 10";
+    simulated("spread", &args.split(' ').collect::<Vec<_>>())
+}
+
+/// A port that is free, as is the one behind it.
+fn free_port() -> u16 {
+    for _ in 0..100 {
+        let first = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+        let port = first.local_addr().expect("it has an address").port();
+        if port < u16::MAX && TcpListener::bind(("127.0.0.1", port + 1)).is_ok() {
+            return port;
+        }
+    }
+    panic!("no two ports side by side are free");
+}
+
+/// What starts an agent's graph.
+fn arguments(name: &str, log: &Path, out: &Path, set: &[String]) -> Vec<String> {
+    let mut all: Vec<String> = ["run", &graph(name), "--recorded-detections", "--log"]
+        .map(String::from)
+        .into();
+    all.extend([log.display().to_string(), "--out".into(), out.display().to_string()]);
+    all.extend(set.iter().flat_map(|set| ["--set".to_string(), set.clone()]));
+    all
+}
+
+/// An agent that plays its part of the log again and again until it is stopped.
+struct Peer(Child);
+
+impl Peer {
+    fn start(name: &str, log: &Path, out: &Path, port: u16, more: &[&str]) -> Peer {
+        let mut set = vec![format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()];
+        set.extend(more.iter().map(|more| more.to_string()));
+        let child = Command::new(REALO)
+            .args(arguments(name, log, out, &set))
+            .current_dir(root())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .process_group_of_its_own()
+            .spawn();
+        Peer(child.expect("realo can be started"))
+    }
+}
+
+/// Signals reach what a program has started too.
+trait Group {
+    fn process_group_of_its_own(&mut self) -> &mut Self;
+}
+
+impl Group for Command {
+    fn process_group_of_its_own(&mut self) -> &mut Self {
+        std::os::unix::process::CommandExt::process_group(self, 0)
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let group = format!("-{}", self.0.id());
+        let _ = Command::new("kill").args(["-INT", "--", &group]).status();
+        let begun = Instant::now();
+        while begun.elapsed() < Duration::from_secs(10) {
+            if matches!(self.0.try_wait(), Ok(Some(_))) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let _ = Command::new("kill").args(["-KILL", "--", &group]).status();
+        let _ = self.0.wait();
+    }
+}
+
+/// The boxes of every frame, without its time.
+fn boxes(out: &Path) -> Vec<Value> {
+    let mut samples = json(&out.join("evaluation.json"));
+    let frames = samples["evaluation"]["scenes"][0]["frames"].take();
+    let frames = frames.as_array().expect("frames");
+    frames.iter().map(|frame| frame["detections"].clone()).collect()
+}
+
+/// sent = used + … + lost, for what the peer sent.
+fn assert_books_add_up(result: &Value) {
+    let link = &result["links"]["rsu1-cav1"]["boxes"];
+    assert_eq!(link["unaccounted"], 0, "{link}");
+    assert!(link["sent"].as_u64() > Some(0), "{link}");
+}
+
+#[test]
+fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
+    let _alone = alone();
+    let (log, port) = (log(), free_port());
+    let (near, far) = (folder("radio_vehicle"), folder("radio_roadside"));
+    let together = ["--recorded-detections", "--ego", "cav1", "--agents", "cav1,rsu1"];
+    run_virtual("radio_virtual", "late_fusion", &log, &together);
+    let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("radio_virtual");
+    let expected = boxes(&virtual_out);
+    let _peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
+    // A machine that stands still for a moment delays a message by more than the sweeps lie apart.
+    let mut different = Vec::new();
+    for _ in 0..3 {
+        let set = [format!("v2x.listen=tcp/127.0.0.1:{port}")];
+        realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
+        let result = json(&near.join("result.json"));
+        assert_books_add_up(&result);
+        let found = boxes(&near);
+        assert_eq!(found.len(), expected.len());
+        different = (0..found.len())
+            .filter(|frame| found[*frame] != expected[*frame])
+            .collect();
+        if different.is_empty() {
+            return;
+        }
+    }
+    panic!("other boxes in frames {different:?} of three runs");
+}
+
+#[test]
+fn an_agent_alone_finds_what_it_finds_without_others() {
+    let _alone = alone();
+    let (log, near) = (log(), folder("radio_alone"));
+    run_virtual(
+        "radio_alone_virtual",
+        "no_fusion",
+        &log,
+        &["--recorded-detections", "--ego", "cav1"],
+    );
+    let set = [format!("v2x.listen=tcp/127.0.0.1:{}", free_port())];
+    realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
+    let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("radio_alone_virtual");
+    assert!(boxes(&near) == boxes(&virtual_out), "the same boxes in every frame");
+    assert_eq!(json(&near.join("result.json"))["links"], serde_json::json!({}));
+}
+
+#[test]
+fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
+    let _alone = alone();
+    let (log, port) = (log(), free_port());
+    let (near, far) = (folder("radio_killed"), folder("radio_killed_roadside"));
+    let vehicle = std::thread::spawn({
+        let (log, near) = (log.clone(), near.clone());
+        move || {
+            let set = [format!("v2x.listen=tcp/127.0.0.1:{port}"), "player.repeat=6".into()];
+            realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
+        }
+    });
+    let peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
+    std::thread::sleep(Duration::from_secs(16));
+    drop(peer);
+    let peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
+    vehicle.join().expect("the vehicle's run is complete");
+    drop(peer);
+    let result = json(&near.join("result.json"));
+    assert_books_add_up(&result);
+    let processed = result["frames"]["processed"].as_u64();
+    assert!(
+        processed >= Some(6 * 30 - 2),
+        "the ego never stalls: {}",
+        result["frames"]
+    );
+}
+
+#[test]
+fn what_cannot_work_is_said_before_the_run() {
+    let log = log();
+    let near = folder("radio_wrong");
+    let refused = |set: &[&str], more: &[&str]| {
+        let set: Vec<String> = set.iter().map(|set| set.to_string()).collect();
+        let mut all = arguments("late_fusion.vehicle", &log, &near, &set);
+        all.extend(more.iter().map(|more| more.to_string()));
+        let output = realo(all);
+        assert!(!output.status.success(), "{set:?} {more:?}");
+        text(&output.stderr)
+    };
+    for (set, more, expected) in [
+        (&["v2x.listen=rsu1.local:7447"][..], &[][..], "tcp/HOST:PORT"),
+        (&["v2x.listen=tcp/0.0.0.0:70000"], &[], "found `tcp/0.0.0.0:70000`"),
+        (&["v2x.listen="], &[], "`listen`, `connect`"),
+        (&["v2x.site=a*b"], &[], "argument `site`"),
+        (&["v2x.deadline_ms=0"], &[], "argument `deadline_ms`"),
+        (&[], &["--mode", "virtual"], "realtime only"),
+        (&[], &["--rate", "2"], "clock=wall"),
+        (&["player.skew_ms=1e9"], &[], "`skew_ms`"),
+    ] {
+        let found = refused(set, more);
+        assert!(found.contains(expected), "{set:?} {more:?}: {found}");
+    }
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+    let port = taken.local_addr().expect("it has an address").port();
+    let found = refused(&[&format!("v2x.listen=tcp/127.0.0.1:{port}")], &[]);
+    assert!(found.contains(&port.to_string()), "{found}");
+}
