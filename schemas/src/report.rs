@@ -125,6 +125,29 @@ impl Traffic {
     }
 }
 
+/// Topic of the reports about the agents on other machines, a list of [`Peer`].
+pub const PEERS: &str = "peers";
+
+/// What an agent knows of one on another machine.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Peer {
+    /// Its name.
+    pub name: String,
+    /// Messages that came from it.
+    pub messages: u64,
+    /// Its clock minus this agent's at the end, ms.
+    pub clock_ms: Option<f64>,
+    /// What that is likely off by, ms.
+    pub clock_uncertainty_ms: Option<f64>,
+    /// What its clock gains on this agent's, ms in a second.
+    pub clock_drift_ms_s: Option<f64>,
+    /// Least round trip of late, of parts or, where none was sent, of questions about the time, ms.
+    pub round_trip_ms: Option<f64>,
+    /// What the way to it was found to carry at the end, bits/s.
+    pub bits_per_second: Option<f64>,
+}
+
 /// A report of a document.
 pub fn to_report<T: Serialize>(topic: &str, document: &T) -> Report {
     let json = serde_json::to_string(document).expect("report documents have text keys only");

@@ -1,13 +1,17 @@
-//! A packet as it crosses: its codecs, then its bytes.
+//! A packet as it crosses: when it was given to the radio, its codecs, then its bytes.
 //!
 //! | bytes | content |
 //! |---|---|
+//! | i64, little endian | when its sender's radio had it, ns on the sender's time line |
 //! | 1 | number of codecs |
 //! | for each: 1, n | length of its name, name |
 //! | rest | the packet's bytes |
 
 use bytes::Bytes;
-use realo_schemas::Packet;
+use realo_schemas::{Nanos, Packet};
+
+/// Bytes before the codecs.
+const GIVEN: usize = 8;
 
 /// A packet that cannot cross.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -18,10 +22,11 @@ pub struct NoBody(String);
 ///
 /// # Errors
 /// More codecs, or longer names, than a byte counts.
-pub fn to_bytes(packet: &Packet) -> Result<Bytes, NoBody> {
+pub fn to_bytes(packet: &Packet, given: Nanos) -> Result<Bytes, NoBody> {
     let wrong = || NoBody(packet.codec.join(", "));
     let names: usize = packet.codec.iter().map(|name| 1 + name.len()).sum();
-    let mut bytes = Vec::with_capacity(1 + names + packet.bytes.len());
+    let mut bytes = Vec::with_capacity(GIVEN + 1 + names + packet.bytes.len());
+    bytes.extend(given.to_le_bytes());
     bytes.push(u8::try_from(packet.codec.len()).map_err(|_| wrong())?);
     for name in &packet.codec {
         bytes.push(u8::try_from(name.len()).map_err(|_| wrong())?);
@@ -31,9 +36,10 @@ pub fn to_bytes(packet: &Packet) -> Result<Bytes, NoBody> {
     Ok(bytes.into())
 }
 
-/// The packet that crossed, if it is one.
-pub fn of_bytes(bytes: &Bytes) -> Option<Packet> {
-    let (count, mut at) = (*bytes.first()?, 1);
+/// The packet that crossed, if it is one, and when its sender's radio had it.
+pub fn of_bytes(bytes: &Bytes) -> Option<(Packet, Nanos)> {
+    let given = Nanos::from_le_bytes(*bytes.first_chunk()?);
+    let (count, mut at) = (*bytes.get(GIVEN)?, GIVEN + 1);
     let mut codec = Vec::with_capacity(count.into());
     for _ in 0..count {
         let length = usize::from(*bytes.get(at)?);
@@ -41,10 +47,11 @@ pub fn of_bytes(bytes: &Bytes) -> Option<Packet> {
         codec.push(std::str::from_utf8(name).ok()?.to_string());
         at += 1 + length;
     }
-    Some(Packet {
+    let packet = Packet {
         codec,
         bytes: bytes.slice(at..).into(),
-    })
+    };
+    Some((packet, given))
 }
 
 #[cfg(test)]
@@ -55,16 +62,17 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_packet_comes_back_as_it_was(codec in prop::collection::vec("[a-z0-9]{0,12}", 0..5), bytes in any::<Vec<u8>>()) {
+        fn a_packet_comes_back_as_it_was(codec in prop::collection::vec("[a-z0-9]{0,12}", 0..5), bytes in any::<Vec<u8>>(), given in any::<Nanos>()) {
             let packet = Packet { codec, bytes: bytes.into() };
-            prop_assert_eq!(of_bytes(&to_bytes(&packet).unwrap()), Some(packet));
+            let bytes = to_bytes(&packet, given).unwrap();
+            prop_assert_eq!(of_bytes(&bytes), Some((packet, given)));
         }
 
         #[test]
         fn any_bytes_are_a_packet_or_none(bytes in any::<Vec<u8>>()) {
             let bytes = Bytes::from(bytes);
-            if let Some(packet) = of_bytes(&bytes) {
-                prop_assert_eq!(to_bytes(&packet).unwrap(), bytes);
+            if let Some((packet, given)) = of_bytes(&bytes) {
+                prop_assert_eq!(to_bytes(&packet, given).unwrap(), bytes);
             }
         }
     }
@@ -75,6 +83,6 @@ mod tests {
             codec: vec!["x".repeat(256)],
             bytes: Vec::<u8>::new().into(),
         };
-        assert!(to_bytes(&packet).unwrap_err().to_string().contains("255"));
+        assert!(to_bytes(&packet, 0).unwrap_err().to_string().contains("255"));
     }
 }

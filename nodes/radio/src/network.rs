@@ -341,6 +341,7 @@ impl Loop {
         self.send();
         let last = self.station.end();
         self.pass(last);
+        self.report();
     }
 
     /// Sends and listens once; `false` if it is to stop.
@@ -388,15 +389,19 @@ impl Loop {
         if events.is_empty() {
             return;
         }
-        let now = self.now();
+        self.report();
         let mut shared = lock(&self.shared);
-        shared.reports = self.station.reports(now);
-        shared.refused = self.station.refused();
         shared.events.extend(events);
         let surplus = shared.events.len().saturating_sub(EVENTS);
         shared.overrun += shared.events.drain(..surplus).count() as u64;
         drop(shared);
         self.waker.wake();
+    }
+
+    fn report(&self) {
+        let reports = self.station.reports(self.now());
+        let mut shared = lock(&self.shared);
+        (shared.reports, shared.refused) = (reports, self.station.refused());
     }
 
     fn now(&self) -> Moment {

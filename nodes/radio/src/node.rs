@@ -6,7 +6,8 @@ use std::time::Duration;
 use realo_operator::{
     Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Waker, unexpected, wrong_port,
 };
-use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType};
+use realo_schemas::report::{self, Fate, Peer, to_report};
+use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, to_millis};
 use realo_transmission::restamped;
 use serde::{Deserialize, Serialize};
 
@@ -14,11 +15,13 @@ use crate::body;
 use crate::books::News;
 use crate::endpoint::Endpoint;
 use crate::network::{Network, Place, steady};
+use crate::offset::Estimate;
 use crate::protocol::{Arrived, Offer, Settings};
 use crate::station::{Event, Report, Station};
 
 const PACKETS: PortId = PortId(0);
 const TO_EGO: PortId = PortId(0);
+const PEERS: PortId = PortId(1);
 /// Time lines that differ by less are taken for one, ns: stamps are not moved.
 const SAME: Nanos = 1_000_000;
 /// Time lines that differ by more are of runs that have nothing to do with each other, ns.
@@ -112,8 +115,14 @@ impl Describe for Radio {
     ];
     const INPUTS: &'static [Port] =
         &[Port::new("packets", &[PayloadType::Packet], "what this agent has for all others").of(Lane::Ego)];
-    const OUTPUTS: &'static [Port] =
-        &[Port::new("to_ego", &[PayloadType::Packet], "what the others have for this agent").of(Lane::OthersReceived)];
+    const OUTPUTS: &'static [Port] = &[
+        Port::new("to_ego", &[PayloadType::Packet], "what the others have for this agent").of(Lane::OthersReceived),
+        Port::new(
+            "peers",
+            &[PayloadType::Report],
+            "topic `peers`: what is known of the others, at the end",
+        ),
+    ];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
 }
 
@@ -165,7 +174,7 @@ impl Gateway for Radio {
             seq: header.seq,
             stamp: header.stamp,
             born: steady() - age,
-            bytes: body::to_bytes(&packet)?,
+            bytes: body::to_bytes(&packet, out.now())?,
         };
         if !network.offer(offer) {
             out.count("overrun", 1);
@@ -199,9 +208,9 @@ impl Gateway for Radio {
         let now = out.now();
         self.on_wake(now, out)?;
         self.network = None;
-        for report in &self.reports {
-            eprintln!("radio: {}", words(report));
-        }
+        let peers: Vec<Peer> = self.reports.iter().map(peer).collect();
+        let header = Header::origin(&Name::default(), &self.place.agent, Kind::Report, 0, now, now);
+        out.send(PEERS, Message::new(header, to_report(report::PEERS, &peers)));
         Ok(())
     }
 }
@@ -232,10 +241,15 @@ impl Radio {
             to: Some(self.place.agent.clone()),
             ..Header::origin(&Name::default(), from, kind, seq, stamp, now)
         };
-        let packet = body::of_bytes(&bytes).and_then(|packet| match shift {
-            Some(0) => Some(packet),
-            Some(shift) => restamped(&packet, stamp.checked_add(shift)?),
-            None => None,
+        let packet = body::of_bytes(&bytes).and_then(|(packet, given)| {
+            if let Some(clock) = self.clock(from) {
+                let on_the_way = now.saturating_add(clock.offset).saturating_sub(given);
+                out.steps().took(on_the_way_of(kind), on_the_way.max(0));
+            }
+            match shift? {
+                0 => Some(packet),
+                shift => restamped(&packet, stamp.checked_add(shift)?),
+            }
         });
         match packet {
             Some(packet) => out.send(TO_EGO, Message::new(header(stamp + shift.unwrap_or(0)), packet)),
@@ -246,15 +260,18 @@ impl Radio {
                     "malformed"
                 };
                 out.count(counter, 1);
-                out.tell(&header(stamp), realo_schemas::report::Fate::Rejected);
+                out.tell(&header(stamp), Fate::Rejected);
             }
         }
     }
 
+    fn clock(&self, of: &Name) -> Option<Estimate> {
+        self.reports.iter().find(|report| report.peer == *of)?.clock
+    }
+
     /// What a peer's stamps are moved by; `None`: its time line has nothing to do with this one.
     fn shift(&self, from: &Name) -> Option<Nanos> {
-        let report = self.reports.iter().find(|report| report.peer == *from);
-        let Some(clock) = report.and_then(|report| report.clock) else {
+        let Some(clock) = self.clock(from) else {
             return Some(0);
         };
         let differs = clock.offset.saturating_abs();
@@ -296,31 +313,26 @@ fn check(config: &Config) -> Result<(), Error> {
     Ok(())
 }
 
-/// A line about a peer.
-fn words(report: &Report) -> String {
-    let Report {
-        peer,
-        clock,
-        round_trip,
-        rate,
-        received,
-    } = report;
-    let millis = |nanos: Nanos| format!("{:.2} ms", nanos as f64 * 1e-6);
-    let clock = clock.map_or("unknown".into(), |clock| {
-        format!("{} ± {}", millis(clock.offset), millis(clock.uncertainty))
-    });
-    let way = match (round_trip, rate) {
-        (Some(round_trip), Some(rate)) => {
-            format!(
-                ", round trip {}, carried {:.1} Mbit/s",
-                millis(*round_trip),
-                rate * 8e-6
-            )
-        }
-        _ => String::new(),
-    };
-    format!(
-        "{peer}: {} messages; its clock minus this one {clock}{way}",
-        received.messages
-    )
+/// The step that tells how long a message took, from its sender's radio to this one, by both clocks.
+fn on_the_way_of(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Points => "points on the way",
+        Kind::Features => "features on the way",
+        Kind::Boxes => "boxes on the way",
+        _ => "states on the way",
+    }
+}
+
+/// What results tell of a peer.
+fn peer(report: &Report) -> Peer {
+    let clock = report.clock;
+    Peer {
+        name: report.peer.to_string(),
+        messages: report.received.messages,
+        clock_ms: clock.map(|clock| to_millis(clock.offset)),
+        clock_uncertainty_ms: clock.map(|clock| to_millis(clock.uncertainty)),
+        clock_drift_ms_s: clock.map(|clock| clock.drift * 1e-6),
+        round_trip_ms: report.round_trip.or(clock.map(|clock| 2 * clock.bound)).map(to_millis),
+        bits_per_second: report.rate.map(|rate| 8.0 * rate),
+    }
 }

@@ -1,6 +1,7 @@
 use std::collections::BTreeMap;
 
 use realo_schemas::file;
+use realo_schemas::report::Peer;
 use realo_scoring::{Accuracy, Dropped, Intervals, Orders, RangeBin, Scores, Table, score};
 use serde::{Deserialize, Serialize};
 
@@ -59,6 +60,9 @@ pub struct RunResult {
     pub dropped_truths: Option<Dropped>,
     /// By `<from>-<to>` and kind.
     pub links: BTreeMap<String, BTreeMap<String, LinkBooks>>,
+    /// Agents on other machines, as the ego knew them at the end; of pooled runs all of them.
+    #[serde(default)]
+    pub peers: Vec<Peer>,
     /// Ages of the data that were used.
     pub age_ms: AgeTable,
     /// What dora did not deliver, or not once and in order.
@@ -272,6 +276,7 @@ impl RunResult {
             dropped_detections: None,
             dropped_truths: None,
             links: BTreeMap::new(),
+            peers: Vec::new(),
             age_ms: AgeTable::default(),
             transport: Transport::default(),
             nodes: BTreeMap::new(),

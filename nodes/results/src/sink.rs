@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink, unexpected, wrong_port};
-use realo_schemas::report::{Fated, from_report};
+use realo_schemas::report::{self, Fated, Peer, from_report};
 use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
 use serde::de::DeserializeOwned;
@@ -83,6 +83,8 @@ pub struct Results {
 const BOXES: PortId = PortId(0);
 const TRUTH: PortId = PortId(1);
 const EVALUATION: PortId = PortId(2);
+const PEERS: PortId = PortId(3);
+
 impl Describe for Results {
     type Config = Config;
     const NAME: &'static str = "results";
@@ -112,6 +114,7 @@ impl Describe for Results {
         )
         .optional()
         .of(Lane::Ego),
+        Port::new("peers", &[PayloadType::Report], "topic `peers`, of the radio").optional(),
     ];
     const OUTPUTS: &'static [Port] = &[];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Out, "out"), (Decided::Told, "told")];
@@ -156,6 +159,10 @@ impl Sink for Results {
             EVALUATION => {
                 let report: EvaluationReport = document(message, TOPIC)?;
                 self.take_evaluation(report)?;
+            }
+            PEERS => {
+                let peers: Vec<Peer> = document(message, report::PEERS)?;
+                self.result.peers.extend(peers);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }

@@ -30,6 +30,13 @@ impl Steps {
         done
     }
 
+    /// Notes a step that took so long elsewhere, unless there is no clock.
+    pub fn took(&mut self, step: &'static str, took: Nanos) {
+        if self.clock.is_some() {
+            self.took.push((step, took));
+        }
+    }
+
     /// The steps so far and what each took, in order.
     pub fn take(&mut self) -> Vec<(&'static str, Nanos)> {
         std::mem::take(&mut self.took)

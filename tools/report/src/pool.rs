@@ -134,6 +134,7 @@ fn add(sum: &mut RunResult, run: &RunResult) {
     run.egos.iter().for_each(|ego| add_name(&mut sum.egos, ego));
     run.agents.iter().for_each(|agent| add_name(&mut sum.agents, agent));
     sum.frames.add(&run.frames);
+    sum.peers.extend(run.peers.iter().cloned());
     for (link, kinds) in &run.links {
         let sums: &mut BTreeMap<_, _> = sum.links.entry(link.clone()).or_default();
         for (kind, books) in kinds {

@@ -90,6 +90,10 @@ pub fn sections(runs: &[&Run]) -> Vec<Section> {
         section("age of the data used, ms: p50 / p95 / p99".into(), &ages),
         section("sent per frame: messages / KB".into(), &volume),
     ]);
+    if runs.iter().any(|run| !run.result.peers.is_empty()) {
+        let title = "peers: their clock minus the ego's ± uncertainty, round trip, ms; Mbit/s";
+        sections.push(section(title.into(), &peers));
+    }
     for kind in kinds(runs) {
         sections.push(section(format!("messages over links: {kind}"), &|rows| {
             accounting(rows, &kind)
@@ -305,6 +309,25 @@ fn sum<'a>(channels: impl Iterator<Item = &'a LinkBooks>) -> Option<LinkBooks> {
         sum.add(&books);
         sum
     })
+}
+
+/// Agents on other machines.
+fn peers(rows: &mut Rows) {
+    let all = rows.runs.iter().flat_map(|run| &run.result.peers);
+    for name in names(all.map(|peer| &peer.name)) {
+        rows.add(name.clone(), |run| {
+            let peer = run.result.peers.iter().find(|peer| peer.name == name)?;
+            let number =
+                |value: Option<f64>, places: usize| value.map_or(NONE.into(), |value| format!("{value:.places$}"));
+            let clock = format!(
+                "{} ± {}",
+                number(peer.clock_ms, 2),
+                number(peer.clock_uncertainty_ms, 2)
+            );
+            let rate = number(peer.bits_per_second.map(|rate| rate * 1e-6), 1);
+            Some(format!("{clock}, {}; {rate}", number(peer.round_trip_ms, 1)))
+        });
+    }
 }
 
 fn volume(rows: &mut Rows) {
