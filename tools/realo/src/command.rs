@@ -5,8 +5,8 @@ use clap::{Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, checkpoint, compare, conformance, evaluate, host, import, info, operators, precompute, quantize,
-    registry, render, run, simulate, train, validate,
+    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, operators, precompute,
+    quantize, registry, render, run, simulate, train, validate,
 };
 
 /// Online cooperative perception for vehicles and roadside units, on dora
@@ -34,6 +34,9 @@ enum Command {
     Operators(operators::Args),
     Conformance(conformance::Args),
     Bench(bench::Args),
+    Emulate(emulate::Args),
+    #[command(hide = true)]
+    RadioEnd(bench::radio::End),
     Operator(host::OperatorArgs),
     Node(host::NodeArgs),
     Program(host::ProgramArgs),
@@ -85,6 +88,8 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Operators(args) => operators::main(&args),
         Command::Conformance(args) => conformance::main(&args),
         Command::Bench(args) => bench::main(&args),
+        Command::Emulate(args) => emulate::main(&args),
+        Command::RadioEnd(args) => bench::radio::end(&args),
         Command::Operator(args) => host::operator(&args),
         Command::Node(args) => host::node(&args),
         Command::Program(args) => host::program(&args),

@@ -8,6 +8,7 @@ mod command;
 pub mod compare;
 pub mod conformance;
 pub mod demo;
+mod emulate;
 pub mod evaluate;
 pub mod host;
 pub mod import;

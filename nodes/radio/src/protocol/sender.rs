@@ -18,8 +18,8 @@ const TRANSFERS: usize = 4;
 const OVERTAKEN: usize = 3;
 /// Parts that are on their way are taken for lost after so long without a word, or after four round trips.
 const SILENCE: Nanos = 1_000 * MS;
-/// The link's time that a trial may take, s.
-const TRIAL_TIME: f64 = 0.05;
+/// The link's time that parts of a trial may take together, s.
+const TRIAL_TIME: f64 = 0.03;
 /// Parts of a trial, as it begins.
 const TRIAL_PARTS: (u32, u32) = (4, 8);
 
@@ -340,10 +340,18 @@ impl Sender {
             let arrives = self.arrival(now, offer.bytes.len());
             let trial = match arrives <= offer.born + self.settings.deadline {
                 true => None,
-                false if self.may_try(kind, now) => Some(Trial {
-                    parts: self.trial_parts(TRIAL_PARTS.1),
-                    since: now,
-                }),
+                // What else crosses would be in the way of what a trial is to find out.
+                false if self.may_try(kind, now) && !self.transfers.is_empty() => {
+                    self.waiting.insert(kind, offer);
+                    return false;
+                }
+                false if self.may_try(kind, now) => {
+                    self.tried.insert(kind, now);
+                    Some(Trial {
+                        parts: self.trial_parts(TRIAL_PARTS.1),
+                        since: now,
+                    })
+                }
                 false => {
                     self.tell(&offer, Outcome::Late);
                     continue;
@@ -381,16 +389,10 @@ impl Sender {
         poorer.iter().for_each(|offer| self.tell(offer, Outcome::Superseded));
     }
 
-    fn may_try(&mut self, kind: Kind, now: Nanos) -> bool {
-        let due = self
-            .tried
-            .get(&kind)
-            .is_none_or(|last| now - last >= self.settings.trial);
-        let may = due && self.transfers.is_empty();
-        if may {
-            self.tried.insert(kind, now);
-        }
-        may
+    /// Whether a kind that does not fit may be tried again.
+    fn may_try(&self, kind: Kind, now: Nanos) -> bool {
+        let last = self.tried.get(&kind);
+        last.is_none_or(|last| now - last >= self.settings.trial)
     }
 
     fn trial_parts(&self, most: u32) -> u32 {

@@ -6,6 +6,7 @@ mod memory;
 mod network;
 mod nms;
 mod peer;
+pub(crate) mod radio;
 mod simulate;
 mod train;
 mod transmission;
@@ -52,6 +53,8 @@ enum Name {
     Transmission,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
     Framework,
+    /// Boxes beside clouds on a slow link between two network namespaces, against Zenoh's own way; needs root
+    Radio,
     /// Growth of resident memory over a looped realtime replay
     Memory,
 }
@@ -66,6 +69,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Name::Train => print(&train::bench(args.python.as_deref())?, args.json),
         Name::Transmission => print(&transmission::bench()?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
+        Name::Radio => print(&radio::bench(args.seconds.unwrap_or(11.0))?, args.json),
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
     }
 }

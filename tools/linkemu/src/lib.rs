@@ -1,0 +1,22 @@
+//! Two machines in one: network namespaces that are joined by a link with a rate, a delay, jitter, loss and a bounded queue.
+//!
+//! Where the kernel has no netem, packets are carried in user space between two TUN devices. It needs Linux, root (CAP_NET_ADMIN),
+//! `/dev/net/tun` and `ip` of iproute2. On a busy machine delays grow by what threads have to wait.
+//!
+//! ```no_run
+//! let link = linkemu::Link::default();
+//! link.set("rate", 27.0);
+//! link.set("delay", 20.0);
+//! let machines = linkemu::Machines::join("car", "roadside", link.into())?;
+//! machines.command(0, "hostname").status()?; // 10.9.0.1; the other is 10.9.0.2
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod interrupt;
+mod link;
+mod machines;
+mod tun;
+
+pub use interrupt::Interrupts;
+pub use link::{Counts, Link};
+pub use machines::{ADDRESSES, Error, Machines};

@@ -1,0 +1,112 @@
+//! The namespaces.
+
+use std::ffi::OsStr;
+use std::process::Command;
+use std::sync::Arc;
+
+use crate::Link;
+use crate::link::carry;
+use crate::tun::Tun;
+
+/// Addresses of the two machines.
+pub const ADDRESSES: [&str; 2] = ["10.9.0.1", "10.9.0.2"];
+
+/// Why there are no two machines.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// No TUN device.
+    #[error("/dev/net/tun: {0}; it needs Linux and root (CAP_NET_ADMIN)")]
+    Tun(#[from] std::io::Error),
+    /// `ip` failed.
+    #[error("`{command}`: {reason}; it needs root and iproute2")]
+    Ip {
+        /// What was called.
+        command: String,
+        /// What it said.
+        reason: String,
+    },
+}
+
+/// Two network namespaces, which go with it.
+pub struct Machines {
+    names: [String; 2],
+}
+
+impl Machines {
+    /// Makes namespaces of these names and joins them.
+    ///
+    /// # Errors
+    /// [`Error`], without root for example, or where a namespace of the name exists.
+    pub fn join(first: &str, second: &str, link: Arc<Link>) -> Result<Machines, Error> {
+        let names = [first, second].map(String::from);
+        let devices = [0, 1].map(|end| format!("tun{}{end}", std::process::id()));
+        let tuns = [Tun::new(&devices[0])?, Tun::new(&devices[1])?];
+        ip(&["netns", "add", first])?;
+        // From here on, what was made goes with it.
+        let machines = Machines { names };
+        ip(&["netns", "add", second])?;
+        for end in [0, 1] {
+            let (name, device) = (&*machines.names[end], &*devices[end]);
+            ip(&["link", "set", device, "netns", name])?;
+            ip(&["-n", name, "link", "set", "lo", "up"])?;
+            let (own, peer) = (ADDRESSES[end], ADDRESSES[1 - end]);
+            ip(&["-n", name, "addr", "add", own, "peer", peer, "dev", device])?;
+            // A short queue of the device, so that packets wait in the link, where they are counted.
+            ip(&[
+                "-n",
+                name,
+                "link",
+                "set",
+                device,
+                "mtu",
+                "1500",
+                "txqueuelen",
+                "100",
+                "up",
+            ])?;
+        }
+        carry(&link, tuns)?;
+        Ok(machines)
+    }
+
+    /// A program on one of the machines.
+    pub fn command(&self, machine: usize, program: impl AsRef<OsStr>) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.names[machine]]).arg(program);
+        command
+    }
+
+    /// How TCP of a machine to the other one finds its rate: `cubic`, `bbr` or what the kernel has.
+    ///
+    /// # Errors
+    /// A name that the kernel does not know.
+    pub fn set_congestion_control(&self, machine: usize, name: &str) -> Result<(), Error> {
+        let (own, peer) = (ADDRESSES[machine], ADDRESSES[1 - machine]);
+        let device = format!("tun{}{machine}", std::process::id());
+        let of = &*self.names[machine];
+        ip(&[
+            "-n", of, "route", "replace", peer, "dev", &device, "src", own, "congctl", name,
+        ])
+    }
+}
+
+impl Drop for Machines {
+    fn drop(&mut self) {
+        for name in &self.names {
+            let _ = ip(&["netns", "del", name]);
+        }
+    }
+}
+
+fn ip(arguments: &[&str]) -> Result<(), Error> {
+    let failed = |reason: String| Error::Ip {
+        command: format!("ip {}", arguments.join(" ")),
+        reason,
+    };
+    let output = Command::new("ip").args(arguments).output();
+    let output = output.map_err(|error| failed(error.to_string()))?;
+    match output.status.success() {
+        true => Ok(()),
+        false => Err(failed(String::from_utf8_lossy(&output.stderr).trim().to_string())),
+    }
+}
