@@ -89,6 +89,8 @@ pub struct Heard {
     to: Name,
     kinds: BTreeMap<Kind, Messages>,
     session: u64,
+    /// Sheets of the session that came in.
+    sheets: BTreeSet<u64>,
 }
 
 /// Messages of a kind.
@@ -110,6 +112,7 @@ impl Heard {
             to,
             kinds: BTreeMap::new(),
             session: 0,
+            sheets: BTreeSet::new(),
         }
     }
 
@@ -123,10 +126,13 @@ impl Heard {
 
     /// A sheet came in.
     pub fn sheet(&mut self, sheet: &Sheet, now: Nanos, news: &mut News) {
-        if sheet.session < self.session {
+        if sheet.session > self.session {
+            self.session = sheet.session;
+            self.sheets.clear();
+        }
+        if sheet.session < self.session || !remember(&mut self.sheets, sheet.number) {
             return;
         }
-        self.session = sheet.session;
         for Line(kind, seq, bytes, outcome) in sheet.lines.iter().take(LINES) {
             let messages = self.kinds.entry(*kind).or_default();
             messages.count(*kind, *seq, *bytes, news);

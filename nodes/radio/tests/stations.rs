@@ -1,0 +1,240 @@
+//! Agents among each other, over ways that lose, delay and copy: what every receiver's books say adds up.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+
+use bytes::Bytes;
+use proptest::prelude::*;
+use rand_chacha::ChaCha8Rng;
+use rand_core::{Rng, SeedableRng};
+use realo_radio::protocol::{Offer, Settings};
+use realo_radio::station::{Event, MOST_PEERS, Moment, Station, Topic};
+use realo_schemas::report::Fate;
+use realo_schemas::{Kind, Name, Nanos};
+
+const MS: Nanos = 1_000_000;
+const SECOND: Nanos = 1_000 * MS;
+
+/// What happens next, in order of time.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Next {
+    Offer(usize, u64),
+    Arrives(usize, Name, Topic, Vec<u8>),
+    Down(usize, Name),
+    Up(usize, Name),
+    Wake,
+}
+
+/// What an agent has been told of another one's messages.
+#[derive(Default)]
+struct Account {
+    sent: u64,
+    arrived: BTreeSet<(Kind, u64)>,
+    gone: BTreeMap<(Kind, u64), Fate>,
+}
+
+struct World {
+    stations: Vec<Station>,
+    names: Vec<Name>,
+    queue: BinaryHeap<Reverse<(Nanos, u64, Next)>>,
+    count: u64,
+    draws: ChaCha8Rng,
+    loss: f64,
+    /// By receiver and sender.
+    accounts: BTreeMap<(usize, Name), Account>,
+    /// How far each agent's time line lies from the world's.
+    lines: Vec<Nanos>,
+}
+
+impl World {
+    fn new(agents: usize, seed: u64, loss: f64) -> World {
+        let names: Vec<Name> = (0..agents).map(|n| Name::from(format!("agent{n}"))).collect();
+        let station = |name: &Name| Station::new(name.clone(), Settings::default(), 4 << 20, 7);
+        World {
+            stations: names.iter().map(station).collect(),
+            names,
+            queue: BinaryHeap::new(),
+            count: 0,
+            draws: ChaCha8Rng::seed_from_u64(seed),
+            loss,
+            accounts: BTreeMap::new(),
+            lines: (0..agents as i64).map(|n| n * 123 * MS).collect(),
+        }
+    }
+
+    fn at(&mut self, time: Nanos, next: Next) {
+        self.count += 1;
+        self.queue.push(Reverse((time, self.count, next)));
+    }
+
+    fn unit(&mut self) -> f64 {
+        (self.draws.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn moment(&self, agent: usize, now: Nanos) -> Moment {
+        Moment {
+            steady: now,
+            log: Some(now + self.lines[agent]),
+        }
+    }
+
+    /// Lets everybody send, and takes what came.
+    fn turn(&mut self, now: Nanos) {
+        for agent in 0..self.stations.len() {
+            let moment = self.moment(agent, now);
+            while let Some(outgoing) = self.stations[agent].next(moment) {
+                // Strangers get answers too.
+                let Some(to) = self.names.iter().position(|name| *name == outgoing.to) else {
+                    continue;
+                };
+                let lost = self.unit() < self.loss;
+                let arrives = now + 5 * MS + (self.unit() * 10.0 * MS as f64) as Nanos;
+                let from = self.names[agent].clone();
+                if !lost {
+                    let next = Next::Arrives(to, from, outgoing.topic, outgoing.bytes.to_vec());
+                    self.at(arrives, next.clone());
+                    if self.unit() < 0.05 {
+                        self.at(arrives + 3 * MS, next);
+                    }
+                }
+            }
+            let events = self.stations[agent].take_events(moment);
+            self.note(agent, events);
+            if let Some(wakes) = self.stations[agent].wakes_at() {
+                self.at(wakes.max(now + MS), Next::Wake);
+            }
+        }
+    }
+
+    fn note(&mut self, agent: usize, events: Vec<Event>) {
+        for event in events {
+            match event {
+                Event::Arrived(from, message) => {
+                    let account = self.accounts.entry((agent, from)).or_default();
+                    assert!(account.arrived.insert((message.kind, message.seq)), "given twice");
+                }
+                Event::Books(from, news) => {
+                    let account = self.accounts.entry((agent, from)).or_default();
+                    account.sent += news.traffic.values().map(|traffic| traffic.sent).sum::<u64>();
+                    for fated in news.fates {
+                        let key = (fated.message.kind, fated.message.seq);
+                        assert!(account.gone.insert(key, fated.fate).is_none(), "told twice: {fated:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    fn live(&mut self, until: Nanos, sizes: &[(Kind, usize)]) {
+        let agents = self.stations.len();
+        for agent in 0..agents {
+            for other in (0..agents).filter(|other| *other != agent) {
+                let name = self.names[other].clone();
+                self.at(0, Next::Up(agent, name));
+            }
+            self.at((agent as Nanos + 1) * 7 * MS, Next::Offer(agent, 0));
+        }
+        let mut last = -1;
+        while let Some(Reverse((now, _, next))) = self.queue.pop() {
+            if now > until + 6 * SECOND {
+                break;
+            }
+            match next {
+                Next::Offer(agent, seq) => {
+                    for (kind, bytes) in sizes {
+                        self.stations[agent].offer(&Offer {
+                            kind: *kind,
+                            seq,
+                            stamp: now,
+                            born: now,
+                            bytes: vec![seq as u8; *bytes].into(),
+                        });
+                    }
+                    if now < until {
+                        self.at(now + 100 * MS, Next::Offer(agent, seq + 1));
+                    }
+                }
+                Next::Arrives(to, from, topic, bytes) => {
+                    let moment = self.moment(to, now);
+                    self.stations[to].take(&from, topic, &Bytes::from(bytes), moment);
+                }
+                Next::Up(agent, name) => {
+                    let moment = self.moment(agent, now);
+                    self.stations[agent].up(&name, moment);
+                }
+                Next::Down(agent, name) => self.stations[agent].down(&name),
+                // Many ask for the same wake.
+                Next::Wake if now == last => continue,
+                Next::Wake => last = now,
+            }
+            self.turn(now);
+        }
+        for agent in 0..agents {
+            let events = self.stations[agent].end();
+            self.note(agent, events);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_books_of_every_receiver_add_up(
+        agents in 2usize..4,
+        seed in any::<u64>(),
+        loss in prop::sample::select(vec![0.0, 0.01, 0.1]),
+        bulk in 1_000usize..200_000,
+        outage in any::<bool>(),
+    ) {
+        let mut world = World::new(agents, seed, loss);
+        if outage {
+            let (first, second) = (world.names[0].clone(), world.names[1].clone());
+            world.at(SECOND, Next::Down(0, second.clone()));
+            world.at(SECOND + 3 * MS, Next::Down(1, first.clone()));
+            world.at(2 * SECOND, Next::Up(0, second));
+            world.at(2 * SECOND, Next::Up(1, first));
+        }
+        world.live(3 * SECOND, &[(Kind::Boxes, 900), (Kind::Features, bulk)]);
+        for ((agent, from), account) in &world.accounts {
+            let both: Vec<_> = account.gone.keys().filter(|key| account.arrived.contains(key)).collect();
+            // What its sender gave up may arrive all the same, and counts as what the graph makes of it.
+            let known: BTreeSet<_> = account.arrived.iter().chain(account.gone.keys()).collect();
+            prop_assert_eq!(account.sent, known.len() as u64, "{} of {}: {:?}", agent, from, both);
+            if loss == 0.0 && !outage {
+                prop_assert!(account.arrived.len() as u64 + 12 >= account.sent, "{:?}", account.gone);
+                let clock = world.stations[*agent].clock_of(from, world.moment(*agent, 3 * SECOND)).unwrap();
+                let other = world.names.iter().position(|name| name == from).unwrap();
+                let offset = world.lines[other] - world.lines[*agent];
+                prop_assert!((clock.offset - offset).abs() <= 6 * MS, "{:?}, {}", clock, offset);
+            }
+        }
+        prop_assert_eq!(world.accounts.len(), agents * (agents - 1));
+    }
+
+    #[test]
+    fn any_bytes_on_any_topic_do_no_harm(frames in prop::collection::vec((0usize..5, prop::collection::vec(any::<u8>(), 0..200)), 0..50)) {
+        let mut world = World::new(1, 1, 0.0);
+        let from = Name::from("stranger");
+        for (k, (topic, bytes)) in frames.into_iter().enumerate() {
+            let moment = world.moment(0, k as Nanos * MS);
+            world.stations[0].take(&from, Topic::ALL[topic], &bytes.into(), moment);
+        }
+        world.turn(SECOND);
+        world.stations[0].end();
+    }
+}
+
+#[test]
+fn there_are_only_so_many_peers() {
+    let mut world = World::new(1, 1, 0.0);
+    let moment = world.moment(0, 0);
+    for n in 0..MOST_PEERS + 5 {
+        world.stations[0].take(&format!("peer{n}").into(), Topic::Clock, &Bytes::new(), moment);
+    }
+    assert_eq!(world.stations[0].reports(moment).len(), MOST_PEERS);
+    assert_eq!(world.stations[0].refused().strangers, 5);
+    let me = world.names[0].clone();
+    world.stations[0].up(&me, moment);
+    assert_eq!(world.stations[0].reports(moment).len(), MOST_PEERS);
+}
