@@ -18,6 +18,8 @@ const TRANSFERS: usize = 4;
 const OVERTAKEN: usize = 3;
 /// Parts that are on their way are taken for lost after so long without a word, or after four round trips.
 const SILENCE: Nanos = 1_000 * MS;
+/// Beyond two round trips, the last parts that went out wait so long for a word before one of them goes again.
+const QUIET: Nanos = 40 * MS;
 /// The link's time that parts of a trial may take together, s.
 const TRIAL_TIME: f64 = 0.03;
 /// Parts of a trial, as it begins.
@@ -119,6 +121,10 @@ pub struct Sender {
     told: Vec<Told>,
     /// When it was last asked what goes out.
     asked: Nanos,
+    /// When parts last went out or came in.
+    moved: Nanos,
+    /// How often a part went again since one came in, because nothing moved.
+    probes: u32,
 }
 
 impl Sender {
@@ -138,6 +144,8 @@ impl Sender {
             tried: BTreeMap::new(),
             told: Vec::new(),
             asked: Nanos::MIN,
+            moved: Nanos::MIN,
+            probes: 0,
         }
     }
 
@@ -159,6 +167,7 @@ impl Sender {
             return Some(self.whole(&offer, now));
         }
         self.give_up_silence(now);
+        self.probe(now);
         loop {
             self.give_up_late(now);
             if !self.has_room() {
@@ -179,9 +188,10 @@ impl Sender {
     /// When [`Sender::next`] should be asked again though nothing came in; `None`: not before.
     pub fn wakes_at(&self) -> Option<Nanos> {
         let silence = self.flying.front().map(|first| first.sent + self.silence());
+        let silence = silence.into_iter().chain(self.probes_at());
         let more = !self.waiting.is_empty() || self.transfers.iter().any(|transfer| transfer.due().is_some());
         let opens = (more && self.has_room()).then(|| self.window.opens_at());
-        silence.into_iter().chain(opens.filter(|time| *time > self.asked)).min()
+        silence.chain(opens.filter(|time| *time > self.asked)).min()
     }
 
     /// Parts came in.
@@ -199,6 +209,7 @@ impl Sender {
         let Some(newest) = newest else {
             return;
         };
+        (self.moved, self.probes) = (now, 0);
         self.window.acknowledged(now, ack.sent, ack.received, bytes);
         if let Some(transfer) = self.transfers.iter_mut().find(|transfer| transfer.is_of(ack)) {
             (ack.index.saturating_sub(32)..=ack.index)
@@ -293,6 +304,7 @@ impl Sender {
             sent: now,
         });
         self.flying_bytes += bytes;
+        self.moved = now;
         let waits = !self.has_room() || self.transfers.iter().all(|transfer| transfer.due().is_none());
         self.transfers[place].frame(index, waits, self.session, now)
     }
@@ -447,6 +459,24 @@ impl Sender {
         self.flying
             .iter()
             .any(|part| (part.kind, part.seq) == (offer.kind, offer.seq))
+    }
+
+    /// When the oldest part on its way goes again: the last parts of a message are overtaken by none that would show their loss.
+    fn probes_at(&self) -> Option<Nanos> {
+        let waits = !self.flying.is_empty() && self.next_transfer().is_none();
+        let quiet = (2 * self.window.round_trip().unwrap_or(0) + QUIET) << self.probes.min(4);
+        waits.then(|| self.moved + quiet)
+    }
+
+    fn probe(&mut self, now: Nanos) {
+        if self.probes_at().is_none_or(|time| now < time) {
+            return;
+        }
+        if let Some(part) = self.flying.pop_front() {
+            self.flying_bytes -= part.bytes;
+            self.repeat(&part);
+            (self.moved, self.probes) = (now, self.probes + 1);
+        }
     }
 
     /// Takes everything for lost that is on its way, if nothing came back for too long.
