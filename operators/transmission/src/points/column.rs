@@ -33,24 +33,25 @@ pub(super) fn differences(values: &[i32], lanes: Option<&[u8]>, range: Range, ou
     if range.width == 0 {
         return;
     }
-    let spare = range.spare();
-    let folded = |value: i32, before: i32| {
-        let difference = value.wrapping_sub(before) << spare >> spare;
-        ((difference << 1) ^ (difference >> 31)) as u32
-    };
     match lanes {
         None => {
-            out.extend(values.first().map(|first| folded(*first, range.least)));
+            out.extend(values.first().map(|first| first.wrapping_sub(range.least) as u32));
             let pairs = values.iter().zip(values.iter().skip(1));
-            out.extend(pairs.map(|(before, value)| folded(*value, *before)));
+            out.extend(pairs.map(|(before, value)| value.wrapping_sub(*before) as u32));
         }
         Some(lanes) => {
             let mut last = [range.least; LANES];
             out.extend(values.iter().zip(lanes).map(|(value, lane)| {
                 let before = std::mem::replace(&mut last[usize::from(*lane)], *value);
-                folded(*value, before)
+                value.wrapping_sub(before) as u32
             }));
         }
+    }
+    // By itself, so that the loop becomes vectors.
+    let spare = range.spare();
+    for difference in out {
+        let signed = (*difference << spare) as i32 >> spare;
+        *difference = ((signed << 1) ^ (signed >> 31)) as u32;
     }
 }
 

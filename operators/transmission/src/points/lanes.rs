@@ -17,7 +17,7 @@ const BIN: f32 = 0.006;
 const ROUND: f32 = 12_582_912.0;
 /// What a cloud is judged by: so many runs of so many points.
 const RUNS: usize = 4;
-const RUN: usize = 1024;
+const RUN: usize = 512;
 
 /// Bin of elevation of a point; those beyond ±37° share the last ones.
 fn bin(x: f32, y: f32, z: f32) -> u8 {
@@ -36,8 +36,8 @@ pub(super) fn choose(cloud: &PointCloud, places: [&[i32]; 3], lanes: &mut Vec<u8
     let sampled = |lane: &dyn Fn(usize) -> u8| runs(cloud.len()).map(|run| bits(places, run, lane)).sum::<u64>();
     let alone = sampled(&|_| 0);
     let by_elevation = sampled(&|i| bin(cloud.x[i], cloud.y[i], cloud.z[i]));
-    let are_beams = cloud.ring.iter().fold(0, |all, ring| all | *ring) < LANES as u16;
-    let by_beam = if are_beams {
+    let most = cloud.ring.iter().fold(0, |all, ring| all | *ring);
+    let by_beam = if (1..LANES).contains(&most.into()) {
         sampled(&|i| cloud.ring[i] as u8)
     } else {
         u64::MAX

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use realo_operator::Steps;
 use realo_schemas::PointCloud;
 use zstd::bulk::{Compressor, Decompressor};
+use zstd::zstd_safe::CParameter;
 
 use super::column::{Planes, Range, differences, plane};
 use super::lanes;
@@ -45,7 +46,7 @@ impl Writer {
     pub fn new(step: f64, zstd: Option<i32>) -> std::io::Result<Self> {
         Ok(Writer {
             step,
-            zstd: zstd.map(Compressor::new).transpose()?,
+            zstd: zstd.map(compressor).transpose()?,
             columns: Default::default(),
             lanes: Vec::new(),
             differences: Vec::new(),
@@ -129,6 +130,17 @@ impl Writer {
         }
         Ok(())
     }
+}
+
+/// A compressor that hardly looks for matches at the levels up to 1: differences repeat themselves by chance only, and what
+/// shortens them is the code of single bytes.
+fn compressor(level: i32) -> std::io::Result<Compressor<'static>> {
+    let mut zstd = Compressor::new(level)?;
+    if level <= 1 {
+        zstd.set_parameter(CParameter::MinMatch(7))?;
+        zstd.set_parameter(CParameter::HashLog(10))?;
+    }
+    Ok(zstd)
 }
 
 fn fill<T: Copy>(out: &mut Vec<i32>, values: &[T], number: impl Fn(T) -> i32) {
