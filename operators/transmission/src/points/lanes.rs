@@ -13,21 +13,24 @@ pub(super) const LANES: usize = 256;
 /// Side of a bin of the tangent of elevation: a third of a degree, the distance of the beams of many sensors, and less
 /// than that of their sparser ones.
 const BIN: f32 = 0.006;
+/// Heights of a sensor over the origin of its cloud that are tried, m: none in its own frame, that of a roof in the frame of
+/// a vehicle's body.
+const HEIGHTS: [f32; 6] = [0.0, 1.5, 1.75, 2.0, 2.25, 2.5];
 /// Added to a number below 2²², it leaves the nearest whole one in the low bits.
 const ROUND: f32 = 12_582_912.0;
 /// What a cloud is judged by: so many runs of so many points.
 const RUNS: usize = 4;
 const RUN: usize = 512;
 
-/// Bin of elevation of a point; those beyond ±37° share the last ones.
-fn bin(x: f32, y: f32, z: f32) -> u8 {
+/// Bin of elevation of a point as seen from the sensor; those beyond ±37° share the last ones.
+fn bin([x, y, z]: [f32; 3], height: f32) -> u8 {
     // At least the least positive number, so that the quotient is one.
     let distance = (x * x + y * y).sqrt().max(f32::MIN_POSITIVE);
-    let bin = (z / distance * (1.0 / BIN)).clamp(-127.0, 127.0) + 128.0;
+    let bin = ((z - height) / distance * (1.0 / BIN)).clamp(-127.0, 127.0) + 128.0;
     (bin + ROUND).to_bits() as u8
 }
 
-/// Chooses the lane of each point, if lanes are worth it: beams, where the cloud tells them, or bins of elevation.
+/// Chooses the lane of each point, if lanes are worth it: its beam, or its bin of elevation where the cloud tells no beams.
 /// `places` are the quantised coordinates of the same points.
 pub(super) fn choose(cloud: &PointCloud, places: [&[i32]; 3], lanes: &mut Vec<u8>) -> bool {
     if cloud.len() < RUNS {
@@ -35,23 +38,22 @@ pub(super) fn choose(cloud: &PointCloud, places: [&[i32]; 3], lanes: &mut Vec<u8
     }
     let sampled = |lane: &dyn Fn(usize) -> u8| runs(cloud.len()).map(|run| bits(places, run, lane)).sum::<u64>();
     let alone = sampled(&|_| 0);
-    let by_elevation = sampled(&|i| bin(cloud.x[i], cloud.y[i], cloud.z[i]));
+    lanes.clear();
     let most = cloud.ring.iter().fold(0, |all, ring| all | *ring);
-    let by_beam = if (1..LANES).contains(&most.into()) {
-        sampled(&|i| cloud.ring[i] as u8)
-    } else {
-        u64::MAX
+    if (1..LANES).contains(&most.into()) {
+        lanes.extend(cloud.ring.iter().map(|ring| *ring as u8));
+        return sampled(&|i| lanes[i]) < alone;
+    }
+    let by_elevation = |height: f32| sampled(&|i| bin([cloud.x[i], cloud.y[i], cloud.z[i]], height));
+    let tried = HEIGHTS.map(|height| (by_elevation(height), height));
+    let Some((least, height)) = tried.into_iter().min_by_key(|(bits, _)| *bits) else {
+        return false;
     };
-    if by_beam.min(by_elevation) >= alone {
+    if least >= alone {
         return false;
     }
-    lanes.clear();
-    if by_beam <= by_elevation {
-        lanes.extend(cloud.ring.iter().map(|ring| *ring as u8));
-    } else {
-        let places = cloud.x.iter().zip(&*cloud.y).zip(&*cloud.z);
-        lanes.extend(places.map(|((x, y), z)| bin(*x, *y, *z)));
-    }
+    let points = cloud.x.iter().zip(&*cloud.y).zip(&*cloud.z);
+    lanes.extend(points.map(|((x, y), z)| bin([*x, *y, *z], height)));
     true
 }
 
