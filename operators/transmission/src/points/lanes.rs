@@ -36,15 +36,14 @@ pub(super) fn choose(cloud: &PointCloud, places: [&[i32]; 3], lanes: &mut Vec<u8
     if cloud.len() < RUNS {
         return false;
     }
-    let sampled = |lane: &dyn Fn(usize) -> u8| runs(cloud.len()).map(|run| bits(places, run, lane)).sum::<u64>();
-    let alone = sampled(&|_| 0);
+    let alone = sampled(places, |_| 0);
     lanes.clear();
     let most = cloud.ring.iter().fold(0, |all, ring| all | *ring);
     if (1..LANES).contains(&most.into()) {
         lanes.extend(cloud.ring.iter().map(|ring| *ring as u8));
-        return sampled(&|i| lanes[i]) < alone;
+        return sampled(places, |i| lanes[i]) < alone;
     }
-    let by_elevation = |height: f32| sampled(&|i| bin([cloud.x[i], cloud.y[i], cloud.z[i]], height));
+    let by_elevation = |height: f32| sampled(places, |i| bin([cloud.x[i], cloud.y[i], cloud.z[i]], height));
     let tried = HEIGHTS.map(|height| (by_elevation(height), height));
     let Some((least, height)) = tried.into_iter().min_by_key(|(bits, _)| *bits) else {
         return false;
@@ -57,6 +56,11 @@ pub(super) fn choose(cloud: &PointCloud, places: [&[i32]; 3], lanes: &mut Vec<u8
     true
 }
 
+/// Bits of the differences in the runs that a cloud is judged by.
+fn sampled(places: [&[i32]; 3], lane: impl Fn(usize) -> u8) -> u64 {
+    runs(places[0].len()).map(|run| bits(places, run, &lane)).sum()
+}
+
 fn runs(count: usize) -> impl Iterator<Item = Range<usize>> {
     let run = RUN.min(count / RUNS);
     (0..RUNS).map(move |k| k * (count / RUNS)..k * (count / RUNS) + run)
@@ -64,7 +68,7 @@ fn runs(count: usize) -> impl Iterator<Item = Range<usize>> {
 
 /// Bits of the differences in a run of points: of their coordinates in their lanes, where the first one of a lane differs
 /// from the point before, and of the lanes, which cross as well.
-fn bits(places: [&[i32]; 3], run: Range<usize>, lane: &dyn Fn(usize) -> u8) -> u64 {
+fn bits(places: [&[i32]; 3], run: Range<usize>, lane: impl Fn(usize) -> u8) -> u64 {
     let mut last = [None; LANES];
     let (mut before, mut lane_before) = (places.map(|column| column[run.start]), lane(run.start));
     let mut bits = 0;
