@@ -38,11 +38,14 @@ pub enum EncodeError {
         /// Its greatest number.
         most: f32,
     },
+    /// A step that clouds cannot have.
+    #[error("argument `step_m`: expected 0 or a step from 0.000001 to 1 m, found {0}")]
+    Step(f64),
     /// A level that zstd does not have.
     #[error("argument `zstd`: expected null or a level from -7 to 19 that is not 0, found {0}")]
     Level(i32),
     /// What zstd could not compress.
-    #[error("feature map: zstd: {0}")]
+    #[error("zstd: {0}")]
     Zstd(String),
     /// A feature map without elements.
     #[error("a feature map of {0:?} rows, columns and channels has no elements")]
@@ -90,7 +93,7 @@ pub enum DecodeError {
     Text(&'static str),
     /// A codec that this decoder does not have.
     #[error(
-        "codec chain [{0}] is unknown; this decoder reads chains of f16 or int8, shuffle and zstd that end with plain"
+        "codec chain [{0}] is unknown; this decoder reads chains of f16, int8 or step and delta, shuffle and zstd that end with plain"
     )]
     Codec(String),
     /// A packet by another release.
@@ -101,10 +104,12 @@ pub enum DecodeError {
         /// That of the packet.
         found: u8,
     },
-    /// A compressed map that is not what its shape says.
-    #[error("`compressed elements`: expected a zstd frame of {length} bytes, as the shape says, found: {found}")]
+    /// Compressed bytes that do not make as many as the shape of a map or the number of points asks for.
+    #[error("`{field}`: expected a zstd frame of {length} bytes, found: {found}")]
     Zstd {
-        /// Bytes that the shape asks for.
+        /// The field.
+        field: &'static str,
+        /// Bytes that there should be.
         length: usize,
         /// What there was.
         found: String,
@@ -118,6 +123,16 @@ pub enum DecodeError {
         shape: [u32; 3],
         /// Its bytes in memory.
         size: u128,
+        /// The limit.
+        limit: usize,
+    },
+    /// A quantised cloud beyond the limit.
+    #[error("cloud of {count} points takes {size} bytes, at most {limit} are made (argument `max_bytes`)")]
+    Points {
+        /// Number of points.
+        count: usize,
+        /// Its bytes in memory.
+        size: usize,
         /// The limit.
         limit: usize,
     },

@@ -10,7 +10,8 @@ use crate::bytes::{DecodeError, EncodeError, Reader};
 use crate::envelope::Envelope;
 use crate::{EncoderConfig, boxes, ego_state, envelope, features, points};
 
-/// The last codec of every packet, in [`Packet::codec`]; before it stands how the elements of a feature map crossed.
+/// The last codec of every packet, in [`Packet::codec`]; before it stands how the points of a cloud or
+/// the elements of a feature map crossed.
 pub const CODEC: &str = "plain";
 
 /// Columns of a cloud that cross beside coordinates and intensity.
@@ -93,7 +94,7 @@ fn same<T: PartialEq + ToString>(field: &'static str, header: &T, content: &T) -
 
 /// Puts messages into bytes, laid out as the crate's documentation says; what it works in serves one after another.
 pub struct Encoder {
-    columns: Columns,
+    points: points::Writer,
     features: features::Writer,
 }
 
@@ -101,24 +102,30 @@ impl Encoder {
     /// An encoder.
     ///
     /// # Errors
-    /// A level that zstd does not have.
+    /// A level that zstd does not have, or a step that clouds cannot have.
     pub fn new(config: &EncoderConfig) -> Result<Self, EncodeError> {
         if let Some(level) = config.zstd
             && (level == 0 || !LEVELS.contains(&level))
         {
             return Err(EncodeError::Level(level));
         }
+        if config.step_m != 0.0 && !points::STEPS.contains(&config.step_m) {
+            return Err(EncodeError::Step(config.step_m));
+        }
+        let columns = Columns {
+            time: config.time,
+            ring: config.ring,
+        };
+        let no_memory = |error: std::io::Error| EncodeError::Zstd(error.to_string());
+        let points = points::Writer::new(columns, config.step_m, config.zstd);
         let features = features::Writer::new(config.elements, config.shuffle, config.zstd);
         Ok(Encoder {
-            columns: Columns {
-                time: config.time,
-                ring: config.ring,
-            },
-            features: features.map_err(|error| EncodeError::Zstd(error.to_string()))?,
+            points: points.map_err(no_memory)?,
+            features: features.map_err(no_memory)?,
         })
     }
 
-    /// A message as a packet, and what was left out of it; of a feature map the steps are timed.
+    /// A message as a packet, and what was left out of it; of a cloud and a feature map the steps are timed.
     ///
     /// # Errors
     /// [`EncodeError`] if no link carries the payload, or a number or length in it cannot be sent.
@@ -133,14 +140,17 @@ impl Encoder {
         }
         let (mut out, mut dropped, mut codec) = (Vec::new(), Dropped::default(), Vec::new());
         let mut untimed = Steps::default();
-        let steps = if header.kind == Kind::Features {
-            steps
-        } else {
-            &mut untimed
+        let steps = match header.kind {
+            Kind::Points | Kind::Features => steps,
+            _ => &mut untimed,
         };
         steps.time("packaging", || envelope::write(&mut out, header))?;
         match payload {
-            Payload::PointCloud(cloud) => dropped.points = points::write(&mut out, cloud, self.columns)?,
+            Payload::PointCloud(cloud) => {
+                let (coding, not_finite) = self.points.write(&mut out, cloud, steps)?;
+                codec.extend(coding.steps().map(String::from));
+                dropped.points = not_finite;
+            }
             Payload::FeatureMap(map) => {
                 let (coding, range) = self.features.write(&mut out, map, steps)?;
                 codec.extend(coding.steps().map(String::from));
@@ -169,28 +179,30 @@ fn kind_of(payload: &Payload) -> Option<Kind> {
 
 /// Gets messages out of bytes; what it works in serves one after another.
 pub struct Decoder {
+    points: points::Parser,
     features: features::Parser,
 }
 
 impl Decoder {
-    /// A decoder that makes feature maps up to so many bytes.
+    /// A decoder that makes feature maps and quantised clouds up to so many bytes.
     ///
     /// # Errors
     /// If zstd has no memory.
     pub fn new(max_bytes: usize) -> std::io::Result<Self> {
         Ok(Decoder {
+            points: points::Parser::new(max_bytes)?,
             features: features::Parser::new(max_bytes)?,
         })
     }
 
-    /// What bytes of [`Encoder::encode`] say. Any bytes may come in; what is not exactly one message is refused. Of a feature map the
-    /// steps are timed.
+    /// What bytes of [`Encoder::encode`] say. Any bytes may come in; what is not exactly one message is refused. Of a cloud and
+    /// a feature map the steps are timed.
     ///
     /// # Errors
     /// [`DecodeError`] names the field that was wrong.
     pub fn decode(&mut self, bytes: &[u8], steps: &mut Steps) -> Result<Content, DecodeError> {
         let mut untimed = Steps::default();
-        let steps = if envelope::says_features(bytes) {
+        let steps = if envelope::says_points_or_features(bytes) {
             steps
         } else {
             &mut untimed
@@ -199,7 +211,11 @@ impl Decoder {
         let envelope = steps.time("parsing", || envelope::read(&mut bytes))?;
         let mut codec = Vec::new();
         let payload = match envelope.kind {
-            Kind::Points => points::read(&mut bytes)?.into(),
+            Kind::Points => {
+                let (cloud, coding) = self.points.read(&mut bytes, steps)?;
+                codec.extend(coding.steps().map(String::from));
+                cloud.into()
+            }
             Kind::Features => {
                 let (map, coding) = self.features.read(&mut bytes, steps)?;
                 codec.extend(coding.steps().map(String::from));

@@ -8,7 +8,7 @@ use crate::{CODEC, DecodeError, Decoder};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DecoderConfig {
-    /// Greatest packet that is taken, and greatest feature map that is made of one, bytes.
+    /// Greatest packet that is taken, and greatest feature map or quantised cloud that is made of one, bytes.
     pub max_bytes: usize,
 }
 
@@ -36,7 +36,7 @@ impl Describe for TransmissionDecoder {
     const ABOUT: &'static str = "Gets points, features, boxes or states out of the bytes that crossed a link";
     const ARGUMENTS: &'static [Argument] = &[Argument {
         name: "max_bytes",
-        about: "greatest packet, and greatest feature map in memory, bytes; a greater one is rejected",
+        about: "greatest packet, and greatest feature map or quantised cloud in memory, bytes; a greater one is rejected",
     }];
     const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
     const OUTPUTS: &'static [Port] = &[

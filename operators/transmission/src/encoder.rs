@@ -20,11 +20,13 @@ pub struct EncoderConfig {
     pub time: bool,
     /// Whether the beams of points cross.
     pub ring: bool,
+    /// Step of the coordinates of points that cross, m, 0.000001 to 1; 0: they cross as they are.
+    pub step_m: f64,
     /// What the numbers of feature maps cross as.
     pub elements: Elements,
     /// Whether bytes of the same place in every cell lie together.
     pub shuffle: bool,
-    /// Level of zstd for feature maps, -7 to 19 but not 0; `None`: not compressed.
+    /// Level of zstd for feature maps and quantised points, -7 to 19 but not 0; `None`: not compressed.
     pub zstd: Option<i32>,
 }
 
@@ -33,6 +35,7 @@ impl Default for EncoderConfig {
         EncoderConfig {
             time: false,
             ring: false,
+            step_m: 0.0,
             elements: Elements::Int8,
             shuffle: true,
             zstd: Some(1),
@@ -62,6 +65,10 @@ impl Describe for TransmissionEncoder {
             about: "whether the beam of each point crosses (2 bytes a point)",
         },
         Argument {
+            name: "step_m",
+            about: "step of the coordinates of points, 0.000001 to 1 m, so that they compress; 0 = exact, not compressed",
+        },
+        Argument {
             name: "elements",
             about: "what numbers of feature maps cross as: f32, f16, or int8 with a scale for each channel of each map",
         },
@@ -71,7 +78,7 @@ impl Describe for TransmissionEncoder {
         },
         Argument {
             name: "zstd",
-            about: "level at which zstd compresses feature maps, -7 (fastest) to 19; null = not at all",
+            about: "level at which zstd compresses feature maps and quantised points, -7 (fastest) to 19; null = not at all",
         },
     ];
     const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];

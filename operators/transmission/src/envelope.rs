@@ -34,9 +34,12 @@ fn code_of(kind: Kind) -> Option<u8> {
     }
 }
 
-/// Whether bytes say that features follow, if they say anything.
-pub(crate) fn says_features(bytes: &[u8]) -> bool {
-    bytes.get(3).copied() == code_of(Kind::Features)
+/// Whether bytes say that points or features follow, if they say anything.
+pub(crate) fn says_points_or_features(bytes: &[u8]) -> bool {
+    let code = bytes.get(3).copied();
+    [Kind::Points, Kind::Features]
+        .into_iter()
+        .any(|kind| code == code_of(kind))
 }
 
 pub(crate) fn write(out: &mut Vec<u8>, header: &Header) -> Result<(), EncodeError> {

@@ -6,6 +6,7 @@ use realo_schemas::{DType, Elements, FeatureMap};
 use zstd::bulk::{Compressor, Decompressor};
 
 use crate::bytes::{DecodeError, EncodeError, Reader, column, put_column, put_f64s, put_text};
+use crate::compression::{compress, decompress};
 use crate::elements::{Scales, are_finite, from_f16, not_finite, to_f16};
 use crate::shuffle::transpose;
 
@@ -84,12 +85,8 @@ impl Writer {
             bytes = &self.shuffled;
         }
         if let Some(zstd) = &mut self.zstd {
-            let compressed = &mut self.compressed;
-            compressed.clear();
-            compressed.reserve(zstd::compress_bound(bytes.len()));
-            let done = steps.time("compression", || zstd.compress_to_buffer(bytes, compressed));
-            done.map_err(|error| EncodeError::Zstd(error.to_string()))?;
-            bytes = compressed;
+            steps.time("compression", || compress(zstd, bytes, &mut self.compressed))?;
+            bytes = &self.compressed;
         }
         let coding = Coding {
             elements,
@@ -217,8 +214,9 @@ impl Parser {
                 let size = bytes.u32("size of the compressed elements")?;
                 let compressed = bytes.take(size as usize, 1, "compressed elements")?;
                 let into = &mut self.decompressed;
-                let done = steps.time("decompression", || decompress(&mut self.zstd, compressed, length, into));
-                done?;
+                steps.time("decompression", || {
+                    decompress(&mut self.zstd, compressed, length, "compressed elements", into)
+                })?;
                 &self.decompressed
             }
         };
@@ -308,25 +306,6 @@ fn one_of<T: Copy>(code: u8, known: &[T], field: &'static str, expected: &'stati
     let found = code.to_string();
     let unknown = DecodeError::Value { field, expected, found };
     known.get(usize::from(code)).copied().ok_or(unknown)
-}
-
-/// Gets exactly so many bytes out of a zstd frame; no more are ever written.
-fn decompress(
-    zstd: &mut Decompressor,
-    compressed: &[u8],
-    length: usize,
-    into: &mut Vec<u8>,
-) -> Result<(), DecodeError> {
-    // Its capacity bounds what is written.
-    into.clear();
-    into.reserve_exact(length);
-    let written = zstd.decompress_to_buffer(compressed, into);
-    let found = match written {
-        Ok(written) if written == length => return Ok(()),
-        Ok(written) => format!("{written} bytes"),
-        Err(error) => error.to_string(),
-    };
-    Err(DecodeError::Zstd { length, found })
 }
 
 #[cfg(test)]

@@ -15,12 +15,13 @@
 //! | `messages` | out | PointCloud, FeatureMap, Boxes, EgoState | what the sender said |
 //!
 //! Maps of f32 are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
-//! f32 again; maps of other elements are not quantised. docs/transmission.md tells why, how exactly, and what is refused. Both
-//! stages time the steps of a feature map ([`realo_operator::Steps`]).
+//! f32 again; maps of other elements are not quantised. With the argument `step_m` coordinates of points cross as whole steps, all
+//! columns as differences, shuffled and compressed; without it they are exact. docs/transmission.md tells why, how exactly, and
+//! what is refused. Both stages time the steps of a cloud and of a feature map ([`realo_operator::Steps`]).
 //!
 //! # Layout of the codec `plain`, version 2
 //! It is the last one of a packet's codec chain; before it stand those of `f16` or `int8`, `shuffle` and `zstd` that the elements
-//! of a map went through, which the bytes say as well.
+//! of a map went through, or of `step`, `delta`, `shuffle` and `zstd` that the points of a cloud did, which the bytes say as well.
 //!
 //! Little endian, no padding. A *text* is a length (u8) and that many bytes of UTF-8. A *pose* is x y z (f64, m) and
 //! the unit quaternion x y z w (f64). A *triangle* of a symmetric matrix is its upper triangle by rows, f32.
@@ -45,8 +46,15 @@
 //! (f32), track, triangle of the 3×3 covariance. A box takes 34 to 78 bytes; 50 boxes with everything known fit 4 KB
 //! as long as their track ids fit 32 bits.
 //!
-//! Points: count (u32), flags (u8: 1 time, 2 ring), then the columns x, y, z (f32, m), intensity (u8), time (i32, ns
-//! from the stamp), ring (u16). Without its column every time or ring is 0.
+//! Points: count (u32), flags (u8: 1 time, 2 ring, 4 quantised, 8 zstd, with 4 only), then the columns x, y, z (f32, m),
+//! intensity (u8), time (i32, ns from the stamp), ring (u16). Without its column every time or ring is 0.
+//!
+//! Quantised points (flag 4): step (f64, m), whether lanes follow (u8, 0 or 1); for each column that crosses its least number (i32)
+//! and a width (u8, bytes, no more than the column's type has); then planes of count bytes each: of the lanes, if they follow, and of
+//! each column as many as it is wide. With flag 8 each plane is a length (u32) and a zstd frame. The plane of lanes has the difference
+//! of each point's lane from that of the point before, modulo 256. A coordinate is a number of steps. A number of a column is its least
+//! one plus a sum modulo 256 to the power of the width: that of the differences up to it in its lane, or up to it in the column
+//! where there are no lanes. Differences 0, -1, 1, -2 and so on cross as 0, 1, 2, 3; first byte 0 of all, then byte 1.
 //!
 //! EgoState: flags (u8: 1 covariance, 2 velocity, 4 angular rate), status (u8: 0 truth, 1 recorded, 2 extrapolated),
 //! pose, triangle of the 6×6 covariance, velocity x y z (f64, m/s in `map`), angular rate x y z (f64, rad/s).
@@ -62,6 +70,7 @@
 mod boxes;
 mod bytes;
 mod codec;
+mod compression;
 mod decoder;
 mod ego_state;
 mod elements;

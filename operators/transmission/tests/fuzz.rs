@@ -15,7 +15,7 @@ use realo_transmission::{Content, Decoder, Encoder, EncoderConfig};
 /// Greatest feature map that the decoders make here, bytes.
 const LIMIT: usize = 1 << 18;
 
-/// A box of 34 bytes takes 200, and twice as many more while their list grows. A compressed map of few bytes may be one of
+/// A box of 34 bytes takes 200, and twice as many more while their list grows. A compressed map or cloud of few bytes may be one of
 /// the limit, which is held three times on the way, and zstd has 160 KB of its own.
 fn bound(bytes: usize) -> u64 {
     (256 << 10) + 3 * LIMIT as u64 + 32 * bytes as u64
@@ -62,14 +62,16 @@ fn message(draw: &mut Draw) -> Message {
     let payload: Payload = match draw.below(4) {
         0 => {
             let n = draw.pick(&[0, 1, 50]);
-            let column = |v: f32| vec![v; n];
+            // Beams that fire in turn, each at its own distance.
+            let beams = draw.pick(&[1, 8]);
+            let column = |v: f32| (0..n).map(|i| v * (i % beams) as f32).collect::<Vec<f32>>();
             let cloud = PointCloud::new(
                 column(1.0),
-                column(2.0),
+                column(20.0),
                 column(0.5),
                 vec![9u8; n],
-                vec![7i32; n],
-                vec![3u16; n],
+                (0..n as i32).map(|i| 70_000 * i).collect::<Vec<_>>(),
+                (0..n).map(|i| (i % beams) as u16).collect::<Vec<_>>(),
             );
             cloud.unwrap().into()
         }
@@ -114,6 +116,7 @@ fn bytes_of(draw: &mut Draw, message: &Message) -> Vec<u8> {
     let config = EncoderConfig {
         time: draw.chance(2),
         ring: draw.chance(2),
+        step_m: draw.pick(&[0.0, 0.01, 0.001]),
         elements: draw.pick(&[Elements::F32, Elements::F16, Elements::Int8]),
         shuffle: draw.chance(2),
         zstd: draw.chance(2).then(|| draw.pick(&[-7, 1, 3])),
@@ -138,6 +141,8 @@ fn check(case: u64, bytes: &[u8]) -> bool {
     );
     let Some(content) = content else { return false };
     let sizes = match &content.payload {
+        // A quantised cloud of equal points takes no more bytes than an empty one.
+        Payload::PointCloud(cloud) if 19 * cloud.len() <= LIMIT => 0,
         Payload::PointCloud(cloud) => 13 * cloud.len(),
         Payload::Boxes(boxes) => 34 * boxes.0.len(),
         Payload::FeatureMap(map) => {

@@ -110,6 +110,7 @@ fn messages() -> Vec<Message> {
 const ALL: EncoderConfig = EncoderConfig {
     time: true,
     ring: true,
+    step_m: 0.0,
     elements: Elements::F32,
     shuffle: false,
     zstd: None,

@@ -4,7 +4,8 @@ use eyre::{Result, bail, eyre};
 use realo_host::running_time;
 use realo_operator::{Operator, Outputs, PortId, Steps};
 use realo_pillar_encoder::PillarEncoder;
-use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, Nanos, Payload};
+use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, Nanos, Payload, PointCloud};
+use realo_simulator::{Options, Simulation};
 use realo_transmission::{Decoder, Encoder, EncoderConfig};
 use serde::Serialize;
 
@@ -14,7 +15,10 @@ const ROUNDS: usize = 41;
 /// Greatest map that is taken, bytes.
 const LIMIT: usize = 64 << 20;
 
-/// What it takes to put the BEV map of a sweep into bytes and to get it out again, step by step.
+/// Bytes of a point before it crosses, by which rates are counted: x, y, z and intensity in f32.
+const POINT: usize = 16;
+
+/// What it takes to put a sweep and its BEV map into bytes and to get them out again, step by step.
 #[derive(Serialize)]
 pub struct Transmission {
     /// Rows, columns, channels.
@@ -24,6 +28,20 @@ pub struct Transmission {
     /// There is none on a CPU.
     device_copy_ms: Option<f64>,
     codings: Vec<Coding>,
+    /// Points of the sweep that crosses by itself.
+    points: usize,
+    clouds: Vec<CloudCoding>,
+}
+
+#[derive(Serialize)]
+struct CloudCoding {
+    step_m: f64,
+    zstd: Option<i32>,
+    bytes: usize,
+    /// Greatest difference of a coordinate that crossed, m.
+    greatest_error: f32,
+    encode: Way,
+    decode: Way,
 }
 
 #[derive(Serialize)]
@@ -53,7 +71,7 @@ struct Step {
     median_ms: f64,
 }
 
-/// Times the transmission of the map of a simulated sweep in all elements.
+/// Times the transmission of a simulated sweep, exactly and in whole steps, and of its map in all elements.
 pub fn bench() -> Result<Transmission> {
     let (sweep, mut encoder) = (sweep()?, pillar_encoder()?);
     let mut times = Vec::new();
@@ -83,12 +101,30 @@ pub fn bench() -> Result<Transmission> {
         };
         coding(&sent, &config)
     });
+    let cloud = whole_sweep()?;
+    let clouds = [(0.0, None), (0.01, None), (0.01, Some(1)), (0.001, Some(1))];
+    let clouds = clouds.map(|(step_m, zstd)| cloud_coding(&cloud, step_m, zstd));
     Ok(Transmission {
         shape: [map.rows, map.columns, map.channels],
         encoder_ms: spread(&times).1,
         device_copy_ms: None,
         codings: codings.into_iter().collect::<Result<_>>()?,
+        points: point_cloud(&cloud)?.len(),
+        clouds: clouds.into_iter().collect::<Result<_>>()?,
     })
+}
+
+/// All points of a simulated sweep, in the order in which the sensor fires.
+fn whole_sweep() -> Result<Message> {
+    let options = Options {
+        seed: 900,
+        seconds: 0.1,
+        agents: vec!["cav1".into()],
+        ..Options::default()
+    };
+    let (sweep, _) = Simulation::new(&options)?.sweep(0, 0);
+    let header = Header::origin(&"bench".into(), &"cav1".into(), Kind::Points, 0, 0, 0);
+    Ok(Message::new(header, sweep.cloud.clone()))
 }
 
 fn sweep() -> Result<Message> {
@@ -119,27 +155,72 @@ fn feature_map(message: &Message) -> Result<&FeatureMap> {
     }
 }
 
-fn coding(sent: &Message, config: &EncoderConfig) -> Result<Coding> {
+fn point_cloud(message: &Message) -> Result<&PointCloud> {
+    match &message.payload {
+        Payload::PointCloud(cloud) => Ok(cloud),
+        other => bail!("expected a PointCloud, found a {}", other.payload_type()),
+    }
+}
+
+/// What came of a message that crossed.
+struct Crossed {
+    bytes: usize,
+    found: Message,
+    encode: Way,
+    decode: Way,
+}
+
+fn cross(sent: &Message, config: &EncoderConfig) -> Result<Crossed> {
     let (mut encoder, mut decoder) = (Encoder::new(config)?, Decoder::new(LIMIT)?);
     let (mut encode, mut decode) = (Rounds::default(), Rounds::default());
-    let (mut bytes, mut greatest_error) = (0, 0.0);
-    for round in 0..ROUNDS {
+    let mut crossed = None;
+    for _ in 0..ROUNDS {
         let packet = encode.time(|steps| encoder.encode(sent, steps))?.0;
         let content = decode.time(|steps| decoder.decode(&packet.bytes, steps))?;
-        if round == 0 {
-            bytes = packet.bytes.len();
+        if crossed.is_none() {
             let found = content.into_message(sent.header.clone(), &packet.codec)?;
-            greatest_error = difference(feature_map(sent)?, feature_map(&found)?)?;
+            crossed = Some((packet.bytes.len(), found));
         }
     }
+    let (bytes, found) = crossed.ok_or_else(|| eyre!("no round"))?;
+    Ok(Crossed {
+        bytes,
+        found,
+        encode: encode.way(),
+        decode: decode.way(),
+    })
+}
+
+fn coding(sent: &Message, config: &EncoderConfig) -> Result<Coding> {
+    let crossed = cross(sent, config)?;
     Ok(Coding {
         elements: config.elements,
         shuffle: config.shuffle,
         zstd: config.zstd,
-        bytes,
-        greatest_error,
-        encode: encode.way(),
-        decode: decode.way(),
+        bytes: crossed.bytes,
+        greatest_error: difference(feature_map(sent)?, feature_map(&crossed.found)?)?,
+        encode: crossed.encode,
+        decode: crossed.decode,
+    })
+}
+
+fn cloud_coding(sent: &Message, step_m: f64, zstd: Option<i32>) -> Result<CloudCoding> {
+    let config = EncoderConfig {
+        step_m,
+        zstd,
+        ..EncoderConfig::default()
+    };
+    let crossed = cross(sent, &config)?;
+    let (sent, found) = (point_cloud(sent)?, point_cloud(&crossed.found)?);
+    let columns = [(&sent.x, &found.x), (&sent.y, &found.y), (&sent.z, &found.z)];
+    let errors = columns.map(|(sent, found)| greatest_difference(sent, found));
+    Ok(CloudCoding {
+        step_m,
+        zstd,
+        bytes: crossed.bytes,
+        greatest_error: errors.into_iter().fold(0.0, f32::max),
+        encode: crossed.encode,
+        decode: crossed.decode,
     })
 }
 
@@ -147,8 +228,12 @@ fn difference(sent: &FeatureMap, found: &FeatureMap) -> Result<f32> {
     let (Ok(sent), Ok(found)) = (sent.numbers(), found.numbers()) else {
         bail!("expected maps of f32");
     };
-    let differences = sent.iter().zip(&*found).map(|(sent, found)| (sent - found).abs());
-    Ok(differences.fold(0.0, f32::max))
+    Ok(greatest_difference(&sent, &found))
+}
+
+fn greatest_difference(sent: &[f32], found: &[f32]) -> f32 {
+    let differences = sent.iter().zip(found).map(|(sent, found)| (sent - found).abs());
+    differences.fold(0.0, f32::max)
 }
 
 /// What each round took.
@@ -198,6 +283,16 @@ impl Coding {
     }
 }
 
+impl CloudCoding {
+    fn name(&self) -> String {
+        let zstd = self.zstd.map(|level| format!(" zstd={level}")).unwrap_or_default();
+        match self.step_m {
+            0.0 => "exact".into(),
+            step_m => format!("step_m={step_m}{zstd}"),
+        }
+    }
+}
+
 const ENCODING: [&str; 5] = ["quantisation", "shuffling", "compression", "serialisation", "packaging"];
 const DECODING: [&str; 5] = [
     "parsing",
@@ -238,6 +333,36 @@ impl fmt::Display for Transmission {
                     coding.bytes, coding.greatest_error
                 )?;
             }
+        }
+        self.fmt_clouds(f)
+    }
+}
+
+impl Transmission {
+    fn fmt_clouds(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        writeln!(
+            f,
+            "\ncloud of {} points from a simulated sweep; medians; MB/s of {POINT} bytes a point: x, y, z and intensity in f32",
+            self.points
+        )?;
+        write!(
+            f,
+            "\n{:<20}{:>17}{:>14}{:>17}",
+            "cloud", "bytes a point", "encoder ms", "encoder MB/s"
+        )?;
+        writeln!(
+            f,
+            "{:>14}{:>17}{:>18}",
+            "decoder ms", "decoder MB/s", "largest error, m"
+        )?;
+        for cloud in &self.clouds {
+            let bytes = cloud.bytes as f64 / self.points as f64;
+            write!(f, "{:<20}{bytes:>17.2}", cloud.name())?;
+            for way in [&cloud.encode, &cloud.decode] {
+                let rate = (POINT * self.points) as f64 / 1e3 / way.median_ms;
+                write!(f, "{:>14.2}{rate:>17.0}", way.median_ms)?;
+            }
+            writeln!(f, "{:>18.5}", cloud.greatest_error)?;
         }
         Ok(())
     }
