@@ -318,7 +318,7 @@ fn check(seed: u64) {
         // Before a small message stand the queue that bulk may fill, parts, and other small ones.
         let part = (16_384.0f64.min(slowest * 0.01).max(1024.0) / slowest * 1e9) as Nanos;
         let own = (12_000.0 / slowest * 1e9) as Nanos;
-        let bound = there.delay + 2 * there.jitter + back.jitter + 4 * settings.queue + 8 * part + own;
+        let bound = there.delay + 2 * there.jitter + back.jitter + 3 * settings.queue + 8 * part + own;
         for kind in [Kind::Boxes, Kind::EgoState] {
             let worst = ages(&story, kind, settled).into_iter().max().unwrap_or(0);
             assert!(worst <= bound, "{kind} of age {worst} ns, bound {bound}; {}", about());

@@ -216,7 +216,9 @@ impl Sender {
                 .filter(|index| ack.covers(*index))
                 .for_each(|index| transfer.arrived(index));
         }
-        let overtaken = newest.saturating_sub(OVERTAKEN);
+        // Of a part that went again, the word may be of its first copy, which overtook nothing that went later.
+        let sent_before = self.flying.iter().take_while(|part| part.sent <= ack.sent).count();
+        let overtaken = newest.min(sent_before).saturating_sub(OVERTAKEN);
         let (mut lost, mut kept) = (Vec::new(), VecDeque::with_capacity(self.flying.len()));
         for (place, part) in self.flying.drain(..).enumerate() {
             let arrived = (part.kind, part.seq) == (ack.kind, ack.seq) && ack.covers(part.index);
