@@ -62,9 +62,13 @@ def warp_map(to_from_from, feature_map):
     """The features of a map at the cells of a map of the same grid in another frame, `[rows, columns, channels]`, and which
     of these cells it covers, `[rows, columns]`.
 
-    Bilinear between the four cells around, zeros outside. The map moves as the ground, z = 0, moves.
+    Bilinear between the four cells around that are there, zeros outside. A map that tells its `confidence` covers what the
+    nearest cell says, if that one is there: its confidence is not 0. The map moves as the ground, z = 0, moves.
     """
     data, cell, origin = feature_map["data"], feature_map["cell"], np.asarray(feature_map["origin"])
+    sparse, there = len(feature_map["confidence"]) > 0, np.ones(data.shape[:2], bool)
+    if sparse:
+        there = np.asarray(feature_map["confidence"]).reshape(there.shape) > 0
     size = np.array(data.shape[:2])
     x, y = (origin[i] + (np.arange(n) + 0.5) * cell for i, n in ((0, size[1]), (1, size[0])))
     own = inverse(to_from_from)[:2]
@@ -72,13 +76,18 @@ def warp_map(to_from_from, feature_map):
     x, y = ((a * x + b * y[:, None] + d - start) / cell - 0.5 for (a, b, _, d), start in zip(own, origin))
     place = np.stack([y, x], axis=-1)
     first = np.floor(place)
-    out = np.zeros(data.shape, np.float32)
+    out, weights = np.zeros(data.shape, np.float32), np.zeros(data.shape[:2], np.float32)
     for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
         weight = np.prod(np.where(corner, place - first, 1 - (place - first)), axis=-1)
         inside, rows, columns = _cells(first + corner, size)
-        weight = np.where(inside, weight, 0).astype(np.float32)
+        weight = np.where(inside & there[rows, columns], weight, 0).astype(np.float32)
         out += weight[..., None] * data[rows, columns]
-    return out, _cells(np.rint(place), size)[0]
+        weights += weight
+    inside, rows, columns = _cells(np.rint(place), size)
+    covered = inside & there[rows, columns]
+    if sparse:
+        out *= np.divide(covered, weights, out=np.zeros_like(weights), where=covered)[..., None]
+    return out, covered
 
 
 def _cells(place, size):

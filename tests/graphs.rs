@@ -371,6 +371,43 @@ fn features_cross_in_all_elements_and_detect_alike() {
 }
 
 #[test]
+fn a_few_sure_cells_are_worth_the_map() {
+    let log = shared();
+    let run = |graph: &str, name: &str, more: &[&str]| {
+        let settings = ["--ego", "cav1", "--set", "others.encoder.confidence=true"];
+        run_virtual(&format!("cells_{name}"), graph, &log, &[&settings, more].concat())
+    };
+    for graph in ["attfuse", "fcooper"] {
+        let dense = run(
+            graph,
+            &format!("dense_{graph}"),
+            &["--set", "others.sender.elements=f32"],
+        );
+        let within = ["--set", "others.sender.budget_bytes=60000"];
+        let sparse = run(graph, &format!("sparse_{graph}"), &within);
+        let bytes = bytes_of_a_map(&sparse);
+        assert!((50_000..=60_000).contains(&bytes), "{bytes}");
+        let [of_all, of_some] = [&dense, &sparse].map(|result| {
+            let all = precisions(result);
+            all.iter().sum::<f64>() / all.len() as f64
+        });
+        assert!(
+            of_all > 0.3 && of_some >= of_all - 0.01,
+            "{graph}: {of_some}, of all cells {of_all}"
+        );
+    }
+    let unknown = [
+        "--set",
+        "others.encoder.confidence=false",
+        "--set",
+        "others.sender.budget_bytes=60000",
+    ];
+    let refused = run("attfuse", "unknown", &unknown);
+    let sender = &refused["nodes"]["others.sender"];
+    assert!(sender["errors"].as_u64() > Some(0), "{sender}");
+}
+
+#[test]
 fn the_shipped_v2xvit_sees_more_with_others_than_the_detector_alone_whoever_projects() {
     // The ego does not see half of what is there.
     let args = "--seed 914 --seconds 2 --key-hz 5 --agents cav1,cav2,rsu1";

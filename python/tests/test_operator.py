@@ -62,6 +62,7 @@ class TestMessage(unittest.TestCase):
     def test_feature_maps_have_their_shape(self):
         data = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
         payload = {"rows": 2, "columns": 3, "channels": 4, "cell": 0.4, "origin": [0, 0], "dtype": "f32", "model": "m"}
+        payload |= {"confidence": []}
         back = Message.read(Message(Header(), "FeatureMap", {**payload, "data": data}).write())
         np.testing.assert_array_equal(back.payload["data"], data)
 
@@ -186,7 +187,7 @@ class TestGeometry(unittest.TestCase):
     def test_maps_move_with_the_ground(self):
         data = np.arange(5 * 7 * 2, dtype=np.float32).reshape(5, 7, 2)
         map_ = {"rows": 5, "columns": 7, "channels": 2, "cell": 0.8, "origin": [-2.0, -1.6], "dtype": "f32", "model": "m"}
-        map_["data"] = data
+        map_ |= {"data": data, "confidence": []}
         # Two cells ahead and one to the right: its cell (1, 0) is the cell (0, 2) of the frame that it comes to.
         moved, covered = geometry.warp_map(geometry.matrix([1.6, -0.8, 0.3, 0, 0, 0, 1]), map_)
         np.testing.assert_allclose(moved[:4, 2:], data[1:, :5], atol=1e-4)
@@ -198,11 +199,17 @@ class TestGeometry(unittest.TestCase):
         self.assertTrue(covered.all())
         _, far = geometry.warp_map(geometry.matrix([1e6, 0, 0, 0, 0, 0, 1]), map_)
         self.assertFalse(far.any())
+        sure = np.zeros((5, 7), np.float32)
+        sure[1:3, 2:5] = 0.4
+        ones = {**map_, "data": np.ones_like(data), "confidence": sure.ravel()}
+        moved, covered = geometry.warp_map(geometry.matrix([1.8, -0.9, 0.3, 0, 0, 0, 1]), ones)
+        np.testing.assert_array_equal(covered, [[row < 2 and 4 <= column for column in range(7)] for row in range(5)])
+        np.testing.assert_allclose(moved, np.repeat(covered[..., None], 2, axis=2), atol=1e-5)
 
     def test_maps_that_do_not_fit_are_seen(self):
         data = np.zeros((2, 1, 3), np.float32)
         map_ = {"rows": 2, "columns": 1, "channels": 3, "cell": 0.8, "origin": np.zeros(2), "dtype": "f32", "model": "m"}
-        map_["data"] = data
+        map_ |= {"data": data, "confidence": []}
         self.assertTrue(geometry.same_grid(map_, {**map_, "origin": [0, 0]}))
         poisoned = np.array(data)
         poisoned[0, 0, 1] = np.nan

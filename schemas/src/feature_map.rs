@@ -39,7 +39,7 @@ impl FeatureMap {
         })
     }
 
-    /// A map of the same model, size and place with other numbers.
+    /// A map of the same model, size and place with other numbers, in all cells.
     ///
     /// # Panics
     /// If there are not as many as the size says.
@@ -49,6 +49,7 @@ impl FeatureMap {
         FeatureMap {
             dtype: DType::F32,
             data: Buffer::from_vec(numbers),
+            confidence: None,
             ..self.clone()
         }
     }

@@ -161,6 +161,9 @@ pub struct FeatureMap {
     pub data: Buffer,
     /// sha256 of the weights that made it, in hexadecimal.
     pub model: Name,
+    /// How sure its maker is that each cell holds an object, 0 to 1, `[rows, columns]`. A cell of 0 is not there: its
+    /// features are zeros, and its maker takes no part in what is said of it. `None`: not known, and all cells are there.
+    pub confidence: Option<ScalarBuffer<f32>>,
 }
 
 impl FeatureMap {

@@ -320,6 +320,8 @@ fn map_columns(map: &FeatureMap, row: &mut Builder) {
     row.text("dtype", dtype);
     row.bytes("data", &map.data);
     row.text("model", &map.model);
+    let confidence = map.confidence.clone().unwrap_or_else(|| Vec::new().into());
+    row.list("confidence", Float32Array::new(confidence, None));
 }
 
 fn read_map(row: &Row) -> Result<FeatureMap, WireError> {
@@ -349,6 +351,15 @@ fn read_map(row: &Row) -> Result<FeatureMap, WireError> {
         .try_into()
         .map_err(|_| WireError::content("origin", "needs x and y"))?;
     let cell = row.value::<Float64Array>("cell")?.value(row.index());
+    let confidence = row.list::<Float32Array>("confidence")?.values().clone();
+    let cells = rows as usize * columns as usize;
+    if !confidence.is_empty() && confidence.len() != cells {
+        let found = confidence.len();
+        return Err(WireError::content(
+            "confidence",
+            format!("{found} numbers for {cells} cells"),
+        ));
+    }
     Ok(FeatureMap {
         rows,
         columns,
@@ -358,6 +369,7 @@ fn read_map(row: &Row) -> Result<FeatureMap, WireError> {
         dtype,
         data,
         model: row.text("model")?.into(),
+        confidence: (!confidence.is_empty()).then_some(confidence),
     })
 }
 

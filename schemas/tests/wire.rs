@@ -74,6 +74,11 @@ fn payloads() -> Vec<(Kind, Payload)> {
         dtype: DType::F16,
         data: vec![1u8, 2, 3, 4, 5, 6, 7, 8].into(),
         model: "abc".into(),
+        confidence: None,
+    };
+    let sparse = FeatureMap {
+        confidence: Some(vec![0.0, 0.75].into()),
+        ..map.clone()
     };
     let boxes = Boxes(vec![object(None), object(Some(9))]);
     let entry = Message::new(header(Kind::Boxes), boxes.clone());
@@ -90,6 +95,7 @@ fn payloads() -> Vec<(Kind, Payload)> {
         (Kind::Points, PointCloud::empty().into()),
         (Kind::EgoState, state.into()),
         (Kind::Features, map.into()),
+        (Kind::Features, sparse.into()),
         (
             Kind::Boxes,
             Packet {
@@ -275,6 +281,12 @@ fn every_field_is_held_to_its_content() {
         (FeatureMap, "dtype", word("f32"), "[2, 1, 2] needs 16 bytes, found 8"),
         (FeatureMap, "rows", size(3), "[3, 1, 2] needs 12 bytes, found 8"),
         (FeatureMap, "origin", numbers(&[1.0]), "x and y"),
+        (
+            FeatureMap,
+            "confidence",
+            list(column(Float32Array::from(vec![1.0; 3]))),
+            "3 numbers for 2 cells",
+        ),
         (Selection, "entry_1", word("x"), "an entry is a struct"),
         (
             GroundTruth,
@@ -335,6 +347,7 @@ fn every_element_type_and_status_survives() {
             dtype,
             data: vec![7u8; bytes].into(),
             model: "m".into(),
+            confidence: None,
         };
         let message = Message::new(header(Kind::Features), map);
         assert_eq!(from_arrow(&to_arrow(&message)).as_ref(), Ok(&message));

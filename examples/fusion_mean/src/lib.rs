@@ -116,6 +116,7 @@ mod tests {
             dtype: DType::F32,
             data: Vec::<u8>::new().into(),
             model: "lite-1".into(),
+            confidence: None,
         };
         one.with_numbers(features.repeat(12))
     }

@@ -30,6 +30,7 @@ fn example(payload: PayloadType) -> Payload {
             dtype: DType::F32,
             data: Vec::<u8>::new().into(),
             model: "".into(),
+            confidence: None,
         }
         .into(),
         PayloadType::Packet => Packet {
@@ -64,7 +65,9 @@ fn about(payload: PayloadType) -> &'static str {
     match payload {
         PayloadType::PointCloud => "Points of one sweep: metres in the header's frame, time in ns from its stamp",
         PayloadType::EgoState => "Where an agent is and how it moves: x y z qx qy qz qw, m/s, rad/s; empty if unknown",
-        PayloadType::FeatureMap => "A BEV feature map, [rows (y), columns (x), channels]; cell and origin in metres",
+        PayloadType::FeatureMap => {
+            "A BEV feature map, [rows (y), columns (x), channels]; cell and origin in metres; cells of confidence 0 are not there"
+        }
         PayloadType::Packet => "What crosses a link: codecs, first applied first, and bytes",
         PayloadType::Selection => {
             "The bank's answer to one query; entries follow as entry_0, entry_1, ...: whole messages"

@@ -82,6 +82,18 @@ impl Engine {
         }
     }
 
+    /// How sure the heads are of each cell of a map that agents share, see [`Network::confidence`].
+    ///
+    /// # Errors
+    /// Those of [`Network::confidence`], and of the device.
+    pub fn confidence(&mut self, map: BevView, steps: &mut Steps) -> Result<Vec<f32>, EngineError> {
+        match self {
+            Engine::Kernels(network) => of_kernels(network.confidence(map), steps),
+            #[cfg(feature = "cuda")]
+            Engine::Candle(engine) => Ok(engine.confidence(map, steps)?),
+        }
+    }
+
     /// From the maps that agents share, the ego's first, to the one that the heads read.
     ///
     /// # Errors

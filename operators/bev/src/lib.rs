@@ -50,6 +50,7 @@ pub struct Maps {
 pub struct Read<'a> {
     size: [usize; 3],
     numbers: Cow<'a, [f32]>,
+    confidence: Option<&'a [f32]>,
 }
 
 impl Maps {
@@ -74,6 +75,7 @@ impl Maps {
             dtype: DType::F32,
             data: Buffer::from_vec(map.data),
             model: self.identity.clone(),
+            confidence: None,
         }
     }
 
@@ -96,8 +98,18 @@ impl Maps {
             )
             .into());
         }
-        let (size, numbers) = (map.size(), map.numbers()?);
-        Ok(Read { size, numbers })
+        let (size, numbers, confidence) = (map.size(), map.numbers()?, map.confidence.as_deref());
+        if let Some(confidence) = confidence
+            && confidence.len() != size[0] * size[1]
+        {
+            let found = confidence.len();
+            return Err(format!("expected a confidence for each cell of {size:?}, found {found}").into());
+        }
+        Ok(Read {
+            size,
+            numbers,
+            confidence,
+        })
     }
 }
 
@@ -111,6 +123,11 @@ impl Read<'_> {
             channels,
             data: &self.numbers,
         }
+    }
+
+    /// How sure its maker is of each cell, see [`FeatureMap::confidence`].
+    pub fn confidence(&self) -> Option<&[f32]> {
+        self.confidence
     }
 
     /// Rows, columns and channels.
@@ -194,6 +211,11 @@ mod tests {
         assert!(refused(|map| map.rows = 3).contains("expected 4 bytes for each number of [3, 1, 3], found 24"));
         assert!(refused(|map| (map.rows, map.columns) = (u32::MAX, u32::MAX)).contains("found 24"));
         assert!(refused(|map| map.origin = [0.0, -2.0]).contains("found 0.8 m from [0.0, -2.0] on"));
+        let unsure = refused(|map| map.confidence = Some(vec![0.5; 3].into()));
+        assert!(
+            unsure.contains("a confidence for each cell of [2, 1, 3], found 3"),
+            "{unsure}"
+        );
     }
 
     #[test]

@@ -231,6 +231,7 @@ mod tests {
                 .identity
                 .as_str()
                 .into(),
+            confidence: None,
         }
     }
 

@@ -24,6 +24,8 @@ pub struct Maps<'a> {
 pub struct PlacedMap<'a> {
     size: [usize; 3],
     features: Cow<'a, [f32]>,
+    /// See [`FeatureMap::confidence`].
+    confidence: Option<&'a [f32]>,
     /// From (column, row, 1) of the ego's cells to the map's own.
     own_from_ego: [[f64; 3]; 2],
 }
@@ -38,8 +40,13 @@ impl Set<FeatureMap> {
         let kind = |map: &FeatureMap| (map.size(), map.cell, map.origin, map.model.clone());
         let expected = kind(&self.ego);
         let fits = |map: &FeatureMap| {
+            let cells = expected.0[0] * expected.0[1];
+            let tells_all = map
+                .confidence
+                .as_ref()
+                .is_none_or(|confidence| confidence.len() == cells);
             let sound = |map: &FeatureMap| map.numbers().is_ok_and(|numbers| feature_map::are_sound(&numbers));
-            kind(map) == expected && sound(map)
+            kind(map) == expected && tells_all && sound(map)
         };
         self.reject(|collaborator| !fits(&collaborator.payload));
         let others = self.collaborators.iter().map(PlacedMap::of);
@@ -57,12 +64,14 @@ impl<'a> PlacedMap<'a> {
         Ok(PlacedMap {
             size: map.size(),
             features: map.numbers()?,
+            confidence: map.confidence.as_deref(),
             own_from_ego: cells(&collaborator.ego_from_sender.inverse(), map.origin, map.cell),
         })
     }
 
     /// The features at a cell of the ego's map, one for each channel: bilinear between the four cells around it, zeros
-    /// outside the map. Whether the map covers the cell; where it does not, its maker knows nothing of it.
+    /// outside the map; of a map that has not all of its cells, between those that are there. Whether the map covers the cell:
+    /// the nearest of its own is there. Where it does not, its maker says nothing of it.
     ///
     /// Maps are moved as the ground, z = 0, moves; what moved on it between the two stamps is not brought back.
     ///
@@ -75,20 +84,30 @@ impl<'a> PlacedMap<'a> {
         let [x, y] = self
             .own_from_ego
             .map(|[along_columns, along_rows, shift]| along_columns * column as f64 + along_rows * row as f64 + shift);
-        let (left, low) = (x.floor(), y.floor());
+        let cell_at = |x: f64, y: f64| Some(within(y, rows)? * columns + within(x, columns)?);
+        let is_there = |cell: &usize| self.confidence.is_none_or(|confidence| confidence[*cell] > 0.0);
+        let covered = cell_at(x.round_ties_even(), y.round_ties_even()).is_some_and(|cell| is_there(&cell));
+        if self.confidence.is_some() && !covered {
+            return false;
+        }
+        let (left, low, mut sum) = (x.floor(), y.floor(), 0.0);
         for (cell_y, weight_y) in [(low, 1.0 - (y - low)), (low + 1.0, y - low)] {
             for (cell_x, weight_x) in [(left, 1.0 - (x - left)), (left + 1.0, x - left)] {
-                let (Some(row), Some(column)) = (within(cell_y, rows), within(cell_x, columns)) else {
+                let Some(cell) = cell_at(cell_x, cell_y).filter(is_there) else {
                     continue;
                 };
                 let weight = (weight_x * weight_y) as f32;
-                let cell = &self.features[(row * columns + column) * channels..][..channels];
+                sum += weight;
+                let cell = &self.features[cell * channels..][..channels];
                 to.iter_mut()
                     .zip(cell)
                     .for_each(|(to, feature)| *to += weight * feature);
             }
         }
-        within(x.round_ties_even(), columns).is_some() && within(y.round_ties_even(), rows).is_some()
+        if self.confidence.is_some() {
+            to.iter_mut().for_each(|to| *to *= 1.0 / sum);
+        }
+        covered
     }
 }
 
@@ -130,6 +149,7 @@ mod tests {
             dtype: DType::F32,
             data: Vec::<u8>::new().into(),
             model: "lite-1".into(),
+            confidence: None,
         };
         empty.with_numbers((0..(rows * columns * channels) as usize).map(of).collect())
     }

@@ -90,8 +90,13 @@ fn best(anchor: usize, logits: &[f32]) -> Best {
     Best {
         anchor,
         class,
-        score: 1.0 / (1.0 + libm::expf(-logit)),
+        score: score(logit),
     }
+}
+
+/// The score of a logit, 0 to 1.
+pub(crate) fn score(logit: f32) -> f32 {
+    1.0 / (1.0 + libm::expf(-logit))
 }
 
 /// A logit below which no score exceeds the threshold, rounding included.

@@ -55,6 +55,8 @@ impl Warp {
 pub struct Agent<'a> {
     /// Its map.
     pub map: BevView<'a>,
+    /// How sure it is of each cell, `[rows, columns]`: it takes no part where it is 0. `None`: all cells are there.
+    pub confidence: Option<&'a [f32]>,
     /// From the ego's cells to the map's.
     pub warp: Warp,
     /// Whether it is a roadside unit, not a vehicle.
@@ -68,9 +70,21 @@ impl<'a> Agent<'a> {
     pub fn beside(map: impl Into<BevView<'a>>) -> Self {
         Agent {
             map: map.into(),
+            confidence: None,
             warp: Warp::IDENTITY,
             roadside: false,
             delay: 0,
+        }
+    }
+
+    /// The same agent with another map.
+    pub(crate) fn with<'b>(&self, map: &'b BevMap) -> Agent<'b>
+    where
+        'a: 'b,
+    {
+        Agent {
+            map: map.into(),
+            ..*self
         }
     }
 
@@ -200,14 +214,20 @@ dispatch! {
 }
 
 /// The features of an agent's map at a cell of the ego's, bilinear between the four cells around, zeros outside the map;
-/// `added` is added to each of the map's cells. Whether the map covers the cell: the nearest of its own is one.
+/// `added` is added to each of the map's cells. Whether the map covers the cell: the nearest of its own is one. Of a map that
+/// has not all of its cells those that are there are weighed, and there are zeros where it does not cover.
 #[inline(always)]
 pub(crate) fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f32]>, to: &mut [f32]) -> bool {
     let (map, channels) = (agent.map, to.len());
     let place = agent.warp.at(column, row);
     let size = [map.columns, map.rows];
+    let is_there = |column: usize, row: usize| {
+        let confidence = agent.confidence;
+        confidence.is_none_or(|confidence| confidence[row * map.columns + column] > 0.0)
+    };
     let near = |axis: usize| (-1.0..size[axis] as f64).contains(&place[axis]);
-    if !(near(0) && near(1)) {
+    let covered = nearest(place, size).is_some_and(|[column, row]| is_there(column, row));
+    if !(near(0) && near(1)) || (agent.confidence.is_some() && !covered) {
         to.fill(0.0);
         return false;
     }
@@ -225,7 +245,8 @@ pub(crate) fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f
         let inside = |axis: usize| usize::try_from(cell[axis]).ok().filter(|cell| *cell < size[axis]);
         let (column, row) = (inside(0)?, inside(1)?);
         let weight = weight(0) * weight(1);
-        (weight != 0.0).then(|| (&map.data[(row * map.columns + column) * channels..][..channels], weight))
+        (weight != 0.0 && is_there(column, row))
+            .then(|| (&map.data[(row * map.columns + column) * channels..][..channels], weight))
     });
     match (corners, added) {
         ([Some(a), Some(b), Some(c), Some(d)], None) => {
@@ -252,9 +273,13 @@ pub(crate) fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f
                     None => to.iter_mut().zip(from).for_each(|(to, from)| *to += from * weight),
                 }
             }
+            if agent.confidence.is_some() {
+                let there: f32 = corners.iter().flatten().map(|(_, weight)| weight).sum();
+                to.iter_mut().for_each(|to| *to *= 1.0 / there);
+            }
         }
     }
-    nearest(place, size).is_some()
+    covered
 }
 
 /// The cells around a place, as columns and rows from the first.
@@ -419,6 +444,56 @@ mod tests {
         assert_eq!([at(-0.25), at(3.25)], [(true, 1.5); 2]);
         assert_eq!([at(-0.75), at(3.75)], [(false, 0.5); 2]);
         assert_eq!([at(-1.5), at(4.0), at(f64::NAN)], [(false, 0.0); 3]);
+    }
+
+    #[test]
+    fn cells_that_are_not_there_say_nothing_and_do_not_fade_those_beside_them() {
+        let ego = map(1, [6, 9, 20]);
+        let sevens = BevMap {
+            data: vec![7.0; 6 * 9 * 20],
+            ..map(2, [6, 9, 20])
+        };
+        let there = |row: usize, column: usize| (2..5).contains(&row) && (3..6).contains(&column);
+        let confidence: Vec<f32> = (0..54)
+            .map(|cell| if there(cell / 9, cell % 9) { 0.1 } else { 0.0 })
+            .collect();
+        for (x, y) in [(0.0, 0.0), (0.4, -0.3), (-1.25, 0.5)] {
+            let agent = Agent {
+                confidence: Some(&confidence),
+                ..placed(&sevens, Warp([[1.0, 0.0, x], [0.0, 1.0, y]]))
+            };
+            let (mut covered, found) = (0, fused(CellFusion::Max, &ego, &[agent], 2));
+            let cells = found.chunks(20).zip(ego.data.chunks(20));
+            for (cell, (found, own)) in cells.enumerate() {
+                let place = agent.warp.at(cell % 9, cell / 9);
+                let said = nearest(place, [9, 6]).is_some_and(|[column, row]| there(row, column));
+                covered += usize::from(said);
+                let expected = |own: &f32| if said { 7.0 } else { *own };
+                let near = found
+                    .iter()
+                    .zip(own)
+                    .all(|(found, own)| (found - expected(own)).abs() < 1e-5);
+                assert!(near, "{cell} {said}: {found:?} {own:?}");
+            }
+            assert!(covered >= 9, "{covered}");
+        }
+        let all = vec![f32::MIN_POSITIVE; 54];
+        let other = map(3, [6, 9, 20]);
+        let dense = placed(&other, Warp([[0.9, 0.1, 0.5], [-0.1, 0.9, 1.0]]));
+        let sparse = Agent {
+            confidence: Some(&all),
+            ..dense
+        };
+        for (cell, (row, column)) in (0..54).map(|cell| (cell, (cell / 9, cell % 9))) {
+            let [x, y] = dense.warp.at(column, row);
+            let of = |agent: &Agent| {
+                let mut to = [0.0; 20];
+                (sample(agent, column, row, None, &mut to), to)
+            };
+            if (0.0..8.0).contains(&x) && (0.0..5.0).contains(&y) {
+                assert_eq!(of(&dense), of(&sparse), "{cell}: between cells that are all there");
+            }
+        }
     }
 
     #[test]

@@ -79,7 +79,7 @@ impl<E: Number> Messages<E> {
         for round in 0..self.rounds {
             let now: Vec<Agent> = match maps.is_empty() {
                 true => agents.to_vec(),
-                false => agents.iter().zip(&maps).map(|(agent, map)| with(agent, map)).collect(),
+                false => agents.iter().zip(&maps).map(|(agent, map)| agent.with(map)).collect(),
             };
             let listening = if round + 1 == self.rounds { 1 } else { now.len() };
             maps = (0..listening).map(|index| self.listen(&now, index, pool)).collect();
@@ -155,14 +155,5 @@ impl<E: Number> Messages<E> {
             }
         });
         (both, covered)
-    }
-}
-
-fn with<'a>(agent: &Agent, map: &'a BevMap) -> Agent<'a> {
-    Agent {
-        map: map.into(),
-        warp: agent.warp,
-        roadside: agent.roadside,
-        delay: agent.delay,
     }
 }

@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex};
 
 use crate::canvas::Canvas;
 use crate::conv::{Bf16, Isa, Pool, U8, View, split};
+use crate::decode::score;
 use crate::fuse::{Agent, CellFusion, fuse};
 use crate::layers::{FuseLayer, Fusion, Layers, MapId, MapSize};
 use crate::load::lock;
@@ -90,6 +91,15 @@ pub struct Heads {
     pub scores: Vec<f32>,
     /// Boxes as deltas to their anchors, `[rows, columns, anchors, 7]`.
     pub deltas: Vec<f32>,
+}
+
+impl Heads {
+    /// The score of the surest class and anchor of each cell, 0 to 1, `[rows, columns]`.
+    pub fn confidence(&self) -> Vec<f32> {
+        let cells = self.scores.chunks_exact(self.scores.len() / (self.rows * self.columns));
+        let greatest = cells.map(|scores| scores.iter().copied().fold(f32::NEG_INFINITY, f32::max));
+        greatest.map(score).collect()
+    }
 }
 
 /// Why a network cannot be built, or cannot take its input.
@@ -568,20 +578,39 @@ impl Network {
         let mut restored = Vec::new();
         for agent in agents {
             let view = plain(&core.name, agent.map, core.features)?;
+            check_confidence(agent)?;
             if let Some(restore) = &mut self.restore {
                 let data = restore.run(&mut pool, view).to_f32(&mut pool);
                 restored.push(map_of(core.fused, data));
             }
         }
-        let with = |(agent, map): (&Agent, _)| Agent {
-            map: BevView::from(map),
-            ..*agent
-        };
         let agents: Vec<Agent> = match restored.is_empty() {
             true => agents.to_vec(),
-            false => agents.iter().zip(&restored).map(with).collect(),
+            false => agents
+                .iter()
+                .zip(&restored)
+                .map(|(agent, map)| agent.with(map))
+                .collect(),
         };
         Ok(map_of(core.fused, fuser.run(&agents, &mut pool)))
+    }
+
+    /// How sure the heads are that each cell of a map that agents share holds an object, 0 to 1, `[rows, columns]`, by this map
+    /// alone: a fusion, which makes nothing of a single map that tells one cell from another, is left out.
+    ///
+    /// # Errors
+    /// Those of [`Network::heads`].
+    pub fn confidence<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<Vec<f32>, NetworkError> {
+        let core = &*self.core;
+        let Some(restore) = &mut self.restore else {
+            return Ok(self.heads(map)?.confidence());
+        };
+        let view = plain(&core.name, map.into(), core.features)?;
+        let mut pool = lock(&self.pool);
+        let data = restore.run(&mut pool, view).to_f32(&mut pool);
+        drop(pool);
+        let restored = map_of(core.fused, data);
+        Ok(self.heads(&restored)?.confidence())
     }
 
     /// From a BEV map to the heads, which stay until the next one. The map is read where it lies, unless the network computes
@@ -671,6 +700,22 @@ pub fn check_map(model: &str, map: BevView, expected: MapSize) -> Result<(), Net
             expected: numbers,
             found: map.data.len(),
         }),
+    }
+}
+
+/// Whether an agent tells its confidence of as many cells as its map has, if it does.
+///
+/// # Errors
+/// [`NetworkError::Length`] if it does not.
+pub fn check_confidence(agent: &Agent) -> Result<(), NetworkError> {
+    let cells = agent.map.rows * agent.map.columns;
+    match agent.confidence {
+        Some(confidence) if confidence.len() != cells => Err(NetworkError::Length {
+            what: "the confidence of a BEV map",
+            expected: cells,
+            found: confidence.len(),
+        }),
+        _ => Ok(()),
     }
 }
 

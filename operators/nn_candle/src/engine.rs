@@ -78,6 +78,17 @@ impl Engine {
         Ok(steps.time("to_host", || copier.copy(&taken))?.map)
     }
 
+    /// As [`realo_nn::network::Network::confidence`].
+    ///
+    /// # Errors
+    /// Those of [`Network::put_shared`] and [`Network::confidence`].
+    pub fn confidence(&mut self, map: BevView, steps: &mut Steps) -> Result<Vec<f32>, Error> {
+        let network = &self.network;
+        let map = steps.time("to_device", || network.put_shared(map))?;
+        let confidence = computed(network, steps, || network.confidence(&map))?;
+        Ok(steps.time("to_host", || numbers(&confidence))?)
+    }
+
     /// From the maps that agents share, the ego's first, to the one that the heads read.
     ///
     /// # Errors

@@ -1,17 +1,16 @@
 //! The messages of V2VNet, as `realo_nn::messages` says them.
 
 use candle_core::{DType, Result, Tensor, bail};
-use realo_nn::fuse::Warp;
 use realo_nn::messages::{NET, UNIT};
 
 use crate::convolution::{cells, planes};
+use crate::network::Agent;
 use crate::ops::sigmoid;
 use crate::tensors::Tensors;
 use crate::warp::Placed;
 
-/// The fused map, `[rows, columns, channels]`, of maps of this size and where the ego's cells lie in each; the first one is
-/// the ego's.
-pub(crate) fn fuse(rounds: usize, tensors: &Tensors, mut agents: Vec<(Tensor, Warp)>) -> Result<Tensor> {
+/// The fused map, `[rows, columns, channels]`, of agents' maps, the ego's first.
+pub(crate) fn fuse(rounds: usize, tensors: &Tensors, mut agents: Vec<Agent>) -> Result<Tensor> {
     if agents.is_empty() {
         bail!("a fusion of no maps: expected the ego's at least");
     }
@@ -21,9 +20,12 @@ pub(crate) fn fuse(rounds: usize, tensors: &Tensors, mut agents: Vec<(Tensor, Wa
         let listening = if round + 1 == rounds { 1 } else { agents.len() };
         let heard = (0..listening).map(|index| messages.listen(&agents, index));
         let heard = heard.collect::<Result<Vec<Tensor>>>()?;
-        agents.iter_mut().zip(heard).for_each(|((map, _), heard)| *map = heard);
+        agents
+            .iter_mut()
+            .zip(heard)
+            .for_each(|(agent, heard)| agent.map = heard);
     }
-    let (ego, _) = &agents[0];
+    let ego = &agents[0].map;
     let made = tensors.linear(&format!("{NET}.mlp"), &ego.flatten_to(1)?)?;
     made.reshape(ego.shape())
 }
@@ -34,12 +36,13 @@ struct Messages<'a> {
 
 impl Messages<'_> {
     /// An agent's map after the messages of all, its own among them.
-    fn listen(&self, agents: &[(Tensor, Warp)], index: usize) -> Result<Tensor> {
-        let (own, own_warp) = &agents[index];
-        let to_ego = own_warp.inverse();
+    fn listen(&self, agents: &[Agent], index: usize) -> Result<Tensor> {
+        let Agent { map: own, warp, .. } = &agents[index];
+        let to_ego = warp.inverse();
         let mut sum = own.zeros_like()?;
-        for (map, warp) in agents {
-            let Placed { map, covered, .. } = Placed::new(map, &warp.after(&to_ego))?;
+        for agent in agents {
+            let warp = agent.warp.after(&to_ego);
+            let Placed { map, covered, .. } = Placed::new(&agent.map, &warp, agent.confidence.as_deref())?;
             let both = Tensor::cat(&[&map, own], 2)?;
             let message = cells(&self.convolution(&format!("{NET}.msg_cnn"), &planes(&both)?, None)?)?;
             sum = (sum + message.broadcast_mul(&covered)?)?;

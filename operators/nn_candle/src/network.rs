@@ -7,10 +7,11 @@ use realo_nn::canvas::Canvas;
 use realo_nn::fuse::{self, Warp};
 use realo_nn::layers::{Fusion, Layer, Layers, MapId};
 use realo_nn::model::Model;
-use realo_nn::network::{BevView, NetworkError, check_agents, check_map};
+use realo_nn::network::{BevView, NetworkError, check_agents, check_confidence, check_map};
 use realo_nn::weights::Weights;
 
 use crate::convolution::{Convolution, cells, planes};
+use crate::ops::sigmoid;
 use crate::tensors::Tensors;
 use crate::warp::Placed;
 use crate::{cells as by_cell, messages, transformer};
@@ -31,6 +32,8 @@ pub enum Error {
 pub struct Agent {
     /// Its map, `[rows, columns, channels]`.
     pub map: Tensor,
+    /// On the host.
+    pub confidence: Option<Vec<f32>>,
     /// From the ego's cells to the map's.
     pub warp: Warp,
     /// Whether it is a roadside unit, not a vehicle.
@@ -139,8 +142,10 @@ impl Network {
     pub fn put_agents(&self, agents: &[fuse::Agent]) -> Result<Vec<Agent>, Error> {
         self.fusion(agents.len())?;
         let put = |agent: &fuse::Agent| {
+            check_confidence(agent)?;
             Ok(Agent {
                 map: self.put_shared(agent.map)?,
+                confidence: agent.confidence.map(Vec::from),
                 warp: agent.warp,
                 roadside: agent.roadside,
                 delay: agent.delay,
@@ -167,7 +172,7 @@ impl Network {
         let maps = agents.iter().map(restored).collect::<Result<Vec<Tensor>, Error>>()?;
         let with_maps = || agents.iter().zip(&maps);
         let placed = || {
-            let placed = with_maps().map(|(agent, map)| Placed::new(map, &agent.warp));
+            let placed = with_maps().map(|(agent, map)| Placed::new(map, &agent.warp, agent.confidence.as_deref()));
             placed.collect::<candle_core::Result<Vec<Placed>>>()
         };
         Ok(match fusion {
@@ -182,7 +187,10 @@ impl Network {
                 transformer::fuse(settings, &self.tensors, &agents.collect::<Vec<_>>())
             }
             Fusion::Messages { rounds } => {
-                let agents = with_maps().map(|(agent, map)| (map.clone(), agent.warp));
+                let agents = with_maps().map(|(agent, map)| Agent {
+                    map: map.clone(),
+                    ..agent.clone()
+                });
                 messages::fuse(*rounds, &self.tensors, agents.collect())
             }
         }?)
@@ -194,6 +202,16 @@ impl Network {
     /// Those of the device.
     pub fn heads(&self, map: &Tensor) -> Result<Tensor, Error> {
         self.between(map, self.layers.fused, self.layers.heads)
+    }
+
+    /// As [`realo_nn::network::Network::confidence`], of a map that agents share; `[rows, columns]`.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn confidence(&self, map: &Tensor) -> Result<Tensor, Error> {
+        let restored = self.between(map, self.layers.features, self.layers.restored)?;
+        let scores = self.heads(&restored)?.narrow(2, 0, self.scores())?;
+        Ok(sigmoid(&scores.max(2)?)?)
     }
 
     /// Numbers of scores in a cell of what [`Network::heads`] gives; deltas follow.

@@ -18,15 +18,16 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// Brings a map, `[rows, columns, channels]` in f32, to the ego's cells, as many as it has itself.
+    /// Brings a map, `[rows, columns, channels]` in f32, to the ego's cells, as many as it has itself; of one that tells its
+    /// confidence, the cells that are there.
     ///
     /// # Errors
     /// Those of candle.
-    pub fn new(map: &Tensor, warp: &Warp) -> Result<Self> {
+    pub fn new(map: &Tensor, warp: &Warp, confidence: Option<&[f32]>) -> Result<Self> {
         let (rows, columns, channels) = map.dims3()?;
         let device = map.device();
         let ones = || Tensor::ones((rows, columns, 1), map.dtype(), device);
-        if *warp == Warp::IDENTITY {
+        if *warp == Warp::IDENTITY && confidence.is_none() {
             return Ok(Placed {
                 map: map.clone(),
                 reach: ones()?,
@@ -37,7 +38,7 @@ impl Placed {
             corners,
             reach,
             covered,
-        } = Sampling::new(warp, [rows, columns]);
+        } = Sampling::new(warp, [rows, columns], confidence);
         let cells = map.reshape((rows * columns, channels))?;
         let [first, rest @ ..] = corners;
         let mut sum = first.of(&cells)?;
@@ -81,35 +82,40 @@ impl Corner {
 }
 
 impl Sampling {
-    fn new(warp: &Warp, [rows, columns]: [usize; 2]) -> Self {
+    fn new(warp: &Warp, [rows, columns]: [usize; 2], confidence: Option<&[f32]>) -> Self {
         let mut sampling = Sampling {
             corners: Default::default(),
             reach: Vec::new(),
             covered: Vec::new(),
         };
+        let index = |[x, y]: [f64; 2]| y as usize * columns + x as usize;
+        let is_there = |cell: [f64; 2]| confidence.is_none_or(|confidence| confidence[index(cell)] > 0.0);
         let inside = |[x, y]: [f64; 2]| (0.0..columns as f64).contains(&x) && (0.0..rows as f64).contains(&y);
         for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
             let place = warp.at(column, row);
             let first = place.map(f64::floor);
-            let mut reach = 0.0;
-            for (index, corner) in sampling.corners.iter_mut().enumerate() {
-                let step = [(index % 2) as f64, (index / 2) as f64];
-                let cell = [first[0] + step[0], first[1] + step[1]];
-                let is_cell = inside(cell);
-                let part = |axis: usize| 1.0 - (place[axis] - cell[axis]).abs();
-                let weight = if is_cell { part(0) * part(1) } else { 0.0 };
-                let at = if is_cell {
-                    cell[1] * columns as f64 + cell[0]
-                } else {
-                    0.0
-                };
-                corner.cells.push(at as u32);
-                corner.weights.push(weight as f32);
-                reach += weight;
-            }
-            sampling.reach.push(reach as f32);
             let nearest = place.map(f64::round_ties_even);
-            sampling.covered.push(if inside(nearest) { 1.0 } else { 0.0 });
+            let covered = inside(nearest) && is_there(nearest);
+            let corners = [0, 1, 2, 3].map(|corner| {
+                let cell = [first[0] + (corner % 2) as f64, first[1] + (corner / 2) as f64];
+                let part = |axis: usize| 1.0 - (place[axis] - cell[axis]).abs();
+                match inside(cell) && is_there(cell) {
+                    true => (index(cell), part(0) * part(1)),
+                    false => (0, 0.0),
+                }
+            });
+            let reach: f64 = corners.iter().map(|(_, weight)| weight).sum();
+            let factor = match confidence {
+                None => 1.0,
+                Some(_) if covered => 1.0 / reach,
+                Some(_) => 0.0,
+            };
+            for (to, (cell, weight)) in sampling.corners.iter_mut().zip(corners) {
+                to.cells.push(cell as u32);
+                to.weights.push((factor * weight) as f32);
+            }
+            sampling.reach.push((factor * reach) as f32);
+            sampling.covered.push(if covered { 1.0 } else { 0.0 });
         }
         sampling
     }

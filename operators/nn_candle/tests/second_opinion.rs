@@ -148,12 +148,27 @@ fn assert_networks_agree(model: &Model) -> Result<(), Error> {
     assert_near(&heads, &expected, &format!("{}: heads", model.name));
 
     let maps = [1, 2, 3, 4].map(|seed| map(seed, layers.size(layers.features)));
+    let shared = network.put_shared((&maps[0]).into())?;
+    let confidence = kernels.confidence(&maps[0]).unwrap();
+    assert!(confidence.iter().all(|confidence| (0.0..=1.0).contains(confidence)));
+    assert_near(
+        &numbers(&network.confidence(&shared)?),
+        &confidence,
+        &format!("{}: confidence", model.name),
+    );
+    // Every third cell is not there.
+    let some: Vec<f32> = (0..confidence.len()).map(|cell| (cell % 3) as f32).collect();
     for count in (1..=4).filter(|_| model.arch.fuses()) {
-        let agents = crowd(&maps[..count]);
-        let found = network.fuse(&network.put_agents(&agents)?)?;
-        let expected = kernels.fuse(&agents).unwrap();
-        let what = format!("{}: fusion of {count}", model.name);
-        assert_near(&numbers(&found), &expected.data, &what);
+        for sparse in [false, true] {
+            let mut agents = crowd(&maps[..count]);
+            for agent in agents[1..].iter_mut().filter(|_| sparse) {
+                agent.confidence = Some(&some);
+            }
+            let found = network.fuse(&network.put_agents(&agents)?)?;
+            let expected = kernels.fuse(&agents).unwrap();
+            let what = format!("{}: fusion of {count}, sparse: {sparse}", model.name);
+            assert_near(&numbers(&found), &expected.data, &what);
+        }
     }
     Ok(())
 }
@@ -207,7 +222,7 @@ fn gradients_lead_through_the_transformer_to_all_weights_that_count() -> candle_
         let size = (agent.map.rows, agent.map.columns, agent.map.channels);
         let map = Tensor::from_slice(agent.map.data, size, &Device::Cpu)?;
         Ok(transformer::Agent {
-            placed: Placed::new(&map, &agent.warp)?,
+            placed: Placed::new(&map, &agent.warp, agent.confidence)?,
             roadside: agent.roadside,
             delay: agent.delay,
         })

@@ -10,11 +10,15 @@
 //! | `nan_points`, `out_of_range_points` | points that are no numbers, or outside the model's volume |
 //! | `over_points`, `over_pillars` | points beyond what a pillar takes, or of pillars beyond what a sweep may have |
 //!
+//! With `confidence=true` the model's head reads the map as well, and what it thinks of each cell goes with the map: a
+//! `transmission-encoder` may then send the cells that matter.
+//!
 //! A sweep without points in range gives the map of an empty canvas.
 
 use std::path::PathBuf;
 
 use realo_bev::{Device, Engine, Maps};
+use realo_nn::network::BevView;
 use realo_nn::pillars::{Dropped, Points};
 use realo_nn::{Kernels, Pillarer};
 use realo_operator::{
@@ -35,6 +39,8 @@ pub struct Config {
     pub precision: String,
     /// Threads of the convolutions; 0: one for each processor.
     pub threads: usize,
+    /// Whether maps tell how sure the model's head is of each cell.
+    pub confidence: bool,
     /// What computes the network.
     pub device: Device,
     /// What the numbers of maps leave a GPU as.
@@ -48,6 +54,7 @@ impl Default for Config {
             isa: realo_nn::AUTO.into(),
             precision: realo_nn::AUTO.into(),
             threads: 0,
+            confidence: false,
             device: Device::default(),
             copied: Elements::default(),
         }
@@ -59,6 +66,7 @@ pub struct PillarEncoder {
     pillarer: Pillarer,
     engine: Engine,
     maps: Maps,
+    confidence: bool,
 }
 
 const CLOUDS: PortId = PortId(0);
@@ -76,6 +84,10 @@ impl Describe for PillarEncoder {
         realo_bev::ISA,
         realo_bev::PRECISION,
         realo_bev::THREADS,
+        Argument {
+            name: "confidence",
+            about: "whether maps tell how sure the model's head is of each cell, which transmission-encoder can choose by",
+        },
         realo_bev::DEVICE,
         Argument {
             name: "copied",
@@ -104,6 +116,7 @@ impl Operator for PillarEncoder {
         loaded.model.check_frame(&config.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),
+            confidence: config.confidence,
             pillarer: Pillarer::beside(&loaded.network, &loaded.model, &loaded.weights),
             engine: Engine::new(loaded, config.device, config.copied)?,
         })
@@ -143,7 +156,12 @@ impl PillarEncoder {
         };
         let (canvas, dropped) = self.pillarer.run(&points);
         let map = self.engine.encode(canvas, steps)?;
-        Ok((self.maps.write(map), dropped))
+        let confidence = match self.confidence {
+            true => Some(self.engine.confidence(BevView::from(&map), steps)?.into()),
+            false => None,
+        };
+        let map = self.maps.write(map);
+        Ok((FeatureMap { confidence, ..map }, dropped))
     }
 }
 
@@ -196,6 +214,35 @@ mod tests {
             encoded(&mut encoder, &[]).1 == empty,
             "nothing stays of the sweep before"
         );
+    }
+
+    #[test]
+    fn how_sure_it_is_goes_with_the_map_where_it_is_asked_for() {
+        let points: Vec<[f32; 3]> = (0..400)
+            .map(|k| [10.0 + 0.22 * (k % 20) as f32, 4.0, 0.1 + 0.07 * (k / 20) as f32])
+            .collect();
+        let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
+        let mut asked = PillarEncoder::new(Config {
+            model: model.into(),
+            confidence: true,
+            ..Config::default()
+        })
+        .unwrap();
+        let (_, silent, _) = encoded(&mut encoder(), &points);
+        let (_, map, _) = encoded(&mut asked, &points);
+        assert_eq!((silent.confidence.is_none(), &silent.data), (true, &map.data));
+        let confidence = map.confidence.expect("asked for");
+        assert_eq!(confidence.len(), 100 * 256);
+        assert!(
+            confidence
+                .iter()
+                .all(|confidence| *confidence > 0.0 && *confidence < 1.0)
+        );
+        let surest = (0..confidence.len()).max_by(|a, b| confidence[*a].total_cmp(&confidence[*b]));
+        let surest = surest.expect("cells");
+        let place = [surest % 256, surest / 256].map(|cell| (cell as f64 + 0.5) * map.cell);
+        let near = (place[0] + map.origin[0] - 12.0).abs() < 4.0 && (place[1] + map.origin[1] - 4.0).abs() < 3.0;
+        assert!(near, "{place:?} of a wall of points from 10 to 14 m, 4 m to the left");
     }
 
     #[test]

@@ -26,6 +26,23 @@ pub enum EncodeError {
     /// A number that is not finite, or a quaternion that is not of length 1.
     #[error("{0}: a number is not finite, or a quaternion is not of length 1")]
     NotFinite(&'static str),
+    /// A map of which some cells are to cross, but that does not tell which.
+    #[error(
+        "feature map: `budget_bytes` and `least_confidence` choose cells by how sure the map is of each, which it does not tell: \
+         say `confidence=true` to its pillar-encoder"
+    )]
+    NoConfidence,
+    /// A map that is too great without any cell.
+    #[error("feature map: {needed} bytes without any cell: expected a `budget_bytes` above that, found {budget}")]
+    Budget {
+        /// Bytes that it takes.
+        needed: usize,
+        /// Bytes that it may take.
+        budget: usize,
+    },
+    /// A confidence that no cell can have.
+    #[error("argument `least_confidence`: expected 0 to 1, found {0}")]
+    Confidence(f32),
     /// A channel that 255 finite steps do not span.
     #[error(
         "feature map: channel {channel} goes from {least} to {most}, too far for int8: send it with `elements=f32`"
@@ -93,7 +110,7 @@ pub enum DecodeError {
     Text(&'static str),
     /// A codec that this decoder does not have.
     #[error(
-        "codec chain [{0}] is unknown; this decoder reads chains of f16, int8 or step and delta, shuffle and zstd that end with plain"
+        "codec chain [{0}] is unknown; this decoder reads chains of cells, f16, int8 or step and delta, shuffle and zstd that end with plain"
     )]
     Codec(String),
     /// A packet by another release.

@@ -35,6 +35,8 @@ pub struct Dropped {
     pub boxes: u64,
     /// Features beyond the range of half precision; its greatest number was sent for them.
     pub range: u64,
+    /// Cells of a feature map that are not sure enough, or too many for its budget.
+    pub cells: u64,
 }
 
 /// What bytes say; see [`Decoder::decode`].
@@ -112,13 +114,16 @@ impl Encoder {
         if config.step_m != 0.0 && !points::STEPS.contains(&config.step_m) {
             return Err(EncodeError::Step(config.step_m));
         }
+        if !(0.0..=1.0).contains(&config.least_confidence) {
+            return Err(EncodeError::Confidence(config.least_confidence));
+        }
         let columns = Columns {
             time: config.time,
             ring: config.ring,
         };
         let no_memory = |error: std::io::Error| EncodeError::Zstd(error.to_string());
         let points = points::Writer::new(columns, config.step_m, config.zstd);
-        let features = features::Writer::new(config.elements, config.shuffle, config.zstd);
+        let features = features::Writer::new(config);
         Ok(Encoder {
             points: points.map_err(no_memory)?,
             features: features.map_err(no_memory)?,
@@ -152,9 +157,9 @@ impl Encoder {
                 dropped.points = not_finite;
             }
             Payload::FeatureMap(map) => {
-                let (coding, range) = self.features.write(&mut out, map, steps)?;
-                codec.extend(coding.steps().map(String::from));
-                dropped.range = range;
+                let written = self.features.write(&mut out, map, steps)?;
+                codec.extend(written.coding.steps().map(String::from));
+                (dropped.range, dropped.cells) = (written.beyond, written.left_out);
             }
             Payload::Boxes(list) => dropped.boxes = boxes::write(&mut out, list)?,
             Payload::EgoState(state) => ego_state::write(&mut out, state)?,

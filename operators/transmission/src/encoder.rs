@@ -26,6 +26,10 @@ pub struct EncoderConfig {
     pub elements: Elements,
     /// Whether bytes of the same place in every cell lie together.
     pub shuffle: bool,
+    /// Least confidence of a cell of a feature map that crosses, 0 to 1; 0: any.
+    pub least_confidence: f32,
+    /// Bytes that the packet of a feature map may take: its surest cells cross, as many as fit. `None`: any number.
+    pub budget_bytes: Option<usize>,
     /// Level of zstd for feature maps and quantised points, -7 to 19 but not 0; `None`: not compressed.
     pub zstd: Option<i32>,
 }
@@ -38,6 +42,8 @@ impl Default for EncoderConfig {
             step_m: 0.0,
             elements: Elements::Int8,
             shuffle: true,
+            least_confidence: 0.0,
+            budget_bytes: None,
             zstd: Some(1),
         }
     }
@@ -77,6 +83,14 @@ impl Describe for TransmissionEncoder {
             about: "whether the bytes of a channel of a feature map lie together, so that they compress better",
         },
         Argument {
+            name: "least_confidence",
+            about: "least confidence of a cell of a feature map that crosses, 0 to 1; 0 = any",
+        },
+        Argument {
+            name: "budget_bytes",
+            about: "bytes that the packet of a feature map may take: its surest cells cross, as many as fit; null = all",
+        },
+        Argument {
             name: "zstd",
             about: "level at which zstd compresses feature maps and quantised points, -7 (fastest) to 19; null = not at all",
         },
@@ -100,6 +114,7 @@ impl Operator for TransmissionEncoder {
         out.count("nan_points", dropped.points);
         out.count("invalid_boxes", dropped.boxes);
         out.count("bounded_features", dropped.range);
+        out.count("left_out_cells", dropped.cells);
         out.count("bytes", packet.bytes.len() as u64);
         // The pose crosses in the bytes only, so that a receiver cannot come to know it in another way.
         let header = Header {

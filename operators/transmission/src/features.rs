@@ -1,11 +1,13 @@
 //! Feature maps as bytes: converted, shuffled and compressed as the encoder is told; the bytes say how.
 
-use arrow::buffer::Buffer;
+use arrow::buffer::{Buffer, MutableBuffer};
 use realo_operator::Steps;
 use realo_schemas::{DType, Elements, FeatureMap};
 use zstd::bulk::{Compressor, Decompressor};
 
+use crate::EncoderConfig;
 use crate::bytes::{DecodeError, EncodeError, Reader, column, put_column, put_f64s, put_text};
+use crate::cells::{self, Chosen};
 use crate::compression::{compress, decompress};
 use crate::elements::{Scales, are_finite, from_f16, not_finite, to_f16};
 use crate::shuffle::transpose;
@@ -15,9 +17,13 @@ const DTYPES: [DType; 4] = [DType::F32, DType::F16, DType::Bf16, DType::U8];
 const SHUFFLE: u8 = 1;
 const ZSTD: u8 = 2;
 
+const CELLS: u8 = 4;
+
 /// How the elements of one map crossed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Coding {
+    /// Whether only some of its cells did.
+    cells: bool,
     /// `F32`: as they were, whatever their type.
     elements: Elements,
     shuffle: bool,
@@ -32,14 +38,33 @@ impl Coding {
             Elements::F16 => Some("f16"),
             Elements::Int8 => Some("int8"),
         };
+        let cells = self.cells.then_some("cells");
         let shuffle = self.shuffle.then_some("shuffle");
         let zstd = self.zstd.then_some("zstd");
-        [elements, shuffle, zstd].into_iter().flatten()
+        [cells, elements, shuffle, zstd].into_iter().flatten()
     }
+}
+
+/// What became of a map.
+pub(crate) struct Written {
+    pub coding: Coding,
+    /// Numbers that half precision could not hold.
+    pub beyond: u64,
+    /// Cells that did not cross.
+    pub left_out: u64,
+}
+
+/// Which cells of a map cross, where not all do.
+#[derive(Clone, Copy, Debug)]
+struct Choice {
+    least_confidence: f32,
+    /// Bytes that a packet may take.
+    budget: Option<usize>,
 }
 
 /// Puts maps into bytes; what it works in serves one map after another.
 pub(crate) struct Writer {
+    choice: Option<Choice>,
     elements: Elements,
     shuffle: bool,
     zstd: Option<Compressor<'static>>,
@@ -47,54 +72,159 @@ pub(crate) struct Writer {
     converted: Vec<u8>,
     shuffled: Vec<u8>,
     compressed: Vec<u8>,
+    places: Vec<u8>,
+    compressed_places: Vec<u8>,
+    /// The greatest packet so far that is within the budget.
+    best: Vec<u8>,
 }
 
 impl Writer {
-    /// A writer; `zstd`: the level, of those that zstd has.
-    pub fn new(elements: Elements, shuffle: bool, zstd: Option<i32>) -> std::io::Result<Self> {
+    /// A writer; the level of zstd is one that it has.
+    pub fn new(config: &EncoderConfig) -> std::io::Result<Self> {
+        let choice = Choice {
+            least_confidence: config.least_confidence,
+            budget: config.budget_bytes,
+        };
+        let chooses = choice.least_confidence > 0.0 || choice.budget.is_some();
         Ok(Writer {
-            elements,
-            shuffle,
-            zstd: zstd.map(Compressor::new).transpose()?,
+            choice: chooses.then_some(choice),
+            elements: config.elements,
+            shuffle: config.shuffle,
+            zstd: config.zstd.map(Compressor::new).transpose()?,
             scales: Scales::default(),
             converted: Vec::new(),
             shuffled: Vec::new(),
             compressed: Vec::new(),
+            places: Vec::new(),
+            compressed_places: Vec::new(),
+            best: Vec::new(),
         })
     }
 
-    /// Writes a map; gives how, and how many numbers half precision could not hold.
-    pub fn write(
+    /// Writes a map, behind what stands in `out` already.
+    pub fn write(&mut self, out: &mut Vec<u8>, map: &FeatureMap, steps: &mut Steps) -> Result<Written, EncodeError> {
+        check(map)?;
+        let Some(choice) = self.choice else {
+            return self.write_cells(out, map, None, steps);
+        };
+        let ranked = steps.time("selection", || cells::ranked(map, choice.least_confidence))?;
+        match choice.budget {
+            None => self.write_cells(out, map, Some(&ranked), steps),
+            Some(budget) => self.write_within(budget, out, map, &ranked, steps),
+        }
+    }
+
+    /// Writes the surest cells, as many as a packet of so many bytes holds. How far they compress is seen by trying, so that the
+    /// last few that would fit may stay out.
+    fn write_within(
+        &mut self,
+        budget: usize,
+        out: &mut Vec<u8>,
+        map: &FeatureMap,
+        ranked: &[u32],
+        steps: &mut Steps,
+    ) -> Result<Written, EncodeError> {
+        let before = out.len();
+        let (mut held, mut beyond) = (None, ranked.len() + 1);
+        // What is guessed first fits, but for what stands before the elements, if nothing of it compresses.
+        let mut count = ranked.len().min(budget / (map.channels as usize * map.dtype.size()));
+        for trial in 1..=TRIALS {
+            if trial == TRIALS && held.is_none() {
+                count = 0;
+            }
+            out.truncate(before);
+            let written = self.write_cells(out, map, Some(&ranked[..count]), steps)?;
+            let found = out.len();
+            match found <= budget {
+                true => {
+                    self.best.clone_from(out);
+                    held = Some((count, written));
+                }
+                false if count == 0 => return Err(EncodeError::Budget { needed: found, budget }),
+                false => beyond = count,
+            }
+            let share = budget.saturating_sub(before) as f64 / (found - before) as f64;
+            let least = held.as_ref().map_or(0, |(count, _)| *count);
+            count = ((NEARLY * share * count as f64) as usize).clamp(least, beyond - 1);
+            if held.is_some() && count - least <= least / 32 {
+                break;
+            }
+        }
+        std::mem::swap(out, &mut self.best);
+        Ok(held.expect("without any cell at the latest").1)
+    }
+
+    /// Writes a map, or some of its cells.
+    fn write_cells(
         &mut self,
         out: &mut Vec<u8>,
         map: &FeatureMap,
+        chosen: Option<&[u32]>,
         steps: &mut Steps,
-    ) -> Result<(Coding, u64), EncodeError> {
-        check(map)?;
-        let (elements, beyond) = steps.time("quantisation", || self.convert(map))?;
+    ) -> Result<Written, EncodeError> {
+        let all = map.rows as usize * map.columns as usize;
+        let ascending = chosen.map(|chosen| {
+            let mut chosen = chosen.to_vec();
+            chosen.sort_unstable();
+            chosen
+        });
+        let gathered = ascending.as_ref().map(|chosen| cells::gathered(map, chosen));
+        let crossing = chosen.map_or(all, <[u32]>::len);
+        let from = gathered.as_ref().unwrap_or(map);
+        let (elements, beyond) = match crossing {
+            0 => (Elements::F32, 0),
+            _ => steps.time("quantisation", || self.convert(from))?,
+        };
+        let coding = Coding {
+            cells: chosen.is_some(),
+            elements,
+            shuffle: self.shuffle && crossing > 0,
+            zstd: self.zstd.is_some(),
+        };
         let mut bytes: &[u8] = match elements {
-            Elements::F32 => &map.data,
+            Elements::F32 => &from.data,
             _ => &self.converted,
         };
-        let cells = map.rows as usize * map.columns as usize;
-        if self.shuffle {
+        if coding.shuffle {
             self.shuffled.resize(bytes.len(), 0);
             steps.time("shuffling", || {
-                transpose(bytes, bytes.len() / cells, &mut self.shuffled)
+                transpose(bytes, bytes.len() / crossing, &mut self.shuffled)
             });
             bytes = &self.shuffled;
         }
-        if let Some(zstd) = &mut self.zstd {
-            steps.time("compression", || compress(zstd, bytes, &mut self.compressed))?;
-            bytes = &self.compressed;
+        self.places.clear();
+        if let (Some(ascending), Some(confidence)) = (&ascending, &map.confidence) {
+            cells::write(ascending, confidence, &mut self.places);
         }
-        let coding = Coding {
-            elements,
-            shuffle: self.shuffle,
-            zstd: self.zstd.is_some(),
-        };
-        steps.time("serialisation", || serialise(out, map, coding, &self.scales, bytes))?;
-        Ok((coding, beyond))
+        let mut places = &self.places;
+        if let Some(zstd) = &mut self.zstd {
+            steps.time("compression", || {
+                compress(zstd, places, &mut self.compressed_places)?;
+                compress(zstd, bytes, &mut self.compressed)
+            })?;
+            (places, bytes) = (&self.compressed_places, &self.compressed);
+        }
+        steps.time("serialisation", || {
+            out.reserve(400 + 8 * map.channels as usize + places.len() + bytes.len());
+            head(out, map, coding)?;
+            if coding.cells {
+                out.extend((crossing as u32).to_le_bytes());
+                put(out, places, coding.zstd)?;
+            }
+            if crossing > 0 {
+                if elements == Elements::Int8 {
+                    put_column(out, &self.scales.least, f32::to_le_bytes);
+                    put_column(out, &self.scales.step, f32::to_le_bytes);
+                }
+                put(out, bytes, coding.zstd)?;
+            }
+            Ok(())
+        })?;
+        Ok(Written {
+            coding,
+            beyond,
+            left_out: (all - crossing) as u64,
+        })
     }
 
     /// Converts numbers of a map of f32 as told; any other map stays as it is.
@@ -117,6 +247,25 @@ impl Writer {
     }
 }
 
+/// Times that a map is put into bytes to find how many of its cells a budget holds.
+const TRIALS: usize = 6;
+/// Of a budget that the next trial aims at, as the last cells compress less than the surest ones.
+const NEARLY: f64 = 0.98;
+
+/// Writes bytes; of those that zstd made, how many they are first.
+fn put(out: &mut Vec<u8>, bytes: &[u8], compressed: bool) -> Result<(), EncodeError> {
+    if compressed {
+        let length = u32::try_from(bytes.len()).map_err(|_| EncodeError::TooMany {
+            field: "compressed bytes",
+            found: bytes.len(),
+            limit: u32::MAX as usize,
+        })?;
+        out.extend(length.to_le_bytes());
+    }
+    out.extend_from_slice(bytes);
+    Ok(())
+}
+
 fn check(map: &FeatureMap) -> Result<(), EncodeError> {
     let shape = [map.rows, map.columns, map.channels];
     if shape.contains(&0) {
@@ -133,15 +282,9 @@ fn check(map: &FeatureMap) -> Result<(), EncodeError> {
     Ok(())
 }
 
-fn serialise(
-    out: &mut Vec<u8>,
-    map: &FeatureMap,
-    coding: Coding,
-    scales: &Scales,
-    bytes: &[u8],
-) -> Result<(), EncodeError> {
+/// What stands before the cells that cross, or the scales.
+fn head(out: &mut Vec<u8>, map: &FeatureMap, coding: Coding) -> Result<(), EncodeError> {
     let shape = [map.rows, map.columns, map.channels];
-    out.reserve(400 + 8 * map.channels as usize + bytes.len());
     out.extend(shape.iter().flat_map(|v| v.to_le_bytes()));
     put_f64s(out, &[map.cell, map.origin[0], map.origin[1]], "cell or origin")?;
     let dtype = match map.dtype {
@@ -158,20 +301,12 @@ fn serialise(
         Elements::Int8 => 2,
     };
     let flag = |set: bool, flag: u8| if set { flag } else { 0 };
-    out.extend([elements, flag(coding.shuffle, SHUFFLE) | flag(coding.zstd, ZSTD)]);
-    if coding.elements == Elements::Int8 {
-        put_column(out, &scales.least, f32::to_le_bytes);
-        put_column(out, &scales.step, f32::to_le_bytes);
-    }
-    if coding.zstd {
-        let length = u32::try_from(bytes.len()).map_err(|_| EncodeError::TooMany {
-            field: "compressed bytes",
-            found: bytes.len(),
-            limit: u32::MAX as usize,
-        })?;
-        out.extend(length.to_le_bytes());
-    }
-    out.extend_from_slice(bytes);
+    let flags = [
+        flag(coding.shuffle, SHUFFLE),
+        flag(coding.zstd, ZSTD),
+        flag(coding.cells, CELLS),
+    ];
+    out.extend([elements, flags.iter().sum()]);
     Ok(())
 }
 
@@ -181,6 +316,7 @@ pub(crate) struct Parser {
     limit: usize,
     zstd: Decompressor<'static>,
     scales: Scales,
+    places: Vec<u8>,
     decompressed: Vec<u8>,
     put_back: Vec<u8>,
 }
@@ -192,6 +328,7 @@ impl Parser {
             limit,
             zstd: Decompressor::new()?,
             scales: Scales::default(),
+            places: Vec::new(),
             decompressed: Vec::new(),
             put_back: Vec::new(),
         })
@@ -200,45 +337,103 @@ impl Parser {
     /// Reads a map; gives how its elements crossed.
     pub fn read(&mut self, bytes: &mut Reader, steps: &mut Steps) -> Result<(FeatureMap, Coding), DecodeError> {
         let (map, coding) = steps.time("deserialisation", || self.head(bytes))?;
+        let all = map.rows as usize * map.columns as usize;
+        let chosen = match coding.cells {
+            true => Some(self.chosen(bytes, all, coding.zstd, steps)?),
+            false => None,
+        };
+        let data = self.elements(bytes, &map, coding, chosen.as_ref(), steps)?;
+        let confidence = chosen.map(|chosen| chosen.confidence.into());
+        Ok((
+            FeatureMap {
+                data,
+                confidence,
+                ..map
+            },
+            coding,
+        ))
+    }
+
+    /// Which cells of a map of so many cross.
+    fn chosen(&mut self, bytes: &mut Reader, all: usize, zstd: bool, steps: &mut Steps) -> Result<Chosen, DecodeError> {
+        let crossing = bytes.u32("number of cells that cross")? as usize;
+        if crossing > all {
+            return Err(DecodeError::Value {
+                field: "number of cells that cross",
+                expected: "at most those of the map",
+                found: format!("{crossing} of {all}"),
+            });
+        }
+        let length = cells::length(crossing, all);
+        let zstd = zstd.then_some(&mut self.zstd);
+        let places = taken(
+            bytes,
+            zstd,
+            length,
+            ["cells that cross", "compressed cells"],
+            &mut self.places,
+            steps,
+        )?;
+        steps.time("deserialisation", || cells::read(places, crossing, all))
+    }
+
+    /// The elements of a map, whose cells that do not cross are zeros.
+    fn elements(
+        &mut self,
+        bytes: &mut Reader,
+        map: &FeatureMap,
+        coding: Coding,
+        chosen: Option<&Chosen>,
+        steps: &mut Steps,
+    ) -> Result<Buffer, DecodeError> {
+        let (all, channels) = (map.rows as usize * map.columns as usize, map.channels as usize);
+        let crossing = chosen.map_or(all, |chosen| chosen.ascending.len());
+        if crossing == 0 {
+            return Ok(MutableBuffer::from_len_zeroed(all * channels * map.dtype.size()).into());
+        }
+        if coding.elements == Elements::Int8 {
+            let mut scales = |field| Ok(column(bytes.take(channels, 4, field)?, f32::from_le_bytes));
+            self.scales.take(scales("least numbers")?, scales("steps")?)?;
+        }
         let width = match coding.elements {
             Elements::F32 => map.dtype.size(),
             Elements::F16 => 2,
             Elements::Int8 => 1,
         };
         // The map itself is within the limit, and an element that crosses is no greater than one of the map.
-        let cells = map.rows as usize * map.columns as usize;
-        let length = cells * map.channels as usize * width;
-        let mut elements = match coding.zstd {
-            false => bytes.take(length, 1, "elements")?,
-            true => {
-                let size = bytes.u32("size of the compressed elements")?;
-                let compressed = bytes.take(size as usize, 1, "compressed elements")?;
-                let into = &mut self.decompressed;
-                steps.time("decompression", || {
-                    decompress(&mut self.zstd, compressed, length, "compressed elements", into)
-                })?;
-                &self.decompressed
-            }
-        };
+        let length = crossing * channels * width;
+        let zstd = coding.zstd.then_some(&mut self.zstd);
+        let mut elements = taken(
+            bytes,
+            zstd,
+            length,
+            ["elements", "compressed elements"],
+            &mut self.decompressed,
+            steps,
+        )?;
         if coding.shuffle {
             self.put_back.resize(length, 0);
-            steps.time("unshuffling", || transpose(elements, cells, &mut self.put_back));
+            steps.time("unshuffling", || transpose(elements, crossing, &mut self.put_back));
             elements = &self.put_back;
         }
         let scales = &self.scales;
-        let data = steps.time("dequantisation", || match coding.elements {
-            Elements::F32 if !are_finite(elements, map.dtype) => Err(not_finite()),
-            // A copy, because a slice of the packet would be aligned by chance only.
-            Elements::F32 => Ok(Buffer::from(elements)),
-            Elements::F16 => from_f16(elements).map(Buffer::from_vec),
-            Elements::Int8 => Ok(Buffer::from_vec(scales.dequantise(elements))),
-        })?;
-        Ok((FeatureMap { data, ..map }, coding))
+        steps.time("dequantisation", || {
+            let numbers = match coding.elements {
+                Elements::F32 if !are_finite(elements, map.dtype) => return Err(not_finite()),
+                Elements::F32 => None,
+                Elements::F16 => Some(Buffer::from_vec(from_f16(elements)?)),
+                Elements::Int8 => Some(Buffer::from_vec(scales.dequantise(elements))),
+            };
+            Ok(match (chosen, numbers) {
+                (Some(chosen), numbers) => chosen.scattered(numbers.as_deref().unwrap_or(elements)),
+                (None, Some(numbers)) => numbers,
+                // A copy, because a slice of the packet would be aligned by chance only.
+                (None, None) => Buffer::from(elements),
+            })
+        })
     }
-}
 
-impl Parser {
-    /// What stands before the elements: a map without data, and how they crossed. The scales are taken.
+    /// What stands before the elements: a map without data, and how they crossed.
     fn head(&mut self, bytes: &mut Reader) -> Result<(FeatureMap, Coding), DecodeError> {
         let shape = [bytes.u32("rows")?, bytes.u32("columns")?, bytes.u32("channels")?];
         // Without elements the other dimensions could say anything.
@@ -258,17 +453,15 @@ impl Parser {
             });
         }
         let dtype = one_of(bytes.u8("element type")?, &DTYPES, "element type", "0 to 3")?;
-        let size = FeatureMap::size_of(shape, dtype);
-        if size > self.limit as u128 {
-            let limit = self.limit;
-            return Err(DecodeError::Expanded { shape, size, limit });
-        }
         let model = bytes.text("model")?.into();
         let coding = coding(bytes, dtype)?;
         let [rows, columns, channels] = shape;
-        if coding.elements == Elements::Int8 {
-            let mut scales = |field| Ok(column(bytes.take(channels as usize, 4, field)?, f32::from_le_bytes));
-            self.scales.take(scales("least numbers")?, scales("steps")?)?;
+        let size = FeatureMap::size_of(shape, dtype);
+        let of_confidence = if coding.cells { 4 } else { 0 } * u128::from(rows) * u128::from(columns);
+        let size = size + of_confidence;
+        if size > self.limit as u128 {
+            let limit = self.limit;
+            return Err(DecodeError::Expanded { shape, size, limit });
         }
         let map = FeatureMap {
             rows,
@@ -279,9 +472,28 @@ impl Parser {
             dtype,
             data: Buffer::from_vec(Vec::<u8>::new()),
             model,
+            confidence: None,
         };
         Ok((map, coding))
     }
+}
+
+/// Takes so many bytes as they are, or out of a zstd frame; the field's name as they are, and as a frame.
+fn taken<'a, 'b: 'a>(
+    bytes: &mut Reader<'b>,
+    zstd: Option<&mut Decompressor>,
+    length: usize,
+    [plain, compressed]: [&'static str; 2],
+    into: &'a mut Vec<u8>,
+    steps: &mut Steps,
+) -> Result<&'a [u8], DecodeError> {
+    let Some(zstd) = zstd else {
+        return bytes.take(length, 1, plain);
+    };
+    let size = bytes.u32("size of compressed bytes")? as usize;
+    let frame = bytes.take(size, 1, compressed)?;
+    steps.time("decompression", || decompress(zstd, frame, length, compressed, into))?;
+    Ok(into)
 }
 
 fn coding(bytes: &mut Reader, dtype: DType) -> Result<Coding, DecodeError> {
@@ -294,8 +506,9 @@ fn coding(bytes: &mut Reader, dtype: DType) -> Result<Coding, DecodeError> {
             found: format!("{elements:?} for {dtype:?}"),
         });
     }
-    let flags = bytes.flags(SHUFFLE | ZSTD, "flags of the elements")?;
+    let flags = bytes.flags(SHUFFLE | ZSTD | CELLS, "flags of the elements")?;
     Ok(Coding {
+        cells: flags & CELLS != 0,
         elements,
         shuffle: flags & SHUFFLE != 0,
         zstd: flags & ZSTD != 0,

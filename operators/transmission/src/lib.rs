@@ -14,7 +14,8 @@
 //! | `packets` | in, latest | Packet | what a link delivered |
 //! | `messages` | out | PointCloud, FeatureMap, Boxes, EgoState | what the sender said |
 //!
-//! Maps of f32 are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
+//! Of maps that tell how sure their maker is of each cell those may cross that `least_confidence` and `budget_bytes` choose. Maps of f32
+//! are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
 //! f32 again; maps of other elements are not quantised. With the argument `step_m` coordinates of points cross as whole steps, all
 //! columns as differences, shuffled and compressed; without it they are exact. docs/transmission.md tells why, how exactly, and
 //! what is refused. Both stages time the steps of a cloud and of a feature map ([`realo_operator::Steps`]).
@@ -61,14 +62,17 @@
 //!
 //! Features: rows, columns, channels (u32), cell (f64, m), origin x y (f64, m), element type of the map (u8: 0 f32, 1 f16,
 //! 2 bf16, 3 u8), model (text: its name and a hash of model file and weights), conversion of f32 (u8: 0 none, 1 f16, 2 int8),
-//! flags (u8: 1 shuffled, 2 zstd); with int8 the columns least number and step (f32) of the channels, of which a number is
-//! least + code × step; with flag 2 a length (u32) and a zstd frame of the elements, else the elements. They come cell by cell,
-//! `[rows, columns, channels]`; shuffled, first byte 0 of every cell, then byte 1, and so on.
+//! flags (u8: 1 shuffled, 2 zstd, 4 some cells only). With flag 4: how many cells cross (u32), a bit for each cell of the map, the first
+//! in the lowest bit of the first byte, and for each that crosses the root of its confidence in 255ths (u8, at least 1); with flag 2
+//! the bits and confidences are a length (u32) and a zstd frame. Without a cell that crosses nothing follows. With int8 the columns least number and step (f32) of the channels, of which a number is
+//! least + code × step; with flag 2 a length (u32) and a zstd frame of the elements, else the elements. They come cell by cell that
+//! crosses, `[rows, columns, channels]`; shuffled, first byte 0 of every cell, then byte 1, and so on.
 //!
 //! Nothing else of a header crosses: the receiver's own clock, times and trace stay with the packet's header.
 
 mod boxes;
 mod bytes;
+mod cells;
 mod codec;
 mod compression;
 mod decoder;

@@ -99,6 +99,12 @@ fn message(draw: &mut Draw) -> Message {
                     .collect::<Vec<u8>>()
                     .into(),
                 model: "0123".into(),
+                confidence: Some(
+                    (0..rows * columns)
+                        .map(|_| draw.below(9) as f32 / 8.0)
+                        .collect::<Vec<f32>>()
+                        .into(),
+                ),
             }
             .into()
         }
@@ -119,6 +125,8 @@ fn bytes_of(draw: &mut Draw, message: &Message) -> Vec<u8> {
         step_m: draw.pick(&[0.0, 0.01, 0.001]),
         elements: draw.pick(&[Elements::F32, Elements::F16, Elements::Int8]),
         shuffle: draw.chance(2),
+        least_confidence: draw.pick(&[0.0, 0.0, 0.3, 1.0]),
+        budget_bytes: draw.chance(3).then_some(300),
         zstd: draw.chance(2).then(|| draw.pick(&[-7, 1, 3])),
     };
     encode(message, &config)
@@ -150,6 +158,14 @@ fn check(case: u64, bytes: &[u8]) -> bool {
             let elements = map.rows as usize * map.columns as usize * map.channels as usize;
             assert_eq!(map.data.len(), elements * map.dtype.size(), "case {case}");
             assert!(map.data.len() <= LIMIT, "case {case}");
+            if let Some(confidence) = &map.confidence {
+                let cells = map.rows as usize * map.columns as usize;
+                assert_eq!(confidence.len(), cells, "case {case}");
+                assert!(
+                    confidence.iter().all(|confidence| (0.0..=1.0).contains(confidence)),
+                    "case {case}"
+                );
+            }
             if let Ok(numbers) = map.numbers() {
                 assert!(numbers.iter().all(|number| number.is_finite()), "case {case}");
             }
@@ -211,6 +227,7 @@ fn a_map_without_elements_is_refused_on_both_sides() {
         dtype: DType::U8,
         data: Buffer::from(vec![0u8; bytes]),
         model: "m".into(),
+        confidence: None,
     };
     let header = header(&mut draw, Kind::Features);
     let plain = EncoderConfig {

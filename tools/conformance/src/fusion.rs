@@ -214,6 +214,7 @@ fn agents_of<'a>(maps: &[BevView<'a>], priors: &[[f64; 3]], matrices: &[f64], ce
         let [_, delay, roadside] = priors[index];
         let matrix = &matrices[16 * index..][..16];
         Agent {
+            confidence: None,
             map: *map,
             warp: match index {
                 0 => Warp::IDENTITY,

@@ -57,10 +57,10 @@ fn fused(model: &Model, options: NetworkOptions, agents: &[Taking]) -> Vec<f32> 
     let agents: Vec<Agent> = agents
         .iter()
         .map(|(map, warp, roadside, delay)| Agent {
-            map: map.into(),
             warp: *warp,
             roadside: *roadside,
             delay: *delay,
+            ..Agent::beside(map)
         })
         .collect();
     network.fuse(&agents).unwrap().data
@@ -186,6 +186,11 @@ fn fusions_of_nobody_of_too_many_and_of_maps_that_do_not_fit_are_refused() {
         let mut cut = all[1].0.clone();
         cut.data.pop();
         assert!(error(&mut network, &[own, Agent::beside(&cut)]).contains("its size wants"));
+        let unsure = Agent {
+            confidence: Some(&[0.5; 3]),
+            ..own
+        };
+        assert!(error(&mut network, &[own, unsure]).contains("the confidence of a BEV map has 3 numbers"));
     }
     let single = small(16, 32, false);
     let weights = Weights::new(&single, random_tensors(&single, 7)).unwrap();

@@ -85,6 +85,7 @@ fn messages() -> Vec<Message> {
         dtype: DType::F16,
         data: Buffer::from((0..48).collect::<Vec<u8>>()),
         model: "0123abcd".into(),
+        confidence: None,
     };
     let bare_state = EgoState {
         covariance: None,
@@ -113,6 +114,8 @@ const ALL: EncoderConfig = EncoderConfig {
     step_m: 0.0,
     elements: Elements::F32,
     shuffle: false,
+    least_confidence: 0.0,
+    budget_bytes: None,
     zstd: None,
 };
 

@@ -30,6 +30,7 @@ fn map_of(numbers: Vec<f32>) -> FeatureMap {
         dtype: DType::F32,
         data: Buffer::from_vec(numbers),
         model: "lite-0".into(),
+        confidence: None,
     }
 }
 
@@ -273,7 +274,7 @@ fn codes_and_flags_that_are_unknown_are_refused() {
     assert!(changed(dtype, 4).contains("`element type`: expected 0 to 3, found 4"));
     assert!(changed(ENVELOPE + HEAD, 3).contains("`conversion`: expected 0 to 2, found 3"));
     assert!(
-        changed(ENVELOPE + HEAD + 1, 4).contains("`flags of the elements`: expected known flags, found 0b00000100")
+        changed(ENVELOPE + HEAD + 1, 8).contains("`flags of the elements`: expected known flags, found 0b00001000")
     );
     let halves = FeatureMap {
         dtype: DType::F16,
@@ -345,6 +346,161 @@ fn a_shape_beyond_the_limit_is_refused_before_anything_is_made() {
             "{error}"
         );
     }
+}
+
+/// The map of [`numbers`], the surer of a cell the greater its number; of the first cell not at all.
+fn unsure() -> FeatureMap {
+    let confidence = (0..48).map(|cell| cell as f32 / 47.0);
+    FeatureMap {
+        confidence: Some(confidence.collect::<Vec<f32>>().into()),
+        ..map_of(numbers())
+    }
+}
+
+fn cells_there(map: &FeatureMap) -> Vec<usize> {
+    let confidence = map.confidence.as_ref().expect("a map of some cells");
+    (0..48).filter(|cell| confidence[*cell] > 0.0).collect()
+}
+
+#[test]
+fn of_a_map_of_which_some_cells_cross_these_come_back_and_zeros() {
+    for config in all_configs() {
+        let config = EncoderConfig {
+            least_confidence: 0.7,
+            ..config
+        };
+        let mut encoder = Encoder::new(&config).unwrap();
+        let (packet, dropped) = encoder.encode(&message(unsure()), &mut Steps::default()).unwrap();
+        assert_eq!((dropped.cells, packet.codec[0].as_str()), (33, "cells"));
+        let found = decoded(&packet.bytes).unwrap();
+        assert_eq!(cells_there(&found), (33..48).collect::<Vec<_>>());
+        for (found, sent) in found
+            .confidence
+            .iter()
+            .flatten()
+            .zip(unsure().confidence.iter().flatten())
+        {
+            assert!(*found == 0.0 || (found - sent).abs() < 1.0 / 255.0);
+        }
+        let kept = map_of(numbers()[33 * 5..].to_vec());
+        let kept = FeatureMap {
+            rows: 1,
+            columns: 15,
+            ..kept
+        };
+        let plain = EncoderConfig {
+            least_confidence: 0.0,
+            ..config.clone()
+        };
+        let expected = decoded(&encoded(kept, &plain).unwrap().0.bytes).unwrap();
+        let (empty, there) = found.data.split_at(33 * 5 * 4);
+        assert_eq!(
+            there,
+            expected.data.as_slice(),
+            "{config:?}: as a map of these cells alone"
+        );
+        assert!(empty.iter().all(|byte| *byte == 0));
+    }
+}
+
+#[test]
+fn a_budget_holds_the_surest_cells_and_nearly_as_many_as_fit() {
+    for config in all_configs() {
+        let within = |budget: Option<usize>| {
+            let config = EncoderConfig {
+                budget_bytes: budget,
+                least_confidence: if budget.is_none() { 1e-6 } else { 0.0 },
+                ..config.clone()
+            };
+            let mut encoder = Encoder::new(&config).unwrap();
+            let found = encoder.encode(&message(unsure()), &mut Steps::default());
+            found.map(|(packet, _)| packet)
+        };
+        let all = within(None).unwrap().bytes.len();
+        let most = cells_there(&decoded(&within(None).unwrap().bytes).unwrap());
+        assert_eq!(most.len(), 47, "all but the one of which nothing is known");
+        let mut before = 0;
+        for budget in (ENVELOPE + HEAD + 60..all + 40).step_by(7) {
+            let packet = within(Some(budget)).unwrap();
+            assert!(
+                packet.bytes.len() <= budget,
+                "{config:?} {budget}: {}",
+                packet.bytes.len()
+            );
+            let there = cells_there(&decoded(&packet.bytes).unwrap());
+            assert_eq!(there, (48 - there.len()..48).collect::<Vec<_>>(), "the surest");
+            let each = 5 * 4 + 1;
+            let room = budget - packet.bytes.len();
+            assert!(
+                there.len() == 47 || room < 6 * each + 60,
+                "{config:?} {budget}: room for {room} bytes"
+            );
+            assert!(
+                there.len() + 5 >= before,
+                "{config:?} {budget}: {} after {before}",
+                there.len()
+            );
+            before = before.max(there.len());
+        }
+        assert!(before >= 46, "{config:?}: {before}");
+        let error = within(Some(ENVELOPE + HEAD)).unwrap_err().to_string();
+        assert!(error.contains("without any cell: expected a `budget_bytes`"), "{error}");
+    }
+    let config = EncoderConfig {
+        budget_bytes: Some(100_000),
+        ..EncoderConfig::default()
+    };
+    let error = encoded(map_of(numbers()), &config).unwrap_err().to_string();
+    assert!(error.contains("confidence=true"), "{error}");
+    let config = EncoderConfig {
+        least_confidence: 1.5,
+        ..EncoderConfig::default()
+    };
+    let error = Encoder::new(&config).err().expect("refused").to_string();
+    assert!(
+        error.contains("`least_confidence`: expected 0 to 1, found 1.5"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_map_of_which_no_cell_is_sure_crosses_without_any() {
+    for config in all_configs() {
+        let config = EncoderConfig {
+            least_confidence: 1.0,
+            ..config
+        };
+        let doubtful = FeatureMap {
+            confidence: Some(vec![0.25; 48].into()),
+            ..unsure()
+        };
+        let (packet, _) = encoded(doubtful, &config).unwrap();
+        let found = decoded(&packet.bytes).unwrap();
+        assert_eq!((cells_there(&found), found.data.len()), (vec![], 960));
+        assert!(found.data.iter().all(|byte| *byte == 0));
+    }
+}
+
+#[test]
+fn cells_that_are_not_as_many_as_a_packet_says_are_refused() {
+    let config = EncoderConfig {
+        least_confidence: 0.7,
+        ..config(Elements::F32, false, None)
+    };
+    let packet = encoded(unsure(), &config).unwrap().0;
+    let at = ENVELOPE + HEAD + 2;
+    let changed = |at: usize, value: u8| {
+        let mut bytes = packet.bytes.to_vec();
+        bytes[at] = value;
+        refused(&bytes)
+    };
+    assert!(
+        changed(at, 49).contains("`number of cells that cross`: expected at most those of the map, found 49 of 48")
+    );
+    assert!(changed(at, 14).contains("`cells that cross`"));
+    assert!(changed(at + 4, 1).contains("found 16 for 15 of 48"));
+    assert!(changed(at + 4 + 6, 0).contains("`confidence of a cell`"));
+    assert!(refused(&packet.bytes[..at + 8]).contains("bytes end in `cells that cross`"));
 }
 
 #[test]

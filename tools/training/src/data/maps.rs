@@ -51,6 +51,7 @@ pub(crate) struct Encoded {
 impl Encoded {
     pub fn agent(&self) -> Agent<'_> {
         Agent {
+            confidence: None,
             map: (&self.map).into(),
             warp: self.warp,
             roadside: self.roadside,
