@@ -180,6 +180,94 @@ fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
     );
 }
 
+/// The log that an agent's graph recorded.
+fn recorded(out: &Path, agent: &str) -> String {
+    let name = format!("{agent}.mcap");
+    let found = walk(out).into_iter().find(|path| path.ends_with(&name));
+    found.expect("the agent's log").display().to_string()
+}
+
+fn walk(dir: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let paths = entries.map(|entry| entry.path());
+    paths
+        .flat_map(|path| if path.is_dir() { walk(&path) } else { vec![path] })
+        .collect()
+}
+
+/// Milliseconds that `realo merge` says a log was moved by at its beginning.
+fn moved(said: &str) -> f64 {
+    let rest = said.split("moved by ").nth(1).unwrap_or_else(|| panic!("{said}"));
+    rest.split(' ')
+        .next()
+        .and_then(|word| word.parse().ok())
+        .expect("a number")
+}
+
+#[test]
+fn what_agents_recorded_is_one_log_again_though_a_clock_is_off() {
+    let _alone = alone();
+    let (log, port) = (log(), free_port());
+    let (near, far) = (folder("radio_merge_vehicle"), folder("radio_merge_roadside"));
+    let roadside = std::thread::spawn({
+        let (log, far) = (log.clone(), far.clone());
+        let connect = format!("v2x.connect=tcp/127.0.0.1:{port}");
+        let set = [connect, "player.skew_ms=-200".into(), "player.repeat=3".into()];
+        move || realo_ok(arguments("late_fusion.roadside", &log, &far, &set))
+    });
+    let set = [format!("v2x.listen=tcp/127.0.0.1:{port}"), "player.repeat=3".into()];
+    realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
+    roadside.join().expect("the roadside unit's run is complete");
+    let merged = near.join("merged.mcap").display().to_string();
+    let logs = [recorded(&near, "cav1"), recorded(&far, "rsu1")];
+    let said = realo_ok(["merge", &logs[0], &logs[1], "-o", &merged]);
+    assert!((moved(&said) - 200.0).abs() < 5.0, "{said}");
+    let given = near.join("given.mcap").display().to_string();
+    let said = realo_ok(["merge", &logs[1], &logs[0], "-o", &given, "--clock", "cav1=150"]);
+    assert_eq!(moved(&said), -150.0, "{said}");
+    assert!(
+        realo(["merge", &logs[1], &logs[0], "-o", &given, "--clock", "cav1"])
+            .status
+            .code()
+            == Some(2)
+    );
+
+    // Agents start at a multiple of 5 s: where one comes later, the log has fewer of its sweeps.
+    let together = ["--recorded-detections", "--ego", "cav1"];
+    let result = run_virtual("radio_merged", "late_fusion", Path::new(&merged), &together);
+    assert_eq!(result["frames"]["processed"], 90);
+    let books = &result["links"]["rsu1-cav1"]["boxes"];
+    assert!(books["used"].as_u64() >= Some(28) && books["rejected"] == 0, "{books}");
+    let original = [&together[..], &["--agents", "cav1,rsu1"]].concat();
+    run_virtual("radio_unmerged", "late_fusion", &log, &original);
+    let of = |name: &str| boxes(&Path::new(env!("CARGO_TARGET_TMPDIR")).join(name));
+    let (all, pass) = (of("radio_merged"), of("radio_unmerged"));
+    // Class, score, then x and y in micrometres.
+    let centers = |frame: &Value| -> Vec<f64> {
+        let detections = frame.as_array().expect("detections").iter();
+        detections
+            .flat_map(|one| [2, 3].map(|axis| one[axis].as_f64().expect("micrometres") * 1e-6))
+            .collect()
+    };
+    assert!(pass[3..].iter().all(|frame| centers(frame).len() > 20));
+    // A pass begins without what the others sent before.
+    let near_frames = |k: usize| {
+        (3..30)
+            .filter(|frame| {
+                let (found, expected) = (centers(&all[30 * k + frame]), centers(&pass[*frame]));
+                let near = |(a, b): (&f64, &f64)| (a - b).abs() < 0.05;
+                found.len() == expected.len() && found.iter().zip(&expected).all(near)
+            })
+            .count()
+    };
+    let best = (0..3).map(near_frames).max();
+    assert!(
+        best >= Some(25),
+        "{:?} of 27 frames are those of the log that was played",
+        (0..3).map(near_frames).collect::<Vec<_>>()
+    );
+}
+
 #[test]
 fn what_cannot_work_is_said_before_the_run() {
     let log = log();

@@ -19,4 +19,4 @@ pub use message::{Message, Payload, PayloadType, UnexpectedPayload};
 pub use payload::{
     Box3, Boxes, DType, EgoState, Elements, FeatureMap, GroundTruth, Packet, PointCloud, PoseStatus, Report, Selection,
 };
-pub use time::{Nanos, from_seconds, to_millis, to_seconds};
+pub use time::{Nanos, are_one_time_line, from_seconds, to_millis, to_seconds};

@@ -11,6 +11,14 @@ pub fn to_seconds(nanos: Nanos) -> f64 {
     nanos as f64 * 1e-9
 }
 
+/// Time lines that differ by less are taken for one, ns.
+const SAME: Nanos = 1_000_000;
+
+/// Whether two time lines that lie so far apart, which is likely off by `uncertainty`, are taken for one.
+pub fn are_one_time_line(offset: Nanos, uncertainty: Nanos) -> bool {
+    offset.saturating_abs() <= SAME.max(uncertainty.saturating_mul(3))
+}
+
 /// Nanoseconds to milliseconds.
 pub fn to_millis(nanos: Nanos) -> f64 {
     nanos as f64 * 1e-6

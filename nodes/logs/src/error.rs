@@ -103,6 +103,9 @@ pub enum LogError {
         /// Expected and found.
         reason: String,
     },
+    /// Logs that cannot be one.
+    #[error("the logs cannot be merged: {0}")]
+    Merge(String),
     /// Something that cannot be put into a log.
     #[error("cannot write to `{}`: {reason}", .path.display())]
     Input {

@@ -10,6 +10,8 @@ use crate::{LogError, Precomputed};
 pub const LOG_RECORD: &str = "realo";
 /// Name of the metadata record that a finished log ends with.
 pub const END_RECORD: &str = "realo_end";
+/// Key of [`END_RECORD`]: how far the clocks of other agents lie from the log's.
+pub const CLOCKS: &str = "clocks";
 /// Key of the record that says what was computed beforehand.
 const PRECOMPUTED: &str = "precomputed";
 /// Version of the layout.

@@ -25,6 +25,7 @@
 
 pub mod boxes;
 pub mod cdr;
+mod clocks;
 pub mod cloud;
 mod describe;
 mod error;
@@ -34,6 +35,7 @@ mod log;
 mod log_writer;
 mod mcap_file;
 mod mcap_writer;
+mod merge;
 pub mod packets;
 pub mod pose;
 mod precomputed;
@@ -43,6 +45,7 @@ mod sweeps;
 mod topics;
 
 pub use boxes::BoxesInfo;
+pub use clocks::PeerClock;
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use info::{AgentInfo, AgentKind, LogInfo, program};
@@ -50,6 +53,7 @@ pub use log::{Entry, Log, LogReader};
 pub use log_writer::LogWriter;
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
+pub use merge::{Merge, Moved};
 pub use packets::SentPacket;
 pub use precomputed::{LaneStage, LogCopy, Precomputed};
 pub use schema::Schema;

@@ -6,12 +6,12 @@ use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus};
 
 use crate::cdr::CdrReader;
 use crate::frames::bare;
-use crate::info::{END_RECORD, LOG_RECORD};
+use crate::info::{CLOCKS, END_RECORD, LOG_RECORD};
 use crate::log_writer::body;
 use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 use crate::packets::{self, SentPacket};
 use crate::sweeps::{Context, SweepsInfo};
-use crate::{BoxesInfo, LogError, LogInfo, Stream, boxes, pose};
+use crate::{BoxesInfo, LogError, LogInfo, PeerClock, Stream, boxes, pose};
 
 /// An open log.
 #[derive(Clone, Debug)]
@@ -114,6 +114,31 @@ impl Log {
     /// Stamps of the scored frames of each agent; `None` for a log that was not finished.
     pub fn key_frames(&self) -> Option<BTreeMap<String, Vec<Nanos>>> {
         serde_json::from_str(self.file.metadata().get(END_RECORD)?.get("key_frames")?).ok()
+    }
+
+    /// How far the clocks of other agents lie from the log's; none where the log does not tell.
+    ///
+    /// # Errors
+    /// Clocks that cannot be.
+    pub fn clocks(&self) -> Result<Vec<PeerClock>, LogError> {
+        let Some(text) = self
+            .file
+            .metadata()
+            .get(END_RECORD)
+            .and_then(|record| record.get(CLOCKS))
+        else {
+            return Ok(Vec::new());
+        };
+        let read = || -> Result<Vec<PeerClock>, String> {
+            let clocks: Vec<PeerClock> = serde_json::from_str(text).map_err(|error| error.to_string())?;
+            clocks.iter().find_map(PeerClock::fault).map_or(Ok(()), Err)?;
+            Ok(clocks)
+        };
+        read().map_err(|reason| LogError::Metadata {
+            path: self.path().into(),
+            field: CLOCKS,
+            reason,
+        })
     }
 
     /// Every topic of the file.

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use realo_schemas::{Box3, Boxes, EgoState, Name, Nanos, PointCloud};
 
-use crate::info::{END_RECORD, LOG_RECORD, check_agents};
+use crate::info::{CLOCKS, END_RECORD, LOG_RECORD, check_agents};
 use crate::mcap_writer::{ChannelId, Lane, McapWriter, Output};
-use crate::{BoxesInfo, LogError, LogInfo, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose};
+use crate::{BoxesInfo, LogError, LogInfo, PeerClock, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose};
 
 /// Writes a log.
 ///
@@ -19,6 +19,7 @@ pub struct LogWriter {
     map_frame: String,
     mcap: Option<McapWriter>,
     agents: BTreeMap<String, Agent>,
+    clocks: Vec<PeerClock>,
     tf: Option<ChannelId>,
 }
 
@@ -69,6 +70,7 @@ impl LogWriter {
                 .iter()
                 .map(|agent| (agent.name.clone(), Agent::default()))
                 .collect(),
+            clocks: Vec::new(),
             tf: None,
         })
     }
@@ -188,6 +190,11 @@ impl LogWriter {
         self.write_boxes(agent, streams, stamp, ready, &detections.0, &info)
     }
 
+    /// How far the clocks of other agents lie from the log's, which the closing record tells.
+    pub fn clocks(&mut self, clocks: Vec<PeerClock>) {
+        self.clocks = clocks;
+    }
+
     /// Writes what is left, the index and the closing record.
     ///
     /// # Errors
@@ -212,6 +219,10 @@ impl LogWriter {
             .collect();
         let key_frames = serde_json::to_string(&key_frames).expect("times are plain data");
         let mut record = BTreeMap::from([("key_frames".to_string(), key_frames)]);
+        if !self.clocks.is_empty() {
+            let clocks = serde_json::to_string(&self.clocks).expect("times are plain data");
+            record.insert(CLOCKS.into(), clocks);
+        }
         if let Some((start, end)) = span {
             record.extend([
                 ("start".to_string(), start.to_string()),

@@ -7,7 +7,7 @@ use realo_operator::{
     Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Waker, unexpected, wrong_port,
 };
 use realo_schemas::report::{self, Fate, Peer, to_report};
-use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, to_millis};
+use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
 use realo_transmission::restamped;
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +22,6 @@ use crate::station::{Event, Report, Station};
 const PACKETS: PortId = PortId(0);
 const TO_EGO: PortId = PortId(0);
 const PEERS: PortId = PortId(1);
-/// Time lines that differ by less are taken for one, ns: stamps are not moved.
-const SAME: Nanos = 1_000_000;
 /// Time lines that differ by more are of runs that have nothing to do with each other, ns.
 const APART: Nanos = 10_000_000_000;
 
@@ -277,7 +275,7 @@ impl Radio {
         let differs = clock.offset.saturating_abs();
         match differs {
             _ if differs > APART => None,
-            _ if differs <= SAME.max(3 * clock.uncertainty) => Some(0),
+            _ if are_one_time_line(clock.offset, clock.uncertainty) => Some(0),
             _ => Some(-clock.offset),
         }
     }

@@ -13,6 +13,7 @@
 //! The books of all nodes end `/reports`. Log time is ready, publish time the stamp. The file grows at least every half
 //! second of log time: the recording of a run that was killed can be read.
 
+mod log;
 mod read;
 mod recording;
 
@@ -23,6 +24,7 @@ use realo_schemas::report::Fated;
 use realo_schemas::{Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
+pub use log::{LogConfig, LogRecorder};
 pub use read::{read_boxes, read_detections, read_reports, read_truth};
 pub use recording::FATES;
 use recording::Recording;

@@ -5,8 +5,8 @@ use clap::{Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, operators, precompute,
-    quantize, registry, render, run, simulate, train, validate,
+    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, merge, operators,
+    precompute, quantize, registry, render, run, simulate, train, validate,
 };
 
 /// Online cooperative perception for vehicles and roadside units, on dora
@@ -30,6 +30,7 @@ enum Command {
     Checkpoint(checkpoint::Args),
     Import(import::Args),
     Info(info::Args),
+    Merge(merge::Args),
     Validate(validate::Args),
     Operators(operators::Args),
     Conformance(conformance::Args),
@@ -77,6 +78,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),
         Command::Render(args) => render::main(&args),
+        Command::Merge(args) => merge::main(&args),
         Command::Precompute(args) => precompute::main(&args),
         Command::Simulate(args) => simulate::main(&args),
         Command::Train(args) => train::main(&args),

@@ -22,6 +22,7 @@ const SHIPPED: &[Registration] = &[
     Registration::operator::<realo_fusion_boxes::FusionBoxes>(),
     Registration::operator::<realo_evaluator::Evaluator>(),
     Registration::sink::<realo_recorder::Recorder>(),
+    Registration::sink::<realo_recorder::LogRecorder>(),
     Registration::sink::<realo_results::Results>(),
 ];
 
