@@ -105,7 +105,7 @@ pub(crate) fn read(bytes: &[u8], crossing: usize, cells: usize) -> Result<Chosen
     let set = bits.iter().map(|byte| byte.count_ones() as usize).sum::<usize>();
     let beyond = bits
         .last()
-        .is_some_and(|last| cells % 8 != 0 && last >> (cells % 8) != 0);
+        .is_some_and(|last| !cells.is_multiple_of(8) && last >> (cells % 8) != 0);
     if set != crossing || beyond {
         return Err(DecodeError::Value {
             field: "cells that cross",
