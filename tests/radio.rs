@@ -180,6 +180,60 @@ fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
     );
 }
 
+#[test]
+fn a_roadside_unit_shares_maps_in_the_frame_of_who_fuses_them() {
+    let _alone = alone();
+    let args = "--seed 903 --seconds 3 --key-hz 10 --agents cav1,rsu1";
+    let log = simulated("radio_clouds", &args.split(' ').collect::<Vec<_>>());
+    let (port, near, far) = (free_port(), folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
+    let arguments = |name: &str, out: &Path, set: String| -> Vec<String> {
+        let (log, out) = (log.display().to_string(), out.display().to_string());
+        let repeat = "player.repeat=3".to_string();
+        let all = [
+            "run".into(),
+            graph(name),
+            "--log".into(),
+            log,
+            "--out".into(),
+            out,
+            "--set".into(),
+            set,
+        ];
+        all.into_iter().chain(["--set".into(), repeat]).collect()
+    };
+    let roadside = std::thread::spawn({
+        let arguments = arguments("attfuse.roadside", &far, format!("v2x.connect=tcp/127.0.0.1:{port}"));
+        move || realo_ok(arguments)
+    });
+    realo_ok(arguments(
+        "attfuse.vehicle",
+        &near,
+        format!("v2x.listen=tcp/127.0.0.1:{port}"),
+    ));
+    roadside
+        .join()
+        .expect("the roadside unit's run is complete, though its lane hangs on its own radio");
+    let books = |out: &Path, link: &str, kind: &str| {
+        let result = json(&out.join("result.json"));
+        let books = result["links"][link][kind].clone();
+        assert_eq!(books["unaccounted"], 0, "{link} {kind} of {}", result["links"]);
+        let count = |term: &str| books[term].as_u64().expect("a count");
+        [count("sent"), count("used"), count("bytes")]
+    };
+    let [sent, used, bytes] = books(&near, "rsu1-cav1", "features");
+    assert!(
+        used >= 10 && bytes <= 60_100 * sent,
+        "{used} used of {sent}, {bytes} bytes"
+    );
+    let [told, used, _] = books(&far, "cav1-rsu1", "ego_state");
+    assert!(used >= 10, "{used} of {told} states of the ego, by which it projected");
+    assert_eq!(
+        json(&far.join("result.json"))["frames"]["processed"],
+        0,
+        "it fuses nothing"
+    );
+}
+
 /// The log that an agent's graph recorded.
 fn recorded(out: &Path, agent: &str) -> String {
     let name = format!("{agent}.mcap");

@@ -88,6 +88,18 @@ pub struct Fated {
     pub r#use: Option<Use>,
 }
 
+impl Fated {
+    /// What became of a message, if it crossed a link.
+    pub fn of(header: &Header, fate: Fate) -> Option<Self> {
+        let message = Crossing::of(header)?;
+        Some(Fated {
+            message,
+            fate,
+            r#use: None,
+        })
+    }
+}
+
 /// What one channel carried.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Channel {

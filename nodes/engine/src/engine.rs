@@ -129,6 +129,8 @@ struct Running {
     last_out: Vec<Nanos>,
     last_in: Vec<Nanos>,
     open_inputs: usize,
+    /// Whether one of its inputs has ended.
+    hurries: bool,
     /// Of a sink: what it has not been told yet.
     fates: Vec<Fated>,
     life: Life,
@@ -147,6 +149,20 @@ impl Running {
         let idle = self.intake.is_idle() && self.wakes.is_empty() && self.late_wakes.is_empty();
         let open = self.life == Life::Open && self.role() != Role::Source;
         open && self.open_inputs == 0 && idle && self.busy.values().all(|until| *until <= now)
+    }
+
+    fn has_ended(&self, output: usize) -> bool {
+        self.life == Life::Ended || self.is_closed(output)
+    }
+
+    /// Whether an output ended before its stage.
+    fn is_closed(&self, output: usize) -> bool {
+        self.hurries && self.stage.registration.outputs[output].hasty
+    }
+
+    /// Which outputs have ended.
+    fn ended_outputs(&self) -> Vec<bool> {
+        (0..self.consumers.len()).map(|output| self.has_ended(output)).collect()
     }
 
     fn own_books(&self) -> NodeBooks {
@@ -185,6 +201,7 @@ impl Engine {
             let outputs = registration.outputs.len();
             Running {
                 stage: Stage::new(wired.id.clone(), registration),
+                hurries: false,
                 open_inputs: fed.iter().filter(|fed| **fed).count(),
                 intake: Intake::new(registration.inputs, fed),
                 busy: BTreeMap::new(),
@@ -229,6 +246,11 @@ impl Engine {
     /// Whether a stage has ended.
     pub fn has_ended(&self, stage: usize) -> bool {
         self.stages[stage].life == Life::Ended
+    }
+
+    /// Whether nothing comes from an output any more.
+    pub fn output_has_ended(&self, stage: usize, port: PortId) -> bool {
+        self.stages[stage].has_ended(port.0)
     }
 
     /// The id of a stage.
@@ -459,7 +481,11 @@ impl Engine {
                 self.open.push_back((stage, agent));
             }
             What::End => {
-                self.stages[stage].open_inputs -= 1;
+                let running = &mut self.stages[stage];
+                running.open_inputs -= 1;
+                let before = running.ended_outputs();
+                running.hurries = true;
+                self.end_outputs(stage, &before, time);
                 self.open.push_back((stage, Name::default()));
             }
         }
@@ -580,18 +606,13 @@ impl Engine {
     /// A stage has ended: so do the wires behind it.
     fn end(&mut self, stage: usize, now: Nanos) {
         let running = &mut self.stages[stage];
+        let before = running.ended_outputs();
         running.life = Life::Ended;
         if running.role() != Role::Sink {
             let (id, own) = (running.stage.id.to_string(), running.own_books());
             self.books.nodes.insert(id, own);
         }
-        for output in 0..self.stages[stage].consumers.len() {
-            let time = now.max(self.stages[stage].last_out[output]);
-            for (to, input) in self.stages[stage].consumers[output].clone() {
-                let key = self.key(time, to, Order::End, input, Name::default());
-                self.push(key, What::End);
-            }
-        }
+        self.end_outputs(stage, &before, now);
         for sink in 0..self.stages.len() {
             if self.stages[sink].role() == Role::Sink {
                 self.open.push_back((sink, Name::default()));
@@ -599,9 +620,27 @@ impl Engine {
         }
     }
 
+    /// Ends the wires behind outputs that have ended and had not `before`.
+    fn end_outputs(&mut self, stage: usize, before: &[bool], now: Nanos) {
+        for (output, before) in before.iter().enumerate() {
+            if *before || !self.stages[stage].has_ended(output) {
+                continue;
+            }
+            let time = now.max(self.stages[stage].last_out[output]);
+            for (to, input) in self.stages[stage].consumers[output].clone() {
+                let key = self.key(time, to, Order::End, input, Name::default());
+                self.push(key, What::End);
+            }
+        }
+    }
+
     /// Sends messages on; they arrive when they are ready.
     fn dispatch(&mut self, stage: usize, sent: Vec<(PortId, Message)>, input: Nanos, start: Nanos, done: Nanos) {
         for (port, mut message) in sent {
+            if self.stages[stage].is_closed(port.0) {
+                self.tell(Fated::of(&message.header, Fate::InFlight).into_iter().collect());
+                continue;
+            }
             if self.clock.is_some() {
                 message.header.clock = self.clock;
             }

@@ -57,6 +57,13 @@ static CLASSES: Registration = stage(
     &[port("out")],
 );
 
+static GATEWAY: Registration = stage(
+    "gateway",
+    Role::Gateway,
+    &[port("in"), port("state")],
+    &[port("out"), port("states").hasty()],
+);
+
 fn message(agent: &str, seq: u64, ready: Nanos) -> Message {
     let header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, seq, ready, ready);
     Message::new(header, Boxes::default())
@@ -824,6 +831,45 @@ fn what_is_sent_at_the_end_still_arrives_and_nobody_is_woken_after_it() {
         rig.rest(),
         ["10 s in 0.a0", "10 s end", "70 next in 0.a9", "70 next end"]
     );
+}
+
+#[test]
+fn a_hasty_output_ends_with_the_first_input_of_its_gateway_so_that_what_it_feeds_can() {
+    let mut wiring = alone(&GATEWAY);
+    wiring.add("lane", &RELAY, &[("in", "s", "states")]).unwrap();
+    wiring.add("far", &RELAY, &[("in", "s", "out")]).unwrap();
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |id, call, start| match (id, call) {
+        ("s", Call::Inputs(_)) => Answer {
+            sent: vec![
+                (0, crossed("b", start as u64, start)),
+                (1, crossed("c", start as u64, start)),
+            ],
+            ..Answer::default()
+        },
+        _ => Answer::default(),
+    });
+    rig.give(0, message("a", 0, 10));
+    rig.engine.end_input(0, PortId(1), 20);
+    assert!(!rig.engine.output_has_ended(0, PortId(1)));
+    assert_eq!(
+        rig.until(25),
+        ["10 s in 0.a0", "10 lane in 0.c10", "10 far in 0.b10", "20 lane end"]
+    );
+    assert!(rig.engine.output_has_ended(0, PortId(1)) && !rig.engine.output_has_ended(0, PortId(0)));
+    assert!(rig.engine.has_ended(1) && !rig.engine.has_ended(0));
+    rig.give(0, message("a", 1, 30));
+    rig.engine.end_input(0, PortId(0), 40);
+    assert_eq!(
+        rig.rest(),
+        ["30 s in 0.a1", "30 far in 0.b30", "40 s end", "40 far end"]
+    );
+    assert_eq!(rig.engine.hops(0, PortId(1)), 1, "one was sent before the end");
+    let fates = rig.engine.take_fates();
+    let late: Vec<_> = fates
+        .iter()
+        .map(|fated| (&*fated.message.from, fated.message.seq, fated.fate))
+        .collect();
+    assert_eq!(late, [("c", 30, Fate::InFlight)]);
 }
 
 #[test]

@@ -579,7 +579,7 @@ nodes:
         assert_eq!(wire.output(), Some(("car.lane.nms", "boxes")), "{id}");
     }
     assert_eq!(flat.hosts[1].inputs["proposals"].output(), Some(("car.lane", "boxes")));
-    assert!(flat.ranks().is_ok());
+    assert!(flat.ranks(&realo_operator::Registry(&[])).is_ok());
     let Some(dora) = dora() else { return };
     compare(&dora, &folder.path().join("g.yml"));
 }

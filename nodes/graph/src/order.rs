@@ -4,22 +4,31 @@ use std::collections::BTreeMap;
 
 use super::{FlatGraph, FlatNode, GraphError, OUTSIDE};
 use realo_operator::config::nearest_name;
+use realo_operator::{Registry, Role};
 
 impl FlatGraph {
     /// Each node's place in a fixed topological order, by index in `nodes`.
     ///
     /// Nodes are ordered by their longest path from a source, and by declaration where that is equal, so that a rank
-    /// is higher than those of all nodes upstream and depends on nothing but the file.
+    /// is higher than those of all nodes upstream and depends on nothing but the file. What a gateway brings in comes from
+    /// elsewhere, not from what it takes: a way that leads back to it ends there.
     ///
     /// # Errors
     /// [`GraphError::Cycle`] names one; [`GraphError::Source`] an input from a node that does not exist.
-    pub fn ranks(&self) -> Result<Vec<usize>, GraphError> {
+    pub fn ranks(&self, registry: &Registry) -> Result<Vec<usize>, GraphError> {
         let upstream = self.upstream()?;
+        let stages = self.nodes.iter().map(|node| node.registration(registry));
+        let gateways: Vec<bool> = stages
+            .map(|stage| stage.is_some_and(|stage| stage.role == Role::Gateway))
+            .collect();
         let mut depths: Vec<Option<usize>> = vec![None; self.nodes.len()];
         loop {
             let known = |node: &usize| depths[*node].is_some();
+            let from_elsewhere = |node: &usize| known(node) || gateways[*node];
             let open = |node: &usize| depths[*node].is_none() && upstream[*node].iter().all(known);
-            let Some(next) = (0..self.nodes.len()).find(open) else {
+            let reached = |node: &usize| depths[*node].is_none() && upstream[*node].iter().all(from_elsewhere);
+            let mut all = 0..self.nodes.len();
+            let Some(next) = all.clone().find(open).or_else(|| all.find(reached)) else {
                 break;
             };
             depths[next] = Some(
@@ -111,20 +120,40 @@ mod tests {
     fn ranks_by_longest_path_then_declaration() {
         let text = "nodes: [{id: z, path: x, inputs: {p: b/o, q: a/o}}, {id: b, path: x, inputs: {p: a/o}, outputs: [o]}, \
                     {id: a, path: x, outputs: [o]}, {id: c, path: x, inputs: {t: dora/timer/millis/5}}]";
-        assert_eq!(graph(text).ranks().unwrap(), [3, 2, 0, 1]);
+        assert_eq!(graph(text).ranks(&Registry(&[])).unwrap(), [3, 2, 0, 1]);
+    }
+
+    #[test]
+    fn what_a_gateway_brings_in_closes_no_cycle() {
+        let lane = "{id: lane, path: bin/realo, args: operator transmission-encoder, inputs: {state: v2x/states}, outputs: [packets]}";
+        let around = |v2x: &str| {
+            let v2x = format!(
+                "{{id: v2x, path: bin/realo, args: {v2x}, inputs: {{packets: lane/packets}}, outputs: [states]}}"
+            );
+            let graph = graph(&format!(
+                "nodes: [{v2x}, {lane}, {{id: end, path: x, inputs: {{p: v2x/states}}}}]"
+            ));
+            graph.ranks(&crate::check::tests::REGISTRY)
+        };
+        assert_eq!(around("node radio").unwrap(), [1, 0, 2]);
+        let error = around("operator link").unwrap_err().to_string();
+        assert!(
+            error.contains("lane > v2x > lane") || error.contains("v2x > lane > v2x"),
+            "{error}"
+        );
     }
 
     #[test]
     fn names_cycles_and_missing_nodes() {
         let text = "nodes: [{id: a, path: x, inputs: {p: c/o}}, {id: b, path: x, inputs: {p: d/o}}, \
                     {id: c, path: x, inputs: {p: b/o}}, {id: d, path: x, inputs: {p: c/o}}]";
-        let error = graph(text).ranks().unwrap_err().to_string();
+        let error = graph(text).ranks(&Registry(&[])).unwrap_err().to_string();
         assert!(
             error.contains("d > b > c > d") || error.contains("c > d > b > c"),
             "{error}"
         );
         let error = graph("nodes: [{id: bank, path: x}, {id: b, path: x, inputs: {p: bnak/o}}]")
-            .ranks()
+            .ranks(&Registry(&[]))
             .unwrap_err();
         assert!(
             error.to_string().contains("no node `bnak` (did you mean `bank`?)"),

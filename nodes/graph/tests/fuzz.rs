@@ -66,7 +66,7 @@ fn read(root: &Path, file: &Path, thorough: bool) -> Result<FlatGraph, GraphErro
             graph.expand()
         }
     }?;
-    let _ = flat.ranks();
+    let _ = flat.ranks(&Registry(&[]));
     let _ = validate(&flat, &Registry(&[])).iter().map(ToString::to_string).count();
     // What is written for dora is read as the same processes, or not at all.
     if thorough

@@ -45,7 +45,7 @@ impl Stages {
     /// # Errors
     /// Names a node that only dora can run, a port that does not fit, or a wire that leads nowhere.
     pub fn of(graph: &FlatGraph, registry: &Registry) -> Result<Self, String> {
-        let ranks = graph.ranks().map_err(|error| error.to_string())?;
+        let ranks = graph.ranks(registry).map_err(|error| error.to_string())?;
         let mut order: Vec<usize> = (0..graph.nodes.len()).collect();
         order.sort_by_key(|index| ranks[*index]);
         let mut stages = Stages::default();

@@ -21,6 +21,8 @@ const CHUNK_BYTES: usize = 1 << 20;
 const CHUNK_NANOS: u64 = 500_000_000;
 const COMPRESSION: &str = "zstd";
 const LEVEL: i32 = 1;
+/// What is added to the niceness of compressing threads.
+const YIELDING: i32 = 10;
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 
 /// Where an MCAP goes.
@@ -404,6 +406,8 @@ impl OpenChunk {
 }
 
 fn compress_all(jobs: &Mutex<Receiver<Work>>) {
+    // What makes the data, online a whole perception, must not wait for this. Where the system refuses, it may have to.
+    let _ = rustix::process::nice(YIELDING);
     loop {
         let job = match jobs.lock() {
             Ok(jobs) => jobs.recv(),

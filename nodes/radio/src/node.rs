@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use realo_operator::{
-    Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Waker, unexpected, wrong_port,
+    Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected, wrong_port,
 };
 use realo_schemas::report::{self, Fate, Peer, to_report};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
-use realo_transmission::restamped;
+use realo_transmission::{Encoder, EncoderConfig, restamped};
 use serde::{Deserialize, Serialize};
 
 use crate::body;
@@ -20,8 +20,10 @@ use crate::protocol::{Arrived, Offer, Settings};
 use crate::station::{Event, Report, Station};
 
 const PACKETS: PortId = PortId(0);
+const STATE: PortId = PortId(1);
 const TO_EGO: PortId = PortId(0);
 const PEERS: PortId = PortId(1);
+const STATES: PortId = PortId(2);
 /// Time lines that differ by more are of runs that have nothing to do with each other, ns.
 const APART: Nanos = 10_000_000_000;
 
@@ -67,6 +69,8 @@ pub struct Radio {
     place: Place,
     settings: Settings,
     max_bytes: usize,
+    /// Puts this agent's state into bytes.
+    encoder: Encoder,
     network: Option<Network>,
     /// What was counted of the network so far.
     counted: BTreeMap<&'static str, u64>,
@@ -111,8 +115,12 @@ impl Describe for Radio {
             about: "a peer of whom nothing was heard for so long has gone",
         },
     ];
-    const INPUTS: &'static [Port] =
-        &[Port::new("packets", &[PayloadType::Packet], "what this agent has for all others").of(Lane::Ego)];
+    const INPUTS: &'static [Port] = &[
+        Port::new("packets", &[PayloadType::Packet], "what this agent has for all others").optional(),
+        Port::new("state", &[PayloadType::EgoState], "where this agent is, for all others")
+            .optional()
+            .of(Lane::Ego),
+    ];
     const OUTPUTS: &'static [Port] = &[
         Port::new("to_ego", &[PayloadType::Packet], "what the others have for this agent").of(Lane::OthersReceived),
         Port::new(
@@ -120,6 +128,9 @@ impl Describe for Radio {
             &[PayloadType::Report],
             "topic `peers`: what is known of the others, at the end",
         ),
+        Port::new("states", &[PayloadType::Packet], "where the others are")
+            .of(Lane::EgoReceived)
+            .hasty(),
     ];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
 }
@@ -142,6 +153,7 @@ impl Gateway for Radio {
                 ..Settings::default()
             },
             max_bytes: config.max_bytes,
+            encoder: Encoder::new(&EncoderConfig::default())?,
             network: None,
             counted: BTreeMap::new(),
             reports: Vec::new(),
@@ -157,10 +169,14 @@ impl Gateway for Radio {
     }
 
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        if port != PACKETS {
-            return Err(wrong_port(Self::INPUTS, port));
-        }
-        let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
+        let (header, packet): (Header, Packet) = match port {
+            PACKETS => message.into_parts().map_err(unexpected)?,
+            STATE => {
+                let (packet, _) = self.encoder.encode(&message, &mut Steps::default())?;
+                (message.header, packet)
+            }
+            _ => return Err(wrong_port(Self::INPUTS, port)),
+        };
         let Some(network) = &self.network else { return Ok(()) };
         network.set_time(out.now());
         if matches!(header.kind, Kind::Truth | Kind::Report) {
@@ -250,7 +266,10 @@ impl Radio {
             }
         });
         match packet {
-            Some(packet) => out.send(TO_EGO, Message::new(header(stamp + shift.unwrap_or(0)), packet)),
+            Some(packet) => {
+                let port = if kind == Kind::EgoState { STATES } else { TO_EGO };
+                out.send(port, Message::new(header(stamp + shift.unwrap_or(0)), packet));
+            }
             None => {
                 let counter = if shift.is_none() {
                     "other_time_line"

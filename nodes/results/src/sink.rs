@@ -101,6 +101,7 @@ impl Describe for Results {
     ];
     const INPUTS: &'static [Port] = &[
         Port::new("boxes", &[PayloadType::Boxes], "the final boxes")
+            .optional()
             .of(Lane::Ego)
             .on_wire(realo_scoring::BOXES_WIRE),
         Port::new("truth", &[PayloadType::GroundTruth], "one for every sweep of the ego")

@@ -301,12 +301,7 @@ impl Outputs {
     ///
     /// Only whoever ends a message's way says so; several may, and the first [`Fate`] that fits stands.
     pub fn tell(&mut self, header: &Header, fate: Fate) {
-        let fated = Crossing::of(header).map(|message| Fated {
-            message,
-            fate,
-            r#use: None,
-        });
-        self.made.fates.extend(fated);
+        self.made.fates.extend(Fated::of(header, fate));
     }
 
     /// Says that a message took part in a fusion with the ego's message `query`.

@@ -101,6 +101,8 @@ pub struct Port {
     /// Whose data it carries, whatever the other ports do; of the others all inputs carry those of one lane, and so do
     /// the outputs.
     pub lane: Option<Lane>,
+    /// Whether it ends as soon as one of the inputs has (outputs of gateways).
+    pub hasty: bool,
     /// Inputs of a graph that say the same word here hang on one wire.
     pub wire: Option<&'static str>,
 }
@@ -119,6 +121,7 @@ impl Port {
             accounts: false,
             needed: None,
             lane: None,
+            hasty: false,
             wire: None,
         }
     }
@@ -181,6 +184,13 @@ impl Port {
     /// Carries this lane, where lanes begin, meet or cross.
     pub const fn of(mut self, lane: Lane) -> Self {
         self.lane = Some(lane);
+        self
+    }
+
+    /// Ends as soon as one of the inputs of its gateway has, so that a stage which it feeds and which feeds the gateway can
+    /// end: what would come later stays on its way.
+    pub const fn hasty(mut self) -> Self {
+        self.hasty = true;
         self
     }
 

@@ -97,7 +97,7 @@ pub fn validate_asking(
         }
     }
     processes::check(graph, &mut findings);
-    match graph.ranks() {
+    match graph.ranks(registry) {
         Ok(ranks) => {
             lanes::check(graph, &ranks, &stages, &mut findings);
         }

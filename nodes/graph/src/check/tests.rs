@@ -4,7 +4,9 @@ use realo_schemas::{Message, Nanos, PayloadType};
 
 use super::*;
 use crate::Graph;
-use realo_operator::{Argument, Books, Describe, Error, Lane, Operator, Outputs, Port, PortId, Sink, Source};
+use realo_operator::{
+    Argument, Books, Describe, Error, Gateway, Lane, Operator, Outputs, Port, PortId, Sink, Source, Waker,
+};
 
 #[derive(Default, serde::Serialize, serde::Deserialize)]
 struct Settings {
@@ -53,6 +55,25 @@ macro_rules! stage {
             }
             fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
                 Ok(None)
+            }
+        }
+    };
+    (gateway, $type:ident) => {
+        impl Gateway for $type {
+            fn new(_: Settings) -> Result<Self, Error> {
+                Ok($type)
+            }
+            fn open(&mut self, _: Waker) -> Result<(), Error> {
+                Ok(())
+            }
+            fn on_input(&mut self, _: PortId, _: Message, _: &mut Outputs) -> Result<(), Error> {
+                Ok(())
+            }
+            fn on_wake(&mut self, _: Nanos, _: &mut Outputs) -> Result<(), Error> {
+                Ok(())
+            }
+            fn on_end(&mut self, _: &mut Outputs) -> Result<(), Error> {
+                Ok(())
             }
         }
     };
@@ -190,7 +211,16 @@ stage!(
     []
 );
 
+stage!(
+    gateway,
+    Radio,
+    "radio",
+    [port("packets", PACKETS), port("state", STATES).optional()],
+    [port("states", PACKETS).of(Lane::EgoReceived)]
+);
+
 pub(crate) const REGISTRY: Registry = Registry(&[
+    Registration::gateway::<Radio>(),
     Registration::source::<Player>(),
     Registration::operator::<Detect>(),
     Registration::operator::<Nms>(),

@@ -545,7 +545,7 @@ impl Host {
         let state = shared.lock();
         let all = state.engine.is_done();
         let may_end = |exit: &&(usize, PortId)| {
-            let ended = state.engine.has_ended(exit.0) && !self.ended.contains(exit);
+            let ended = state.engine.output_has_ended(exit.0, exit.1) && !self.ended.contains(exit);
             ended && (all || self.returning.contains(exit))
         };
         let ending: Vec<(usize, PortId)> = shared.exits.keys().filter(may_end).copied().collect();

@@ -165,6 +165,7 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         accounts: port.words.accounts,
         needed: None,
         lane: port.words.lane,
+        hasty: false,
         wire: port.words.wire.as_deref().map(leaked),
     });
     Box::leak(ports.collect())

@@ -40,7 +40,7 @@ pub fn write(dir: &Path, run: &Run) -> Result<()> {
 /// The paper's inference time of the method, charged to the ego's last network stage.
 fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
     let own = of_the_ego(graph);
-    let ranks = graph.ranks()?;
+    let ranks = graph.ranks(&registry())?;
     let networks = graph
         .nodes
         .iter()
