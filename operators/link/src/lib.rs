@@ -32,6 +32,10 @@
 //! duplicate = 0.0                # probability that one more copy arrives, with a jitter of its own
 //! [kinds.boxes]                  # points, features, boxes, ego_state
 //! fixed_ms = 10.0
+//! [channel]                      # what all packets share; without it each crosses as if it was alone
+//! bits_per_second = 27_000_000   # or trace = "drive.csv", with lines seconds,bits_per_second,delay_ms,loss
+//! queue_ms = 100.0               # a packet that would wait longer for those before it is lost
+//! half_duplex = true             # all ways between agents are one; false: each for itself
 //! ```
 //! # Draws
 //! A draw depends on seed, sender, receiver, kind and seq of the message and on its own number, so no order of events
@@ -50,13 +54,18 @@
 //! jitter takes the draws from n = 16 on, the copy's those from n = 20 on: with w = `uniform_ms` and σ = `gaussian_ms` it
 //! is w (2 u(n) - 1) + σ √(-2 ln(1 - u(n + 1))) cos(2π u(n + 2)) ms (Box and Muller).
 //!
+//! A packet of a link with a channel first waits until those before it on its way have crossed, and crosses at the channel's rate; all
+//! else is added to that. It is lost if u(0) < 1 - (1 - `loss`) (1 - the channel's loss when it has crossed).
+//!
 //! The delay is the sum of `fixed_ms`, 8 × bytes / `bits_per_second` (at most a day) and the jitter, each rounded to whole
 //! ns (halves away from 0), but not below 0; then cut down to a multiple of `step_ms`, if there is one.
 
 mod channel;
+mod medium;
 mod operator;
 mod profile;
 
 pub use channel::{Arrivals, delay, transmit};
+pub use medium::{Medium, Passed, Phase};
 pub use operator::{Link, LinkConfig};
-pub use profile::{BUILT_IN, Jitter, Model, Profile, ProfileError};
+pub use profile::{BUILT_IN, Channel, Jitter, Model, Profile, ProfileError};

@@ -7,7 +7,7 @@ use realo_schemas::report::{Fate, Traffic};
 use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, PayloadType};
 use serde::{Deserialize, Serialize};
 
-use crate::{Arrivals, Model, Profile, transmit};
+use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
 
 const EGO_STATE: PortId = PortId(0);
 const STATES: PortId = PortId(1);
@@ -56,6 +56,7 @@ struct Sent(Nanos, Header, Packet);
 /// Carries packets between the ego and the others.
 pub struct Link {
     profile: Profile,
+    medium: Option<Medium>,
     range_m: f64,
     offline: bool,
     key: StreamKey,
@@ -204,6 +205,32 @@ impl Link {
         Some(dx * dx + dy * dy <= self.range_m * self.range_m)
     }
 
+    /// When a packet of so many bytes arrives, after it was sent.
+    fn arrivals(&mut self, sent: Nanos, header: &Header, to: &Name, bytes: usize) -> Arrivals {
+        let from = &header.agent;
+        let draws = self.key.draws(from, to, header.kind, header.seq);
+        let model = self.profile.model(header.kind);
+        let Some(medium) = &mut self.medium else {
+            return transmit(model, bytes, draws);
+        };
+        let Some(Passed { delay, loss }) = medium.pass(from, to, sent, bytes) else {
+            return Arrivals {
+                first: None,
+                second: None,
+            };
+        };
+        let model = Model {
+            loss: 1.0 - (1.0 - model.loss) * (1.0 - loss),
+            ..*model
+        };
+        let Arrivals { first, second } = transmit(&model, bytes, draws);
+        let later = |arrival: Nanos| arrival.saturating_add(delay);
+        Arrivals {
+            first: first.map(later),
+            second: second.map(later),
+        }
+    }
+
     fn carry(&mut self, port: PortId, to: &Name, Sent(sent, header, packet): &Sent, out: &mut Outputs) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
@@ -215,8 +242,8 @@ impl Link {
             };
             return out.carried(from, to, header.kind, traffic);
         }
-        let draws = self.key.draws(from, to, header.kind, header.seq);
-        let Arrivals { first, second } = transmit(self.profile.model(header.kind), packet.bytes.len(), draws);
+        let arrivals = self.arrivals(*sent, header, to, packet.bytes.len());
+        let Arrivals { first, second } = arrivals;
         let traffic = Traffic {
             sent: 1,
             bytes: packet.bytes.len() as u64,
@@ -255,11 +282,11 @@ impl Operator for Link {
         if config.offline {
             profile = Profile {
                 about: profile.about,
-                default: Model::default(),
-                kinds: BTreeMap::new(),
+                ..Profile::default()
             };
         }
         Ok(Link {
+            medium: profile.channel.as_ref().map(Medium::new),
             profile,
             range_m: config.range_m,
             offline: config.offline,

@@ -1,12 +1,14 @@
 //! Channel models from files.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use realo_operator::config::nearest_name;
 use realo_schemas::Kind;
 use realo_schemas::file;
 use serde::Deserialize;
+
+use crate::medium::Phase;
 
 /// Profiles that need no file: name and text.
 pub const BUILT_IN: &[(&str, &str)] = &[
@@ -21,8 +23,7 @@ const LONGEST_MS: f64 = 3_600_000.0;
 const CARRIED: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState];
 
 /// What a channel does, by kind of content.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Profile {
     /// One line.
     pub about: String,
@@ -30,6 +31,39 @@ pub struct Profile {
     pub default: Model,
     /// By kind.
     pub kinds: BTreeMap<Kind, Model>,
+    /// What all packets share; `None`: each crosses as if it was alone.
+    pub channel: Option<Channel>,
+}
+
+/// What the packets of a link share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channel {
+    /// Its course; there is a phase, and they begin one after the other.
+    pub phases: Vec<Phase>,
+    /// What a packet may wait for those before it, ms; one that would wait longer is lost. `None`: any time.
+    pub queue_ms: Option<f64>,
+    /// Whether all ways between agents are one.
+    pub half_duplex: bool,
+}
+
+/// A profile as it is written.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Written {
+    about: String,
+    default: Model,
+    kinds: BTreeMap<Kind, Model>,
+    channel: Option<WrittenChannel>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct WrittenChannel {
+    bits_per_second: Option<u64>,
+    /// A file of phases; without a folder it lies beside the profile.
+    trace: Option<PathBuf>,
+    queue_ms: Option<f64>,
+    half_duplex: bool,
 }
 
 /// What a channel does to packets of one kind.
@@ -144,20 +178,27 @@ impl Profile {
     }
 
     fn from_toml(path: &str, text: &str) -> Result<Self, ProfileError> {
-        let profile = toml::from_str(text).map_err(|error| file::shown(&error.to_string()));
-        Profile::checked(path, profile)
+        let written = toml::from_str(text).map_err(|error| file::shown(&error.to_string()));
+        Profile::checked(path, written)
     }
 
     fn from_yaml(path: &str, text: &str) -> Result<Self, ProfileError> {
-        let profile = file::yaml(text);
-        Profile::checked(path, profile)
+        let written = file::yaml(text);
+        Profile::checked(path, written)
     }
 
-    fn checked(path: &str, profile: Result<Profile, String>) -> Result<Self, ProfileError> {
-        let profile = profile.map_err(|reason| ProfileError::Syntax {
+    fn checked(path: &str, written: Result<Written, String>) -> Result<Self, ProfileError> {
+        let written = written.map_err(|reason| ProfileError::Syntax {
             path: path.into(),
             reason,
         })?;
+        let channel = written.channel.map(|channel| channel.read(path)).transpose()?;
+        let profile = Profile {
+            about: written.about,
+            default: written.default,
+            kinds: written.kinds,
+            channel,
+        };
         if let Some(kind) = profile.kinds.keys().find(|kind| !CARRIED.contains(kind)) {
             let reason = format!("`kinds.{kind}`: no link carries it; expected points, features, boxes or ego_state");
             return Err(ProfileError::Syntax {
@@ -175,6 +216,103 @@ impl Profile {
     /// What the channel does to packets of a kind.
     pub fn model(&self, kind: Kind) -> &Model {
         self.kinds.get(&kind).unwrap_or(&self.default)
+    }
+}
+
+impl WrittenChannel {
+    fn read(self, path: &str) -> Result<Channel, ProfileError> {
+        let wrong = |reason: String| ProfileError::Syntax {
+            path: path.into(),
+            reason,
+        };
+        if let Some(found) = self.queue_ms.filter(|queue| !(0.0..=LONGEST_MS).contains(queue)) {
+            return Err(ProfileError::Value {
+                path: path.into(),
+                field: "queue_ms",
+                of: "channel".into(),
+                expected: "0 to 3600000 ms",
+                found,
+            });
+        }
+        let phases = match (self.bits_per_second, self.trace) {
+            (Some(bits_per_second), None) if bits_per_second > 0 => vec![Phase {
+                from: 0,
+                bits_per_second,
+                delay_ms: 0.0,
+                loss: 0.0,
+            }],
+            (None, Some(trace)) => {
+                let trace = Path::new(path).parent().unwrap_or(Path::new("")).join(trace);
+                let name = trace.display().to_string();
+                let text = file::read(&trace).map_err(|reason| ProfileError::Read {
+                    path: name.clone(),
+                    reason,
+                })?;
+                phases(&text).map_err(|reason| ProfileError::Syntax { path: name, reason })?
+            }
+            (rate, trace) => {
+                return Err(wrong(format!(
+                    "`channel`: expected `bits_per_second`, at least 1, or `trace`, a file; found {rate:?} and {trace:?}"
+                )));
+            }
+        };
+        Ok(Channel {
+            phases,
+            queue_ms: self.queue_ms,
+            half_duplex: self.half_duplex,
+        })
+    }
+}
+
+/// First line of a trace.
+const COLUMNS: &str = "seconds,bits_per_second,delay_ms,loss";
+/// Lines of a trace at most.
+const MOST_PHASES: usize = 1_000_000;
+
+/// The phases of a trace.
+fn phases(text: &str) -> Result<Vec<Phase>, String> {
+    let mut lines = text
+        .lines()
+        .map(str::trim)
+        .enumerate()
+        .filter(|(_, line)| !line.is_empty());
+    let head = lines.next().map(|(_, line)| line.replace(' ', ""));
+    if head.as_deref() != Some(COLUMNS) {
+        let found = file::shown(head.as_deref().unwrap_or_default());
+        return Err(format!("line 1: expected `{COLUMNS}`, found `{found}`"));
+    }
+    let mut phases: Vec<Phase> = Vec::new();
+    for (index, line) in lines {
+        let wrong = |expected: &str| format!("line {}: expected {expected}, found `{}`", index + 1, file::shown(line));
+        let numbers: Vec<f64> = line.split(',').filter_map(|word| word.trim().parse().ok()).collect();
+        let &[seconds, rate, delay_ms, loss] = &numbers[..] else {
+            return Err(wrong("four numbers"));
+        };
+        let fits = (0.0..=1e7).contains(&seconds)
+            && (0.0..=1e15).contains(&rate)
+            && (0.0..=LONGEST_MS).contains(&delay_ms)
+            && (0.0..=1.0).contains(&loss);
+        if !fits || line.split(',').count() != 4 {
+            return Err(wrong(
+                "seconds from 0 on, a rate from 0 on, 0 to 3600000 ms, and a probability",
+            ));
+        }
+        let from = (seconds * 1e9).round() as i64;
+        if phases.last().is_some_and(|last| last.from >= from) || phases.len() == MOST_PHASES {
+            return Err(wrong(
+                "a later time than that of the line before, and at most 1,000,000 lines",
+            ));
+        }
+        phases.push(Phase {
+            from,
+            bits_per_second: rate.round() as u64,
+            delay_ms,
+            loss,
+        });
+    }
+    match phases.is_empty() {
+        true => Err("expected a line behind the first, found none".into()),
+        false => Ok(phases),
     }
 }
 
@@ -263,6 +401,58 @@ mod tests {
             }
         );
         assert_eq!(profile.model(Kind::Boxes).fixed_ms, 0.0);
+    }
+
+    #[test]
+    fn a_channel_is_a_rate_or_a_trace_that_lies_beside_the_profile() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+        let load = |text: &str| {
+            write("radio.toml", text);
+            Profile::load(folder.path().join("radio.toml").to_str().unwrap())
+        };
+        let profile = load("[channel]\nbits_per_second = 27_000_000\nqueue_ms = 100\nhalf_duplex = true").unwrap();
+        let channel = profile.channel.unwrap();
+        assert_eq!(
+            (channel.queue_ms, channel.half_duplex, channel.phases.len()),
+            (Some(100.0), true, 1)
+        );
+        assert_eq!(channel.phases[0].bits_per_second, 27_000_000);
+        write(
+            "drive.csv",
+            "seconds, bits_per_second, delay_ms, loss\n0,27e6,20,0\n1.5,0,20,0\n\n2,6000000,35.5,0.01\n",
+        );
+        let channel = load("[channel]\ntrace = \"drive.csv\"").unwrap().channel.unwrap();
+        let last = Phase {
+            from: 2_000_000_000,
+            bits_per_second: 6_000_000,
+            delay_ms: 35.5,
+            loss: 0.01,
+        };
+        assert_eq!((channel.phases.len(), channel.phases[2]), (3, last));
+        let refused = |text: &str| load(text).unwrap_err().to_string();
+        assert!(refused("[channel]\nqueue_ms = 5").contains("`bits_per_second`, at least 1, or `trace`"));
+        assert!(refused("[channel]\nbits_per_second = 0").contains("at least 1"));
+        assert!(refused("[channel]\nbits_per_second = 5\ntrace = \"drive.csv\"").contains("`trace`"));
+        assert!(refused("[channel]\nbits_per_second = 5\nqueue_ms = -1").contains("`queue_ms` of channel"));
+        assert!(refused("[channel]\ntrace = \"none.csv\"").contains("none.csv"));
+        let head = "seconds,bits_per_second,delay_ms,loss";
+        for (text, expected) in [
+            ("0,1,2,3".to_string(), "line 1: expected `seconds,"),
+            (head.to_string(), "expected a line behind the first"),
+            (format!("{head}\n0,1,2"), "line 2: expected four numbers, found `0,1,2`"),
+            (format!("{head}\n0,1,2,0,"), "line 2: expected"),
+            (format!("{head}\n0,1,2,2"), "a probability"),
+            (format!("{head}\n0,NaN,2,0"), "a rate from 0 on"),
+            (format!("{head}\n1,1,0,0\n1,1,0,0"), "line 3: expected a later time"),
+        ] {
+            write("drive.csv", &text);
+            let error = refused("[channel]\ntrace = \"drive.csv\"");
+            assert!(
+                error.contains("drive.csv") && error.contains(expected),
+                "{text}: {error}"
+            );
+        }
     }
 
     #[test]

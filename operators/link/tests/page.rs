@@ -41,3 +41,20 @@ fn the_page_names_every_profile_and_the_papers_delays() {
         assert!(PAGE.contains(&format!("`{kind}`")), "{kind}");
     }
 }
+
+#[test]
+fn the_trace_of_the_page_is_read_as_the_page_says() {
+    let trace = PAGE.split("```\n").find(|part| part.starts_with("seconds,"));
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("drive.csv"), trace.expect("the page has a trace")).unwrap();
+    let file = folder.path().join("page.toml");
+    std::fs::write(&file, "[channel]\ntrace = \"drive.csv\"\n").unwrap();
+    let channel = Profile::load(file.to_str().unwrap()).unwrap().channel.unwrap();
+    let seconds: Vec<f64> = channel.phases.iter().map(|phase| phase.from as f64 * 1e-9).collect();
+    assert_eq!(seconds, [0.0, 12.5, 14.0, 19.0]);
+    assert_eq!(
+        (channel.phases[1].bits_per_second, channel.phases[2].bits_per_second),
+        (6_000_000, 0)
+    );
+    assert_eq!((channel.queue_ms, channel.half_duplex), (None, false));
+}

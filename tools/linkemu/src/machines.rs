@@ -76,6 +76,38 @@ impl Machines {
         command
     }
 
+    /// Kills all that runs on a machine, as a power cut would.
+    ///
+    /// # Errors
+    /// Where the machine's processes cannot be told.
+    pub fn kill(&self, machine: usize) -> Result<(), Error> {
+        for process in self.processes(machine)? {
+            // One that has ended meanwhile is as dead.
+            let _ = Command::new("kill").args(["-KILL", &process]).output();
+        }
+        Ok(())
+    }
+
+    /// Resident memory of the process of a machine that has this word in its command line, bytes; 0 where none has.
+    pub fn memory_of(&self, machine: usize, word: &str) -> u64 {
+        let read = |process: &String, file: &str| std::fs::read(format!("/proc/{process}/{file}")).unwrap_or_default();
+        let has_word = |process: &String| {
+            read(process, "cmdline")
+                .split(|byte| *byte == 0)
+                .any(|part| part == word.as_bytes())
+        };
+        let found = self.processes(machine).unwrap_or_default().into_iter().find(has_word);
+        let status = found.map(|process| String::from_utf8_lossy(&read(&process, "status")).into_owned());
+        let resident = status.as_deref().and_then(|status| status.split("VmRSS:").nth(1));
+        let kilobytes = resident.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+        kilobytes.map_or(0, |kilobytes| kilobytes << 10)
+    }
+
+    fn processes(&self, machine: usize) -> Result<Vec<String>, Error> {
+        let listed = ip(&["netns", "pids", &self.names[machine]])?;
+        Ok(listed.split_whitespace().map(String::from).collect())
+    }
+
     /// How TCP of a machine to the other one finds its rate: `cubic`, `bbr` or what the kernel has.
     ///
     /// # Errors
@@ -87,6 +119,7 @@ impl Machines {
         ip(&[
             "-n", of, "route", "replace", peer, "dev", &device, "src", own, "congctl", name,
         ])
+        .map(drop)
     }
 }
 
@@ -98,7 +131,8 @@ impl Drop for Machines {
     }
 }
 
-fn ip(arguments: &[&str]) -> Result<(), Error> {
+/// What `ip` says.
+fn ip(arguments: &[&str]) -> Result<String, Error> {
     let failed = |reason: String| Error::Ip {
         command: format!("ip {}", arguments.join(" ")),
         reason,
@@ -106,7 +140,7 @@ fn ip(arguments: &[&str]) -> Result<(), Error> {
     let output = Command::new("ip").args(arguments).output();
     let output = output.map_err(|error| failed(error.to_string()))?;
     match output.status.success() {
-        true => Ok(()),
+        true => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
         false => Err(failed(String::from_utf8_lossy(&output.stderr).trim().to_string())),
     }
 }

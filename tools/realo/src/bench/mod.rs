@@ -1,6 +1,7 @@
 //! `realo bench`: measurements that a README may quote, each with the command that makes it.
 
 mod detector;
+mod faults;
 mod framework;
 mod memory;
 mod network;
@@ -55,6 +56,8 @@ enum Name {
     Framework,
     /// Boxes beside clouds on a slow link between two network namespaces, against Zenoh's own way; needs root
     Radio,
+    /// Late fusion on two machines while links, peers and clocks fail; needs root
+    Faults,
     /// Growth of resident memory over a looped realtime replay
     Memory,
 }
@@ -70,6 +73,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Name::Transmission => print(&transmission::bench()?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
         Name::Radio => print(&radio::bench(args.seconds.unwrap_or(11.0))?, args.json),
+        Name::Faults => print(&faults::bench()?, args.json),
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
     }
 }
