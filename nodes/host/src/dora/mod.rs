@@ -13,6 +13,7 @@ mod marks;
 mod memory;
 mod plan;
 mod source;
+mod threads;
 
 use std::path::{Path, PathBuf};
 
@@ -158,6 +159,7 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
     }
     let built = stages.build().map_err(|error| HostError::Build(error.to_string()))?;
     memory::size_pool(&stages);
+    threads::let_connections_close(&stages);
     let (node, events) = DoraNode::init_from_env().map_err(|error| HostError::Dora {
         id: id.clone(),
         reason: error.to_string(),

@@ -140,7 +140,7 @@ const FAULTS: &[Fault] = &[
         ..CALM
     },
     Fault {
-        name: "64 Mbit/s of clouds offered to 27",
+        name: "33 Mbit/s of clouds offered to 27",
         graph: "early_fusion",
         // A fifth of a millimetre.
         set: [&["ego.sender.step_m=0.0002"], &[]],
@@ -245,7 +245,7 @@ fn run(fault: &Fault, log: &Path, folder: &Path) -> Result<Row> {
         fault,
         machines,
         log,
-        folder: folder.join(fault.name.replace([' ', '%', ',', '\''], "_")),
+        folder: folder.join(fault.name.replace([' ', '%', ',', '\'', '/'], "_")),
     };
     let _ = std::fs::remove_dir_all(stage.out(Side::Vehicle));
     let mut children = [stage.start(Side::Vehicle)?, stage.start(Side::Roadside)?];
