@@ -92,14 +92,14 @@ fn a_rust_fusion_of_maps_comes_to_the_same_on_dora() {
     let graph = built();
     let expected = run("maps_dora_virtual", &graph, &VIRTUAL);
     let _alone = alone();
-    // A machine that lets a pose wait for 20 ms makes sync go on without it, and an encoder sees points turned a little less.
-    let found = (0..3).map(|_| run("maps_dora", &graph, &["--rate", "0.1"]));
-    let features = |out: &Path| result(out)["links"]["rsu1-cav1"]["features"].clone();
-    let same = found
-        .map(|found| (features(&found), frames(&found)))
-        .find(|(_, boxes)| *boxes == frames(&expected));
-    let (crossed, _) = same.expect("the boxes of every frame are those of virtual time");
-    assert_eq!(crossed, features(&expected));
+    // A machine that lets a pose wait for 20 ms makes sync go on without it.
+    let same = (0..3).any(|_| {
+        let found = run("maps_dora", &graph, &["--rate", "0.1"]);
+        let features = |out: &Path| result(out)["links"]["rsu1-cav1"]["features"].clone();
+        assert_eq!(features(&found), features(&expected));
+        frames(&found) == frames(&expected)
+    });
+    assert!(same, "the boxes of every frame are those of virtual time");
 }
 
 #[test]

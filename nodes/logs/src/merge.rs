@@ -262,21 +262,12 @@ struct Part<'a> {
     bare: Vec<Name>,
 }
 
-/// What is written of a log; the rest follows from it.
-const STREAMS: [Stream; 8] = [
-    Stream::Pose,
-    Stream::PoseTruth,
-    Stream::Sweeps,
-    Stream::Points,
-    Stream::Detections,
-    Stream::DetectionsInfo,
-    Stream::GroundTruth,
-    Stream::GroundTruthInfo,
-];
-
 impl<'a> Part<'a> {
     fn open((log, clock): (&'a Log, &'a Known)) -> Result<Self, LogError> {
-        let all = names(log.info()).flat_map(|agent| STREAMS.map(|stream| (agent, stream)));
+        // Markers follow from the truth, and logs with packets are refused.
+        let is_read = |stream: &Stream| !matches!(stream, Stream::GroundTruthMarkers | Stream::Packets);
+        let streams = || Stream::ALL.into_iter().filter(is_read);
+        let all = names(log.info()).flat_map(|agent| streams().map(move |stream| (agent, stream)));
         let wanted: Vec<(&str, Stream)> = all.filter(|(agent, stream)| log.has(agent, *stream)).collect();
         let bare = names(log.info()).filter(|agent| !log.has(agent, Stream::Points));
         let mut reader = log.read_all(&wanted)?;

@@ -4,11 +4,10 @@ use std::fmt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use eyre::{Result, WrapErr, bail};
-use linkemu::{ADDRESSES, Link, Machines};
+use eyre::{Result, bail};
+use linkemu::{ADDRESSES, Machines};
 use realo_results::read_run;
 use realo_schemas::Kind;
 use serde::Serialize;
@@ -228,19 +227,7 @@ fn name(side: Side) -> &'static str {
 }
 
 fn run(fault: &Fault, log: &Path, folder: &Path) -> Result<Row> {
-    let link = Arc::new(Link::default());
-    for (what, value) in [("rate", 27.0), ("delay", 20.0), ("queue", 100.0)]
-        .iter()
-        .chain(fault.link)
-    {
-        link.set(what, *value);
-    }
-    let id = std::process::id();
-    let machines = Machines::join(&format!("realo{id}a"), &format!("realo{id}b"), link.clone())
-        .wrap_err("two network namespaces: run it as root, on Linux")?;
-    for machine in [Side::Vehicle, Side::Roadside] {
-        machines.set_congestion_control(machine as usize, "bbr")?;
-    }
+    let (machines, link) = super::radio::machines(fault.link, "bbr")?;
     let stage = Stage {
         fault,
         machines,

@@ -143,6 +143,21 @@ struct Setup {
     is_cut: bool,
 }
 
+/// Two machines that a link of 27 Mbit/s and 20 ms joins, but for what is set otherwise; `control`: of TCP's congestion.
+pub(super) fn machines(set: &[(&str, f64)], control: &str) -> Result<(Machines, Arc<Link>)> {
+    let link = Arc::new(Link::default());
+    for (what, value) in [("rate", 27.0), ("delay", 20.0), ("queue", 100.0)].iter().chain(set) {
+        link.set(what, *value);
+    }
+    let id = std::process::id();
+    let machines = Machines::join(&format!("realo{id}a"), &format!("realo{id}b"), link.clone())
+        .wrap_err("two network namespaces: run it as root, on Linux")?;
+    for machine in [0, 1] {
+        machines.set_congestion_control(machine, control)?;
+    }
+    Ok((machines, link))
+}
+
 fn case(name: &str, setup: Setup) -> Result<Case> {
     let Setup {
         way,
@@ -152,16 +167,7 @@ fn case(name: &str, setup: Setup) -> Result<Case> {
         deadline_ms,
         is_cut,
     } = setup;
-    let link = Arc::new(Link::default());
-    for (what, value) in [("rate", 27.0), ("delay", 20.0), ("queue", 100.0), ("loss", loss)] {
-        link.set(what, value);
-    }
-    let id = std::process::id();
-    let machines = Machines::join(&format!("realo{id}a"), &format!("realo{id}b"), link.clone())
-        .wrap_err("two network namespaces: run it as root, on Linux")?;
-    for machine in [0, 1] {
-        machines.set_congestion_control(machine, control)?;
-    }
+    let (machines, link) = machines(&[("loss", loss)], control)?;
     let program = std::env::current_exe()?;
     let word = way
         .to_possible_value()
