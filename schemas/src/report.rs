@@ -1,5 +1,7 @@
 //! What stages say of messages that cross a link, and documents as JSON in a [`crate::Report`].
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Header, Kind, Name, Nanos, Report};
@@ -158,6 +160,9 @@ pub struct Peer {
     pub round_trip_ms: Option<f64>,
     /// What the way to it was found to carry at the end, bits/s.
     pub bits_per_second: Option<f64>,
+    /// What came in its name and was not taken, by reason.
+    #[serde(default)]
+    pub refused: BTreeMap<String, u64>,
 }
 
 /// A report of a document.

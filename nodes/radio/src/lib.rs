@@ -2,16 +2,20 @@
 //!
 //! - [`protocol`]: what goes out when to one peer, and what came in, without socket or clock.
 //! - [`station`]: an agent among its peers, likewise; with [`books`] of what became of messages and the [`offset`] of clocks.
+//! - [`keys`] of agents, what they [`seal`], and why something is a [`refusal`].
 //! - [`network`]: Zenoh, and the thread that drives a station.
 //! - [`Radio`]: the node of a graph.
 
 pub mod body;
 pub mod books;
 mod endpoint;
+pub mod keys;
 pub mod network;
 mod node;
 pub mod offset;
 pub mod protocol;
+pub mod refusal;
+pub mod seal;
 pub mod station;
 
 pub use endpoint::{Endpoint, NoEndpoint};

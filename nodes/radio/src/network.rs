@@ -20,7 +20,8 @@ use zenoh::{Session, Wait};
 
 use crate::endpoint::Endpoint;
 use crate::protocol::Offer;
-use crate::station::{Event, Moment, Outgoing, Refused, Report, Station, Topic};
+use crate::refusal::Refusals;
+use crate::station::{Event, MOST_BYTES, Moment, Outgoing, Report, Station, Topic};
 
 /// What has come in and the station has not seen yet; more is lost, as on the way.
 const WAITING: usize = 4096;
@@ -77,7 +78,7 @@ struct Shared {
     clock: Option<(Nanos, Nanos)>,
     events: Vec<Event>,
     reports: Vec<Report>,
-    refused: Refused,
+    refused: Refusals,
     /// Messages that came while too many waited.
     overrun: u64,
 }
@@ -96,7 +97,7 @@ pub struct Taken {
     /// What is known of all peers.
     pub reports: Vec<Report>,
     /// What was not taken.
-    pub refused: Refused,
+    pub refused: Refusals,
     /// Messages that came while too many waited.
     pub overrun: u64,
 }
@@ -156,7 +157,7 @@ impl Network {
         Taken {
             events: std::mem::take(&mut shared.events),
             reports: shared.reports.clone(),
-            refused: shared.refused,
+            refused: shared.refused.clone(),
             overrun: shared.overrun,
         }
     }
@@ -175,6 +176,12 @@ impl Network {
 pub fn steady() -> Nanos {
     static BEGUN: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
     BEGUN.get_or_init(Instant::now).elapsed().as_nanos() as Nanos
+}
+
+/// Time on the machine's wall clock, ns since 1970.
+pub fn wall() -> Nanos {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    since.map_or(0, |since| since.as_nanos() as Nanos)
 }
 
 fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
@@ -207,7 +214,7 @@ fn open(place: &Place, after: u16) -> Result<Session, NetworkError> {
         },
         // Two agents on one machine would measure its memory instead of their link.
         "transport": {
-            "link": { "tx": { "lease": lease, "keep_alive": 4 } },
+            "link": { "tx": { "lease": lease, "keep_alive": 4 }, "rx": { "max_message_size": MOST_BYTES } },
             "shared_memory": { "enabled": false },
         },
     });
@@ -401,7 +408,7 @@ impl Loop {
     fn report(&self) {
         let reports = self.station.reports(self.now());
         let mut shared = lock(&self.shared);
-        (shared.reports, shared.refused) = (reports, self.station.refused());
+        (shared.reports, shared.refused) = (reports, self.station.refused().clone());
     }
 
     fn now(&self) -> Moment {
@@ -410,6 +417,7 @@ impl Loop {
         Moment {
             steady,
             log: clock.map(|(then, log)| log + (steady - then)),
+            wall: wall(),
         }
     }
 }

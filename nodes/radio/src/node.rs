@@ -1,6 +1,7 @@
 //! The radio as a node of a graph.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use realo_operator::{
@@ -14,16 +15,23 @@ use serde::{Deserialize, Serialize};
 use crate::body;
 use crate::books::News;
 use crate::endpoint::Endpoint;
-use crate::network::{Network, Place, steady};
+use crate::keys::{KeyError, Own, Trusted, is_name};
+use crate::network::{Network, Place, steady, wall};
 use crate::offset::Estimate;
-use crate::protocol::{Arrived, Offer, Settings};
-use crate::station::{Event, Report, Station};
+use crate::protocol::{Arrived, Offer, Settings, is_bulk};
+use crate::refusal::{Refusal, Refusals};
+use crate::seal::Seal;
+use crate::station::{Event, MOST_BYTES, Report, Station};
 
 const PACKETS: PortId = PortId(0);
 const STATE: PortId = PortId(1);
 const TO_EGO: PortId = PortId(0);
 const PEERS: PortId = PortId(1);
 const STATES: PortId = PortId(2);
+/// Bytes of boxes and states at most, which cross in one frame.
+const MOST_SMALL: usize = MOST_BYTES - 1024;
+/// A message that was measured later than now by more is refused, ns.
+const FUTURE: Nanos = 1_000_000_000;
 /// Time lines that differ by more are of runs that have nothing to do with each other, ns.
 const APART: Nanos = 10_000_000_000;
 
@@ -39,6 +47,10 @@ pub struct Config {
     pub listen: Vec<Endpoint>,
     /// Whom to connect to.
     pub connect: Vec<Endpoint>,
+    /// File of this agent's private key; what it sends is signed, and only what trusted agents signed is taken.
+    pub key: PathBuf,
+    /// File of the agents that are trusted, and their keys.
+    pub trust: PathBuf,
     /// Age at which points and features must have arrived, ms.
     pub deadline_ms: f64,
     /// What points and features may add to the delay of everything else, ms.
@@ -56,6 +68,8 @@ impl Default for Config {
             site: "realo".into(),
             listen: Vec::new(),
             connect: Vec::new(),
+            key: PathBuf::new(),
+            trust: PathBuf::new(),
             deadline_ms: 400.0,
             queue_ms: 20.0,
             max_bytes: 16 << 20,
@@ -69,11 +83,15 @@ pub struct Radio {
     place: Place,
     settings: Settings,
     max_bytes: usize,
+    seal: Option<Seal>,
     /// Puts this agent's state into bytes.
     encoder: Encoder,
     network: Option<Network>,
     /// What was counted of the network so far.
-    counted: BTreeMap<&'static str, u64>,
+    counted: Refusals,
+    overrun: u64,
+    /// Messages that came whole, and that the graph does not take.
+    refused: BTreeMap<Name, Refusals>,
     reports: Vec<Report>,
 }
 
@@ -97,6 +115,14 @@ impl Describe for Radio {
         Argument {
             name: "connect",
             about: "addresses of others",
+        },
+        Argument {
+            name: "key",
+            about: "file of this agent's private key (`realo keys new`): signs all that it sends, and takes only what is signed",
+        },
+        Argument {
+            name: "trust",
+            about: "file of the agents that are trusted, and their keys (`realo keys trust`)",
         },
         Argument {
             name: "deadline_ms",
@@ -138,6 +164,7 @@ impl Describe for Radio {
 impl Gateway for Radio {
     fn new(config: Config) -> Result<Self, Error> {
         check(&config)?;
+        let seal = seal(&config)?;
         let millis = |value: f64| (value * 1e6) as Nanos;
         Ok(Radio {
             place: Place {
@@ -153,17 +180,19 @@ impl Gateway for Radio {
                 ..Settings::default()
             },
             max_bytes: config.max_bytes,
+            seal,
             encoder: Encoder::new(&EncoderConfig::default())?,
             network: None,
-            counted: BTreeMap::new(),
+            counted: Refusals::new(),
+            overrun: 0,
+            refused: BTreeMap::new(),
             reports: Vec::new(),
         })
     }
 
     fn open(&mut self, waker: Waker) -> Result<(), Error> {
-        let session = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH)?;
-        let session = session.as_nanos() as u64;
-        let station = Station::new(self.place.agent.clone(), self.settings.clone(), self.max_bytes, session);
+        let (agent, settings) = (self.place.agent.clone(), self.settings.clone());
+        let station = Station::new(agent, settings, self.max_bytes, wall() as u64, self.seal.take());
         self.network = Some(Network::join(&self.place, station, waker)?);
         Ok(())
     }
@@ -182,13 +211,18 @@ impl Gateway for Radio {
         if matches!(header.kind, Kind::Truth | Kind::Report) {
             return Err(format!("a packet of {}, which no link carries", header.kind).into());
         }
+        let bytes = body::to_bytes(&packet, out.now())?;
+        if !is_bulk(header.kind) && bytes.len() > MOST_SMALL {
+            out.count("oversized", 1);
+            return Ok(());
+        }
         let age = (out.now() - header.stamp).max(0);
         let offer = Offer {
             kind: header.kind,
             seq: header.seq,
             stamp: header.stamp,
             born: steady() - age,
-            bytes: body::to_bytes(&packet, out.now())?,
+            bytes,
         };
         if !network.offer(offer) {
             out.count("overrun", 1);
@@ -201,16 +235,13 @@ impl Gateway for Radio {
         network.set_time(now);
         let taken = network.take();
         self.reports = taken.reports;
-        let totals = [
-            ("malformed", taken.refused.malformed),
-            ("strangers", taken.refused.strangers),
-            ("overrun", taken.overrun),
-        ];
-        for (counter, total) in totals {
-            let counted = self.counted.entry(counter).or_default();
-            out.count(counter, total - *counted);
+        for (refusal, total) in taken.refused {
+            let counted = self.counted.entry(refusal).or_default();
+            out.count(refusal.as_str(), total - *counted);
             *counted = total;
         }
+        out.count("overrun", taken.overrun - self.overrun);
+        self.overrun = taken.overrun;
         taken.events.into_iter().for_each(|event| self.take(event, out));
         Ok(())
     }
@@ -222,7 +253,13 @@ impl Gateway for Radio {
         let now = out.now();
         self.on_wake(now, out)?;
         self.network = None;
-        let peers: Vec<Peer> = self.reports.iter().map(peer).collect();
+        let none = Refusals::new();
+        let refused = |report: &Report| self.refused.get(&report.peer).unwrap_or(&none);
+        let peers: Vec<Peer> = self
+            .reports
+            .iter()
+            .map(|report| peer(report, refused(report)))
+            .collect();
         let header = Header::origin(&Name::default(), &self.place.agent, Kind::Report, 0, now, now);
         out.send(PEERS, Message::new(header, to_report(report::PEERS, &peers)));
         Ok(())
@@ -230,7 +267,7 @@ impl Gateway for Radio {
 }
 
 impl Radio {
-    fn take(&self, event: Event, out: &mut Outputs) {
+    fn take(&mut self, event: Event, out: &mut Outputs) {
         match event {
             Event::Arrived(from, message) => self.deliver(&from, message, out),
             Event::Books(from, News { traffic, fates }) => {
@@ -243,43 +280,44 @@ impl Radio {
     }
 
     /// Gives a message of a peer to the graph, on this agent's time line.
-    fn deliver(&self, from: &Name, message: Arrived, out: &mut Outputs) {
-        let Arrived {
-            kind,
-            seq,
-            stamp,
-            bytes,
-        } = message;
-        let (shift, now) = (self.shift(from), out.now());
-        let header = |stamp| Header {
+    fn deliver(&mut self, from: &Name, message: Arrived, out: &mut Outputs) {
+        let (kind, seq) = (message.kind, message.seq);
+        let header = |stamp, now| Header {
             to: Some(self.place.agent.clone()),
             ..Header::origin(&Name::default(), from, kind, seq, stamp, now)
         };
-        let packet = body::of_bytes(&bytes).and_then(|(packet, given)| {
-            if let Some(clock) = self.clock(from) {
-                let on_the_way = now.saturating_add(clock.offset).saturating_sub(given);
-                out.steps().took(on_the_way_of(kind), on_the_way.max(0));
-            }
-            match shift? {
-                0 => Some(packet),
-                shift => restamped(&packet, stamp.checked_add(shift)?),
-            }
-        });
-        match packet {
-            Some(packet) => {
+        match self.moved(from, &message, out) {
+            Ok((packet, stamp)) => {
                 let port = if kind == Kind::EgoState { STATES } else { TO_EGO };
-                out.send(port, Message::new(header(stamp + shift.unwrap_or(0)), packet));
+                out.send(port, Message::new(header(stamp, out.now()), packet));
             }
-            None => {
-                let counter = if shift.is_none() {
-                    "other_time_line"
-                } else {
-                    "malformed"
-                };
-                out.count(counter, 1);
-                out.tell(&header(stamp), Fate::Rejected);
+            Err(refusal) => {
+                out.count(refusal.as_str(), 1);
+                out.tell(&header(message.stamp, out.now()), Fate::Rejected);
+                let refused = self.refused.entry(from.clone()).or_default();
+                *refused.entry(refusal).or_default() += 1;
             }
         }
+    }
+
+    /// The packet of a message and when it was measured, on this agent's time line.
+    fn moved(&self, from: &Name, message: &Arrived, out: &mut Outputs) -> Result<(Packet, Nanos), Refusal> {
+        let (packet, given) = body::of_bytes(&message.bytes).ok_or(Refusal::Malformed)?;
+        let now = out.now();
+        if let Some(clock) = self.clock(from) {
+            let on_the_way = now.saturating_add(clock.offset).saturating_sub(given);
+            out.steps().took(on_the_way_of(message.kind), on_the_way.max(0));
+        }
+        let shift = self.shift(from).ok_or(Refusal::OtherTimeLine)?;
+        let stamp = message.stamp.checked_add(shift).ok_or(Refusal::Malformed)?;
+        if stamp.saturating_sub(now) > FUTURE {
+            return Err(Refusal::Future);
+        }
+        let packet = match shift {
+            0 => packet,
+            _ => restamped(&packet, stamp).ok_or(Refusal::Malformed)?,
+        };
+        Ok((packet, stamp))
     }
 
     fn clock(&self, of: &Name) -> Option<Estimate> {
@@ -301,12 +339,11 @@ impl Radio {
 }
 
 fn check(config: &Config) -> Result<(), Error> {
-    let is_word = |text: &str| !text.is_empty() && !text.contains(['/', '*', '$', '?', '#']);
-    if !is_word(&config.agent) {
+    if !is_name(&config.agent) {
         let found = &config.agent;
         return Err(format!("argument `agent`: expected a name without / * $ ? #, found `{found}`").into());
     }
-    if config.site.split('/').any(|part| !is_word(part)) {
+    if !config.site.split('/').all(is_name) {
         let found = &config.site;
         return Err(
             format!("argument `site`: expected names without * $ ? # and / between them, found `{found}`").into(),
@@ -330,6 +367,35 @@ fn check(config: &Config) -> Result<(), Error> {
     Ok(())
 }
 
+/// What signs and checks, where keys are given.
+fn seal(config: &Config) -> Result<Option<Seal>, Error> {
+    let is_there = |path: &Path| !path.as_os_str().is_empty();
+    match [is_there(&config.key), is_there(&config.trust)] {
+        [false, false] => return Ok(None),
+        [true, true] => {}
+        [key, _] => {
+            let (given, other) = if key { ("key", "trust") } else { ("trust", "key") };
+            return Err(format!(
+                "argument `{other}`: expected a file, for `{given}` has one: who signs must know whom to trust, and the other way round"
+            )
+            .into());
+        }
+    }
+    let named = |argument: &str, error: KeyError| format!("argument `{argument}`: {error}");
+    let own = Own::read(&config.key).map_err(|error| named("key", error))?;
+    let trusted = Trusted::read(&config.trust).map_err(|error| named("trust", error))?;
+    if *own.agent != *config.agent {
+        return Err(format!(
+            "argument `key`: {}: expected the key of `{}` (argument `agent`), found that of `{}`",
+            config.key.display(),
+            config.agent,
+            own.agent
+        )
+        .into());
+    }
+    Ok(Some(Seal::new(&config.site, own, trusted)))
+}
+
 /// The step that tells how long a message took, from its sender's radio to this one, by both clocks.
 fn on_the_way_of(kind: Kind) -> &'static str {
     match kind {
@@ -341,8 +407,12 @@ fn on_the_way_of(kind: Kind) -> &'static str {
 }
 
 /// What results tell of a peer.
-fn peer(report: &Report) -> Peer {
+fn peer(report: &Report, by_the_graph: &Refusals) -> Peer {
     let clock = report.clock;
+    let mut refused = BTreeMap::new();
+    for (refusal, count) in report.refused.iter().chain(by_the_graph) {
+        *refused.entry(refusal.as_str().to_string()).or_default() += count;
+    }
     Peer {
         name: report.peer.to_string(),
         messages: report.received.messages,
@@ -351,5 +421,6 @@ fn peer(report: &Report) -> Peer {
         clock_drift_ms_s: clock.map(|clock| clock.drift * 1e-6),
         round_trip_ms: report.round_trip.or(clock.map(|clock| 2 * clock.bound)).map(to_millis),
         bits_per_second: report.rate.map(|rate| 8.0 * rate),
+        refused,
     }
 }

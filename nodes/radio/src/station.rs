@@ -8,10 +8,14 @@ use realo_schemas::{Name, Nanos};
 use crate::books::{Heard, News, Sent, Sheet};
 use crate::offset::{Estimate, Exchange, Offset};
 use crate::protocol::{Arrived, Frame, FrameError, Offer, Receiver, ReceiverCounts, Sender, Settings, is_bulk};
+use crate::refusal::{Refusal, Refusals};
+use crate::seal::{SEAL_BYTES, Seal};
 
 const MS: Nanos = 1_000_000;
 /// Peers at most, so that strangers cannot take all memory.
 pub const MOST_PEERS: usize = 64;
+/// Bytes of a frame, a question or a sheet at most, with its seal.
+pub const MOST_BYTES: usize = (128 << 10) + SEAL_BYTES;
 /// Between two sheets of the books.
 const SHEETS: Nanos = 500 * MS;
 /// Between two questions for the peer's time, at first and later.
@@ -57,6 +61,8 @@ pub struct Moment {
     pub steady: Nanos,
     /// On the graph's time line, once it is known.
     pub log: Option<Nanos>,
+    /// On the machine's wall clock, ns since 1970.
+    pub wall: Nanos,
 }
 
 /// Bytes for a peer.
@@ -79,15 +85,6 @@ pub enum Event {
     Books(Name, News),
 }
 
-/// What was not taken.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Refused {
-    /// Bytes that are no frame, question, answer or sheet.
-    pub malformed: u64,
-    /// Messages of more peers than there may be.
-    pub strangers: u64,
-}
-
 /// What is known of a peer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
@@ -101,6 +98,8 @@ pub struct Report {
     pub rate: Option<f64>,
     /// What came in.
     pub received: ReceiverCounts,
+    /// What came in its name and was not taken.
+    pub refused: Refusals,
 }
 
 /// All that an agent keeps of a peer.
@@ -125,34 +124,44 @@ pub struct Station {
     settings: Settings,
     largest: usize,
     session: u64,
+    seal: Option<Seal>,
     peers: BTreeMap<Name, Peer>,
     /// The peer whose turn it is.
     turn: usize,
     events: Vec<Event>,
-    refused: Refused,
+    /// By the name in which it came, of which there may be so many as peers.
+    refused: BTreeMap<Name, Refusals>,
+    total: Refusals,
 }
 
 impl Station {
     /// An agent that knows nobody; `session` is greater than that of its earlier starts, messages have `largest` bytes at most.
-    pub fn new(name: Name, settings: Settings, largest: usize, session: u64) -> Self {
+    /// With a `seal` all that goes out is signed, and nothing else is taken.
+    pub fn new(name: Name, settings: Settings, largest: usize, session: u64, seal: Option<Seal>) -> Self {
         Station {
             name,
             settings,
             largest,
             session,
+            seal,
             peers: BTreeMap::new(),
             turn: 0,
             events: Vec::new(),
-            refused: Refused::default(),
+            refused: BTreeMap::new(),
+            total: Refusals::default(),
         }
     }
 
     /// A peer has come.
     pub fn up(&mut self, name: &Name, now: Moment) {
-        if let Some(peer) = self.peer(name) {
-            peer.is_up = true;
-            peer.questions = 0;
-            peer.asks_at = now.steady;
+        let is_trusted = self.seal.as_ref().is_none_or(|seal| seal.trusts(name));
+        match self.peer(name).filter(|_| is_trusted) {
+            Some(peer) => {
+                peer.is_up = true;
+                peer.questions = 0;
+                peer.asks_at = now.steady;
+            }
+            None => self.refuse(name, Refusal::Stranger),
         }
     }
 
@@ -174,21 +183,38 @@ impl Station {
         }
     }
 
-    /// Takes what a peer sent.
+    /// Takes what came in a peer's name.
     pub fn take(&mut self, from: &Name, topic: Topic, bytes: &Bytes, now: Moment) {
-        let Some(peer) = self.peer(from) else {
-            self.refused.strangers += 1;
-            return;
+        if let Err(refusal) = self.opened(from, topic, bytes, now) {
+            self.refuse(from, refusal);
+        }
+    }
+
+    fn opened(&mut self, from: &Name, topic: Topic, bytes: &Bytes, now: Moment) -> Result<(), Refusal> {
+        if bytes.len() > MOST_BYTES {
+            return Err(Refusal::Oversized);
+        }
+        let bytes = match &self.seal {
+            Some(seal) => seal.open(from, topic, bytes, now.wall)?,
+            None => bytes.clone(),
         };
+        let peer = self.peer(from).ok_or(Refusal::Stranger)?;
         let mut events = Vec::new();
         let taken = match topic {
-            Topic::Bulk | Topic::Small | Topic::Ack => peer.frame(bytes, now, from, &mut events),
-            Topic::Clock => peer.time(bytes, now),
-            Topic::Books => peer.sheet(bytes, now, from, &mut events),
+            Topic::Bulk | Topic::Small | Topic::Ack => peer.frame(&bytes, now, from, &mut events),
+            Topic::Clock => peer.time(&bytes, now),
+            Topic::Books => peer.sheet(&bytes, now, from, &mut events),
         };
         self.events.append(&mut events);
-        if taken.is_err() {
-            self.refused.malformed += 1;
+        taken
+    }
+
+    /// Something in a peer's name was not taken.
+    fn refuse(&mut self, from: &Name, refusal: Refusal) {
+        *self.total.entry(refusal).or_default() += 1;
+        if self.refused.len() < MOST_PEERS || self.refused.contains_key(from) {
+            let refused = self.refused.entry(from.clone()).or_default();
+            *refused.entry(refusal).or_default() += 1;
         }
     }
 
@@ -200,6 +226,10 @@ impl Station {
             let (name, peer) = self.peers.iter_mut().nth(place)?;
             if let Some((topic, bytes)) = peer.next(now, self.session) {
                 self.turn = (place + 1) % count;
+                let bytes = match &self.seal {
+                    Some(seal) => seal.close(name, topic, &bytes, now.wall),
+                    None => bytes,
+                };
                 return Some(Outgoing {
                     to: name.clone(),
                     topic,
@@ -258,21 +288,32 @@ impl Station {
         self.peers.get(peer)?.offset.estimate(now.log?)
     }
 
-    /// What is known of all peers.
+    /// What is known of all peers, and of those in whose names only what was refused came.
     pub fn reports(&self, now: Moment) -> Vec<Report> {
-        let report = |(name, peer): (&Name, &Peer)| Report {
+        let refused = |name: &Name| self.refused.get(name).cloned().unwrap_or_default();
+        let peers = self.peers.iter().map(|(name, peer)| Report {
             peer: name.clone(),
             clock: self.clock_of(name, now),
             round_trip: peer.sender.window().round_trip(),
             rate: peer.sender.window().rate(),
             received: peer.receiver.counts(),
-        };
-        self.peers.iter().map(report).collect()
+            refused: refused(name),
+        });
+        let unknown = self.refused.keys().filter(|name| !self.peers.contains_key(*name));
+        let unknown = unknown.map(|name| Report {
+            peer: name.clone(),
+            clock: None,
+            round_trip: None,
+            rate: None,
+            received: ReceiverCounts::default(),
+            refused: refused(name),
+        });
+        peers.chain(unknown).collect()
     }
 
-    /// What was not taken.
-    pub fn refused(&self) -> Refused {
-        self.refused
+    /// What was not taken, in all names together.
+    pub fn refused(&self) -> &Refusals {
+        &self.total
     }
 
     /// A peer, known or new; `None` if there are too many.
@@ -300,20 +341,17 @@ impl Station {
     }
 }
 
-/// Bytes that are not what their topic says.
-struct Malformed;
-
-impl From<FrameError> for Malformed {
+impl From<FrameError> for Refusal {
     fn from(_: FrameError) -> Self {
-        Malformed
+        Refusal::Malformed
     }
 }
 
 impl Peer {
-    fn frame(&mut self, bytes: &Bytes, now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Malformed> {
+    fn frame(&mut self, bytes: &Bytes, now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
         match Frame::parse(bytes)? {
             Frame::Part(head, part) => {
-                let received = self.receiver.take(&head, part, now.steady);
+                let received = self.receiver.take(&head, part, now.steady)?;
                 if let Some(ack) = received.acknowledgement {
                     let bytes = Frame::Acknowledgement(ack).to_bytes();
                     self.outgoing.push_back((Topic::Ack, bytes));
@@ -334,15 +372,15 @@ impl Peer {
         Ok(())
     }
 
-    fn sheet(&mut self, bytes: &[u8], now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Malformed> {
-        let sheet: Sheet = serde_json::from_slice(bytes).map_err(|_| Malformed)?;
+    fn sheet(&mut self, bytes: &[u8], now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
+        let sheet: Sheet = serde_json::from_slice(bytes).map_err(|_| Refusal::Malformed)?;
         let mut news = News::default();
         self.heard.sheet(&sheet, now.steady, &mut news);
         note(events, name, news);
         Ok(())
     }
 
-    fn time(&mut self, bytes: &[u8], now: Moment) -> Result<(), Malformed> {
+    fn time(&mut self, bytes: &[u8], now: Moment) -> Result<(), Refusal> {
         let Some(log) = now.log else {
             return Ok(());
         };
@@ -364,7 +402,7 @@ impl Peer {
                     });
                 }
             }
-            _ => return Err(Malformed),
+            _ => return Err(Refusal::Malformed),
         }
         Ok(())
     }

@@ -214,7 +214,7 @@ fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings
                 let Ok(Frame::Part(head, part)) = Frame::parse(&bytes) else {
                     panic!("a part came as something else");
                 };
-                let received = receiver.take(&head, part, peers(now));
+                let received = receiver.take(&head, part, peers(now)).expect("a part of its sender");
                 if let Some(message) = received.message {
                     let stream = streams.iter().find(|stream| stream.kind == message.kind);
                     let stream = stream.expect("only what is offered comes in");

@@ -4,11 +4,15 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use bytes::Bytes;
+use ed25519_dalek::SigningKey;
 use proptest::prelude::*;
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
+use realo_radio::keys::{Own, Trusted};
 use realo_radio::protocol::{Offer, Settings};
-use realo_radio::station::{Event, MOST_PEERS, Moment, Station, Topic};
+use realo_radio::refusal::Refusal;
+use realo_radio::seal::{Seal, WINDOW};
+use realo_radio::station::{Event, MOST_BYTES, MOST_PEERS, Moment, Station, Topic};
 use realo_schemas::report::Fate;
 use realo_schemas::{Kind, Name, Nanos};
 
@@ -20,6 +24,8 @@ const SECOND: Nanos = 1_000 * MS;
 enum Next {
     Offer(usize, u64),
     Arrives(usize, Name, Topic, Vec<u8>),
+    /// As [`Next::Arrives`], from somebody who hears and sends, but has no key that is trusted.
+    Injected(usize, Name, Topic, Vec<u8>),
     Down(usize, Name),
     Up(usize, Name),
     Wake,
@@ -44,14 +50,32 @@ struct World {
     accounts: BTreeMap<(usize, Name), Account>,
     /// How far each agent's time line lies from the world's.
     lines: Vec<Nanos>,
+    is_hostile: bool,
+    /// Frames that were injected and came in.
+    injected: u64,
+}
+
+/// Seals of agents that trust each other.
+fn seals(names: &[Name]) -> Vec<Seal> {
+    let own = |n: usize| Own {
+        agent: names[n].clone(),
+        key: SigningKey::from_bytes(&[n as u8 + 1; 32]),
+    };
+    let mut trusted = Trusted::default();
+    (0..names.len()).for_each(|n| trusted.0.extend(own(n).public().0));
+    (0..names.len())
+        .map(|n| Seal::new("site", own(n), trusted.clone()))
+        .collect()
 }
 
 impl World {
     fn new(agents: usize, seed: u64, loss: f64) -> World {
         let names: Vec<Name> = (0..agents).map(|n| Name::from(format!("agent{n}"))).collect();
-        let station = |name: &Name| Station::new(name.clone(), Settings::default(), 4 << 20, 7);
+        let station = |name: &Name| Station::new(name.clone(), Settings::default(), 4 << 20, 7, None);
         World {
             stations: names.iter().map(station).collect(),
+            is_hostile: false,
+            injected: 0,
             names,
             queue: BinaryHeap::new(),
             count: 0,
@@ -60,6 +84,40 @@ impl World {
             accounts: BTreeMap::new(),
             lines: (0..agents as i64).map(|n| n * 123 * MS).collect(),
         }
+    }
+
+    /// All sign, and somebody injects what he can.
+    fn hostile(agents: usize, seed: u64, loss: f64) -> World {
+        let world = World::new(agents, seed, loss);
+        let sealed = world.names.iter().zip(seals(&world.names));
+        let station =
+            |(name, seal): (&Name, Seal)| Station::new(name.clone(), Settings::default(), 4 << 20, 7, Some(seal));
+        World {
+            stations: sealed.map(station).collect(),
+            is_hostile: true,
+            ..world
+        }
+    }
+
+    /// Sends something that was heard on the way once more: changed, in another name, about something else, or to somebody else.
+    fn inject(&mut self, at: Nanos, to: usize, from: &Name, topic: Topic, bytes: &Bytes) {
+        let mut bytes = bytes.to_vec();
+        let (mut to, mut from, mut topic) = (to, from.clone(), topic);
+        match (self.unit() * 5.0) as usize {
+            0 => {
+                let place = (self.unit() * bytes.len() as f64) as usize;
+                bytes[place] ^= 1 << (self.unit() * 8.0) as usize;
+            }
+            1 => from = "mallory".into(),
+            2 => topic = Topic::ALL[(topic as usize + 1) % 5],
+            3 if self.names.len() > 2 => {
+                to = (0..self.names.len())
+                    .find(|other| *other != to && self.names[*other] != from)
+                    .expect("a third");
+            }
+            _ => bytes.truncate((self.unit() * bytes.len() as f64) as usize),
+        }
+        self.at(at, Next::Injected(to, from, topic, bytes));
     }
 
     fn at(&mut self, time: Nanos, next: Next) {
@@ -75,6 +133,7 @@ impl World {
         Moment {
             steady: now,
             log: Some(now + self.lines[agent]),
+            wall: now,
         }
     }
 
@@ -90,6 +149,9 @@ impl World {
                 let lost = self.unit() < self.loss;
                 let arrives = now + 5 * MS + (self.unit() * 10.0 * MS as f64) as Nanos;
                 let from = self.names[agent].clone();
+                if self.is_hostile && self.unit() < 0.1 {
+                    self.inject(arrives, to, &from, outgoing.topic, &outgoing.bytes);
+                }
                 if !lost {
                     let next = Next::Arrives(to, from, outgoing.topic, outgoing.bytes.to_vec());
                     self.at(arrives, next.clone());
@@ -158,6 +220,11 @@ impl World {
                     let moment = self.moment(to, now);
                     self.stations[to].take(&from, topic, &Bytes::from(bytes), moment);
                 }
+                Next::Injected(to, from, topic, bytes) => {
+                    let moment = self.moment(to, now);
+                    self.stations[to].take(&from, topic, &Bytes::from(bytes), moment);
+                    self.injected += 1;
+                }
                 Next::Up(agent, name) => {
                     let moment = self.moment(agent, now);
                     self.stations[agent].up(&name, moment);
@@ -186,8 +253,9 @@ proptest! {
         loss in prop::sample::select(vec![0.0, 0.01, 0.1]),
         bulk in 1_000usize..200_000,
         outage in any::<bool>(),
+        hostile in any::<bool>(),
     ) {
-        let mut world = World::new(agents, seed, loss);
+        let mut world = if hostile { World::hostile(agents, seed, loss) } else { World::new(agents, seed, loss) };
         if outage {
             let (first, second) = (world.names[0].clone(), world.names[1].clone());
             world.at(SECOND, Next::Down(0, second.clone()));
@@ -210,6 +278,8 @@ proptest! {
             }
         }
         prop_assert_eq!(world.accounts.len(), agents * (agents - 1));
+        let refused: u64 = world.stations.iter().flat_map(|station| station.refused().values()).sum();
+        prop_assert!(refused == world.injected && (world.injected > 0) == hostile, "{} of {}", refused, world.injected);
     }
 
     #[test]
@@ -233,8 +303,54 @@ fn there_are_only_so_many_peers() {
         world.stations[0].take(&format!("peer{n}").into(), Topic::Clock, &Bytes::new(), moment);
     }
     assert_eq!(world.stations[0].reports(moment).len(), MOST_PEERS);
-    assert_eq!(world.stations[0].refused().strangers, 5);
+    assert_eq!(world.stations[0].refused()[&Refusal::Stranger], 5);
     let me = world.names[0].clone();
     world.stations[0].up(&me, moment);
     assert_eq!(world.stations[0].reports(moment).len(), MOST_PEERS);
+}
+
+#[test]
+fn what_was_sent_before_does_not_come_in_again_even_after_a_restart() {
+    let mut world = World::hostile(2, 3, 0.0);
+    let (first, names) = (world.moment(0, SECOND), world.names.clone());
+    world.stations[1].up(&names[0], first);
+    world.stations[1].offer(&Offer {
+        kind: Kind::Boxes,
+        seq: 0,
+        stamp: 0,
+        born: SECOND,
+        bytes: Bytes::from_static(b"boxes"),
+    });
+    let sent = std::iter::from_fn(|| world.stations[1].next(first)).find(|out| out.topic == Topic::Small);
+    let bytes = sent.expect("it goes out at once").bytes;
+    let arrived = |station: &mut Station, now: Moment| {
+        station.take(&names[1], Topic::Small, &bytes, now);
+        let events = station.take_events(now);
+        events
+            .iter()
+            .filter(|event| matches!(event, Event::Arrived(..)))
+            .count()
+    };
+    assert_eq!(arrived(&mut world.stations[0], first), 1);
+    assert_eq!(arrived(&mut world.stations[0], first), 0, "its number has come in");
+    let later = world.moment(0, SECOND + WINDOW + 1);
+    let seal = seals(&names).swap_remove(0);
+    let mut anew = Station::new(names[0].clone(), Settings::default(), 4 << 20, 8, Some(seal));
+    assert_eq!(arrived(&mut anew, later), 0);
+    assert_eq!(anew.refused()[&Refusal::Replayed], 1);
+    let reports = anew.reports(later);
+    assert_eq!(
+        (&*reports[0].peer, reports[0].refused[&Refusal::Replayed]),
+        ("agent1", 1)
+    );
+}
+
+#[test]
+fn what_no_frame_can_be_is_refused_by_its_size_alone() {
+    let mut world = World::hostile(2, 3, 0.0);
+    let (moment, from) = (world.moment(0, 0), world.names[1].clone());
+    world.stations[0].take(&from, Topic::Bulk, &vec![0; MOST_BYTES + 1].into(), moment);
+    world.stations[0].up(&"mallory".into(), moment);
+    let expected = [(Refusal::Oversized, 1), (Refusal::Stranger, 1)];
+    assert_eq!(*world.stations[0].refused(), expected.into());
 }

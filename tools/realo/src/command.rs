@@ -5,7 +5,7 @@ use clap::{Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, merge, operators,
+    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, keys, merge, operators,
     precompute, quantize, registry, render, run, simulate, train, validate,
 };
 
@@ -36,6 +36,7 @@ enum Command {
     Conformance(conformance::Args),
     Bench(bench::Args),
     Emulate(emulate::Args),
+    Keys(keys::Args),
     #[command(hide = true)]
     RadioEnd(bench::radio::End),
     Operator(host::OperatorArgs),
@@ -91,6 +92,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Conformance(args) => conformance::main(&args),
         Command::Bench(args) => bench::main(&args),
         Command::Emulate(args) => emulate::main(&args),
+        Command::Keys(args) => keys::main(&args),
         Command::RadioEnd(args) => bench::radio::end(&args),
         Command::Operator(args) => host::operator(&args),
         Command::Node(args) => host::node(&args),

@@ -13,6 +13,7 @@ pub mod evaluate;
 pub mod host;
 pub mod import;
 pub mod info;
+mod keys;
 pub mod merge;
 pub mod operators;
 pub mod precompute;

@@ -325,7 +325,9 @@ fn peers(rows: &mut Rows) {
                 number(peer.clock_uncertainty_ms, 2)
             );
             let rate = number(peer.bits_per_second.map(|rate| rate * 1e-6), 1);
-            Some(format!("{clock}, {}; {rate}", number(peer.round_trip_ms, 1)))
+            let refused = peer.refused.iter().map(|(why, count)| format!(", {count} {why}"));
+            let refused: String = refused.collect();
+            Some(format!("{clock}, {}; {rate}{refused}", number(peer.round_trip_ms, 1)))
         });
     }
 }

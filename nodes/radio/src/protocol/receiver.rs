@@ -7,6 +7,7 @@ use realo_schemas::{Kind, Nanos};
 
 use super::frame::{Acknowledgement, Head};
 use super::window::SMALLEST;
+use crate::refusal::Refusal;
 
 /// Messages of a kind that may be incomplete at a time.
 const INCOMPLETE: usize = 4;
@@ -48,8 +49,6 @@ pub struct ReceiverCounts {
     pub repeated: u64,
     /// Incomplete messages that were forgotten for newer ones.
     pub forgotten: u64,
-    /// Parts of a sender that has been started anew since, of messages that are too large, or that contradict others.
-    pub rejected: u64,
 }
 
 /// The receiving side of a way from a peer.
@@ -95,17 +94,20 @@ impl Receiver {
     }
 
     /// Takes a part that came in.
-    pub fn take(&mut self, head: &Head, part: Bytes, now: Nanos) -> Received {
+    ///
+    /// # Errors
+    /// [`Refusal::Replayed`] of a sender that has been started anew since, [`Refusal::Oversized`] of a message that is too large,
+    /// [`Refusal::Malformed`] of one that contradicts other parts.
+    pub fn take(&mut self, head: &Head, part: Bytes, now: Nanos) -> Result<Received, Refusal> {
         if head.session < self.session {
-            self.counts.rejected += 1;
-            return Received::default();
+            return Err(Refusal::Replayed);
         }
         if head.session > self.session {
             self.session = head.session;
             self.kinds.clear();
         }
         let lane = self.kinds.entry(head.kind).or_default();
-        let message = match lane.insert(head, part, self.largest) {
+        let message = match lane.insert(head, part, self.largest)? {
             Inserted::Whole(bytes) => {
                 self.counts.messages += 1;
                 self.counts.forgotten += lane.forget_before(head.seq);
@@ -124,18 +126,14 @@ impl Receiver {
                 self.counts.repeated += 1;
                 None
             }
-            Inserted::Refused => {
-                self.counts.rejected += 1;
-                return Received::default();
-            }
         };
-        Received {
+        Ok(Received {
             acknowledgement: head
                 .asks
                 .then(|| lane.acknowledge(head, now, message.is_some()))
                 .flatten(),
             message,
-        }
+        })
     }
 
     /// What was counted.
@@ -154,23 +152,25 @@ enum Inserted {
     Part,
     Whole(Bytes),
     Again,
-    Refused,
 }
 
 impl Lane {
-    fn insert(&mut self, head: &Head, part: Bytes, largest: usize) -> Inserted {
+    fn insert(&mut self, head: &Head, part: Bytes, largest: usize) -> Result<Inserted, Refusal> {
         let count = head.count as usize;
         if head.seq < self.from || self.given.contains(&head.seq) || (count > 1 && head.seq < self.newest) {
-            return Inserted::Again;
+            return Ok(Inserted::Again);
         }
         // Senders make no smaller parts, so that nobody can ask for a long list with a short message.
         let most = largest.div_ceil(SMALLEST);
-        if part.len() > largest || count > most || (part.is_empty() && count > 1) {
-            return Inserted::Refused;
+        if part.len() > largest || count > most {
+            return Err(Refusal::Oversized);
+        }
+        if part.is_empty() && count > 1 {
+            return Err(Refusal::Malformed);
         }
         if count == 1 {
             self.given(head.seq);
-            return Inserted::Whole(part);
+            return Ok(Inserted::Whole(part));
         }
         let message = self.incomplete.entry(head.seq).or_insert_with(|| Incomplete {
             stamp: head.stamp,
@@ -178,24 +178,27 @@ impl Lane {
             missing: count,
             bytes: 0,
         });
-        if message.parts.len() != count || message.stamp != head.stamp || message.bytes + part.len() > largest {
-            return Inserted::Refused;
+        if message.parts.len() != count || message.stamp != head.stamp {
+            return Err(Refusal::Malformed);
+        }
+        if message.bytes + part.len() > largest {
+            return Err(Refusal::Oversized);
         }
         let place = &mut message.parts[head.index as usize];
         if place.is_some() {
-            return Inserted::Again;
+            return Ok(Inserted::Again);
         }
         message.bytes += part.len();
         message.missing -= 1;
         *place = Some(part);
         if message.missing > 0 {
-            return Inserted::Part;
+            return Ok(Inserted::Part);
         }
         let message = self.incomplete.remove(&head.seq).expect("it was just there");
         self.given(head.seq);
         self.newest = head.seq;
         let parts: Vec<Bytes> = message.parts.into_iter().flatten().collect();
-        Inserted::Whole(parts.concat().into())
+        Ok(Inserted::Whole(parts.concat().into()))
     }
 
     fn given(&mut self, seq: u64) {
@@ -287,7 +290,7 @@ mod tests {
         let parts = [(2, "ef"), (0, "ab"), (2, "ef"), (1, "cd"), (1, "cd")];
         let mut given = Vec::new();
         for (index, text) in parts {
-            given.extend(receiver.take(&head(5, index, 3), part(text), 10 * MS).message);
+            given.extend(receiver.take(&head(5, index, 3), part(text), 10 * MS).unwrap().message);
         }
         assert_eq!(given.len(), 1);
         assert_eq!((given[0].seq, &given[0].bytes[..]), (5, &b"abcdef"[..]));
@@ -299,7 +302,7 @@ mod tests {
     fn acknowledges_at_once_or_with_the_next_parts() {
         let mut receiver = Receiver::new(LARGEST);
         let mut acks = |at: Nanos, index: u32| {
-            let received = receiver.take(&head(1, index, 50), part("x"), at);
+            let received = receiver.take(&head(1, index, 50), part("x"), at).unwrap();
             received.acknowledgement.map(|ack| (ack.index, ack.before))
         };
         assert_eq!(acks(0, 0), Some((0, 0)));
@@ -312,12 +315,12 @@ mod tests {
     #[test]
     fn a_newer_message_makes_an_older_incomplete_one_forgotten() {
         let mut receiver = Receiver::new(LARGEST);
-        receiver.take(&head(1, 0, 2), part("a"), 0);
-        receiver.take(&head(2, 0, 2), part("b"), 0);
-        assert!(receiver.take(&head(2, 1, 2), part("b"), 0).message.is_some());
+        receiver.take(&head(1, 0, 2), part("a"), 0).unwrap();
+        receiver.take(&head(2, 0, 2), part("b"), 0).unwrap();
+        assert!(receiver.take(&head(2, 1, 2), part("b"), 0).unwrap().message.is_some());
         assert_eq!((receiver.counts().forgotten, receiver.held()), (1, 0));
         for seq in 10..30 {
-            receiver.take(&head(seq, 0, 2), part("a"), 0);
+            receiver.take(&head(seq, 0, 2), part("a"), 0).unwrap();
         }
         assert_eq!(receiver.held(), INCOMPLETE);
     }
@@ -331,7 +334,7 @@ mod tests {
                 asks: false,
                 ..head(seq, 0, 1)
             };
-            let received = receiver.take(&head, part("boxes"), 0);
+            let received = receiver.take(&head, part("boxes"), 0).unwrap();
             assert_eq!(received.acknowledgement, None);
             received.message.is_some()
         };
@@ -343,37 +346,35 @@ mod tests {
     #[test]
     fn a_sender_that_starts_anew_begins_anew_and_its_past_is_rejected() {
         let mut receiver = Receiver::new(LARGEST);
-        assert!(receiver.take(&head(9, 0, 1), part("a"), 0).message.is_some());
+        assert!(receiver.take(&head(9, 0, 1), part("a"), 0).unwrap().message.is_some());
         let anew = Head {
             session: 2,
             ..head(0, 0, 1)
         };
-        assert!(receiver.take(&anew, part("a"), 0).message.is_some());
-        assert_eq!(receiver.take(&head(10, 0, 1), part("a"), 0), Received::default());
-        assert_eq!(receiver.counts().rejected, 1);
+        assert!(receiver.take(&anew, part("a"), 0).unwrap().message.is_some());
+        assert_eq!(receiver.take(&head(10, 0, 1), part("a"), 0), Err(Refusal::Replayed));
     }
 
     #[test]
     fn what_is_too_large_or_contradicts_is_rejected_and_held_memory_is_bounded() {
         let mut receiver = Receiver::new(3 * SMALLEST);
         let zeros = |bytes: usize| Bytes::from(vec![0; bytes]);
-        let rejected = |receiver: &mut Receiver, head: Head, bytes: usize| {
-            let before = receiver.counts().rejected;
-            assert_eq!(receiver.take(&head, zeros(bytes), 0), Received::default());
-            assert_eq!(receiver.counts().rejected, before + 1, "{head:?}");
+        let rejected = |receiver: &mut Receiver, head: Head, bytes: usize, why: Refusal| {
+            assert_eq!(receiver.take(&head, zeros(bytes), 0), Err(why), "{head:?}");
         };
-        rejected(&mut receiver, head(1, 0, 1), 3 * SMALLEST + 1);
-        rejected(&mut receiver, head(1, 0, 4), 1);
-        rejected(&mut receiver, head(1, 0, u32::MAX), 1);
-        rejected(&mut receiver, head(1, 0, 3), 0);
-        receiver.take(&head(1, 0, 3), zeros(2 * SMALLEST), 0);
-        rejected(&mut receiver, head(1, 1, 3), SMALLEST + 1);
-        rejected(&mut receiver, head(1, 1, 2), 6);
+        let (large, odd) = (Refusal::Oversized, Refusal::Malformed);
+        rejected(&mut receiver, head(1, 0, 1), 3 * SMALLEST + 1, large);
+        rejected(&mut receiver, head(1, 0, 4), 1, large);
+        rejected(&mut receiver, head(1, 0, u32::MAX), 1, large);
+        rejected(&mut receiver, head(1, 0, 3), 0, odd);
+        receiver.take(&head(1, 0, 3), zeros(2 * SMALLEST), 0).unwrap();
+        rejected(&mut receiver, head(1, 1, 3), SMALLEST + 1, large);
+        rejected(&mut receiver, head(1, 1, 2), 6, odd);
         let moved = Head {
             stamp: 77,
             ..head(1, 1, 3)
         };
-        rejected(&mut receiver, moved, 6);
+        rejected(&mut receiver, moved, 6, odd);
         assert_eq!(receiver.held(), 2 * SMALLEST);
     }
 }

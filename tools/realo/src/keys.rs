@@ -1,0 +1,63 @@
+//! `realo keys`: keys of agents, and whom they trust.
+
+use std::path::PathBuf;
+
+use eyre::Result;
+use realo_radio::keys::{Own, Trusted};
+
+use crate::Outcome;
+
+/// Makes keys by which agents sign what they send, and lists of those that are trusted
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Subcommand)]
+enum Command {
+    /// Makes a key for an agent: AGENT.key, which stays on its machine, and AGENT.pub for all others
+    New {
+        /// Its name
+        agent: String,
+        /// Folder of both files
+        #[arg(short, long, default_value = ".")]
+        output: PathBuf,
+    },
+    /// Adds agents to a list of those that are trusted
+    Trust {
+        /// What `realo keys new` made for others, or other lists
+        #[arg(required = true)]
+        public: Vec<PathBuf>,
+        /// The list; made where there is none
+        #[arg(short, long, default_value = "trust.toml")]
+        list: PathBuf,
+    },
+}
+
+/// Writes the files, and says what they are for.
+pub fn main(args: &Args) -> Result<Outcome> {
+    match &args.command {
+        Command::New { agent, output } => {
+            let own = Own::new(agent)?;
+            let [private, public] = ["key", "pub"].map(|kind| output.join(format!("{agent}.{kind}")));
+            own.write(&private)?;
+            own.public().write(&public)?;
+            println!("{}: stays on the machine of {agent}: v2x.key", private.display());
+            println!("{}: for the others: realo keys trust {agent}.pub", public.display());
+        }
+        Command::Trust { public, list } => {
+            let mut trusted = match list.exists() {
+                true => Trusted::read(list)?,
+                false => Trusted::default(),
+            };
+            for path in public {
+                trusted.join(&Trusted::read(path)?, list)?;
+            }
+            trusted.write(list)?;
+            let names: Vec<&str> = trusted.0.keys().map(|name| &**name).collect();
+            println!("{}: trusts {}: v2x.trust", list.display(), names.join(", "));
+        }
+    }
+    Ok(Outcome::Complete)
+}
