@@ -1,6 +1,8 @@
 //! Agents on machines of their own, here on one: each has its graph, and they meet over Zenoh alone.
 
 mod common;
+#[path = "radio/security.rs"]
+mod security;
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -53,8 +55,12 @@ impl Peer {
     fn start(name: &str, log: &Path, out: &Path, port: u16, more: &[&str]) -> Peer {
         let mut set = vec![format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()];
         set.extend(more.iter().map(|more| more.to_string()));
+        Peer::spawn(arguments(name, log, out, &set))
+    }
+
+    fn spawn(arguments: Vec<String>) -> Peer {
         let child = Command::new(REALO)
-            .args(arguments(name, log, out, &set))
+            .args(arguments)
             .current_dir(root())
             .stdout(Stdio::null())
             .stderr(Stdio::null())

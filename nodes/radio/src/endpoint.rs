@@ -1,27 +1,52 @@
-//! Addresses of agents: `tcp/HOST:PORT`, where the port behind it is taken too.
+//! Addresses of agents: `tcp/HOST:PORT` or `tls/HOST:PORT`, where the port behind it is taken too.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+/// What carries Zenoh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Protocol {
+    Tcp,
+    /// Needs certificates, in a file of settings.
+    Tls,
+}
+
+impl Protocol {
+    fn as_str(self) -> &'static str {
+        match self {
+            Protocol::Tcp => "tcp",
+            Protocol::Tls => "tls",
+        }
+    }
+}
+
 /// An address.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Endpoint {
+    protocol: Protocol,
     host: String,
     port: u16,
 }
 
 /// No address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("expected an address tcp/HOST:PORT with a port from 1 to 65534, such as tcp/0.0.0.0:7447, found `{0}`")]
+#[error(
+    "expected an address tcp/HOST:PORT or tls/HOST:PORT with a port from 1 to 65534, such as tcp/0.0.0.0:7447, found `{0}`"
+)]
 pub struct NoEndpoint(String);
 
 impl Endpoint {
     /// As zenoh writes it, so many ports behind.
     pub fn text(&self, after: u16) -> String {
-        format!("tcp/{}:{}", self.host, self.port.saturating_add(after))
+        format!(
+            "{}/{}:{}",
+            self.protocol.as_str(),
+            self.host,
+            self.port.saturating_add(after)
+        )
     }
 }
 
@@ -30,16 +55,19 @@ impl FromStr for Endpoint {
 
     fn from_str(text: &str) -> Result<Self, NoEndpoint> {
         let wrong = || NoEndpoint(text.into());
-        let (host, port) = text
-            .strip_prefix("tcp/")
-            .and_then(|rest| rest.rsplit_once(':'))
+        let (protocol, rest) = text.split_once('/').ok_or_else(wrong)?;
+        let protocol = [Protocol::Tcp, Protocol::Tls]
+            .into_iter()
+            .find(|known| known.as_str() == protocol)
             .ok_or_else(wrong)?;
+        let (host, port) = rest.rsplit_once(':').ok_or_else(wrong)?;
         let port: u16 = port.parse().map_err(|_| wrong())?;
         let bare = host.starts_with('[') == host.ends_with(']');
         if host.is_empty() || !bare || !(1..u16::MAX).contains(&port) || host.contains(['/', '#', '?']) {
             return Err(wrong());
         }
         Ok(Endpoint {
+            protocol,
             host: host.into(),
             port,
         })
@@ -72,7 +100,7 @@ mod tests {
 
     #[test]
     fn an_address_and_the_port_behind_it() {
-        for text in ["tcp/0.0.0.0:7447", "tcp/rsu1.local:1", "tcp/[::1]:65534"] {
+        for text in ["tcp/0.0.0.0:7447", "tls/rsu1.local:1", "tcp/[::1]:65534"] {
             let endpoint: Endpoint = text.parse().unwrap();
             assert_eq!(endpoint.to_string(), text);
         }

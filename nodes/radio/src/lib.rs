@@ -3,7 +3,7 @@
 //! - [`protocol`]: what goes out when to one peer, and what came in, without socket or clock.
 //! - [`station`]: an agent among its peers, likewise; with [`books`] of what became of messages and the [`offset`] of clocks.
 //! - [`keys`] of agents, what they [`seal`], and why something is a [`refusal`].
-//! - [`network`]: Zenoh, and the thread that drives a station.
+//! - [`session`]: Zenoh's settings; [`network`]: Zenoh, and the thread that drives a station.
 //! - [`Radio`]: the node of a graph.
 
 pub mod body;
@@ -16,6 +16,7 @@ pub mod offset;
 pub mod protocol;
 pub mod refusal;
 pub mod seal;
+pub mod session;
 pub mod station;
 
 pub use endpoint::{Endpoint, NoEndpoint};

@@ -18,10 +18,10 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
-use crate::endpoint::Endpoint;
 use crate::protocol::Offer;
 use crate::refusal::Refusals;
-use crate::station::{Event, MOST_BYTES, Moment, Outgoing, Report, Station, Topic};
+use crate::session::{NetworkError, Place, open, zenoh_error};
+use crate::station::{Event, Moment, Outgoing, Report, Station, Topic};
 
 /// What has come in and the station has not seen yet; more is lost, as on the way.
 const WAITING: usize = 4096;
@@ -31,36 +31,6 @@ const EVENTS: usize = 1024;
 const LOOK: Nanos = 100_000_000;
 /// How long what is on its way is waited for at the end.
 const LINGER: Nanos = 500_000_000;
-
-/// What fails between agents.
-#[derive(Debug, thiserror::Error)]
-pub enum NetworkError {
-    /// Zenoh does not do it.
-    #[error("{what}: {reason}; {mend}")]
-    Zenoh {
-        /// What was tried.
-        what: String,
-        /// What zenoh says.
-        reason: String,
-        /// The next thing to try.
-        mend: &'static str,
-    },
-}
-
-/// Where and as whom an agent takes part.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Place {
-    /// First part of all keys.
-    pub site: String,
-    /// Who this is.
-    pub agent: Name,
-    /// Where others connect to this agent.
-    pub listen: Vec<Endpoint>,
-    /// Whom it connects to.
-    pub connect: Vec<Endpoint>,
-    /// A peer of whom nothing was heard for so long has gone.
-    pub lease: Duration,
-}
 
 /// What the thread hears.
 enum Heard {
@@ -186,40 +156,6 @@ pub fn wall() -> Nanos {
 
 fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-}
-
-fn zenoh_error(what: impl Into<String>, error: &dyn std::fmt::Display) -> NetworkError {
-    NetworkError::Zenoh {
-        what: what.into(),
-        reason: error.to_string(),
-        mend: "look whether the address is this machine's and the ports are free",
-    }
-}
-
-/// A session at the addresses, `after` ports behind them.
-fn open(place: &Place, after: u16) -> Result<Session, NetworkError> {
-    let texts = |endpoints: &[Endpoint]| -> Vec<String> { endpoints.iter().map(|known| known.text(after)).collect() };
-    let (listen, connect) = (texts(&place.listen), texts(&place.connect));
-    let what = format!("listen on [{}], connect to [{}]", listen.join(", "), connect.join(", "));
-    let lease = place.lease.as_millis();
-    let config = serde_json::json!({
-        "mode": "peer",
-        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
-        "listen": { "endpoints": listen, "exit_on_failure": true },
-        "connect": {
-            "endpoints": connect,
-            "timeout_ms": -1,
-            "exit_on_failure": false,
-            "retry": { "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5 },
-        },
-        // Two agents on one machine would measure its memory instead of their link.
-        "transport": {
-            "link": { "tx": { "lease": lease, "keep_alive": 4 }, "rx": { "max_message_size": MOST_BYTES } },
-            "shared_memory": { "enabled": false },
-        },
-    });
-    let config = zenoh::Config::from_json5(&config.to_string()).map_err(|error| zenoh_error(&*what, &error))?;
-    zenoh::open(config).wait().map_err(|error| zenoh_error(what, &error))
 }
 
 /// Passes on what comes for this agent about a topic.

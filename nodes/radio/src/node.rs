@@ -16,11 +16,12 @@ use crate::body;
 use crate::books::News;
 use crate::endpoint::Endpoint;
 use crate::keys::{KeyError, Own, Trusted, is_name};
-use crate::network::{Network, Place, steady, wall};
+use crate::network::{Network, steady, wall};
 use crate::offset::Estimate;
 use crate::protocol::{Arrived, Offer, Settings, is_bulk};
 use crate::refusal::{Refusal, Refusals};
 use crate::seal::Seal;
+use crate::session::Place;
 use crate::station::{Event, MOST_BYTES, Report, Station};
 
 const PACKETS: PortId = PortId(0);
@@ -51,6 +52,8 @@ pub struct Config {
     pub key: PathBuf,
     /// File of the agents that are trusted, and their keys.
     pub trust: PathBuf,
+    /// File of further settings of Zenoh, such as certificates and access control.
+    pub zenoh: PathBuf,
     /// Age at which points and features must have arrived, ms.
     pub deadline_ms: f64,
     /// What points and features may add to the delay of everything else, ms.
@@ -70,6 +73,7 @@ impl Default for Config {
             connect: Vec::new(),
             key: PathBuf::new(),
             trust: PathBuf::new(),
+            zenoh: PathBuf::new(),
             deadline_ms: 400.0,
             queue_ms: 20.0,
             max_bytes: 16 << 20,
@@ -110,7 +114,7 @@ impl Describe for Radio {
         },
         Argument {
             name: "listen",
-            about: "addresses where others connect, tcp/HOST:PORT; each takes the port behind it too",
+            about: "addresses where others connect, tcp/HOST:PORT or tls/HOST:PORT; each takes the port behind it too",
         },
         Argument {
             name: "connect",
@@ -123,6 +127,10 @@ impl Describe for Radio {
         Argument {
             name: "trust",
             about: "file of the agents that are trusted, and their keys (`realo keys trust`)",
+        },
+        Argument {
+            name: "zenoh",
+            about: "YAML file of further settings of Zenoh, such as certificates and access control",
         },
         Argument {
             name: "deadline_ms",
@@ -173,6 +181,7 @@ impl Gateway for Radio {
                 listen: config.listen,
                 connect: config.connect,
                 lease: Duration::from_millis(config.lease_ms),
+                zenoh: config.zenoh,
             },
             settings: Settings {
                 queue: millis(config.queue_ms),

@@ -11,8 +11,9 @@ use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
 use linkemu::{ADDRESSES, Link, Machines};
 use realo_operator::Waker;
-use realo_radio::network::{Network, Place, steady};
+use realo_radio::network::{Network, steady};
 use realo_radio::protocol::{Offer, Settings};
+use realo_radio::session::Place;
 use realo_radio::station::{Event, Station};
 use realo_schemas::{Kind, Nanos, to_millis};
 use serde::{Deserialize, Serialize};
@@ -287,13 +288,13 @@ fn over_radio(args: &End) -> Result<Vec<Came>> {
         agent: name.into(),
         listen,
         connect,
-        lease: Duration::from_secs(2),
+        ..Place::default()
     };
     let settings = Settings {
         deadline: args.deadline_ms * 1_000_000,
         ..Settings::default()
     };
-    let station = Station::new(name.into(), settings, LARGEST, wall() as u64);
+    let station = Station::new(name.into(), settings, LARGEST, wall() as u64, None);
     let (wake, woken) = channel();
     let mut network = Network::join(
         &place,
