@@ -163,6 +163,42 @@ pub struct Peer {
     /// What came in its name and was not taken, by reason.
     #[serde(default)]
     pub refused: BTreeMap<String, u64>,
+    /// What the way from it was like, second by second.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub course: Vec<Phase>,
+}
+
+/// What a way between agents is like from a time on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Phase {
+    /// Since the first one, s.
+    pub seconds: f64,
+    /// Rate, bit/s; 0: nothing crosses.
+    pub bits_per_second: f64,
+    /// What a message without bytes takes, ms.
+    pub delay_ms: f64,
+    /// Share of messages that are lost.
+    pub loss: f64,
+}
+
+impl Phase {
+    /// First line of a trace.
+    pub const COLUMNS: &str = "seconds,bits_per_second,delay_ms,loss";
+
+    /// Phases as a trace, which `link` replays.
+    pub fn trace(phases: &[Phase]) -> String {
+        let lines = phases.iter().map(|phase| {
+            let Phase {
+                seconds,
+                bits_per_second,
+                delay_ms,
+                loss,
+            } = phase;
+            format!("{seconds},{bits_per_second:.0},{delay_ms:.3},{loss:.4}\n")
+        });
+        std::iter::once(format!("{}\n", Phase::COLUMNS)).chain(lines).collect()
+    }
 }
 
 /// A report of a document.

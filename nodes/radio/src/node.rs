@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::body;
 use crate::books::News;
+use crate::course::{Came, Course};
 use crate::endpoint::Endpoint;
 use crate::keys::{KeyError, Own, Trusted, is_name};
 use crate::network::{Network, steady, wall};
@@ -96,6 +97,7 @@ pub struct Radio {
     overrun: u64,
     /// Messages that came whole, and that the graph does not take.
     refused: BTreeMap<Name, Refusals>,
+    courses: BTreeMap<Name, Course>,
     reports: Vec<Report>,
 }
 
@@ -195,6 +197,7 @@ impl Gateway for Radio {
             counted: Refusals::new(),
             overrun: 0,
             refused: BTreeMap::new(),
+            courses: BTreeMap::new(),
             reports: Vec::new(),
         })
     }
@@ -283,6 +286,10 @@ impl Radio {
                 for (kind, traffic) in traffic {
                     out.carried(&from, &self.place.agent, kind, traffic);
                 }
+                let lost = fates.iter().filter(|fated| fated.fate == Fate::Lost).count();
+                if lost > 0 {
+                    self.course(&from).lost(out.now(), lost as u64);
+                }
                 out.know(fates);
             }
         }
@@ -291,8 +298,9 @@ impl Radio {
     /// Gives a message of a peer to the graph, on this agent's time line.
     fn deliver(&mut self, from: &Name, message: Arrived, out: &mut Outputs) {
         let (kind, seq) = (message.kind, message.seq);
+        let agent = self.place.agent.clone();
         let header = |stamp, now| Header {
-            to: Some(self.place.agent.clone()),
+            to: Some(agent.clone()),
             ..Header::origin(&Name::default(), from, kind, seq, stamp, now)
         };
         match self.moved(from, &message, out) {
@@ -310,13 +318,23 @@ impl Radio {
     }
 
     /// The packet of a message and when it was measured, on this agent's time line.
-    fn moved(&self, from: &Name, message: &Arrived, out: &mut Outputs) -> Result<(Packet, Nanos), Refusal> {
+    fn moved(&mut self, from: &Name, message: &Arrived, out: &mut Outputs) -> Result<(Packet, Nanos), Refusal> {
         let (packet, given) = body::of_bytes(&message.bytes).ok_or(Refusal::Malformed)?;
         let now = out.now();
-        if let Some(clock) = self.clock(from) {
-            let on_the_way = now.saturating_add(clock.offset).saturating_sub(given);
-            out.steps().took(on_the_way_of(message.kind), on_the_way.max(0));
+        let clock = self.clock(from);
+        let on_the_way = clock.map(|clock| now.saturating_add(clock.offset).saturating_sub(given).max(0));
+        if let Some(on_the_way) = on_the_way {
+            out.steps().took(on_the_way_of(message.kind), on_the_way);
         }
+        let (bytes, took) = (message.bytes.len(), message.took);
+        self.course(from).came(
+            now,
+            &Came {
+                bytes,
+                on_the_way,
+                took,
+            },
+        );
         let shift = self.shift(from).ok_or(Refusal::OtherTimeLine)?;
         let stamp = message.stamp.checked_add(shift).ok_or(Refusal::Malformed)?;
         if stamp.saturating_sub(now) > FUTURE {
@@ -327,6 +345,10 @@ impl Radio {
             _ => restamped(&packet, stamp).ok_or(Refusal::Malformed)?,
         };
         Ok((packet, stamp))
+    }
+
+    fn course(&mut self, from: &Name) -> &mut Course {
+        self.courses.entry(from.clone()).or_default()
     }
 
     fn clock(&self, of: &Name) -> Option<Estimate> {
@@ -431,5 +453,6 @@ fn peer(report: &Report, by_the_graph: &Refusals) -> Peer {
         round_trip_ms: report.round_trip.or(clock.map(|clock| 2 * clock.bound)).map(to_millis),
         bits_per_second: report.rate.map(|rate| 8.0 * rate),
         refused,
+        course: Vec::new(),
     }
 }

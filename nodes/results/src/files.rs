@@ -1,9 +1,11 @@
 //! The files of a run's folder.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use realo_schemas::report::Phase;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -17,6 +19,8 @@ use crate::{Run, VERSION};
 pub const RESULT_FILE: &str = "result.json";
 const TIMING_FILE: &str = "timing.json";
 const SAMPLES_FILE: &str = "evaluation.json";
+/// Folder of traces, one for each agent on another machine.
+const CHANNELS: &str = "channels";
 /// In the order in which they are removed; written the other way round, so that a result is never without the others.
 const FILES: [(&str, &str); 3] = [(RESULT_FILE, RESULT), (TIMING_FILE, TIMING), (SAMPLES_FILE, SAMPLES)];
 
@@ -159,10 +163,22 @@ fn what_else(folder: &Path) -> String {
 /// # Errors
 /// [`FilesError`] names the file; nothing of somebody else is overwritten.
 pub fn write_run(folder: impl AsRef<Path>, run: &Run) -> Result<(), FilesError> {
-    let folder = folder.as_ref();
+    write_run_and_courses(folder.as_ref(), run, &BTreeMap::new())
+}
+
+/// As [`write_run`], with what the ways from agents on other machines were like: traces that `link` replays.
+///
+/// # Errors
+/// As [`write_run`].
+pub fn write_run_and_courses(
+    folder: &Path,
+    run: &Run,
+    courses: &BTreeMap<String, Vec<Phase>>,
+) -> Result<(), FilesError> {
     claim(folder)?;
     write(&folder.join(SAMPLES_FILE), &run.samples, false)?;
     write(&folder.join(TIMING_FILE), &run.timing, true)?;
+    write_traces(folder, courses)?;
     write(&folder.join(RESULT_FILE), &run.result, true)
 }
 
@@ -174,6 +190,25 @@ pub fn claim(folder: &Path) -> Result<(), FilesError> {
     std::fs::create_dir_all(folder).map_err(|reason| refused(folder, reason))?;
     for file in earlier(folder)? {
         std::fs::remove_file(&file).map_err(|reason| refused(&file, reason))?;
+    }
+    let traces = std::fs::read_dir(folder.join(CHANNELS)).into_iter().flatten().flatten();
+    for trace in traces.map(|entry| entry.path()) {
+        let text = std::fs::read_to_string(&trace).unwrap_or_default();
+        if text.starts_with(Phase::COLUMNS) {
+            std::fs::remove_file(&trace).map_err(|reason| refused(&trace, reason))?;
+        }
+    }
+    Ok(())
+}
+
+fn write_traces(folder: &Path, courses: &BTreeMap<String, Vec<Phase>>) -> Result<(), FilesError> {
+    let channels = folder.join(CHANNELS);
+    if !courses.is_empty() {
+        std::fs::create_dir_all(&channels).map_err(|reason| refused(&channels, reason))?;
+    }
+    for (peer, course) in courses {
+        let path = channels.join(format!("{peer}.csv"));
+        std::fs::write(&path, Phase::trace(course)).map_err(|reason| refused(&path, reason))?;
     }
     Ok(())
 }

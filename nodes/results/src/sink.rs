@@ -1,7 +1,8 @@
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink, unexpected, wrong_port};
-use realo_schemas::report::{self, Fated, Peer, from_report};
+use realo_schemas::report::{self, Fated, Peer, Phase, from_report};
 use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
 use serde::de::DeserializeOwned;
@@ -11,7 +12,7 @@ use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
     EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Settings, Timing, TimingSamples, add_name, claim,
-    link_books, write_run,
+    link_books, write_run_and_courses,
 };
 
 /// Settings of [`Results`].
@@ -76,6 +77,8 @@ pub struct Results {
     boxes: Pace,
     truth: Pace,
     realtime: bool,
+    /// What the ways from agents on other machines were like.
+    courses: BTreeMap<String, Vec<Phase>>,
     /// Where nobody prepared the run, it speaks for itself.
     progress: Option<Progress>,
 }
@@ -140,6 +143,7 @@ impl Sink for Results {
             truth: Pace::default(),
             realtime: false,
             progress: config.told.as_os_str().is_empty().then(Progress::new),
+            courses: BTreeMap::new(),
             out: config.out,
         })
     }
@@ -162,7 +166,11 @@ impl Sink for Results {
                 self.take_evaluation(report)?;
             }
             PEERS => {
-                let peers: Vec<Peer> = document(message, report::PEERS)?;
+                let mut peers: Vec<Peer> = document(message, report::PEERS)?;
+                let courses = peers
+                    .iter_mut()
+                    .map(|peer| (peer.name.clone(), std::mem::take(&mut peer.course)));
+                self.courses.extend(courses.filter(|(_, course)| !course.is_empty()));
                 self.result.peers.extend(peers);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),
@@ -180,7 +188,7 @@ impl Sink for Results {
 
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
         let run = self.close(books);
-        Ok(write_run(&self.out, &run)?)
+        Ok(write_run_and_courses(&self.out, &run, &self.courses)?)
     }
 }
 

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use realo_operator::config::nearest_name;
-use realo_schemas::Kind;
-use realo_schemas::file;
+use realo_schemas::{Kind, file, report};
 use serde::Deserialize;
 
 use crate::medium::Phase;
@@ -264,8 +263,6 @@ impl WrittenChannel {
     }
 }
 
-/// First line of a trace.
-const COLUMNS: &str = "seconds,bits_per_second,delay_ms,loss";
 /// Lines of a trace at most.
 const MOST_PHASES: usize = 1_000_000;
 
@@ -277,9 +274,12 @@ fn phases(text: &str) -> Result<Vec<Phase>, String> {
         .enumerate()
         .filter(|(_, line)| !line.is_empty());
     let head = lines.next().map(|(_, line)| line.replace(' ', ""));
-    if head.as_deref() != Some(COLUMNS) {
+    if head.as_deref() != Some(report::Phase::COLUMNS) {
         let found = file::shown(head.as_deref().unwrap_or_default());
-        return Err(format!("line 1: expected `{COLUMNS}`, found `{found}`"));
+        return Err(format!(
+            "line 1: expected `{}`, found `{found}`",
+            report::Phase::COLUMNS
+        ));
     }
     let mut phases: Vec<Phase> = Vec::new();
     for (index, line) in lines {

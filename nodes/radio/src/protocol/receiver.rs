@@ -29,6 +29,8 @@ pub struct Arrived {
     pub stamp: Nanos,
     /// What crossed.
     pub bytes: Bytes,
+    /// From its first part to its last, ns.
+    pub took: Nanos,
 }
 
 /// What a part leads to.
@@ -76,6 +78,7 @@ struct Lane {
 
 #[derive(Debug)]
 struct Incomplete {
+    begun: Nanos,
     stamp: Nanos,
     parts: Vec<Option<Bytes>>,
     missing: usize,
@@ -107,8 +110,8 @@ impl Receiver {
             self.kinds.clear();
         }
         let lane = self.kinds.entry(head.kind).or_default();
-        let message = match lane.insert(head, part, self.largest)? {
-            Inserted::Whole(bytes) => {
+        let message = match lane.insert(head, part, self.largest, now)? {
+            Inserted::Whole(bytes, took) => {
                 self.counts.messages += 1;
                 self.counts.forgotten += lane.forget_before(head.seq);
                 Some(Arrived {
@@ -116,6 +119,7 @@ impl Receiver {
                     seq: head.seq,
                     stamp: head.stamp,
                     bytes,
+                    took,
                 })
             }
             Inserted::Part => {
@@ -150,12 +154,13 @@ impl Receiver {
 
 enum Inserted {
     Part,
-    Whole(Bytes),
+    /// With the time from the first part to the last.
+    Whole(Bytes, Nanos),
     Again,
 }
 
 impl Lane {
-    fn insert(&mut self, head: &Head, part: Bytes, largest: usize) -> Result<Inserted, Refusal> {
+    fn insert(&mut self, head: &Head, part: Bytes, largest: usize, now: Nanos) -> Result<Inserted, Refusal> {
         let count = head.count as usize;
         if head.seq < self.from || self.given.contains(&head.seq) || (count > 1 && head.seq < self.newest) {
             return Ok(Inserted::Again);
@@ -170,9 +175,10 @@ impl Lane {
         }
         if count == 1 {
             self.given(head.seq);
-            return Ok(Inserted::Whole(part));
+            return Ok(Inserted::Whole(part, 0));
         }
         let message = self.incomplete.entry(head.seq).or_insert_with(|| Incomplete {
+            begun: now,
             stamp: head.stamp,
             parts: vec![None; count],
             missing: count,
@@ -198,7 +204,7 @@ impl Lane {
         self.given(head.seq);
         self.newest = head.seq;
         let parts: Vec<Bytes> = message.parts.into_iter().flatten().collect();
-        Ok(Inserted::Whole(parts.concat().into()))
+        Ok(Inserted::Whole(parts.concat().into(), now - message.begun))
     }
 
     fn given(&mut self, seq: u64) {
