@@ -1,6 +1,8 @@
 //! Agents on machines of their own, here on one: each has its graph, and they meet over Zenoh alone.
 
 mod common;
+#[path = "radio/latency.rs"]
+mod latency;
 #[path = "radio/security.rs"]
 mod security;
 
@@ -24,6 +26,12 @@ fn alone() -> MutexGuard<'static, ()> {
 fn log() -> PathBuf {
     let args = "--seed 903 --seconds 3 --phase spread --no-clouds --key-hz 10";
     simulated("spread", &args.split(' ').collect::<Vec<_>>())
+}
+
+/// With points, for networks.
+fn clouds() -> PathBuf {
+    let args = "--seed 903 --seconds 3 --key-hz 10 --agents cav1,rsu1";
+    simulated("radio_clouds", &args.split(' ').collect::<Vec<_>>())
 }
 
 /// A port that is free, as is the one behind it.
@@ -129,6 +137,9 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
         realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
         let result = json(&near.join("result.json"));
         assert_books_add_up(&result);
+        let trace = walk(&near).into_iter().find(|path| path.ends_with("channels/rsu1.csv"));
+        let trace = std::fs::read_to_string(trace.expect("what the way from rsu1 was like")).expect("a file");
+        assert!(trace.starts_with("seconds,bits_per_second,") && trace.lines().count() > 2, "{trace}");
         let found = boxes(&near);
         assert_eq!(found.len(), expected.len());
         different = (0..found.len())
@@ -189,9 +200,8 @@ fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
 #[test]
 fn a_roadside_unit_shares_maps_in_the_frame_of_who_fuses_them() {
     let _alone = alone();
-    let args = "--seed 903 --seconds 3 --key-hz 10 --agents cav1,rsu1";
-    let log = simulated("radio_clouds", &args.split(' ').collect::<Vec<_>>());
-    let (port, near, far) = (free_port(), folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
+    let (log, port) = (clouds(), free_port());
+    let (near, far) = (folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
     let arguments = |name: &str, out: &Path, set: String| -> Vec<String> {
         let (log, out) = (log.display().to_string(), out.display().to_string());
         let repeat = "player.repeat=3".to_string();

@@ -18,13 +18,15 @@ pub struct Came {
     pub bytes: usize,
     /// From its sender's radio to this one, by both clocks; `None` while they are not known.
     pub on_the_way: Option<Nanos>,
-    /// From its first part to its last.
+    /// What its parts took at the pace at which they came.
     pub took: Nanos,
 }
 
 /// The way from a peer so far.
 #[derive(Clone, Debug, Default)]
 pub struct Course {
+    /// Whether the way is cut where nothing comes for a second.
+    is_busy: bool,
     begun: Option<Nanos>,
     phases: Vec<Phase>,
     /// Of the second that is not over.
@@ -35,6 +37,14 @@ pub struct Course {
 }
 
 impl Course {
+    /// Of a peer that sends all the time: where nothing comes for a second, the way was cut.
+    pub fn busy() -> Self {
+        Course {
+            is_busy: true,
+            ..Course::default()
+        }
+    }
+
     /// A message came.
     pub fn came(&mut self, now: Nanos, came: &Came) {
         self.pass(now);
@@ -88,7 +98,7 @@ impl Course {
 
     fn end_second(&mut self) {
         let last = self.last();
-        let is_open = self.came > 0;
+        let is_open = self.came + self.lost > 0 || !self.is_busy;
         let all = (self.came + self.lost).max(1);
         self.phases.push(Phase {
             seconds: self.phases.len() as f64,
@@ -98,9 +108,10 @@ impl Course {
                 0.0
             },
             delay_ms: self.delay.map_or(last.delay_ms, to_millis),
-            loss: if is_open { self.lost as f64 / all as f64 } else { 0.0 },
+            loss: self.lost as f64 / all as f64,
         });
         *self = Course {
+            is_busy: self.is_busy,
             begun: self.begun,
             phases: std::mem::take(&mut self.phases),
             ..Course::default()
@@ -124,7 +135,7 @@ mod tests {
 
     #[test]
     fn a_second_has_the_rate_of_what_is_large_and_the_least_delay() {
-        let mut course = Course::default();
+        let mut course = Course::busy();
         course.came(7 * SECOND, &small(25));
         course.came(7 * SECOND + 100 * MS, &small(21));
         // 100 kB in 40 ms are 20 Mbit/s; of 61 ms on the way 21 are the way's own.
@@ -162,5 +173,15 @@ mod tests {
     #[test]
     fn a_way_of_which_nothing_came_has_no_course() {
         assert!(Course::default().close().is_empty());
+    }
+
+    #[test]
+    fn silence_cuts_only_a_way_that_is_busy() {
+        for (mut course, expected) in [(Course::default(), 1e9), (Course::busy(), 0.0)] {
+            course.came(0, &small(20));
+            course.came(2 * SECOND, &small(20));
+            let phases = course.close();
+            assert_eq!((phases.len(), phases[1].bits_per_second), (3, expected));
+        }
     }
 }

@@ -99,6 +99,7 @@ impl Network {
             hears,
             shared: shared.clone(),
             waker,
+            report_at: Nanos::MIN,
         };
         let thread = std::thread::spawn(move || {
             thread.run();
@@ -272,6 +273,8 @@ struct Loop {
     hears: Receiver<Heard>,
     shared: Arc<Mutex<Shared>>,
     waker: Waker,
+    /// When what is known of peers is told again though nothing came of them.
+    report_at: Nanos,
 }
 
 impl Loop {
@@ -293,6 +296,10 @@ impl Loop {
         let now = self.now();
         let events = self.station.take_events(now);
         self.pass(events);
+        if now.steady >= self.report_at {
+            self.report();
+            self.report_at = now.steady + LOOK;
+        }
         let wakes_at = self.station.wakes_at().unwrap_or(Nanos::MAX);
         let wait = (wakes_at.saturating_sub(now.steady)).clamp(0, LOOK);
         let first = match self.hears.recv_timeout(Duration::from_nanos(wait as u64)) {

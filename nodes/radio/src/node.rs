@@ -348,7 +348,7 @@ impl Radio {
     }
 
     fn course(&mut self, from: &Name) -> &mut Course {
-        self.courses.entry(from.clone()).or_default()
+        self.courses.entry(from.clone()).or_insert_with(Course::busy)
     }
 
     fn clock(&self, of: &Name) -> Option<Estimate> {

@@ -5,8 +5,8 @@ use clap::{Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, keys, merge, operators,
-    precompute, quantize, registry, render, run, simulate, train, validate,
+    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, keys, latency, merge,
+    operators, precompute, quantize, registry, render, run, simulate, train, validate,
 };
 
 /// Online cooperative perception for vehicles and roadside units, on dora
@@ -37,6 +37,7 @@ enum Command {
     Bench(bench::Args),
     Emulate(emulate::Args),
     Keys(keys::Args),
+    Latency(latency::Args),
     #[command(hide = true)]
     RadioEnd(bench::radio::End),
     Operator(host::OperatorArgs),
@@ -93,6 +94,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Bench(args) => bench::main(&args),
         Command::Emulate(args) => emulate::main(&args),
         Command::Keys(args) => keys::main(&args),
+        Command::Latency(args) => latency::main(&args),
         Command::RadioEnd(args) => bench::radio::end(&args),
         Command::Operator(args) => host::operator(&args),
         Command::Node(args) => host::node(&args),

@@ -14,6 +14,7 @@ pub mod host;
 pub mod import;
 pub mod info;
 mod keys;
+mod latency;
 pub mod merge;
 pub mod operators;
 pub mod precompute;

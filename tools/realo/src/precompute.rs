@@ -47,7 +47,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
         bail!("{}: {cut}; precompute a log that is whole", args.log.display());
     }
     let (ego, agents) = cast(args, &log)?;
-    let lane = run::lane(&run_args(args, &ego, &agents))?;
+    let lane = run::lane(&run::Args {
+        compute: args.compute.clone(),
+        ..lane_args(&args.graph, &args.log, &ego, &agents, &args.choices)
+    })?;
     let known = log.info().precomputed.as_ref();
     let kept = known.filter(|known| known.difference(&lane.described).is_none());
     if let (Some(known), None) = (known, kept) {
@@ -82,8 +85,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
             args.log.display()
         );
     }
-    let spool = Spool::create(&args.output)?;
-    let spool = compute(&lane, &agents, spool)?;
+    let mut spool = Spool::create(&args.output)?;
+    compute(&lane, &agents, |header, packet| spool.keep(header, packet))?;
     let sent = write(copy, spool)?;
     for agent in &agents {
         let (packets, bytes, nanos) = sent.get(&**agent).copied().unwrap_or_default();
@@ -134,28 +137,33 @@ fn cast(args: &Args, log: &Log) -> Result<(String, Vec<String>)> {
     Ok((ego, agents))
 }
 
-fn run_args(args: &Args, ego: &str, agents: &[String]) -> run::Args {
+/// What runs the lane of agents that send to an ego.
+pub(crate) fn lane_args(graph: &Path, log: &Path, ego: &str, agents: &[String], choices: &run::Choices) -> run::Args {
     let mut all = vec![ego.to_string()];
     all.extend(agents.iter().cloned());
     run::Args {
-        graphs: vec![args.graph.clone()],
-        log: vec![args.log.clone()],
+        graphs: vec![graph.into()],
+        log: vec![log.into()],
         mode: Some(run::Mode::Virtual),
         offline: false,
         rate: None,
         coop: None,
         ego: Some(ego.into()),
         agents: all,
-        compute: args.compute.clone(),
+        compute: None,
         protocol: None,
-        choices: args.choices.clone(),
+        choices: choices.clone(),
         out: None,
         json: false,
     }
 }
 
-/// Runs the lane and keeps what it gives to the link.
-fn compute(lane: &Lane, agents: &[String], mut spool: Spool) -> Result<Spool> {
+/// Runs the lane; gives all packets of the agents to `keep`.
+pub(crate) fn compute(
+    lane: &Lane,
+    agents: &[String],
+    mut keep: impl FnMut(&Header, &Packet) -> Result<()>,
+) -> Result<()> {
     let stages = Stages::of(&lane.graph, &registry()).map_err(|error| eyre!(error))?;
     let mut failed = None;
     let observer = |stage: &str, output: &str, message: &Message| {
@@ -164,7 +172,7 @@ fn compute(lane: &Lane, agents: &[String], mut spool: Spool) -> Result<Spool> {
             return;
         }
         if let Payload::Packet(packet) = &message.payload {
-            failed = spool.keep(&message.header, packet).err();
+            failed = keep(&message.header, packet).err();
         }
     };
     // The measured times are those of one agent's computer, which has this machine for itself.
@@ -172,10 +180,7 @@ fn compute(lane: &Lane, agents: &[String], mut spool: Spool) -> Result<Spool> {
         None => virtual_time::measure(&stages, Some(Box::new(observer)))?,
         Some(profile) => virtual_time::run(&stages, profile, Some(Box::new(observer)))?,
     };
-    match failed {
-        Some(error) => Err(error),
-        None => Ok(spool),
-    }
+    failed.map_or(Ok(()), Err)
 }
 
 /// Packets, bytes and time after the sweeps of each agent.

@@ -29,7 +29,7 @@ pub struct Arrived {
     pub stamp: Nanos,
     /// What crossed.
     pub bytes: Bytes,
-    /// From its first part to its last, ns.
+    /// What its parts took at the pace at which they came, ns; 0 of one part.
     pub took: Nanos,
 }
 
@@ -154,7 +154,7 @@ impl Receiver {
 
 enum Inserted {
     Part,
-    /// With the time from the first part to the last.
+    /// With what its parts took.
     Whole(Bytes, Nanos),
     Again,
 }
@@ -204,7 +204,9 @@ impl Lane {
         self.given(head.seq);
         self.newest = head.seq;
         let parts: Vec<Bytes> = message.parts.into_iter().flatten().collect();
-        Ok(Inserted::Whole(parts.concat().into(), now - message.begun))
+        // The first part is what time is counted from.
+        let took = (now - message.begun) * count as Nanos / (count as Nanos - 1);
+        Ok(Inserted::Whole(parts.concat().into(), took))
     }
 
     fn given(&mut self, seq: u64) {
