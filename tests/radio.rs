@@ -139,7 +139,10 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
         assert_books_add_up(&result);
         let trace = walk(&near).into_iter().find(|path| path.ends_with("channels/rsu1.csv"));
         let trace = std::fs::read_to_string(trace.expect("what the way from rsu1 was like")).expect("a file");
-        assert!(trace.starts_with("seconds,bits_per_second,") && trace.lines().count() > 2, "{trace}");
+        assert!(
+            trace.starts_with("seconds,bits_per_second,") && trace.lines().count() > 2,
+            "{trace}"
+        );
         let found = boxes(&near);
         assert_eq!(found.len(), expected.len());
         different = (0..found.len())
@@ -195,6 +198,20 @@ fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
         "the ego never stalls: {}",
         result["frames"]
     );
+}
+
+#[test]
+fn an_agent_that_joins_while_others_send_loses_nothing_of_what_comes() {
+    let _alone = alone();
+    let (log, port) = (log(), free_port());
+    let (near, far) = (folder("radio_joins"), folder("radio_joins_roadside"));
+    let _peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
+    std::thread::sleep(Duration::from_secs(12));
+    let set = [format!("v2x.listen=tcp/127.0.0.1:{port}"), "player.repeat=2".into()];
+    realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
+    let result = json(&near.join("result.json"));
+    assert_books_add_up(&result);
+    assert_eq!(result["transport"]["total_lost"], 0, "{}", result["transport"]);
 }
 
 #[test]

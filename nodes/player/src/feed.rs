@@ -49,6 +49,8 @@ pub type Release = (Nanos, PortId, Message);
 pub struct Feed {
     script: Script,
     agents: Vec<Name>,
+    /// By rank, how many numbers a pass takes: of poses, and of sweeps and all that is of them.
+    per_pass: Vec<[u64; 2]>,
     pass: u32,
     period: Nanos,
     reader: LogReader,
@@ -91,6 +93,11 @@ impl Script {
     fn pose_stream(&self, agent: &str) -> Stream {
         let truth = self.true_poses || (self.offline && self.log.has(agent, Stream::PoseTruth));
         if truth { Stream::PoseTruth } else { Stream::Pose }
+    }
+
+    fn per_pass(&self, agent: &str) -> [u64; 2] {
+        let poses = self.log.count(agent, self.pose_stream(agent));
+        [poses, sweeps_per_pass(&self.log, agent)]
     }
 
     fn is_precomputed(&self, agent: &str) -> bool {
@@ -151,6 +158,7 @@ impl Feed {
             ended: false,
             released_to: Nanos::MIN,
             pass: 0,
+            per_pass: agents.iter().map(|agent| script.per_pass(agent)).collect(),
             agents,
             script,
         })
@@ -159,6 +167,11 @@ impl Feed {
     /// From one pass to the next, ns.
     pub fn period(&self) -> Nanos {
         self.period
+    }
+
+    /// By agent, how many numbers a pass takes: of poses, and of all else.
+    pub fn per_pass(&self) -> BTreeMap<Name, [u64; 2]> {
+        self.agents.iter().cloned().zip(self.per_pass.iter().copied()).collect()
     }
 
     /// The first time of the log that is played.
@@ -352,10 +365,8 @@ impl Feed {
     ) -> (PortId, Message) {
         let rank = self.rank(entry);
         let shift = Nanos::from(self.pass) * self.period;
-        let per_pass = match kind {
-            Kind::EgoState => self.script.log.count(&entry.agent, entry.stream),
-            _ => sweeps_per_pass(&self.script.log, &entry.agent),
-        };
+        let [poses, sweeps] = self.per_pass[rank];
+        let per_pass = if kind == Kind::EgoState { poses } else { sweeps };
         let seq = seq + u64::from(self.pass) * per_pass;
         let (run, agent) = (&self.script.run, &self.agents[rank]);
         let header = Header::origin(

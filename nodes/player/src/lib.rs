@@ -27,7 +27,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Argument, Decided, Describe, Error, Lane, Port, PortId, Source};
-use realo_schemas::{Clock, Message, Nanos, Payload, PayloadType, from_seconds};
+use realo_schemas::{Clock, Kind, Message, Name, Nanos, Payload, PayloadType, from_seconds};
 use serde::{Deserialize, Serialize};
 
 use ahead::{Taker, ahead};
@@ -40,6 +40,8 @@ const LOW_PRIORITY: i32 = 5;
 
 /// With wall time, a pass over a log takes a multiple of this.
 const SLOT: Nanos = 5_000_000_000;
+/// With wall time, numbers of messages begin below this.
+const NUMBERS: u64 = 1 << 31;
 /// Between the first call and the first message on wall time at least: nodes find each other meanwhile.
 const LEAD: Nanos = 4_000_000_000;
 
@@ -189,22 +191,34 @@ struct Wall {
     /// From one pass to the next.
     slot: Nanos,
     skew: Nanos,
-    /// Known with the first message.
-    shift: Option<Nanos>,
+    /// By agent, how many numbers a slot takes, of poses and of all else: numbers go on where the player starts again.
+    per_pass: BTreeMap<Name, [u64; 2]>,
+    /// Known with the first message: how far the log is moved, and by how many passes.
+    moved: Option<(Nanos, u64)>,
 }
 
 impl Wall {
     /// Moves a message.
     fn shift(&mut self, (time, port, mut message): Release) -> Release {
         let (from, slot) = (self.from, self.slot);
-        let shift = *self.shift.get_or_insert_with(|| {
+        let most = self.per_pass.values().flatten().copied().max().unwrap_or(0);
+        let (shift, passes) = *self.moved.get_or_insert_with(|| {
             let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
             let begins = since.as_nanos() as Nanos + LEAD;
-            (begins - from).div_euclid(slot) * slot + slot
+            let slots = (begins - from).div_euclid(slot) + 1;
+            let passes = slots.rem_euclid((NUMBERS / most.max(1)).max(1) as Nanos);
+            (slots * slot, passes as u64)
         });
         let shift = shift + self.skew;
         message.header.stamp += shift;
         message.header.ready += shift;
+        let [poses, others] = self.per_pass.get(&message.header.agent).copied().unwrap_or_default();
+        message.header.seq += passes
+            * if message.header.kind == Kind::EgoState {
+                poses
+            } else {
+                others
+            };
         (time + shift, port, message)
     }
 }
@@ -376,7 +390,8 @@ impl Source for Player {
             from: feed.begins(),
             slot: feed.period(),
             skew: (config.skew_ms * 1e6) as Nanos,
-            shift: None,
+            per_pass: feed.per_pass(),
+            moved: None,
         });
         let releases = read_ahead(feed)?;
         Ok(Player {

@@ -116,8 +116,19 @@ impl Heard {
         }
     }
 
-    /// A message came in.
-    pub fn arrived(&mut self, kind: Kind, seq: u64, bytes: usize, news: &mut News) {
+    /// The peer was started anew: it counts from the beginning, and what was awaited is lost.
+    fn begin(&mut self, session: u64, news: &mut News) {
+        if session > self.session {
+            self.settle(None, news);
+            self.session = session;
+            self.sheets.clear();
+            self.kinds.clear();
+        }
+    }
+
+    /// A message of a session came in.
+    pub fn arrived(&mut self, session: u64, kind: Kind, seq: u64, bytes: usize, news: &mut News) {
+        self.begin(session, news);
         let messages = self.kinds.entry(kind).or_default();
         messages.awaited.remove(&seq);
         remember(&mut messages.arrived, seq);
@@ -126,10 +137,7 @@ impl Heard {
 
     /// A sheet came in.
     pub fn sheet(&mut self, sheet: &Sheet, now: Nanos, news: &mut News) {
-        if sheet.session > self.session {
-            self.session = sheet.session;
-            self.sheets.clear();
-        }
+        self.begin(sheet.session, news);
         if sheet.session < self.session || !remember(&mut self.sheets, sheet.number) {
             return;
         }

@@ -32,6 +32,8 @@ const PEERS: PortId = PortId(1);
 const STATES: PortId = PortId(2);
 /// Bytes of boxes and states at most, which cross in one frame.
 const MOST_SMALL: usize = MOST_BYTES - 1024;
+/// Messages of a peer and a kind that are given to the graph at once.
+const AT_ONCE: usize = 4;
 /// A message that was measured later than now by more is refused, ns.
 const FUTURE: Nanos = 1_000_000_000;
 /// Time lines that differ by more are of runs that have nothing to do with each other, ns.
@@ -254,7 +256,16 @@ impl Gateway for Radio {
         }
         out.count("overrun", taken.overrun - self.overrun);
         self.overrun = taken.overrun;
-        taken.events.into_iter().for_each(|event| self.take(event, out));
+        let passed = passed_over(&taken.events);
+        for (event, is_passed) in taken.events.into_iter().zip(passed) {
+            match event {
+                Event::Arrived(from, message) if is_passed => {
+                    let header = self.header(&from, &message, message.stamp, out);
+                    out.tell(&header, Fate::Superseded);
+                }
+                event => self.take(event, out),
+            }
+        }
         Ok(())
     }
 
@@ -265,13 +276,7 @@ impl Gateway for Radio {
         let now = out.now();
         self.on_wake(now, out)?;
         self.network = None;
-        let none = Refusals::new();
-        let refused = |report: &Report| self.refused.get(&report.peer).unwrap_or(&none);
-        let peers: Vec<Peer> = self
-            .reports
-            .iter()
-            .map(|report| peer(report, refused(report)))
-            .collect();
+        let peers: Vec<Peer> = self.reports.iter().map(|report| self.peer(report)).collect();
         let header = Header::origin(&Name::default(), &self.place.agent, Kind::Report, 0, now, now);
         out.send(PEERS, Message::new(header, to_report(report::PEERS, &peers)));
         Ok(())
@@ -297,23 +302,25 @@ impl Radio {
 
     /// Gives a message of a peer to the graph, on this agent's time line.
     fn deliver(&mut self, from: &Name, message: Arrived, out: &mut Outputs) {
-        let (kind, seq) = (message.kind, message.seq);
-        let agent = self.place.agent.clone();
-        let header = |stamp, now| Header {
-            to: Some(agent.clone()),
-            ..Header::origin(&Name::default(), from, kind, seq, stamp, now)
-        };
         match self.moved(from, &message, out) {
             Ok((packet, stamp)) => {
-                let port = if kind == Kind::EgoState { STATES } else { TO_EGO };
-                out.send(port, Message::new(header(stamp, out.now()), packet));
+                let port = if message.kind == Kind::EgoState { STATES } else { TO_EGO };
+                let header = self.header(from, &message, stamp, out);
+                out.send(port, Message::new(header, packet));
             }
             Err(refusal) => {
                 out.count(refusal.as_str(), 1);
-                out.tell(&header(message.stamp, out.now()), Fate::Rejected);
+                out.tell(&self.header(from, &message, message.stamp, out), Fate::Rejected);
                 let refused = self.refused.entry(from.clone()).or_default();
                 *refused.entry(refusal).or_default() += 1;
             }
+        }
+    }
+
+    fn header(&self, from: &Name, message: &Arrived, stamp: Nanos, out: &Outputs) -> Header {
+        Header {
+            to: Some(self.place.agent.clone()),
+            ..Header::origin(&Name::default(), from, message.kind, message.seq, stamp, out.now())
         }
     }
 
@@ -347,6 +354,30 @@ impl Radio {
         Ok((packet, stamp))
     }
 
+    /// What results tell of a peer.
+    fn peer(&self, report: &Report) -> Peer {
+        let (name, clock) = (&report.peer, report.clock);
+        let mut refused = BTreeMap::new();
+        for (refusal, count) in report
+            .refused
+            .iter()
+            .chain(self.refused.get(name).into_iter().flatten())
+        {
+            *refused.entry(refusal.as_str().to_string()).or_default() += count;
+        }
+        Peer {
+            name: name.to_string(),
+            messages: report.received.messages,
+            clock_ms: clock.map(|clock| to_millis(clock.offset)),
+            clock_uncertainty_ms: clock.map(|clock| to_millis(clock.uncertainty)),
+            clock_drift_ms_s: clock.map(|clock| clock.drift * 1e-6),
+            round_trip_ms: report.round_trip.or(clock.map(|clock| 2 * clock.bound)).map(to_millis),
+            bits_per_second: report.rate.map(|rate| 8.0 * rate),
+            refused,
+            course: self.courses.get(name).cloned().unwrap_or_default().close(),
+        }
+    }
+
     fn course(&mut self, from: &Name) -> &mut Course {
         self.courses.entry(from.clone()).or_insert_with(Course::busy)
     }
@@ -367,6 +398,26 @@ impl Radio {
             _ => Some(-clock.offset),
         }
     }
+}
+
+/// Which events are messages of a kind of which a peer's newer ones came at once, more of them than the stages below may find in
+/// their queues: what came before this agent's time began, or while its process stood still.
+fn passed_over(events: &[Event]) -> Vec<bool> {
+    let mut newer: BTreeMap<(&Name, Kind), usize> = BTreeMap::new();
+    let mut passed: Vec<bool> = events
+        .iter()
+        .rev()
+        .map(|event| match event {
+            Event::Arrived(from, message) => {
+                let newer = newer.entry((from, message.kind)).or_default();
+                *newer += 1;
+                *newer > AT_ONCE
+            }
+            Event::Books(..) => false,
+        })
+        .collect();
+    passed.reverse();
+    passed
 }
 
 fn check(config: &Config) -> Result<(), Error> {
@@ -437,22 +488,40 @@ fn on_the_way_of(kind: Kind) -> &'static str {
     }
 }
 
-/// What results tell of a peer.
-fn peer(report: &Report, by_the_graph: &Refusals) -> Peer {
-    let clock = report.clock;
-    let mut refused = BTreeMap::new();
-    for (refusal, count) in report.refused.iter().chain(by_the_graph) {
-        *refused.entry(refusal.as_str().to_string()).or_default() += count;
-    }
-    Peer {
-        name: report.peer.to_string(),
-        messages: report.received.messages,
-        clock_ms: clock.map(|clock| to_millis(clock.offset)),
-        clock_uncertainty_ms: clock.map(|clock| to_millis(clock.uncertainty)),
-        clock_drift_ms_s: clock.map(|clock| clock.drift * 1e-6),
-        round_trip_ms: report.round_trip.or(clock.map(|clock| 2 * clock.bound)).map(to_millis),
-        bits_per_second: report.rate.map(|rate| 8.0 * rate),
-        refused,
-        course: Vec::new(),
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+
+    use super::*;
+
+    #[test]
+    fn of_many_messages_at_once_the_newest_are_given() {
+        let arrived = |from: &str, kind, seq| {
+            let message = Arrived {
+                kind,
+                seq,
+                stamp: 0,
+                bytes: Bytes::new(),
+                took: 0,
+            };
+            Event::Arrived(from.into(), message)
+        };
+        let mut events: Vec<Event> = (0..30).map(|seq| arrived("rsu1", Kind::Boxes, seq)).collect();
+        events.insert(3, Event::Books("rsu1".into(), News::default()));
+        events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu1", Kind::EgoState, seq)));
+        events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu2", Kind::Boxes, seq)));
+        let passed = passed_over(&events);
+        let given = events.iter().zip(&passed).filter(|(_, passed)| !**passed);
+        let given: Vec<String> = given
+            .map(|(event, _)| match event {
+                Event::Arrived(from, message) => format!("{from} {} {}", message.kind, message.seq),
+                Event::Books(from, _) => format!("{from} books"),
+            })
+            .collect();
+        let mut expected = vec!["rsu1 books".to_string()];
+        expected.extend((26..30).map(|seq| format!("rsu1 boxes {seq}")));
+        expected.extend((0..4).map(|seq| format!("rsu1 ego_state {seq}")));
+        expected.extend((0..4).map(|seq| format!("rsu2 boxes {seq}")));
+        assert_eq!(given, expected);
     }
 }

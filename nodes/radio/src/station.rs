@@ -358,8 +358,8 @@ impl Peer {
                 }
                 if let Some(message) = received.message {
                     let mut news = News::default();
-                    self.heard
-                        .arrived(message.kind, message.seq, message.bytes.len(), &mut news);
+                    let (kind, seq, bytes) = (message.kind, message.seq, message.bytes.len());
+                    self.heard.arrived(head.session, kind, seq, bytes, &mut news);
                     note(events, name, news);
                     events.push(Event::Arrived(name.clone(), message));
                 }
