@@ -132,7 +132,7 @@ impl Describe for TransmissionEncoder {
         },
         Argument {
             name: "max_objects",
-            about: "most objects of a cpm, 1 to 255, the surest ones; 40 fit one frame of a radio",
+            about: "most objects of a cpm, 1 to 255, the surest ones; 30 fit one frame of a radio",
         },
     ];
     const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];

@@ -64,7 +64,8 @@ impl Parser {
         same("kind", &header.kind, &Kind::Boxes)?;
         same("station id", &station_of(&header.agent), &cpm.header.station_id.0)?;
         let stamp = stamp_of(&cpm)?;
-        if header.stamp.checked_sub(stamp).is_none_or(|apart| apart.abs() > APART) {
+        let apart = header.stamp.checked_sub(stamp);
+        if apart.is_none_or(|apart| !(-APART..=APART).contains(&apart)) {
             same("stamp", &header.stamp, &stamp)?;
         }
         let (boxes, unused) = self.boxes(&cpm)?;
