@@ -322,6 +322,48 @@ fn bytes_of_a_map(result: &Value) -> u64 {
 }
 
 #[test]
+fn boxes_cross_as_cpms_and_late_fusion_sees_as_much() {
+    let log = shared();
+    let run = |name: &str, settings: &[&str]| {
+        let settings: Vec<&str> = settings.iter().flat_map(|setting| ["--set", setting]).collect();
+        run_virtual(
+            name,
+            "late_fusion",
+            &log,
+            &[&["--ego", "cav1", "--offline"], &settings[..]].concat(),
+        )
+    };
+    let plain = run("boxes_plain", &[]);
+    let origins = [
+        "others.sender.origin=48.1,11.5,500",
+        "fusion.receiver.origin=48.1,11.5,500",
+    ];
+    let cpm = run("boxes_cpm", &[&["others.sender.boxes=cpm"], &origins[..]].concat());
+    for sender in ["cav2-cav1", "rsu1-cav1"] {
+        let (plain, cpm) = (&plain["links"][sender]["boxes"], &cpm["links"][sender]["boxes"]);
+        assert_eq!(
+            (&cpm["used"], &cpm["rejected"]),
+            (&plain["used"], &plain["rejected"]),
+            "{sender}"
+        );
+        let bytes = [cpm, plain].map(|books| books["bytes"].as_u64().expect("bytes"));
+        assert!(bytes[0] > 0 && bytes[0] < bytes[1], "{sender}: {bytes:?}");
+    }
+    let pairs = precisions(&cpm).into_iter().zip(precisions(&plain));
+    for (cpm, plain) in pairs {
+        assert!((cpm - plain).abs() < 0.02, "AP {cpm} as CPMs, {plain} as they are");
+    }
+    // A receiver that takes the map for another place than the sender does refuses what it gets.
+    let lost = run("boxes_lost", &["others.sender.boxes=cpm", origins[0]]);
+    let books = &lost["links"]["cav2-cav1"]["boxes"];
+    assert_eq!(
+        (&books["used"], &books["rejected"]),
+        (&0.into(), &books["sent"]),
+        "{books}"
+    );
+}
+
+#[test]
 fn features_cross_in_all_elements_and_detect_alike() {
     let log = shared();
     let run = |name: &str, elements: &str, zstd: &str| {

@@ -2,7 +2,8 @@
 
 use realo_schemas::{Box3, Boxes, Name, geometry};
 
-use crate::bytes::{DecodeError, EncodeError, Reader, put_f32s, put_text, triangle_index};
+use crate::bytes::{Reader, put_f32s, put_text, triangle_index};
+use crate::error::{DecodeError, EncodeError};
 
 const VELOCITY: u8 = 1;
 const TRACK_32: u8 = 2;

@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 use arrow::buffer::{Buffer, MutableBuffer};
 use realo_schemas::FeatureMap;
 
-use crate::bytes::{DecodeError, EncodeError};
+use crate::error::{DecodeError, EncodeError};
 
 /// Greatest code of a confidence.
 const GREATEST: f32 = 255.0;

@@ -6,11 +6,14 @@ use arrow::buffer::Buffer;
 use realo_operator::Steps;
 use realo_schemas::{Header, Kind, Message, Packet, Payload};
 
-use crate::bytes::{DecodeError, EncodeError, Reader};
+use crate::bytes::Reader;
+use crate::cpm::{self, Geodetic, Unused};
+use crate::encoder::BoxesLayout;
 use crate::envelope::Envelope;
+use crate::error::{DecodeError, EncodeError};
 use crate::{EncoderConfig, boxes, ego_state, envelope, features, points};
 
-/// The last codec of every packet, in [`Packet::codec`]; before it stands how the points of a cloud or
+/// The last codec of every packet that is no CPM, in [`Packet::codec`]; before it stands how the points of a cloud or
 /// the elements of a feature map crossed.
 pub const CODEC: &str = "plain";
 
@@ -37,6 +40,10 @@ pub struct Dropped {
     pub range: u64,
     /// Cells of a feature map that are not sure enough, or too many for its budget.
     pub cells: u64,
+    /// Boxes that a CPM has no numbers for: farther than 1,310.7 m from its sender, or longer than 25.4 m.
+    pub out_of_range: u64,
+    /// Boxes beyond the number that a CPM may have, the least sure ones.
+    pub surplus: u64,
 }
 
 /// What bytes say; see [`Decoder::decode`].
@@ -83,7 +90,7 @@ impl Content {
     }
 }
 
-fn same<T: PartialEq + ToString>(field: &'static str, header: &T, content: &T) -> Result<(), DecodeError> {
+pub(crate) fn same<T: PartialEq + ToString>(field: &'static str, header: &T, content: &T) -> Result<(), DecodeError> {
     if header == content {
         return Ok(());
     }
@@ -98,13 +105,15 @@ fn same<T: PartialEq + ToString>(field: &'static str, header: &T, content: &T) -
 pub struct Encoder {
     points: points::Writer,
     features: features::Writer,
+    /// Where boxes cross as CPMs.
+    cpm: Option<cpm::Writer>,
 }
 
 impl Encoder {
     /// An encoder.
     ///
     /// # Errors
-    /// A level that zstd does not have, or a step that clouds cannot have.
+    /// A level that zstd does not have, a step that clouds cannot have, or a number of objects that CPMs cannot.
     pub fn new(config: &EncoderConfig) -> Result<Self, EncodeError> {
         if let Some(level) = config.zstd
             && (level == 0 || !LEVELS.contains(&level))
@@ -124,9 +133,11 @@ impl Encoder {
         let no_memory = |error: std::io::Error| EncodeError::Zstd(error.to_string());
         let points = points::Writer::new(columns, config.step_m, config.zstd);
         let features = features::Writer::new(config);
+        let cpm = cpm::Writer::new(config)?;
         Ok(Encoder {
             points: points.map_err(no_memory)?,
             features: features.map_err(no_memory)?,
+            cpm: (config.boxes == BoxesLayout::Cpm).then_some(cpm),
         })
     }
 
@@ -142,6 +153,11 @@ impl Encoder {
         };
         if kind_of(payload) != Some(header.kind) {
             return Err(refused());
+        }
+        if let (Some(writer), Payload::Boxes(boxes)) = (&self.cpm, payload) {
+            let (bytes, dropped) = writer.write(header, boxes)?;
+            let (codec, bytes) = (vec![cpm::CODEC.into()], Buffer::from_vec(bytes));
+            return Ok((Packet { codec, bytes }, dropped));
         }
         let (mut out, mut dropped, mut codec) = (Vec::new(), Dropped::default(), Vec::new());
         let mut untimed = Steps::default();
@@ -186,6 +202,7 @@ fn kind_of(payload: &Payload) -> Option<Kind> {
 pub struct Decoder {
     points: points::Parser,
     features: features::Parser,
+    cpm: cpm::Parser,
 }
 
 impl Decoder {
@@ -197,7 +214,35 @@ impl Decoder {
         Ok(Decoder {
             points: points::Parser::new(max_bytes)?,
             features: features::Parser::new(max_bytes)?,
+            cpm: cpm::Parser::default(),
         })
+    }
+
+    /// The same decoder, of CPMs about a map with this origin; without it that is 0 degrees north, 0 degrees east.
+    pub fn with_origin(mut self, origin: Geodetic) -> Self {
+        self.cpm.origin = origin;
+        self
+    }
+
+    /// The message in a packet, whatever its codec, and what of a CPM did not become boxes.
+    ///
+    /// # Errors
+    /// [`DecodeError`] names the field that was wrong, or that the packet's header contradicts.
+    pub fn message(
+        &mut self,
+        header: Header,
+        packet: &Packet,
+        steps: &mut Steps,
+    ) -> Result<(Message, Unused), DecodeError> {
+        let codec = packet.codec.as_slice();
+        match codec.last().map(String::as_str) {
+            Some(CODEC) => {
+                let content = self.decode(&packet.bytes, steps)?;
+                Ok((content.into_message(header, codec)?, Unused::default()))
+            }
+            Some(cpm::CODEC) if codec.len() == 1 => self.cpm.read(header, &packet.bytes),
+            _ => Err(DecodeError::Codec(codec.join(", "))),
+        }
     }
 
     /// What bytes of [`Encoder::encode`] say. Any bytes may come in; what is not exactly one message is refused. Of a cloud and

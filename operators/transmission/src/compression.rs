@@ -2,7 +2,7 @@
 
 use zstd::bulk::{Compressor, Decompressor};
 
-use crate::bytes::{DecodeError, EncodeError};
+use crate::error::{DecodeError, EncodeError};
 
 /// Compresses bytes into a frame, in place of what was there.
 pub(crate) fn compress(zstd: &mut Compressor, bytes: &[u8], into: &mut Vec<u8>) -> Result<(), EncodeError> {

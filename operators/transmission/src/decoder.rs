@@ -2,7 +2,8 @@ use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId,
 use realo_schemas::{Header, Message, Packet, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
-use crate::{CODEC, DecodeError, Decoder};
+use crate::cpm::Geodetic;
+use crate::{DecodeError, Decoder};
 
 /// Settings of the decoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -10,11 +11,16 @@ use crate::{CODEC, DecodeError, Decoder};
 pub struct DecoderConfig {
     /// Greatest packet that is taken, and greatest feature map or quantised cloud that is made of one, bytes.
     pub max_bytes: usize,
+    /// Where on Earth the origin of `map` is, for CPMs.
+    pub origin: Geodetic,
 }
 
 impl Default for DecoderConfig {
     fn default() -> Self {
-        DecoderConfig { max_bytes: 64 << 20 }
+        DecoderConfig {
+            max_bytes: 64 << 20,
+            origin: Geodetic::default(),
+        }
     }
 }
 
@@ -34,10 +40,16 @@ impl Describe for TransmissionDecoder {
     type Config = DecoderConfig;
     const NAME: &'static str = "transmission-decoder";
     const ABOUT: &'static str = "Gets points, features, boxes or states out of the bytes that crossed a link";
-    const ARGUMENTS: &'static [Argument] = &[Argument {
-        name: "max_bytes",
-        about: "greatest packet, and greatest feature map or quantised cloud in memory, bytes; a greater one is rejected",
-    }];
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "max_bytes",
+            about: "greatest packet, and greatest feature map or quantised cloud in memory, bytes; a greater one is rejected",
+        },
+        Argument {
+            name: "origin",
+            about: "where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm",
+        },
+    ];
     const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
     const OUTPUTS: &'static [Port] = &[
         Port::new("messages", FUSED, "the points, features or boxes that the sender sent"),
@@ -47,17 +59,18 @@ impl Describe for TransmissionDecoder {
 
 impl TransmissionDecoder {
     fn message(&mut self, header: Header, packet: &Packet, out: &mut Outputs) -> Result<Message, DecodeError> {
-        if packet.codec.last().is_none_or(|last| last != CODEC) {
-            return Err(DecodeError::Codec(packet.codec.join(", ")));
-        }
         if packet.bytes.len() > self.max_bytes {
             return Err(DecodeError::Oversized {
                 bytes: packet.bytes.len(),
                 limit: self.max_bytes,
             });
         }
-        let content = self.decoder.decode(&packet.bytes, out.steps())?;
-        content.into_message(header, &packet.codec)
+        let (message, unused) = self.decoder.message(header, packet, out.steps())?;
+        out.count("unusable_objects", unused.objects);
+        out.count("assumed_objects", unused.assumed);
+        out.count("unread_containers", unused.containers);
+        out.count("segments", unused.segments);
+        Ok(message)
     }
 }
 
@@ -68,7 +81,7 @@ impl Operator for TransmissionDecoder {
         }
         Ok(TransmissionDecoder {
             max_bytes: config.max_bytes,
-            decoder: Decoder::new(config.max_bytes)?,
+            decoder: Decoder::new(config.max_bytes)?.with_origin(config.origin),
         })
     }
 

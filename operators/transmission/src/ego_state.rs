@@ -2,7 +2,8 @@
 
 use realo_schemas::{EgoState, PoseStatus};
 
-use crate::bytes::{DecodeError, EncodeError, Reader, put_covariance6, put_f64s, put_pose};
+use crate::bytes::{Reader, put_covariance6, put_f64s, put_pose};
+use crate::error::{DecodeError, EncodeError};
 
 const COVARIANCE: u8 = 1;
 const VELOCITY: u8 = 2;

@@ -6,7 +6,7 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 use realo_schemas::DType;
 
-use crate::bytes::{DecodeError, EncodeError};
+use crate::error::{DecodeError, EncodeError};
 
 /// Greatest number of half precision.
 const GREATEST: f32 = 65_504.0;

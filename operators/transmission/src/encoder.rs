@@ -1,8 +1,9 @@
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{Elements, Header, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
 use crate::Encoder;
+use crate::cpm::{Geodetic, OBJECTS};
 
 /// Payloads that a link carries.
 pub(crate) const CARRIED: &[PayloadType] = &[
@@ -11,6 +12,17 @@ pub(crate) const CARRIED: &[PayloadType] = &[
     PayloadType::Boxes,
     PayloadType::EgoState,
 ];
+
+/// What boxes cross as.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BoxesLayout {
+    /// The layout of this crate.
+    #[default]
+    Plain,
+    /// A Collective Perception Message of ETSI TS 103 324 v2.1.1.
+    Cpm,
+}
 
 /// Settings of the encoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,6 +44,14 @@ pub struct EncoderConfig {
     pub budget_bytes: Option<usize>,
     /// Level of zstd for feature maps and quantised points, -7 to 19 but not 0; `None`: not compressed.
     pub zstd: Option<i32>,
+    /// What boxes cross as.
+    pub boxes: BoxesLayout,
+    /// Where on Earth the origin of `map` is, for CPMs.
+    pub origin: Geodetic,
+    /// Agents that are roadside units, by name, separated by commas; all others are vehicles. CPMs tell them apart.
+    pub roadside: String,
+    /// Most objects of a CPM, 1 to 255.
+    pub max_objects: usize,
 }
 
 impl Default for EncoderConfig {
@@ -45,6 +65,10 @@ impl Default for EncoderConfig {
             least_confidence: 0.0,
             budget_bytes: None,
             zstd: Some(1),
+            boxes: BoxesLayout::Plain,
+            origin: Geodetic::default(),
+            roadside: String::new(),
+            max_objects: OBJECTS,
         }
     }
 }
@@ -94,9 +118,26 @@ impl Describe for TransmissionEncoder {
             name: "zstd",
             about: "level at which zstd compresses feature maps and quantised points, -7 (fastest) to 19; null = not at all",
         },
+        Argument {
+            name: "boxes",
+            about: "what boxes cross as: plain, or cpm, an ETSI Collective Perception Message (TS 103 324 v2.1.1, UPER)",
+        },
+        Argument {
+            name: "origin",
+            about: "where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm",
+        },
+        Argument {
+            name: "roadside",
+            about: "agents that are roadside units, by name, separated by commas; others are vehicles; for cpm",
+        },
+        Argument {
+            name: "max_objects",
+            about: "most objects of a cpm, 1 to 255, the surest ones; 30 fit one frame of a radio",
+        },
     ];
     const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
+    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Roadside, "roadside")];
 }
 
 impl Operator for TransmissionEncoder {
@@ -115,6 +156,8 @@ impl Operator for TransmissionEncoder {
         out.count("invalid_boxes", dropped.boxes);
         out.count("bounded_features", dropped.range);
         out.count("left_out_cells", dropped.cells);
+        out.count("out_of_range_boxes", dropped.out_of_range);
+        out.count("surplus_boxes", dropped.surplus);
         out.count("bytes", packet.bytes.len() as u64);
         // The pose crosses in the bytes only, so that a receiver cannot come to know it in another way.
         let header = Header {

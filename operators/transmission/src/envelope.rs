@@ -2,7 +2,9 @@
 
 use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose};
 
-use crate::bytes::{DecodeError, EncodeError, Reader, put_covariance6, put_pose, put_text};
+use crate::bytes::{Reader, put_covariance6, put_pose, put_text};
+use crate::cpm;
+use crate::error::{DecodeError, EncodeError};
 
 const MAGIC: &[u8] = b"rl";
 const VERSION: u8 = 2;
@@ -74,9 +76,14 @@ const STAMP_AT: usize = 2 + 3 + 8;
 
 /// The same packet, measured at another time: the sender's time line is another one.
 pub fn restamped(packet: &Packet, stamp: Nanos) -> Option<Packet> {
-    let mut bytes = packet.bytes.to_vec();
-    let place = bytes.get_mut(STAMP_AT..STAMP_AT + 8)?;
-    place.copy_from_slice(&stamp.to_le_bytes());
+    let bytes = if packet.codec.last().is_some_and(|last| last == cpm::CODEC) {
+        cpm::restamped(&packet.bytes, stamp)?
+    } else {
+        let mut bytes = packet.bytes.to_vec();
+        let place = bytes.get_mut(STAMP_AT..STAMP_AT + 8)?;
+        place.copy_from_slice(&stamp.to_le_bytes());
+        bytes
+    };
     Some(Packet {
         codec: packet.codec.clone(),
         bytes: bytes.into(),

@@ -6,10 +6,11 @@ use realo_schemas::{DType, Elements, FeatureMap};
 use zstd::bulk::{Compressor, Decompressor};
 
 use crate::EncoderConfig;
-use crate::bytes::{DecodeError, EncodeError, Reader, column, put_column, put_f64s, put_text};
+use crate::bytes::{Reader, column, put_column, put_f64s, put_text};
 use crate::cells::{self, Chosen};
 use crate::compression::{compress, decompress};
 use crate::elements::{Scales, are_finite, from_f16, not_finite, to_f16};
+use crate::error::{DecodeError, EncodeError};
 use crate::shuffle::transpose;
 
 const DTYPES: [DType; 4] = [DType::F32, DType::F16, DType::Bf16, DType::U8];

@@ -17,8 +17,9 @@
 //! Of maps that tell how sure their maker is of each cell those may cross that `least_confidence` and `budget_bytes` choose. Maps of f32
 //! are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
 //! f32 again; maps of other elements are not quantised. With the argument `step_m` coordinates of points cross as whole steps, all
-//! columns as differences, shuffled and compressed; without it they are exact. docs/transmission.md tells why, how exactly, and
-//! what is refused. Both stages time the steps of a cloud and of a feature map ([`realo_operator::Steps`]).
+//! columns as differences, shuffled and compressed; without it they are exact. With `boxes=cpm` boxes cross as a message of ETSI
+//! ([`cpm`]) in place of the layout below. docs/transmission.md tells why, how exactly, and what is refused. Both stages time the steps
+//! of a cloud and of a feature map ([`realo_operator::Steps`]).
 //!
 //! # Layout of the codec `plain`, version 2
 //! It is the last one of a packet's codec chain; before it stand those of `f16` or `int8`, `shuffle` and `zstd` that the elements
@@ -75,17 +76,19 @@ mod bytes;
 mod cells;
 mod codec;
 mod compression;
+pub mod cpm;
 mod decoder;
 mod ego_state;
 mod elements;
 mod encoder;
 mod envelope;
+mod error;
 mod features;
 mod points;
 mod shuffle;
 
-pub use bytes::{DecodeError, EncodeError};
 pub use codec::{CODEC, Content, Decoder, Dropped, Encoder};
 pub use decoder::{DecoderConfig, TransmissionDecoder};
-pub use encoder::{EncoderConfig, TransmissionEncoder};
+pub use encoder::{BoxesLayout, EncoderConfig, TransmissionEncoder};
 pub use envelope::restamped;
+pub use error::{DecodeError, EncodeError};

@@ -9,8 +9,9 @@ use std::borrow::Cow;
 use realo_operator::Steps;
 use realo_schemas::PointCloud;
 
-use crate::bytes::{DecodeError, EncodeError, Reader, column, put_column};
+use crate::bytes::{Reader, column, put_column};
 use crate::codec::Columns;
+use crate::error::{DecodeError, EncodeError};
 pub(crate) use quantised::STEPS;
 
 const TIME: u8 = 1;

@@ -128,6 +128,7 @@ fn bytes_of(draw: &mut Draw, message: &Message) -> Vec<u8> {
         least_confidence: draw.pick(&[0.0, 0.0, 0.3, 1.0]),
         budget_bytes: draw.chance(3).then_some(300),
         zstd: draw.chance(2).then(|| draw.pick(&[-7, 1, 3])),
+        ..EncoderConfig::default()
     };
     encode(message, &config)
 }

@@ -117,6 +117,14 @@ const ALL: EncoderConfig = EncoderConfig {
     least_confidence: 0.0,
     budget_bytes: None,
     zstd: None,
+    boxes: BoxesLayout::Plain,
+    origin: Geodetic {
+        latitude_deg: 0.0,
+        longitude_deg: 0.0,
+        height_m: 0.0,
+    },
+    roadside: String::new(),
+    max_objects: 255,
 };
 
 /// Greatest map that is made in these tests, bytes.
@@ -298,6 +306,7 @@ fn decoder_rejects_forged_oversized_and_unknown_packets() {
         error
     };
     let usual = DecoderConfig::default;
+    let limited = |max_bytes| DecoderConfig { max_bytes, ..usual() };
     assert!(refuse(usual(), &|header, _| header.agent = "cav9".into()).contains("agent cav9"));
     assert!(refuse(usual(), &|header, _| header.kind = Kind::Points).contains("kind points"));
     assert!(refuse(usual(), &|header, _| header.seq += 1).contains("seq 42"));
@@ -308,8 +317,8 @@ fn decoder_rejects_forged_oversized_and_unknown_packets() {
             .contains("says codec zstd, plain, its bytes say plain")
     );
     assert!(refuse(usual(), &|_, packet| packet.codec.clear()).contains("end with plain"));
-    assert!(refuse(DecoderConfig { max_bytes: 100 }, &|_, _| ()).contains("`max_bytes`"));
-    assert!(TransmissionDecoder::new(DecoderConfig { max_bytes: 0 }).is_err());
+    assert!(refuse(limited(100), &|_, _| ()).contains("`max_bytes`"));
+    assert!(TransmissionDecoder::new(limited(0)).is_err());
 }
 
 #[test]

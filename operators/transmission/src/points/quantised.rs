@@ -9,9 +9,10 @@ use zstd::zstd_safe::CParameter;
 
 use super::column::{Planes, Range, differences, plane};
 use super::lanes;
-use crate::bytes::{DecodeError, EncodeError, Reader};
+use crate::bytes::Reader;
 use crate::codec::Columns;
 use crate::compression::{compress, decompress};
+use crate::error::{DecodeError, EncodeError};
 
 /// Steps of coordinates, m.
 pub(crate) const STEPS: RangeInclusive<f64> = 1e-6..=1.0;
