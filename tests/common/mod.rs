@@ -157,14 +157,15 @@ impl Peer {
     pub fn start(name: &str, log: &Path, out: &Path, port: u16, more: &[&str]) -> Peer {
         let mut set = vec![format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()];
         set.extend(more.iter().map(|more| more.to_string()));
-        let child = Command::new(REALO)
-            .args(arguments(name, log, out, &set))
-            .current_dir(root())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .process_group(0)
-            .spawn();
-        Peer(child.expect("realo can be started"))
+        let mut command = Command::new(REALO);
+        command.args(arguments(name, log, out, &set)).current_dir(root());
+        Peer::of(command)
+    }
+
+    /// Starts a graph by this command.
+    pub fn of(mut command: Command) -> Peer {
+        command.stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
+        Peer(command.spawn().expect("realo can be started"))
     }
 }
 
