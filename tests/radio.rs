@@ -8,11 +8,10 @@ mod security;
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use common::{REALO, folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
+use common::{Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
 use serde_json::Value;
 
 /// Realtime runs share the machine's cores with nothing of ours.
@@ -32,85 +31,6 @@ fn log() -> PathBuf {
 fn clouds() -> PathBuf {
     let args = "--seed 903 --seconds 3 --key-hz 10 --agents cav1,rsu1";
     simulated("radio_clouds", &args.split(' ').collect::<Vec<_>>())
-}
-
-/// A port that is free, as is the one behind it.
-fn free_port() -> u16 {
-    for _ in 0..100 {
-        let first = TcpListener::bind("127.0.0.1:0").expect("a port is free");
-        let port = first.local_addr().expect("it has an address").port();
-        if port < u16::MAX && TcpListener::bind(("127.0.0.1", port + 1)).is_ok() {
-            return port;
-        }
-    }
-    panic!("no two ports side by side are free");
-}
-
-/// What starts an agent's graph.
-fn arguments(name: &str, log: &Path, out: &Path, set: &[String]) -> Vec<String> {
-    let mut all: Vec<String> = ["run", &graph(name), "--recorded-detections", "--log"]
-        .map(String::from)
-        .into();
-    all.extend([log.display().to_string(), "--out".into(), out.display().to_string()]);
-    all.extend(set.iter().flat_map(|set| ["--set".to_string(), set.clone()]));
-    all
-}
-
-/// An agent that plays its part of the log again and again until it is stopped.
-struct Peer(Child);
-
-impl Peer {
-    fn start(name: &str, log: &Path, out: &Path, port: u16, more: &[&str]) -> Peer {
-        let mut set = vec![format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()];
-        set.extend(more.iter().map(|more| more.to_string()));
-        Peer::spawn(arguments(name, log, out, &set))
-    }
-
-    fn spawn(arguments: Vec<String>) -> Peer {
-        let child = Command::new(REALO)
-            .args(arguments)
-            .current_dir(root())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .process_group_of_its_own()
-            .spawn();
-        Peer(child.expect("realo can be started"))
-    }
-}
-
-/// Signals reach what a program has started too.
-trait Group {
-    fn process_group_of_its_own(&mut self) -> &mut Self;
-}
-
-impl Group for Command {
-    fn process_group_of_its_own(&mut self) -> &mut Self {
-        std::os::unix::process::CommandExt::process_group(self, 0)
-    }
-}
-
-impl Drop for Peer {
-    fn drop(&mut self) {
-        let group = format!("-{}", self.0.id());
-        let _ = Command::new("kill").args(["-INT", "--", &group]).status();
-        let begun = Instant::now();
-        while begun.elapsed() < Duration::from_secs(10) {
-            if matches!(self.0.try_wait(), Ok(Some(_))) {
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(50));
-        }
-        let _ = Command::new("kill").args(["-KILL", "--", &group]).status();
-        let _ = self.0.wait();
-    }
-}
-
-/// The boxes of every frame, without its time.
-fn boxes(out: &Path) -> Vec<Value> {
-    let mut samples = json(&out.join("evaluation.json"));
-    let frames = samples["evaluation"]["scenes"][0]["frames"].take();
-    let frames = frames.as_array().expect("frames");
-    frames.iter().map(|frame| frame["detections"].clone()).collect()
 }
 
 /// sent = used + … + lost, for what the peer sent.

@@ -2,8 +2,11 @@
 #![allow(dead_code)]
 
 use std::fs::{self, File};
+use std::net::TcpListener;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -122,4 +125,80 @@ pub fn counts(result: &Value, class: &str, iou: &str) -> (u64, u64, u64) {
             .unwrap_or_else(|| panic!("counts.{class}.{iou}.{key} in {counts}"))
     };
     (get("true"), get("false"), get("total"))
+}
+
+/// A port that is free, as is the one behind it.
+pub fn free_port() -> u16 {
+    for _ in 0..100 {
+        let first = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+        let port = first.local_addr().expect("it has an address").port();
+        if port < u16::MAX && TcpListener::bind(("127.0.0.1", port + 1)).is_ok() {
+            return port;
+        }
+    }
+    panic!("no two ports side by side are free");
+}
+
+/// What starts an agent's graph.
+pub fn arguments(name: &str, log: &Path, out: &Path, set: &[String]) -> Vec<String> {
+    let mut all: Vec<String> = ["run", &graph(name), "--recorded-detections", "--log"]
+        .map(String::from)
+        .into();
+    all.extend([log.display().to_string(), "--out".into(), out.display().to_string()]);
+    all.extend(set.iter().flat_map(|set| ["--set".to_string(), set.clone()]));
+    all
+}
+
+/// An agent that plays its part of the log again and again until it is stopped.
+pub struct Peer(Child);
+
+impl Peer {
+    /// Starts its graph; `port` is where the vehicle listens.
+    pub fn start(name: &str, log: &Path, out: &Path, port: u16, more: &[&str]) -> Peer {
+        let mut set = vec![format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()];
+        set.extend(more.iter().map(|more| more.to_string()));
+        Peer::spawn(arguments(name, log, out, &set))
+    }
+
+    /// Starts `realo`.
+    pub fn spawn(arguments: Vec<String>) -> Peer {
+        let mut command = Command::new(REALO);
+        command.args(arguments).current_dir(root());
+        Peer::of(command)
+    }
+
+    /// Starts a graph by this command.
+    pub fn of(mut command: Command) -> Peer {
+        command.stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
+        Peer(command.spawn().expect("realo can be started"))
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        end(&mut self.0);
+    }
+}
+
+/// Ends the process group of a child: asks, then kills.
+pub fn end(child: &mut Child) {
+    let group = format!("-{}", child.id());
+    let _ = Command::new("kill").args(["-INT", "--", &group]).status();
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(10) {
+        if matches!(child.try_wait(), Ok(Some(_))) {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let _ = Command::new("kill").args(["-KILL", "--", &group]).status();
+    let _ = child.wait();
+}
+
+/// The boxes of every frame, without its time.
+pub fn boxes(out: &Path) -> Vec<Value> {
+    let mut samples = json(&out.join("evaluation.json"));
+    let frames = samples["evaluation"]["scenes"][0]["frames"].take();
+    let frames = frames.as_array().expect("frames");
+    frames.iter().map(|frame| frame["detections"].clone()).collect()
 }

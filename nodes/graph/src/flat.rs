@@ -168,7 +168,7 @@ impl FlatNode {
         let path = paths::of_node(node.path.as_deref().unwrap_or_default(), root);
         let mut other = node.other;
         let build = node.build.map(Value::String);
-        for (key, value) in [("build", build), ("deploy", node.deploy)] {
+        for (key, value) in [("build", build), (DEPLOY, node.deploy)] {
             if let Some(value) = value {
                 other.insert(key.into(), value);
             }
@@ -209,6 +209,16 @@ impl FlatNode {
             host: None,
             outlets: BTreeMap::new(),
         }
+    }
+
+    /// The machine that it is to run on, if the graph names one.
+    pub fn machine(&self) -> Option<&str> {
+        self.deployed("machine")?.as_str()
+    }
+
+    /// What the graph says of where it runs.
+    pub(super) fn deployed(&self, key: &str) -> Option<&Value> {
+        self.other.get(DEPLOY)?.get(key).filter(|value| !value.is_null())
     }
 
     /// Whether the program is the binary that hosts our operators and nodes.
@@ -305,6 +315,9 @@ impl FlatNode {
     }
 }
 
+/// Where a process runs, among the keys that only dora reads.
+pub(super) const DEPLOY: &str = "deploy";
+
 /// What stands for the path of a stage's program among the settings of its host.
 pub(super) const PROGRAM: &str = "program";
 
@@ -368,6 +381,19 @@ impl FlatGraph {
         self.nodes.iter_mut().for_each(|node| node.host = None);
         self.hosts.clear();
         self
+    }
+
+    /// The same graph for one machine, wherever its processes are to run.
+    pub fn on_one_machine(mut self) -> Self {
+        for node in self.nodes.iter_mut().chain(&mut self.hosts) {
+            node.other.shift_remove(DEPLOY);
+        }
+        self
+    }
+
+    /// The machines that its processes are to run on, by name.
+    pub fn machines(&self) -> BTreeSet<&str> {
+        self.processes().into_iter().filter_map(FlatNode::machine).collect()
     }
 
     /// The processes that dora starts, in the order of their first stages.

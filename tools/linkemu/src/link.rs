@@ -91,13 +91,27 @@ impl Link {
         })
     }
 
+    pub(crate) fn is_cut(&self) -> bool {
+        self.cut.load(Relaxed)
+    }
+
+    /// How long a packet or a part of a stream is on its way once it has left.
+    pub(crate) fn delay(&self, draws: &mut Draws) -> Duration {
+        Duration::from_micros(self.delay.load(Relaxed) + draws.below(self.jitter.load(Relaxed) + 1))
+    }
+
+    pub(crate) fn carried(&self, direction: usize, bytes: usize) {
+        self.count(direction, PACKETS, 1);
+        self.count(direction, BYTES, bytes as u64);
+    }
+
     fn count(&self, direction: usize, what: usize, n: u64) {
         self.counts[direction][what].fetch_add(n, Relaxed);
     }
 }
 
 /// When each direction's link is free again; half duplex, both have the first one's.
-type Free = Mutex<[Instant; 2]>;
+pub(crate) type Free = Mutex<[Instant; 2]>;
 
 /// Carries packets both ways until the process ends.
 pub(crate) fn carry(link: &Arc<Link>, ends: [Tun; 2]) -> std::io::Result<()> {
@@ -118,7 +132,7 @@ fn carry_one_way(link: &Link, direction: usize, from: Tun, to: Tun, free: &Free)
             to.write(&packet);
         }
     });
-    let mut draws = Draws(0x9e37_79b9_7f4a_7c15 ^ (direction as u64 + 1));
+    let mut draws = Draws::of(direction);
     let (mut last, mut buffer) = (Instant::now(), vec![0; 1 << 16]);
     loop {
         let Some(length) = from.read(&mut buffer) else {
@@ -127,7 +141,7 @@ fn carry_one_way(link: &Link, direction: usize, from: Tun, to: Tun, free: &Free)
             continue;
         };
         let now = Instant::now();
-        if link.cut.load(Relaxed) || draws.below(1_000_000) < link.loss.load(Relaxed) {
+        if link.is_cut() || draws.below(1_000_000) < link.loss.load(Relaxed) {
             link.count(direction, LOST, 1);
             continue;
         }
@@ -135,11 +149,9 @@ fn carry_one_way(link: &Link, direction: usize, from: Tun, to: Tun, free: &Free)
             link.count(direction, OVERFLOWN, 1);
             continue;
         };
-        let jitter = draws.below(link.jitter.load(Relaxed) + 1);
         // Nothing overtakes.
-        last = last.max(leaves + Duration::from_micros(link.delay.load(Relaxed) + jitter));
-        link.count(direction, PACKETS, 1);
-        link.count(direction, BYTES, length as u64);
+        last = last.max(leaves + link.delay(&mut draws));
+        link.carried(direction, length);
         if sender.send((last, buffer[..length].to_vec())).is_err() {
             return;
         }
@@ -147,7 +159,7 @@ fn carry_one_way(link: &Link, direction: usize, from: Tun, to: Tun, free: &Free)
 }
 
 /// When a packet has left; `None` if it finds the queue full.
-fn pass(link: &Link, direction: usize, bytes: usize, now: Instant, free: &Free) -> Option<Instant> {
+pub(crate) fn pass(link: &Link, direction: usize, bytes: usize, now: Instant, free: &Free) -> Option<Instant> {
     let rate = link.rate.load(Relaxed);
     if rate == 0 {
         return Some(now);
@@ -163,9 +175,13 @@ fn pass(link: &Link, direction: usize, bytes: usize, now: Instant, free: &Free) 
 }
 
 /// Xorshift64*, Vigna 2016: what is lost is the same on every run for the same packets.
-struct Draws(u64);
+pub(crate) struct Draws(u64);
 
 impl Draws {
+    pub(crate) fn of(direction: usize) -> Draws {
+        Draws(0x9e37_79b9_7f4a_7c15 ^ (direction as u64 + 1))
+    }
+
     fn below(&mut self, bound: u64) -> u64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;

@@ -4,9 +4,9 @@ use std::ffi::OsStr;
 use std::process::Command;
 use std::sync::Arc;
 
-use crate::Link;
 use crate::link::carry;
 use crate::tun::Tun;
+use crate::{Ground, Link};
 
 /// Addresses of the two machines.
 pub const ADDRESSES: [&str; 2] = ["10.9.0.1", "10.9.0.2"];
@@ -17,6 +17,20 @@ pub enum Error {
     /// No TUN device.
     #[error("/dev/net/tun: {0}; it needs Linux and root (CAP_NET_ADMIN)")]
     Tun(#[from] std::io::Error),
+    /// No user namespace.
+    #[error("{0}; a user namespace is made by a process of one thread, where the system allows it to its users")]
+    User(std::io::Error),
+    /// What failed in a user namespace.
+    #[error("{0}")]
+    Child(String),
+    /// Neither beside everybody's nor in a user namespace.
+    #[error("no network namespaces here: {system}; in a user namespace: {user}")]
+    Nowhere {
+        /// What failed where the process is.
+        system: String,
+        /// What failed there.
+        user: String,
+    },
     /// `ip` failed.
     #[error("`{command}`: {reason}; it needs root and iproute2")]
     Ip {
@@ -33,11 +47,24 @@ pub struct Machines {
 }
 
 impl Machines {
-    /// Makes namespaces of these names and joins them.
+    /// Makes namespaces of these names and joins them, on the [`Ground`] that is found.
     ///
     /// # Errors
-    /// [`Error`], without root for example, or where a namespace of the name exists.
+    /// [`Error`], where there is no ground for example, or where a namespace of the name exists.
     pub fn join(first: &str, second: &str, link: Arc<Link>) -> Result<Machines, Error> {
+        Ground::find()?;
+        let (machines, tuns) = Machines::make(first, second)?;
+        carry(&link, tuns)?;
+        Ok(machines)
+    }
+
+    /// Whether they can be made here: makes some and takes them away.
+    pub(crate) fn try_out() -> Result<(), Error> {
+        let id = std::process::id();
+        Machines::make(&format!("linkemu{id}a"), &format!("linkemu{id}b")).map(drop)
+    }
+
+    fn make(first: &str, second: &str) -> Result<(Machines, [Tun; 2]), Error> {
         let names = [first, second].map(String::from);
         let devices = [0, 1].map(|end| format!("tun{}{end}", std::process::id()));
         let tuns = [Tun::new(&devices[0])?, Tun::new(&devices[1])?];
@@ -65,8 +92,7 @@ impl Machines {
                 "up",
             ])?;
         }
-        carry(&link, tuns)?;
-        Ok(machines)
+        Ok((machines, tuns))
     }
 
     /// A program on one of the machines.

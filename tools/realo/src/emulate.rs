@@ -1,14 +1,18 @@
 //! `realo emulate`: two machines in one.
 
 use std::io::BufRead;
+use std::net::SocketAddr;
 use std::sync::Arc;
 
-use eyre::{Result, bail};
-use linkemu::{ADDRESSES, Interrupts, Link, Machines};
+use eyre::{Result, WrapErr, bail};
+use linkemu::{ADDRESSES, Ground, Interrupts, Link, Machines, Relay};
 
 use crate::Outcome;
 
-/// Makes two network namespaces, joined by a slow link, until it is interrupted; needs root
+/// Makes two machines of one, joined by a slow link, until it is interrupted
+///
+/// As root, two network namespaces; else the same in a user namespace; where neither may be made, a relay on loopback, which carries
+/// TCP with the rate, delay, queue and cuts of the link, and loses nothing. It says which.
 ///
 /// Lines of its standard input change the link: `rate 6`, `delay 30`, `jitter 5`, `queue 200`, `loss 0.01`, `half_duplex 1`, `cut 1`,
 /// `cut 0`; `stat` tells what was carried.
@@ -32,13 +36,22 @@ pub struct Args {
     /// Both directions share the rate
     #[arg(long)]
     half_duplex: bool,
-    /// Names of the namespaces
+    /// No namespaces: a relay of TCP from 127.0.0.2 to 127.0.0.1, of the ports PORT and PORT + 1
+    #[arg(long)]
+    loopback: bool,
+    /// Port of the relay
+    #[arg(long, default_value_t = 7447)]
+    port: u16,
+    /// Names of the machines
     #[arg(long, value_delimiter = ',', default_values_t = ["car".to_string(), "roadside".to_string()])]
     names: Vec<String>,
 }
 
 /// Makes the machines and waits.
 pub fn main(args: &Args) -> Result<Outcome> {
+    if args.port == u16::MAX {
+        bail!("--port: expected one with another behind it, found {}", args.port);
+    }
     let [first, second] = &*args.names else {
         bail!("--names: expected two, as car,roadside, found {}", args.names.join(","));
     };
@@ -56,27 +69,98 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     let interrupts = Interrupts::hold();
-    let machines = Machines::join(first, second, link.clone())?;
-    println!(
-        "`{first}` is {}, `{second}` is {}; on them, for example:",
-        ADDRESSES[0], ADDRESSES[1]
-    );
-    println!("  ip netns exec {first} realo run dataflows/late_fusion.vehicle.yml");
-    println!(
-        "  ip netns exec {second} realo run dataflows/late_fusion.roadside.yml --set v2x.connect=tcp/{}:7447",
-        ADDRESSES[0]
-    );
-    println!("Ctrl-C ends them");
+    let place = place(args, [first, second], &link)?;
+    println!("Ctrl-C ends it");
+    let is_relay = matches!(place, Place::Loopback(_));
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {
-            if !obey(&link, &line) {
+            if is_relay && line.trim_start().starts_with("loss") {
+                eprintln!("realo: {NO_LOSS}");
+            } else if !obey(&link, &line) {
                 eprintln!("realo: expected `WHAT NUMBER` (realo emulate --help), found `{line}`");
             }
         }
     });
     interrupts.wait();
-    drop(machines);
+    drop(place);
     Ok(Outcome::Complete)
+}
+
+/// What joins the machines; goes with it.
+#[allow(dead_code, reason = "held until the end")]
+enum Place {
+    Namespaces(Machines),
+    Loopback(Relay),
+}
+
+const NO_LOSS: &str = "loss: the relay carries streams, of which TCP lets nothing be lost; it needs namespaces, as root or where \
+                       users may make them";
+
+fn place(args: &Args, names: [&str; 2], link: &Arc<Link>) -> Result<Place> {
+    if !args.loopback {
+        match Machines::join(names[0], names[1], link.clone()) {
+            Ok(machines) => {
+                tell_of_namespaces(names)?;
+                return Ok(Place::Namespaces(machines));
+            }
+            Err(error @ linkemu::Error::Nowhere { .. }) => eprintln!("realo: {error}"),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    if args.loss > 0.0 {
+        bail!("--{NO_LOSS}");
+    }
+    let [near, far] = relayed(args.port);
+    let ways: Vec<_> = near.into_iter().zip(far).collect();
+    let relay = Relay::start(link.clone(), &ways).wrap_err("the relay; choose another --port")?;
+    let ([first, second], port) = (names, args.port);
+    println!(
+        "a relay on loopback: nothing is lost or overtaken, a full queue holds senders up, congestion control has no work"
+    );
+    println!(
+        "`{first}` listens on {}, which `{second}` finds as {}; for example:",
+        far[0], near[0]
+    );
+    println!(
+        "  realo run dataflows/late_fusion.vehicle.yml --set v2x.listen=tcp/{}",
+        far[0]
+    );
+    println!(
+        "  realo run dataflows/late_fusion.roadside.yml --set v2x.connect=tcp/{} --set player.repeat=100",
+        near[0]
+    );
+    println!("(the ports {port} and {}, which points and features take)", port + 1);
+    Ok(Place::Loopback(relay))
+}
+
+/// The relay's own addresses, and those that it leads to: a radio takes a port and the one behind it.
+pub(crate) fn relayed(port: u16) -> [[SocketAddr; 2]; 2] {
+    [[127, 0, 0, 2], [127, 0, 0, 1]]
+        .map(|host| [port, port.saturating_add(1)].map(|port| SocketAddr::from((host, port))))
+}
+
+fn tell_of_namespaces([first, second]: [&str; 2]) -> Result<()> {
+    let enter = match Ground::find()? {
+        Ground::System => {
+            println!("two network namespaces");
+            "ip netns exec".to_string()
+        }
+        Ground::User => {
+            println!("two network namespaces in a user namespace of this process");
+            let id = std::process::id();
+            format!("nsenter -t {id} -U -m --preserve-credentials --wd=. ip netns exec")
+        }
+    };
+    println!(
+        "`{first}` is {}, `{second}` is {}; on them, for example:",
+        ADDRESSES[0], ADDRESSES[1]
+    );
+    println!("  {enter} {first} realo run dataflows/late_fusion.vehicle.yml");
+    println!(
+        "  {enter} {second} realo run dataflows/late_fusion.roadside.yml --set v2x.connect=tcp/{}:7447 --set player.repeat=100",
+        ADDRESSES[0]
+    );
+    Ok(())
 }
 
 fn obey(link: &Link, line: &str) -> bool {

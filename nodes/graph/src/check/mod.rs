@@ -2,6 +2,7 @@
 
 mod hosting;
 mod lanes;
+mod machines;
 mod ports;
 mod processes;
 
@@ -97,6 +98,7 @@ pub fn validate_asking(
         }
     }
     processes::check(graph, &mut findings);
+    machines::check(graph, &mut findings);
     match graph.ranks(registry) {
         Ok(ranks) => {
             lanes::check(graph, &ranks, &stages, &mut findings);

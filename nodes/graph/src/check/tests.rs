@@ -360,6 +360,41 @@ fn finds_nothing_in_a_sound_graph() {
 }
 
 #[test]
+fn a_graph_for_machines_says_of_every_node_where_it_runs() {
+    let placed = "path: bin/realo\n    deploy: { machine: compute, working_dir: ../../dataflows }";
+    let all = graph(&graph_of_all(placed));
+    assert_eq!(validate(&all, &REGISTRY), []);
+    assert_eq!(all.machines(), ["compute"].into());
+    assert!(all.on_one_machine() == graph(GRAPH));
+    let but_one = graph(&changed(&graph_of_all(placed), placed, "path: bin/realo"));
+    assert_found(
+        &but_one,
+        &["warning: node `player`: expected `deploy: { machine: NAME }`, as other nodes have, found none; dora starts"],
+    );
+    let nowhere = changed(&graph_of_all(placed), ", working_dir: ../../dataflows", "");
+    let expected =
+        "warning: node `player`: expected `working_dir` in its `deploy`, found none; dora starts it in _work/SESSION";
+    assert_found(&graph(&nowhere), &[expected]);
+    for (from, to, expected) in [
+        ("machine:", "machin:", "found `machin`; did you mean `machine`?"),
+        (
+            "machine: compute",
+            "machine: 3",
+            "error: node `player`: expected `deploy: { machine: NAME, working_dir: PATH }`",
+        ),
+    ] {
+        assert_found(&graph(&changed(&graph_of_all(placed), from, to)), &[expected]);
+    }
+    // By labels, dora chooses the machine.
+    let labels = changed(&graph_of_all(placed), "machine: compute", "labels: { gpu: \"true\" }");
+    assert_eq!(findings(&labels), []);
+}
+
+fn graph_of_all(placed: &str) -> String {
+    GRAPH.replace("path: bin/realo", placed)
+}
+
+#[test]
 fn what_a_foreign_node_gives_makes_no_lane_of_what_is_told_beside_it() {
     let told = r#"
   - { id: camera, path: bin/camera, outputs: [boxes], output_types: { boxes: realo/v1/Boxes } }

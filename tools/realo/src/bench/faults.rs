@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use eyre::{Result, bail};
-use linkemu::{ADDRESSES, Machines};
+use eyre::{Result, WrapErr, bail};
+use linkemu::{ADDRESSES, Ground, Machines};
 use realo_results::read_run;
 use realo_schemas::Kind;
 use serde::Serialize;
 
 use super::framework::{demo_log, folder};
 
-/// Passes of the demo log that a run plays, of ten seconds each.
-const PASSES: u32 = 2;
+/// Of a pass of the demo log, s.
+const PASS: f64 = 10.0;
 /// From the start of both graphs until something happens: both play by then.
 const LATER: Duration = Duration::from_secs(17);
 /// A run takes so long at most.
@@ -26,6 +26,7 @@ const LONGEST: Duration = Duration::from_secs(120);
 pub struct Faults {
     /// mAP of the ego alone at IoU 0.3 and 0.5, of the strategies below.
     alone: [f64; 2],
+    passes: u32,
     rows: Vec<Row>,
 }
 
@@ -147,8 +148,17 @@ const FAULTS: &[Fault] = &[
     },
 ];
 
-/// Runs every fault: 27 Mbit/s, 20 ms, BBR.
-pub fn bench() -> Result<Faults> {
+/// Runs the faults whose names have `only` in them, in passes of the log: 27 Mbit/s, 20 ms, BBR.
+pub fn bench(seconds: f64, only: &str) -> Result<Faults> {
+    let chosen: Vec<&Fault> = FAULTS.iter().filter(|fault| fault.name.contains(only)).collect();
+    if chosen.is_empty() {
+        let known: Vec<&str> = FAULTS.iter().map(|fault| fault.name).collect();
+        bail!("--only {only}: no fault is named so; there are: {}", known.join("; "));
+    }
+    let passes = (seconds / PASS).ceil().max(1.0) as u32;
+    // While this process has one thread.
+    Ground::find()
+        .wrap_err("packets are lost and processes are told apart in namespaces alone: run it as root, on Linux")?;
     let (log, folder) = (demo_log()?, folder()?.join("faults"));
     let out = folder.join("alone");
     let program = std::env::current_exe()?;
@@ -169,16 +179,17 @@ pub fn bench() -> Result<Faults> {
     let Some(alone) = accuracy(&out)? else {
         bail!("{}: the log has no ground truth", log.display());
     };
-    let rows = FAULTS
-        .iter()
-        .map(|fault| run(fault, &log, &folder))
+    let rows = chosen
+        .into_iter()
+        .map(|fault| run(fault, passes, &log, &folder))
         .collect::<Result<_>>()?;
-    Ok(Faults { alone, rows })
+    Ok(Faults { alone, passes, rows })
 }
 
 /// Two graphs, and what runs them.
 struct Stage<'a> {
     fault: &'a Fault,
+    passes: u32,
     machines: Machines,
     log: &'a Path,
     folder: PathBuf,
@@ -195,7 +206,7 @@ impl Stage<'_> {
         command.args(["run", &format!("dataflows/{graph}.{}.yml", name(side))]);
         command.arg("--log").arg(self.log).arg("--out").arg(self.out(side));
         // A roadside unit plays until it is stopped.
-        let passes = if side == Side::Vehicle { PASSES } else { 100 };
+        let passes = if side == Side::Vehicle { self.passes } else { 100 };
         let mut settings = vec![format!("player.repeat={passes}"), "log.points=false".into()];
         settings.extend(set[0].iter().map(|set| set.to_string()));
         if side == Side::Roadside {
@@ -226,10 +237,11 @@ fn name(side: Side) -> &'static str {
     }
 }
 
-fn run(fault: &Fault, log: &Path, folder: &Path) -> Result<Row> {
+fn run(fault: &Fault, passes: u32, log: &Path, folder: &Path) -> Result<Row> {
     let (machines, link) = super::radio::machines(fault.link, "bbr")?;
     let stage = Stage {
         fault,
+        passes,
         machines,
         log,
         folder: folder.join(fault.name.replace([' ', '%', ',', '\'', '/'], "_")),
@@ -304,8 +316,9 @@ impl fmt::Display for Faults {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         writeln!(
             f,
-            "| fault (27 Mbit/s, 20 ms, BBR; 20 s) | ego's frames | sent | used | lost | unaccounted | age, ms, p50 / p95 | \
-             mAP at IoU 0.3 / 0.5 | radio, MB |\n|---|---|---|---|---|---|---|---|---|"
+            "| fault (27 Mbit/s, 20 ms, BBR; {} s) | ego's frames | sent | used | lost | unaccounted | age, ms, p50 / p95 | \
+             mAP at IoU 0.3 / 0.5 | radio, MB |\n|---|---|---|---|---|---|---|---|---|",
+            f64::from(self.passes) * PASS
         )?;
         let pair = |numbers: Option<[f64; 2]>, digits: usize| match numbers {
             Some([one, other]) => format!("{one:.digits$} / {other:.digits$}"),

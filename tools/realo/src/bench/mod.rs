@@ -29,9 +29,15 @@ pub struct Args {
     /// As JSON
     #[arg(long)]
     json: bool,
-    /// Log seconds that the replays take (framework: of each size; memory: in all)
+    /// Log seconds that the replays take (framework: of each size; memory: in all; faults: in tens); of a case (radio)
     #[arg(long)]
     seconds: Option<f64>,
+    /// Only the cases whose names have this in them (radio, faults)
+    #[arg(long)]
+    only: Option<String>,
+    /// Without namespaces: over a relay on loopback, which loses nothing (radio)
+    #[arg(long)]
+    loopback: bool,
     /// Interpreter with the packages that detector (numpy, spconv), network (torch, openvino, nncf, onnxruntime) and train (torch)
     /// are compared with
     #[arg(long)]
@@ -54,9 +60,10 @@ enum Name {
     Transmission,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
     Framework,
-    /// Boxes beside clouds on a slow link between two network namespaces, against Zenoh's own way; needs root
+    /// Boxes beside clouds on a slow link, against Zenoh's own way; between two network namespaces where they can be made (realo
+    /// emulate), else over a relay on loopback
     Radio,
-    /// Late fusion on two machines while links, peers and clocks fail; needs root
+    /// Late fusion on two machines while links, peers and clocks fail; needs network namespaces (realo emulate)
     Faults,
     /// Growth of resident memory over a looped realtime replay
     Memory,
@@ -64,6 +71,7 @@ enum Name {
 
 /// Runs one bench and prints what it found.
 pub fn main(args: &Args) -> Result<Outcome> {
+    let only = args.only.as_deref().unwrap_or_default();
     match args.name {
         Name::Nms => print(&nms::bench()?, args.json),
         Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(20.0))?, args.json),
@@ -72,8 +80,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Name::Train => print(&train::bench(args.python.as_deref())?, args.json),
         Name::Transmission => print(&transmission::bench()?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
-        Name::Radio => print(&radio::bench(args.seconds.unwrap_or(11.0))?, args.json),
-        Name::Faults => print(&faults::bench()?, args.json),
+        Name::Radio => print(
+            &radio::bench(args.seconds.unwrap_or(11.0), only, args.loopback)?,
+            args.json,
+        ),
+        Name::Faults => print(&faults::bench(args.seconds.unwrap_or(20.0), only)?, args.json),
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
     }
 }

@@ -2,14 +2,16 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::process::Stdio;
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
-use linkemu::{ADDRESSES, Link, Machines};
+use linkemu::{ADDRESSES, Ground, Link, Machines, Relay};
 use realo_operator::Waker;
 use realo_radio::network::{Network, steady};
 use realo_radio::protocol::{Offer, Settings};
@@ -20,11 +22,11 @@ use serde::{Deserialize, Serialize};
 use zenoh::Wait;
 
 use crate::Outcome;
+use crate::emulate::relayed;
 
 /// What is offered, ten times a second: kind and bytes.
 const STREAMS: [(Kind, usize); 2] = [(Kind::Boxes, 4_096), (Kind::Points, 3_700_000)];
 const PERIOD: Duration = Duration::from_millis(100);
-const PORT: u16 = 7447;
 /// How long the ends look for each other.
 const MEETING: Duration = Duration::from_secs(2);
 /// How long the link is cut, from `CUT_AT` on.
@@ -49,6 +51,9 @@ pub struct End {
     /// What carries the messages
     #[arg(value_enum)]
     way: Way,
+    /// Where it listens, or whom the one that sends finds
+    #[arg(long)]
+    address: String,
     /// Whether it sends; the other one tells what came
     #[arg(long)]
     sends: bool,
@@ -63,6 +68,7 @@ pub struct End {
 /// All cases.
 #[derive(Serialize)]
 pub struct Radio {
+    link: &'static str,
     cases: Vec<Case>,
 }
 
@@ -95,41 +101,63 @@ struct Came {
     here: Nanos,
 }
 
-/// Runs all cases.
-pub fn bench(seconds: f64) -> Result<Radio> {
-    let mut cases = Vec::new();
-    let usual = Setup {
-        way: Way::Radio,
-        seconds,
-        loss: 0.0,
-        control: "bbr",
-        deadline_ms: 400,
-        is_cut: false,
+/// Runs the cases whose names have `only` in them.
+pub fn bench(seconds: f64, only: &str, loopback: bool) -> Result<Radio> {
+    let relays = loopback
+        || Ground::find()
+            .inspect_err(|error| eprintln!("realo: {error}; a relay on loopback takes their place"))
+            .is_err();
+    let all = if relays {
+        over_relay(seconds)
+    } else {
+        over_namespaces(seconds)
     };
+    let chosen: Vec<_> = all.iter().filter(|(name, _)| name.contains(only)).collect();
+    if chosen.is_empty() {
+        let known: Vec<&str> = all.iter().map(|(name, _)| &**name).collect();
+        bail!("--only {only}: no case is named so; there are: {}", known.join("; "));
+    }
+    let link = match relays {
+        true => "a relay on loopback: no loss, nothing for congestion control to do",
+        false if Ground::find()? == Ground::User => "two network namespaces in a user namespace",
+        false => "two network namespaces",
+    };
+    let cases = chosen.into_iter().map(|(name, setup)| case(name, *setup));
+    Ok(Radio {
+        cases: cases.collect::<Result<_>>()?,
+        link,
+    })
+}
+
+fn over_namespaces(seconds: f64) -> Vec<(String, Setup)> {
+    let mut cases = Vec::new();
+    let usual = Setup::of(seconds, Some("bbr"));
     for (loss, control) in [(0.0, "bbr"), (0.0, "cubic"), (0.01, "bbr"), (0.01, "cubic")] {
         let name = format!("{} % loss, {control}", loss * 100.0);
-        let setup = Setup { loss, control, ..usual };
-        cases.push(case(&name, setup)?);
-        if loss == 0.0 {
-            let patient = Setup {
-                deadline_ms: 2000,
-                ..setup
-            };
-            cases.push(case(&format!("{name}, clouds may take 2 s"), patient)?);
-        }
-        let zenoh = Setup {
-            way: Way::Zenoh,
-            ..setup
+        let setup = Setup {
+            loss,
+            control: Some(control),
+            ..usual
         };
-        cases.push(case(&name, zenoh)?);
+        cases.push((name.clone(), setup));
+        if loss == 0.0 {
+            cases.push((format!("{name}, clouds may take 2 s"), setup.patient()));
+        }
+        cases.push((name, setup.over_zenoh()));
     }
-    let cut = Setup {
-        seconds: CUT_AT.as_secs_f64() + CUT.as_secs_f64() + seconds,
-        is_cut: true,
-        ..usual
-    };
-    cases.push(case("cut for 8 s, bbr", cut)?);
-    Ok(Radio { cases })
+    cases.push(("cut for 8 s, bbr".into(), usual.cut()));
+    cases
+}
+
+/// A relay knows neither loss nor congestion.
+fn over_relay(seconds: f64) -> Vec<(String, Setup)> {
+    let usual = Setup::of(seconds, None);
+    vec![
+        ("no loss".into(), usual),
+        ("no loss, clouds may take 2 s".into(), usual.patient()),
+        ("no loss".into(), usual.over_zenoh()),
+        ("cut for 8 s".into(), usual.cut()),
+    ]
 }
 
 /// What a case is run with.
@@ -138,21 +166,114 @@ struct Setup {
     way: Way,
     seconds: f64,
     loss: f64,
-    /// Of TCP's congestion.
-    control: &'static str,
+    /// Of TCP's congestion; `None`: over a relay on loopback.
+    control: Option<&'static str>,
     deadline_ms: i64,
     is_cut: bool,
 }
 
+impl Setup {
+    fn of(seconds: f64, control: Option<&'static str>) -> Self {
+        Setup {
+            way: Way::Radio,
+            seconds,
+            loss: 0.0,
+            control,
+            deadline_ms: 400,
+            is_cut: false,
+        }
+    }
+
+    fn over_zenoh(self) -> Self {
+        Setup {
+            way: Way::Zenoh,
+            ..self
+        }
+    }
+
+    fn patient(self) -> Self {
+        Setup {
+            deadline_ms: 2000,
+            ..self
+        }
+    }
+
+    fn cut(self) -> Self {
+        Setup {
+            seconds: CUT_AT.as_secs_f64() + CUT.as_secs_f64() + self.seconds,
+            is_cut: true,
+            ..self
+        }
+    }
+}
+
+/// Where the ends of a case are.
+enum Joined {
+    Namespaces(Machines),
+    Loopback {
+        port: u16,
+        /// Held until the end.
+        _relay: Relay,
+    },
+}
+
+impl Joined {
+    fn of(setup: Setup) -> Result<(Joined, Arc<Link>)> {
+        if let Some(control) = setup.control {
+            let (machines, link) = machines(&[("loss", setup.loss)], control)?;
+            return Ok((Joined::Namespaces(machines), link));
+        }
+        let link = Arc::new(Link::default());
+        for (what, value) in USUAL {
+            link.set(what, *value);
+        }
+        let port = free_port()?;
+        let [near, far] = relayed(port);
+        let ways: Vec<_> = near.into_iter().zip(far).collect();
+        let _relay = Relay::start(link.clone(), &ways)?;
+        Ok((Joined::Loopback { port, _relay }, link))
+    }
+
+    /// One end, and the address that both have to know.
+    fn command(&self, sends: bool, program: &Path) -> (Command, String) {
+        match self {
+            Joined::Namespaces(machines) => {
+                let command = machines.command(usize::from(sends), program);
+                (command, format!("{}:7447", ADDRESSES[0]))
+            }
+            Joined::Loopback { port, .. } => {
+                let [near, far] = relayed(*port);
+                let address = if sends { near } else { far }[0];
+                (Command::new(program), address.to_string())
+            }
+        }
+    }
+}
+
+/// A port that is free for the ends and the relay between them, as is the one behind it.
+fn free_port() -> Result<u16> {
+    for _ in 0..100 {
+        let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+        let all = relayed(port.min(u16::MAX - 1)).concat();
+        if all.iter().all(|address| TcpListener::bind(address).is_ok()) {
+            return Ok(all[0].port());
+        }
+    }
+    bail!("no two ports side by side are free on 127.0.0.1 and 127.0.0.2")
+}
+
+/// The link, but for what is set otherwise.
+const USUAL: &[(&str, f64)] = &[("rate", 27.0), ("delay", 20.0), ("queue", 100.0)];
+
 /// Two machines that a link of 27 Mbit/s and 20 ms joins, but for what is set otherwise; `control`: of TCP's congestion.
 pub(super) fn machines(set: &[(&str, f64)], control: &str) -> Result<(Machines, Arc<Link>)> {
     let link = Arc::new(Link::default());
-    for (what, value) in [("rate", 27.0), ("delay", 20.0), ("queue", 100.0)].iter().chain(set) {
+    for (what, value) in USUAL.iter().chain(set) {
         link.set(what, *value);
     }
     let id = std::process::id();
     let machines = Machines::join(&format!("realo{id}a"), &format!("realo{id}b"), link.clone())
-        .wrap_err("two network namespaces: run it as root, on Linux")?;
+        .wrap_err("two machines in one: run it as root, on Linux")?;
     for machine in [0, 1] {
         machines.set_congestion_control(machine, control)?;
     }
@@ -163,19 +284,25 @@ fn case(name: &str, setup: Setup) -> Result<Case> {
     let Setup {
         way,
         seconds,
-        loss,
-        control,
         deadline_ms,
         is_cut,
+        ..
     } = setup;
-    let (machines, link) = machines(&[("loss", loss)], control)?;
+    let (joined, link) = Joined::of(setup)?;
     let program = std::env::current_exe()?;
     let word = way
         .to_possible_value()
         .map_or(String::new(), |value| value.get_name().into());
-    let start = |machine: usize, sends: bool| {
-        let mut command = machines.command(machine, &program);
-        command.args(["radio-end", &word, "--seconds", &seconds.to_string()]);
+    let start = |sends: bool| {
+        let (mut command, address) = joined.command(sends, &program);
+        command.args([
+            "radio-end",
+            &word,
+            "--address",
+            &address,
+            "--seconds",
+            &seconds.to_string(),
+        ]);
         command.args(["--deadline-ms", &deadline_ms.to_string()]);
         if sends {
             command.arg("--sends");
@@ -186,7 +313,7 @@ fn case(name: &str, setup: Setup) -> Result<Case> {
             .stderr(Stdio::piped())
             .spawn()
     };
-    let (hears, sends) = (start(0, false)?, start(1, true)?);
+    let (hears, sends) = (start(false)?, start(true)?);
     let mut back = None;
     if is_cut {
         std::thread::sleep(MEETING + CUT_AT);
@@ -276,7 +403,7 @@ fn ten_times_a_second(seconds: f64, mut call: impl FnMut(u64)) {
 }
 
 fn over_radio(args: &End) -> Result<Vec<Came>> {
-    let address = format!("tcp/{}:{PORT}", ADDRESSES[0]).parse()?;
+    let address = format!("tcp/{}", args.address).parse()?;
     let name = if args.sends { "sender" } else { "receiver" };
     let (listen, connect) = if args.sends {
         (vec![], vec![address])
@@ -339,7 +466,7 @@ fn over_radio(args: &End) -> Result<Vec<Came>> {
 
 fn over_zenoh(args: &End) -> Result<Vec<Came>> {
     let failed = |error: zenoh::Error| eyre!("zenoh: {error}");
-    let address = format!("tcp/{}:{PORT}", ADDRESSES[0]);
+    let address = format!("tcp/{}", args.address);
     let side = if args.sends { "connect" } else { "listen" };
     let text = format!(
         r#"{{ mode: "peer", scouting: {{ multicast: {{ enabled: false }} }}, {side}: {{ endpoints: ["{address}"] }},
@@ -389,7 +516,8 @@ impl fmt::Display for Radio {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         writeln!(
             f,
-            "27 Mbit/s, 20 ms, a queue of 100 ms; offered ten times a second; how many arrived, and after how many ms"
+            "{}; 27 Mbit/s, 20 ms, a queue of 100 ms; offered ten times a second; how many arrived, and after how many ms",
+            self.link
         )?;
         for case in &self.cases {
             for (kind, spread) in &case.kinds {

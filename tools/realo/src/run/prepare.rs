@@ -69,6 +69,10 @@ const OWNED: &[(Decided, &str)] = &[
 pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cell>> {
     let set = settings(args)?;
     let graph = base_graph(args, &set, path)?;
+    if mode == Mode::Realtime {
+        tell_of_machines(&graph, path);
+    }
+    let graph = graph.on_one_machine();
     let compute = compute::profile(args.compute.as_deref(), &graph)?;
     let logs = logs(args, &graph)?;
     let mut cells = Vec::new();
@@ -134,6 +138,19 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
         }
     }
     Ok(cells)
+}
+
+/// Says that all machines of a graph are this one.
+fn tell_of_machines(graph: &FlatGraph, path: &Path) {
+    let machines: Vec<&str> = graph.machines().into_iter().collect();
+    if !machines.is_empty() {
+        eprintln!(
+            "realo: {}: what it has for the machines {} runs on this one; `dora start --attach {0}` starts it on theirs \
+             (docs/machines.md)",
+            path.display(),
+            machines.join(", ")
+        );
+    }
 }
 
 /// The lane of the agents that send, alone.

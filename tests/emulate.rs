@@ -1,0 +1,246 @@
+//! Two machines in one: graphs and benches over an emulated link, on namespaces where they can be made and over a relay everywhere.
+
+mod common;
+
+use std::io::{BufRead, BufReader, Lines, Write};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::{Mutex, MutexGuard};
+
+use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
+use serde_json::Value;
+
+/// Runs share the machine's cores with nothing of ours.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+const NEEDS: &str = "network namespaces and /dev/net/tun, as root or in a user namespace";
+
+/// `realo emulate`, and what it has said.
+struct Emulated {
+    child: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    said: Vec<String>,
+}
+
+impl Emulated {
+    fn start(args: &[&str]) -> Emulated {
+        let mut command = Command::new(REALO);
+        command.arg("emulate").args(args).process_group(0).current_dir(root());
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null());
+        let mut child = command.spawn().expect("realo can be started");
+        let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+        let mut said = Vec::new();
+        while !said.last().is_some_and(|line: &String| line.starts_with("Ctrl-C")) {
+            let line = lines.next().unwrap_or_else(|| panic!("it ended after {said:?}"));
+            said.push(line.expect("text"));
+        }
+        Emulated { child, lines, said }
+    }
+
+    fn tell(&mut self, line: &str) {
+        let input = self.child.stdin.as_mut().expect("a pipe");
+        writeln!(input, "{line}").expect("it listens");
+    }
+
+    /// Bytes that were carried there and back.
+    fn carried(&mut self) -> [u64; 2] {
+        self.tell("stat");
+        [0, 1].map(|_| {
+            let line = self.lines.next().expect("an answer").expect("text");
+            let bytes = line.split(" bytes").next().and_then(|head| head.rsplit(' ').next());
+            let bytes = bytes.and_then(|word| word.parse().ok());
+            bytes.unwrap_or_else(|| panic!("{line}"))
+        })
+    }
+
+    /// The commands that it names for the two machines: what stands before `realo`, and the setting behind it.
+    fn commands(&self) -> [(Vec<String>, Option<String>); 2] {
+        let named: Vec<_> = self.said.iter().filter(|line| line.contains("realo run")).collect();
+        assert_eq!(named.len(), 2, "{:?}", self.said);
+        [0, 1].map(|at| {
+            let words: Vec<String> = named[at].split_whitespace().map(String::from).collect();
+            let realo = words.iter().position(|word| word == "realo").expect("a command");
+            let set = words.iter().find(|word| word.starts_with("v2x.")).cloned();
+            (words[..realo].to_vec(), set)
+        })
+    }
+}
+
+impl Drop for Emulated {
+    fn drop(&mut self) {
+        end(&mut self.child);
+    }
+}
+
+/// Sweeps of the agents lie at least 15 ms apart.
+fn log() -> PathBuf {
+    let args = "--seed 903 --seconds 3 --phase spread --no-clouds --key-hz 10";
+    simulated("spread", &args.split(' ').collect::<Vec<_>>())
+}
+
+/// A graph as `realo emulate` says that it is started, for recorded detections.
+fn on_machine((enter, set): &(Vec<String>, Option<String>), name: &str, out: &Path, repeat: u32) -> Command {
+    let mut settings: Vec<String> = set.iter().cloned().collect();
+    settings.push(format!("player.repeat={repeat}"));
+    let mut words = enter.iter().cloned().chain([REALO.to_string()]);
+    let mut command = Command::new(words.next().expect("a program"));
+    command.args(words).args(arguments(name, &log(), out, &settings));
+    command.current_dir(root()).stdin(Stdio::null());
+    command
+}
+
+/// Runs a vehicle and a roadside unit over the link, and gives the vehicle's result.
+fn meet(emulated: &Emulated, name: &str) -> Value {
+    let [vehicle, roadside] = emulated.commands();
+    let (near, far) = (folder(&format!("{name}_vehicle")), folder(&format!("{name}_roadside")));
+    let _peer = Peer::of(on_machine(&roadside, "late_fusion.roadside", &far, 20));
+    let mut command = on_machine(&vehicle, "late_fusion.vehicle", &near, 2);
+    let output = command.output().expect("a graph can be started");
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    json(&near.join("result.json"))
+}
+
+fn assert_the_delay_shows(result: &Value, delay_ms: f64) {
+    let books = &result["links"]["rsu1-cav1"]["boxes"];
+    assert_eq!(books["unaccounted"], 0, "{books}");
+    assert!(books["used"].as_u64() > Some(0), "{books}");
+    let mut peers = result["peers"].as_array().expect("peers").iter();
+    let peer = peers.find(|peer| peer["name"] == "rsu1").expect("the roadside unit");
+    let round_trip = peer["round_trip_ms"].as_f64();
+    assert!(round_trip >= Some(2.0 * delay_ms), "{peer}");
+}
+
+#[test]
+fn graphs_meet_on_two_emulated_machines() {
+    let _alone = alone();
+    let id = std::process::id();
+    let names = format!("realo{id}car,realo{id}unit");
+    let mut emulated = Emulated::start(&["--delay", "30", "--names", &names]);
+    if emulated.said[0].contains("relay") {
+        return skipped::skip(NEEDS);
+    }
+    assert!(emulated.said[0].contains("network namespaces"), "{:?}", emulated.said);
+    let result = meet(&emulated, "emulated");
+    assert_the_delay_shows(&result, 30.0);
+    let carried = emulated.carried();
+    assert!(carried.iter().all(|bytes| *bytes > 1000), "{carried:?}");
+}
+
+#[test]
+fn graphs_meet_over_a_relay_on_loopback() {
+    let _alone = alone();
+    let port = free_port().to_string();
+    let mut emulated = Emulated::start(&["--loopback", "--delay", "30", "--port", &port]);
+    assert!(
+        emulated.said[0].contains("a relay on loopback: nothing is lost"),
+        "{:?}",
+        emulated.said
+    );
+    let result = meet(&emulated, "relayed");
+    assert_the_delay_shows(&result, 30.0);
+    let carried = emulated.carried();
+    assert!(carried.iter().all(|bytes| *bytes > 1000), "{carried:?}");
+}
+
+#[test]
+fn a_relay_refuses_what_it_cannot_do() {
+    let port = free_port().to_string();
+    for (args, expected) in [
+        (["--loss", "0.1"], "carries streams"),
+        (["--port", "65535"], "--port: expected one with another behind it"),
+    ] {
+        let output = realo(["emulate", "--loopback"].iter().chain(&args));
+        let said = text(&output.stderr);
+        assert!(!output.status.success() && said.contains(expected), "{args:?}: {said}");
+    }
+    let taken = std::net::TcpListener::bind(format!("127.0.0.2:{port}")).expect("the port is free");
+    let said = text(&realo(["emulate", "--loopback", "--port", &port]).stderr);
+    assert!(said.contains("choose another --port") && said.contains(&port), "{said}");
+    drop(taken);
+}
+
+/// What a bench says as JSON; `None` where it needs what is not here.
+fn bench(args: &[&str]) -> Option<Value> {
+    let output = realo(["bench"].iter().chain(args).chain(&["--json"]));
+    let said = text(&output.stderr);
+    if said.contains("no network namespaces here") {
+        skipped::skip(NEEDS);
+        return None;
+    }
+    assert!(output.status.success(), "{args:?}: {said}");
+    Some(serde_json::from_slice(&output.stdout).expect("JSON"))
+}
+
+/// Of each case: boxes came, none before the link lets it.
+fn assert_boxes_cross(found: &Value, cases: usize) {
+    let all = found["cases"].as_array().expect("cases");
+    assert_eq!(all.len(), cases, "{found}");
+    for case in all {
+        let boxes = &case["kinds"]["boxes"];
+        let (arrived, offered) = (boxes["arrived"].as_u64(), boxes["offered"].as_u64());
+        assert!(arrived > Some(0) && arrived <= offered, "{case}");
+        assert!(boxes["p50_ms"].as_f64() >= Some(20.0), "{case}");
+    }
+}
+
+#[test]
+fn boxes_cross_beside_clouds_between_namespaces() {
+    let _alone = alone();
+    let Some(found) = bench(&["radio", "--seconds", "2", "--only", "1 % loss, bbr"]) else {
+        return;
+    };
+    assert!(
+        found["link"]
+            .as_str()
+            .is_some_and(|link| link.contains("two network namespaces")),
+        "{found}"
+    );
+    assert_boxes_cross(&found, 2);
+}
+
+#[test]
+fn boxes_cross_beside_clouds_over_a_relay() {
+    let _alone = alone();
+    let found = bench(&["radio", "--loopback", "--seconds", "2", "--only", "no loss, clouds"]);
+    let found = found.expect("it needs no namespaces");
+    assert!(
+        found["link"]
+            .as_str()
+            .is_some_and(|link| link.contains("a relay on loopback")),
+        "{found}"
+    );
+    assert_boxes_cross(&found, 1);
+    let output = realo(["bench", "radio", "--loopback", "--only", "frost"]);
+    let said = text(&output.stderr);
+    assert!(said.contains("no case is named so; there are: no loss; "), "{said}");
+}
+
+#[test]
+fn the_ego_goes_on_while_the_link_is_cut() {
+    let _alone = alone();
+    let Some(found) = bench(&["faults", "--only", "cut for 5 s", "--seconds", "20"]) else {
+        return;
+    };
+    let rows = found["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 1, "{found}");
+    let row = &rows[0];
+    assert_eq!(row["fault"], "cut for 5 s");
+    let frames = |at: usize| row["frames"][at].as_u64().expect("a count");
+    assert!(frames(1) == 200 && frames(0) > 100, "{row}");
+    assert_eq!(row["unaccounted"], 0, "{row}");
+    let count = |field: &str| row[field].as_u64().expect("a count");
+    assert!(
+        count("used") <= count("sent") && count("sent") < 190,
+        "what is offered while the link is cut is not begun: {row}"
+    );
+    assert!(row["memory_mb"].as_f64() > Some(0.0), "{row}");
+    assert!(found["alone"][0].as_f64() > Some(0.5), "{found}");
+}
