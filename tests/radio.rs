@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
-use common::{Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
+use common::{
+    Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual, simulated, text,
+};
 use serde_json::Value;
 
 /// Realtime runs share the machine's cores with nothing of ours.

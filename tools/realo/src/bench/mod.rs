@@ -6,6 +6,7 @@ mod framework;
 mod memory;
 mod network;
 mod nms;
+mod paper;
 mod peer;
 pub(crate) mod radio;
 mod simulate;

@@ -4,12 +4,16 @@ use eyre::{Result, bail, eyre};
 use realo_host::running_time;
 use realo_operator::{Operator, Outputs, PortId, Steps};
 use realo_pillar_encoder::PillarEncoder;
+use realo_radio::keys::Own;
+use realo_radio::seal::Seal;
+use realo_radio::station::Topic;
 use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, Nanos, Payload, PointCloud};
 use realo_simulator::{Options, Simulation};
 use realo_transmission::{Decoder, Encoder, EncoderConfig};
 use serde::Serialize;
 
 use super::detector::{MODEL, cloud, spread};
+use super::paper::{self, Tables};
 
 const ROUNDS: usize = 41;
 /// Greatest map that is taken, bytes.
@@ -31,6 +35,16 @@ pub struct Transmission {
     /// Points of the sweep that crosses by itself.
     points: usize,
     clouds: Vec<CloudCoding>,
+    /// Of a part of 16,384 bytes.
+    seal: SealCost,
+    paper: Tables,
+}
+
+/// What the signature of a frame costs.
+#[derive(Serialize)]
+struct SealCost {
+    sign_ms: f64,
+    check_ms: f64,
 }
 
 #[derive(Serialize)]
@@ -57,12 +71,12 @@ struct Coding {
 }
 
 #[derive(Default, Serialize)]
-struct Way {
+pub(super) struct Way {
     /// In the order in which they are done.
     steps: Vec<Step>,
     /// Least and median of the whole way.
-    minimum_ms: f64,
-    median_ms: f64,
+    pub(super) minimum_ms: f64,
+    pub(super) median_ms: f64,
 }
 
 #[derive(Serialize)]
@@ -73,7 +87,7 @@ struct Step {
 
 /// Times the transmission of a simulated sweep, exactly and in whole steps, and of its map in all elements.
 pub fn bench() -> Result<Transmission> {
-    let (sweep, mut encoder) = (sweep()?, pillar_encoder()?);
+    let (sweep, mut encoder) = (sweep()?, pillar_encoder(false)?);
     let mut times = Vec::new();
     let mut sent = None;
     for _ in 0..ROUNDS {
@@ -103,6 +117,7 @@ pub fn bench() -> Result<Transmission> {
     });
     let cloud = whole_sweep()?;
     let clouds = [(0.0, None), (0.01, None), (0.01, Some(1)), (0.001, Some(1))];
+    let sure = map_of(&mut pillar_encoder(true)?, sweep)?;
     let clouds = clouds.map(|(step_m, zstd)| cloud_coding(&cloud, step_m, zstd));
     Ok(Transmission {
         shape: [map.rows, map.columns, map.channels],
@@ -111,6 +126,31 @@ pub fn bench() -> Result<Transmission> {
         codings: codings.into_iter().collect::<Result<_>>()?,
         points: point_cloud(&cloud)?.len(),
         clouds: clouds.into_iter().collect::<Result<_>>()?,
+        seal: seal()?,
+        paper: paper::tables(&cloud, &sure)?,
+    })
+}
+
+fn seal() -> Result<SealCost> {
+    let own = Own::new("cav1")?;
+    let trusted = own.public();
+    let seal = Seal::new("bench", own, trusted);
+    let (part, name) = (vec![7; 16_384], "cav1".into());
+    let (mut sign, mut check) = (Vec::new(), Vec::new());
+    for _ in 0..ROUNDS {
+        let begun = running_time();
+        let sealed = seal.close("cav1", Topic::Bulk, &part, 0);
+        sign.push((running_time() - begun) as f64 / 1e6);
+        let begun = running_time();
+        let opened = seal.open(&name, Topic::Bulk, &sealed, 0);
+        check.push((running_time() - begun) as f64 / 1e6);
+        if opened.is_err() {
+            bail!("a frame that was just signed is refused");
+        }
+    }
+    Ok(SealCost {
+        sign_ms: spread(&sign).1,
+        check_ms: spread(&check).1,
     })
 }
 
@@ -132,8 +172,9 @@ fn sweep() -> Result<Message> {
     Ok(Message::new(header, cloud()?))
 }
 
-fn pillar_encoder() -> Result<PillarEncoder> {
+fn pillar_encoder(confidence: bool) -> Result<PillarEncoder> {
     let config = realo_pillar_encoder::Config {
+        confidence,
         model: MODEL.into(),
         ..realo_pillar_encoder::Config::default()
     };
@@ -163,24 +204,23 @@ fn point_cloud(message: &Message) -> Result<&PointCloud> {
 }
 
 /// What came of a message that crossed.
-struct Crossed {
-    bytes: usize,
+pub(super) struct Crossed {
+    pub(super) bytes: usize,
     found: Message,
-    encode: Way,
-    decode: Way,
+    pub(super) encode: Way,
+    pub(super) decode: Way,
 }
 
-fn cross(sent: &Message, config: &EncoderConfig) -> Result<Crossed> {
+/// Has a message cross, often enough to tell what that takes.
+pub(super) fn cross(sent: &Message, config: &EncoderConfig) -> Result<Crossed> {
     let (mut encoder, mut decoder) = (Encoder::new(config)?, Decoder::new(LIMIT)?);
     let (mut encode, mut decode) = (Rounds::default(), Rounds::default());
     let mut crossed = None;
     for _ in 0..ROUNDS {
         let packet = encode.time(|steps| encoder.encode(sent, steps))?.0;
-        let content = decode.time(|steps| decoder.decode(&packet.bytes, steps))?;
-        if crossed.is_none() {
-            let found = content.into_message(sent.header.clone(), &packet.codec)?;
-            crossed = Some((packet.bytes.len(), found));
-        }
+        let header = sent.header.clone();
+        let (found, _) = decode.time(|steps| decoder.message(header, &packet, steps))?;
+        crossed.get_or_insert((packet.bytes.len(), found));
     }
     let (bytes, found) = crossed.ok_or_else(|| eyre!("no round"))?;
     Ok(Crossed {
@@ -274,6 +314,14 @@ impl Rounds {
     }
 }
 
+impl Way {
+    /// What these steps take together, ms.
+    pub(super) fn sum(&self, steps: &[&str]) -> f64 {
+        let of = self.steps.iter().filter(|step| steps.contains(&step.name));
+        of.map(|step| step.median_ms).sum()
+    }
+}
+
 impl Coding {
     fn name(&self) -> String {
         let elements = format!("{:?}", self.elements).to_lowercase();
@@ -334,7 +382,13 @@ impl fmt::Display for Transmission {
                 )?;
             }
         }
-        self.fmt_clouds(f)
+        self.fmt_clouds(f)?;
+        let SealCost { sign_ms, check_ms } = self.seal;
+        writeln!(
+            f,
+            "\na part of 16,384 bytes: {sign_ms:.3} ms to sign, {check_ms:.3} to check; medians"
+        )?;
+        self.paper.fmt(f)
     }
 }
 
