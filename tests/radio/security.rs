@@ -36,12 +36,11 @@ fn start(agent: &str, out: &Path, set: &[String]) -> Peer {
 /// What was refused in a peer's name.
 fn refused(result: &Value, peer: &str) -> Value {
     let peers = result["peers"].as_array().expect("peers").iter();
-    let found = peers
-        .filter(|known| known["name"] == peer)
-        .map(|known| known["refused"].clone());
-    found
-        .last()
-        .unwrap_or_else(|| panic!("{peer} is in {}", result["peers"]))
+    let mut found = peers.filter(|known| known["name"] == peer);
+    let found = found
+        .next()
+        .unwrap_or_else(|| panic!("{peer} is in {}", result["peers"]));
+    found["refused"].clone()
 }
 
 #[test]
