@@ -129,10 +129,8 @@ fn add(config: &mut zenoh::Config, path: &Path) -> Result<(), NetworkError> {
 fn insert(config: &mut zenoh::Config, name: &str, value: &Value) -> Result<(), (String, String)> {
     match value {
         Value::Object(entries) if name != "access_control" => {
-            let entries = entries.iter();
-            entries
-                .map(|(entry, value)| insert(config, &format!("{name}/{entry}"), value))
-                .collect()
+            let mut entries = entries.iter();
+            entries.try_for_each(|(entry, value)| insert(config, &format!("{name}/{entry}"), value))
         }
         _ => config
             .insert_json5(name, &value.to_string())
