@@ -189,7 +189,8 @@ impl Messages {
         if remember(&mut self.sent, seq) {
             let traffic = news.traffic.entry(kind).or_default();
             traffic.sent += 1;
-            traffic.bytes += bytes;
+            // So much that no message has it, lest sums of what a peer made up overflow.
+            traffic.bytes += bytes.min(u32::MAX.into());
         }
     }
 }

@@ -361,16 +361,113 @@ fn check(seed: u64) {
     }
 }
 
-#[test]
-fn holds_over_networks_drawn_at_random() {
-    let seeds = std::env::var("REALO_SEEDS")
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .unwrap_or(1000);
+/// Longest time without a message of a kind that came in, after `from` and to the end of what was offered, ns.
+fn longest_pause(story: &Story, kind: Kind, from: Nanos) -> Nanos {
+    let given = story.given.iter().filter(|((of, _), _)| *of == kind);
+    let mut times: Vec<Nanos> = given.map(|(_, time)| *time).filter(|time| *time > from).collect();
+    times.extend([from, LASTS]);
+    times.sort_unstable();
+    times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0)
+}
+
+/// Two bulk kinds that tell of other moments offer more than a steady link carries.
+///
+/// They take turns: the kind that began longest ago begins next. While the other kind's message crosses, which it does for `other` or
+/// until its deadline, the newest of this kind waits: when its turn comes it is no older than its period, nor than `other`. If it arrives in
+/// time from there it is begun, and so one arrives in every turn of both: after it, the next is offered within the period, waits
+/// for one message of the other kind, and crosses beside another one at most, which may not make it late.
+fn check_turns(seed: u64) {
+    let mut draws = Draws(ChaCha8Rng::seed_from_u64(seed));
+    let settings = Settings::default();
+    let mut ways = [Way::draw(&mut draws), Way::draw(&mut draws)];
+    for way in &mut ways {
+        (way.loss, way.duplicate, way.jitter) = (0.0, 0.0, way.jitter / 10);
+        way.delay = way.delay.min(40 * MS);
+        way.rates = vec![(0, way.rates[0].1.max(4e5))];
+        way.cuts.clear();
+    }
+    let rate = ways[0].rates[0].1;
+    let deadline = settings.deadline as f64;
+    let period = draws.between(50e6, 200e6);
+    let mut stream = |kind, least: f64, most: f64, part: f64| {
+        let crossing = draws.scaled(least, most) * deadline;
+        Stream {
+            kind,
+            bytes: ((crossing * 1e-9 * rate) as usize).min(LARGEST),
+            period: period as Nanos,
+            phase: (draws.between(part, part + 0.3) * period) as Nanos,
+        }
+    };
+    let bulk = [
+        stream(Kind::Points, 0.1, 1.5, 0.0),
+        stream(Kind::Features, 0.1, 0.5, 0.5),
+    ];
+    let small = Stream {
+        kind: Kind::Boxes,
+        bytes: 1_000,
+        period: period as Nanos,
+        phase: 0,
+    };
+    let streams = [bulk[0].clone(), bulk[1].clone(), small];
+    if bulk.iter().map(Stream::bits).sum::<f64>() < 1.1 * rate {
+        return;
+    }
+    let story = live(&streams, ways.clone(), &settings, &mut draws);
+    let [there, back] = &ways;
+    let about = || format!("seed {seed}: {streams:?} over {there:?} and {back:?}");
+    let settled = 3 * SECOND;
+    let round = there.delay + back.delay + there.jitter + back.jitter + settings.queue;
+    let part = (16_384.0f64.min(rate * 0.01).max(1024.0) / rate * 1e9) as Nanos;
+    let bound =
+        there.delay + 2 * there.jitter + back.jitter + 3 * settings.queue + 8 * part + (12_000.0 / rate * 1e9) as Nanos;
+    let worst = ages(&story, Kind::Boxes, settled).into_iter().max().unwrap_or(0);
+    assert!(worst <= bound, "boxes of age {worst} ns, bound {bound}; {}", about());
+    for (own, other) in [(&bulk[0], &bulk[1]), (&bulk[1], &bulk[0])] {
+        let crossing = |stream: &Stream| (stream.bytes as f64 / rate * 1e9) as Nanos;
+        let (alone, other) = (crossing(own), crossing(other).min(settings.deadline));
+        // With a quarter of the deadline for what is not known exactly.
+        if alone + round + other.min(own.period) > settings.deadline * 3 / 4 {
+            continue;
+        }
+        let turn = own.period.max(alone + other);
+        let most = own.period + 2 * (other + round) + alone;
+        let pause = longest_pause(&story, own.kind, settled);
+        let arrived = ages(&story, own.kind, settled).len() as Nanos;
+        assert!(
+            pause <= most,
+            "no {} for {pause} ns, bound {most}; {}",
+            own.kind,
+            about()
+        );
+        assert!(
+            2 * arrived * turn >= LASTS - settled,
+            "{arrived} {} arrived; {}",
+            own.kind,
+            about()
+        );
+    }
+}
+
+fn over_seeds(usual: u64, check: fn(u64)) {
+    let seeds = std::env::var("REALO_SEEDS").map_or(usual, |text| {
+        text.parse()
+            .unwrap_or_else(|_| panic!("REALO_SEEDS: expected a number, found `{text}`"))
+    });
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get() as u64);
     std::thread::scope(|scope| {
         for thread in 0..threads {
             scope.spawn(move || (thread..seeds).step_by(threads as usize).for_each(check));
         }
     });
+}
+
+#[test]
+fn holds_over_networks_drawn_at_random() {
+    over_seeds(1000, check);
+}
+
+#[test]
+#[ignore = "fails, as for seeds 65, 219 and 242: on fast ways with a long round trip trials do not find the rate, with one kind alone as well"]
+fn kinds_take_turns_on_a_link_that_is_full() {
+    over_seeds(300, check_turns);
 }

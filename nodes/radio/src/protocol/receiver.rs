@@ -174,6 +174,9 @@ impl Lane {
             return Err(Refusal::Malformed);
         }
         if count == 1 {
+            if self.incomplete.contains_key(&head.seq) {
+                return Err(Refusal::Malformed);
+            }
             self.given(head.seq);
             return Ok(Inserted::Whole(part, 0));
         }
@@ -383,6 +386,7 @@ mod tests {
             ..head(1, 1, 3)
         };
         rejected(&mut receiver, moved, 6, odd);
+        rejected(&mut receiver, head(1, 0, 1), 6, odd);
         assert_eq!(receiver.held(), 2 * SMALLEST);
     }
 }

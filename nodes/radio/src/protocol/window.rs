@@ -14,6 +14,8 @@ const SHORTEST: Nanos = 20 * MS;
 const STEP: Nanos = 1_000 * MS;
 /// The greatest rate of so long holds.
 const MEMORY: Nanos = 500 * MS;
+/// A longer round trip is none: the peer made the time of sending up.
+const LONGEST: Nanos = 60_000 * MS;
 /// A least round trip is looked for anew after so long.
 const LEAST_HOLDS: Nanos = 10_000 * MS;
 /// Parts go out so much faster than the way carries them, lest it be idle and to see whether it carries more.
@@ -127,16 +129,20 @@ impl Window {
         self.delivered += bytes as u64;
         self.see_round_trip(now, sent);
         match self.train.back_mut() {
-            Some((last, _)) if *last - received > STEP => self.train.clear(),
+            Some((last, _)) if last.saturating_sub(received) > STEP => self.train.clear(),
             // Acknowledgements overtook each other.
             Some((last, delivered)) if received <= *last => *delivered = self.delivered,
             _ => self.train.push_back((received, self.delivered)),
         }
-        while self.train.front().is_some_and(|(first, _)| received - first > TRAIN) {
+        while self
+            .train
+            .front()
+            .is_some_and(|(first, _)| received.saturating_sub(*first) > TRAIN)
+        {
             self.train.pop_front();
         }
         if let (Some((first, before)), true) = (self.train.front(), self.train.len() > 1) {
-            let span = (received - first).max(SHORTEST);
+            let span = received.saturating_sub(*first).max(SHORTEST);
             self.see_rate(now, (self.delivered - before) as f64 / (span as f64 * 1e-9));
         }
     }
@@ -164,8 +170,8 @@ impl Window {
     }
 
     fn see_round_trip(&mut self, now: Nanos, sent: Nanos) {
-        let found = now - sent;
-        if found < 0 {
+        let found = now.saturating_sub(sent);
+        if !(0..=LONGEST).contains(&found) {
             return;
         }
         let anew = self.emptied.is_some_and(|since| sent >= since);
