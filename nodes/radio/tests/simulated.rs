@@ -467,7 +467,7 @@ fn holds_over_networks_drawn_at_random() {
 }
 
 #[test]
-#[ignore = "fails, as for seeds 65, 219 and 242: on fast ways with a long round trip trials do not find the rate, with one kind alone as well"]
+#[ignore = "does not hold for 20 of 300 seeds, as for 65, 219 and 242: on some fast ways with a long round trip a kind never begins, alone as well"]
 fn kinds_take_turns_on_a_link_that_is_full() {
     over_seeds(300, check_turns);
 }
