@@ -177,7 +177,7 @@ fn contents(kind: Kind, seq: u64, bytes: usize) -> Bytes {
     let word = (seq << 8 | kind as u64)
         .wrapping_mul(0x9e37_79b9_7f4a_7c15)
         .to_le_bytes();
-    word.iter().copied().cycle().take(bytes).collect::<Vec<u8>>().into()
+    Bytes::from(word.repeat(bytes.div_ceil(8))).slice(..bytes)
 }
 
 fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings, draws: &mut Draws) -> Story {
@@ -454,11 +454,23 @@ fn over_seeds(usual: u64, check: fn(u64)) {
             .unwrap_or_else(|_| panic!("REALO_SEEDS: expected a number, found `{text}`"))
     });
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get() as u64);
-    std::thread::scope(|scope| {
-        for thread in 0..threads {
-            scope.spawn(move || (thread..seeds).step_by(threads as usize).for_each(check));
-        }
+    let fails = |seed: &u64| std::panic::catch_unwind(|| check(*seed)).is_err();
+    let failed: Vec<u64> = std::thread::scope(|scope| {
+        let some = |thread| {
+            scope.spawn(move || {
+                (thread..seeds)
+                    .step_by(threads as usize)
+                    .filter(fails)
+                    .collect::<Vec<u64>>()
+            })
+        };
+        let parts: Vec<_> = (0..threads).map(some).collect();
+        parts
+            .into_iter()
+            .flat_map(|part| part.join().expect("what panics is caught"))
+            .collect()
     });
+    assert!(failed.is_empty(), "{} of {seeds} seeds: {failed:?}", failed.len());
 }
 
 #[test]
@@ -467,7 +479,6 @@ fn holds_over_networks_drawn_at_random() {
 }
 
 #[test]
-#[ignore = "does not hold for 20 of 300 seeds, as for 65, 219 and 242: on some fast ways with a long round trip a kind never begins, alone as well"]
 fn kinds_take_turns_on_a_link_that_is_full() {
-    over_seeds(300, check_turns);
+    over_seeds(500, check_turns);
 }

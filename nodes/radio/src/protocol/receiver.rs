@@ -73,7 +73,9 @@ struct Lane {
     /// The newest message that came in parts; older ones in parts are not given any more.
     newest: u64,
     acknowledged: Option<Nanos>,
+    /// Parts since then, and the last one of them by message and place.
     silent: u32,
+    unsaid: Option<(u64, u32)>,
 }
 
 #[derive(Debug)]
@@ -242,8 +244,15 @@ impl Lane {
             .acknowledged
             .is_some_and(|last| (0..TOGETHER).contains(&(now - last)));
         let waits = head.waits || complete;
+        let unsaid = self.unsaid.take().filter(|(seq, _)| *seq == head.seq);
+        // One that overtook this part is told of together with it.
+        let further = unsaid
+            .map(|(_, index)| index)
+            .filter(|index| index.saturating_sub(head.index) <= 32);
+        let index = further.map_or(head.index, |further| further.max(head.index));
         self.silent += 1;
         if close && !waits && self.silent < SHARED {
+            self.unsaid = Some((head.seq, index));
             return None;
         }
         (self.acknowledged, self.silent) = (Some(now), 0);
@@ -251,21 +260,21 @@ impl Lane {
             kind: head.kind,
             session: head.session,
             seq: head.seq,
-            index: head.index,
-            before: self.before(head),
+            index,
+            before: self.before(head.seq, index),
             sent: head.sent,
             received: now,
         })
     }
 
     /// Which of the 32 parts before one came in.
-    fn before(&self, head: &Head) -> u32 {
-        let known = self.incomplete.get(&head.seq).map(|message| &message.parts);
+    fn before(&self, seq: u64, index: u32) -> u32 {
+        let known = self.incomplete.get(&seq).map(|message| &message.parts);
         let arrived = |index: u32| match known {
             Some(parts) => parts[index as usize].is_some(),
             None => true,
         };
-        let back = (0..32u32).filter(|back| head.index.checked_sub(1 + back).is_some_and(arrived));
+        let back = (0..32u32).filter(|back| index.checked_sub(1 + back).is_some_and(arrived));
         back.fold(0, |bits, back| bits | 1 << back)
     }
 }
@@ -293,6 +302,22 @@ mod tests {
 
     fn part(text: &'static str) -> Bytes {
         Bytes::from_static(text.as_bytes())
+    }
+
+    #[test]
+    fn what_overtook_a_part_is_acknowledged_with_it() {
+        let mut receiver = Receiver::new(LARGEST);
+        let mut take = |index| {
+            let head = Head {
+                waits: false,
+                ..head(1, index, 8)
+            };
+            receiver.take(&head, part("x"), index as Nanos).unwrap().acknowledgement
+        };
+        assert!(take(0).is_some());
+        assert_eq!([take(1), take(4), take(2)], [None; 3]);
+        let told = take(3).unwrap();
+        assert_eq!((told.index, told.before), (4, 0b1111));
     }
 
     #[test]

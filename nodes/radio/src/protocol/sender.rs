@@ -14,16 +14,20 @@ use super::window::Window;
 const MS: Nanos = 1_000_000;
 /// Transfers of which the last parts are awaited at most.
 const TRANSFERS: usize = 4;
-/// A part is taken for lost if one that went out so many later came in.
+/// A part is taken for lost if so many that went out later came in,
 const OVERTAKEN: usize = 3;
+/// and one of them went out so much later: the network may change the order of those that follow each other closely.
+const CLOSELY: Nanos = 20 * MS;
 /// Parts that are on their way are taken for lost after so long without a word, or after four round trips.
 const SILENCE: Nanos = 1_000 * MS;
 /// Beyond two round trips, the last parts that went out wait so long for a word before one of them goes again.
 const QUIET: Nanos = 40 * MS;
-/// The link's time that parts of a trial may take together, s.
+/// Messages cross side by side if all would arrive in time though it took longer than is known by this fraction of it.
+const SLACK: Nanos = 16;
+/// Time that parts of a trial take on the way together, by what is known of it, s.
 const TRIAL_TIME: f64 = 0.03;
-/// Parts of a trial, as it begins.
-const TRIAL_PARTS: (u32, u32) = (4, 8);
+/// Parts of a trial at least.
+const TRIAL_PARTS: u32 = 4;
 
 /// How a sender weighs freshness against completeness.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,6 +101,8 @@ struct Flying {
     index: u32,
     bytes: usize,
     sent: Nanos,
+    /// How many that went out later came in.
+    overtaken: usize,
 }
 
 /// The sending side of a way to a peer.
@@ -123,6 +129,8 @@ pub struct Sender {
     asked: Nanos,
     /// When parts last went out or came in.
     moved: Nanos,
+    /// When parts last came in.
+    heard: Nanos,
     /// How often a part went again since one came in, because nothing moved.
     probes: u32,
 }
@@ -145,6 +153,7 @@ impl Sender {
             told: Vec::new(),
             asked: Nanos::MIN,
             moved: Nanos::MIN,
+            heard: Nanos::MIN,
             probes: 0,
         }
     }
@@ -187,8 +196,7 @@ impl Sender {
 
     /// When [`Sender::next`] should be asked again though nothing came in; `None`: not before.
     pub fn wakes_at(&self) -> Option<Nanos> {
-        let silence = self.flying.front().map(|first| first.sent + self.silence());
-        let silence = silence.into_iter().chain(self.probes_at());
+        let silence = self.silent_at().into_iter().chain(self.probes_at());
         let more = !self.waiting.is_empty() || self.transfers.iter().any(|transfer| transfer.due().is_some());
         let opens = (more && self.has_room()).then(|| self.window.opens_at());
         silence.chain(opens.filter(|time| *time > self.asked)).min()
@@ -199,17 +207,17 @@ impl Sender {
         if ack.session != self.session {
             return;
         }
-        let (mut newest, mut bytes) = (None, 0);
-        for (place, part) in self.flying.iter().enumerate() {
+        let (mut arrived, mut bytes) = (0, 0);
+        for part in &self.flying {
             if (part.kind, part.seq) == (ack.kind, ack.seq) && ack.covers(part.index) {
-                newest = Some(place);
+                arrived += 1;
                 bytes += part.bytes;
             }
         }
-        let Some(newest) = newest else {
+        if arrived == 0 {
             return;
-        };
-        (self.moved, self.probes) = (now, 0);
+        }
+        (self.moved, self.heard, self.probes) = (now, now, 0);
         self.window.acknowledged(now, ack.sent, ack.received, bytes);
         if let Some(transfer) = self.transfers.iter_mut().find(|transfer| transfer.is_of(ack)) {
             (ack.index.saturating_sub(32)..=ack.index)
@@ -218,17 +226,22 @@ impl Sender {
         }
         // Of a part that went again, the word may be of its first copy, which overtook nothing that went later.
         let sent_before = self.flying.iter().take_while(|part| part.sent <= ack.sent).count();
-        let overtaken = newest.min(sent_before).saturating_sub(OVERTAKEN);
         let (mut lost, mut kept) = (Vec::new(), VecDeque::with_capacity(self.flying.len()));
-        for (place, part) in self.flying.drain(..).enumerate() {
-            let arrived = (part.kind, part.seq) == (ack.kind, ack.seq) && ack.covers(part.index);
-            match (arrived, place < overtaken) {
-                (true, _) => self.flying_bytes -= part.bytes,
-                (false, true) => {
-                    self.flying_bytes -= part.bytes;
-                    lost.push(part);
-                }
-                (false, false) => kept.push_back(part),
+        let mut later = arrived;
+        for (place, mut part) in self.flying.drain(..).enumerate() {
+            if (part.kind, part.seq) == (ack.kind, ack.seq) && ack.covers(part.index) {
+                self.flying_bytes -= part.bytes;
+                later -= 1;
+                continue;
+            }
+            if place < sent_before {
+                part.overtaken += later;
+            }
+            if part.overtaken >= OVERTAKEN && ack.sent - part.sent >= CLOSELY {
+                self.flying_bytes -= part.bytes;
+                lost.push(part);
+            } else {
+                kept.push_back(part);
             }
         }
         self.flying = kept;
@@ -304,6 +317,7 @@ impl Sender {
             index,
             bytes,
             sent: now,
+            overtaken: 0,
         });
         self.flying_bytes += bytes;
         self.moved = now;
@@ -341,7 +355,8 @@ impl Sender {
         let born = crossing()
             .map(|transfer| transfer.offer.born)
             .fold(offer.born, Nanos::min);
-        self.arrival(now, bytes) <= born + self.settings.deadline && self.start(now)
+        let takes = self.arrival(now, bytes) - now;
+        now + takes + takes / SLACK <= born + self.settings.deadline && self.start(now)
     }
 
     /// Begins with a message that waits and arrives in time, or tries one; `false` if there is none.
@@ -362,7 +377,7 @@ impl Sender {
                 false if self.may_try(kind, now) => {
                     self.tried.insert(kind, now);
                     Some(Trial {
-                        parts: self.trial_parts(TRIAL_PARTS.1),
+                        parts: self.trial_parts(),
                         since: now,
                     })
                 }
@@ -409,10 +424,11 @@ impl Sender {
         last.is_none_or(|last| now - last >= self.settings.trial)
     }
 
-    fn trial_parts(&self, most: u32) -> u32 {
+    /// So many that they show more than is known, should the way carry more; the first only begins the measurement.
+    fn trial_parts(&self) -> u32 {
         let rate = self.window.rate().unwrap_or(0.0);
-        let parts = (rate * TRIAL_TIME / self.window.part() as f64) as u32;
-        parts.clamp(TRIAL_PARTS.0, most)
+        let parts = (rate * TRIAL_TIME / self.window.part() as f64).ceil() as u32 + 1;
+        parts.max(TRIAL_PARTS)
     }
 
     /// When so many bytes more will have arrived, as far as is known.
@@ -420,8 +436,11 @@ impl Sender {
         let Some(rate) = self.window.rate() else {
             return now;
         };
-        let crossing = (self.flying_bytes + bytes) as f64 / rate * 1e9;
-        now.saturating_add(crossing as Nanos) + self.window.round_trip().unwrap_or(0) / 2
+        let takes = |bytes: usize| (bytes as f64 / rate * 1e9) as Nanos;
+        let round_trip = self.window.round_trip().unwrap_or(0);
+        // Of what is on its way as much has left the queue, or is acknowledged, as crosses in a round trip.
+        let queue = (takes(self.flying_bytes) - round_trip).max(0);
+        now.saturating_add(queue + takes(bytes)) + round_trip / 2
     }
 
     /// Gives up transfers that cannot arrive in time, and decides about trials.
@@ -435,7 +454,9 @@ impl Sender {
             if is_under_trial && self.is_flying(transfer) {
                 continue;
             }
-            let late = self.arrival(now, transfer.remaining()) > transfer.offer.born + self.settings.deadline;
+            // What has begun is not given up for a little: what waits in queues is not known any better.
+            let must = transfer.offer.born + self.settings.deadline + self.settings.queue;
+            let late = self.arrival(now, transfer.remaining()) > must;
             let in_time = now <= transfer.offer.born + self.settings.deadline;
             if let Some(trial) = transfer
                 .trial
@@ -443,7 +464,7 @@ impl Sender {
             {
                 // The parts came in faster than was known: some more say how fast the way is.
                 let more = Trial {
-                    parts: trial.parts.saturating_add(self.trial_parts(u32::MAX)),
+                    parts: trial.parts.saturating_add(self.trial_parts()),
                     since: now,
                 };
                 self.transfers[place].trial = Some(more);
@@ -483,11 +504,7 @@ impl Sender {
 
     /// Takes everything for lost that is on its way, if nothing came back for too long.
     fn give_up_silence(&mut self, now: Nanos) {
-        if self
-            .flying
-            .front()
-            .is_none_or(|first| now < first.sent + self.silence())
-        {
+        if self.silent_at().is_none_or(|time| now < time) {
             return;
         }
         self.window.lost();
@@ -496,8 +513,11 @@ impl Sender {
         lost.iter().for_each(|part| self.repeat(part));
     }
 
-    fn silence(&self) -> Nanos {
-        SILENCE.max(4 * self.window.round_trip().unwrap_or(0))
+    /// When nothing will have come back for too long.
+    fn silent_at(&self) -> Option<Nanos> {
+        let silence = SILENCE.max(4 * self.window.round_trip().unwrap_or(0));
+        let first = self.flying.front()?;
+        Some(first.sent.max(self.heard) + silence)
     }
 
     fn repeat(&mut self, part: &Flying) {

@@ -16,8 +16,10 @@ const STEP: Nanos = 1_000 * MS;
 const MEMORY: Nanos = 500 * MS;
 /// A longer round trip is none: the peer made the time of sending up.
 const LONGEST: Nanos = 60_000 * MS;
-/// A least round trip is looked for anew after so long.
+/// A least round trip is looked for anew after so long,
 const LEAST_HOLDS: Nanos = 10_000 * MS;
+/// with so much of what fills it on the way.
+const EMPTIED: f64 = 0.75;
 /// Parts go out so much faster than the way carries them, lest it be idle and to see whether it carries more.
 const HASTE: f64 = 1.25;
 /// The same while it was just found to carry more.
@@ -48,7 +50,7 @@ pub struct Window {
     rates: VecDeque<(Nanos, f64)>,
     /// The least round trip, and when it was found.
     least: Option<(Nanos, Nanos)>,
-    /// Since when the way is kept all but empty, to see the round trip without a queue of one's own.
+    /// Since when so little is on the way that nothing of it waits in a queue, to see the round trip without.
     emptied: Option<Nanos>,
     /// When all that went out has crossed, at the pace of sending.
     crossed: Nanos,
@@ -75,14 +77,12 @@ impl Window {
 
     /// Bytes that may be on the way.
     pub fn bytes(&self) -> usize {
-        if self.emptied.is_some() {
-            return self.part();
+        let of = |time: f64| self.rate().map_or(0, |rate| (rate * time * 1e-9) as usize);
+        match (self.least, self.emptied) {
+            (Some((least, _)), None) => of((least + self.queue) as f64).max(PARTS * self.part()),
+            (Some((least, _)), Some(_)) => of(EMPTIED * least as f64).max(self.part()),
+            (None, _) => PARTS * self.part(),
         }
-        let open = match (self.rate(), self.least) {
-            (Some(rate), Some((least, _))) => (rate * (least + self.queue) as f64 * 1e-9) as usize,
-            _ => 0,
-        };
-        open.max(PARTS * self.part())
     }
 
     /// Bytes of a part.
@@ -142,8 +142,12 @@ impl Window {
             self.train.pop_front();
         }
         if let (Some((first, before)), true) = (self.train.front(), self.train.len() > 1) {
-            let span = received.saturating_sub(*first).max(SHORTEST);
-            self.see_rate(now, (self.delivered - before) as f64 / (span as f64 * 1e-9));
+            let span = received.saturating_sub(*first);
+            let rate = (self.delivered - before) as f64 / (span.max(SHORTEST) as f64 * 1e-9);
+            // A shorter train says how much the way carries at least.
+            if span >= SHORTEST || self.rate().is_none_or(|known| rate > known) {
+                self.see_rate(now, rate);
+            }
         }
     }
 
@@ -293,6 +297,22 @@ mod tests {
         let before = window.rate().unwrap();
         for k in 0..3 {
             window.acknowledged(1_100 * MS + k, 1_090 * MS, k - 999_999 * MS * k, PART_BYTES);
+        }
+        assert_eq!(window.rate().unwrap(), before);
+    }
+
+    #[test]
+    fn parts_that_came_together_never_lower_the_rate() {
+        let mut window = Window::new(PART_BYTES, 20 * MS);
+        drive(&mut window, 0, 2_000 * MS, 14e6, 40 * MS, 0);
+        let before = window.rate().unwrap();
+        let later = 4_000 * MS;
+        for k in 0..8 {
+            window.sent(later, PART_BYTES, k == 0);
+        }
+        for k in 0..8 {
+            let crosses = 40 * MS + (PART_BYTES as f64 / 14e6 * 1e9) as Nanos * k;
+            window.acknowledged(later + 40 * MS + crosses, later, later + crosses, PART_BYTES);
         }
         assert_eq!(window.rate().unwrap(), before);
     }
