@@ -221,6 +221,35 @@ fn the_sender_projects_with_the_newest_state_that_has_arrived() {
     );
 }
 
+/// Where all points arrive, hybrid fusion gives what early fusion gives; where none does, what late fusion gives.
+#[test]
+fn hybrid_fusion_takes_the_boxes_of_those_whose_points_did_not_arrive() {
+    let lossy = folder("hybrid_profile").join("points_lost.toml");
+    fs::write(&lossy, "about = \"no points arrive\"\n[kinds.points]\nloss = 1\n").expect("the profile can be written");
+    let lossy = lossy.to_string_lossy().into_owned();
+    let fates = |result: &serde_json::Value, kind: &str| {
+        let books = &result["links"]["cav2-cav1"][kind];
+        ["sent", "used", "superseded", "lost", "unaccounted"].map(|fate| books[fate].as_u64().unwrap_or(0))
+    };
+    run("hybrid_early", "early_fusion", &["--offline"]);
+    let all = run("hybrid_all", "hybrid_fusion", &["--offline"]);
+    assert_eq!(recorded("hybrid_all"), recorded("hybrid_early"));
+    assert_eq!(
+        (fates(&all, "points"), fates(&all, "boxes")),
+        ([5, 5, 0, 0, 0], [5, 0, 5, 0, 0])
+    );
+
+    run("hybrid_late", "late_fusion", &["--link", &lossy]);
+    let none = run("hybrid_none", "hybrid_fusion", &["--link", &lossy]);
+    assert_eq!(recorded("hybrid_none"), recorded("hybrid_late"));
+    assert_ne!(recorded("hybrid_none"), recorded("hybrid_all"));
+    // The first sweep is measured before the link knows where the ego is.
+    assert_eq!(
+        (fates(&none, "points"), fates(&none, "boxes")),
+        ([4, 0, 0, 4, 0], [4, 4, 0, 0, 0])
+    );
+}
+
 #[test]
 fn late_fusion_detects_in_both_lanes() {
     let protocol = root().join("operators/scoring/protocols/default.yml");

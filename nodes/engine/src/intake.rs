@@ -246,11 +246,13 @@ impl Intake {
         Ok(())
     }
 
-    /// Empties the slot of a `latest` port, agent and receiver for newer work; what is older than the waiting one is
+    /// Empties the slot of a `latest` port, agent, receiver and kind for newer work; what is older than the waiting one is
     /// passed over itself.
     fn replace_waiting(&mut self, server: &str, port: PortId, work: Work) -> Option<Work> {
-        let Header { agent, to, stamp, .. } = &work.calls[0].1.header;
-        let of_slot = |header: &Header| header.agent == *agent && header.to == *to;
+        let Header {
+            agent, to, kind, stamp, ..
+        } = &work.calls[0].1.header;
+        let of_slot = |header: &Header| header.agent == *agent && header.to == *to && header.kind == *kind;
         let line = self.waiting.get_mut(server);
         let slot = line.and_then(|line| {
             line.extract_if(.., |place, waiting| {
@@ -367,6 +369,19 @@ mod tests {
         assert_eq!(intake.books()["latest"].skipped.total(), 2);
         let gone: Vec<(Name, u64)> = intake.take_passed_over().iter().map(of).collect();
         assert_eq!(gone, [("x".into(), 0), ("x".into(), 1)]);
+    }
+
+    #[test]
+    fn latest_keeps_one_for_each_kind() {
+        let (mut intake, one) = (intake(), Name::from(""));
+        for kind in [Kind::Points, Kind::Boxes, Kind::Points] {
+            let mut message = message("x", 0);
+            message.header.kind = kind;
+            intake.offer(&one, PortId(3), message).unwrap();
+        }
+        assert_eq!(intake.books()["latest"].skipped.total(), 1, "the first one of points");
+        let left: Vec<Work> = std::iter::from_fn(|| intake.next("")).collect();
+        assert_eq!(left.len(), 2);
     }
 
     #[test]

@@ -27,6 +27,8 @@ use crate::station::{Event, MOST_BYTES, Report, Station};
 
 const PACKETS: PortId = PortId(0);
 const STATE: PortId = PortId(1);
+const POORER: PortId = PortId(2);
+const POOREST: PortId = PortId(3);
 const TO_EGO: PortId = PortId(0);
 const PEERS: PortId = PortId(1);
 const STATES: PortId = PortId(2);
@@ -158,6 +160,13 @@ impl Describe for Radio {
         Port::new("state", &[PayloadType::EgoState], "where this agent is, for all others")
             .optional()
             .of(Lane::Ego),
+        Port::new(
+            "poorer",
+            &[PayloadType::Packet],
+            "the same moments in a poorer form, as features or boxes for points: of large kinds the richest goes that arrives in time",
+        )
+        .optional(),
+        Port::new("poorest", &[PayloadType::Packet], "the same in a poorer form still").optional(),
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::new("to_ego", &[PayloadType::Packet], "what the others have for this agent").of(Lane::OthersReceived),
@@ -213,7 +222,7 @@ impl Gateway for Radio {
 
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let (header, packet): (Header, Packet) = match port {
-            PACKETS => message.into_parts().map_err(unexpected)?,
+            PACKETS | POORER | POOREST => message.into_parts().map_err(unexpected)?,
             STATE => {
                 let (packet, _) = self.encoder.encode(&message, &mut Steps::default())?;
                 (message.header, packet)

@@ -172,16 +172,17 @@ impl Bank {
         due.map(|(name, _)| name.clone()).collect()
     }
 
-    /// Answers a query of the ego with what was ready at `asked` (offline: near its stamp). Queries come in the order of
-    /// `asked` (offline: of their stamps).
-    pub fn answer(&mut self, query: &Header, asked: Nanos) -> Answer {
+    /// Answers a query of the ego with what was ready at `asked` (offline: near its stamp) of all but those that are `fused`
+    /// already. Queries come in the order of `asked` (offline: of their stamps).
+    pub fn answer(&mut self, query: &Header, asked: Nanos, fused: &BTreeSet<Name>) -> Answer {
         self.learn_ego(&query.agent);
         let oldest = query.ready.saturating_sub(self.window);
         let mut entries = Vec::new();
-        for sender in self.senders.values_mut() {
+        for (name, sender) in &mut self.senders {
+            let wanted = !fused.contains(name);
             let selected = match self.offline {
-                true => sender.nearest(query.stamp, OFFLINE_REACH, &mut self.departed),
-                false => sender.newest(asked, oldest, &mut self.departed),
+                true => sender.nearest(query.stamp, OFFLINE_REACH, wanted, &mut self.departed),
+                false => sender.newest(asked, oldest, wanted, &mut self.departed),
             };
             entries.extend(selected);
         }

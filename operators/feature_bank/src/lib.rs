@@ -5,6 +5,7 @@
 //! |---|---|---|---|
 //! | `ego` | in, all, query | PointCloud, FeatureMap, Boxes | what the ego says of itself; each message is a query |
 //! | `others` | in, all | PointCloud, FeatureMap, Boxes | what collaborators say |
+//! | `fused` | in, all, optional | Selection | what another bank selected for the ego's message of the same seq |
 //! | `selections` | out | Selection | exactly one for each query, with the query's header |
 //!
 //! **Online** a query takes, of each sender, the message of newest stamp that was ready when the query was, unless it
@@ -21,6 +22,10 @@
 //! **Offline** it takes the message of least |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
 //! 50 ms after its stamp.
 //!
+//! **Several forms**: where agents send points and boxes of the same moments, a bank of points and one of boxes follow each other,
+//! and the first one's selections are `fused` for the second: who is in the one for a seq already is in the ego's message of that seq
+//! and is passed over by its query here.
+//!
 //! **Limit**: of each sender 16 messages are held. Where one more comes, that of the oldest stamp makes room (of one
 //! stamp the one that came first), which may be the one that came; no query takes it any more. So a query that has waited
 //! for its turn may find nothing of a sender of which 16 newer messages have come since. Online what made room is
@@ -31,8 +36,8 @@
 //!
 //! | fate | meaning |
 //! |---|---|
-//! | `stale` | too old when a query asked its sender: online beyond the window, offline more than 50 ms before the query and never within reach of one |
-//! | `superseded` | online a newer one of its sender was there before any query, offline a nearer one was taken |
+//! | `stale` | too old when a query asked its sender: online beyond the window, offline more than 50 ms before the query and never within reach of one; its sender was never `fused` when one did |
+//! | `superseded` | online a newer one of its sender was there before any query, offline a nearer one was taken; or its sender was `fused` |
 //! | `rejected` | it came before the first query, which has another payload |
 //! | `in_flight` | held at the end, and no query had asked for it |
 //!

@@ -1,6 +1,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_operator::{Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{
+    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+};
 use realo_schemas::{Header, Message, Name, Nanos, PayloadType, Selection};
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +12,11 @@ const FUSABLE: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::FeatureM
 
 const EGO: PortId = PortId(0);
 const OTHERS: PortId = PortId(1);
+const FUSED: PortId = PortId(2);
 const SELECTIONS: PortId = PortId(0);
+
+/// Selections of a bank before this one whose queries have not come here.
+const AHEAD: usize = 64;
 
 const NANOS_PER_MILLI: Nanos = 1_000_000;
 
@@ -53,6 +59,8 @@ pub struct FeatureBank {
     pending: BTreeMap<(Nanos, u64), Waiting>,
     /// Queries so far.
     queries: u64,
+    /// By seq: whom the ego's message has in it already.
+    fused: BTreeMap<u64, BTreeSet<Name>>,
 }
 
 /// A query that waits.
@@ -99,6 +107,13 @@ impl Describe for FeatureBank {
         Port::new("others", FUSABLE, "what collaborators say")
             .accounting()
             .of(Lane::OthersReceived),
+        Port::new(
+            "fused",
+            &[PayloadType::Selection],
+            "whom the ego's message of a seq has in it already, from a bank before this one",
+        )
+        .optional()
+        .of(Lane::Ego),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new(
         "selections",
@@ -120,10 +135,13 @@ impl FeatureBank {
             }
             let until = query.ready.saturating_add(self.patience);
             // Its patience may be over before its turn comes.
-            let awaited = match self.patience > 0 && until > out.now() {
+            let mut awaited = match self.patience > 0 && until > out.now() {
                 true => self.bank.awaited(&query, self.patience),
                 false => BTreeSet::new(),
             };
+            if let Some(fused) = self.fused.get(&query.seq) {
+                awaited.retain(|agent| !fused.contains(agent));
+            }
             if awaited.is_empty() {
                 return self.answer(query, out);
             }
@@ -152,7 +170,9 @@ impl FeatureBank {
             0 => query.ready,
             _ => query.ready.max(out.now()),
         };
-        let answer = self.bank.answer(&query, asked);
+        let later = self.fused.split_off(&query.seq.saturating_add(1));
+        let fused = std::mem::replace(&mut self.fused, later).remove(&query.seq);
+        let answer = self.bank.answer(&query, asked, &fused.unwrap_or_default());
         out.count("entries", answer.entries.len() as u64);
         answer
             .departed
@@ -185,6 +205,7 @@ impl Operator for FeatureBank {
             patience: nanos(config.patience_ms),
             pending: BTreeMap::new(),
             queries: 0,
+            fused: BTreeMap::new(),
         })
     }
 
@@ -201,6 +222,14 @@ impl Operator for FeatureBank {
                     Taken::Held { newest: false } => {}
                     Taken::Repeated => out.count("repeated", 1),
                     Taken::FromEgo => out.count("from_ego", 1),
+                }
+            }
+            FUSED => {
+                let (_, Selection { query, entries }) = message.into_parts().map_err(unexpected)?;
+                let agents = entries.into_iter().map(|entry| entry.header.agent).collect();
+                self.fused.insert(query, agents);
+                if self.fused.len() > AHEAD {
+                    self.fused.pop_first();
                 }
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),

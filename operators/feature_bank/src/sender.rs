@@ -26,8 +26,8 @@ impl Held {
     fn leave(&self, unasked: Fate, departed: &mut Departed) {
         let fate = match (self.selected, self.stale, self.passed_over) {
             (true, _, _) => return,
-            (_, true, _) => Fate::Stale,
             (_, _, true) => Fate::Superseded,
+            (_, true, _) => Fate::Stale,
             _ => unasked,
         };
         departed.push((self.message.header.clone(), fate));
@@ -160,8 +160,9 @@ impl Sender {
         self.held.retain(keep);
     }
 
-    /// Online: the message of newest stamp that is ready at `ready`, unless its stamp lies before `oldest`.
-    pub fn newest(&mut self, ready: Nanos, oldest: Nanos, departed: &mut Departed) -> Option<Message> {
+    /// Online: the message of newest stamp that is ready at `ready`, unless its stamp lies before `oldest`. One that is not
+    /// `wanted` is passed over.
+    pub fn newest(&mut self, ready: Nanos, oldest: Nanos, wanted: bool, departed: &mut Departed) -> Option<Message> {
         let newest = self.held.iter().rposition(|held| held.message.header.ready <= ready)?;
         let mut place = 0;
         self.held.retain(|held| {
@@ -174,13 +175,14 @@ impl Sender {
         });
         let held = self.held.iter_mut().rfind(|held| held.message.header.ready <= ready)?;
         let in_time = held.message.header.stamp >= oldest;
-        held.selected |= in_time;
+        held.selected |= in_time && wanted;
+        held.passed_over |= in_time && !wanted;
         held.stale |= !in_time;
-        in_time.then(|| held.message.clone())
+        (in_time && wanted).then(|| held.message.clone())
     }
 
     /// Offline: the message whose stamp is nearest, at most `reach` away; of two the earlier one.
-    pub fn nearest(&mut self, stamp: Nanos, reach: Nanos, departed: &mut Departed) -> Option<Message> {
+    pub fn nearest(&mut self, stamp: Nanos, reach: Nanos, wanted: bool, departed: &mut Departed) -> Option<Message> {
         let distance = |held: &Held| held.message.header.stamp.abs_diff(stamp);
         // The first of least distance is the earlier one, and of one stamp the one that came first.
         let nearest = self
@@ -192,10 +194,11 @@ impl Sender {
         let nearest = nearest.filter(|at| distance(&self.held[*at]) <= reach.unsigned_abs());
         for (at, held) in self.held.iter_mut().chain(&mut self.dropped).enumerate() {
             let within = distance(held) <= reach.unsigned_abs();
-            held.selected |= nearest == Some(at);
-            held.passed_over |= within && nearest != Some(at);
+            let is_selected = wanted && nearest == Some(at);
+            held.selected |= is_selected;
+            held.passed_over |= within && !is_selected;
         }
-        let selected = nearest.map(|at| self.held[at].message.clone());
+        let selected = nearest.filter(|_| wanted).map(|at| self.held[at].message.clone());
         let mut keep = |held: &Held| {
             let keep = held.message.header.stamp >= stamp.saturating_sub(reach);
             if !keep {

@@ -5,7 +5,7 @@
 //! | `ego_state` | in, all, state | EgoState | where the ego is |
 //! | `states` | in, all, state | EgoState | where the others are |
 //! | `ego` | in, all, optional | Packet | what the ego sends |
-//! | `others` | in, all, optional | Packet | what the others send |
+//! | `others`, `poorer`, `poorest` | in, all, optional | Packet | what the others send; the same moments in poorer forms |
 //! | `to_ego` | out | Packet | the others' packets, delivered to the ego |
 //! | `to_others` | out | Packet | the ego's packets, a copy for each other agent that is known |
 //! | `report` | out | Report | topic `link`: what crossed each channel, at the end |

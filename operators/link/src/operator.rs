@@ -13,6 +13,8 @@ const EGO_STATE: PortId = PortId(0);
 const STATES: PortId = PortId(1);
 const EGO: PortId = PortId(2);
 const OTHERS: PortId = PortId(3);
+const POORER: PortId = PortId(4);
+const POOREST: PortId = PortId(5);
 const TO_EGO: PortId = PortId(0);
 const TO_OTHERS: PortId = PortId(1);
 
@@ -104,6 +106,16 @@ impl Describe for Link {
             .optional()
             .of(Lane::Ego),
         Port::new("others", &[PayloadType::Packet], "what the others send")
+            .optional()
+            .of(Lane::Others),
+        Port::new(
+            "poorer",
+            &[PayloadType::Packet],
+            "the same moments in a poorer form, as boxes for points",
+        )
+        .optional()
+        .of(Lane::Others),
+        Port::new("poorest", &[PayloadType::Packet], "the same in a poorer form still")
             .optional()
             .of(Lane::Others),
     ];
@@ -301,7 +313,7 @@ impl Operator for Link {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         match port {
             EGO_STATE | EGO => self.ego_lane(&message.header.agent)?,
-            STATES | OTHERS => self.others_lane(&message.header.agent)?,
+            STATES | OTHERS | POORER | POOREST => self.others_lane(&message.header.agent)?,
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         if matches!(port, EGO_STATE | STATES) {

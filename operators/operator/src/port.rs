@@ -12,7 +12,7 @@ pub struct PortId(pub usize);
 pub enum Queue {
     /// Keeps every message in order; more than [`Queue::CAPACITY`] waiting messages fail the run.
     All,
-    /// One slot per agent, and of what crossed a link per sender and receiver: a newer message replaces the waiting one,
+    /// One slot per agent and kind, and of what crossed a link per sender and receiver: a newer message replaces the waiting one,
     /// which counts as skipped.
     Latest,
 }

@@ -1,5 +1,5 @@
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{Header, Message, Packet, Payload, PayloadType};
+use realo_schemas::{Header, Kind, Message, Packet, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
 use crate::cpm::Geodetic;
@@ -13,6 +13,8 @@ pub struct DecoderConfig {
     pub max_bytes: usize,
     /// Where on Earth the origin of `map` is, for CPMs.
     pub origin: Geodetic,
+    /// The only kind that is taken, where others are for another decoder; `None`: all.
+    pub kind: Option<Kind>,
 }
 
 impl Default for DecoderConfig {
@@ -20,6 +22,7 @@ impl Default for DecoderConfig {
         DecoderConfig {
             max_bytes: 64 << 20,
             origin: Geodetic::default(),
+            kind: None,
         }
     }
 }
@@ -33,6 +36,7 @@ const STATES: PortId = PortId(1);
 /// Gets what an agent said out of its bytes.
 pub struct TransmissionDecoder {
     max_bytes: usize,
+    kind: Option<Kind>,
     decoder: Decoder,
 }
 
@@ -48,6 +52,10 @@ impl Describe for TransmissionDecoder {
         Argument {
             name: "origin",
             about: "where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm",
+        },
+        Argument {
+            name: "kind",
+            about: "take packets of this kind only, points, features, boxes or ego_state, for another decoder takes the others; null = all",
         },
     ];
     const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
@@ -81,6 +89,7 @@ impl Operator for TransmissionDecoder {
         }
         Ok(TransmissionDecoder {
             max_bytes: config.max_bytes,
+            kind: config.kind,
             decoder: Decoder::new(config.max_bytes)?.with_origin(config.origin),
         })
     }
@@ -88,6 +97,9 @@ impl Operator for TransmissionDecoder {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         if port != PortId(0) {
             return Err(wrong_port(Self::INPUTS, port));
+        }
+        if self.kind.is_some_and(|kind| kind != message.header.kind) {
+            return Ok(());
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
         let message = self.message(header, &packet, out)?;

@@ -29,7 +29,7 @@ fn offline() -> Bank {
 
 /// A query that is answered at once.
 fn ask(bank: &mut Bank, query: &Header) -> Answer {
-    bank.answer(query, query.ready)
+    bank.answer(query, query.ready, &BTreeSet::new())
 }
 
 fn seqs(entries: &[Message]) -> Vec<(&str, u64)> {

@@ -81,6 +81,45 @@ fn answers_each_query_at_once_with_the_querys_header() {
 }
 
 #[test]
+fn who_is_in_the_egos_message_already_is_passed_over_by_its_query() {
+    for offline in [false, true] {
+        let mut bank = bank(offline);
+        let mut out = Outputs::at(140 * MS);
+        bank.on_input(OTHERS, message("rsu1", 4, 95, 110), &mut out).unwrap();
+        bank.on_input(OTHERS, message("cav2", 2, 95, 110), &mut out).unwrap();
+        let query = message("cav1", 7, 100, 140);
+        let entries = vec![message("rsu1", 4, 95, 100)];
+        let fused = Message::new(query.header.clone(), Selection { query: 7, entries });
+        bank.on_input(FUSED, fused, &mut out).unwrap();
+        bank.on_input(EGO, query, &mut out).unwrap();
+        bank.on_end(&mut out).unwrap();
+        let (selections, fates) = outcome(&mut out);
+        assert_eq!(selections[0].2, ["cav2:2"], "offline {offline}");
+        assert_eq!(fates, [(4, Fate::Superseded)], "offline {offline}");
+    }
+}
+
+#[test]
+fn who_was_in_an_earlier_message_of_the_ego_is_selected_again() {
+    let mut bank = bank(false);
+    let mut out = Outputs::at(140 * MS);
+    let query = |seq| message("cav1", seq, 100, 140);
+    let entries = vec![message("rsu1", 4, 95, 100)];
+    let fused = Message::new(query(7).header, Selection { query: 7, entries });
+    bank.on_input(OTHERS, message("rsu1", 4, 95, 110), &mut out).unwrap();
+    bank.on_input(FUSED, fused, &mut out).unwrap();
+    bank.on_input(EGO, query(7), &mut out).unwrap();
+    bank.on_input(EGO, query(8), &mut out).unwrap();
+    bank.on_end(&mut out).unwrap();
+    let (selections, fates) = outcome(&mut out);
+    assert_eq!(
+        [&selections[0].2[..], &selections[1].2[..]],
+        [&[][..], &["rsu1:4".to_string()][..]]
+    );
+    assert_eq!(fates, [], "the fusion says what became of it");
+}
+
+#[test]
 fn offline_answers_fifty_milliseconds_after_the_stamp() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
