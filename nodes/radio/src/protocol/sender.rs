@@ -28,6 +28,8 @@ const SLACK: Nanos = 16;
 const TRIAL_TIME: f64 = 0.03;
 /// Parts of a trial at least.
 const TRIAL_PARTS: u32 = 4;
+/// and its bytes at least: fewer, spread by the jitter of the way, show no more than is known of a slow one.
+const TRIAL_BYTES: usize = 8192;
 
 /// How a sender weighs freshness against completeness.
 #[derive(Clone, Debug, PartialEq)]
@@ -428,7 +430,9 @@ impl Sender {
     fn trial_parts(&self) -> u32 {
         let rate = self.window.rate().unwrap_or(0.0);
         let parts = (rate * TRIAL_TIME / self.window.part() as f64).ceil() as u32 + 1;
-        parts.max(TRIAL_PARTS)
+        parts
+            .max(TRIAL_PARTS)
+            .max(TRIAL_BYTES.div_ceil(self.window.part()) as u32)
     }
 
     /// When so many bytes more will have arrived, as far as is known.
