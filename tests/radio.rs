@@ -51,14 +51,19 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
     run_virtual("radio_virtual", "late_fusion", &log, &together);
     let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("radio_virtual");
     let expected = boxes(&virtual_out);
-    let _peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
+    // Both machines are one, and so their clocks.
+    let synchronised = "v2x.clock_error_ms=0.001";
+    let _peer = Peer::start("late_fusion.roadside", &log, &far, port, &[synchronised]);
     // A machine that stands still for a moment delays a message by more than the sweeps lie apart.
     let mut different = Vec::new();
     for _ in 0..3 {
-        let set = [format!("v2x.listen=tcp/127.0.0.1:{port}")];
+        let set = [format!("v2x.listen=tcp/127.0.0.1:{port}"), synchronised.into()];
         realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
         let result = json(&near.join("result.json"));
         assert_books_add_up(&result);
+        let peer = &result["peers"][0];
+        assert_eq!(peer["clock_by"], "machines", "{peer}");
+        assert!(peer["clock_ms"].as_f64().is_some_and(|clock| clock.abs() < 2.0), "{peer}");
         let trace = walk(&near).into_iter().find(|path| path.ends_with("channels/rsu1.csv"));
         let trace = std::fs::read_to_string(trace.expect("what the way from rsu1 was like")).expect("a file");
         assert!(
@@ -227,6 +232,8 @@ fn what_agents_recorded_is_one_log_again_though_a_clock_is_off() {
     let set = [format!("v2x.listen=tcp/127.0.0.1:{port}"), "player.repeat=3".into()];
     realo_ok(arguments("late_fusion.vehicle", &log, &near, &set));
     roadside.join().expect("the roadside unit's run is complete");
+    let clock = &json(&near.join("result.json"))["peers"][0];
+    assert_eq!(clock["clock_by"], "exchanges", "{clock}");
     let merged = near.join("merged.mcap").display().to_string();
     let logs = [recorded(&near, "cav1"), recorded(&far, "rsu1")];
     let said = realo_ok(["merge", &logs[0], &logs[1], "-o", &merged]);

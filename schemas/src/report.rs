@@ -142,6 +142,16 @@ impl Traffic {
 /// Topic of the reports about the agents on other machines, a list of [`Peer`].
 pub const PEERS: &str = "peers";
 
+/// How the offset of a peer's clock was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ClockBy {
+    /// By questions and answers about the time.
+    Exchanges,
+    /// By what both machines say, whose clocks GNSS, PTP or NTP synchronise.
+    Machines,
+}
+
 /// What an agent knows of one on another machine.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -156,6 +166,12 @@ pub struct Peer {
     pub clock_uncertainty_ms: Option<f64>,
     /// What its clock gains on this agent's, ms in a second.
     pub clock_drift_ms_s: Option<f64>,
+    /// Where these three are from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clock_by: Option<ClockBy>,
+    /// By how much exchanges contradict what the two machines say of their clocks, one of which is wrong, ms.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clock_contradiction_ms: Option<f64>,
     /// Least round trip of late, of parts or, where none was sent, of questions about the time, ms.
     pub round_trip_ms: Option<f64>,
     /// What the way to it was found to carry at the end, bits/s.

@@ -6,6 +6,7 @@ use std::net::TcpListener;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -129,10 +130,15 @@ pub fn counts(result: &Value, class: &str, iou: &str) -> (u64, u64, u64) {
 
 /// A port that is free, as is the one behind it.
 pub fn free_port() -> u16 {
-    for _ in 0..100 {
-        let first = TcpListener::bind("127.0.0.1:0").expect("a port is free");
-        let port = first.local_addr().expect("it has an address").port();
-        if port < u16::MAX && TcpListener::bind(("127.0.0.1", port + 1)).is_ok() {
+    // Below those that systems give to who connects: peers that try again and again would take it before it is listened to.
+    const PORTS: std::ops::Range<u32> = 12_000..32_000;
+    static TRIES: AtomicU32 = AtomicU32::new(0);
+    for _ in 0..1000 {
+        let place = std::process::id()
+            .wrapping_mul(7919)
+            .wrapping_add(TRIES.fetch_add(2, Ordering::Relaxed));
+        let port = (PORTS.start + place % (PORTS.end - PORTS.start)) as u16;
+        if [port, port + 1].map(|port| TcpListener::bind(("127.0.0.1", port)).is_ok()) == [true; 2] {
             return port;
         }
     }

@@ -7,7 +7,7 @@
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use bytes::Bytes;
 use realo_operator::Waker;
@@ -18,6 +18,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
+use crate::clock::{steady, wall, wall_error};
 use crate::protocol::Offer;
 use crate::refusal::Refusals;
 use crate::session::{NetworkError, Place, open, zenoh_error};
@@ -25,6 +26,8 @@ use crate::station::{Event, Moment, Outgoing, Report, Station, Topic};
 
 /// What has come in and the station has not seen yet; more is lost, as on the way.
 const WAITING: usize = 4096;
+/// Its bytes at most.
+const WAITING_BYTES: usize = 32 << 20;
 /// Events that wait for the graph; of more the oldest go.
 const EVENTS: usize = 1024;
 /// How long the thread sleeps at most.
@@ -51,6 +54,20 @@ struct Shared {
     refused: Refusals,
     /// Messages that came while too many waited.
     overrun: u64,
+    /// Bytes that have come in and the station has not seen yet.
+    waiting_bytes: usize,
+}
+
+impl Shared {
+    /// Whether there is room for what came in, which waits then.
+    fn admits(&mut self, bytes: usize) -> bool {
+        let is_admitted = self.waiting_bytes + bytes <= WAITING_BYTES;
+        match is_admitted {
+            true => self.waiting_bytes += bytes,
+            false => self.overrun += 1,
+        }
+        is_admitted
+    }
 }
 
 /// An agent on its network.
@@ -100,6 +117,8 @@ impl Network {
             shared: shared.clone(),
             waker,
             report_at: Nanos::MIN,
+            clock_error: place.clock_error,
+            wall_error: None,
         };
         let thread = std::thread::spawn(move || {
             thread.run();
@@ -143,18 +162,6 @@ impl Network {
     }
 }
 
-/// Time on a clock that never steps.
-pub fn steady() -> Nanos {
-    static BEGUN: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
-    BEGUN.get_or_init(Instant::now).elapsed().as_nanos() as Nanos
-}
-
-/// Time on the machine's wall clock, ns since 1970.
-pub fn wall() -> Nanos {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    since.map_or(0, |since| since.as_nanos() as Nanos)
-}
-
 fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
@@ -173,9 +180,15 @@ fn listen(
         let Some((from, topic)) = parts(sample.key_expr().as_str()) else {
             return;
         };
+        let length = sample.payload().len();
+        if !lock(&shared).admits(length) {
+            return;
+        }
         let bytes = Bytes::from(sample.payload().to_bytes().into_owned());
         if let Err(TrySendError::Full(_)) = heard.try_send(Heard::Bytes(from, topic, bytes)) {
-            lock(&shared).overrun += 1;
+            let mut shared = lock(&shared);
+            shared.waiting_bytes -= length;
+            shared.overrun += 1;
         }
     };
     session
@@ -275,6 +288,10 @@ struct Loop {
     waker: Waker,
     /// When what is known of peers is told again though nothing came of them.
     report_at: Nanos,
+    /// What the user says that the wall clock is off by at most.
+    clock_error: Option<Nanos>,
+    /// The same, or what the kernel said last.
+    wall_error: Option<Nanos>,
 }
 
 impl Loop {
@@ -297,6 +314,7 @@ impl Loop {
         let events = self.station.take_events(now);
         self.pass(events);
         if now.steady >= self.report_at {
+            self.wall_error = self.clock_error.or_else(wall_error);
             self.report();
             self.report_at = now.steady + LOOK;
         }
@@ -319,7 +337,10 @@ impl Loop {
         match heard {
             Heard::Came(name) => self.station.up(&name, now),
             Heard::Went(name) => self.station.down(&name),
-            Heard::Bytes(from, topic, bytes) => self.station.take(&from, topic, &bytes, now),
+            Heard::Bytes(from, topic, bytes) => {
+                lock(&self.shared).waiting_bytes -= bytes.len();
+                self.station.take(&from, topic, &bytes, now);
+            }
             Heard::Offer(offer) => self.station.offer(&offer),
             Heard::Stop => return false,
         }
@@ -361,6 +382,23 @@ impl Loop {
             steady,
             log: clock.map(|(then, log)| log + (steady - then)),
             wall: wall(),
+            wall_error: self.wall_error,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_is_dropped_before_it_fills_the_memory() {
+        let mut shared = Shared::default();
+        let frame = 128 << 10;
+        let admitted = (0..WAITING).filter(|_| shared.admits(frame)).count();
+        assert_eq!(admitted * frame, WAITING_BYTES);
+        assert_eq!(shared.overrun as usize, WAITING - admitted);
+        shared.waiting_bytes -= frame;
+        assert!(shared.admits(frame) && !shared.admits(1));
     }
 }

@@ -7,18 +7,19 @@ use std::time::Duration;
 use realo_operator::{
     Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected, wrong_port,
 };
-use realo_schemas::report::{self, Fate, Peer, to_report};
+use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
 use realo_transmission::{Encoder, EncoderConfig, restamped};
 use serde::{Deserialize, Serialize};
 
 use crate::body;
 use crate::books::News;
+use crate::clock::{steady, wall};
 use crate::course::{Came, Course};
 use crate::endpoint::Endpoint;
 use crate::keys::{KeyError, Own, Trusted, is_name};
-use crate::network::{Network, steady, wall};
-use crate::offset::Estimate;
+use crate::network::Network;
+use crate::offset::{Basis, Estimate};
 use crate::protocol::{Arrived, Offer, Settings, is_bulk};
 use crate::refusal::{Refusal, Refusals};
 use crate::seal::Seal;
@@ -59,6 +60,8 @@ pub struct Config {
     pub trust: PathBuf,
     /// File of further settings of Zenoh, such as certificates and access control.
     pub zenoh: PathBuf,
+    /// What this machine's wall clock is off by at most, ms; null: what the kernel says.
+    pub clock_error_ms: Option<f64>,
     /// Age at which points and features must have arrived, ms.
     pub deadline_ms: f64,
     /// What points and features may add to the delay of everything else, ms.
@@ -79,6 +82,7 @@ impl Default for Config {
             key: PathBuf::new(),
             trust: PathBuf::new(),
             zenoh: PathBuf::new(),
+            clock_error_ms: None,
             deadline_ms: 400.0,
             queue_ms: 20.0,
             max_bytes: 16 << 20,
@@ -139,6 +143,10 @@ impl Describe for Radio {
             about: "YAML file of further settings of Zenoh, such as certificates and access control",
         },
         Argument {
+            name: "clock_error_ms",
+            about: "what GNSS or PTP leave this machine's wall clock off by at most; null: what the kernel says",
+        },
+        Argument {
             name: "deadline_ms",
             about: "age at which points and features must have arrived, or they are not sent",
         },
@@ -195,6 +203,7 @@ impl Gateway for Radio {
                 connect: config.connect,
                 lease: Duration::from_millis(config.lease_ms),
                 zenoh: config.zenoh,
+                clock_error: config.clock_error_ms.map(millis),
             },
             settings: Settings {
                 queue: millis(config.queue_ms),
@@ -380,6 +389,14 @@ impl Radio {
             clock_ms: clock.map(|clock| to_millis(clock.offset)),
             clock_uncertainty_ms: clock.map(|clock| to_millis(clock.uncertainty)),
             clock_drift_ms_s: clock.map(|clock| clock.drift * 1e-6),
+            clock_by: clock.map(|clock| match clock.basis {
+                Basis::Machines => ClockBy::Machines,
+                Basis::Exchanges | Basis::Contradiction(_) => ClockBy::Exchanges,
+            }),
+            clock_contradiction_ms: clock.and_then(|clock| match clock.basis {
+                Basis::Contradiction(differs) => Some(to_millis(differs)),
+                Basis::Exchanges | Basis::Machines => None,
+            }),
             round_trip_ms: report.round_trip.or(clock.map(|clock| 2 * clock.bound)).map(to_millis),
             bits_per_second: report.rate.map(|rate| 8.0 * rate),
             refused,
@@ -451,6 +468,12 @@ fn check(config: &Config) -> Result<(), Error> {
         if !(value.is_finite() && value > 0.0 && value <= 1e6) {
             return Err(format!("argument `{name}`: expected milliseconds above 0, found {value}").into());
         }
+    }
+    if let Some(value) = config.clock_error_ms.filter(|value| !(0.0..=1e6).contains(value)) {
+        return Err(format!(
+            "argument `clock_error_ms`: expected milliseconds from 0 to a million, or null; found {value}"
+        )
+        .into());
     }
     if config.max_bytes < 1024 || config.lease_ms < 100 {
         return Err("arguments `max_bytes`, `lease_ms`: expected at least 1024 bytes and 100 ms".into());

@@ -1,4 +1,5 @@
-//! How far the time line of a peer lies from one's own, by questions that go there and answers that come back.
+//! How far the time line of a peer lies from one's own: by questions that go there and answers that come back, and by what both
+//! machines say of their clocks.
 
 use std::collections::VecDeque;
 
@@ -13,6 +14,8 @@ const STRETCH: Nanos = 1_000 * MS;
 const QUEUED: Nanos = 2 * MS;
 /// Offsets are taken to drift once they are known for so long.
 const DRIFTS: Nanos = 10_000 * MS;
+/// What a peer said of its clock holds for so long.
+const SAID_HOLDS: Nanos = 10_000 * MS;
 /// What a stamp is off by at least, between the call that takes it and the wire.
 const LEAST_UNCERTAINTY: Nanos = 50_000;
 
@@ -45,22 +48,48 @@ impl Exchange {
     }
 }
 
+/// Where a time line lies, as its machine says that is synchronised by GNSS, PTP or NTP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Said {
+    /// The time line minus the time to which the machine is synchronised, ns.
+    pub line: Nanos,
+    /// What the machine's clock is off by at most, ns.
+    pub error: Nanos,
+}
+
+/// What an [`Estimate`] is taken from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Basis {
+    /// Questions and answers.
+    Exchanges,
+    /// What both machines say of their clocks.
+    Machines,
+    /// Questions and answers, which show that one of the machines is wrong about its clock: by so much the offset that they
+    /// say differs, ns.
+    Contradiction(Nanos),
+}
+
 /// Peer's time minus one's own, now.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// ns.
     pub offset: Nanos,
-    /// How much exchanges without a queue differ, ns. Ways of which one is always longer than the other do not show in it.
+    /// How much exchanges without a queue differ, ns: ways of which one is always longer than the other do not show in it. Of what
+    /// machines say, what both clocks are off by at most.
     pub uncertainty: Nanos,
-    /// The offset is off by no more, ns: half of the least round trip.
+    /// The offset of exchanges is off by no more, ns: half of the least round trip.
     pub bound: Nanos,
     /// What the offset grows by, ns a second.
     pub drift: f64,
+    /// Where it is from.
+    pub basis: Basis,
 }
 
-/// The exchanges of late.
+/// The exchanges of late, and what was said.
 #[derive(Clone, Debug, Default)]
 pub struct Offset {
+    /// When machines said so, the offset by their clocks, and what it is off by at most.
+    said: Option<(Nanos, Nanos, Nanos)>,
     /// When each stretch of time began, and its exchange with the least round trip; oldest first.
     best: VecDeque<(Nanos, Exchange)>,
 }
@@ -78,7 +107,7 @@ impl Offset {
                     .saturating_add(known.bound)
                     .saturating_add(QUEUED)
         };
-        if self.estimate(exchange.known).is_some_and(|known| steps(&known)) {
+        if self.measured(exchange.known).is_some_and(|known| steps(&known)) {
             // Of two lines that lie otherwise since one of them stepped.
             self.best.clear();
         }
@@ -99,8 +128,45 @@ impl Offset {
         }
     }
 
+    /// Takes what both machines say of their clocks, at a time of one's own; `None` of a machine that says nothing.
+    pub fn said(&mut self, now: Nanos, own: Option<Said>, peers: Option<Said>) {
+        self.said = own.zip(peers).map(|(own, peers)| {
+            let error = own.error.max(0).saturating_add(peers.error.max(0));
+            (now, peers.line.saturating_sub(own.line), error)
+        });
+    }
+
     /// What is known at a time of one's own; `None` before the first exchange.
+    ///
+    /// What machines say is taken where it is surer than what exchanges bound, unless these contradict it.
     pub fn estimate(&self, now: Nanos) -> Option<Estimate> {
+        let measured = self.measured(now)?;
+        let fresh = self.said.filter(|(then, ..)| now.saturating_sub(*then) <= SAID_HOLDS);
+        let Some((_, offset, error)) = fresh else {
+            return Some(measured);
+        };
+        let bound = measured.bound.saturating_add(measured.uncertainty);
+        let differs = measured.offset.saturating_sub(offset).saturating_abs();
+        if differs > bound.saturating_add(error) {
+            return Some(Estimate {
+                basis: Basis::Contradiction(differs),
+                ..measured
+            });
+        }
+        if error >= bound {
+            return Some(measured);
+        }
+        Some(Estimate {
+            offset,
+            uncertainty: error.max(LEAST_UNCERTAINTY),
+            drift: 0.0,
+            basis: Basis::Machines,
+            ..measured
+        })
+    }
+
+    /// What exchanges alone tell.
+    fn measured(&self, now: Nanos) -> Option<Estimate> {
         let exchanges = || self.best.iter().map(|(_, exchange)| exchange);
         let best = exchanges().min_by_key(|exchange| exchange.round_trip())?;
         let clear: Vec<&Exchange> = exchanges()
@@ -124,6 +190,7 @@ impl Offset {
             uncertainty: (differs.fold(0.0, f64::max) as Nanos).max(LEAST_UNCERTAINTY),
             bound: best.round_trip() / 2,
             drift,
+            basis: Basis::Exchanges,
         })
     }
 }
@@ -196,6 +263,46 @@ mod tests {
         assert!((found.offset - 200 * MS).abs() <= MS, "{found:?}");
     }
 
+    /// A machine that says that its clock is off by so much at most; its time line is that much ahead of its clock.
+    fn says(line: Nanos, error: Nanos) -> Option<Said> {
+        Some(Said { line, error })
+    }
+
+    #[test]
+    fn synchronised_machines_are_believed_where_they_are_surer_than_exchanges() {
+        // One way always takes 10 ms longer, which no exchange shows.
+        let mut offset = Offset::default();
+        let true_offset = 300 * MS;
+        (0..50).for_each(|n| offset.take(exchange(n * SECOND / 5, true_offset, [30 * MS, 20 * MS])));
+        let now = 10 * SECOND;
+        let measured = offset.estimate(now).unwrap();
+        assert_eq!((measured.offset, measured.basis), (305 * MS, Basis::Exchanges));
+
+        offset.said(now, says(-100 * MS, MS / 10), says(200 * MS, MS / 5));
+        let said = offset.estimate(now).unwrap();
+        assert_eq!((said.offset, said.uncertainty), (true_offset, 3 * MS / 10));
+        assert_eq!((said.basis, said.drift), (Basis::Machines, 0.0));
+
+        offset.said(now, says(0, 20 * MS), says(true_offset, 10 * MS));
+        assert_eq!(offset.estimate(now), Some(measured), "exchanges are surer");
+        offset.said(now, says(0, 0), None);
+        assert_eq!(offset.estimate(now), Some(measured), "one says nothing");
+        offset.said(now, says(0, 0), says(true_offset, 0));
+        assert_eq!(offset.estimate(now).unwrap().basis, Basis::Machines);
+        let later = offset.estimate(now + SAID_HOLDS + 1).unwrap();
+        assert_eq!(later.basis, Basis::Exchanges, "nothing was said for long");
+    }
+
+    #[test]
+    fn what_exchanges_contradict_is_not_believed() {
+        let mut offset = Offset::default();
+        (0..50).for_each(|n| offset.take(exchange(n * SECOND / 5, 200 * MS, [20 * MS, 20 * MS])));
+        let now = 10 * SECOND;
+        offset.said(now, says(0, MS / 10), says(0, MS / 10));
+        let found = offset.estimate(now).unwrap();
+        assert_eq!((found.offset, found.basis), (200 * MS, Basis::Contradiction(200 * MS)));
+    }
+
     proptest! {
         #[test]
         fn the_truth_lies_within_the_bound(
@@ -219,6 +326,7 @@ mod tests {
             let mut offset = Offset::default();
             for (n, [heard, answered]) in (0..).zip(numbers) {
                 offset.take(Exchange { asked: n * SECOND, heard, answered, known: n * SECOND + MS });
+                offset.said(n * SECOND, says(answered, heard), says(heard, answered));
                 let _ = offset.estimate(n * SECOND + MS);
             }
         }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use realo_schemas::{Name, file};
+use realo_schemas::{Name, Nanos, file};
 use serde_json::Value;
 use zenoh::{Session, Wait};
 
@@ -51,6 +51,8 @@ pub struct Place {
     pub lease: Duration,
     /// A file of further settings of Zenoh; empty for none.
     pub zenoh: PathBuf,
+    /// What this machine's wall clock is off by at most, ns; `None`: what the kernel says.
+    pub clock_error: Option<Nanos>,
 }
 
 impl Default for Place {
@@ -62,6 +64,7 @@ impl Default for Place {
             connect: Vec::new(),
             lease: Duration::from_secs(2),
             zenoh: PathBuf::new(),
+            clock_error: None,
         }
     }
 }

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use realo_schemas::{Name, Nanos};
 
 use crate::books::{Heard, News, Sent, Sheet};
-use crate::offset::{Estimate, Exchange, Offset};
+use crate::offset::{Estimate, Exchange, Offset, Said};
 use crate::protocol::{Arrived, Frame, FrameError, Offer, Receiver, ReceiverCounts, Sender, Settings, is_bulk};
 use crate::refusal::{Refusal, Refusals};
 use crate::seal::{SEAL_BYTES, Seal};
@@ -63,6 +63,17 @@ pub struct Moment {
     pub log: Option<Nanos>,
     /// On the machine's wall clock, ns since 1970.
     pub wall: Nanos,
+    /// What the wall clock is off by at most, where the machine says that it is synchronised, ns.
+    pub wall_error: Option<Nanos>,
+}
+
+impl Moment {
+    /// Where the time line lies by the wall clock, if that is synchronised.
+    fn said(&self) -> Option<Said> {
+        let line = self.log?.checked_sub(self.wall)?;
+        let error = self.wall_error?;
+        Some(Said { line, error })
+    }
 }
 
 /// Bytes for a peer.
@@ -388,23 +399,32 @@ impl Peer {
         let words: Vec<Nanos> = words.iter().map(|word| Nanos::from_le_bytes(*word)).collect();
         match (&*words, rest) {
             ([asked], []) => {
-                let answer = [*asked, log].map(Nanos::to_le_bytes).concat();
+                let said = now.said().map(|said| [said.line, said.error]);
+                let answer = [*asked, log].into_iter().chain(said.into_iter().flatten());
+                let answer: Vec<u8> = answer.flat_map(Nanos::to_le_bytes).collect();
                 self.outgoing.push_back((Topic::Clock, answer.into()));
             }
-            // The answer goes out where the question came in: no time between them counts.
-            ([asked, answered], []) => {
-                if self.asked.take_if(|open| open == asked).is_some() {
-                    self.offset.take(Exchange {
-                        asked: *asked,
-                        heard: *answered,
-                        answered: *answered,
-                        known: log,
-                    });
-                }
+            ([asked, answered], []) => self.answered(*asked, *answered, None, log, now),
+            ([asked, answered, line, error], []) => {
+                let (line, error) = (*line, *error);
+                self.answered(*asked, *answered, Some(Said { line, error }), log, now);
             }
             _ => return Err(Refusal::Malformed),
         }
         Ok(())
+    }
+
+    /// The answer went out where the question came in: no time between them counts.
+    fn answered(&mut self, asked: Nanos, answered: Nanos, said: Option<Said>, log: Nanos, now: Moment) {
+        if self.asked.take_if(|open| *open == asked).is_some() {
+            self.offset.take(Exchange {
+                asked,
+                heard: answered,
+                answered,
+                known: log,
+            });
+            self.offset.said(log, now.said(), said);
+        }
     }
 
     fn next(&mut self, now: Moment, session: u64) -> Option<(Topic, Bytes)> {

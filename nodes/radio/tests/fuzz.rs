@@ -2,7 +2,7 @@
 //! is taken where signatures are asked for, and memory stays within what was sent.
 //!
 //! Seeds are the frames of `corpus`, `TOPIC.SEAL.CASE.EXPECTED.bin`, which a test writes anew:
-//! `cargo test --release -p realo-radio --test fuzz -- --ignored`.
+//! `REALO_WRITE=1 cargo test --release -p realo-radio --test fuzz`.
 //! `REALO_FUZZ_CASES=1000000 cargo test --release -p realo-radio --test fuzz` runs as many cases.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -103,6 +103,7 @@ fn moment(after: Nanos) -> Moment {
         steady: after,
         log: Some(after),
         wall: WALL + after,
+        wall_error: Some(MS),
     }
 }
 
@@ -202,6 +203,16 @@ fn seeds() -> Vec<Seed> {
         ("answer_to_nothing", Nanos::MAX, 5),
     ] {
         add(Some(Topic::Clock), case, None, [word(asked), word(answered)].concat());
+    }
+    for (case, line, error) in [
+        ("synchronised", 40 * MS - WALL, MS / 10),
+        ("synchronised_line_greatest", Nanos::MAX, MS),
+        ("synchronised_line_least", Nanos::MIN, 0),
+        ("synchronised_error_greatest", 0, Nanos::MAX),
+        ("synchronised_error_negative", 0, Nanos::MIN),
+    ] {
+        let answer = [0, 123_456 * MS, line, error].map(word).concat();
+        add(Some(Topic::Clock), case, None, answer);
     }
     add(Some(Topic::Clock), "question_greatest", None, word(Nanos::MAX));
     add(Some(Topic::Clock), "question_least", None, word(Nanos::MIN));

@@ -9,6 +9,7 @@ use proptest::prelude::*;
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use realo_radio::keys::{Own, Trusted};
+use realo_radio::offset::Basis;
 use realo_radio::protocol::{Offer, Settings};
 use realo_radio::refusal::Refusal;
 use realo_radio::seal::{Seal, WINDOW};
@@ -50,6 +51,8 @@ struct World {
     accounts: BTreeMap<(usize, Name), Account>,
     /// How far each agent's time line lies from the world's.
     lines: Vec<Nanos>,
+    /// What agents say that their clocks are off by at most.
+    error: Nanos,
     is_hostile: bool,
     /// Frames that were injected and came in.
     injected: u64,
@@ -83,6 +86,7 @@ impl World {
             loss,
             accounts: BTreeMap::new(),
             lines: (0..agents as i64).map(|n| n * 123 * MS).collect(),
+            error: MS / 100,
         }
     }
 
@@ -134,6 +138,8 @@ impl World {
             steady: now,
             log: Some(now + self.lines[agent]),
             wall: now,
+            // The last one says nothing of its clock.
+            wall_error: (agent + 1 < self.lines.len()).then_some(self.error),
         }
     }
 
@@ -275,6 +281,10 @@ proptest! {
                 let other = world.names.iter().position(|name| name == from).unwrap();
                 let offset = world.lines[other] - world.lines[*agent];
                 prop_assert!((clock.offset - offset).abs() <= 6 * MS, "{:?}, {}", clock, offset);
+                // Both say what their clocks are off by, unless one is the last.
+                let is_said = agent.max(&other) + 1 < agents;
+                prop_assert_eq!(clock.basis, if is_said { Basis::Machines } else { Basis::Exchanges });
+                prop_assert!(!is_said || clock.offset == offset, "{:?}, {}", clock, offset);
             }
         }
         prop_assert_eq!(world.accounts.len(), agents * (agents - 1));

@@ -9,6 +9,7 @@
 //! | counter | meaning |
 //! |---|---|
 //! | `no_ego_state` | sweeps that were not sent on, for no state of the ego had arrived |
+//! | `of_another` | states of agents that nothing is projected for, which count as superseded |
 
 use std::collections::BTreeMap;
 
@@ -29,6 +30,8 @@ const FORGET: Nanos = 60_000_000_000;
 pub struct Config {
     /// Who brings points to the ego's frame.
     pub project: Project,
+    /// Whose frame that is, where several agents tell their states; empty: that of the agent whose state is the newest.
+    pub ego: String,
 }
 
 /// Who brings points to the ego's frame.
@@ -45,6 +48,8 @@ pub enum Project {
 /// The operator `projector`.
 pub struct Projector {
     project: Project,
+    /// The only one whose states count; empty: everybody's do.
+    only: Name,
     /// The ego's newest state, by who received it; under no name what crossed no link and holds for everybody.
     ego: BTreeMap<Option<Name>, Known>,
 }
@@ -65,10 +70,16 @@ impl Describe for Projector {
     type Config = Config;
     const NAME: &'static str = "projector";
     const ABOUT: &'static str = "Brings sweeps to the ego's frame where they are sent, or leaves that to the receiver";
-    const ARGUMENTS: &'static [Argument] = &[Argument {
-        name: "project",
-        about: "who brings points to the ego's frame: receiver, or sender (with the ego's newest known state)",
-    }];
+    const ARGUMENTS: &'static [Argument] = &[
+        Argument {
+            name: "project",
+            about: "who brings points to the ego's frame: receiver, or sender (with the ego's newest known state)",
+        },
+        Argument {
+            name: "ego",
+            about: "whose frame that is, where several agents tell their states; empty: that of the newest state",
+        },
+    ];
     const INPUTS: &'static [Port] = &[
         Port::new("clouds", &[PayloadType::PointCloud], "an agent's sweeps").latest(),
         Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
@@ -85,6 +96,7 @@ impl Operator for Projector {
     fn new(config: Config) -> Result<Self, Error> {
         Ok(Projector {
             project: config.project,
+            only: config.ego.into(),
             ego: BTreeMap::new(),
         })
     }
@@ -94,6 +106,11 @@ impl Operator for Projector {
             CLOUDS => self.project(message, out),
             STATE => {
                 let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+                if !self.only.is_empty() && header.agent != self.only {
+                    out.count("of_another", 1);
+                    out.tell(&header, Fate::Superseded);
+                    return Ok(());
+                }
                 let receiver = header.to.clone();
                 if let Some(known) = self
                     .ego
@@ -192,6 +209,51 @@ mod tests {
     use super::*;
 
     const SECOND: Nanos = 1_000_000_000;
+
+    /// Where `agent` is, as rsu1 received it.
+    fn state(agent: &str, x: f64, stamp: Nanos) -> Message {
+        let mut header = Header::origin(&"run".into(), &agent.into(), Kind::EgoState, 0, stamp, stamp);
+        header.to = Some("rsu1".into());
+        let state = EgoState {
+            map_from_body: Isometry3::translation(x, 0.0, 0.0),
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Truth,
+        };
+        Message::new(header, state)
+    }
+
+    #[test]
+    fn of_several_agents_that_tell_where_they_are_the_named_one_counts() {
+        for (ego, expected, superseded) in [("", -20.0, "cav1"), ("cav1", -10.0, "cav2")] {
+            let config = Config {
+                project: Project::Sender,
+                ego: ego.into(),
+            };
+            let mut projector = Projector::new(config).unwrap();
+            let mut out = Outputs::at(2 * SECOND);
+            projector
+                .on_input(STATE, state("cav1", 10.0, SECOND), &mut out)
+                .unwrap();
+            projector
+                .on_input(STATE, state("cav2", 20.0, SECOND + 1), &mut out)
+                .unwrap();
+            let mut header = Header::origin(&"run".into(), &"rsu1".into(), Kind::Points, 0, SECOND, SECOND);
+            header.pose = Some(Pose::exact(Isometry3::identity()));
+            let zero = || vec![0.0f32];
+            let cloud = PointCloud::new(zero(), zero(), zero(), vec![0u8], vec![0i32], vec![0u16]).unwrap();
+            projector
+                .on_input(CLOUDS, Message::new(header, cloud), &mut out)
+                .unwrap();
+            let fates = out.take_fates();
+            let (_, message) = out.take_sent().remove(0);
+            let (_, cloud): (Header, PointCloud) = message.into_parts().unwrap();
+            assert_eq!(cloud.x[0], expected, "ego `{ego}`");
+            let gone = fates.iter().find(|fated| fated.fate == Fate::Superseded).unwrap();
+            assert_eq!(gone.message.from, superseded);
+        }
+    }
 
     #[test]
     fn receivers_that_hear_no_more_of_the_ego_are_forgotten() {

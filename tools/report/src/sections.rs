@@ -5,6 +5,8 @@ use std::collections::BTreeSet;
 use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult};
 use realo_scoring::{Accuracy, Counts, Orders, RangeBin, Table};
 
+use realo_schemas::report::ClockBy;
+
 use crate::cells::{NONE, count, fraction, share, spread, values};
 use crate::pool::Setting;
 
@@ -319,8 +321,13 @@ fn peers(rows: &mut Rows) {
             let peer = run.result.peers.iter().find(|peer| peer.name == name)?;
             let number =
                 |value: Option<f64>, places: usize| value.map_or(NONE.into(), |value| format!("{value:.places$}"));
+            let by = match (peer.clock_by, peer.clock_contradiction_ms) {
+                (_, Some(differs)) => format!(" (machines say otherwise, by {differs:.2}: one is wrong)"),
+                (Some(ClockBy::Machines), None) => " (synchronised)".into(),
+                _ => String::new(),
+            };
             let clock = format!(
-                "{} ± {}",
+                "{} ± {}{by}",
                 number(peer.clock_ms, 2),
                 number(peer.clock_uncertainty_ms, 2)
             );
