@@ -1,8 +1,14 @@
 //! The protocol over networks that are drawn at random, with peers that are: each seed is a network, what is sent, and what
-//! goes wrong. `REALO_SEEDS=100000 cargo test --release -p realo-radio --test simulated` tries more of them.
+//! goes wrong. `REALO_SEEDS=100000 cargo test --release -p realo-radio --test simulated` tries more of them, `REALO_SEEDS=93032..93033`
+//! one; all that fail are told at the end, a line each.
 
+use std::any::Any;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::ops::Range;
+use std::panic::catch_unwind;
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytes::Bytes;
 use rand_chacha::ChaCha8Rng;
@@ -158,7 +164,8 @@ fn streams(draws: &mut Draws) -> Vec<Stream> {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
     Offer(usize, u64),
-    Arrives(Bytes),
+    /// A frame without its part, and the part.
+    Arrives(Bytes, Bytes),
     Acknowledged(Bytes),
     Wake,
 }
@@ -172,12 +179,19 @@ struct Story {
     largest_held: (usize, usize),
 }
 
-/// Contents that tell the message.
+/// Where contents begin in what they are cut from: at as many places.
+const PLACES: usize = 1 << 20;
+
+/// Contents that tell the message, and in which each part differs from all others: cut, without a copy, from bytes that no rule tells.
 fn contents(kind: Kind, seq: u64, bytes: usize) -> Bytes {
-    let word = (seq << 8 | kind as u64)
-        .wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        .to_le_bytes();
-    Bytes::from(word.repeat(bytes.div_ceil(8))).slice(..bytes)
+    static NOISE: LazyLock<Bytes> = LazyLock::new(|| {
+        let mut noise = vec![0; PLACES + LARGEST];
+        ChaCha8Rng::seed_from_u64(0).fill_bytes(&mut noise);
+        noise.into()
+    });
+    // An odd factor: another place for each of the first 2^18 messages of four kinds, and far from that of the next.
+    let place = (seq as usize * 4 + kind as usize).wrapping_mul(0x9_e377) % PLACES;
+    NOISE.slice(place..place + bytes)
 }
 
 fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings, draws: &mut Draws) -> Story {
@@ -210,15 +224,16 @@ fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings
                     push(now + stream.period, Event::Offer(index, seq + 1));
                 }
             }
-            Event::Arrives(bytes) => {
-                let Ok(Frame::Part(head, part)) = Frame::parse(&bytes) else {
+            Event::Arrives(frame, part) => {
+                let Ok(Frame::Part(head, _)) = Frame::parse(&frame) else {
                     panic!("a part came as something else");
                 };
                 let received = receiver.take(&head, part, peers(now)).expect("a part of its sender");
                 if let Some(message) = received.message {
                     let stream = streams.iter().find(|stream| stream.kind == message.kind);
                     let stream = stream.expect("only what is offered comes in");
-                    assert_eq!(message.bytes, contents(message.kind, message.seq, stream.bytes));
+                    let same = message.bytes == contents(message.kind, message.seq, stream.bytes);
+                    assert!(same, "{} {} came in as something else", message.kind, message.seq);
                     assert_eq!(message.stamp, story.offered[&(message.kind, message.seq)]);
                     let twice = story.given.insert((message.kind, message.seq), now);
                     assert_eq!(twice, None, "a message is given once");
@@ -236,19 +251,26 @@ fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings
                 };
                 sender.acknowledged(&ack, now);
             }
+            // Whoever was told of an earlier time does not ask at the later one.
+            Event::Wake if wake != Some(now) => continue,
             Event::Wake => wake = None,
         }
         while let Some(frame) = sender.next(now) {
-            let bytes = frame.to_bytes();
-            for time in there.pass(now, bytes.len(), draws) {
-                push(time, Event::Arrives(bytes.clone()));
+            let length = frame.len();
+            let Frame::Part(head, part) = frame else {
+                panic!("a sender sends parts");
+            };
+            // The part follows its head as it is: to copy it into a frame would take longer than all else.
+            let frame = Frame::Part(head, Bytes::new()).to_bytes();
+            for time in there.pass(now, length, draws) {
+                push(time, Event::Arrives(frame.clone(), part.clone()));
             }
         }
-        if let Some(time) = sender.wakes_at()
+        if let Some(time) = sender.wakes_at().map(|time| time.max(now + 1))
             && wake.is_none_or(|known| time < known)
         {
             wake = Some(time);
-            push(time.max(now + 1), Event::Wake);
+            push(time, Event::Wake);
         }
         for told in sender.take_told() {
             let twice = story.told.insert((told.kind, told.seq), told.outcome);
@@ -330,30 +352,42 @@ fn check(seed: u64) {
         }
     }
 
-    // What fits easily arrives, once nothing is cut any more and however much is lost.
+    // What fits easily arrives, once nothing is cut any more and however much is lost: one in every turn at least, which takes no longer
+    // than the period or, of bulk, than a message of each kind beside what small ones take of the way. What shares the way with it
+    // crosses until its deadline at most. A quarter of the turns is for what is lost, another one where the way changed: what it carries
+    // is found anew by trials of which jitter hides some. A turn is for where counting begins. Nothing is promised where the queue is
+    // too short for a part that goes while nothing is known of the rate: what follows that part is dropped.
     let healed = [there, back]
         .iter()
         .flat_map(|way| &way.cuts)
         .map(|(_, to)| *to)
         .max()
         .unwrap_or(0);
+    let crossing = |stream: &Stream| stream.bytes as f64 / (there.rate(LASTS) - small) * 1e9;
     for stream in &streams {
         let alone = stream.bytes as f64 / slowest * 1e9;
         let round = (there.delay + back.delay + there.jitter + back.jitter) as f64;
-        let fits = alone + 2.0 * round < 0.2 * settings.deadline as f64 && small < 0.3 * slowest;
+        let holds = there.queue as f64 * slowest * 1e-9 > settings.part as f64;
+        let fits = alone + 2.0 * round < 0.2 * settings.deadline as f64 && small < 0.3 * slowest && holds;
         let richer = streams
             .iter()
             .any(|other| other.kind < stream.kind && other.phase == stream.phase);
         if fits && !richer && there.loss.max(back.loss) < 0.03 {
             let from = (healed + 4 * SECOND).max(there.rates.last().map_or(0, |(from, _)| from + 4 * SECOND));
-            let offered = story
-                .offered
+            let others = streams
                 .iter()
-                .filter(|((kind, _), time)| *kind == stream.kind && **time >= from);
-            let (offered, arrived) = (offered.count(), ages(&story, stream.kind, from).len());
+                .filter(|other| is_bulk(other.kind) && is_bulk(stream.kind) && other.kind != stream.kind);
+            let others: f64 = others.map(|other| crossing(other).min(settings.deadline as f64)).sum();
+            let turn = (stream.period as f64).max(crossing(stream) + others);
+            let offered = story.offered.iter();
+            let offered = offered.filter(|((kind, _), time)| *kind == stream.kind && **time >= from);
+            let turns = offered.count() as f64 * stream.period as f64 / turn;
+            let arrived = ages(&story, stream.kind, from).len();
+            let changed = healed > 0 || there.rates.len() + back.rates.len() > 2;
+            let share = if changed { 0.5 } else { 0.75 };
             assert!(
-                4 * arrived >= offered,
-                "{arrived} of {offered} {} arrived; {}",
+                arrived as f64 >= share * (turns - 1.0),
+                "{arrived} {} arrived in {turns:.1} turns; {}",
                 stream.kind,
                 about()
             );
@@ -361,13 +395,15 @@ fn check(seed: u64) {
     }
 }
 
-/// Longest time without a message of a kind that came in, after `from` and to the end of what was offered, ns.
-fn longest_pause(story: &Story, kind: Kind, from: Nanos) -> Nanos {
+/// Times without a message of a kind that came in, after `from` and to the end of what was offered, ns; the longest first.
+fn pauses(story: &Story, kind: Kind, from: Nanos) -> Vec<Nanos> {
     let given = story.given.iter().filter(|((of, _), _)| *of == kind);
     let mut times: Vec<Nanos> = given.map(|(_, time)| *time).filter(|time| *time > from).collect();
     times.extend([from, LASTS]);
     times.sort_unstable();
-    times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0)
+    let mut pauses: Vec<Nanos> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    pauses.sort_unstable_by_key(|pause| Reverse(*pause));
+    pauses
 }
 
 /// Two bulk kinds that tell of other moments offer more than a steady link carries.
@@ -375,7 +411,8 @@ fn longest_pause(story: &Story, kind: Kind, from: Nanos) -> Nanos {
 /// They take turns: the kind that began longest ago begins next. While the other kind's message crosses, which it does for `other` or
 /// until its deadline, the newest of this kind waits: when its turn comes it is no older than its period, nor than `other`. If it arrives in
 /// time from there it is begun, and so one arrives in every turn of both: after it, the next is offered within the period, waits
-/// for one message of the other kind, and crosses beside another one at most, which may not make it late.
+/// for one message of the other kind, and crosses beside another one at most, which may not make it late. Every ten seconds the way is
+/// emptied for a round trip, to see how long that takes; a message that becomes late by this costs its kind one turn more.
 fn check_turns(seed: u64) {
     let mut draws = Draws(ChaCha8Rng::seed_from_u64(seed));
     let settings = Settings::default();
@@ -431,14 +468,18 @@ fn check_turns(seed: u64) {
         }
         let turn = own.period.max(alone + other);
         let most = own.period + 2 * (other + round) + alone;
-        let pause = longest_pause(&story, own.kind, settled);
+        let pauses = pauses(&story, own.kind, settled);
+        let emptied = 1 + (LASTS - settled) / (10 * SECOND);
         let arrived = ages(&story, own.kind, settled).len() as Nanos;
-        assert!(
-            pause <= most,
-            "no {} for {pause} ns, bound {most}; {}",
-            own.kind,
-            about()
-        );
+        for (place, pause) in (0..).zip(&pauses) {
+            let most = if place < emptied { most + turn } else { most };
+            assert!(
+                *pause <= most,
+                "no {} for {pause} ns, bound {most}; {}",
+                own.kind,
+                about()
+            );
+        }
         assert!(
             2 * arrived * turn >= LASTS - settled,
             "{arrived} {} arrived; {}",
@@ -448,34 +489,54 @@ fn check_turns(seed: u64) {
     }
 }
 
+/// Which seeds are tried: `REALO_SEEDS`, a number of them or `FROM..TO`, or as many as usual.
+fn seeds(usual: u64) -> Range<u64> {
+    let Ok(text) = std::env::var("REALO_SEEDS") else {
+        return 0..usual;
+    };
+    let (from, to) = text.split_once("..").unwrap_or(("0", &text));
+    match (from.parse(), to.parse()) {
+        (Ok(from), Ok(to)) => from..to,
+        _ => panic!("REALO_SEEDS: expected a number or FROM..TO, found `{text}`"),
+    }
+}
+
 fn over_seeds(usual: u64, check: fn(u64)) {
-    let seeds = std::env::var("REALO_SEEDS").map_or(usual, |text| {
-        text.parse()
-            .unwrap_or_else(|_| panic!("REALO_SEEDS: expected a number, found `{text}`"))
+    let seeds = seeds(usual);
+    let next = AtomicU64::new(seeds.start);
+    let some = || {
+        let own = std::iter::from_fn(|| Some(next.fetch_add(1, Ordering::Relaxed)));
+        own.take_while(|seed| *seed < seeds.end)
+            .filter_map(|seed| catch_unwind(|| check(seed)).err().map(|panic| (seed, said(&*panic))))
+            .collect::<Vec<(u64, String)>>()
+    };
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let mut failed: Vec<(u64, String)> = std::thread::scope(|scope| {
+        let running: Vec<_> = (0..threads).map(|_| scope.spawn(some)).collect();
+        let parts = running.into_iter().map(|thread| thread.join());
+        parts.flat_map(|part| part.expect("what panics is caught")).collect()
     });
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get() as u64);
-    let fails = |seed: &u64| std::panic::catch_unwind(|| check(*seed)).is_err();
-    let failed: Vec<u64> = std::thread::scope(|scope| {
-        let some = |thread| {
-            scope.spawn(move || {
-                (thread..seeds)
-                    .step_by(threads as usize)
-                    .filter(fails)
-                    .collect::<Vec<u64>>()
-            })
-        };
-        let parts: Vec<_> = (0..threads).map(some).collect();
-        parts
-            .into_iter()
-            .flat_map(|part| part.join().expect("what panics is caught"))
-            .collect()
-    });
-    assert!(failed.is_empty(), "{} of {seeds} seeds: {failed:?}", failed.len());
+    failed.sort_unstable();
+    let lines: String = failed.iter().map(|(seed, why)| format!("\n{seed}: {why}")).collect();
+    assert!(failed.is_empty(), "{} of the seeds {seeds:?}:{lines}", failed.len());
+}
+
+/// What a panic said, in a line.
+fn said(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| panic.downcast_ref().copied()).unwrap_or("not text");
+    text.replace('\n', " ")
 }
 
 #[test]
 fn holds_over_networks_drawn_at_random() {
     over_seeds(1000, check);
+}
+
+/// Way back out of order so that one word told of all of a trial; jitter as long as a trial; small messages on a full link, in several ways.
+#[test]
+fn holds_over_networks_that_showed_something() {
+    [93_032, 12_332, 6_122, 14_583, 9_209].into_iter().for_each(check);
 }
 
 #[test]

@@ -179,6 +179,9 @@ impl Sender {
         }
         self.give_up_silence(now);
         self.probe(now);
+        if self.flying.is_empty() {
+            self.window.empties(now);
+        }
         loop {
             self.give_up_late(now);
             if !self.has_room() {
@@ -191,7 +194,11 @@ impl Sender {
                     return Some(self.part(place, now));
                 }
                 None if self.start(now) => {}
-                _ => return None,
+                Some(_) => return None,
+                None => {
+                    self.window.runs_out(self.flying.is_empty());
+                    return None;
+                }
             }
         }
     }
@@ -312,7 +319,7 @@ impl Sender {
         let index = transfer.due().expect("the caller looked");
         transfer.take(index);
         let bytes = transfer.bytes(index).len();
-        self.window.sent(now, bytes, self.flying.is_empty());
+        self.window.sent(now, bytes);
         self.flying.push_back(Flying {
             kind: transfer.offer.kind,
             seq: transfer.offer.seq,

@@ -44,8 +44,14 @@ pub struct Window {
     queue: Nanos,
     /// Bytes that came in since the start.
     delivered: u64,
-    /// When they came in, on the receiver's clock, and `delivered` then; since the way was last empty.
+    /// When they came in, on the receiver's clock, and `delivered` then; since the way last stood still.
     train: VecDeque<(Nanos, u64)>,
+    /// When the train's first part went out, and what `delivered` is once it came in.
+    set_out: (Nanos, u64),
+    /// Whether the way stands still: nothing is on it, and there was nothing to send.
+    rests: bool,
+    /// Whether there was nothing to send at times since the way last stood still.
+    ran_out: bool,
     /// When rates were measured, and the rates, bytes/s: those that a later one does not exceed.
     rates: VecDeque<(Nanos, f64)>,
     /// The least round trip, and when it was found.
@@ -67,6 +73,9 @@ impl Window {
             queue,
             delivered: 0,
             train: VecDeque::new(),
+            set_out: (Nanos::MIN, 0),
+            rests: true,
+            ran_out: false,
             rates: VecDeque::new(),
             least: None,
             emptied: None,
@@ -113,10 +122,22 @@ impl Window {
         self.crossed.saturating_sub(TOGETHER)
     }
 
-    /// Bytes go out; `first`: while nothing else is on the way, and what stood still meanwhile says nothing of the rate.
-    pub fn sent(&mut self, now: Nanos, bytes: usize, first: bool) {
-        if first && now > self.crossed {
+    /// Nothing is on the way any more: whatever is believed of its rate, it is free.
+    pub fn empties(&mut self, now: Nanos) {
+        self.crossed = self.crossed.min(now);
+    }
+
+    /// There is nothing to send, and perhaps nothing on the way either: what comes in then says nothing of the rate.
+    pub fn runs_out(&mut self, is_empty: bool) {
+        (self.ran_out, self.rests) = (true, is_empty);
+    }
+
+    /// Bytes go out.
+    pub fn sent(&mut self, now: Nanos, bytes: usize) {
+        if std::mem::take(&mut self.rests) {
             self.train.clear();
+            self.ran_out = false;
+            self.set_out = (now, self.delivered + bytes as u64);
         }
         let grows = self.grew.is_some_and(|then| now - then < MEMORY);
         let haste = if grows { GREATER_HASTE } else { HASTE };
@@ -141,11 +162,33 @@ impl Window {
         {
             self.train.pop_front();
         }
-        if let (Some((first, before)), true) = (self.train.front(), self.train.len() > 1) {
-            let span = received.saturating_sub(*first);
-            let rate = (self.delivered - before) as f64 / (span.max(SHORTEST) as f64 * 1e-9);
-            // A shorter train says how much the way carries at least.
-            if span >= SHORTEST || self.rate().is_none_or(|known| rate > known) {
+        let over = |bytes: u64, span: Nanos| bytes as f64 / (span.max(SHORTEST) as f64 * 1e-9);
+        if let [Some((first, before)), Some((last, _))] = [self.train.front(), self.train.back()]
+            && self.train.len() > 1
+        {
+            let (bytes, span) = (self.delivered - before, last.saturating_sub(*first));
+            let rate = over(bytes, span);
+            let accepts = match self.rate() {
+                // Any train says how much the way carries at least.
+                Some(known) if rate > known => true,
+                // Unless less than may always be on the way came in of it: what its first part is followed by.
+                None if bytes >= ((PARTS - 1) * self.part()) as u64 => true,
+                // It carries no more if parts had to wait or more of them were there all the time: else it was not asked to.
+                _ => {
+                    let asked = !self.ran_out || self.waited(now, sent);
+                    asked && span >= SHORTEST && bytes >= SMALLEST as u64
+                }
+            };
+            if accepts {
+                self.see_rate(now, rate);
+            }
+        } else if let (Some(known), Some((least, _))) = (self.rate(), self.least) {
+            // One acknowledgement told of the whole train, for it overtook the others or they were lost: the train took what its
+            // round trip lasted beyond the least, which one part takes.
+            let (then, first) = self.set_out;
+            let span = now.saturating_sub(then).saturating_sub(least);
+            let rate = over(self.delivered.saturating_sub(first), span);
+            if rate > known {
                 self.see_rate(now, rate);
             }
         }
@@ -157,9 +200,11 @@ impl Window {
         self.train.clear();
         self.rates.clear();
         self.emptied = None;
+        (self.rests, self.crossed) = (true, Nanos::MIN);
     }
 
     fn see_rate(&mut self, now: Nanos, rate: f64) {
+        let before = self.rate();
         if self.rate().is_none_or(|known| rate > GROWTH * known) {
             self.grew = Some(now);
         }
@@ -171,6 +216,16 @@ impl Window {
         while self.rates.len() > 1 && self.rates.front().is_some_and(|(then, _)| now - then > MEMORY) {
             self.rates.pop_front();
         }
+        // What has still to cross takes no longer than by what is known now.
+        if let (Some(before), Some(rate), true) = (before, self.rate(), self.crossed > now) {
+            self.crossed = now + ((self.crossed - now) as f64 * (before / rate).min(1.0)) as Nanos;
+        }
+    }
+
+    /// Whether a part stood in a queue on the way.
+    fn waited(&self, now: Nanos, sent: Nanos) -> bool {
+        let least = self.round_trip().unwrap_or(0);
+        now.saturating_sub(sent).saturating_sub(least) >= self.queue / 4
     }
 
     fn see_round_trip(&mut self, now: Nanos, sent: Nanos) {
@@ -206,6 +261,7 @@ mod tests {
     fn drive(window: &mut Window, start: Nanos, lasts: Nanos, rate: f64, delay: Nanos, settles: Nanos) -> Nanos {
         let (mut now, mut free, mut on_the_way) = (start, start, VecDeque::new());
         let (mut flying, mut longest) = (0, 0);
+        window.runs_out(true);
         while now < start + lasts {
             while flying == 0 || flying + window.part() <= window.bytes() {
                 if window.opens_at() > now {
@@ -218,7 +274,7 @@ mod tests {
                     now = window.opens_at();
                 }
                 let bytes = window.part();
-                window.sent(now, bytes, flying == 0);
+                window.sent(now, bytes);
                 free = free.max(now) + (bytes as f64 / rate * 1e9) as Nanos;
                 if now > start + settles {
                     longest = longest.max(free - now);
@@ -302,14 +358,71 @@ mod tests {
     }
 
     #[test]
+    fn a_way_that_is_not_asked_for_more_keeps_its_rate() {
+        let mut window = Window::new(PART_BYTES, 20 * MS);
+        drive(&mut window, 0, 2_000 * MS, 14e6, 40 * MS, 0);
+        let (before, offset) = (window.rate().unwrap(), 1_234_567_890);
+        // A part every 100 ms while one is missing: the way is never empty.
+        for sent in (30..80).map(|k| k * 100 * MS) {
+            window.sent(sent, PART_BYTES);
+            window.runs_out(false);
+            window.acknowledged(sent + 82 * MS, sent, sent + offset + 41 * MS, PART_BYTES);
+        }
+        assert_eq!(window.rate().unwrap(), before);
+        // They queue: the way became slower.
+        for sent in (80..90).map(|k| k * 100 * MS) {
+            window.sent(sent, PART_BYTES);
+            window.runs_out(false);
+            window.acknowledged(sent + 180 * MS, sent, sent + offset + 139 * MS, PART_BYTES);
+        }
+        let slower = window.rate().unwrap();
+        assert!((0.9..1.1).contains(&(slower / 163_840.0)), "{slower}");
+        // The rest of a message comes late.
+        window.runs_out(true);
+        [PART_BYTES, 3].iter().for_each(|bytes| window.sent(9_500 * MS, *bytes));
+        window.acknowledged(9_580 * MS, 9_500 * MS, offset + 9_540 * MS, PART_BYTES);
+        window.acknowledged(9_680 * MS, 9_500 * MS, offset + 9_640 * MS, 3);
+        assert_eq!(window.rate().unwrap(), slower);
+    }
+
+    #[test]
+    fn a_train_that_is_told_of_in_one_word_raises_the_rate() {
+        let mut window = Window::new(PART_BYTES, 20 * MS);
+        drive(&mut window, 0, 2_000 * MS, 1e5, 40 * MS, 0);
+        let (before, part, later) = (window.rate().unwrap(), window.part(), 4_000 * MS);
+        let tell = |window: &mut Window, took: Nanos| {
+            window.runs_out(true);
+            (0..4).for_each(|_| window.sent(later, part));
+            window.acknowledged(later + took, later, later + took / 2, 4 * part);
+            window.rate().unwrap() / before
+        };
+        let least = window.round_trip().unwrap();
+        // Three parts in 60 ms are no more than was known, in 20 ms about twice as much.
+        assert_eq!(tell(&mut window.clone(), least + 60 * MS), 1.0);
+        let grown = tell(&mut window, least + 5 * MS);
+        assert!((1.4..1.7).contains(&grown), "{grown}");
+        assert!(window.grew_since(later));
+    }
+
+    #[test]
+    fn a_way_with_nothing_on_it_is_free_whatever_was_believed() {
+        let mut window = Window::new(PART_BYTES, 20 * MS);
+        drive(&mut window, 0, 2_000 * MS, 1e5, 5 * MS, 0);
+        let now = 4_000 * MS;
+        (0..4).for_each(|_| window.sent(now, SMALLEST));
+        assert!(window.opens_at() > now + 20 * MS);
+        window.empties(now + 12 * MS);
+        assert!(window.opens_at() <= now + 12 * MS);
+    }
+
+    #[test]
     fn parts_that_came_together_never_lower_the_rate() {
         let mut window = Window::new(PART_BYTES, 20 * MS);
         drive(&mut window, 0, 2_000 * MS, 14e6, 40 * MS, 0);
         let before = window.rate().unwrap();
         let later = 4_000 * MS;
-        for k in 0..8 {
-            window.sent(later, PART_BYTES, k == 0);
-        }
+        window.runs_out(true);
+        (0..8).for_each(|_| window.sent(later, PART_BYTES));
         for k in 0..8 {
             let crosses = 40 * MS + (PART_BYTES as f64 / 14e6 * 1e9) as Nanos * k;
             window.acknowledged(later + 40 * MS + crosses, later, later + crosses, PART_BYTES);
