@@ -386,7 +386,7 @@ impl Sender {
                 false if self.may_try(kind, now) => {
                     self.tried.insert(kind, now);
                     Some(Trial {
-                        parts: self.trial_parts(),
+                        parts: self.trial_parts(self.window.part()),
                         since: now,
                     })
                 }
@@ -433,13 +433,12 @@ impl Sender {
         last.is_none_or(|last| now - last >= self.settings.trial)
     }
 
-    /// So many that they show more than is known, should the way carry more; the first only begins the measurement.
-    fn trial_parts(&self) -> u32 {
+    /// So many parts of so many bytes that they show more than is known, should the way carry more; the first only begins the
+    /// measurement.
+    fn trial_parts(&self, part: usize) -> u32 {
         let rate = self.window.rate().unwrap_or(0.0);
-        let parts = (rate * TRIAL_TIME / self.window.part() as f64).ceil() as u32 + 1;
-        parts
-            .max(TRIAL_PARTS)
-            .max(TRIAL_BYTES.div_ceil(self.window.part()) as u32)
+        let parts = (rate * TRIAL_TIME / part as f64).ceil() as u32 + 1;
+        parts.max(TRIAL_PARTS).max(TRIAL_BYTES.div_ceil(part) as u32)
     }
 
     /// When so many bytes more will have arrived, as far as is known.
@@ -475,7 +474,7 @@ impl Sender {
             {
                 // The parts came in faster than was known: some more say how fast the way is.
                 let more = Trial {
-                    parts: trial.parts.saturating_add(self.trial_parts()),
+                    parts: trial.parts.saturating_add(self.trial_parts(transfer.part())),
                     since: now,
                 };
                 self.transfers[place].trial = Some(more);

@@ -44,6 +44,11 @@ impl Transfer {
         }
     }
 
+    /// Bytes of a part; the last one may have fewer.
+    pub fn part(&self) -> usize {
+        self.part
+    }
+
     pub fn count(&self) -> u32 {
         self.arrived.len() as u32
     }

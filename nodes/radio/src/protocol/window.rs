@@ -122,9 +122,11 @@ impl Window {
         self.crossed.saturating_sub(TOGETHER)
     }
 
-    /// Nothing is on the way any more: whatever is believed of its rate, it is free.
+    /// Nothing is on the way any more: whatever is believed of its rate, it is free. If there was nothing to send before that, such
+    /// as while a trial is awaited, it stood still.
     pub fn empties(&mut self, now: Nanos) {
         self.crossed = self.crossed.min(now);
+        self.rests |= self.ran_out;
     }
 
     /// There is nothing to send, and perhaps nothing on the way either: what comes in then says nothing of the rate.
@@ -402,6 +404,28 @@ mod tests {
         let grown = tell(&mut window, least + 5 * MS);
         assert!((1.4..1.7).contains(&grown), "{grown}");
         assert!(window.grew_since(later));
+    }
+
+    #[test]
+    fn what_goes_out_after_a_pause_is_measured_by_itself() {
+        // TCP begins slowly: what follows comes in faster, and the pause until it went out was the sender's.
+        let mut window = Window::new(PART_BYTES, 20 * MS);
+        drive(&mut window, 0, 2_000 * MS, 1e6, 20 * MS, 0);
+        let (before, offset) = (window.rate().unwrap(), 1_234_567_890);
+        let tell = |window: &mut Window, sent: Nanos, takes: Nanos| {
+            (0..4).for_each(|_| window.sent(sent, PART_BYTES));
+            window.runs_out(false);
+            for part in 1..=4 {
+                let received = sent + 20 * MS + part * takes;
+                window.acknowledged(received + 20 * MS, sent, received + offset, PART_BYTES);
+            }
+        };
+        window.runs_out(true);
+        tell(&mut window, 4_000 * MS, 30 * MS);
+        window.empties(4_160 * MS);
+        tell(&mut window, 4_160 * MS, 8 * MS);
+        let faster = window.rate().unwrap() / before;
+        assert!((1.8..2.3).contains(&faster), "{faster}");
     }
 
     #[test]
