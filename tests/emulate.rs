@@ -154,7 +154,12 @@ fn graphs_meet_over_a_relay_on_loopback() {
 fn a_relay_refuses_what_it_cannot_do() {
     let port = free_port().to_string();
     for (args, expected) in [
-        (["--loss", "0.1"], "carries streams"),
+        (["--loss", "0.1"], "--loss: the relay carries streams"),
+        (["--duplicate", "0.1"], "--duplicate: the relay carries streams"),
+        (
+            ["--duplicate", "1.5"],
+            "--duplicate: expected a number from 0 to 1, found 1.5",
+        ),
         (["--port", "65535"], "--port: expected one with another behind it"),
     ] {
         let output = realo(["emulate", "--loopback"].iter().chain(&args));
