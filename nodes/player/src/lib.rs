@@ -28,6 +28,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Argument, Decided, Describe, Error, Lane, Port, PortId, Source};
 use realo_schemas::{Clock, Kind, Message, Name, Nanos, Payload, PayloadType, from_seconds};
+use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
 
 use ahead::{Taker, ahead};
@@ -35,8 +36,8 @@ pub use feed::sweeps_per_pass;
 use feed::{Counters, Feed, Release, Script};
 pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
 
-/// Priority (`nice`) of the thread that reads ahead.
-const LOW_PRIORITY: i32 = 5;
+/// By how much the priority (`nice`) of the thread that reads ahead is lower than that of the process.
+const LOWER: i32 = 5;
 
 /// With wall time, a pass over a log takes a multiple of this.
 const SLOT: Nanos = 5_000_000_000;
@@ -579,7 +580,7 @@ fn read_ahead(mut feed: Feed) -> Result<Taker<Next>, Error> {
     let (filler, releases) = ahead();
     let read = move || {
         // Reading may wait, the graph may not. Where the system refuses, it only reads as eagerly as the rest runs.
-        let _ = rustix::process::setpriority_process(None, LOW_PRIORITY);
+        let _ = getpriority_process(None).and_then(|own| setpriority_process(None, own + LOWER));
         loop {
             let next = feed.next();
             let points = match &next {

@@ -237,7 +237,8 @@ const FAULTS: &[Fault] = &[
     Fault {
         name: "64 Mbit/s of clouds offered to 27",
         graph: "early_fusion",
-        set: [&["ego.sender.step_m=0.000001"], &[]],
+        // A micrometre, hardly compressed.
+        set: [&["ego.sender.step_m=0.000001", "ego.sender.zstd=-7"], &[]],
         offers: Some(64.0),
         ..CALM
     },
