@@ -12,7 +12,11 @@ const LIBRARY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/wall_clock.so")
 const LIBRARY_FILE: &str = "wall_clock.so";
 /// Names the file that tells by how much.
 const VARIABLE: &str = "LINKEMU_WALL_CLOCK";
+/// Name the libraries that programs load before their own: of a program, and of a system.
 const PRELOAD: &str = "LD_PRELOAD";
+const PRELOAD_FILE: &str = "ld.so.preload";
+/// Where systems have that file.
+const ETC: &str = "/etc";
 
 /// The wall clock of one machine. Programs that are started with it read it where they call `clock_gettime` of the C library, as
 /// Rust's do; what they hold for the steady clock goes on as ever.
@@ -31,6 +35,11 @@ impl WallClock {
         let made = || {
             let mut library = File::create(folder.join(LIBRARY_FILE))?;
             library.write_all(LIBRARY)?;
+            let etc = folder.join("etc");
+            std::fs::create_dir(&etc)?;
+            let others = std::fs::read_to_string(Path::new(ETC).join(PRELOAD_FILE)).unwrap_or_default();
+            let libraries = format!("{}\n{others}", folder.join(LIBRARY_FILE).display());
+            std::fs::write(etc.join(PRELOAD_FILE), libraries)?;
             let ahead = File::create(folder.join("ahead"))?;
             ahead.write_all_at(&0_i64.to_ne_bytes(), 0)?;
             Ok(ahead)
@@ -55,6 +64,18 @@ impl WallClock {
             libraries.push(others);
         }
         command.env(PRELOAD, libraries).env(VARIABLE, self.folder.join("ahead"));
+    }
+
+    /// A command of a shell that has a program, its `$0`, and what that starts read it: some start others without the variable by
+    /// which libraries are loaded. It changes `/etc` of the mount namespace in which it runs.
+    pub fn within(&self) -> String {
+        if LIBRARY.is_empty() {
+            return r#"exec "$0" "$@""#.into();
+        }
+        let etc = self.folder.join(ETC.trim_start_matches('/'));
+        let mount = format!("mount -t overlay linkemu -o lowerdir='{}':{ETC} {ETC}", etc.display());
+        // Where that is not allowed, who sets the clock learns that it is not read.
+        format!(r#"{mount} 2>/dev/null; exec "$0" "$@""#)
     }
 
     /// Sets it so many milliseconds ahead of the true one.

@@ -116,8 +116,10 @@ impl Machines {
     /// A program on one of the machines.
     pub fn command(&self, machine: usize, program: impl AsRef<OsStr>) -> Command {
         let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.names[machine]]).arg(program);
-        self.clocks[machine].give(&mut command);
+        let clock = &self.clocks[machine];
+        // Each has a mount namespace of its own.
+        command.args(["netns", "exec", &self.names[machine], "sh", "-c", &clock.within()]);
+        clock.give(command.arg(program));
         command
     }
 
@@ -135,7 +137,7 @@ impl Machines {
             let is_there = || Path::new("/proc").join(&process).join("exe").exists();
             if !clock.is_read_by(&process) && is_there() {
                 return Err(failed(format!(
-                    "process {process} does not read it; expected programs that are linked to glibc, and were started by `command`"
+                    "process {process} does not read it; expected programs that are linked to glibc, on a system that mounts overlays"
                 )));
             }
         }

@@ -46,7 +46,7 @@ pub struct Faults {
 }
 
 /// What became of the vehicle's run.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct Row {
     fault: String,
     /// Frames of the ego that gave boxes, of those that it had.
@@ -275,11 +275,11 @@ pub fn bench(seconds: f64, only: &str) -> Result<Faults> {
     let Some(alone) = accuracy(&out)? else {
         bail!("{}: the log has no ground truth", log.display());
     };
-    let rows = chosen
-        .into_iter()
-        .map(|fault| run(fault, passes, &log, &folder))
-        .map(|row| row.map(|(fault, row)| row.checked(fault, passes, alone)))
-        .collect::<Result<_>>()?;
+    let row = |fault: &Fault| match run(fault, passes, &log, &folder) {
+        Ok(row) => row.checked(fault, passes, alone),
+        Err(error) => Row::failed(fault, &error),
+    };
+    let rows = chosen.into_iter().map(row).collect();
     Ok(Faults { alone, passes, rows })
 }
 
@@ -300,6 +300,15 @@ impl Faults {
 }
 
 impl Row {
+    /// Of a run that came to no end, or to a bad one.
+    fn failed(fault: &Fault, error: &eyre::Report) -> Row {
+        Row {
+            fault: fault.name.into(),
+            broken: vec![format!("{error:#}")],
+            ..Row::default()
+        }
+    }
+
     fn checked(mut self, fault: &Fault, passes: u32, alone: [f64; 2]) -> Row {
         let mut broken = Vec::new();
         let ([processed, of], all) = (self.frames, (f64::from(passes) * PASS * RATE) as u64);
@@ -442,7 +451,7 @@ fn make_keys(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-fn run<'a>(fault: &'a Fault, passes: u32, log: &Path, folder: &Path) -> Result<(&'a Fault, Row)> {
+fn run(fault: &Fault, passes: u32, log: &Path, folder: &Path) -> Result<Row> {
     let folder = folder.join(fault.name.replace([' ', '%', ',', '\'', '/'], "_"));
     if fault.signed {
         make_keys(&folder)?;
@@ -463,9 +472,9 @@ fn run<'a>(fault: &'a Fault, passes: u32, log: &Path, folder: &Path) -> Result<(
         over.store(true, Relaxed);
         (played, watch.join())
     });
-    played.wrap_err_with(|| fault.name.to_string())?;
-    let watched = watched.map_err(|_| eyre!("{}: nobody watched the link", fault.name))?;
-    Ok((fault, row(fault, &stage.out(Side::Vehicle), &watched)?))
+    played?;
+    let watched = watched.map_err(|_| eyre!("nobody watched the link"))?;
+    row(fault, &stage.out(Side::Vehicle), &watched)
 }
 
 /// Both graphs, from start to end, and what happens to them.
