@@ -154,7 +154,12 @@ fn graphs_meet_over_a_relay_on_loopback() {
 fn a_relay_refuses_what_it_cannot_do() {
     let port = free_port().to_string();
     for (args, expected) in [
-        (["--loss", "0.1"], "carries streams"),
+        (["--loss", "0.1"], "--loss: the relay carries streams"),
+        (["--duplicate", "0.1"], "--duplicate: the relay carries streams"),
+        (
+            ["--duplicate", "1.5"],
+            "--duplicate: expected a number from 0 to 1, found 1.5",
+        ),
         (["--port", "65535"], "--port: expected one with another behind it"),
     ] {
         let output = realo(["emulate", "--loopback"].iter().chain(&args));
@@ -169,14 +174,21 @@ fn a_relay_refuses_what_it_cannot_do() {
 
 /// What a bench says as JSON; `None` where it needs what is not here.
 fn bench(args: &[&str]) -> Option<Value> {
+    let (found, ends_well, said) = judged(args)?;
+    assert!(ends_well, "{args:?}: {said}");
+    Some(found)
+}
+
+/// The same of a bench that judges what it finds, with its verdict and what it says of it.
+fn judged(args: &[&str]) -> Option<(Value, bool, String)> {
     let output = realo(["bench"].iter().chain(args).chain(&["--json"]));
     let said = text(&output.stderr);
     if said.contains("no network namespaces here") {
         skipped::skip(NEEDS);
         return None;
     }
-    assert!(output.status.success(), "{args:?}: {said}");
-    Some(serde_json::from_slice(&output.stdout).expect("JSON"))
+    let found = serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{args:?}: {error}: {said}"));
+    Some((found, output.status.success(), said))
 }
 
 /// Of each case: boxes came, none before the link lets it.
@@ -223,24 +235,66 @@ fn boxes_cross_beside_clouds_over_a_relay() {
     assert!(said.contains("no case is named so; there are: no loss; "), "{said}");
 }
 
-#[test]
-fn the_ego_goes_on_while_the_link_is_cut() {
-    let _alone = alone();
-    let Some(found) = bench(&["faults", "--only", "cut for 5 s", "--seconds", "20"]) else {
-        return;
-    };
+/// The one row of a bench of faults, of which nothing is broken but what a busy machine breaks.
+fn row_of(name: &str) -> Option<Value> {
+    let (found, ends_well, said) = judged(&["faults", "--only", name, "--seconds", "20"])?;
     let rows = found["rows"].as_array().expect("rows");
     assert_eq!(rows.len(), 1, "{found}");
     let row = &rows[0];
-    assert_eq!(row["fault"], "cut for 5 s");
+    assert_eq!(row["fault"], *name);
+    let broken = row["broken"].as_array().expect("a list");
+    assert_eq!(ends_well, broken.is_empty(), "{found}: {said}");
+    for what in broken {
+        let what = what.as_str().expect("text");
+        assert!(what.contains("of the ego's frames") || what.contains("mAP"), "{row}");
+        assert!(
+            said.contains(&format!("realo: {name}: ")) && said.contains(what),
+            "{said}"
+        );
+    }
     let frames = |at: usize| row["frames"][at].as_u64().expect("a count");
     assert!(frames(1) == 200 && frames(0) > 100, "{row}");
     assert_eq!(row["unaccounted"], 0, "{row}");
-    let count = |field: &str| row[field].as_u64().expect("a count");
-    assert!(
-        count("used") <= count("sent") && count("sent") < 190,
-        "what is offered while the link is cut is not begun: {row}"
-    );
     assert!(row["memory_mb"].as_f64() > Some(0.0), "{row}");
     assert!(found["alone"][0].as_f64() > Some(0.5), "{found}");
+    Some(row.clone())
+}
+
+fn count(number: &Value) -> u64 {
+    number.as_u64().expect("a count")
+}
+
+#[test]
+fn the_ego_goes_on_while_the_link_is_cut() {
+    let _alone = alone();
+    let Some(row) = row_of("cut for 5 s") else { return };
+    assert!(
+        count(&row["fates"]["used"]) <= count(&row["sent"]) && count(&row["sent"]) < 190,
+        "what is offered while the link is cut is not begun: {row}"
+    );
+}
+
+#[test]
+fn graphs_go_on_when_the_clock_of_their_machine_is_set() {
+    let _alone = alone();
+    // Of graphs that followed it the vehicle would find a clock that is off, or stand still for an hour.
+    for name in [
+        "roadside unit's clock set 200 ms ahead, then 200 ms behind",
+        "vehicle's clock set an hour back",
+    ] {
+        let Some(row) = row_of(name) else { return };
+        let off = row["clock_ms"].as_f64().expect("its clock was asked for");
+        assert!(off.abs() < 50.0, "{row}");
+        assert!(count(&row["fates"]["used"]) > 100, "{row}");
+    }
+}
+
+#[test]
+fn a_peer_that_comes_back_with_another_clock_is_placed_anew() {
+    let _alone = alone();
+    let name = "roadside unit killed, back after 2 s with its clock 200 ms ahead";
+    let Some(row) = row_of(name) else { return };
+    let off = row["clock_ms"].as_f64().expect("its clock was asked for");
+    assert!((off - 200.0).abs() < 50.0, "{row}");
+    assert!(count(&row["fates"]["used"]) > 50, "{row}");
 }

@@ -28,6 +28,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Argument, Decided, Describe, Error, Lane, Port, PortId, Source};
 use realo_schemas::{Clock, Kind, Message, Name, Nanos, Payload, PayloadType, from_seconds};
+use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
 
 use ahead::{Taker, ahead};
@@ -35,15 +36,15 @@ pub use feed::sweeps_per_pass;
 use feed::{Counters, Feed, Release, Script};
 pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
 
-/// Priority (`nice`) of the thread that reads ahead.
-const LOW_PRIORITY: i32 = 5;
+/// By how much the priority (`nice`) of the thread that reads ahead is lower than that of the process.
+const LOWER: i32 = 5;
 
 /// With wall time, a pass over a log takes a multiple of this.
 const SLOT: Nanos = 5_000_000_000;
 /// With wall time, numbers of messages begin below this.
 const NUMBERS: u64 = 1 << 31;
 /// Between the first call and the first message on wall time at least: nodes find each other meanwhile.
-const LEAD: Nanos = 4_000_000_000;
+pub const LEAD: Nanos = 4_000_000_000;
 
 /// Of a point in memory.
 const POINT_BYTES: usize = 20;
@@ -184,12 +185,48 @@ pub struct Player {
     wall: Option<Wall>,
 }
 
-/// How a log is moved to wall time: by a whole number of slots, which depends on nothing but when it is played.
-struct Wall {
+/// Where the passes over a log lie on wall time, which depends on nothing but the log.
+#[derive(Clone, Copy, Debug)]
+struct Slots {
     /// The first time of the log that is played.
     from: Nanos,
     /// From one pass to the next.
     slot: Nanos,
+}
+
+impl Slots {
+    fn of(feed: &Feed) -> Slots {
+        Slots {
+            from: feed.begins(),
+            slot: feed.period(),
+        }
+    }
+
+    /// By how many slots the log is moved for the pass that begins next; one that begins before [`LEAD`] is over is too near.
+    fn until(&self, now: Nanos) -> Nanos {
+        (now + LEAD - self.from).div_euclid(self.slot) + 1
+    }
+}
+
+/// The wall time at which a player of a log with `clock=wall` begins that is started at `now`, and how long it is from one pass to the
+/// next, ns.
+///
+/// # Errors
+/// A log without messages, or with unreadable ones.
+pub fn next_pass(log: &Path, now: Nanos) -> Result<[Nanos; 2], Error> {
+    let config = Config {
+        log: log.into(),
+        clock: TimeLine::Wall,
+        ..Config::default()
+    };
+    let (feed, _) = feed(&config, &Counters::default())?;
+    let slots = Slots::of(&feed);
+    Ok([slots.from + slots.until(now) * slots.slot, slots.slot])
+}
+
+/// How a log is moved to wall time: by a whole number of slots.
+struct Wall {
+    slots: Slots,
     skew: Nanos,
     /// By agent, how many numbers a slot takes, of poses and of all else: numbers go on where the player starts again.
     per_pass: BTreeMap<Name, [u64; 2]>,
@@ -200,14 +237,13 @@ struct Wall {
 impl Wall {
     /// Moves a message.
     fn shift(&mut self, (time, port, mut message): Release) -> Release {
-        let (from, slot) = (self.from, self.slot);
+        let slots = self.slots;
         let most = self.per_pass.values().flatten().copied().max().unwrap_or(0);
         let (shift, passes) = *self.moved.get_or_insert_with(|| {
             let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-            let begins = since.as_nanos() as Nanos + LEAD;
-            let slots = (begins - from).div_euclid(slot) + 1;
-            let passes = slots.rem_euclid((NUMBERS / most.max(1)).max(1) as Nanos);
-            (slots * slot, passes as u64)
+            let count = slots.until(since.as_nanos() as Nanos);
+            let passes = count.rem_euclid((NUMBERS / most.max(1)).max(1) as Nanos);
+            (count * slots.slot, passes as u64)
         });
         let shift = shift + self.skew;
         message.header.stamp += shift;
@@ -351,44 +387,10 @@ impl Describe for Player {
 
 impl Source for Player {
     fn new(config: Config) -> Result<Self, Error> {
-        check(&config)?;
-        let log = Log::open(&config.log)?;
         let counters = Counters::default();
-        if log.truncation().is_some() {
-            count(&counters, "log_truncated");
-        }
-        let ego = if config.agent.is_empty() {
-            &config.ego
-        } else {
-            &config.agent
-        };
-        let plan = plan(&log, ego, config.coop, &config.agents)?;
-        let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
-        if cast.collaborators.is_empty() {
-            count(&counters, "runs_alone");
-        }
-        need_topics(&log, &cast, &config)?;
-        let (from, until) = window(&log, &config)?;
-        let script = Script {
-            log,
-            run: config.run.as_str().into(),
-            cast: cast.clone(),
-            offline: config.offline,
-            true_poses: config.pose == PoseSource::True,
-            points: config.points,
-            detections: config.detections != Detections::Off,
-            precomputed: config.precomputed,
-            alone: !config.agent.is_empty(),
-            repeat: config.repeat,
-            from,
-            until,
-            slot: (config.clock == TimeLine::Wall).then_some(SLOT),
-            counters: counters.clone(),
-        };
-        let feed = Feed::new(script)?;
+        let (feed, cast) = feed(&config, &counters)?;
         let wall = (config.clock == TimeLine::Wall).then(|| Wall {
-            from: feed.begins(),
-            slot: feed.period(),
+            slots: Slots::of(&feed),
             skew: (config.skew_ms * 1e6) as Nanos,
             per_pass: feed.per_pass(),
             moved: None,
@@ -434,6 +436,44 @@ impl Source for Player {
             .unwrap_or_else(|poisoned| poisoned.into_inner())
             .clone()
     }
+}
+
+/// What is played, and with whom.
+fn feed(config: &Config, counters: &Counters) -> Result<(Feed, PlannedRun), Error> {
+    check(config)?;
+    let log = Log::open(&config.log)?;
+    if log.truncation().is_some() {
+        count(counters, "log_truncated");
+    }
+    let ego = if config.agent.is_empty() {
+        &config.ego
+    } else {
+        &config.agent
+    };
+    let plan = plan(&log, ego, config.coop, &config.agents)?;
+    let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
+    if cast.collaborators.is_empty() {
+        count(counters, "runs_alone");
+    }
+    need_topics(&log, &cast, config)?;
+    let (from, until) = window(&log, config)?;
+    let script = Script {
+        log,
+        run: config.run.as_str().into(),
+        cast: cast.clone(),
+        offline: config.offline,
+        true_poses: config.pose == PoseSource::True,
+        points: config.points,
+        detections: config.detections != Detections::Off,
+        precomputed: config.precomputed,
+        alone: !config.agent.is_empty(),
+        repeat: config.repeat,
+        from,
+        until,
+        slot: (config.clock == TimeLine::Wall).then_some(SLOT),
+        counters: counters.clone(),
+    };
+    Ok((Feed::new(script)?, cast))
 }
 
 fn count(counters: &Counters, counter: &str) {
@@ -540,7 +580,7 @@ fn read_ahead(mut feed: Feed) -> Result<Taker<Next>, Error> {
     let (filler, releases) = ahead();
     let read = move || {
         // Reading may wait, the graph may not. Where the system refuses, it only reads as eagerly as the rest runs.
-        let _ = rustix::process::setpriority_process(None, LOW_PRIORITY);
+        let _ = getpriority_process(None).and_then(|own| setpriority_process(None, own + LOWER));
         loop {
             let next = feed.next();
             let points = match &next {

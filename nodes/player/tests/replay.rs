@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter};
 use realo_operator::{Describe, Error, Source};
-use realo_player::{Config, Coop, Detections, Player, PoseSource, plan};
+use realo_player::{Config, Coop, Detections, Player, PoseSource, TimeLine, next_pass, plan};
 use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Kind, Message, Nanos, Payload, PointCloud, PoseStatus};
 
 const START: Nanos = 1_700_000_000_000_000_000;
@@ -387,6 +387,23 @@ fn repeated_passes_go_on_in_time_and_numbers() {
             assert!(second.header.stamp - first.header.stamp > 2900 * MS);
         }
     }
+}
+
+#[test]
+fn at_wall_time_passes_begin_when_it_is_said() {
+    let (_folder, path) = made();
+    let now = || {
+        let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        since.unwrap().as_nanos() as Nanos
+    };
+    let [begins, period] = next_pass(&path, now()).unwrap();
+    assert!(begins >= now() && begins < now() + 4_000 * MS + period, "{begins}");
+    assert_eq!(next_pass(&path, begins).unwrap()[0], begins + period);
+    let first = |clock| play(Config { clock, ..config(&path) }).0[0].0;
+    let (log, wall) = (first(TimeLine::Log), first(TimeLine::Wall));
+    // From half a second before the log; the player may have begun one pass later than was said.
+    let begun = wall - log + Log::open(&path).unwrap().span().unwrap().0 - 500 * MS;
+    assert!(begun >= begins && (begun - begins) % period == 0, "{begun} {begins}");
 }
 
 #[test]

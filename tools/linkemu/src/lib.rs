@@ -1,4 +1,5 @@
-//! Two machines in one: network namespaces that are joined by a link with a rate, a delay, jitter, loss and a bounded queue.
+//! Two machines in one: network namespaces that are joined by a link with a rate, a delay, jitter, loss, copies and a bounded
+//! queue.
 //!
 //! Where the kernel has no netem, packets are carried in user space between two TUN devices. It needs Linux, `/dev/net/tun`, `ip` of
 //! iproute2, and root (CAP_NET_ADMIN) or a user namespace ([`Ground`]). Where there is neither, a [`Relay`] on loopback has the link's
@@ -13,6 +14,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod clock;
 mod ground;
 mod interrupt;
 mod link;

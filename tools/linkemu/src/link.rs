@@ -1,7 +1,10 @@
 //! What the link does to packets.
 
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, mpsc};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use crate::tun::Tun;
@@ -13,21 +16,23 @@ pub struct Link {
     rate: AtomicU64,
     /// µs.
     delay: AtomicU64,
-    /// Uniform, from 0, µs.
+    /// Uniform, from 0, of each packet its own, µs: packets overtake each other.
     jitter: AtomicU64,
     /// What waits for the link at most, as time, µs.
     queue: AtomicU64,
     /// Of a million packets.
     loss: AtomicU64,
+    /// Of a million packets, those of which a copy follows.
+    duplicate: AtomicU64,
     half_duplex: AtomicBool,
     cut: AtomicBool,
-    counts: [[AtomicU64; 4]; 2],
+    counts: [[AtomicU64; 5]; 2],
 }
 
 /// What became of the packets of one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Packets that were carried.
+    /// Packets that were carried, copies too.
     pub packets: u64,
     /// Their bytes.
     pub bytes: u64,
@@ -35,12 +40,18 @@ pub struct Counts {
     pub lost: u64,
     /// Packets that found the queue full.
     pub overflown: u64,
+    /// Packets of which a copy followed.
+    pub duplicated: u64,
 }
 
 const PACKETS: usize = 0;
 const BYTES: usize = 1;
 const LOST: usize = 2;
 const OVERFLOWN: usize = 3;
+const DUPLICATED: usize = 4;
+
+/// Shares are of so many.
+const ALL: u64 = 1_000_000;
 
 impl Default for Link {
     fn default() -> Self {
@@ -50,6 +61,7 @@ impl Default for Link {
             jitter: AtomicU64::new(0),
             queue: AtomicU64::new(100_000),
             loss: AtomicU64::new(0),
+            duplicate: AtomicU64::new(0),
             half_duplex: AtomicBool::new(false),
             cut: AtomicBool::new(false),
             counts: Default::default(),
@@ -58,10 +70,11 @@ impl Default for Link {
 }
 
 impl Link {
-    /// Sets `rate` (Mbit/s, 0: no limit), `delay`, `jitter`, `queue` (ms), `loss` (0 to 1), `half_duplex` or `cut` (0 or 1); `false`
-    /// if there is no such thing or the number is none.
+    /// Sets `rate` (Mbit/s, 0: no limit), `delay`, `jitter`, `queue` (ms), `loss`, `duplicate` (0 to 1), `half_duplex` or `cut`
+    /// (0 or 1); `false` if there is no such thing or the number is none.
     pub fn set(&self, what: &str, value: f64) -> bool {
-        if !(value.is_finite() && value >= 0.0) {
+        let most = if Link::is_share(what) { 1.0 } else { f64::MAX };
+        if !(0.0..=most).contains(&value) {
             return false;
         }
         match what {
@@ -69,7 +82,8 @@ impl Link {
             "delay" => self.delay.store((value * 1e3) as u64, Relaxed),
             "jitter" => self.jitter.store((value * 1e3) as u64, Relaxed),
             "queue" => self.queue.store((value * 1e3) as u64, Relaxed),
-            "loss" => self.loss.store((value * 1e6) as u64, Relaxed),
+            "loss" => self.loss.store((value * ALL as f64) as u64, Relaxed),
+            "duplicate" => self.duplicate.store((value * ALL as f64) as u64, Relaxed),
             "half_duplex" => self.half_duplex.store(value > 0.0, Relaxed),
             "cut" => self.cut.store(value > 0.0, Relaxed),
             _ => return false,
@@ -77,17 +91,50 @@ impl Link {
         true
     }
 
+    /// Whether a setting is a share, from 0 to 1, of all packets.
+    pub fn is_share(what: &str) -> bool {
+        matches!(what, "loss" | "duplicate")
+    }
+
     /// What became of the packets from the first machine to the second, and back.
     pub fn counts(&self) -> [Counts; 2] {
         [0, 1].map(|direction: usize| {
-            let [packets, bytes, lost, overflown] =
-                [PACKETS, BYTES, LOST, OVERFLOWN].map(|what| self.counts[direction][what].load(Relaxed));
+            let of = |what: usize| self.counts[direction][what].load(Relaxed);
             Counts {
-                packets,
-                bytes,
-                lost,
-                overflown,
+                packets: of(PACKETS),
+                bytes: of(BYTES),
+                lost: of(LOST),
+                overflown: of(OVERFLOWN),
+                duplicated: of(DUPLICATED),
             }
+        })
+    }
+
+    /// When a packet arrives, and behind it its copy where one follows; `None` for what is lost.
+    fn arrivals(
+        &self,
+        direction: usize,
+        bytes: usize,
+        now: Instant,
+        free: &Free,
+        draws: &mut Draws,
+    ) -> [Option<Instant>; 2] {
+        if self.is_cut() || draws.happens(&self.loss) {
+            self.count(direction, LOST, 1);
+            return [None; 2];
+        }
+        let copied = draws.happens(&self.duplicate);
+        self.count(direction, DUPLICATED, u64::from(copied));
+        [true, copied].map(|is_there| {
+            if !is_there {
+                return None;
+            }
+            let Some(leaves) = pass(self, direction, bytes, now, free) else {
+                self.count(direction, OVERFLOWN, 1);
+                return None;
+            };
+            self.carried(direction, bytes);
+            Some(leaves + self.delay(draws))
         })
     }
 
@@ -125,36 +172,65 @@ pub(crate) fn carry(link: &Arc<Link>, ends: [Tun; 2]) -> std::io::Result<()> {
 }
 
 fn carry_one_way(link: &Link, direction: usize, from: Tun, to: Tun, free: &Free) {
-    let (sender, leaving) = mpsc::channel::<(Instant, Vec<u8>)>();
-    std::thread::spawn(move || {
-        for (at, packet) in leaving {
-            std::thread::sleep(at.saturating_duration_since(Instant::now()));
-            to.write(&packet);
-        }
-    });
-    let mut draws = Draws::of(direction);
-    let (mut last, mut buffer) = (Instant::now(), vec![0; 1 << 16]);
+    let (sender, leaving) = mpsc::channel();
+    std::thread::spawn(move || let_out(&leaving, &to));
+    let (mut draws, mut buffer) = (Draws::of(direction), vec![0; 1 << 16]);
     loop {
         let Some(length) = from.read(&mut buffer) else {
             // The device has no address yet, or is gone.
             std::thread::sleep(Duration::from_millis(20));
             continue;
         };
-        let now = Instant::now();
-        if link.is_cut() || draws.below(1_000_000) < link.loss.load(Relaxed) {
-            link.count(direction, LOST, 1);
-            continue;
+        let arrivals = link.arrivals(direction, length, Instant::now(), free, &mut draws);
+        for at in arrivals.into_iter().flatten() {
+            if sender.send((at, buffer[..length].to_vec())).is_err() {
+                return;
+            }
         }
-        let Some(leaves) = pass(link, direction, length, now, free) else {
-            link.count(direction, OVERFLOWN, 1);
-            continue;
+    }
+}
+
+/// Lets packets out when they arrive.
+fn let_out(leaving: &mpsc::Receiver<(Instant, Vec<u8>)>, to: &Tun) {
+    let mut on_the_way = OnTheWay::default();
+    loop {
+        while let Some(packet) = on_the_way.arrived(Instant::now()) {
+            to.write(&packet);
+        }
+        let next = match on_the_way.next() {
+            Some(at) => leaving.recv_timeout(at.saturating_duration_since(Instant::now())),
+            None => leaving.recv().map_err(|_| RecvTimeoutError::Disconnected),
         };
-        // Nothing overtakes.
-        last = last.max(leaves + link.delay(&mut draws));
-        link.carried(direction, length);
-        if sender.send((last, buffer[..length].to_vec())).is_err() {
-            return;
+        match next {
+            Ok((at, packet)) => on_the_way.put(at, packet),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return,
         }
+    }
+}
+
+/// Packets in order of arrival; those that arrive at one time in the order in which they left.
+#[derive(Default)]
+struct OnTheWay {
+    packets: BinaryHeap<Reverse<(Instant, u64, Vec<u8>)>>,
+    number: u64,
+}
+
+impl OnTheWay {
+    fn put(&mut self, at: Instant, packet: Vec<u8>) {
+        self.packets.push(Reverse((at, self.number, packet)));
+        self.number += 1;
+    }
+
+    /// When the first one arrives.
+    fn next(&self) -> Option<Instant> {
+        self.packets.peek().map(|first| first.0.0)
+    }
+
+    /// The first one, if it has arrived.
+    fn arrived(&mut self, now: Instant) -> Option<Vec<u8>> {
+        self.next().filter(|at| *at <= now)?;
+        self.packets.pop().map(|first| first.0.2)
     }
 }
 
@@ -182,6 +258,11 @@ impl Draws {
         Draws(0x9e37_79b9_7f4a_7c15 ^ (direction as u64 + 1))
     }
 
+    /// Whether something happens that happens to a share of all.
+    fn happens(&mut self, share: &AtomicU64) -> bool {
+        self.below(ALL) < share.load(Relaxed)
+    }
+
     fn below(&mut self, bound: u64) -> u64 {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
@@ -197,11 +278,96 @@ mod tests {
     #[test]
     fn settings_have_names_and_bounds() {
         let link = Link::default();
-        for what in ["rate", "delay", "jitter", "queue", "loss", "half_duplex", "cut"] {
+        for what in [
+            "rate",
+            "delay",
+            "jitter",
+            "queue",
+            "loss",
+            "duplicate",
+            "half_duplex",
+            "cut",
+        ] {
             assert!(link.set(what, 0.5), "{what}");
-            assert!(!link.set(what, f64::NAN) && !link.set(what, -1.0), "{what}");
+            assert!(!link.set(what, f64::NAN) && !link.set(what, f64::INFINITY), "{what}");
+            assert!(!link.set(what, -1.0), "{what}");
+            assert_eq!(link.set(what, 1.1), !Link::is_share(what), "{what}");
         }
         assert!(!link.set("speed", 1.0));
+    }
+
+    /// What a link makes of 10,000 packets of 1,500 bytes that come one after the other.
+    fn arrivals(link: &Link, now: Instant) -> Vec<[Option<Instant>; 2]> {
+        let (free, mut draws) = (Mutex::new([now; 2]), Draws::of(0));
+        (0..10_000)
+            .map(|_| link.arrivals(0, 1500, now, &free, &mut draws))
+            .collect()
+    }
+
+    #[test]
+    fn copies_follow_and_take_their_time_on_the_link() {
+        let (link, now) = (Link::default(), Instant::now());
+        for (what, value) in [("rate", 12.0), ("queue", 1e9), ("duplicate", 0.1), ("loss", 0.2)] {
+            assert!(link.set(what, value));
+        }
+        let all = arrivals(&link, now);
+        let copies = all.iter().filter(|[_, copy]| copy.is_some()).count() as u64;
+        let counts = link.counts()[0];
+        // Of the 8,000 that are not lost.
+        assert!((700..900).contains(&copies), "{copies}");
+        assert_eq!(
+            (counts.duplicated, counts.packets),
+            (copies, 10_000 - counts.lost + copies)
+        );
+        assert_eq!(counts.bytes, counts.packets * 1500);
+        // A millisecond each.
+        let last = all.iter().flatten().flatten().max();
+        assert_eq!(last, Some(&(now + Duration::from_millis(counts.packets))));
+        link.set("duplicate", 0.0);
+        assert!(arrivals(&link, now).iter().all(|[_, copy]| copy.is_none()));
+        assert_eq!(link.counts()[0].duplicated, copies);
+    }
+
+    #[test]
+    fn a_copy_that_finds_the_queue_full_does_not_arrive() {
+        let (link, now) = (Link::default(), Instant::now());
+        for (what, value) in [("rate", 12.0), ("queue", 10.0), ("duplicate", 1.0)] {
+            assert!(link.set(what, value));
+        }
+        arrivals(&link, now);
+        let counts = link.counts()[0];
+        assert_eq!((counts.packets, counts.overflown), (11, 20_000 - 11));
+    }
+
+    #[test]
+    fn jitter_lets_packets_overtake_each_other_and_nothing_else_does() {
+        let (link, now) = (Link::default(), Instant::now());
+        let in_order = |link: &Link| {
+            let mut on_the_way = OnTheWay::default();
+            for (n, [at, _]) in arrivals(link, now).into_iter().enumerate() {
+                on_the_way.put(at.unwrap(), n.to_le_bytes().to_vec());
+            }
+            assert!(on_the_way.arrived(now).is_none());
+            let end = now + Duration::from_secs(100);
+            let order: Vec<Vec<u8>> = std::iter::from_fn(|| on_the_way.arrived(end)).collect();
+            let order = order
+                .iter()
+                .map(|packet| usize::from_le_bytes(*packet.first_chunk().unwrap()));
+            let order: Vec<usize> = order.collect();
+            assert_eq!(order.len(), 10_000);
+            order.is_sorted_by(|one, next| one < next)
+        };
+        for (what, value) in [("rate", 12.0), ("queue", 1e9), ("delay", 20.0)] {
+            assert!(link.set(what, value));
+        }
+        assert!(in_order(&link));
+        link.set("jitter", 60.0);
+        assert!(!in_order(&link));
+        // All at one time.
+        for what in ["rate", "jitter"] {
+            link.set(what, 0.0);
+        }
+        assert!(in_order(&link));
     }
 
     #[test]

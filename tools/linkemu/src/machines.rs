@@ -1,9 +1,11 @@
-//! The namespaces.
+//! The namespaces, and what else machines have of their own.
 
 use std::ffi::OsStr;
+use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 
+use crate::clock::WallClock;
 use crate::link::carry;
 use crate::tun::Tun;
 use crate::{Ground, Link};
@@ -31,6 +33,14 @@ pub enum Error {
         /// What failed there.
         user: String,
     },
+    /// A program would not notice that the wall clock of its machine is set.
+    #[error("the wall clock of `{machine}`: {reason}")]
+    Clock {
+        /// The machine.
+        machine: String,
+        /// What is in the way.
+        reason: String,
+    },
     /// `ip` failed.
     #[error("`{command}`: {reason}; it needs root and iproute2")]
     Ip {
@@ -41,9 +51,10 @@ pub enum Error {
     },
 }
 
-/// Two network namespaces, which go with it.
+/// Two network namespaces, and a wall clock of each, which go with it.
 pub struct Machines {
     names: [String; 2],
+    clocks: [WallClock; 2],
 }
 
 impl Machines {
@@ -66,11 +77,18 @@ impl Machines {
 
     fn make(first: &str, second: &str) -> Result<(Machines, [Tun; 2]), Error> {
         let names = [first, second].map(String::from);
+        let clock = |machine: usize| {
+            WallClock::new().map_err(|error| Error::Clock {
+                machine: names[machine].clone(),
+                reason: format!("{}: {error}", std::env::temp_dir().display()),
+            })
+        };
+        let clocks = [clock(0)?, clock(1)?];
         let devices = [0, 1].map(|end| format!("tun{}{end}", std::process::id()));
         let tuns = [Tun::new(&devices[0])?, Tun::new(&devices[1])?];
         ip(&["netns", "add", first])?;
         // From here on, what was made goes with it.
-        let machines = Machines { names };
+        let machines = Machines { names, clocks };
         ip(&["netns", "add", second])?;
         for end in [0, 1] {
             let (name, device) = (&*machines.names[end], &*devices[end]);
@@ -98,8 +116,32 @@ impl Machines {
     /// A program on one of the machines.
     pub fn command(&self, machine: usize, program: impl AsRef<OsStr>) -> Command {
         let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.names[machine]]).arg(program);
+        let clock = &self.clocks[machine];
+        // Each has a mount namespace of its own.
+        command.args(["netns", "exec", &self.names[machine], "sh", "-c", &clock.within()]);
+        clock.give(command.arg(program));
         command
+    }
+
+    /// Sets the wall clock of a machine so many milliseconds ahead of the true one, under the programs that run there.
+    ///
+    /// # Errors
+    /// [`Error::Clock`], where a program of the machine does not read its clock.
+    pub fn set_clock(&self, machine: usize, ms: f64) -> Result<(), Error> {
+        let clock = &self.clocks[machine];
+        let failed = |reason: String| Error::Clock {
+            machine: self.names[machine].clone(),
+            reason,
+        };
+        for process in self.processes(machine)? {
+            let is_there = || Path::new("/proc").join(&process).join("exe").exists();
+            if !clock.is_read_by(&process) && is_there() {
+                return Err(failed(format!(
+                    "process {process} does not read it; expected programs that are linked to glibc, on a system that mounts overlays"
+                )));
+            }
+        }
+        clock.set(ms).map_err(|error| failed(error.to_string()))
     }
 
     /// Kills all that runs on a machine, as a power cut would.

@@ -26,8 +26,8 @@ const LOOK: Duration = Duration::from_millis(1);
 /// Carries TCP connections with a link's rate, delay, jitter and queue; a cut holds what is on its way. It goes when this is
 /// dropped, its connections when an end closes them.
 ///
-/// What a stream cannot show is not there: nothing is lost, a full queue holds the sender up, connections are made at once, and
-/// TCP's congestion control sees loopback. The rate counts what the streams carry, without headers.
+/// What a stream cannot show is not there: nothing is lost, comes twice or overtakes, a full queue holds the sender up, connections
+/// are made at once, and TCP's congestion control sees loopback. The rate counts what the streams carry, without headers.
 pub struct Relay(Arc<AtomicBool>);
 
 impl Relay {

@@ -12,10 +12,10 @@ use crate::Outcome;
 /// Makes two machines of one, joined by a slow link, until it is interrupted
 ///
 /// As root, two network namespaces; else the same in a user namespace; where neither may be made, a relay on loopback, which carries
-/// TCP with the rate, delay, queue and cuts of the link, and loses nothing. It says which.
+/// TCP with the rate, delay, queue and cuts of the link, and loses nothing, nor carries it twice. It says which.
 ///
-/// Lines of its standard input change the link: `rate 6`, `delay 30`, `jitter 5`, `queue 200`, `loss 0.01`, `half_duplex 1`, `cut 1`,
-/// `cut 0`; `stat` tells what was carried.
+/// Lines of its standard input change the link: `rate 6`, `delay 30`, `jitter 5`, `queue 200`, `loss 0.01`, `duplicate 0.1`,
+/// `half_duplex 1`, `cut 1`, `cut 0`; `stat` tells what was carried.
 #[derive(clap::Args)]
 pub struct Args {
     /// Mbit/s each way, 0: no limit
@@ -24,7 +24,7 @@ pub struct Args {
     /// One way, ms
     #[arg(long, default_value_t = 20.0)]
     delay: f64,
-    /// Up to so much more, ms
+    /// Up to so much more, ms, of each packet its own: packets overtake each other
     #[arg(long, default_value_t = 0.0)]
     jitter: f64,
     /// What waits for the link at most, ms
@@ -33,6 +33,9 @@ pub struct Args {
     /// Share of packets that are lost
     #[arg(long, default_value_t = 0.0)]
     loss: f64,
+    /// Share of packets of which a copy follows
+    #[arg(long, default_value_t = 0.0)]
+    duplicate: f64,
     /// Both directions share the rate
     #[arg(long)]
     half_duplex: bool,
@@ -62,10 +65,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
         ("jitter", args.jitter),
         ("queue", args.queue),
         ("loss", args.loss),
+        ("duplicate", args.duplicate),
         ("half_duplex", if args.half_duplex { 1.0 } else { 0.0 }),
     ] {
         if !link.set(what, value) {
-            bail!("--{what}: expected a number from 0 on, found {value}");
+            let until = if Link::is_share(what) { "to 1" } else { "on" };
+            bail!("--{what}: expected a number from 0 {until}, found {value}");
         }
     }
     let interrupts = Interrupts::hold();
@@ -74,8 +79,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let is_relay = matches!(place, Place::Loopback(_));
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {
-            if is_relay && line.trim_start().starts_with("loss") {
-                eprintln!("realo: {NO_LOSS}");
+            let what = line.split_whitespace().next().unwrap_or_default();
+            if is_relay && Link::is_share(what) {
+                eprintln!("realo: {what}: {OF_PACKETS}");
             } else if !obey(&link, &line) {
                 eprintln!("realo: expected `WHAT NUMBER` (realo emulate --help), found `{line}`");
             }
@@ -93,8 +99,8 @@ enum Place {
     Loopback(Relay),
 }
 
-const NO_LOSS: &str = "loss: the relay carries streams, of which TCP lets nothing be lost; it needs namespaces, as root or where \
-                       users may make them";
+const OF_PACKETS: &str = "the relay carries streams, of which TCP lets nothing be lost or come twice; it needs namespaces, as root or \
+                          where users may make them";
 
 fn place(args: &Args, names: [&str; 2], link: &Arc<Link>) -> Result<Place> {
     if !args.loopback {
@@ -107,15 +113,17 @@ fn place(args: &Args, names: [&str; 2], link: &Arc<Link>) -> Result<Place> {
             Err(error) => return Err(error.into()),
         }
     }
-    if args.loss > 0.0 {
-        bail!("--{NO_LOSS}");
+    for (what, share) in [("loss", args.loss), ("duplicate", args.duplicate)] {
+        if share > 0.0 {
+            bail!("--{what}: {OF_PACKETS}");
+        }
     }
     let [near, far] = relayed(args.port);
     let ways: Vec<_> = near.into_iter().zip(far).collect();
     let relay = Relay::start(link.clone(), &ways).wrap_err("the relay; choose another --port")?;
     let ([first, second], port) = (names, args.port);
     println!(
-        "a relay on loopback: nothing is lost or overtaken, a full queue holds senders up, congestion control has no work"
+        "a relay on loopback: nothing is lost, comes twice or is overtaken, a full queue holds senders up, congestion control has no work"
     );
     println!(
         "`{first}` listens on {}, which `{second}` finds as {}; for example:",
@@ -170,8 +178,8 @@ fn obey(link: &Link, line: &str) -> bool {
         (Some("stat"), None, None) => {
             for (way, counts) in ["there", "back"].iter().zip(link.counts()) {
                 println!(
-                    "{way}: {} packets, {} bytes, {} lost, {} found the queue full",
-                    counts.packets, counts.bytes, counts.lost, counts.overflown
+                    "{way}: {} packets, {} bytes, {} lost, {} came twice, {} found the queue full",
+                    counts.packets, counts.bytes, counts.lost, counts.duplicated, counts.overflown
                 );
             }
             true

@@ -11,12 +11,13 @@ use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
 use realo_operator::{Built, InputBooks, Outputs, PortId, Registration, Waker};
 use realo_schemas::{Message, Nanos, wire};
 
+use crate::time::wall_now;
 use crate::{Stages, running_time};
 
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox, Nudge};
 use super::marks::{End, Fates, Hello};
-use super::{HostError, source, wall_now};
+use super::{HostError, source};
 
 /// How long the process waits at most without looking around, ns.
 const IDLE: Nanos = 200_000_000;

@@ -11,7 +11,7 @@ use dora_node_api::{Event, EventStream, StopCause};
 use realo_schemas::Nanos;
 
 use super::marks::End;
-use super::wall_now;
+use crate::time::wall_now;
 
 /// Events that are taken from dora and wait to be looked into, at most.
 const MOST: usize = 1024;

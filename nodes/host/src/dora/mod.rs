@@ -20,7 +20,6 @@ use std::path::{Path, PathBuf};
 use dora_node_api::DoraNode;
 use realo_graph::{FlatGraph, FlatNode};
 use realo_operator::Registry;
-use realo_schemas::Nanos;
 
 use crate::Stages;
 use inbox::Inbox;
@@ -173,10 +172,4 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
         returning: plan.returning.clone(),
         inbox: Inbox::new(events),
     })
-}
-
-/// Wall time, ns since the epoch.
-fn wall_now() -> Nanos {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    since.map_or(0, |since| since.as_nanos() as Nanos)
 }

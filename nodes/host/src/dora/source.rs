@@ -5,8 +5,9 @@ use std::time::Duration;
 use realo_operator::{AnySource, Error};
 use realo_schemas::{Clock, Nanos};
 
+use super::HostError;
 use super::host::Shared;
-use super::{HostError, wall_now};
+use crate::time::wall_now;
 
 /// Time in which hellos open dora's routes before the first message. dora sends the first messages of an output a
 /// longer way, and on a busy machine the nodes of a graph need seconds to find each other.

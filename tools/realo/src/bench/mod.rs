@@ -64,7 +64,8 @@ enum Name {
     /// Boxes beside clouds on a slow link, against Zenoh's own way; between two network namespaces where they can be made (realo
     /// emulate), else over a relay on loopback
     Radio,
-    /// Late fusion on two machines while links, peers and clocks fail; needs network namespaces (realo emulate)
+    /// Late fusion on two machines while links, peers and clocks fail; fails where the ego misses frames, books do not add up or
+    /// fused is worse than alone; needs network namespaces (realo emulate)
     Faults,
     /// Growth of resident memory over a looped realtime replay
     Memory,
@@ -85,7 +86,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
             &radio::bench(args.seconds.unwrap_or(11.0), only, args.loopback)?,
             args.json,
         ),
-        Name::Faults => print(&faults::bench(args.seconds.unwrap_or(20.0), only)?, args.json),
+        Name::Faults => {
+            let found = faults::bench(args.seconds.unwrap_or(20.0), only)?;
+            print(&found, args.json)?;
+            Ok(found.check())
+        }
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
     }
 }
