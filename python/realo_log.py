@@ -43,6 +43,8 @@ DEFINITIONS = {
     "vision_msgs/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
     "realo_msgs/BoxesInfo": "std_msgs/Header header\nuint64 seq\nbool key\nfloat64[] pose\nfloat64[] yaw\n"
     "float64[] velocity\nfloat64[] covariance\nstring[] agents\nuint32[] points\n",
+    "realo_msgs/Views": "std_msgs/Header header\nfloat64[] pose\nfloat64[] focal\nfloat64[] center\nuint32[] size\n"
+    "float64[] margin\n",
 }
 
 
@@ -60,6 +62,19 @@ def boxes(center, size, yaw, classes, score=None, velocity=None, track=None):
     lengths = {name: len(column) for name, column in found.items()}
     if set(lengths.values()) != {n}:
         raise ValueError(f"boxes: expected {n} of each column, as there are classes, found {lengths}")
+    return found
+
+
+def view(position, quaternion, focal, center, size, margin=0):
+    """What a camera has in its image: body from camera (x right, y down, z ahead), m and x y z w; focal lengths, principal
+    point and size of the image, pixels; how far what was labelled in it may lie beside it at the stamp, m."""
+    found = {"pose": [*position, *quaternion], "focal": [*focal], "center": [*center], "size": [*size], "margin": [margin]}
+    expected = {"pose": 7, "focal": 2, "center": 2, "size": 2, "margin": 1}
+    for name, numbers in found.items():
+        if len(numbers) != expected[name] or not np.isfinite(numbers).all():
+            raise ValueError(f"view: `{name}`: expected {expected[name]} finite numbers, found {numbers}")
+    if min(found["focal"]) <= 0 or min(found["size"]) < 1 or margin < 0:
+        raise ValueError(f"view: expected focal lengths and a size above 0 and a margin from 0, found {found}")
     return found
 
 
@@ -169,11 +184,26 @@ class LogWriter:
         """Boxes that the agent found in its sweep at `stamp`; write the sweep first."""
         self.write_boxes(agent, "detections", stamp, boxes, ready, False, None)
 
-    def truth(self, agent, stamp, boxes, points=None, key=True, ready=None):
-        """All objects at the sweep's stamp, the agent's own `points` on each, and whether the frame is scored."""
+    def truth(self, agent, stamp, boxes, points=None, key=True, ready=None, views=()):
+        """All objects at the sweep's stamp, the agent's own `points` on each, whether the frame is scored, and the `view`s in
+        which objects could be labelled, if not everywhere."""
         if key:
             self.agents[agent]["key_frames"].append(stamp)
+        self.write_views(agent, "ground_truth", stamp, views, ready)
         self.write_boxes(agent, "ground_truth", stamp, boxes, ready, key, points)
+
+    def own_labels(self, agent, stamp, boxes, points=None, key=True, ready=None, views=()):
+        """What the agent's own side labelled by its own sensors; the rest as in `truth`."""
+        self.write_views(agent, "own_labels", stamp, views, ready)
+        self.write_boxes(agent, "own_labels", stamp, boxes, ready, key, points)
+
+    def write_views(self, agent, stream, stamp, views, ready):
+        if not views:
+            return
+        cdr = Cdr(stamp, f"{agent}/body")
+        for name, dtype in ("pose", "<f8"), ("focal", "<f8"), ("center", "<f8"), ("size", "<u4"), ("margin", "<f8"):
+            cdr.array([v[name] for v in views], dtype)
+        self.write(agent, stream + "_views", "realo_msgs/Views", stamp, ready, cdr)
 
     def write_boxes(self, agent, stream, stamp, b, ready, key, points):
         frame = f"{agent}/body"

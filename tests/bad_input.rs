@@ -533,3 +533,56 @@ fn what_an_option_decides_cannot_be_set_beside_it() {
         assert!(said.contains(option), "{set}: {said}");
     }
 }
+
+#[test]
+fn protocols_that_do_not_fit_the_log_say_what_to_do() {
+    let dir = folder("protocol_keys");
+    let sound = fs::read_to_string(common::root().join("operators/scoring/protocols/default.yml"));
+    let sound = sound.expect("the protocol can be read");
+    let log = small();
+    let said = |name: &str, keys: &str| {
+        let path = dir.join(name);
+        fs::write(&path, format!("{sound}{keys}")).expect("the protocol can be written");
+        let (code, said) = run(&[
+            "--log",
+            &log.to_string_lossy(),
+            "--out",
+            &dir.join("out").to_string_lossy(),
+            "--protocol",
+            &path.to_string_lossy(),
+        ]);
+        (code, said)
+    };
+    for (name, keys, expected) in [
+        (
+            "own.yml",
+            "labels: own\n",
+            ["no topic /cav1/own_labels", "`labels: all`"],
+        ),
+        ("ego.yml", "ego: roadside\n", ["scores a roadside", "--ego rsu1"]),
+        (
+            "set.yml",
+            "labels: cooperative\n",
+            ["set.yml", "expected `all` or `own`"],
+        ),
+        (
+            "views.yml",
+            "outside_views: dropped\n",
+            ["views.yml", "expected `counted` or `ignored`"],
+        ),
+        ("typo.yml", "outside_view: ignored\n", ["typo.yml", "outside_view"]),
+    ] {
+        let (code, said) = said(name, keys);
+        assert_ne!(code, Some(0), "{name}");
+        expected
+            .into_iter()
+            .for_each(|word| assert!(said.contains(word), "{name}: {said}"));
+    }
+    // Views that the log does not have leave the scores as they are, and a note says so.
+    let (code, text) = said("blind.yml", "outside_views: ignored\n");
+    assert_eq!(code, Some(0), "{text}");
+    let result = json(&dir.join("out/result.json"));
+    let notes = result["notes"].to_string();
+    assert!(notes.contains("scored frames have no views"), "{notes}");
+    assert_eq!(result["in_no_view"]["detections"], 0);
+}

@@ -79,6 +79,78 @@ fn dair_roadside_alone_gives_the_known_counts() {
 }
 
 #[test]
+fn dair_is_scored_in_views_and_each_side_by_its_own_labels() {
+    let Some(log) = dair() else {
+        return;
+    };
+    // Recorded labels as detections: each side finds what it labelled, all of it in the view of its camera.
+    for (ego, objects) in [("vehicle", 92), ("roadside", 117)] {
+        let protocol = format!("dair-{ego}");
+        let args = [
+            "--recorded-detections",
+            "--offline",
+            "--ego",
+            ego,
+            "--protocol",
+            &protocol,
+        ];
+        let result = run_virtual(&format!("dair_own_{ego}"), "no_fusion", &log, &args);
+        assert_eq!(result["protocol"], *protocol);
+        assert_eq!(counts(&result, "vehicle", "0.5"), (objects, 0, objects), "{ego}");
+        let ignored = &result["in_no_view"];
+        assert_eq!(
+            (&ignored["detections"], &ignored["objects"]),
+            (&0.into(), &0.into()),
+            "{ego}"
+        );
+        // The same recording after the fact, by another protocol.
+        let recording =
+            Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("dair_own_{ego}/dair_start/{ego}/recording.mcap"));
+        let evaluate = |protocol: &str| {
+            let args = ["evaluate", "--json", "--protocol", protocol, "--detections"].map(std::ffi::OsStr::new);
+            let args = [&args[..], &[recording.as_os_str(), log.as_os_str()]].concat();
+            common::realo(args)
+        };
+        let again = evaluate(&protocol);
+        assert!(again.status.success(), "{}", common::text(&again.stderr));
+        let table: serde_json::Value = serde_json::from_slice(&again.stdout).expect("JSON");
+        let found = counts(&table["runs"][0]["result"], "vehicle", "0.5");
+        assert_eq!(found, (objects, 0, objects), "{ego} after the fact");
+    }
+    let wrong = |args: &[&str]| {
+        let graph = common::graph("no_fusion");
+        let fixed = ["run", &graph, "--recorded-detections", "--offline", "--log"].map(std::ffi::OsStr::new);
+        let args = args.iter().map(std::ffi::OsStr::new);
+        let output = common::realo(fixed.into_iter().chain([log.as_os_str()]).chain(args));
+        assert!(!output.status.success());
+        common::text(&output.stderr)
+    };
+    let said = wrong(&["--ego", "vehicle", "--protocol", "dair-roadside"]);
+    assert!(
+        said.contains("`dair-roadside` scores a roadside") && said.contains("--ego roadside"),
+        "{said}"
+    );
+}
+
+#[test]
+fn dair_may_be_scored_as_before_there_were_views() {
+    let Some(log) = dair() else {
+        return;
+    };
+    let path = common::folder("protocol_before").join("before.yml");
+    let text = std::fs::read_to_string(common::root().join("operators/scoring/protocols/dair.yml"));
+    let text = text
+        .expect("the protocol can be read")
+        .replace("outside_views: ignored\n", "");
+    std::fs::write(&path, text).expect("the protocol can be written");
+    let path = path.to_string_lossy();
+    let args = [&DAIR_OFFLINE[..], &["--protocol", &path]].concat();
+    let result = run_virtual("dair_before", "late_fusion", &log, &args);
+    assert_eq!(counts(&result, "vehicle", "0.5"), (170, 0, 171));
+    assert!(result["in_no_view"].is_null());
+}
+
+#[test]
 fn dair_with_the_papers_latencies_depends_on_what_the_roadside_stamp_means() {
     for (stamp, known) in [("start", (126, 28, 171)), ("end", (169, 0, 171))] {
         let Some(log) = imported(stamp) else {

@@ -63,7 +63,10 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
         assert_books_add_up(&result);
         let peer = &result["peers"][0];
         assert_eq!(peer["clock_by"], "machines", "{peer}");
-        assert!(peer["clock_ms"].as_f64().is_some_and(|clock| clock.abs() < 2.0), "{peer}");
+        assert!(
+            peer["clock_ms"].as_f64().is_some_and(|clock| clock.abs() < 2.0),
+            "{peer}"
+        );
         let trace = walk(&near).into_iter().find(|path| path.ends_with("channels/rsu1.csv"));
         let trace = std::fs::read_to_string(trace.expect("what the way from rsu1 was like")).expect("a file");
         assert!(

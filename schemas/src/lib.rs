@@ -17,6 +17,7 @@ pub mod wire;
 pub use header::{Clock, Header, Kind, Name, Pose, TraceEntry};
 pub use message::{Message, Payload, PayloadType, UnexpectedPayload};
 pub use payload::{
-    Box3, Boxes, DType, EgoState, Elements, FeatureMap, GroundTruth, Packet, PointCloud, PoseStatus, Report, Selection,
+    Box3, Boxes, DType, EgoState, Elements, FeatureMap, GroundTruth, OwnLabels, Packet, PointCloud, PoseStatus, Report,
+    Selection,
 };
 pub use time::{Nanos, are_one_time_line, from_seconds, to_millis, to_seconds};

@@ -2,6 +2,7 @@ use arrow_buffer::{Buffer, ScalarBuffer};
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::geometry::View;
 use crate::{Message, Name, Nanos};
 
 /// Points of one sweep; all columns have the same length.
@@ -242,6 +243,23 @@ pub struct GroundTruth {
     pub ego_footprint: Option<[f64; 4]>,
     /// Whether the frame is scored.
     pub key: bool,
+    /// Where objects could be labelled, in the ego's true body frame; empty where that is everywhere.
+    pub views: Vec<View>,
+    /// What the ego's own side labelled, where the source tells it apart.
+    pub own: Option<OwnLabels>,
+}
+
+/// Objects that one agent's side labelled by its own sensors, in the agent's true body frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OwnLabels {
+    /// The objects; score 1.
+    pub boxes: Vec<Box3>,
+    /// Points that the agent has on each of them; empty where the source does not say.
+    pub points: Vec<u32>,
+    /// Whether the frame is scored by them.
+    pub key: bool,
+    /// Where they could be, in the same frame; empty where that is everywhere.
+    pub views: Vec<View>,
 }
 
 impl GroundTruth {
@@ -260,6 +278,13 @@ impl GroundTruth {
         self.points
             .get(object * n..(object + 1) * n)
             .filter(|row| !row.is_empty())
+    }
+}
+
+impl OwnLabels {
+    /// The agent's points on an object; `None` where the source does not say.
+    pub fn points_on(&self, object: usize) -> Option<u64> {
+        self.points.get(object).map(|n| u64::from(*n))
     }
 }
 

@@ -16,9 +16,10 @@ use arrow_buffer::{NullBuffer, OffsetBuffer};
 use arrow_schema::{DataType, Field, Fields};
 use nalgebra::Vector3;
 
+use crate::geometry::View;
 use crate::{
-    Box3, Boxes, Clock, DType, EgoState, FeatureMap, GroundTruth, Header, Kind, Message, Name, Packet, Payload,
-    PayloadType, PointCloud, Pose, PoseStatus, Report, Selection, TraceEntry,
+    Box3, Boxes, Clock, DType, EgoState, FeatureMap, GroundTruth, Header, Kind, Message, Name, OwnLabels, Packet,
+    Payload, PayloadType, PointCloud, Pose, PoseStatus, Report, Selection, TraceEntry,
 };
 use columns::{Builder, Row};
 
@@ -71,7 +72,7 @@ pub fn to_arrow(message: &Message) -> StructArray {
             row.text("topic", &report.topic);
             row.text("json", &report.json);
         }
-        Payload::Boxes(boxes) => box_columns(&boxes.0, &mut row),
+        Payload::Boxes(boxes) => box_columns(&boxes.0, "", &mut row),
         Payload::GroundTruth(truth) => truth_columns(truth, &mut row),
     }
     row.finish()
@@ -111,7 +112,7 @@ fn read_row(row: &Row) -> Result<Message, WireError> {
             json: row.text("json")?.into(),
         }
         .into(),
-        PayloadType::Boxes => Boxes(read_boxes(row)?).into(),
+        PayloadType::Boxes => Boxes(read_boxes(row, "")?).into(),
         PayloadType::GroundTruth => read_truth(row)?.into(),
     };
     Ok(Message { header, payload })
@@ -404,8 +405,12 @@ fn read_selection(row: &Row) -> Result<Selection, WireError> {
     Ok(Selection { query, entries })
 }
 
-fn box_columns(boxes: &[Box3], row: &mut Builder) {
-    let mut number = |field: &str, get: &dyn Fn(&Box3) -> f64| row.list_f64(field, boxes.iter().map(get).collect());
+/// Columns of boxes, their names behind a prefix.
+fn box_columns(boxes: &[Box3], prefix: &str, row: &mut Builder) {
+    let named = |field: &str| format!("{prefix}{field}");
+    let mut number = |field: &str, get: &dyn Fn(&Box3) -> f64| {
+        row.list_f64(&named(field), boxes.iter().map(get).collect());
+    };
     number("x", &|b| b.center[0]);
     number("y", &|b| b.center[1]);
     number("z", &|b| b.center[2]);
@@ -413,15 +418,16 @@ fn box_columns(boxes: &[Box3], row: &mut Builder) {
     number("width", &|b| b.width);
     number("height", &|b| b.height);
     number("yaw", &|b| b.yaw);
-    row.list_text("class", boxes.iter().map(|b| &*b.class));
-    row.list("score", Float32Array::from_iter_values(boxes.iter().map(|b| b.score)));
-    row.list("track", UInt64Array::from_iter(boxes.iter().map(|b| b.track)));
+    row.list_text(&named("class"), boxes.iter().map(|b| &*b.class));
+    let scores = Float32Array::from_iter_values(boxes.iter().map(|b| b.score));
+    row.list(&named("score"), scores);
+    row.list(&named("track"), UInt64Array::from_iter(boxes.iter().map(|b| b.track)));
     row.list(
-        "velocity",
+        &named("velocity"),
         optional_vectors(boxes, |b| b.velocity.as_ref().map(|v| v.as_slice()), 3),
     );
     row.list(
-        "covariance",
+        &named("covariance"),
         optional_vectors(boxes, |b| b.covariance.as_ref().map(|c| c.as_slice()), 9),
     );
 }
@@ -437,15 +443,16 @@ fn optional_vectors(boxes: &[Box3], get: fn(&Box3) -> Option<&[f64]>, size: usiz
     FixedSizeListArray::new(field, size as i32, Arc::new(Float64Array::from(values)), Some(known))
 }
 
-fn read_boxes(row: &Row) -> Result<Vec<Box3>, WireError> {
-    let number = |field: &str| row.list_f64(field);
+fn read_boxes(row: &Row, prefix: &str) -> Result<Vec<Box3>, WireError> {
+    let named = |field: &str| format!("{prefix}{field}");
+    let number = |field: &str| row.list_f64(&named(field));
     let (x, y, z) = (number("x")?, number("y")?, number("z")?);
     let (length, width, height, yaw) = (number("length")?, number("width")?, number("height")?, number("yaw")?);
-    let class = row.texts("class")?;
-    let score = row.list::<Float32Array>("score")?;
-    let track = row.list::<UInt64Array>("track")?;
-    let velocity = row.list::<FixedSizeListArray>("velocity")?;
-    let covariance = row.list::<FixedSizeListArray>("covariance")?;
+    let class = row.texts(&named("class"))?;
+    let score = row.list::<Float32Array>(&named("score"))?;
+    let track = row.list::<UInt64Array>(&named("track"))?;
+    let velocity = row.list::<FixedSizeListArray>(&named("velocity"))?;
+    let covariance = row.list::<FixedSizeListArray>(&named("covariance"))?;
     let n = x.len();
     let lengths = [
         y.len(),
@@ -458,7 +465,10 @@ fn read_boxes(row: &Row) -> Result<Vec<Box3>, WireError> {
     ];
     let others = [score.len(), track.len(), velocity.len(), covariance.len()];
     if lengths.iter().chain(&others).any(|len| *len != n) {
-        return Err(WireError::content("x", "the columns of the boxes differ in length"));
+        return Err(WireError::content(
+            &named("x"),
+            "the columns of the boxes differ in length",
+        ));
     }
     (0..n)
         .map(|i| {
@@ -468,18 +478,18 @@ fn read_boxes(row: &Row) -> Result<Vec<Box3>, WireError> {
                 width: width[i],
                 height: height[i],
                 yaw: yaw[i],
-                velocity: columns::vector(&velocity, i, "velocity")?,
+                velocity: columns::vector(&velocity, i, &named("velocity"))?,
                 class: class[i].into(),
                 score: score.value(i),
                 track: track.is_valid(i).then(|| track.value(i)),
-                covariance: columns::vector(&covariance, i, "covariance")?,
+                covariance: columns::vector(&covariance, i, &named("covariance"))?,
             })
         })
         .collect()
 }
 
 fn truth_columns(truth: &GroundTruth, row: &mut Builder) {
-    box_columns(&truth.boxes, row);
+    box_columns(&truth.boxes, "", row);
     row.list_text("agents", truth.agents.iter().map(|agent| &**agent));
     row.list("points", UInt32Array::from(truth.points.clone()));
     row.list_f64(
@@ -487,10 +497,59 @@ fn truth_columns(truth: &GroundTruth, row: &mut Builder) {
         truth.ego_footprint.map(|f| f.to_vec()).unwrap_or_default(),
     );
     row.push("key", BooleanArray::from(vec![truth.key]));
+    row.list("views", views_column(&truth.views));
+    let nothing = OwnLabels::default();
+    let own = truth.own.as_ref().unwrap_or(&nothing);
+    row.list(
+        OWN_KEY,
+        BooleanArray::from_iter(truth.own.iter().map(|own| Some(own.key))),
+    );
+    box_columns(&own.boxes, OWN, row);
+    row.list("own_points", UInt32Array::from(own.points.clone()));
+    row.list("own_views", views_column(&own.views));
+}
+
+/// Prefix of the columns of the ego's own labels.
+const OWN: &str = "own_";
+/// Their flag: an empty list where there are none.
+const OWN_KEY: &str = "own_key";
+
+fn views_column(views: &[View]) -> FixedSizeListArray {
+    let values: Vec<f64> = views.iter().flat_map(View::numbers).collect();
+    let field = Arc::new(Field::new("item", DataType::Float64, true));
+    FixedSizeListArray::new(field, View::NUMBERS as i32, Arc::new(Float64Array::from(values)), None)
+}
+
+fn read_views(row: &Row, field: &str) -> Result<Vec<View>, WireError> {
+    let views = row.list::<FixedSizeListArray>(field)?;
+    let read = |index: usize| {
+        let numbers = columns::vector(&views, index, field)?.ok_or_else(|| WireError::content(field, "is null"))?;
+        View::from_numbers(&numbers).map_err(|reason| WireError::content(field, format!("view {index}: {reason}")))
+    };
+    (0..views.len()).map(read).collect()
+}
+
+fn read_own(row: &Row) -> Result<Option<OwnLabels>, WireError> {
+    let key = row.list::<BooleanArray>(OWN_KEY)?;
+    if key.is_empty() {
+        return Ok(None);
+    }
+    let boxes = read_boxes(row, OWN)?;
+    let points = row.list::<UInt32Array>("own_points")?.values().to_vec();
+    if !points.is_empty() && points.len() != boxes.len() {
+        let reason = format!("{} counts for {} objects", points.len(), boxes.len());
+        return Err(WireError::content("own_points", reason));
+    }
+    Ok(Some(OwnLabels {
+        boxes,
+        points,
+        key: key.value(0),
+        views: read_views(row, "own_views")?,
+    }))
 }
 
 fn read_truth(row: &Row) -> Result<GroundTruth, WireError> {
-    let boxes = read_boxes(row)?;
+    let boxes = read_boxes(row, "")?;
     let agents: Vec<Name> = row.texts("agents")?.into_iter().map(Name::from).collect();
     let points = row.list::<UInt32Array>("points")?.values().to_vec();
     if !points.is_empty() && points.len() != boxes.len() * agents.len() {
@@ -519,5 +578,7 @@ fn read_truth(row: &Row) -> Result<GroundTruth, WireError> {
         points,
         ego_footprint,
         key,
+        views: read_views(row, "views")?,
+        own: read_own(row)?,
     })
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use arrow_array::{Array, ArrayRef, Float32Array, StructArray, UInt64Array};
 use arrow_schema::{DataType, Field, Fields};
 use nalgebra::{Isometry3, Vector3};
+use realo_schemas::geometry::View;
 use realo_schemas::wire::{WireError, from_arrow, to_arrow};
 use realo_schemas::*;
 
@@ -89,6 +90,24 @@ fn payloads() -> Vec<(Kind, Payload)> {
         points: vec![1, 2, 3, 4],
         ego_footprint: Some([-1.0, 3.0, -1.0, 1.0]),
         key: true,
+        ..GroundTruth::default()
+    };
+    let view = View {
+        frame_from_camera: Isometry3::new(Vector3::new(1.0, 2.0, 3.0), Vector3::new(0.1, -0.2, 0.3)),
+        focal: [800.0, 810.0],
+        center: [960.5, 540.25],
+        size: [1920, 1080],
+        margin: 2.0,
+    };
+    let labelled = GroundTruth {
+        views: vec![view.clone(), view.clone()],
+        own: Some(OwnLabels {
+            boxes: vec![object(Some(1))],
+            points: vec![7],
+            key: true,
+            views: vec![view],
+        }),
+        ..truth.clone()
     };
     vec![
         (Kind::Points, cloud.expect("columns of one length").into()),
@@ -131,6 +150,7 @@ fn payloads() -> Vec<(Kind, Payload)> {
         (Kind::Boxes, boxes.into()),
         (Kind::Boxes, Boxes::default().into()),
         (Kind::Truth, truth.into()),
+        (Kind::Truth, labelled.into()),
         (Kind::Truth, GroundTruth::default().into()),
     ]
 }

@@ -2,11 +2,14 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use nalgebra::Vector3;
 use realo_schemas::{Nanos, to_seconds};
 use serde::Serialize;
 
 use crate::log::{join, nanos, times};
-use crate::{ChannelInfo, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, SweepsInfo, Truncation};
+use crate::{
+    ChannelInfo, Levelled, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, Stream, SweepsInfo, Truncation,
+};
 
 /// What `realo info` says of a log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -28,6 +31,10 @@ pub struct Description {
     pub topics: BTreeMap<String, TopicInfo>,
     /// How each agent's sweeps are read.
     pub sweeps: BTreeMap<String, SweepsInfo>,
+    /// How each agent's body frame was levelled, where the log tells.
+    pub levelled: BTreeMap<String, Levelled>,
+    /// How far the body frames of the others tilt by their first poses at most, degrees.
+    pub tilted: BTreeMap<String, f64>,
     /// Scored frames per agent, in a finished log.
     pub scored_frames: Option<BTreeMap<String, usize>>,
     /// Where it was cut, if it was.
@@ -125,6 +132,13 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
             sweeps.insert(agent.name.clone(), info);
         }
     }
+    let levelled = log.levelled()?;
+    let mut tilted = BTreeMap::new();
+    for agent in &log.info().agents {
+        if !levelled.contains_key(&agent.name) && log.has(&agent.name, Stream::Pose) {
+            tilted.insert(agent.name.clone(), most_tilt(log, &agent.name)?);
+        }
+    }
     Ok(Description {
         path: log.path().into(),
         bytes: length(log.path())?,
@@ -134,9 +148,31 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
         duration_s: span.map_or(0.0, |(first, last)| to_seconds(last - first)),
         topics: with_rates(log.topics(), |topic| log.times(topic))?,
         sweeps,
+        levelled,
+        tilted,
         scored_frames: log.key_frames().map(count),
         truncated: log.truncation().cloned(),
     })
+}
+
+/// Poses that are looked at for their tilt.
+const LOOKED_AT: usize = 1000;
+/// Less tilt makes no difference, degrees: the noise of an attitude is less.
+const LEVEL: f64 = 0.25;
+
+/// How far z of the agent's body lies from that of the map at most, in its first poses, degrees.
+fn most_tilt(log: &Log, agent: &str) -> Result<f64, LogError> {
+    let mut reader = log.read_all(&[(agent, Stream::Pose)])?;
+    let mut most = 0_f64;
+    for _ in 0..LOOKED_AT {
+        let Some(entry) = reader.next()? else { break };
+        // What is no pose is counted when the log is played.
+        if let Ok(state) = entry.pose() {
+            let up = state.map_from_body.rotation * Vector3::z();
+            most = most.max(up.xy().norm().atan2(up.z).to_degrees());
+        }
+    }
+    Ok(most)
 }
 
 fn describe_recording(file: &McapFile) -> Result<RecordingDescription, LogError> {
@@ -230,7 +266,15 @@ impl fmt::Display for Description {
         }
         writeln!(f, "\n  agents (poses in frame `{}`)", self.info.map_frame)?;
         for agent in &self.info.agents {
-            writeln!(f, "    {:<12} {:<9} {}", agent.name, agent.kind.as_str(), agent.sensor)?;
+            write!(f, "    {:<12} {:<9} {}", agent.name, agent.kind.as_str(), agent.sensor)?;
+            let level = self.levelled.get(&agent.name).map(ToString::to_string);
+            let tilt = self.tilted.get(&agent.name).filter(|tilt| **tilt > LEVEL);
+            let tilt = tilt.map(|tilt| format!("TILTS by up to {tilt:.2}°: `realo import log` makes a level copy"));
+            match level.or(tilt) {
+                Some(text) if !agent.sensor.is_empty() => writeln!(f, "; {text}")?,
+                Some(text) => writeln!(f, "{text}")?,
+                None => writeln!(f)?,
+            }
         }
         if !self.sweeps.is_empty() {
             writeln!(f, "  sweeps")?;

@@ -1,4 +1,5 @@
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::path::Path;
 
 use realo_schemas::Nanos;
@@ -12,6 +13,8 @@ pub const LOG_RECORD: &str = "realo";
 pub const END_RECORD: &str = "realo_end";
 /// Key of [`END_RECORD`]: how far the clocks of other agents lie from the log's.
 pub const CLOCKS: &str = "clocks";
+/// Key of [`END_RECORD`]: how the body frames of agents were levelled.
+pub const LEVELLED: &str = "levelled";
 /// Key of the record that says what was computed beforehand.
 const PRECOMPUTED: &str = "precomputed";
 /// Version of the layout.
@@ -53,6 +56,25 @@ pub struct AgentInfo {
     /// Where the LiDAR sits in the body frame, m, where known.
     #[serde(default)]
     pub sensor_position: Option<[f64; 3]>,
+}
+
+/// How an agent's body frame was levelled when its log was made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Levelled {
+    /// By what: `pose`, `ground`, or `none`.
+    pub by: String,
+    /// The least and the greatest tilt that was taken out of a sweep, degrees.
+    pub degrees: [f64; 2],
+}
+
+impl fmt::Display for Levelled {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let [least, most] = self.degrees;
+        match self.by.as_str() {
+            "none" => f.write_str("not levelled"),
+            by => write!(f, "levelled by {by}, by {least:.2}° to {most:.2}°"),
+        }
+    }
 }
 
 /// What a log says of itself.

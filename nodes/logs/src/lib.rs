@@ -7,8 +7,11 @@
 //! | `/<agent>/pose` | `geometry_msgs/msg/PoseWithCovarianceStamped` | map from body, as the agent believes; covariance 0: unknown |
 //! | `/<agent>/pose_truth` | the same | map from body, exactly |
 //! | `/<agent>/detections` | `vision_msgs/msg/Detection3DArray` | detections that were recorded for a sweep, in `<agent>/body` |
+//! | `/<agent>/own_labels` | the same | objects that the agent's own side labelled, in its true body frame |
 //! | `/<agent>/ground_truth` | the same | all objects at a sweep's stamp, in the agent's true body frame; `id` is the track |
 //! | `/<agent>/detections_info`, `/<agent>/ground_truth_info` | `realo_msgs/msg/BoxesInfo` | companion: exact headings, velocities, covariances, the agent's own point counts, whether the frame is scored |
+//! | `/<agent>/own_labels_info` | `realo_msgs/msg/BoxesInfo` | the same of own labels |
+//! | `/<agent>/ground_truth_views`, `/<agent>/own_labels_views` | `realo_msgs/msg/Views` | where the objects could be labelled: images of cameras, in the same frame |
 //! | `/<agent>/ground_truth_markers` | `visualization_msgs/msg/MarkerArray` | for viewers |
 //! | `/<agent>/packets` | `realo_msgs/msg/SentPacket` | what the agent gives to the link of a sweep, computed beforehand ([`LogCopy`]) |
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | for viewers: map from body as believed |
@@ -43,12 +46,13 @@ mod records;
 mod schema;
 mod sweeps;
 mod topics;
+pub mod views;
 
 pub use boxes::BoxesInfo;
 pub use clocks::PeerClock;
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
-pub use info::{AgentInfo, AgentKind, LogInfo, program};
+pub use info::{AgentInfo, AgentKind, Levelled, LogInfo, program};
 pub use log::{Entry, Log, LogReader};
 pub use log_writer::LogWriter;
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};

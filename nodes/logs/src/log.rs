@@ -2,16 +2,17 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 
+use realo_schemas::geometry::View;
 use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus};
 
 use crate::cdr::CdrReader;
 use crate::frames::bare;
-use crate::info::{CLOCKS, END_RECORD, LOG_RECORD};
+use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD};
 use crate::log_writer::body;
 use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 use crate::packets::{self, SentPacket};
 use crate::sweeps::{Context, SweepsInfo};
-use crate::{BoxesInfo, LogError, LogInfo, PeerClock, Stream, boxes, pose};
+use crate::{BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Stream, boxes, pose, views};
 
 /// An open log.
 #[derive(Clone, Debug)]
@@ -121,12 +122,7 @@ impl Log {
     /// # Errors
     /// Clocks that cannot be.
     pub fn clocks(&self) -> Result<Vec<PeerClock>, LogError> {
-        let Some(text) = self
-            .file
-            .metadata()
-            .get(END_RECORD)
-            .and_then(|record| record.get(CLOCKS))
-        else {
+        let Some(text) = self.at_the_end(CLOCKS) else {
             return Ok(Vec::new());
         };
         let read = || -> Result<Vec<PeerClock>, String> {
@@ -139,6 +135,26 @@ impl Log {
             field: CLOCKS,
             reason,
         })
+    }
+
+    /// How the body frames of agents were levelled, by agent; none where the log does not tell.
+    ///
+    /// # Errors
+    /// Another form than it has.
+    pub fn levelled(&self) -> Result<BTreeMap<String, Levelled>, LogError> {
+        let Some(text) = self.at_the_end(LEVELLED) else {
+            return Ok(BTreeMap::new());
+        };
+        serde_json::from_str(text).map_err(|error| LogError::Metadata {
+            path: self.path().into(),
+            field: LEVELLED,
+            reason: error.to_string(),
+        })
+    }
+
+    /// A value of the closing record.
+    fn at_the_end(&self, key: &str) -> Option<&String> {
+        self.file.metadata().get(END_RECORD)?.get(key)
     }
 
     /// Every topic of the file.
@@ -433,7 +449,7 @@ impl Entry {
             .map_err(|reason| self.bad(reason))
     }
 
-    /// Boxes ([`Stream::Detections`], [`Stream::GroundTruth`]) without what their companion says.
+    /// Boxes ([`Stream::Detections`], [`Stream::GroundTruth`], [`Stream::OwnLabels`]) without what their companion says.
     ///
     /// # Errors
     /// Bytes that are no such message; another frame than the agent's body.
@@ -444,13 +460,24 @@ impl Entry {
             .map_err(|reason| self.bad(reason))
     }
 
-    /// Companion of `boxes` ([`Stream::DetectionsInfo`], [`Stream::GroundTruthInfo`]), which it completes.
+    /// Companion of `boxes` ([`Stream::DetectionsInfo`], [`Stream::GroundTruthInfo`], [`Stream::OwnLabelsInfo`]), which it completes.
     ///
     /// # Errors
     /// Bytes that are no such message; a companion of other boxes.
     pub fn info(&self, boxes: &mut Boxes) -> Result<BoxesInfo, LogError> {
         boxes::decode_info(self.data(), boxes)
             .map(|(_, info)| info)
+            .map_err(|reason| self.bad(reason))
+    }
+
+    /// Views ([`Stream::GroundTruthViews`], [`Stream::OwnLabelsViews`]).
+    ///
+    /// # Errors
+    /// Bytes that are no such message; another frame than the agent's body; numbers that are no view.
+    pub fn views(&self) -> Result<Vec<View>, LogError> {
+        self.in_frame(&body(&self.agent))
+            .and_then(|()| views::decode(self.data()))
+            .map(|(_, views)| views)
             .map_err(|reason| self.bad(reason))
     }
 

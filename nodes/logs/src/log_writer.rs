@@ -2,11 +2,14 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, EgoState, Name, Nanos, PointCloud};
 
-use crate::info::{CLOCKS, END_RECORD, LOG_RECORD, check_agents};
+use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD, check_agents};
 use crate::mcap_writer::{ChannelId, Lane, McapWriter, Output};
-use crate::{BoxesInfo, LogError, LogInfo, PeerClock, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose};
+use crate::{
+    BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose, views,
+};
 
 /// Writes a log.
 ///
@@ -20,6 +23,7 @@ pub struct LogWriter {
     mcap: Option<McapWriter>,
     agents: BTreeMap<String, Agent>,
     clocks: Vec<PeerClock>,
+    levelled: BTreeMap<String, Levelled>,
     tf: Option<ChannelId>,
 }
 
@@ -71,6 +75,7 @@ impl LogWriter {
                 .map(|agent| (agent.name.clone(), Agent::default()))
                 .collect(),
             clocks: Vec::new(),
+            levelled: BTreeMap::new(),
             tf: None,
         })
     }
@@ -150,21 +155,7 @@ impl LogWriter {
         points: Option<&[u32]>,
         key: bool,
     ) -> Result<(), LogError> {
-        if let Some(points) = points
-            && points.len() != objects.len()
-        {
-            let reason = format!("{} point counts for {} boxes of {agent}", points.len(), objects.len());
-            return Err(LogError::input(&self.path, reason));
-        }
-        let seq = self.sweep_number(agent, stamp);
-        let agents = points.map(|_| Name::from(agent)).into_iter().collect();
-        let info = BoxesInfo {
-            seq,
-            key,
-            map_from_frame: None,
-            agents,
-            points: points.map(<[u32]>::to_vec),
-        };
+        let info = self.labels_info(agent, stamp, objects, points, key)?;
         let streams = [Stream::GroundTruth, Stream::GroundTruthInfo];
         self.write_boxes(agent, streams, stamp, ready, objects, &info)?;
         let frame = body(agent);
@@ -175,6 +166,42 @@ impl LogWriter {
             known.key_frames.push(stamp);
         }
         Ok(())
+    }
+
+    /// What the agent's own side labelled at `stamp`, by its own sensors, in the agent's true body frame, with the agent's
+    /// points on each object where somebody counted: `/<agent>/own_labels` and `…_info`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::truth`].
+    pub fn own_labels(
+        &mut self,
+        agent: &str,
+        stamp: Nanos,
+        ready: Nanos,
+        objects: &[Box3],
+        points: Option<&[u32]>,
+        key: bool,
+    ) -> Result<(), LogError> {
+        let info = self.labels_info(agent, stamp, objects, points, key)?;
+        let streams = [Stream::OwnLabels, Stream::OwnLabelsInfo];
+        self.write_boxes(agent, streams, stamp, ready, objects, &info)
+    }
+
+    /// Where the objects of [`LogWriter::truth`] of this stamp could be labelled, in the agent's true body frame:
+    /// `/<agent>/ground_truth_views`. Give both the same `ready`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`]; numbers that are no view.
+    pub fn truth_views(&mut self, agent: &str, stamp: Nanos, ready: Nanos, views: &[View]) -> Result<(), LogError> {
+        self.write_views(agent, Stream::GroundTruthViews, stamp, ready, views)
+    }
+
+    /// The same of [`LogWriter::own_labels`]: `/<agent>/own_labels_views`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::truth_views`].
+    pub fn own_views(&mut self, agent: &str, stamp: Nanos, ready: Nanos, views: &[View]) -> Result<(), LogError> {
+        self.write_views(agent, Stream::OwnLabelsViews, stamp, ready, views)
     }
 
     /// Detections that were recorded for a sweep, in the agent's body frame: `/<agent>/detections` and `…_info`.
@@ -193,6 +220,11 @@ impl LogWriter {
     /// How far the clocks of other agents lie from the log's, which the closing record tells.
     pub fn clocks(&mut self, clocks: Vec<PeerClock>) {
         self.clocks = clocks;
+    }
+
+    /// How the body frames of agents were levelled, which the closing record tells.
+    pub fn levelled(&mut self, levelled: BTreeMap<String, Levelled>) {
+        self.levelled = levelled;
     }
 
     /// Writes what is left, the index and the closing record.
@@ -223,6 +255,10 @@ impl LogWriter {
             let clocks = serde_json::to_string(&self.clocks).expect("times are plain data");
             record.insert(CLOCKS.into(), clocks);
         }
+        if !self.levelled.is_empty() {
+            let levelled = serde_json::to_string(&self.levelled).expect("numbers are plain data");
+            record.insert(LEVELLED.into(), levelled);
+        }
         if let Some((start, end)) = span {
             record.extend([
                 ("start".to_string(), start.to_string()),
@@ -238,6 +274,49 @@ impl LogWriter {
             .and_then(|known| known.sweeps.get(&stamp))
             .copied()
             .unwrap_or(u64::MAX)
+    }
+
+    /// The companion of labels.
+    fn labels_info(
+        &self,
+        agent: &str,
+        stamp: Nanos,
+        objects: &[Box3],
+        points: Option<&[u32]>,
+        key: bool,
+    ) -> Result<BoxesInfo, LogError> {
+        if let Some(points) = points
+            && points.len() != objects.len()
+        {
+            let reason = format!("{} point counts for {} boxes of {agent}", points.len(), objects.len());
+            return Err(LogError::input(&self.path, reason));
+        }
+        Ok(BoxesInfo {
+            seq: self.sweep_number(agent, stamp),
+            key,
+            map_from_frame: None,
+            agents: points.map(|_| Name::from(agent)).into_iter().collect(),
+            points: points.map(<[u32]>::to_vec),
+        })
+    }
+
+    fn write_views(
+        &mut self,
+        agent: &str,
+        stream: Stream,
+        stamp: Nanos,
+        ready: Nanos,
+        views: &[View],
+    ) -> Result<(), LogError> {
+        let fault = |(index, view): (usize, &View)| Some((index, view.clone().checked().err()?));
+        if let Some((index, reason)) = views.iter().enumerate().find_map(fault) {
+            let topic = stream.topic(agent);
+            return Err(LogError::input(&self.path, format!("{topic}: view {index}: {reason}")));
+        }
+        let frame = body(agent);
+        self.write(agent, stream, stamp, ready, |out| {
+            views::encode(out, stamp, &frame, views)
+        })
     }
 
     fn write_boxes(

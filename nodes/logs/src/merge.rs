@@ -127,6 +127,11 @@ impl<'a> Merge<'a> {
             let Some((_, index)) = next.min() else { break };
             parts[index].write(&mut writer)?;
         }
+        let mut levelled = BTreeMap::new();
+        for log in self.logs {
+            levelled.extend(log.levelled()?);
+        }
+        writer.levelled(levelled);
         writer.finish()
     }
 
@@ -298,7 +303,7 @@ impl<'a> Part<'a> {
             Stream::Sweeps if self.bare.contains(&entry.agent) => writer.sweep(agent, stamp, ready),
             Stream::Pose => writer.pose(agent, stamp, ready, &entry.pose()?),
             Stream::PoseTruth => writer.pose_truth(agent, stamp, ready, &entry.pose()?),
-            Stream::Detections | Stream::GroundTruth => {
+            Stream::Detections | Stream::GroundTruth | Stream::OwnLabels => {
                 self.boxes.insert((entry.agent.clone(), entry.stream), entry.boxes()?);
                 Ok(())
             }
@@ -312,6 +317,13 @@ impl<'a> Part<'a> {
                 let info = entry.info(&mut boxes)?;
                 writer.truth(agent, stamp, ready, &boxes.0, info.points.as_deref(), info.key)
             }
+            Stream::OwnLabelsInfo => {
+                let mut boxes = self.companion_of(&entry, Stream::OwnLabels);
+                let info = entry.info(&mut boxes)?;
+                writer.own_labels(agent, stamp, ready, &boxes.0, info.points.as_deref(), info.key)
+            }
+            Stream::GroundTruthViews => writer.truth_views(agent, stamp, ready, &entry.views()?),
+            Stream::OwnLabelsViews => writer.own_views(agent, stamp, ready, &entry.views()?),
             Stream::Sweeps | Stream::GroundTruthMarkers | Stream::Packets => Ok(()),
         }
     }

@@ -13,6 +13,8 @@ pub enum Schema {
     Detection3DArray,
     /// What `Detection3DArray` cannot say of its boxes.
     BoxesInfo,
+    /// Where objects could be labelled.
+    Views,
     /// Boxes for viewers.
     MarkerArray,
     /// Frames for viewers.
@@ -26,12 +28,13 @@ pub enum Schema {
 }
 
 impl Schema {
-    const ALL: [Schema; 10] = [
+    const ALL: [Schema; 11] = [
         Schema::PointCloud2,
         Schema::Header,
         Schema::PoseWithCovarianceStamped,
         Schema::Detection3DArray,
         Schema::BoxesInfo,
+        Schema::Views,
         Schema::MarkerArray,
         Schema::TfMessage,
         Schema::String,
@@ -78,6 +81,7 @@ impl Schema {
             Schema::PoseWithCovarianceStamped => "geometry_msgs/PoseWithCovarianceStamped",
             Schema::Detection3DArray => "vision_msgs/Detection3DArray",
             Schema::BoxesInfo => "realo_msgs/BoxesInfo",
+            Schema::Views => "realo_msgs/Views",
             Schema::MarkerArray => "visualization_msgs/MarkerArray",
             Schema::TfMessage => "tf2_msgs/TFMessage",
             Schema::String => "std_msgs/String",
@@ -199,6 +203,22 @@ const DEFINITIONS: &[(&str, &str)] = &[
          string[] agents\n\
          # Points per box and agent, row-major; empty where nobody counted.\n\
          uint32[] points\n",
+    ),
+    (
+        "realo_msgs/Views",
+        "# What cameras have in their images: where objects could be labelled. One entry of each list, or so many as it says, \
+         per view.\n\
+         std_msgs/Header header\n\
+         # Frame from camera (x right, y down, z ahead): x y z, quaternion x y z w.\n\
+         float64[] pose\n\
+         # Focal lengths in x and y, pixels.\n\
+         float64[] focal\n\
+         # Principal point x, y, pixels.\n\
+         float64[] center\n\
+         # Width, height of the image, pixels.\n\
+         uint32[] size\n\
+         # How far what is in the image may lie beside it at the stamp, m.\n\
+         float64[] margin\n",
     ),
     (
         "realo_msgs/PacketInfo",

@@ -16,6 +16,14 @@ pub enum Stream {
     Detections,
     /// Their companion.
     DetectionsInfo,
+    /// Where own labels could be.
+    OwnLabelsViews,
+    /// What the agent's own side labelled, in its true body frame.
+    OwnLabels,
+    /// Their companion.
+    OwnLabelsInfo,
+    /// Where ground truth could be.
+    GroundTruthViews,
     /// Ground truth in the agent's true body frame.
     GroundTruth,
     /// Its companion.
@@ -28,13 +36,17 @@ pub enum Stream {
 
 impl Stream {
     /// Every stream; at equal log times messages are read in this order.
-    pub const ALL: [Stream; 10] = [
+    pub const ALL: [Stream; 14] = [
         Stream::Pose,
         Stream::PoseTruth,
         Stream::Sweeps,
         Stream::Points,
         Stream::Detections,
         Stream::DetectionsInfo,
+        Stream::OwnLabelsViews,
+        Stream::OwnLabels,
+        Stream::OwnLabelsInfo,
+        Stream::GroundTruthViews,
         Stream::GroundTruth,
         Stream::GroundTruthInfo,
         Stream::GroundTruthMarkers,
@@ -50,6 +62,10 @@ impl Stream {
             Stream::Points => "points",
             Stream::Detections => "detections",
             Stream::DetectionsInfo => "detections_info",
+            Stream::OwnLabelsViews => "own_labels_views",
+            Stream::OwnLabels => "own_labels",
+            Stream::OwnLabelsInfo => "own_labels_info",
+            Stream::GroundTruthViews => "ground_truth_views",
             Stream::GroundTruth => "ground_truth",
             Stream::GroundTruthInfo => "ground_truth_info",
             Stream::GroundTruthMarkers => "ground_truth_markers",
@@ -68,8 +84,9 @@ impl Stream {
             Stream::Pose | Stream::PoseTruth => Schema::PoseWithCovarianceStamped,
             Stream::Sweeps => Schema::Header,
             Stream::Points => Schema::PointCloud2,
-            Stream::Detections | Stream::GroundTruth => Schema::Detection3DArray,
-            Stream::DetectionsInfo | Stream::GroundTruthInfo => Schema::BoxesInfo,
+            Stream::Detections | Stream::OwnLabels | Stream::GroundTruth => Schema::Detection3DArray,
+            Stream::DetectionsInfo | Stream::OwnLabelsInfo | Stream::GroundTruthInfo => Schema::BoxesInfo,
+            Stream::OwnLabelsViews | Stream::GroundTruthViews => Schema::Views,
             Stream::GroundTruthMarkers => Schema::MarkerArray,
             Stream::Packets => Schema::SentPacket,
         }

@@ -1,7 +1,8 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use realo_logs::{BoxesInfo, Log, LogError, LogReader, Stream};
-use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos};
+use realo_schemas::geometry::View;
+use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels};
 
 /// A collaborator's sweep further from the ego's says nothing about the same scene.
 const WINDOW: Nanos = 500_000_000;
@@ -13,10 +14,23 @@ pub struct TruthJoin {
     reader: Option<LogReader>,
     agents: Vec<Name>,
     footprint: Option<[f64; 4]>,
-    boxes: BTreeMap<Name, Boxes>,
-    ego: VecDeque<(Nanos, Boxes, BoxesInfo)>,
+    /// Arrays that wait for their companion, by agent and stream.
+    boxes: BTreeMap<(Name, Stream), Boxes>,
+    /// Views that wait for their truth, and their stamp, by stream.
+    views: BTreeMap<Stream, (Nanos, Vec<View>)>,
+    /// What is known of the ego's sweeps, by stamp.
+    ego: BTreeMap<Nanos, OfEgo>,
+    /// Which of the ego's streams complete a sweep.
+    complete: [bool; 2],
     others: BTreeMap<Name, VecDeque<Counts>>,
     read_to: Nanos,
+}
+
+/// What the log says is around the ego at a sweep.
+#[derive(Default)]
+struct OfEgo {
+    truth: Option<(Boxes, BoxesInfo, Vec<View>)>,
+    own: Option<OwnLabels>,
 }
 
 struct Counts {
@@ -34,8 +48,22 @@ impl TruthJoin {
             wanted.extend([(&**agent, Stream::GroundTruth), (&**agent, Stream::GroundTruthInfo)]);
         }
         let ego = &agents[0];
+        let has_own = log.has(ego, Stream::OwnLabels);
+        if has_own {
+            log.need(ego, Stream::OwnLabelsInfo)?;
+            wanted.extend([(&**ego, Stream::OwnLabels), (&**ego, Stream::OwnLabelsInfo)]);
+        }
+        for (stream, of) in [
+            (Stream::GroundTruthViews, has_truth(&ego)),
+            (Stream::OwnLabelsViews, has_own),
+        ] {
+            if of && log.has(ego, stream) {
+                wanted.push((&**ego, stream));
+            }
+        }
         let margin = 2 * WINDOW;
-        let reader = if has_truth(&ego) {
+        let complete = [has_truth(&ego), has_own];
+        let reader = if complete.contains(&true) {
             Some(log.read(&wanted, from.saturating_sub(margin), until.saturating_add(margin))?)
         } else {
             None
@@ -50,7 +78,9 @@ impl TruthJoin {
             agents: agents.to_vec(),
             footprint: log.info().agent(ego).and_then(|info| info.footprint),
             boxes: BTreeMap::new(),
-            ego: VecDeque::new(),
+            views: BTreeMap::new(),
+            ego: BTreeMap::new(),
+            complete,
             others,
             read_to: Nanos::MIN,
         })
@@ -65,23 +95,28 @@ impl TruthJoin {
             ego_footprint: self.footprint,
             ..GroundTruth::default()
         };
-        if let Some((_, boxes, info)) = self.ego.iter().find(|(at, ..)| *at == stamp) {
-            truth.boxes = boxes.0.clone();
-            truth.key = info.key;
+        let Some(OfEgo { truth: known, own }) = self.ego.remove(&stamp) else {
+            return Ok(truth);
+        };
+        truth.own = own;
+        if let Some((boxes, info, views)) = known {
             if let Some(own) = &info.points {
                 truth.points = self.points(stamp, &boxes.0, own);
             }
+            (truth.boxes, truth.key, truth.views) = (boxes.0, info.key, views);
         }
         Ok(truth)
     }
 
     fn knows(&self, stamp: Nanos) -> bool {
-        let reached = |newest: Option<Nanos>| newest.is_some_and(|newest| newest >= stamp);
-        let all = reached(self.ego.back().map(|(at, ..)| *at))
+        let reached = |of: fn(&OfEgo) -> bool| self.ego.range(stamp..).any(|(_, known)| of(known));
+        let [truth, own] = self.complete;
+        let all = (!truth || reached(|known| known.truth.is_some()))
+            && (!own || reached(|known| known.own.is_some()))
             && self
                 .others
                 .values()
-                .all(|counts| reached(counts.back().map(|counts| counts.stamp)));
+                .all(|counts| counts.back().is_some_and(|counts| counts.stamp >= stamp));
         all || self.read_to > stamp.saturating_add(2 * WINDOW)
     }
 
@@ -90,27 +125,51 @@ impl TruthJoin {
             return Ok(false);
         };
         self.read_to = entry.ready();
-        if entry.stream == Stream::GroundTruth {
-            self.boxes.insert(entry.agent.clone(), entry.boxes()?);
+        let stamp = entry.stamp();
+        let array = match entry.stream {
+            Stream::GroundTruth | Stream::OwnLabels => {
+                self.boxes.insert((entry.agent.clone(), entry.stream), entry.boxes()?);
+                return Ok(true);
+            }
+            Stream::GroundTruthViews | Stream::OwnLabelsViews => {
+                self.views.insert(entry.stream, (stamp, entry.views()?));
+                return Ok(true);
+            }
+            Stream::OwnLabelsInfo => Stream::OwnLabels,
+            _ => Stream::GroundTruth,
+        };
+        let mut boxes = self.boxes.remove(&(entry.agent.clone(), array)).unwrap_or_default();
+        let info = entry.info(&mut boxes)?;
+        if array == Stream::OwnLabels {
+            self.ego.entry(stamp).or_default().own = Some(OwnLabels {
+                boxes: boxes.0,
+                points: info.points.unwrap_or_default(),
+                key: info.key,
+                views: self.views_at(Stream::OwnLabelsViews, stamp),
+            });
             return Ok(true);
         }
-        let mut boxes = self.boxes.remove(&entry.agent).unwrap_or_default();
-        let info = entry.info(&mut boxes)?;
-        let stamp = entry.stamp();
         match self.others.get_mut(&entry.agent) {
             Some(counts) => counts.push_back(Counts {
                 stamp,
                 by_track: by_track(&boxes.0, &info),
             }),
-            None => self.ego.push_back((stamp, boxes, info)),
+            None => {
+                let views = self.views_at(Stream::GroundTruthViews, stamp);
+                self.ego.entry(stamp).or_default().truth = Some((boxes, info, views));
+            }
         }
         Ok(true)
     }
 
+    /// The views of a stamp, none where the log has none.
+    fn views_at(&mut self, stream: Stream, stamp: Nanos) -> Vec<View> {
+        let found = self.views.remove(&stream).filter(|(at, _)| *at == stamp);
+        found.map(|(_, views)| views).unwrap_or_default()
+    }
+
     fn forget(&mut self, stamp: Nanos) {
-        while self.ego.front().is_some_and(|(at, ..)| *at < stamp) {
-            self.ego.pop_front();
-        }
+        self.ego = self.ego.split_off(&stamp);
         for counts in self.others.values_mut() {
             while counts
                 .front()

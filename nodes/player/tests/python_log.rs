@@ -6,7 +6,7 @@ use std::process::Command;
 use realo_logs::{Log, Stream, describe};
 use realo_operator::{Describe, Source};
 use realo_player::{Config, Player};
-use realo_schemas::{Message, Payload};
+use realo_schemas::{Box3, Message, Payload};
 
 /// A Python with numpy; one in a virtual environment under the build folder if the system's has none.
 fn python() -> Option<PathBuf> {
@@ -28,7 +28,7 @@ fn python() -> Option<PathBuf> {
 const SCRIPT: &str = r#"
 import sys
 import numpy as np
-from realo_log import LogWriter, agent, boxes
+from realo_log import LogWriter, agent, boxes, view
 
 S, MS = 1_700_000_000_000_000_000, 1_000_000
 agents = [agent("car", "vehicle", footprint=[-1, 3.5, -0.9, 0.9], sensor="64 beams"), agent("mast", "roadside")]
@@ -48,12 +48,21 @@ with LogWriter(sys.argv[1], agents, source="a test", key_frames="even sweeps") a
                 b = boxes([[10, k, 0.8], [20, 0, 0.8]], [[4.5, 1.9, 1.6]] * 2, [0.25, -3.0], ["car", "bus"],
                           score=[0.75, 0.5], velocity=[[1, 2, 0], [np.nan] * 3], track=[7, 8])
                 log.detections(name, now, b, ready=end)
-                log.truth(name, now, b, points=[k, 3], key=k % 2 == 0, ready=end)
+                camera = view([1, 0, 1.5], [-0.5, 0.5, -0.5, 0.5], [800, 810], [960.5, 540], [1920, 1080], margin=0.5)
+                log.truth(name, now, b, points=[k, 3], key=k % 2 == 0, ready=end, views=[camera])
+                log.own_labels(name, now, b, points=[4, 5], ready=end, views=[camera, camera])
 try:
     log.pose("bus", S, [0, 0, 0], [0, 0, 0, 1])
     sys.exit("an agent that the log does not have was taken")
 except ValueError as error:
     assert "`bus`" in str(error), error
+for wrong in {"size": [1920, 0]}, {"focal": [float("nan"), 1]}, {"position": [1, 2]}, {"margin": -1}:
+    given = {"position": [0, 0, 1], "quaternion": [0, 0, 0, 1], "focal": [1, 1], "center": [0, 0], "size": [2, 2]}
+    try:
+        view(**{**given, **wrong})
+        sys.exit(f"{wrong} was taken")
+    except ValueError as error:
+        assert "view" in str(error), error
 "#;
 
 #[test]
@@ -140,4 +149,20 @@ fn a_log_from_numpy_arrays_is_read_and_played() {
     };
     assert_eq!(truth.points, [4, 4, 3, 3]);
     assert!(truth.key && truth.ego_footprint == Some([-1.0, 3.5, -0.9, 0.9]));
+    let own = truth.own.as_ref().expect("own labels were written");
+    assert_eq!(
+        (truth.views.len(), own.views.len(), &own.points[..]),
+        (1, 2, &[4, 5][..])
+    );
+    let view = &truth.views[0];
+    assert_eq!(
+        (view.focal, view.center, view.size, view.margin),
+        ([800.0, 810.0], [960.5, 540.0], [1920, 1080], 0.5)
+    );
+    // It looks along x: the first box lies ahead of it, and none behind.
+    let behind = Box3 {
+        center: [-10.0, 0.0, 0.8],
+        ..truth.boxes[0].clone()
+    };
+    assert!(view.shows(&truth.boxes[0]) && !view.shows(&behind));
 }

@@ -7,7 +7,10 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter};
 use realo_operator::{Describe, Error, Source};
 use realo_player::{Config, Coop, Detections, Player, PoseSource, TimeLine, next_pass, plan};
-use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Kind, Message, Nanos, Payload, PointCloud, PoseStatus};
+use realo_schemas::geometry::View;
+use realo_schemas::{
+    Box3, Boxes, EgoState, GroundTruth, Kind, Message, Nanos, OwnLabels, Payload, PointCloud, PoseStatus,
+};
 
 const START: Nanos = 1_700_000_000_000_000_000;
 const MS: Nanos = 1_000_000;
@@ -523,4 +526,97 @@ fn poses_that_are_no_poses_are_counted() {
     let (played, player) = play(config(&path));
     assert_eq!(on(&played, "ego_poses").len(), 9);
     assert_eq!(player.counters()["poses_unusable"], 3);
+}
+
+#[test]
+fn truth_has_its_views_and_what_the_own_side_labelled() {
+    let view = |x: f64| View {
+        frame_from_camera: nalgebra::Isometry3::translation(x, 0.0, 1.5),
+        focal: [500.0, 500.0],
+        center: [500.0, 300.0],
+        size: [1000, 600],
+        margin: 0.5,
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("views.mcap");
+    let mut log = LogWriter::create(&path, &info()).unwrap();
+    for tick in 0..40 {
+        let now = START + tick * 10 * MS;
+        for (agent, _, _) in AGENTS {
+            log.pose(agent, now, now, &state(1.0, PoseStatus::Recorded)).unwrap();
+            if tick % 10 != 0 {
+                continue;
+            }
+            let sweep = tick as u64 / 10;
+            log.sweep(agent, now, now).unwrap();
+            // The second sweep has neither views nor own labels.
+            if sweep != 1 && agent != "cav2" {
+                log.own_views(agent, now, now, &[view(sweep as f64)]).unwrap();
+                log.own_labels(agent, now, now, &[object(sweep)], Some(&[7]), sweep % 2 == 0)
+                    .unwrap();
+            }
+            // The roadside unit has nothing but its own labels.
+            if agent != "rsu1" {
+                log.truth(agent, now, now, &[object(1), object(2)], None, true).unwrap();
+                if sweep != 1 {
+                    // Written behind the truth, as another program may.
+                    log.truth_views(agent, now, now, &[view(1.0), view(-1.0)]).unwrap();
+                }
+            }
+        }
+    }
+    log.finish().unwrap();
+    let of = |ego: &str| {
+        let (played, _) = play(Config {
+            ego: ego.into(),
+            points: false,
+            ..config(&path)
+        });
+        truths(&played)
+    };
+    for ego in ["cav1", "rsu1"] {
+        let truths = of(ego);
+        assert_eq!(truths.len(), 4);
+        for (sweep, truth) in truths.iter().enumerate() {
+            let labelled = sweep != 1;
+            let cooperative = ego == "cav1";
+            assert_eq!(
+                (truth.boxes.len(), truth.key),
+                (2 * usize::from(cooperative), cooperative)
+            );
+            let views = if labelled && cooperative {
+                vec![view(1.0), view(-1.0)]
+            } else {
+                vec![]
+            };
+            assert_eq!(truth.views, views, "sweep {sweep} of {ego}");
+            let own = labelled.then(|| OwnLabels {
+                boxes: vec![object(sweep as u64)],
+                points: vec![7],
+                key: sweep % 2 == 0,
+                views: vec![view(sweep as f64)],
+            });
+            assert_eq!(truth.own, own, "sweep {sweep} of {ego}");
+        }
+    }
+    assert!(
+        of("cav2")
+            .iter()
+            .all(|truth| truth.own.is_none() && truth.boxes.len() == 2)
+    );
+
+    // Numbers that are no view are refused where the log is made.
+    let mut log = LogWriter::create(dir.path().join("bad.mcap"), &info()).unwrap();
+    let flat = View {
+        size: [1000, 0],
+        ..view(0.0)
+    };
+    let error = log
+        .truth_views("cav1", START, START, &[view(0.0), flat])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("/cav1/ground_truth_views") && error.contains("view 1: `size`"),
+        "{error}"
+    );
 }

@@ -5,7 +5,7 @@
 //! | `boxes` | Boxes | `/<agent>/boxes`, `…_info`, `…_markers`: the final boxes; [`read_boxes`] restores them bit for bit |
 //! | `ego_boxes`, `other_boxes` | Boxes | `/<agent>/detections`, `…_info`: what each agent detected alone; [`read_detections`] |
 //! | `ego_state`, `states` | EgoState | `/<agent>/pose`, `/tf` |
-//! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers` |
+//! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers`, `…_views`; `/<agent>/own_labels` and the same |
 //! | `packets`, `state_packets` | Packet | `/packets`: their headers and sizes |
 //! | `evaluation`, `bank`, `fusion`, `link`, `link_state` | Report | `/reports`: JSON |
 //! | `ego_clouds`, `clouds` | PointCloud | `/<agent>/points`, if the argument `clouds` asks for it |

@@ -5,7 +5,7 @@
 //! | `clouds` | PointCloud | `/<agent>/points` and `/<agent>/sweeps` |
 //! | `poses` | EgoState | `/<agent>/pose`, `/tf` |
 //! | `recorded` | Boxes | `/<agent>/detections`, `…_info` |
-//! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers`, with the agent's own points |
+//! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers`, with the agent's own points; `…_views`; `/<agent>/own_labels` and theirs |
 //! | `peers` | Report | how far the clocks of others lie from the agent's, by which `realo merge` joins logs |
 //!
 //! Stamps and ready times are those of the messages. The file grows at least every half second of log time: that of a run that
@@ -138,8 +138,18 @@ impl Sink for LogRecorder {
             Payload::EgoState(state) => log.pose(&self.agent, stamp, ready, state)?,
             Payload::Boxes(boxes) => log.detections(&self.agent, stamp, ready, boxes)?,
             Payload::GroundTruth(truth) => {
-                let points = own_points(truth, &self.agent);
-                log.truth(&self.agent, stamp, ready, &truth.boxes, points.as_deref(), truth.key)?;
+                let (agent, points) = (&self.agent, own_points(truth, &self.agent));
+                if !truth.views.is_empty() {
+                    log.truth_views(agent, stamp, ready, &truth.views)?;
+                }
+                log.truth(agent, stamp, ready, &truth.boxes, points.as_deref(), truth.key)?;
+                if let Some(own) = &truth.own {
+                    if !own.views.is_empty() {
+                        log.own_views(agent, stamp, ready, &own.views)?;
+                    }
+                    let points = (!own.points.is_empty()).then_some(&own.points[..]);
+                    log.own_labels(agent, stamp, ready, &own.boxes, points, own.key)?;
+                }
             }
             Payload::Report(report) if report.topic == report::PEERS.into() => {
                 let peers: Vec<Peer> = from_report(report)?;

@@ -2,8 +2,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use realo_logs::cdr::CdrReader;
-use realo_logs::{BoxesInfo, LogError, McapFile, RECORDING_RECORD, RawMessage, Schema, boxes};
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Pose};
+use realo_logs::{BoxesInfo, LogError, McapFile, RECORDING_RECORD, RawMessage, Schema, boxes, views};
+use realo_schemas::geometry::View;
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, OwnLabels, Pose};
 use serde_json::Value;
 
 /// The final boxes of a recording, in order of their ready time, bit for bit as the recorder got them.
@@ -35,19 +36,54 @@ fn read_all_boxes(recording: &Path, ending: &str) -> Result<Vec<Message>, LogErr
 /// # Errors
 /// As [`read_boxes`].
 pub fn read_truth(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
-    let messages = read_with_companions(recording.as_ref(), "/ground_truth", Kind::Truth)?;
-    let message = |(header, boxes, info): (Header, Boxes, BoxesInfo)| {
-        let points = info.points.unwrap_or_default();
+    let recording = recording.as_ref();
+    let messages = read_with_companions(recording, "/ground_truth", Kind::Truth)?;
+    let mut views = read_views(recording, "/ground_truth_views")?;
+    let mut own_views = read_views(recording, "/own_labels_views")?;
+    let mut own = BTreeMap::new();
+    for (header, boxes, info) in read_with_companions(recording, "/own_labels", Kind::Truth)? {
+        let at = (header.agent.clone(), header.stamp);
+        let labels = OwnLabels {
+            boxes: boxes.0,
+            points: info.points.unwrap_or_default(),
+            key: info.key,
+            views: own_views.remove(&at).unwrap_or_default(),
+        };
+        own.insert(at, labels);
+    }
+    let message = |(header, boxes, info): WithCompanion| {
+        let at = (header.agent.clone(), header.stamp);
         let truth = GroundTruth {
             boxes: boxes.0,
             agents: info.agents,
-            points,
+            points: info.points.unwrap_or_default(),
             ego_footprint: None,
             key: info.key,
+            views: views.remove(&at).unwrap_or_default(),
+            own: own.remove(&at),
         };
         Message::new(header, truth)
     };
     Ok(messages.into_iter().map(message).collect())
+}
+
+/// Views by agent and stamp.
+fn read_views(recording: &Path, ending: &str) -> Result<BTreeMap<(Name, Nanos), Vec<View>>, LogError> {
+    let file = open(recording)?;
+    let topics = topics(&file, |topic| topic.ends_with(ending));
+    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
+    let mut found = BTreeMap::new();
+    while let Some(raw) = messages.next()? {
+        let topic = &topics[&raw.channel];
+        let agent: Name = topic.split('/').nth(1).unwrap_or_default().into();
+        let (stamp, views) = views::decode(raw.data()).map_err(|reason| LogError::Content {
+            topic: topic.clone(),
+            log_time: raw.log_time as Nanos,
+            reason,
+        })?;
+        found.insert((agent, stamp), views);
+    }
+    Ok(found)
 }
 
 type WithCompanion = (Header, Boxes, BoxesInfo);
@@ -147,9 +183,14 @@ fn open(path: &Path) -> Result<McapFile, LogError> {
 
 fn topics(file: &McapFile, wanted: impl Fn(&str) -> bool) -> BTreeMap<u16, String> {
     let of_ours = |schema: &str| {
-        [Schema::Detection3DArray, Schema::BoxesInfo, Schema::String]
-            .iter()
-            .any(|s| s.name() == schema)
+        [
+            Schema::Detection3DArray,
+            Schema::BoxesInfo,
+            Schema::Views,
+            Schema::String,
+        ]
+        .iter()
+        .any(|s| s.name() == schema)
     };
     let channels = file
         .channels()

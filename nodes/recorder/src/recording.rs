@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use realo_logs::cdr::CdrWriter;
 use realo_logs::{
     BoxesInfo, ChannelId, Lane, LogError, McapFile, McapWriter, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
+    views,
 };
 use realo_operator::Books;
+use realo_schemas::geometry::View;
 use realo_schemas::report::Fated;
 use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Header, Nanos, Packet, PointCloud, Report};
 use serde_json::{Value, json};
@@ -65,7 +67,31 @@ impl Recording {
             points: counted.then(|| truth.points.clone()),
             ..BoxesInfo::default()
         };
-        self.write_boxes("ground_truth", header, &truth.boxes, &info)
+        self.write_boxes("ground_truth", header, &truth.boxes, &info)?;
+        self.views("ground_truth", header, &truth.views)?;
+        let Some(own) = &truth.own else {
+            return Ok(());
+        };
+        let counted = !own.points.is_empty();
+        let info = BoxesInfo {
+            key: own.key,
+            agents: counted.then(|| header.agent.clone()).into_iter().collect(),
+            points: counted.then(|| own.points.clone()),
+            ..BoxesInfo::default()
+        };
+        self.write_boxes("own_labels", header, &own.boxes, &info)?;
+        self.views("own_labels", header, &own.views)
+    }
+
+    /// Where the boxes of a topic could be labelled, if that is told.
+    fn views(&mut self, topic: &str, header: &Header, views: &[View]) -> Result<(), LogError> {
+        if views.is_empty() {
+            return Ok(());
+        }
+        let topic = format!("/{}/{topic}_views", header.agent);
+        self.write(&topic, Schema::Views, header, |out| {
+            views::encode(out, header.stamp, &header.frame, views)
+        })
     }
 
     fn write_boxes(&mut self, topic: &str, header: &Header, boxes: &[Box3], info: &BoxesInfo) -> Result<(), LogError> {

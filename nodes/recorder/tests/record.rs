@@ -64,6 +64,7 @@ fn truth(seq: u64) -> Message {
         points,
         ego_footprint: None,
         key: seq.is_multiple_of(3),
+        ..GroundTruth::default()
     };
     Message::new(header("cav1", Kind::Truth, seq), truth)
 }

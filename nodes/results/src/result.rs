@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use realo_schemas::file;
 use realo_schemas::report::Peer;
-use realo_scoring::{Accuracy, Dropped, Intervals, Orders, RangeBin, Scores, Table, score};
+use realo_scoring::{Accuracy, Dropped, Ignored, Intervals, Orders, RangeBin, Scores, Table, score};
 use serde::{Deserialize, Serialize};
 
 use crate::{Fates, Samples, Spread};
@@ -58,6 +58,9 @@ pub struct RunResult {
     pub dropped_detections: Option<Dropped>,
     /// Objects that did not count, and why.
     pub dropped_truths: Option<Dropped>,
+    /// What is in no view of the labels and was ignored; `None` where the protocol does not ask.
+    #[serde(default)]
+    pub in_no_view: Option<Ignored>,
     /// By `<from>-<to>` and kind.
     pub links: BTreeMap<String, BTreeMap<String, LinkBooks>>,
     /// Agents on other machines, as the ego knew them at the end; of pooled runs all of them.
@@ -275,6 +278,7 @@ impl RunResult {
             intervals: None,
             dropped_detections: None,
             dropped_truths: None,
+            in_no_view: None,
             links: BTreeMap::new(),
             peers: Vec::new(),
             age_ms: AgeTable::default(),
@@ -307,6 +311,7 @@ impl RunResult {
         self.intervals = scores.intervals;
         self.dropped_detections = Some(scores.dropped_detections);
         self.dropped_truths = Some(scores.dropped_truths);
+        self.in_no_view = scores.in_no_view;
         if scores.boxes_without_truth > 0 {
             let n = scores.boxes_without_truth;
             self.notes.push(format!(

@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// `default`, `dair`, or the path of a protocol file.
+    /// `default`, `dair`, `dair-vehicle`, `dair-roadside`, or the path of a protocol file.
     pub protocol: String,
 }
 
@@ -50,7 +50,7 @@ impl Describe for Evaluator {
     const ABOUT: &'static str = "scores boxes against ground truth: average precision by a protocol";
     const ARGUMENTS: &'static [Argument] = &[Argument {
         name: "protocol",
-        about: "what counts: default, dair, or the path of a protocol file",
+        about: "what counts: default, dair, dair-vehicle, dair-roadside, or the path of a protocol file",
     }];
     const INPUTS: &'static [Port] = &[
         Port::new(

@@ -30,6 +30,7 @@ fn truth(seq: u64, boxes: Vec<Box3>) -> Message {
         points: vec![],
         ego_footprint: None,
         key: true,
+        ..GroundTruth::default()
     };
     Message::new(header(seq, Kind::Truth), truth)
 }

@@ -1,9 +1,9 @@
 use std::collections::BTreeMap;
 
-use realo_schemas::geometry::is_valid;
+use realo_schemas::geometry::{View, is_valid};
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Name, Nanos};
 
-use crate::{Detection, Dropped, Evaluation, Frame, Outline, Protocol, Scene, Truth};
+use crate::{Detection, Dropped, Evaluation, Frame, InNoView, Labels, Outline, OutsideViews, Protocol, Scene, Truth};
 
 /// Why a message cannot be scored.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -47,6 +47,19 @@ pub enum EvaluationError {
         /// Frame of the boxes.
         boxes: Name,
     },
+    /// A protocol that scores by labels that did not come.
+    #[error(
+        "sweep {seq} of {agent}: protocol `{protocol}` scores what {agent}'s own side labelled, and its truth has no such \
+         labels; take a log with the topic /{agent}/own_labels, another ego, or a protocol with `labels: all`"
+    )]
+    NoOwnLabels {
+        /// The ego.
+        agent: String,
+        /// Number of the sweep.
+        seq: u64,
+        /// Name of the protocol.
+        protocol: String,
+    },
 }
 
 /// Joins truth and boxes by (agent, seq), whose stamps must agree, in any order of arrival, and keeps what the protocol counts.
@@ -60,6 +73,7 @@ struct Ego {
     sweeps: BTreeMap<u64, Sweep>,
     dropped_detections: Dropped,
     dropped_truths: Dropped,
+    without_views: u64,
 }
 
 #[derive(Default)]
@@ -67,6 +81,7 @@ struct Sweep {
     truth: Option<TruthPart>,
     boxes: Option<BoxesPart>,
     detections: Vec<Detection>,
+    in_no_view: InNoView,
     processed: bool,
 }
 
@@ -76,6 +91,49 @@ struct TruthPart {
     key: bool,
     ego_footprint: Option<[f64; 4]>,
     truths: Vec<Truth>,
+    views: Vec<View>,
+}
+
+/// The labels that a protocol scores by.
+struct Labelled<'a> {
+    boxes: &'a [Box3],
+    /// Points of all agents and of the ego on each object.
+    points: Box<dyn Fn(usize) -> Option<[u64; 2]> + 'a>,
+    key: bool,
+    /// Where they could be, where the protocol asks for that; else none.
+    views: &'a [View],
+}
+
+impl<'a> Labelled<'a> {
+    /// `None` where the truth has no such labels.
+    fn of(truth: &'a GroundTruth, protocol: &Protocol) -> Option<Self> {
+        let asked = |views: &'a [View]| match protocol.outside_views {
+            OutsideViews::Counted => &[],
+            OutsideViews::Ignored => views,
+        };
+        Some(match protocol.labels {
+            Labels::All => Labelled {
+                boxes: &truth.boxes,
+                points: Box::new(|index| Some([truth.points_of_all(index)?, truth.points_of_ego(index)?])),
+                key: truth.key,
+                views: asked(&truth.views),
+            },
+            Labels::Own => {
+                let own = truth.own.as_ref()?;
+                Labelled {
+                    boxes: &own.boxes,
+                    points: Box::new(|index| own.points_on(index).map(|points| [points; 2])),
+                    key: own.key,
+                    views: asked(&own.views),
+                }
+            }
+        })
+    }
+}
+
+/// Whether no view shows a box; without views everything is shown.
+fn in_no_view(object: &Box3, views: &[View]) -> bool {
+    !views.is_empty() && !views.iter().any(|view| view.shows(object))
 }
 
 /// Boxes that wait for the truth of their sweep.
@@ -97,24 +155,32 @@ impl Collector {
     /// Takes the truth of a sweep.
     ///
     /// # Errors
-    /// [`EvaluationError`] if there was one for this sweep, or if boxes that wait for it have another stamp or frame.
+    /// [`EvaluationError`] if there was one for this sweep, if it has not the labels that the protocol scores by, or if boxes
+    /// that wait for it have another stamp or frame.
     pub fn add_truth(&mut self, header: &Header, truth: &GroundTruth) -> Result<(), EvaluationError> {
         let ego = self.egos.entry(header.agent.clone()).or_default();
         let sweep = ego.sweeps.entry(header.seq).or_default();
         if sweep.truth.is_some() {
             return Err(twice("truth", header));
         }
-        let truths = if truth.key {
-            counted_truths(truth, &self.protocol, &mut ego.dropped_truths)
-        } else {
-            Vec::new()
-        };
+        let labelled = Labelled::of(truth, &self.protocol).ok_or_else(|| EvaluationError::NoOwnLabels {
+            agent: header.agent.to_string(),
+            seq: header.seq,
+            protocol: self.protocol.name.clone(),
+        })?;
+        let mut truths = Vec::new();
+        if labelled.key {
+            let asked = self.protocol.outside_views == OutsideViews::Ignored;
+            ego.without_views += u64::from(asked && labelled.views.is_empty());
+            (truths, sweep.in_no_view.truths) = counted_truths(&labelled, &self.protocol, &mut ego.dropped_truths);
+        }
         sweep.truth = Some(TruthPart {
             stamp: header.stamp,
             frame: header.frame.clone(),
-            key: truth.key,
+            key: labelled.key,
             ego_footprint: truth.ego_footprint,
             truths,
+            views: labelled.views.to_vec(),
         });
         join(sweep, header, &self.protocol, &mut ego.dropped_detections)
     }
@@ -146,6 +212,7 @@ impl Collector {
                 ego: agent.to_string(),
                 dropped_detections: ego.dropped_detections,
                 dropped_truths: ego.dropped_truths,
+                frames_without_views: ego.without_views,
                 ..Scene::default()
             };
             for (seq, sweep) in ego.sweeps {
@@ -153,7 +220,7 @@ impl Collector {
                     orphans += 1;
                     continue;
                 };
-                let (processed, detections) = (sweep.processed, sweep.detections);
+                let (processed, detections, in_no_view) = (sweep.processed, sweep.detections, sweep.in_no_view);
                 scene.frames.push(Frame {
                     seq,
                     stamp,
@@ -161,6 +228,7 @@ impl Collector {
                     processed,
                     detections,
                     truths,
+                    in_no_view,
                 });
             }
             if !scene.frames.is_empty() {
@@ -197,7 +265,7 @@ fn join(sweep: &mut Sweep, header: &Header, protocol: &Protocol, dropped: &mut D
     comparable(truth, stamp, frame, header)?;
     sweep.processed = true;
     if truth.key {
-        sweep.detections = counted_detections(&boxes, truth.ego_footprint, protocol, dropped);
+        (sweep.detections, sweep.in_no_view.detections) = counted_detections(&boxes, truth, protocol, dropped);
     }
     Ok(())
 }
@@ -240,19 +308,21 @@ fn counted(object: &Box3, protocol: &Protocol, dropped: &mut Dropped) -> Option<
     Some(class)
 }
 
-fn counted_truths(truth: &GroundTruth, protocol: &Protocol, dropped: &mut Dropped) -> Vec<Truth> {
-    let mut truths = Vec::with_capacity(truth.boxes.len());
-    for (index, object) in truth.boxes.iter().enumerate() {
+/// Objects that count, and which of them are in no view.
+fn counted_truths(labelled: &Labelled, protocol: &Protocol, dropped: &mut Dropped) -> (Vec<Truth>, Vec<usize>) {
+    let mut truths = Vec::with_capacity(labelled.boxes.len());
+    let mut unseen = Vec::new();
+    for (index, object) in labelled.boxes.iter().enumerate() {
         let Some(class) = counted(object, protocol, dropped) else {
             continue;
         };
-        let points = truth
-            .points_of_all(index)
-            .zip(truth.points_of_ego(index))
-            .map(|(all, ego)| [all, ego]);
+        let points = (labelled.points)(index);
         if points.is_some_and(|[all, _]| all < protocol.min_points) {
             dropped.few_points += 1;
             continue;
+        }
+        if in_no_view(object, labelled.views) {
+            unseen.push(truths.len());
         }
         truths.push(Truth {
             class,
@@ -260,21 +330,23 @@ fn counted_truths(truth: &GroundTruth, protocol: &Protocol, dropped: &mut Droppe
             points,
         });
     }
-    truths
+    (truths, unseen)
 }
 
+/// Detections that count, and which of them are in no view.
 fn counted_detections(
     boxes: &[Box3],
-    ego_footprint: Option<[f64; 4]>,
+    truth: &TruthPart,
     protocol: &Protocol,
     dropped: &mut Dropped,
-) -> Vec<Detection> {
+) -> (Vec<Detection>, Vec<usize>) {
     let own = |object: &Box3| {
-        ego_footprint.is_some_and(|[x0, x1, y0, y1]| {
+        truth.ego_footprint.is_some_and(|[x0, x1, y0, y1]| {
             (x0..=x1).contains(&object.center[0]) && (y0..=y1).contains(&object.center[1])
         })
     };
     let mut detections = Vec::with_capacity(boxes.len());
+    let mut unseen = Vec::new();
     for object in boxes {
         let Some(class) = counted(object, protocol, dropped) else {
             continue;
@@ -283,13 +355,16 @@ fn counted_detections(
             dropped.own_body += 1;
             continue;
         }
+        if in_no_view(object, &truth.views) {
+            unseen.push(detections.len());
+        }
         detections.push(Detection {
             class,
             score: object.score,
             outline: Outline::of(object),
         });
     }
-    detections
+    (detections, unseen)
 }
 
 /// Scores recorded boxes after the fact; the same as the operator does in a graph.

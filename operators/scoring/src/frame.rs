@@ -161,6 +161,33 @@ pub struct Frame {
     pub detections: Vec<Detection>,
     /// Objects; empty unless the frame is scored.
     pub truths: Vec<Truth>,
+    /// Those of them that are in no view, where the protocol ignores such.
+    #[serde(default, skip_serializing_if = "InNoView::is_empty")]
+    pub in_no_view: InNoView,
+}
+
+/// Which detections and objects of a frame are in no view: indices, ascending.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct InNoView {
+    /// Of the detections.
+    pub detections: Vec<usize>,
+    /// Of the objects.
+    pub truths: Vec<usize>,
+}
+
+impl InNoView {
+    fn is_empty(&self) -> bool {
+        self.detections.is_empty() && self.truths.is_empty()
+    }
+}
+
+/// How many boxes of scored frames were ignored because they are in no view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ignored {
+    /// Detections; those that found an object that counts are true nevertheless.
+    pub detections: u64,
+    /// Objects.
+    pub objects: u64,
 }
 
 /// Boxes of scored frames that do not count, and why.
@@ -205,6 +232,13 @@ pub struct Scene {
     pub dropped_truths: Dropped,
     /// Messages with boxes for which no truth came.
     pub boxes_without_truth: u64,
+    /// Scored frames without a view, where the protocol asks for views: everything in them counts.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub frames_without_views: u64,
+}
+
+fn is_none(count: &u64) -> bool {
+    *count == 0
 }
 
 impl Scene {

@@ -20,11 +20,11 @@ mod tests;
 use serde::{Deserialize, Serialize};
 
 pub use collect::{Collector, EvaluationError, evaluate};
-pub use frame::{Detection, Dropped, Evaluation, Frame, Outline, PoolError, Scene, Truth, pool};
+pub use frame::{Detection, Dropped, Evaluation, Frame, Ignored, InNoView, Outline, PoolError, Scene, Truth, pool};
 pub use intervals::{Bounds, Intervals};
 pub use matching::{Outcome, Scope, match_frame};
 pub use precision::average_precision;
-pub use protocol::{Protocol, ProtocolError, Rule, SuperClass};
+pub use protocol::{EgoKind, Labels, OutsideViews, Protocol, ProtocolError, Rule, SuperClass};
 pub use same::{TruthMismatch, same_truth};
 pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, RangeBin, Scores, frame_scores, score};
 pub use table::{Orders, Table};

@@ -1,11 +1,11 @@
 use realo_schemas::geometry::{Footprint, iou};
 
-use crate::{Frame, Protocol, Truth};
+use crate::{Frame, Protocol};
 
 /// Which objects count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// All objects of the mode.
+    /// All objects of the mode; where the protocol ignores what is in no view, those that are in one.
     All,
     /// Those on which the ego alone has enough points; the others are ignored: finding one is neither true nor false.
     Seen,
@@ -18,7 +18,7 @@ pub enum Outcome {
     True(usize),
     /// It found no object.
     False,
-    /// It found an ignored object.
+    /// It found an ignored object, or none where none could be labelled.
     Ignored,
 }
 
@@ -55,8 +55,10 @@ impl Overlaps {
     }
 
     /// Best score first, each detection takes the unused object of largest IoU; it is true if that reaches the
-    /// threshold. Where objects are ignored, one that counts goes before one that does not.
-    pub fn matched(&self, threshold: f64, counts: impl Fn(usize) -> bool) -> Vec<Outcome> {
+    /// threshold. Where objects are ignored, one that counts goes before one that does not. A detection that found nothing
+    /// and is in no view is ignored too.
+    pub fn matched(&self, frame: &Frame, threshold: f64, scope: Scope, protocol: &Protocol) -> Vec<Outcome> {
+        let counts = |truth: usize| scope.counts(frame, truth, protocol);
         let mut used = vec![false; self.truths.len()];
         let best = |row: &[f64], used: &[bool], counted: bool| {
             let free = (0..row.len()).filter(|t| !used[*t] && counts(self.truths[*t]) == counted);
@@ -75,6 +77,7 @@ impl Overlaps {
                 let row = &self.ious[d * self.truths.len()..(d + 1) * self.truths.len()];
                 let found = best(row, &used, true);
                 match found.or_else(|| best(row, &used, false)) {
+                    None if frame.in_no_view.detections.binary_search(&self.detections[d]).is_ok() => Outcome::Ignored,
                     None => Outcome::False,
                     Some(t) => {
                         used[t] = true;
@@ -91,25 +94,28 @@ impl Overlaps {
 }
 
 impl Scope {
-    pub(crate) fn counts(self, truth: &Truth, protocol: &Protocol) -> bool {
-        match self {
+    /// Whether an object of a frame counts.
+    pub(crate) fn counts(self, frame: &Frame, truth: usize, protocol: &Protocol) -> bool {
+        let seen = |[_, ego]: [u64; 2]| ego >= protocol.seen_points;
+        let taken = match self {
             Scope::All => true,
-            Scope::Seen => truth.points.is_some_and(|[_, ego]| ego >= protocol.seen_points),
-        }
+            Scope::Seen => frame.truths[truth].points.is_some_and(seen),
+        };
+        taken && frame.in_no_view.truths.binary_search(&truth).is_err()
     }
 }
 
 /// What became of each detection of a class in a frame, best score first: (index of the detection, outcome).
 pub fn match_frame(frame: &Frame, protocol: &Protocol, class: u8, iou: f64, scope: Scope) -> Vec<(usize, Outcome)> {
     let overlaps = Overlaps::new(frame, class);
-    let outcomes = overlaps.matched(iou, |truth| scope.counts(&frame.truths[truth], protocol));
+    let outcomes = overlaps.matched(frame, iou, scope, protocol);
     overlaps.detections.into_iter().zip(outcomes).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Detection, Outline};
+    use crate::{Detection, InNoView, Outline, Truth};
 
     fn square(x: f64) -> Outline {
         Outline::new([x, 0.0], 2.0, 2.0, 0.0)
@@ -188,6 +194,33 @@ mod tests {
         let frame = frame(&[(0.3, 0.9)], &[(0.2, Some(0)), (0.0, Some(50))]);
         assert_eq!(outcomes(&frame, Scope::Seen), [(0, Outcome::True(1))]);
         assert_eq!(outcomes(&frame, Scope::All), [(0, Outcome::True(0))]);
+    }
+
+    #[test]
+    fn what_no_view_shows_is_neither_missed_nor_found_and_what_finds_nothing_there_is_not_false() {
+        let mut frame = frame(
+            &[(0.0, 0.9), (10.0, 0.8), (20.0, 0.7), (30.0, 0.6), (40.0, 0.5)],
+            &[(0.0, None), (10.0, None), (20.0, None)],
+        );
+        frame.in_no_view = InNoView {
+            detections: vec![2, 4],
+            truths: vec![1],
+        };
+        // The third is in no view itself, but what it found was labelled.
+        assert_eq!(
+            outcomes(&frame, Scope::All),
+            [
+                (0, Outcome::True(0)),
+                (1, Outcome::Ignored),
+                (2, Outcome::True(2)),
+                (3, Outcome::False),
+                (4, Outcome::Ignored)
+            ]
+        );
+        // One that is labelled goes before one that could not be.
+        frame.truths[1].outline = square(0.0);
+        frame.truths[0].outline = square(0.3);
+        assert_eq!(outcomes(&frame, Scope::All)[0], (0, Outcome::True(0)));
     }
 
     #[test]

@@ -7,9 +7,11 @@ use realo_schemas::geometry::Region;
 use serde::{Deserialize, Serialize};
 
 /// Protocols that have a name: the name and the file.
-const NAMED: [(&str, &str); 2] = [
+const NAMED: [(&str, &str); 4] = [
     ("default", include_str!("../protocols/default.yml")),
     ("dair", include_str!("../protocols/dair.yml")),
+    ("dair-vehicle", include_str!("../protocols/dair-vehicle.yml")),
+    ("dair-roadside", include_str!("../protocols/dair-roadside.yml")),
 ];
 
 /// What counts as an object, what as found.
@@ -35,6 +37,51 @@ pub struct Protocol {
     pub seen_points: u64,
     /// Lower edges of range bins, m from the ego, ascending from 0; the last bin is open.
     pub range_edges: Vec<f64>,
+    /// Which labels of the log are the truth.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub labels: Labels,
+    /// What objects and detections are that no view of the labels shows. Without views everything counts.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub outside_views: OutsideViews,
+    /// What the ego must be; `None`: anything.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub ego: Option<EgoKind>,
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+/// Which labels of a log are the truth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Labels {
+    /// All that is known to be around the ego.
+    #[default]
+    All,
+    /// What the ego's own side labelled by its own sensors.
+    Own,
+}
+
+/// What becomes of objects and detections that no view of the labels shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OutsideViews {
+    /// They count as any other.
+    #[default]
+    Counted,
+    /// They are ignored: such an object is neither missed nor found; such a detection is not false.
+    Ignored,
+}
+
+/// What an ego is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EgoKind {
+    /// It drives.
+    Vehicle,
+    /// It stands beside the road.
+    Roadside,
 }
 
 /// What of a box must lie in the region.
@@ -81,7 +128,7 @@ pub enum ProtocolError {
 }
 
 impl Protocol {
-    /// The protocol of a name (`default`, `dair`) or of a file.
+    /// The protocol of a name (`default`, `dair`, `dair-vehicle`, `dair-roadside`) or of a file.
     ///
     /// # Errors
     /// [`ProtocolError`] says what was expected.
@@ -228,10 +275,34 @@ mod tests {
     }
 
     #[test]
+    fn protocols_of_dair_differ_in_data_only() {
+        let load = |name| Protocol::load(name).unwrap();
+        let dair = load("dair");
+        assert_eq!(
+            (dair.labels, dair.outside_views, dair.ego),
+            (Labels::All, OutsideViews::Ignored, None)
+        );
+        for (name, ego) in [("dair-vehicle", EgoKind::Vehicle), ("dair-roadside", EgoKind::Roadside)] {
+            let expected = Protocol {
+                name: name.into(),
+                labels: Labels::Own,
+                ego: Some(ego),
+                ..dair.clone()
+            };
+            assert_eq!(load(name), expected);
+        }
+        // What is left out is as it was before there were such keys, in results too.
+        let plain = serde_json::to_value(load("default")).unwrap();
+        for key in ["labels", "outside_views", "ego"] {
+            assert!(plain.get(key).is_none(), "{key}");
+        }
+    }
+
+    #[test]
     fn says_what_is_wrong_with_a_protocol() {
         let error = Protocol::load("kitti").unwrap_err().to_string();
         assert!(
-            error.contains("`kitti`") && error.contains("`default`, `dair`"),
+            error.contains("`kitti`") && error.contains("`default`, `dair`, `dair-vehicle`"),
             "{error}"
         );
         let good = NAMED[0].1;
@@ -245,6 +316,13 @@ mod tests {
             ("range_edges: [0,", "range_edges: [5,", "`range_edges`"),
             ("range_edges: [0,", "range_edges: [0, 0,", "`range_edges`"),
             ("all_bottom_corners\n", "most\n", "most"),
+            ("min_points", "labels: others\nmin_points", "expected `all` or `own`"),
+            (
+                "min_points",
+                "outside_views: dropped\nmin_points",
+                "expected `counted` or `ignored`",
+            ),
+            ("min_points", "ego: bus\nmin_points", "expected `vehicle` or `roadside`"),
         ];
         for (from, to, expected) in cases {
             assert!(good.contains(from), "{from}");

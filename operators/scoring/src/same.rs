@@ -1,5 +1,5 @@
 use realo_schemas::geometry::is_valid;
-use realo_schemas::{Box3, GroundTruth, Name};
+use realo_schemas::{Box3, GroundTruth, Name, OwnLabels};
 
 /// How the truth of a sweep that was recorded differs from that of the log that is said to have been played.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -48,14 +48,31 @@ pub fn same_truth(recorded: &GroundTruth, logged: &GroundTruth) -> Result<(), Tr
         same_box(&recorded.boxes[*index], &logged.boxes[*index])
             && recorded.points_of_ego(*index) == logged.points_of_ego(*index)
     };
-    let Some(index) = (0..expected.0).find(|index| !same(index)) else {
-        return Ok(());
-    };
-    let [found, expected] = [recorded, logged].map(|truth| {
-        let object = &truth.boxes[index];
-        (object.class.clone(), object.center)
-    });
-    Err(TruthMismatch::Object { index, found, expected })
+    if let Some(index) = (0..expected.0).find(|index| !same(index)) {
+        return Err(differing(index, &recorded.boxes[index], &logged.boxes[index]));
+    }
+    match (&recorded.own, &logged.own) {
+        (Some(recorded), Some(logged)) => same_labels(recorded, logged),
+        // Recordings did not always keep them.
+        _ => Ok(()),
+    }
+}
+
+fn same_labels(recorded: &OwnLabels, logged: &OwnLabels) -> Result<(), TruthMismatch> {
+    let [found, expected] = [recorded, logged].map(|own| (own.boxes.len(), own.key));
+    if found != expected {
+        return Err(TruthMismatch::Frame { found, expected });
+    }
+    let mut pairs = recorded.boxes.iter().zip(&logged.boxes).enumerate();
+    match pairs.find(|(_, (one, other))| !same_box(one, other)) {
+        Some((index, (one, other))) => Err(differing(index, one, other)),
+        None => Ok(()),
+    }
+}
+
+fn differing(index: usize, found: &Box3, expected: &Box3) -> TruthMismatch {
+    let [found, expected] = [found, expected].map(|object| (object.class.clone(), object.center));
+    TruthMismatch::Object { index, found, expected }
 }
 
 /// Boxes that no protocol counts, such as those with NaN, cannot be compared.
@@ -86,6 +103,7 @@ mod tests {
             points: points.to_vec(),
             ego_footprint: None,
             key: true,
+            ..GroundTruth::default()
         }
     }
 
@@ -129,6 +147,20 @@ mod tests {
             "{moved}"
         );
         assert!(error(&truth(1.0, [8, 5])).contains("object 0"));
+        // What the ego's own side labelled is compared where both have it.
+        let labelled = |x: f64| GroundTruth {
+            own: Some(OwnLabels {
+                boxes: truth(x, [9, 5]).boxes,
+                ..OwnLabels::default()
+            }),
+            ..one.clone()
+        };
+        assert_eq!(same_truth(&one, &labelled(2.0)), Ok(()));
+        let error_of = same_truth(&labelled(1.0), &labelled(2.0)).unwrap_err().to_string();
+        assert!(
+            error_of.contains("object 0") && error_of.contains("[2.00"),
+            "{error_of}"
+        );
         // One that counts is not the same as one that does not.
         assert!(error(&truth(f64::NAN, [9, 5])).contains("object 0"));
     }

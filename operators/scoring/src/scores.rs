@@ -7,7 +7,7 @@ use crate::intervals::{Intervals, intervals};
 use crate::matching::Overlaps;
 use crate::sequence::{Order, Sequence, sequences};
 use crate::table::{Orders, Table, mean_of, table};
-use crate::{Dropped, Evaluation, Frame, Outcome, Protocol, Scene, Scope};
+use crate::{Dropped, Evaluation, Frame, Ignored, Outcome, OutsideViews, Protocol, Scene, Scope};
 
 /// The table of an evaluation; all accuracies are fractions in [0, 1].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,6 +30,9 @@ pub struct Scores {
     pub dropped_detections: Dropped,
     /// Objects that did not count.
     pub dropped_truths: Dropped,
+    /// What is in no view; `None` where the protocol does not ask.
+    #[serde(default)]
+    pub in_no_view: Option<Ignored>,
     /// Messages with boxes for which no truth came.
     pub boxes_without_truth: u64,
     /// What a reader must know, e.g. why a value is null.
@@ -121,6 +124,7 @@ pub fn score(evaluation: &Evaluation) -> Scores {
         frames: FrameCounts::default(),
         dropped_detections: Dropped::default(),
         dropped_truths: Dropped::default(),
+        in_no_view: (protocol.outside_views == OutsideViews::Ignored).then(|| ignored(evaluation)),
         boxes_without_truth: 0,
         notes: Vec::new(),
     };
@@ -135,6 +139,14 @@ pub fn score(evaluation: &Evaluation) -> Scores {
     }
     scores.notes = notes(evaluation, &all, &seen);
     scores
+}
+
+fn ignored(evaluation: &Evaluation) -> Ignored {
+    let frames = || evaluation.scenes.iter().flat_map(|scene| &scene.frames);
+    Ignored {
+        detections: frames().map(|frame| frame.in_no_view.detections.len() as u64).sum(),
+        objects: frames().map(|frame| frame.in_no_view.truths.len() as u64).sum(),
+    }
 }
 
 fn orders(
@@ -207,6 +219,16 @@ fn notes(evaluation: &Evaluation, all: &[Vec<Sequence>], seen: &[Vec<Sequence>])
             "{silent} of {of} scenes do not say how many points the ego has on each object: left out of accuracy_seen"
         ));
     }
+    let blind: u64 = evaluation.scenes.iter().map(|scene| scene.frames_without_views).sum();
+    if blind > 0 {
+        let scenes = evaluation.scenes.iter();
+        let of: usize = scenes
+            .map(|scene| scene.frames.iter().filter(|frame| frame.key).count())
+            .sum();
+        notes.push(format!(
+            "{blind} of {of} scored frames have no views of their labels: everything in them counts"
+        ));
+    }
     for (name, sequences) in [("accuracy", all), ("accuracy_seen", seen)] {
         let classes = empty(sequences);
         if !classes.is_empty() && (name == "accuracy" || silent < evaluation.scenes.len()) {
@@ -244,15 +266,13 @@ fn frame_counts(frame: &Frame, protocol: &Protocol) -> Table<Counts> {
     let per_class = |class: usize| {
         let overlaps = Overlaps::new(frame, class as u8);
         let counts = |iou: f64| {
-            let outcomes = overlaps.matched(iou, |_| true);
-            let hits = outcomes
-                .iter()
-                .filter(|outcome| matches!(outcome, Outcome::True(_)))
-                .count() as u64;
+            let outcomes = overlaps.matched(frame, iou, Scope::All, protocol);
+            let count = |wanted: fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| wanted(outcome)).count() as u64;
+            let counts = |truth: &&usize| Scope::All.counts(frame, **truth, protocol);
             Counts {
-                hits,
-                misses: outcomes.len() as u64 - hits,
-                total: overlaps.truths.len() as u64,
+                hits: count(|outcome| matches!(outcome, Outcome::True(_))),
+                misses: count(|outcome| matches!(outcome, Outcome::False)),
+                total: overlaps.truths.iter().filter(counts).count() as u64,
             }
         };
         protocol

@@ -97,14 +97,15 @@ fn add_scene(sequences: &mut [Vec<Sequence>], scene: &Scene, log: usize, protoco
     for frame in scene.frames.iter().filter(|frame| frame.key) {
         for (class, per_iou) in sequences.iter_mut().enumerate() {
             let overlaps = Overlaps::new(frame, class as u8);
-            let counts = |truth: usize| scope.counts(&frame.truths[truth], protocol);
+            let counts = |truth: usize| scope.counts(frame, truth, protocol);
             for (sequence, iou) in per_iou.iter_mut().zip(&protocol.ious) {
                 for truth in overlaps.truths.iter().copied().filter(|truth| counts(*truth)) {
                     sequence.totals[log] += 1;
                     sequence.processed_total += u64::from(frame.processed);
                     sequence.bins[protocol.range_bin(frame.truths[truth].outline.center_m())].total += 1;
                 }
-                for (detection, outcome) in overlaps.detections.iter().zip(overlaps.matched(*iou, counts)) {
+                let outcomes = overlaps.matched(frame, *iou, scope, protocol);
+                for (detection, outcome) in overlaps.detections.iter().zip(outcomes) {
                     let detection = &frame.detections[*detection];
                     match outcome {
                         Outcome::Ignored => continue,

@@ -1,4 +1,5 @@
-use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind};
+use realo_schemas::geometry::View;
+use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, OwnLabels};
 
 use super::*;
 
@@ -33,6 +34,7 @@ fn truth(boxes: Vec<Box3>) -> GroundTruth {
         points: vec![],
         ego_footprint: None,
         key: true,
+        ..GroundTruth::default()
     }
 }
 
@@ -546,4 +548,137 @@ fn frame_scores_add_up() {
     let sums = (sum(|c| c.hits), sum(|c| c.misses), sum(|c| c.total));
     assert_eq!(sums, counts(&scores, "vehicle", "0.5"));
     assert_eq!((frames[3].seq, frames[3].stamp, &*frames[3].ego), (3, 1300, "cav1"));
+}
+
+/// 90° wide, from the ego along x.
+fn ahead() -> View {
+    let axes = nalgebra::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+    View {
+        frame_from_camera: nalgebra::Isometry3::from_parts(
+            nalgebra::Translation3::new(0.0, 0.0, 1.5),
+            nalgebra::UnitQuaternion::from_matrix(&axes),
+        ),
+        focal: [500.0, 500.0],
+        center: [500.0, 300.0],
+        size: [1000, 600],
+        margin: 0.0,
+    }
+}
+
+/// What a vehicle and its partner labelled, of which one lies behind the vehicle, and what was detected there.
+fn in_views() -> (GroundTruth, Vec<Box3>) {
+    let both = GroundTruth {
+        views: vec![ahead()],
+        own: Some(OwnLabels {
+            boxes: vec![car(20.0, 1.0)],
+            points: vec![],
+            key: true,
+            views: vec![ahead()],
+        }),
+        ..truth(vec![car(20.0, 1.0), car(40.0, 1.0), car(-30.0, 1.0)])
+    };
+    let detections = vec![car(20.0, 0.9), car(-30.0, 0.8), car(-50.0, 0.7), car(60.0, 0.6)];
+    (both, detections)
+}
+
+fn with_keys(labels: Labels, outside_views: OutsideViews) -> Protocol {
+    Protocol {
+        labels,
+        outside_views,
+        ..Protocol::load("default").unwrap()
+    }
+}
+
+#[test]
+fn only_what_could_be_labelled_is_scored() {
+    let (truth, boxes) = in_views();
+    let score = |protocol: &Protocol, truth: &GroundTruth| -> EvaluationReport {
+        let truths = [(header(0, Kind::Truth), truth.clone())];
+        let boxes = [(header(0, Kind::Boxes), Boxes(boxes.clone()))];
+        evaluate(truths, boxes, protocol).unwrap().into()
+    };
+    for (labels, outside, expected, ignored) in [
+        (Labels::All, OutsideViews::Counted, (2, 2, 3), None),
+        (Labels::All, OutsideViews::Ignored, (1, 1, 2), Some((2, 1))),
+        (Labels::Own, OutsideViews::Counted, (1, 3, 1), None),
+        (Labels::Own, OutsideViews::Ignored, (1, 1, 1), Some((2, 0))),
+    ] {
+        let report = score(&with_keys(labels, outside), &truth);
+        assert_eq!(
+            counts(&report.scores, "vehicle", "0.5"),
+            expected,
+            "{labels:?} {outside:?}"
+        );
+        let in_no_view = report
+            .scores
+            .in_no_view
+            .map(|ignored| (ignored.detections, ignored.objects));
+        assert_eq!(in_no_view, ignored, "{labels:?} {outside:?}");
+        let frames = &frame_scores(&report.evaluation)[0].counts["vehicle"]["0.5"];
+        assert_eq!((frames.hits, frames.misses, frames.total), expected);
+        // A file gives the same back.
+        let text = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<EvaluationReport>(&text).unwrap(), report);
+        assert_eq!(text.contains("in_no_view\":{\"detections\":["), ignored.is_some());
+    }
+    // Two views: in one of them is enough.
+    let behind = ahead().moved(&nalgebra::Isometry3::rotation(
+        nalgebra::Vector3::z() * std::f64::consts::PI,
+    ));
+    let wider = GroundTruth {
+        views: vec![ahead(), behind],
+        ..truth.clone()
+    };
+    let report = score(&with_keys(Labels::All, OutsideViews::Ignored), &wider);
+    assert_eq!(counts(&report.scores, "vehicle", "0.5"), (2, 2, 3));
+    // Without views all is scored as ever, and a note says so.
+    let blind = GroundTruth { views: vec![], ..truth };
+    let report = score(&with_keys(Labels::All, OutsideViews::Ignored), &blind);
+    assert_eq!(counts(&report.scores, "vehicle", "0.5"), (2, 2, 3));
+    let notes = &report.scores.notes;
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("1 of 1 scored frames have no views")),
+        "{notes:?}"
+    );
+}
+
+#[test]
+fn own_labels_that_did_not_come_are_asked_for() {
+    let mut collector = Collector::new(with_keys(Labels::Own, OutsideViews::Ignored));
+    let error = collector
+        .add_truth(&header(0, Kind::Truth), &truth(vec![car(20.0, 1.0)]))
+        .unwrap_err();
+    let error = error.to_string();
+    assert!(
+        error.contains("/cav1/own_labels") && error.contains("`labels: all`") && error.contains("protocol `default`"),
+        "{error}"
+    );
+}
+
+#[test]
+fn own_labels_count_by_the_egos_own_points() {
+    let protocol = with_keys(Labels::Own, OutsideViews::Counted);
+    let labelled = GroundTruth {
+        own: Some(OwnLabels {
+            boxes: vec![car(20.0, 1.0), car(30.0, 1.0), car(40.0, 1.0)],
+            points: vec![4, 5, 10],
+            key: true,
+            views: vec![],
+        }),
+        key: false,
+        ..truth(vec![])
+    };
+    let truths = [(header(0, Kind::Truth), labelled)];
+    let boxes = [(header(0, Kind::Boxes), Boxes(vec![car(30.0, 0.9), car(40.0, 0.8)]))];
+    let scores = score(&evaluate(truths, boxes, &protocol).unwrap());
+    assert_eq!(counts(&scores, "vehicle", "0.5"), (2, 0, 2));
+    assert_eq!(scores.dropped_truths.few_points, 1);
+    let seen = scores.accuracy_seen.sorted.counts["vehicle"]["0.5"];
+    assert_eq!(
+        (seen.hits, seen.misses, seen.total),
+        (1, 0, 1),
+        "a frame that only own labels score"
+    );
 }

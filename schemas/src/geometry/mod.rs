@@ -6,6 +6,7 @@ mod deskew;
 mod motion;
 mod region;
 mod rotated;
+mod view;
 
 pub use boxes::{bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, transform_box, yaw_of};
 pub use cloud::transform_cloud;
@@ -13,3 +14,4 @@ pub use deskew::Motion;
 pub use motion::{PoseTrack, interpolate};
 pub use region::Region;
 pub use rotated::{Footprint, intersection_area, iou, iou_exceeds};
+pub use view::View;

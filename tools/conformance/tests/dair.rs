@@ -212,6 +212,7 @@ fn late_fusion(pairs: &[Pair], who: Who) -> Evaluation {
             points: vec![],
             ego_footprint: None,
             key: true,
+            ..GroundTruth::default()
         };
         let truth_header = header("vehicle", Kind::Truth, seq, &pair.map_from_vehicle);
         assert!(through(&mut evaluator, 0, Message::new(truth_header, truth)).is_none());

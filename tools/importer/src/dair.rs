@@ -1,8 +1,12 @@
 //! DAIR-V2X-C in its original layout (root `cooperative-vehicle-infrastructure`); images are not read.
 //!
-//! Frames: the log's `map` is the dataset's world. A body frame is the LiDAR frame shifted down by [`lidar_height`], so
-//! that its z = 0 lies about on the ground; roll and pitch of the LiDAR stay in the pose. The recorded
-//! `system_error_offset` of a pair is added to the roadside unit's position in the world.
+//! Frames: the log's `map` is the dataset's world. A body frame has the heading of the LiDAR and its z = 0 on the ground
+//! below it; [`Level`] says which way is up, and how the ground is found: [`lidar_height`] below the LiDAR, or by a plane
+//! through the points. The recorded `system_error_offset` of a pair is added to the roadside unit's position in the world.
+//!
+//! Views: labels were drawn where image and cloud show the same, so those of a side lie in the image of its camera, and the
+//! cooperative ones in either. The boxes of the image labels are exact projections without the lens's distortion, so the
+//! views are pinholes. The vehicle's calibration does not say the size of the image; all images are 1920 × 1080.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -11,11 +15,13 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
-use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
+use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
+use realo_schemas::geometry::{View, transform_box};
 use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::level::{BELOW_A_SENSOR, Level, Plane, by_ground, by_pose, tilt_degrees};
 use crate::{ImportError, PcdCloud, read_pcd};
 
 /// Name of the vehicle in the log.
@@ -31,6 +37,12 @@ pub fn lidar_height(agent: &str) -> f64 {
 /// The vehicle's outline about its LiDAR, m: the data set does not say; an ordinary car's, 4.6 m × 1.9 m, with the LiDAR
 /// in the middle of its roof. Boxes that others have of the vehicle are centred in it and count for nothing.
 const FOOTPRINT: [f64; 4] = [-2.3, 2.3, -0.95, 0.95];
+
+/// Size of all images, pixels.
+const IMAGE: [u32; 2] = [1920, 1080];
+/// What was labelled in an image may lie beside it at the sweep's stamp, m: up to 0.12 s lie between the two. Three of the
+/// sample's labels lie beside it, by up to 0.99 m.
+const VIEW_MARGIN: f64 = 1.0;
 
 /// Duration of a vehicle's sweep (10.00 Hz; its stamp is the start).
 const VEHICLE_SWEEP: Nanos = 100_000_000;
@@ -61,6 +73,15 @@ impl FromStr for RoadsideStamp {
             _ => Err(format!("expected `start` or `end`, found `{text}`")),
         }
     }
+}
+
+/// How DAIR is imported.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DairOptions {
+    /// What the recorded time of a roadside sweep is.
+    pub roadside_stamp: RoadsideStamp,
+    /// By what the body frames are levelled.
+    pub level: Level,
 }
 
 /// What was imported.
@@ -100,12 +121,13 @@ impl fmt::Display for Summary {
 
 /// Imports a DAIR-V2X-C dataset into a log of the agents [`VEHICLE`] and [`ROADSIDE`].
 ///
-/// Recorded detections are the single-side LiDAR labels in file order, score 1; the vehicle's ground truth are the
-/// cooperative labels, every frame scored, without point counts.
+/// Recorded detections are the single-side LiDAR labels in file order, score 1, and so are the own labels of both agents; the
+/// vehicle's ground truth are the cooperative labels. Every frame is scored, without point counts, and has its views.
 ///
 /// # Errors
 /// The first file that is missing or does not say what it must.
-pub fn dair(dir: &Path, out: &Path, roadside_stamp: RoadsideStamp) -> Result<Summary, ImportError> {
+pub fn dair(dir: &Path, out: &Path, options: DairOptions) -> Result<Summary, ImportError> {
+    let DairOptions { roadside_stamp, level } = options;
     let pairs = read_pairs(dir)?;
     let mut info = LogInfo::new(
         format!(
@@ -115,7 +137,10 @@ pub fn dair(dir: &Path, out: &Path, roadside_stamp: RoadsideStamp) -> Result<Sum
                 RoadsideStamp::End => "end",
             }
         ),
-        vec![agent(VEHICLE, AgentKind::Vehicle), agent(ROADSIDE, AgentKind::Roadside)],
+        vec![
+            agent(VEHICLE, AgentKind::Vehicle, level),
+            agent(ROADSIDE, AgentKind::Roadside, level),
+        ],
     );
     info.protocol = "dair".into();
     info.key_frames = "all".into();
@@ -128,8 +153,11 @@ pub fn dair(dir: &Path, out: &Path, roadside_stamp: RoadsideStamp) -> Result<Sum
     (info.start, info.end) = (stamps().min(), pairs.iter().map(ends).max());
 
     let mut import = Import {
+        dir: dir.into(),
         log: LogWriter::create_atomic(out, &info)?,
         summary: Summary::default(),
+        level,
+        tilts: BTreeMap::new(),
     };
     let (mut vehicles, mut roadsides) = (BTreeSet::new(), BTreeSet::new());
     for pair in &pairs {
@@ -139,81 +167,174 @@ pub fn dair(dir: &Path, out: &Path, roadside_stamp: RoadsideStamp) -> Result<Sum
         import.summary.repeated_sweeps += usize::from(!new_vehicle) + usize::from(!new_roadside);
         let vehicle_first = pair.vehicle.stamp + VEHICLE_SWEEP <= pair.roadside.stamp + roadside_sweep;
         if new_vehicle && vehicle_first {
-            import.vehicle(dir, pair)?;
+            import.vehicle(pair)?;
         }
         if new_roadside {
-            import.roadside(dir, pair, roadside_sweep)?;
+            import.roadside(pair, roadside_sweep)?;
         }
         if new_vehicle && !vehicle_first {
-            import.vehicle(dir, pair)?;
+            import.vehicle(pair)?;
         }
     }
+    import.log.levelled(levelled(level, import.tilts));
     import.log.finish()?;
     Ok(import.summary)
 }
 
-fn agent(name: &str, kind: AgentKind) -> AgentInfo {
+fn agent(name: &str, kind: AgentKind, level: Level) -> AgentInfo {
     AgentInfo {
         name: name.into(),
         kind,
         footprint: (kind == AgentKind::Vehicle).then_some(FOOTPRINT),
-        sensor: format!(
-            "LiDAR; body frame = LiDAR frame shifted by {} m in z",
-            lidar_height(name)
-        ),
-        sensor_position: Some([0.0, 0.0, lidar_height(name)]),
+        sensor: match level {
+            Level::Ground => "LiDAR".into(),
+            Level::Pose | Level::None => format!("LiDAR, {} m over the body frame", lidar_height(name)),
+        },
+        sensor_position: (level != Level::Ground).then_some([0.0, 0.0, lidar_height(name)]),
     }
 }
 
+fn levelled(level: Level, tilts: BTreeMap<&'static str, Vec<f64>>) -> BTreeMap<String, Levelled> {
+    let of = |(agent, tilts): (&'static str, Vec<f64>)| {
+        let degrees = [
+            tilts.iter().copied().fold(f64::INFINITY, f64::min),
+            tilts.iter().copied().fold(0.0, f64::max),
+        ];
+        let by = level.as_str().into();
+        (agent.to_string(), Levelled { by, degrees })
+    };
+    tilts.into_iter().map(of).collect()
+}
+
 struct Import {
+    dir: PathBuf,
     log: LogWriter,
     summary: Summary,
+    level: Level,
+    /// What was levelled of each sweep, degrees.
+    tilts: BTreeMap<&'static str, Vec<f64>>,
+}
+
+/// Where the frames of a sweep lie.
+struct Placed {
+    map_from_body: Isometry3<f64>,
+    body_from_lidar: Isometry3<f64>,
 }
 
 impl Import {
-    fn vehicle(&mut self, dir: &Path, pair: &Pair) -> Result<(), ImportError> {
-        let (side, frame) = (dir.join("vehicle-side"), &pair.vehicle);
-        let novatel_from_lidar: LidarToNovatel = read_json(&side.join(&frame.calibrations[0]))?;
-        let world_from_novatel: Transform = read_json(&side.join(&frame.calibrations[1]))?;
-        let world_from_lidar = compose(&world_from_novatel, &novatel_from_lidar.transform);
-        let map_from_body = body_pose(&world_from_lidar, [0.0, 0.0], VEHICLE);
+    fn vehicle(&mut self, pair: &Pair) -> Result<(), ImportError> {
+        let (dir, frame) = (self.dir.clone(), &pair.vehicle);
+        let side = dir.join(VEHICLE_SIDE);
+        let path = dir.join(&pair.vehicle_cloud);
+        let cloud = read_pcd(&path)?;
+        let placed = self.place(VEHICLE, &path, &vehicle_pose(&side, frame)?, &cloud)?;
+        let Placed {
+            map_from_body,
+            body_from_lidar,
+        } = placed;
         let ready = frame.stamp + VEHICLE_SWEEP;
         self.log
             .pose(VEHICLE, frame.stamp, frame.stamp, &state(map_from_body))?;
-        self.cloud(VEHICLE, frame, ready, &dir.join(&pair.vehicle_cloud))?;
-        let boxes = self.labels(&side.join(&frame.labels), VEHICLE)?;
-        self.summary.vehicle_boxes += boxes.0.len();
-        self.log.detections(VEHICLE, frame.stamp, ready, &boxes)?;
+        self.cloud(VEHICLE, frame, ready, &path, cloud, &body_from_lidar)?;
+        let own: Vec<View> = view(&side, frame, &body_from_lidar)?.into_iter().collect();
+        self.summary.vehicle_boxes += self.labels(VEHICLE, &side, frame, ready, &body_from_lidar, &own)?;
+        // Without one of the two views it is not known where cooperative labels could be.
+        let other = &pair.roadside;
+        let map_from_other = roadside_pose(&dir.join(ROADSIDE_SIDE), other, pair.offset)?;
+        let theirs = view(&dir.join(ROADSIDE_SIDE), other, &map_from_body.inv_mul(&map_from_other))?;
+        if let (Some(theirs), false) = (theirs, own.is_empty()) {
+            let both = [own, vec![theirs]].concat();
+            self.log.truth_views(VEHICLE, frame.stamp, ready, &both)?;
+        }
         let truth = self.truth(&dir.join(&pair.truth), &map_from_body)?;
         self.summary.truth_boxes += truth.len();
         self.log.truth(VEHICLE, frame.stamp, ready, &truth, None, true)?;
         Ok(())
     }
 
-    fn roadside(&mut self, dir: &Path, pair: &Pair, sweep: Nanos) -> Result<(), ImportError> {
-        let (side, frame) = (dir.join("infrastructure-side"), &pair.roadside);
-        let world_from_lidar: Transform = read_json(&side.join(&frame.calibrations[0]))?;
-        let map_from_body = body_pose(&world_from_lidar.parts(), pair.offset, ROADSIDE);
+    fn roadside(&mut self, pair: &Pair, sweep: Nanos) -> Result<(), ImportError> {
+        let (dir, frame) = (self.dir.clone(), &pair.roadside);
+        let side = dir.join(ROADSIDE_SIDE);
+        let path = dir.join(&pair.roadside_cloud);
+        let cloud = read_pcd(&path)?;
+        let placed = self.place(ROADSIDE, &path, &roadside_pose(&side, frame, pair.offset)?, &cloud)?;
+        let Placed {
+            map_from_body,
+            body_from_lidar,
+        } = placed;
         let ready = frame.stamp + sweep;
         self.log
             .pose(ROADSIDE, frame.stamp, frame.stamp, &state(map_from_body))?;
-        self.cloud(ROADSIDE, frame, ready, &dir.join(&pair.roadside_cloud))?;
-        let boxes = self.labels(&side.join(&frame.labels), ROADSIDE)?;
-        self.summary.roadside_boxes += boxes.0.len();
-        self.log.detections(ROADSIDE, frame.stamp, ready, &boxes)?;
+        self.cloud(ROADSIDE, frame, ready, &path, cloud, &body_from_lidar)?;
+        let own: Vec<View> = view(&side, frame, &body_from_lidar)?.into_iter().collect();
+        self.summary.roadside_boxes += self.labels(ROADSIDE, &side, frame, ready, &body_from_lidar, &own)?;
         Ok(())
     }
 
-    fn cloud(&mut self, agent: &str, frame: &Frame, ready: Nanos, path: &Path) -> Result<(), ImportError> {
+    /// Levels a sweep.
+    fn place(
+        &mut self,
+        agent: &'static str,
+        path: &Path,
+        map_from_lidar: &Isometry3<f64>,
+        cloud: &PcdCloud,
+    ) -> Result<Placed, ImportError> {
+        let height = lidar_height(agent);
+        let body_from_lidar = match self.level {
+            Level::Pose => by_pose(&map_from_lidar.rotation, height),
+            Level::Ground => {
+                let points = cloud.x.iter().zip(&cloud.y).zip(&cloud.z);
+                let points = points.map(|((x, y), z)| [x, y, z].map(|v| f64::from(*v)));
+                let plane = Plane::of_ground(points, BELOW_A_SENSOR);
+                by_ground(&plane.map_err(|reason| ImportError::content(path, reason))?)
+            }
+            Level::None => Translation3::new(0.0, 0.0, height).into(),
+        };
+        let tilts = self.tilts.entry(agent).or_default();
+        tilts.push(tilt_degrees(&body_from_lidar.rotation));
+        Ok(Placed {
+            map_from_body: map_from_lidar * body_from_lidar.inverse(),
+            body_from_lidar,
+        })
+    }
+
+    fn cloud(
+        &mut self,
+        agent: &str,
+        frame: &Frame,
+        ready: Nanos,
+        path: &Path,
+        cloud: PcdCloud,
+        body_from_lidar: &Isometry3<f64>,
+    ) -> Result<(), ImportError> {
         let cloud =
-            to_body(read_pcd(path)?, frame.stamp, agent).map_err(|reason| ImportError::content(path, reason))?;
+            to_body(cloud, frame.stamp, body_from_lidar).map_err(|reason| ImportError::content(path, reason))?;
         self.summary.points += cloud.len();
         self.log.cloud(agent, frame.stamp, ready, &cloud)?;
         Ok(())
     }
 
+    /// What a side labelled, as its recorded detections and as its own labels; their number.
+    fn labels(
+        &mut self,
+        agent: &str,
+        side: &Path,
+        frame: &Frame,
+        ready: Nanos,
+        body_from_lidar: &Isometry3<f64>,
+        views: &[View],
+    ) -> Result<usize, ImportError> {
+        let boxes = self.side_labels(&side.join(&frame.labels), body_from_lidar)?;
+        self.log.detections(agent, frame.stamp, ready, &boxes)?;
+        if !views.is_empty() {
+            self.log.own_views(agent, frame.stamp, ready, views)?;
+        }
+        self.log.own_labels(agent, frame.stamp, ready, &boxes.0, None, true)?;
+        Ok(boxes.0.len())
+    }
+
     /// Labels of one side, in its body frame.
-    fn labels(&mut self, path: &Path, agent: &str) -> Result<Boxes, ImportError> {
+    fn side_labels(&mut self, path: &Path, body_from_lidar: &Isometry3<f64>) -> Result<Boxes, ImportError> {
         let mut boxes = Vec::new();
         for label in read_json::<Vec<SideLabel>>(path)? {
             if !label.size.is_real() {
@@ -221,11 +342,8 @@ impl Import {
                 continue;
             }
             let Location { x, y, z } = label.location;
-            boxes.push(
-                label
-                    .size
-                    .to_box([x, y, z + lidar_height(agent)], label.rotation, &label.class),
-            );
+            let in_lidar = label.size.to_box([x, y, z], label.rotation, &label.class);
+            boxes.push(transform_box(body_from_lidar, &in_lidar));
         }
         Ok(Boxes(boxes))
     }
@@ -266,13 +384,15 @@ fn state(map_from_body: Isometry3<f64>) -> EgoState {
 }
 
 /// Points in the body frame, their times as offsets from the stamp.
-fn to_body(cloud: PcdCloud, stamp: Nanos, agent: &str) -> Result<PointCloud, String> {
+fn to_body(cloud: PcdCloud, stamp: Nanos, body_from_lidar: &Isometry3<f64>) -> Result<PointCloud, String> {
     let n = cloud.x.len();
-    let z: Vec<f32> = cloud
-        .z
-        .iter()
-        .map(|z| (f64::from(*z) + lidar_height(agent)) as f32)
-        .collect();
+    let [mut x, mut y, mut z] = [(); 3].map(|()| Vec::with_capacity(n));
+    for ((u, v), w) in cloud.x.iter().zip(&cloud.y).zip(&cloud.z) {
+        let point = body_from_lidar * Point3::new(*u, *v, *w).cast::<f64>();
+        x.push(point.x as f32);
+        y.push(point.y as f32);
+        z.push(point.z as f32);
+    }
     let time = match cloud.timestamp {
         None => vec![0; n],
         Some(times) => times
@@ -280,8 +400,7 @@ fn to_body(cloud: PcdCloud, stamp: Nanos, agent: &str) -> Result<PointCloud, Str
             .map(|time| offset(*time, stamp))
             .collect::<Result<Vec<_>, _>>()?,
     };
-    PointCloud::new(cloud.x, cloud.y, z, cloud.intensity, time, vec![0u16; n])
-        .ok_or_else(|| "columns of different length".into())
+    PointCloud::new(x, y, z, cloud.intensity, time, vec![0u16; n]).ok_or_else(|| "columns of different length".into())
 }
 
 fn offset(time: f64, stamp: Nanos) -> Result<i32, String> {
@@ -303,18 +422,68 @@ fn compose(world_from_a: &Transform, a_from_b: &Transform) -> Parts {
     (r1 * r2, r1 * t2 + t1)
 }
 
-/// Map from body: the nearest rotation (the files' are orthonormal to 2e-7 only), the offset added in the world.
-fn body_pose((rotation, translation): &Parts, [dx, dy]: [f64; 2], agent: &str) -> Isometry3<f64> {
+/// The nearest rotation (the files' are orthonormal to 2e-7 only) and the translation.
+fn isometry((rotation, translation): &Parts) -> Isometry3<f64> {
     let rotation = UnitQuaternion::from_matrix(rotation);
-    let position = translation + Vector3::new(dx, dy, 0.0) - rotation * Vector3::new(0.0, 0.0, lidar_height(agent));
-    Isometry3::from_parts(Translation3::from(position), rotation)
+    Isometry3::from_parts(Translation3::from(*translation), rotation)
 }
+
+/// Map from the vehicle's LiDAR.
+fn vehicle_pose(side: &Path, frame: &Frame) -> Result<Isometry3<f64>, ImportError> {
+    let novatel_from_lidar: LidarToNovatel = read_json(&side.join(&frame.calibrations[0]))?;
+    let world_from_novatel: Transform = read_json(&side.join(&frame.calibrations[1]))?;
+    Ok(isometry(&compose(&world_from_novatel, &novatel_from_lidar.transform)))
+}
+
+/// Map from the roadside unit's LiDAR, the offset added in the world.
+fn roadside_pose(side: &Path, frame: &Frame, [dx, dy]: [f64; 2]) -> Result<Isometry3<f64>, ImportError> {
+    let world_from_lidar: Transform = read_json(&side.join(&frame.calibrations[0]))?;
+    let mut map_from_lidar = isometry(&world_from_lidar.parts());
+    map_from_lidar.translation.vector += Vector3::new(dx, dy, 0.0);
+    Ok(map_from_lidar)
+}
+
+/// What the camera of a side has in its image, in the frame that is given from the LiDAR; `None` for a data set whose lists
+/// name no calibration of a camera.
+fn view(side: &Path, frame: &Frame, to_from_lidar: &Isometry3<f64>) -> Result<Option<View>, ImportError> {
+    let Some([extrinsic, intrinsic]) = &frame.camera else {
+        return Ok(None);
+    };
+    let camera_from_lidar: Transform = read_json(&side.join(extrinsic))?;
+    let path = side.join(intrinsic);
+    let Intrinsic { k, width, height } = read_json(&path)?;
+    let view = View {
+        frame_from_camera: to_from_lidar * isometry(&camera_from_lidar.parts()).inverse(),
+        focal: [k[0], k[4]],
+        center: [k[2], k[5]],
+        size: [width.unwrap_or(IMAGE[0]), height.unwrap_or(IMAGE[1])],
+        margin: VIEW_MARGIN,
+    };
+    let named = |reason: String| {
+        let said = [
+            ("`focal`", "`cam_K`"),
+            ("`center`", "`cam_K`"),
+            ("`size`", "`width`, `height`"),
+        ];
+        said.iter()
+            .fold(reason, |reason, (ours, theirs)| reason.replace(ours, theirs))
+    };
+    view.checked()
+        .map(Some)
+        .map_err(|reason| ImportError::content(&path, named(reason)))
+}
+
+const VEHICLE_SIDE: &str = "vehicle-side";
+const ROADSIDE_SIDE: &str = "infrastructure-side";
 
 /// One side of a pair.
 #[derive(Clone, Debug)]
 struct Frame {
     stamp: Nanos,
+    /// Of the LiDAR.
     calibrations: Vec<PathBuf>,
+    /// Of the camera: where it lies to the LiDAR, and what is in its image.
+    camera: Option<[PathBuf; 2]>,
     labels: PathBuf,
 }
 
@@ -331,8 +500,8 @@ struct Pair {
 fn read_pairs(dir: &Path) -> Result<Vec<Pair>, ImportError> {
     let list = dir.join("cooperative/data_info.json");
     let infos: Vec<PairInfo> = read_json(&list)?;
-    let vehicles = read_frames::<VehicleInfo>(dir, "vehicle-side")?;
-    let roadsides = read_frames::<RoadsideInfo>(dir, "infrastructure-side")?;
+    let vehicles = read_frames::<VehicleInfo>(dir, VEHICLE_SIDE)?;
+    let roadsides = read_frames::<RoadsideInfo>(dir, ROADSIDE_SIDE)?;
     let find = |frames: &BTreeMap<PathBuf, Frame>, cloud: &Path| {
         let side = || format!("`{}` is in no data_info.json of its side", cloud.display());
         frames
@@ -422,15 +591,19 @@ struct VehicleInfo {
     pointcloud_timestamp: String,
     calib_lidar_to_novatel_path: PathBuf,
     calib_novatel_to_world_path: PathBuf,
+    calib_lidar_to_camera_path: Option<PathBuf>,
+    calib_camera_intrinsic_path: Option<PathBuf>,
     label_lidar_std_path: PathBuf,
 }
 
 impl SideInfo for VehicleInfo {
     fn into_parts(self) -> (PathBuf, String, Frame) {
         let calibrations = vec![self.calib_lidar_to_novatel_path, self.calib_novatel_to_world_path];
+        let camera = self.calib_lidar_to_camera_path.zip(self.calib_camera_intrinsic_path);
         let frame = Frame {
             stamp: 0,
             calibrations,
+            camera: camera.map(Into::into),
             labels: self.label_lidar_std_path,
         };
         (self.pointcloud_path, self.pointcloud_timestamp, frame)
@@ -442,15 +615,21 @@ struct RoadsideInfo {
     pointcloud_path: PathBuf,
     pointcloud_timestamp: String,
     calib_virtuallidar_to_world_path: PathBuf,
+    calib_virtuallidar_to_camera_path: Option<PathBuf>,
+    calib_camera_intrinsic_path: Option<PathBuf>,
     label_lidar_std_path: PathBuf,
 }
 
 impl SideInfo for RoadsideInfo {
     fn into_parts(self) -> (PathBuf, String, Frame) {
         let calibrations = vec![self.calib_virtuallidar_to_world_path];
+        let camera = self
+            .calib_virtuallidar_to_camera_path
+            .zip(self.calib_camera_intrinsic_path);
         let frame = Frame {
             stamp: 0,
             calibrations,
+            camera: camera.map(Into::into),
             labels: self.label_lidar_std_path,
         };
         (self.pointcloud_path, self.pointcloud_timestamp, frame)
@@ -473,6 +652,15 @@ impl Transform {
         let rotation = Matrix3::from_fn(|row, column| self.rotation[row][column]);
         (rotation, Vector3::from_fn(|row, _| self.translation[row][0]))
     }
+}
+
+/// Of a camera: its matrix, row-major, and the size of its image, which the vehicle's files leave out.
+#[derive(Deserialize)]
+struct Intrinsic {
+    #[serde(rename = "cam_K")]
+    k: [f64; 9],
+    width: Option<u32>,
+    height: Option<u32>,
 }
 
 #[derive(Deserialize)]

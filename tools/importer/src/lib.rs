@@ -1,11 +1,16 @@
 //! Brings recorded datasets into logs.
 //!
-//! So far one: DAIR-V2X-C ([`dair`]), pairs of a vehicle's and a roadside unit's LiDAR sweeps with labels.
+//! DAIR-V2X-C ([`dair`]) are pairs of a vehicle's and a roadside unit's LiDAR sweeps with labels; [`relevel`] makes the body
+//! frames of a log level that are not.
 
 mod dair;
 mod error;
+mod level;
 mod pcd;
+mod relevel;
 
-pub use dair::{ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, lidar_height};
+pub use dair::{DairOptions, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, lidar_height};
 pub use error::ImportError;
+pub use level::{Level, Plane, by_ground, by_pose, tilt_degrees};
 pub use pcd::{PcdCloud, parse_pcd, read_pcd};
+pub use relevel::relevel;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
 use eyre::Result;
+use realo_importer::DairOptions;
 
 use crate::Outcome;
 
@@ -26,6 +27,21 @@ enum Source {
         /// Whether the roadside stamp is the start or the end of its sweep: the data set does not say
         #[arg(long, value_enum, default_value = "start")]
         roadside_stamp: Stamp,
+        /// By what the body frames of the agents are levelled: their recorded poses, a plane through the ground around the
+        /// sensor, or not at all
+        #[arg(long, value_enum, default_value = "pose")]
+        level: Level,
+    },
+    /// A log of realo whose body frames are not level: a copy in which they are
+    Log {
+        /// The log to read
+        log: PathBuf,
+        /// The log to write
+        #[arg(short = 'o', long = "output")]
+        output: PathBuf,
+        /// By what: the recorded poses, or, where they have no roll and pitch, a plane through the ground around the sensor
+        #[arg(long, value_enum, default_value = "pose")]
+        level: Level,
     },
 }
 
@@ -35,19 +51,47 @@ enum Stamp {
     End,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum Level {
+    Pose,
+    Ground,
+    None,
+}
+
+impl Level {
+    fn of_importer(self) -> realo_importer::Level {
+        match self {
+            Level::Pose => realo_importer::Level::Pose,
+            Level::Ground => realo_importer::Level::Ground,
+            Level::None => realo_importer::Level::None,
+        }
+    }
+}
+
 /// Writes the log and says what was taken and what was left out.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let Source::Dair {
-        dir,
-        output,
-        roadside_stamp,
-    } = &args.source;
-    let stamp = match roadside_stamp {
-        Stamp::Start => realo_importer::RoadsideStamp::Start,
-        Stamp::End => realo_importer::RoadsideStamp::End,
+    let output = match &args.source {
+        Source::Dair {
+            dir,
+            output,
+            roadside_stamp,
+            level,
+        } => {
+            let options = DairOptions {
+                roadside_stamp: match roadside_stamp {
+                    Stamp::Start => realo_importer::RoadsideStamp::Start,
+                    Stamp::End => realo_importer::RoadsideStamp::End,
+                },
+                level: level.of_importer(),
+            };
+            println!("{}", realo_importer::dair(dir, output, options)?);
+            output
+        }
+        Source::Log { log, output, level } => {
+            realo_importer::relevel(log, output, level.of_importer())?;
+            output
+        }
     };
-    let summary = realo_importer::dair(dir, output, stamp)?;
-    println!("{summary}");
     println!("{}", realo_logs::describe(output)?);
     Ok(Outcome::Complete)
 }

@@ -10,6 +10,7 @@ pub mod conformance;
 pub mod demo;
 mod emulate;
 pub mod evaluate;
+mod fit;
 pub mod host;
 pub mod import;
 pub mod info;

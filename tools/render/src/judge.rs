@@ -41,25 +41,30 @@ impl Judged {
     /// Matches a frame at one IoU.
     pub fn of(frame: &Frame, protocol: &Protocol, iou: f64, cooperated: bool) -> Self {
         let name = |class: u8| protocol.classes[usize::from(class)].name.clone();
-        let mut found = vec![None; frame.detections.len()];
+        let mut outcomes = vec![Outcome::False; frame.detections.len()];
         for class in 0..protocol.classes.len() as u8 {
             for (detection, outcome) in match_frame(frame, protocol, class, iou, Scope::All) {
-                if let Outcome::True(truth) = outcome {
-                    found[detection] = Some(truth);
-                }
+                outcomes[detection] = outcome;
             }
         }
-        let there = frame.truths.iter().enumerate().map(|(index, truth)| There {
-            class: name(truth.class),
-            outline: truth.outline,
-            found: found.contains(&Some(index)),
-            hidden: truth.points.map(|[_, ego]| ego < protocol.seen_points),
+        let counts = |index: &usize| !frame.in_no_view.truths.contains(index);
+        let places: Vec<usize> = (0..frame.truths.len()).filter(counts).collect();
+        let there = places.iter().map(|index| There {
+            class: name(frame.truths[*index].class),
+            outline: frame.truths[*index].outline,
+            found: outcomes.contains(&Outcome::True(*index)),
+            hidden: frame.truths[*index].points.map(|[_, ego]| ego < protocol.seen_points),
         });
-        let detected = frame.detections.iter().zip(&found).map(|(detection, found)| Detected {
+        let counted = frame.detections.iter().zip(&outcomes);
+        let counted = counted.filter(|(_, outcome)| **outcome != Outcome::Ignored);
+        let detected = counted.map(|(detection, outcome)| Detected {
             class: name(detection.class),
             score: detection.score,
             outline: detection.outline,
-            found: *found,
+            found: match outcome {
+                Outcome::True(truth) => places.iter().position(|index| index == truth),
+                Outcome::False | Outcome::Ignored => None,
+            },
         });
         Judged {
             detected: detected.collect(),
@@ -113,9 +118,37 @@ impl Judged {
 
 #[cfg(test)]
 mod tests {
-    use realo_scoring::{Detection, Truth};
+    use realo_scoring::{Detection, InNoView, Truth};
 
     use super::*;
+
+    #[test]
+    fn what_no_view_shows_is_neither_there_nor_detected() {
+        let at = |x: f64| Outline::new([x, 0.0], 4.0, 2.0, 0.0);
+        let truth = |x: f64| Truth {
+            class: 0,
+            outline: at(x),
+            points: None,
+        };
+        let detection = |x: f64| Detection {
+            class: 0,
+            score: 0.5,
+            outline: at(x),
+        };
+        let frame = Frame {
+            truths: vec![truth(0.0), truth(10.0), truth(20.0)],
+            detections: vec![detection(0.0), detection(20.0), detection(30.0), detection(40.0)],
+            in_no_view: InNoView {
+                detections: vec![0, 3],
+                truths: vec![0],
+            },
+            ..Frame::default()
+        };
+        let judged = Judged::of(&frame, &Protocol::load("default").unwrap(), 0.3, false);
+        let found: Vec<_> = judged.detected.iter().map(|detection| detection.found).collect();
+        assert_eq!(found, [Some(1), None]);
+        assert_eq!((judged.hits(), judged.wrong(), judged.missed()), (1, 1, 1));
+    }
 
     #[test]
     fn what_the_ego_has_few_points_on_is_the_gain_of_cooperation() {

@@ -278,10 +278,11 @@ impl Cell {
         let boxes = self.boxes.get(&seq);
         match (self.truth.get(&seq), boxes) {
             (Some((header, truth)), _) => {
-                let truth = GroundTruth {
-                    key: true,
-                    ..truth.clone()
-                };
+                let mut truth = truth.clone();
+                truth.key = true;
+                if let Some(own) = &mut truth.own {
+                    own.key = true;
+                }
                 collector.add_truth(header, &truth)?;
             }
             (None, Some((header, _))) => {

@@ -244,6 +244,12 @@ fn detections(rows: &mut Rows, iou: &str) {
             Some(values([hits, misses, total].map(|n| count(*n))))
         });
     }
+    if rows.runs.iter().any(|run| run.result.in_no_view.is_some()) {
+        rows.add("in no view, ignored: detections / objects", |run| {
+            let ignored = run.result.in_no_view?;
+            Some(values([ignored.detections, ignored.objects].map(count)))
+        });
+    }
 }
 
 fn frames(rows: &mut Rows) {

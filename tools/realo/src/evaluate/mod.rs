@@ -13,6 +13,7 @@ use realo_schemas::{Boxes, GroundTruth, Kind};
 use realo_scoring::{Evaluation, Protocol, frame_scores};
 
 use crate::Outcome;
+use crate::fit::protocol_fits;
 use crate::render::log_folders;
 use played::{Misfit, Sweep, Sweeps};
 
@@ -55,6 +56,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     };
     let ego = first.header.agent.to_string();
+    protocol_fits(&protocol, &log, &ego)?;
     let mut played = recorded_truth(args)?;
     let agents = match args.agents.is_empty() {
         true => played[0].1.agents.iter().map(|agent| agent.to_string()).collect(),

@@ -130,6 +130,7 @@ mod tests {
             points: vec![9],
             ego_footprint: None,
             key: true,
+            ..GroundTruth::default()
         };
         (header, truth)
     }

@@ -9,6 +9,7 @@ use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_operator::Decided;
 use realo_results::{Settings, Told as ToldFile};
+use realo_scoring::Protocol;
 
 use super::lane::{self, SendingLane};
 use super::networks::Networks;
@@ -17,6 +18,7 @@ use super::nodes::{
     takers, values,
 };
 use super::{Args, Mode, compute, dir_of};
+use crate::fit::protocol_fits;
 use crate::{demo, registry};
 
 /// One run: a graph over a log with an ego.
@@ -109,6 +111,7 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 out: &out,
             };
             let (graph, mut settings) = told.to(&graph, &set)?;
+            fitting_protocols(&graph, &log, &ego)?;
             let words = networks.check(&graph)?;
             (settings.isa, settings.model) = (words.kernels, words.models);
             let played = lane::precomputed(&graph, &log, &planned, args.offline, &mut networks)?;
@@ -138,6 +141,16 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
         }
     }
     Ok(cells)
+}
+
+/// Refuses protocols that cannot score the ego of the log.
+fn fitting_protocols(graph: &FlatGraph, log: &Log, ego: &str) -> Result<()> {
+    for node in deciding(graph, Decided::Protocol) {
+        if let Some(name) = decided_argument(node, Decided::Protocol).and_then(|key| argument(node, key)) {
+            protocol_fits(&Protocol::load(&name)?, log, ego)?;
+        }
+    }
+    Ok(())
 }
 
 /// Says that all machines of a graph are this one.
