@@ -12,7 +12,10 @@ use damage::{Draw, cases, most_held};
 use mcap::records::op;
 use nalgebra::Isometry3;
 use realo_logs::cdr::CdrWriter;
-use realo_logs::{BoxesInfo, Log, LogError, McapFile, SentPacket, Stream, boxes, cloud, describe_any, packets, pose};
+use realo_logs::{
+    BoxesInfo, Log, LogError, McapFile, SentPacket, Stream, boxes, cloud, describe_any, packets, pose, views,
+};
+use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, EgoState, Kind, Nanos, PointCloud, PoseStatus};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
@@ -55,23 +58,32 @@ fn read(path: &Path) -> Result<u64, LogError> {
         .collect();
     let mut reader = log.read_all(&wanted)?;
     let mut last = Nanos::MIN;
-    let mut kept: BTreeMap<(String, bool), Boxes> = BTreeMap::new();
+    let mut kept: BTreeMap<(String, Stream), Boxes> = BTreeMap::new();
     while let Some(entry) = reader.next()? {
         assert!(log.truncation().is_none() || log.span().is_none_or(|(_, end)| entry.ready() <= end));
         last = last.max(entry.ready());
-        let truth = matches!(entry.stream, Stream::GroundTruth | Stream::GroundTruthInfo);
         match entry.stream {
             Stream::Points => drop(entry.cloud().map(|cloud| assert_eq!(cloud.x.len(), cloud.time.len()))),
             Stream::Pose | Stream::PoseTruth => drop(entry.pose()),
             Stream::Sweeps => drop(entry.header_stamp()),
-            Stream::Detections | Stream::GroundTruth => {
+            Stream::Detections | Stream::GroundTruth | Stream::OwnLabels => {
                 if let Ok(boxes) = entry.boxes() {
-                    kept.insert((entry.agent.to_string(), truth), boxes);
+                    kept.insert((entry.agent.to_string(), entry.stream), boxes);
                 }
             }
-            Stream::DetectionsInfo | Stream::GroundTruthInfo => {
-                let mut boxes = kept.remove(&(entry.agent.to_string(), truth)).unwrap_or_default();
+            Stream::DetectionsInfo | Stream::GroundTruthInfo | Stream::OwnLabelsInfo => {
+                let array = match entry.stream {
+                    Stream::DetectionsInfo => Stream::Detections,
+                    Stream::GroundTruthInfo => Stream::GroundTruth,
+                    _ => Stream::OwnLabels,
+                };
+                let mut boxes = kept.remove(&(entry.agent.to_string(), array)).unwrap_or_default();
                 let _ = entry.info(&mut boxes);
+            }
+            Stream::GroundTruthViews | Stream::OwnLabelsViews => {
+                if let Ok(views) = entry.views() {
+                    assert!(views.into_iter().all(|view| view.checked().is_ok()));
+                }
             }
             Stream::GroundTruthMarkers => {}
             Stream::Packets => drop(entry.packet()),
@@ -245,6 +257,13 @@ fn channels() -> Vec<Channel> {
         codec: vec!["plain".into()],
         bytes: (0..99).collect(),
     };
+    let view = View {
+        frame_from_camera: Isometry3::translation(0.0, 0.0, 1.5),
+        focal: [800.0, 800.0],
+        center: [960.0, 540.0],
+        size: [1920, 1080],
+        margin: 1.0,
+    };
     for agent in ["a", "b"] {
         let (body, sensor) = (format!("{agent}/body"), if agent == "b" { "b/lidar" } else { "a/body" });
         for stream in Stream::ALL {
@@ -252,11 +271,14 @@ fn channels() -> Vec<Channel> {
                 Stream::Pose | Stream::PoseTruth => payloads(&|out, k| pose::encode(out, stamp(k), "map", &state)),
                 Stream::Sweeps => payloads(&|out, k| CdrWriter::new(out).header(stamp(k), &body)),
                 Stream::Points => payloads(&|out, k| cloud::encode(out, stamp(k), sensor, &points)),
-                Stream::Detections | Stream::GroundTruth => {
+                Stream::Detections | Stream::GroundTruth | Stream::OwnLabels => {
                     payloads(&|out, k| boxes::encode(out, stamp(k), &body, &[object()]))
                 }
-                Stream::DetectionsInfo | Stream::GroundTruthInfo => {
+                Stream::DetectionsInfo | Stream::GroundTruthInfo | Stream::OwnLabelsInfo => {
                     payloads(&|out, k| boxes::encode_info(out, stamp(k), &body, &[object()], &info))
+                }
+                Stream::GroundTruthViews | Stream::OwnLabelsViews => {
+                    payloads(&|out, k| views::encode(out, stamp(k), &body, &[view.clone(), view.clone()]))
                 }
                 Stream::GroundTruthMarkers => {
                     payloads(&|out, k| boxes::encode_markers(out, stamp(k), &body, "x", &[object()]))
