@@ -182,14 +182,14 @@ mod tests {
     fn scene(body_from_sensor: &Isometry3<f64>) -> Vec<[f64; 3]> {
         let sensor_from_body = body_from_sensor.inverse();
         let mut points = Vec::new();
-        for i in -60..=60 {
-            for k in -60..=60 {
+        for i in -60..=60_i32 {
+            for k in -60..=60_i32 {
                 let (x, y) = (0.55 * f64::from(i), 0.55 * f64::from(k));
                 let z = match (x, y) {
                     (3.0..=7.0, -9.0..=-4.0) => continue,
                     (8.0..=14.0, 2.0..=6.0) => 1.5,
-                    (_, 20.0..) => 0.15 * (f64::from(i * 7 % 20)),
-                    _ => 0.02 * f64::from((i * 13 + k * 7) % 3 - 1),
+                    (_, 20.0..) => 0.15 * f64::from((i * 7).rem_euclid(20)),
+                    _ => 0.02 * f64::from((i * 13 + k * 7).rem_euclid(3) - 1),
                 };
                 let point = sensor_from_body * nalgebra::Point3::new(x, y, z);
                 points.push([point.x, point.y, point.z]);
