@@ -1,6 +1,6 @@
 //! The ground beside the roads, where hedges, walls, posts and trees may stand.
 
-use super::{PAVEMENT, REACH, Roads};
+use super::{Network, PAVEMENT, REACH, Roads, SIDES};
 use crate::path::{Path, Pose2};
 
 /// What lies beside a road.
@@ -54,9 +54,41 @@ impl Verge {
         self.line.at(along_m).0.aside(across_m)
     }
 
-    /// Curvature of the edge, positive where it bends away from the road, 1/m.
-    pub fn curvature(&self, along_m: f64) -> f64 {
-        self.line.at(along_m).1
+    /// The verges of a network: along both sides of every road, as far as no other road is in the way, and along its
+    /// medians.
+    pub fn of_network(network: &Network) -> Vec<Verge> {
+        let mut verges = Vec::new();
+        for road in &network.roads {
+            let [from, to] = road.span();
+            for (side, sign) in SIDES.into_iter().enumerate() {
+                let (kind, depth) = road.section.beside[side];
+                let edge = sign * (road.section.outer(side) + 0.2);
+                let free = |s: f64| {
+                    let pose = road.line.at(s).0.aside(edge + sign * 0.8);
+                    network.surface.open_ground(pose.x, pose.y) > 0.3
+                };
+                for [begin, end] in runs(from, to, free) {
+                    let mut points = Vec::new();
+                    let count = ((end - begin) / 2.0).ceil() as usize;
+                    for k in 0..=count {
+                        let s = begin + (end - begin) * k as f64 / count as f64;
+                        points.push(road.line.at(s).0.aside(edge));
+                    }
+                    let line = Path::through(&points);
+                    let line = if side == 1 { line } else { line.reversed() };
+                    verges.push(Verge::new(kind, line, depth));
+                }
+            }
+            if road.section.median > 1.0 {
+                let middle = road.section.middle();
+                let line = road.line.part(from + 1.0, to - 1.0).parallel(middle);
+                verges.push(Verge::new(VergeKind::Median, line, 0.5 * road.section.median));
+            }
+        }
+        for (line, half) in &network.islands {
+            verges.push(Verge::new(VergeKind::Median, line.clone(), *half));
+        }
+        verges
     }
 
     /// The verges of the roads on a grid: on both sides of each arm, the strip between the walking band and the row of
@@ -84,4 +116,26 @@ impl Verge {
         }
         verges
     }
+}
+
+/// The stretches of at least 4 m between two distances along which something holds.
+fn runs(from: f64, to: f64, holds: impl Fn(f64) -> bool) -> Vec<[f64; 2]> {
+    let mut runs = Vec::new();
+    let mut begin = None;
+    let mut s = from;
+    while s < to + 1.0 {
+        let at = s.min(to);
+        match begin {
+            None if holds(at) => begin = Some(at),
+            Some(start) if !holds(at) || at == to => {
+                if at - start > 4.0 {
+                    runs.push([start, at - 1.0]);
+                }
+                begin = None;
+            }
+            _ => {}
+        }
+        s += 1.0;
+    }
+    runs
 }
