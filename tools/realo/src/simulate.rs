@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use eyre::{Result, WrapErr};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
@@ -15,10 +16,10 @@ use crate::Outcome;
 /// Simulates a place, its traffic and the agents that record it
 #[derive(clap::Args)]
 pub struct Args {
-    /// Which place
-    #[arg(long, value_enum, default_value = "intersection")]
-    scenario: ScenarioArg,
-    /// Heavy traffic: at least 120 road users
+    /// Which place; mixed: one of all, as the place's number says
+    #[arg(long, value_parser = scenarios(), default_value = "intersection")]
+    scenario: Scenario,
+    /// Heavy traffic: at least 120 road users, or as many as there is room for
     #[arg(long)]
     dense: bool,
     /// Fixes roads and buildings [default: from the seed]
@@ -59,10 +60,10 @@ pub struct Args {
     output: PathBuf,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum ScenarioArg {
-    Intersection,
-    Corridor,
+/// The scenarios by their names.
+fn scenarios() -> impl TypedValueParser<Value = Scenario> {
+    let names = Scenario::PLACES.map(Scenario::name).into_iter();
+    PossibleValuesParser::new(names.chain([Scenario::Mixed.name()])).try_map(|name| Scenario::from_name(&name))
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -80,10 +81,7 @@ impl Args {
             )
         })?;
         Ok(Options {
-            scenario: match self.scenario {
-                ScenarioArg::Intersection => Scenario::Intersection,
-                ScenarioArg::Corridor => Scenario::Corridor,
-            },
+            scenario: self.scenario,
             phase: match self.phase {
                 PhaseArg::Locked => Phase::Locked,
                 PhaseArg::Spread => Phase::Spread,
@@ -168,6 +166,9 @@ fn write_sweep(writer: &mut LogWriter, sweep: &Sweep, clouds: bool) -> Result<()
     Ok(())
 }
 
+/// Road users that heavy traffic has where there is room.
+const DENSE: usize = 120;
+
 fn log_info(simulation: &Simulation) -> LogInfo {
     let options = simulation.options();
     let agents = simulation.agents().map(|agent| AgentInfo {
@@ -180,14 +181,26 @@ fn log_info(simulation: &Simulation) -> LogInfo {
         sensor: agent.sensor.into(),
         sensor_position: Some([0.0, 0.0, agent.sensor_height]),
     });
+    let place = match (options.scenario, simulation.scenario()) {
+        (Scenario::Mixed, drawn) => format!("mixed ({})", drawn.name()),
+        (own, _) => own.name().into(),
+    };
+    let users = match (simulation.road_users(), simulation.scenario()) {
+        (_, Scenario::Intersection | Scenario::Corridor) => String::new(),
+        (found, _) if options.dense && found < DENSE => {
+            format!(", {found} road users of {DENSE}: there is room for no more")
+        }
+        (found, _) => format!(", {found} road users"),
+    };
     let source = format!(
-        "realo simulate: {:?}{}, place {}, seed {}, {} s, phase {:?}",
-        options.scenario,
+        "realo simulate: {}{}, place {}, seed {}, {} s, phase {:?}{}",
+        place,
         if options.dense { ", dense" } else { "" },
         simulation.place(),
         options.seed,
         options.seconds,
         options.phase,
+        users,
     );
     let mut info = LogInfo::new(source.to_lowercase(), agents.collect());
     info.key_frames = format!("{} a second", options.key_hz);

@@ -10,12 +10,14 @@
 //! # Ok::<(), realo_simulator::Error>(())
 //! ```
 //!
-//! **The world.** A signalised intersection or a straight road with a signalised crossing; lanes, cycle lanes, parking
-//! bays, kerbs, buildings, poles, trees; ground that is not quite flat. Vehicles follow each other (Intelligent Driver
-//! Model), obey the lights and each other's right of way; walkers keep to pavements and crossings. `cav1` and `cav2`
-//! are cars of that traffic, on two arms, near each other and `rsu1` for most of the first ten seconds; `rsu1` and
-//! `rsu2` stand on 5 m poles at opposite corners, level. A vehicle that stays for longer turns round at the end of the
-//! road if it is a cav, and else leaves the place. Every road user is an object of truth, named by V2X-Real's raw
+//! **The world.** Twelve places ([`Scenario`]): two whose roads are straight and cross squarely between houses
+//! (`intersection`, `corridor`), and ten whose roads run at any angle, bent, on slopes of up to 3 %, most of them open
+//! beside the road. Each is drawn anew for every number: angles, radii, lanes, lights, bays, houses. Lanes, cycle lanes,
+//! parking bays, kerbs, crowned roads, buildings, poles, trees; ground that is not quite flat. Vehicles follow each
+//! other (Intelligent Driver Model), change lanes, obey the lights and each other's right of way; walkers keep to
+//! pavements and crossings. `cav1` and `cav2` are cars of that traffic, come by two arms (on a network: two lanes), near
+//! each other and `rsu1` for most of the first ten seconds; `rsu1` and `rsu2` stand on 5 m poles at corners, level. A
+//! vehicle that stays for longer turns round at the end of the road if it is a cav, and else leaves the place. Every road user is an object of truth, named by V2X-Real's raw
 //! classes: Car, Van, Truck, Bus, MotorcyleRider (sic), BicycleRider, ScooterRider, Pedestrian, Child.
 //!
 //! **Sensors.** `cav1`, `cav2`: 128 beams by the Ruby Plus table, 1,800 columns, 1.9 m over the ground, tilted with

@@ -2,6 +2,8 @@
 
 use realo_schemas::Nanos;
 
+use crate::random::Stream;
+
 /// Log time at which every simulation starts: 2026-01-01T00:00:00Z.
 pub const EPOCH: Nanos = 1_767_225_600_000_000_000;
 
@@ -15,13 +17,90 @@ pub const POSE_PERIOD: Nanos = 10_000_000;
 pub const AGENTS: [&str; 4] = ["cav1", "cav2", "rsu1", "rsu2"];
 
 /// Which place is built.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Scenario {
-    /// Two roads that cross under traffic lights.
+    /// Two straight roads that cross squarely under traffic lights, between houses.
     #[default]
     Intersection,
-    /// A straight road with a signalised crossing for pedestrians.
+    /// A straight road with a signalised crossing for pedestrians, between houses.
     Corridor,
+    /// Two bent roads that cross at a slant, with lights or without, in the open.
+    Junction,
+    /// A road that ends at another, at a slant.
+    Tee,
+    /// Three or four roads that meet in a ring.
+    Roundabout,
+    /// A winding road with entries.
+    Curve,
+    /// Narrow streets between gardens, cars parked on both sides.
+    Residential,
+    /// Three lanes each way at up to 120 km/h, with an entry.
+    Motorway,
+    /// A car park with its street.
+    CarPark,
+    /// A boulevard with a planted median.
+    Avenue,
+    /// A winding road over open, sloping land, without kerbs.
+    Rural,
+    /// A shopping street: many walkers, vans at the kerb.
+    Market,
+    /// One of all these, as the place's number says.
+    Mixed,
+}
+
+impl Scenario {
+    /// All that are places of their own.
+    pub const PLACES: [Scenario; 12] = [
+        Scenario::Intersection,
+        Scenario::Corridor,
+        Scenario::Junction,
+        Scenario::Tee,
+        Scenario::Roundabout,
+        Scenario::Curve,
+        Scenario::Residential,
+        Scenario::Motorway,
+        Scenario::CarPark,
+        Scenario::Avenue,
+        Scenario::Rural,
+        Scenario::Market,
+    ];
+
+    /// Its name, as it is asked for.
+    pub fn name(self) -> &'static str {
+        match self {
+            Scenario::Intersection => "intersection",
+            Scenario::Corridor => "corridor",
+            Scenario::Junction => "junction",
+            Scenario::Tee => "tee",
+            Scenario::Roundabout => "roundabout",
+            Scenario::Curve => "curve",
+            Scenario::Residential => "residential",
+            Scenario::Motorway => "motorway",
+            Scenario::CarPark => "car_park",
+            Scenario::Avenue => "avenue",
+            Scenario::Rural => "rural",
+            Scenario::Market => "market",
+            Scenario::Mixed => "mixed",
+        }
+    }
+
+    /// The scenario of a name.
+    ///
+    /// # Errors
+    /// [`Error::UnknownScenario`] lists the names.
+    pub fn from_name(name: &str) -> Result<Self, Error> {
+        let mut all = Self::PLACES.into_iter().chain([Scenario::Mixed]);
+        all.find(|scenario| scenario.name() == name)
+            .ok_or_else(|| Error::UnknownScenario { found: name.into() })
+    }
+
+    /// The place that is built for a place's number: what `mixed` draws, else itself.
+    pub fn resolve(self, place: u64) -> Self {
+        match self {
+            Scenario::Mixed => Self::PLACES[Stream::new(place, "scenario", 0).below(Self::PLACES.len())],
+            own => own,
+        }
+    }
 }
 
 /// How the agents' sweeps lie to each other in time.
@@ -217,6 +296,28 @@ pub enum Error {
     AgentTwice {
         /// The name that came twice.
         found: String,
+    },
+    /// A scenario that there is not.
+    #[error(
+        "simulation option `scenario`: no scenario `{found}`; there are intersection, corridor, junction, tee, roundabout, \
+         curve, residential, motorway, car_park, avenue, rural, market and mixed"
+    )]
+    UnknownScenario {
+        /// The name that came.
+        found: String,
+    },
+    /// A place whose traffic has no two cars that can carry agents.
+    #[error(
+        "simulation options `scenario`, `seed` and `place`: in {scenario}, place {place}, no two cars of seed {seed}'s \
+         traffic are near each other; take another seed"
+    )]
+    NoRoom {
+        /// What was built.
+        scenario: &'static str,
+        /// The place's number.
+        place: u64,
+        /// The traffic's.
+        seed: u64,
     },
     /// Nobody records.
     #[error("simulation option `agents`: nobody records; name at least one of cav1, cav2, rsu1 and rsu2")]

@@ -530,3 +530,120 @@ fn scored_sweeps_alone_are_those_of_the_whole_log() {
         log(false).poses("cav1").map(|poses| poses.len())
     );
 }
+
+/// The two places on a grid are what older results were made of: what they give must never change.
+#[test]
+fn old_places_keep_their_bits() {
+    let cases = [
+        (Scenario::Intersection, false, 7),
+        (Scenario::Intersection, true, 900),
+        (Scenario::Intersection, false, 903),
+        (Scenario::Corridor, false, 12),
+        (Scenario::Corridor, true, 901),
+        (Scenario::Corridor, true, 905),
+    ];
+    let found = cases.map(|(scenario, dense, seed)| {
+        let simulation = simulate(|o| {
+            (o.scenario, o.dense, o.seed, o.column_stride, o.seconds) = (scenario, dense, seed, 20, 0.1);
+        });
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let agents = ["cav1", "cav2", "rsu1", "rsu2"].iter();
+        let poses = agents.flat_map(|agent| simulation.poses(agent).unwrap());
+        let numbers = poses.flat_map(|pose| {
+            let at = pose.believed.map_from_body.translation.vector;
+            [at.x, at.y, at.z]
+        });
+        let hash = numbers.fold(digest(&sweeps), |hash, v| {
+            (hash ^ v.to_bits()).wrapping_mul(0x0000_0100_0000_01b3)
+        });
+        format!("{hash:016x}")
+    });
+    let expected = [
+        "21d25cdaaefeb4a6",
+        "d6a86202f4415527",
+        "168a98a8414762f7",
+        "7029b208d2b130b5",
+        "960c933989b0ab67",
+        "35d8f99e74aa6434",
+    ];
+    assert_eq!(found, expected);
+}
+
+/// The places with roads at any angle.
+const NETWORKS: [Scenario; 10] = [
+    Scenario::Junction,
+    Scenario::Tee,
+    Scenario::Roundabout,
+    Scenario::Curve,
+    Scenario::Residential,
+    Scenario::Motorway,
+    Scenario::CarPark,
+    Scenario::Avenue,
+    Scenario::Rural,
+    Scenario::Market,
+];
+
+#[test]
+fn every_place_is_the_same_on_any_number_of_threads() {
+    for scenario in NETWORKS {
+        let all = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let change = |o: &mut Options| (o.scenario, o.seconds, o.column_stride) = (scenario, 0.1, 20);
+            pool.install(|| simulate(change).sweeps().collect::<Vec<_>>())
+        };
+        let [one, three] = [1, 3].map(all);
+        assert_eq!(one.len(), 4);
+        assert!(one.iter().all(|sweep| sweep.cloud.len() > 500), "{}", scenario.name());
+        assert_eq!(one, three, "{}", scenario.name());
+    }
+}
+
+/// Who is where in the places with roads at any angle, whatever else there is to be seen.
+#[test]
+fn traffic_of_every_place_is_the_same_on_every_machine() {
+    let found = NETWORKS.map(|scenario| {
+        let simulation = simulate(|o| {
+            (o.scenario, o.seconds, o.column_stride, o.clouds) = (scenario, 0.1, 1000, false);
+            o.agents.truncate(1);
+        });
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let numbers = sweeps[0].truth.iter().flat_map(|object| {
+            let [x, y, z] = object.center;
+            [x, y, z, object.length, object.yaw]
+        });
+        let hash = numbers.fold(0xcbf2_9ce4_8422_2325u64, |hash, v| {
+            (hash ^ v.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29)
+        });
+        format!("{hash:016x}")
+    });
+    let expected = [
+        "74a25dcb53227a13",
+        "c784a6548c3f525a",
+        "079106526ff7fd28",
+        "64a32d494051fdf1",
+        "4f3a8b4eb1f52e8e",
+        "c56982739e683af0",
+        "21cc14b0cc5d2c20",
+        "0c5f830413f17d63",
+        "546ea53dd7f71d2d",
+        "22809d00326bba3e",
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn mixed_is_one_of_all_places_as_its_number_says() {
+    let drawn: Vec<Scenario> = (0..200).map(|place| Scenario::Mixed.resolve(place)).collect();
+    assert!(Scenario::PLACES.iter().all(|place| drawn.contains(place)) && !drawn.contains(&Scenario::Mixed));
+    let of =
+        |scenario, place| simulate(|o| (o.scenario, o.place, o.seconds, o.column_stride) = (scenario, place, 0.1, 100));
+    let number = (0..).find(|number| drawn[*number] == Scenario::Tee).unwrap() as u64;
+    let [mixed, own] = [Scenario::Mixed, Scenario::Tee].map(|scenario| of(scenario, Some(number)));
+    assert_eq!(mixed.scenario(), Scenario::Tee);
+    assert_eq!(mixed.sweeps().next(), own.sweeps().next());
+    let error = Scenario::from_name("airport").unwrap_err().to_string();
+    assert!(error.contains("airport") && error.contains("roundabout"), "{error}");
+    for scenario in Scenario::PLACES.into_iter().chain([Scenario::Mixed]) {
+        assert_eq!(Scenario::from_name(scenario.name()), Ok(scenario));
+    }
+}
