@@ -47,6 +47,7 @@ mod random;
 mod sensor;
 mod simulation;
 mod solid;
+pub mod statistics;
 mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
