@@ -231,13 +231,14 @@ impl Statistics {
                 .iter()
                 .filter(|ring| (*from..*to).contains(&ring.elevation.to_degrees()))
                 .collect();
-            // A beam of which a sector has nothing is there all the same.
-            let in_sector = |sector: usize| beams.iter().filter(|ring| ring.sector == sector).count();
-            let most = (0..=beams.iter().map(|ring| ring.sector).max().unwrap_or(0))
-                .map(in_sector)
-                .max();
+            // A beam of which a sector has nothing is there all the same; what is near may look like a beam of its own.
+            let sectors = beams.iter().map(|ring| ring.sector + 1).max().unwrap_or(1);
+            let mut counts = vec![0; sectors];
+            beams.iter().for_each(|ring| counts[ring.sector] += 1);
+            counts.sort_unstable();
+            let most = counts[(sectors - 1) * 4 / 5];
             self.answered[band].some += beams.iter().map(|ring| ring.points.len()).sum::<usize>();
-            self.answered[band].all += most.unwrap_or(0) * (TAU / step).round() as usize;
+            self.answered[band].all += most * (TAU / step).round() as usize;
         }
     }
 
