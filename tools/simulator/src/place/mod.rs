@@ -3,6 +3,7 @@
 mod fixtures;
 mod roads;
 mod terrain;
+mod verge;
 
 pub(crate) use roads::{BAY, BAYS, CYCLE_LANE, KERB, LANE, PAVEMENT, REACH, Roads};
 
@@ -11,12 +12,15 @@ use crate::path::Pose2;
 use crate::random::Stream;
 use crate::solid::{Hit, Solid};
 use terrain::Terrain;
+pub(crate) use verge::{Verge, VergeKind};
 
 /// Everything that does not move.
 pub(crate) struct Scenery {
     pub roads: Roads,
     pub terrain: Terrain,
     pub fixtures: Vec<Fixture>,
+    /// The edges of free ground beside the roads.
+    pub verges: Vec<Verge>,
     /// Direction of the main road in `map`, rad.
     pub heading: f64,
 }
@@ -35,12 +39,20 @@ impl Scenery {
         let terrain = Terrain::new(number);
         let heading = Stream::new(number, "heading", 0).between(-std::f64::consts::PI, std::f64::consts::PI);
         let fixtures = fixtures::build(&roads, &terrain, number);
+        let verges = Verge::of_grid(&roads);
         Scenery {
             roads,
             terrain,
             fixtures,
+            verges,
             heading,
         }
+    }
+
+    /// Distance of a point from everything that is paved, negative upon it, m; good to a metre, and never more than
+    /// 30 m. Where it is great, shrubs and trees may grow.
+    pub fn open_ground(&self, x: f64, y: f64) -> f64 {
+        self.roads.open_ground(x, y)
     }
 
     /// Height of the roads' surface, m.
