@@ -177,7 +177,7 @@ fn log_info(simulation: &Simulation) -> LogInfo {
             realo_simulator::AgentKind::Roadside => AgentKind::Roadside,
         },
         footprint: agent.footprint,
-        sensor: agent.sensor.into(),
+        sensor: agent.sensor.to_string(),
         sensor_position: Some([0.0, 0.0, agent.sensor_height]),
     });
     let source = format!(

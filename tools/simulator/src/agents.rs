@@ -1,14 +1,16 @@
 //! The agents: what carries a sensor, where it is, when it measures.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use realo_schemas::{EgoState, Name, Nanos, PoseStatus, from_seconds, to_seconds};
 
 use crate::options::{AGENTS, EPOCH, Options, Phase, SWEEP_PERIOD};
-use crate::path::Pose2;
+use crate::path::{Pose2, State};
 use crate::place::Scenery;
 use crate::random::Stream;
-use crate::sensor::Sensor;
-use crate::traffic::Traffic;
+use crate::sensor::{Mount, Sensor};
+use crate::traffic::{Traffic, User};
 
 /// Height of the vehicles' sensors over the ground, m.
 const VEHICLE_SENSOR: f64 = 1.9;
@@ -38,7 +40,7 @@ pub struct AgentInfo {
     /// Height of the sensor over the body frame's origin, m.
     pub sensor_height: f64,
     /// Model of the sensor.
-    pub sensor: &'static str,
+    pub sensor: Name,
     /// Track id of the vehicle in the truth of others.
     pub track: Option<u64>,
 }
@@ -48,7 +50,13 @@ pub(crate) struct Agent {
     pub info: AgentInfo,
     /// Number in [`AGENTS`]; names its random streams.
     pub number: u64,
-    pub sensor: &'static Sensor,
+    pub sensor: Arc<Sensor>,
+    /// Where its sensor is mounted; the sensor's own, or that of the agent's kind.
+    pub mount: Mount,
+    /// Roll and pitch of the sensor that nobody knows of, rad.
+    pub misalignment: [f64; 2],
+    /// What the carrier's springs do, if it has any.
+    sway: Option<Sway>,
     /// The road user that carries it.
     pub user: Option<usize>,
     /// Where it stands, if nobody carries it: pose and height of the ground.
@@ -74,18 +82,35 @@ impl Agent {
         let phases = phases(options);
         (0..AGENTS.len())
             .filter(|i| options.agents.iter().any(|name| name == AGENTS[*i]))
-            .map(|i| Agent::new(i, phases[i], place, traffic))
+            .map(|i| Agent::new(options, i, phases[i], place, traffic))
             .collect()
     }
 
-    fn new(number: usize, phase: Nanos, place: &Scenery, traffic: &Traffic) -> Agent {
+    fn new(options: &Options, number: usize, phase: Nanos, place: &Scenery, traffic: &Traffic) -> Agent {
         let vehicle = number < 2;
         let user = vehicle.then(|| traffic.cavs[number]);
+        let own = if vehicle {
+            &options.vehicle_sensors
+        } else {
+            &options.roadside_sensors
+        };
+        let of_kind = if vehicle { number } else { number - 2 };
         let sensor = match number {
+            _ if !own.is_empty() => own[of_kind % own.len()].clone(),
             0 | 1 => Sensor::ruby_plus(),
             2 => Sensor::os1_128(),
             _ => Sensor::os1_64(),
         };
+        let mount = sensor.mount.unwrap_or(Mount {
+            height: if vehicle { VEHICLE_SENSOR } else { ROADSIDE_SENSOR },
+            pitch: 0.0,
+            roll: 0.0,
+            yaw: 0.0,
+            misalignment: 0.0,
+        });
+        let mut draws = Stream::new(options.seed, "mount", number as u64);
+        let misalignment = [draws.normal(), draws.normal()].map(|v| mount.misalignment * v.clamp(-3.0, 3.0));
+        let sway = (vehicle && sensor.mount.is_some()).then(|| Sway::new(&mut draws));
         let footprint = user.map(|user| {
             let [length, width, _] = traffic.users[user].size;
             [
@@ -103,14 +128,17 @@ impl Agent {
                 AgentKind::Roadside
             },
             footprint,
-            sensor_height: if vehicle { VEHICLE_SENSOR } else { ROADSIDE_SENSOR },
-            sensor: sensor.model,
+            sensor_height: mount.height,
+            sensor: sensor.model.clone(),
             track: user.map(|user| traffic.users[user].track),
         };
         Agent {
             info,
             number: number as u64,
             sensor,
+            mount,
+            misalignment,
+            sway,
             user,
             stands: place.roadside(number == 3),
             phase,
@@ -151,8 +179,54 @@ impl Agent {
             heading,
             velocity: [vx, vy, vz],
             turn_rate: state.turn_rate,
-            slope: user.footing(place, &state).slope,
+            slope: self.leaning(user.footing(place, &state).slope, user, &state, t),
         }
+    }
+
+    /// The slope of the carrier on its springs: the ground's, and what braking, bends and the road's roughness add.
+    fn leaning(&self, ground: [f64; 2], user: &User, state: &State, t: f64) -> [f64; 2] {
+        let Some(sway) = &self.sway else { return ground };
+        const STEP: f64 = 0.1;
+        let speed = |t: f64| user.course.at(t).map_or(state.speed, |state| state.speed);
+        let acceleration = (speed(t + STEP) - speed(t - STEP)) / (2.0 * STEP);
+        let (pitch, roll) = sway.at(t, state.speed, acceleration, state.speed * state.turn_rate);
+        [ground[0] + pitch, ground[1] + roll]
+    }
+}
+
+/// A vehicle on its springs; the figures are modelling choices: usual cars dive by 1 to 1.5° at 3 m/s², and roll by as
+/// much in bends of 3 m/s².
+#[derive(Clone, Debug)]
+struct Sway {
+    /// Frequency in Hz and phase of each wave, two of pitch, two of roll.
+    waves: [[f64; 2]; 4],
+}
+
+impl Sway {
+    /// Slope for an acceleration of 1 m/s², along and across.
+    const DIVE: f64 = 0.006;
+    const ROLL: f64 = 0.007;
+    /// Slopes of the waves at speed: the body on its springs, and the wheels' shaking.
+    const WAVES: [f64; 2] = [0.0016, 0.000_6];
+
+    fn new(draws: &mut Stream) -> Self {
+        let mut wave = |low, high| [draws.between(low, high), draws.between(0.0, std::f64::consts::TAU)];
+        Sway {
+            waves: [wave(1.0, 1.6), wave(9.0, 13.0), wave(1.2, 1.9), wave(9.0, 13.0)],
+        }
+    }
+
+    /// Slopes along and across, nose and left side up; accelerations ahead and to the left.
+    fn at(&self, t: f64, speed: f64, ahead: f64, left: f64) -> (f64, f64) {
+        let rough = (speed * 0.1).clamp(0.0, 1.0);
+        let wave = |k: usize| {
+            let [frequency, phase] = self.waves[k];
+            rough * Self::WAVES[k % 2] * libm::sin(std::f64::consts::TAU * frequency * t + phase)
+        };
+        // Braking lifts the rear; in a bend to the left the body leans to the right, so that its left side rises.
+        let pitch = Self::DIVE * ahead.clamp(-6.0, 4.0) + wave(0) + wave(1);
+        let roll = Self::ROLL * left.clamp(-5.0, 5.0) + wave(2) + wave(3);
+        (pitch, roll)
     }
 }
 

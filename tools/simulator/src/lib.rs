@@ -54,4 +54,5 @@ pub use agents::{AgentInfo, AgentKind};
 pub use bench::{Bench, SensorBench, bench};
 pub use options::{AGENTS, EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario};
 pub use poses::PoseSample;
+pub use sensor::{Sensor, SensorError};
 pub use simulation::{Simulation, Sweep, Sweeps};

@@ -1,6 +1,10 @@
 //! What can be asked of a simulation, and what is refused.
 
+use std::sync::Arc;
+
 use realo_schemas::Nanos;
+
+use crate::sensor::Sensor;
 
 /// Log time at which every simulation starts: 2026-01-01T00:00:00Z.
 pub const EPOCH: Nanos = 1_767_225_600_000_000_000;
@@ -70,6 +74,13 @@ pub struct Options {
     pub column_stride: usize,
     /// How the agents' own poses err.
     pub pose_noise: PoseNoise,
+    /// The vehicles' sensors, dealt out in turn; empty: those of the first places.
+    pub vehicle_sensors: Vec<Arc<Sensor>>,
+    /// The roadside units' sensors, dealt out in turn; empty: those of the first places.
+    pub roadside_sensors: Vec<Arc<Sensor>>,
+    /// The place has what newer places have: open verges with clutter, rounded bodies.
+    #[doc(hidden)]
+    pub overgrown: bool,
 }
 
 impl Default for Options {
@@ -92,6 +103,9 @@ impl Default for Options {
             labels: false,
             column_stride: 1,
             pose_noise: PoseNoise::default(),
+            vehicle_sensors: Vec::new(),
+            roadside_sensors: Vec::new(),
+            overgrown: false,
         }
     }
 }

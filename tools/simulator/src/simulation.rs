@@ -58,7 +58,11 @@ impl Simulation {
     pub fn new(options: &Options) -> Result<Self, Error> {
         options.check()?;
         let options = options.clone();
-        let place = Scenery::new(options.scenario, options.place.unwrap_or(options.seed));
+        let number = options.place.unwrap_or(options.seed);
+        let mut place = Scenery::new(options.scenario, number);
+        if options.overgrown {
+            place = place.overgrown(number);
+        }
         let demand = Demand {
             place: &place,
             seed: options.seed,

@@ -13,12 +13,41 @@ const LEAD: f64 = 0.11;
 /// The sweep is cut into sectors, in each of which everybody moves straight.
 const SECTORS: usize = 40;
 const BINS_PER_SECTOR: usize = 40;
-const SPAN: f64 = TAU + 2.0 * LEAD;
-const BIN: f64 = SPAN / (SECTORS * BINS_PER_SECTOR) as f64;
-/// No sensor sees farther, m.
+/// Sensors of the first places see no farther, m.
 const FARTHEST: f64 = 255.0;
-/// Duration of a turn, s.
+/// Duration of a sweep, s.
 const TURN: f64 = 0.1;
+
+/// The azimuths of a sweep: clockwise from that of its first column, level, `LEAD` more on both sides.
+#[derive(Clone, Copy)]
+struct Span {
+    /// Azimuth of the first column, clockwise from the carrier's rear, rad.
+    first: f64,
+    /// What the columns cover, and that with the lead, rad.
+    width: f64,
+    all: f64,
+    /// Width of a bin, rad.
+    bin: f64,
+    /// Bodies beyond this are not seen, m.
+    farthest: f64,
+}
+
+impl Span {
+    fn of(agent: &Agent) -> Self {
+        let scan = agent.sensor.scan;
+        let all = scan.width + 2.0 * LEAD;
+        Span {
+            first: scan.first - agent.mount.yaw,
+            width: scan.width,
+            all,
+            bin: all / (SECTORS * BINS_PER_SECTOR) as f64,
+            farthest: agent
+                .sensor
+                .mount
+                .map_or(FARTHEST, |_| agent.sensor.optics.farthest + 5.0),
+        }
+    }
+}
 
 /// A body as it is while the sensor looks its way.
 pub(super) struct Instance<'a> {
@@ -70,6 +99,7 @@ pub(super) struct Instances<'a> {
     /// `entries[starts[bin]..starts[bin + 1]]`: the instances of a bin, nearest first.
     starts: Vec<u32>,
     entries: Vec<Entry>,
+    bins_per_radian: f64,
 }
 
 /// What decides whether an instance of a bin is looked at, rounded outwards.
@@ -100,8 +130,9 @@ struct Stance {
 impl<'a> Instances<'a> {
     /// Everything that `agent` can see in the turn that begins at `start` seconds.
     pub fn new(world: &World<'a>, agent: &Agent, start: f64) -> Self {
+        let span = Span::of(agent);
         let sectors: Vec<(f64, BodyState)> = (0..SECTORS)
-            .map(|k| start + (((k as f64 + 0.5) * SPAN / SECTORS as f64) - LEAD) / TAU * TURN)
+            .map(|k| start + (((k as f64 + 0.5) * span.all / SECTORS as f64) - LEAD) / span.width * TURN)
             .map(|t| (t, agent.body(world.place, world.traffic, t)))
             .collect();
         let mut found = Vec::new();
@@ -115,7 +146,7 @@ impl<'a> Instances<'a> {
                 user: None,
                 own: false,
             };
-            add(&mut found, &sectors, agent, candidate, |_| {
+            add(&mut found, &sectors, (agent, span), candidate, |_| {
                 Some(Stance {
                     pose: fixture.pose,
                     footing,
@@ -132,7 +163,7 @@ impl<'a> Instances<'a> {
                 user: Some(index as u32),
                 own,
             };
-            add(&mut found, &sectors, agent, candidate, |t| {
+            add(&mut found, &sectors, (agent, span), candidate, |t| {
                 let state = user.course.at(t)?;
                 let (sin, cos) = libm::sincos(state.pose.heading);
                 Some(Stance {
@@ -148,10 +179,10 @@ impl<'a> Instances<'a> {
                 })
             });
         }
-        Instances::sorted(found)
+        Instances::sorted(found, span)
     }
 
-    fn sorted(mut found: Vec<(Instance<'a>, [usize; 2])>) -> Self {
+    fn sorted(mut found: Vec<(Instance<'a>, [usize; 2])>, span: Span) -> Self {
         // Stable: at equal distance the order of fixtures and road users decides.
         found.sort_by(|a, b| a.0.near.total_cmp(&b.0.near));
         let bins = SECTORS * BINS_PER_SECTOR;
@@ -183,10 +214,11 @@ impl<'a> Instances<'a> {
             all: found.into_iter().map(|(instance, _)| instance).collect(),
             starts,
             entries,
+            bins_per_radian: 1.0 / span.bin,
         }
     }
 
-    /// The first body that a ray meets before `limit`. `azimuth` is clockwise from the sweep's start; `level` the
+    /// The first body that a ray meets before `limit`. `azimuth` is clockwise from the first column; `level` the
     /// ray's length over ground.
     #[inline]
     #[allow(clippy::too_many_arguments)] // a ray in its parts; one place calls it, once for each ray
@@ -200,7 +232,7 @@ impl<'a> Instances<'a> {
         limit: f64,
         chance: u64,
     ) -> Option<(Hit, Option<u32>)> {
-        let bin = (((azimuth + LEAD) * (1.0 / BIN)) as i32 as usize).min(SECTORS * BINS_PER_SECTOR - 1);
+        let bin = (((azimuth + LEAD) * self.bins_per_radian) as i32 as usize).min(SECTORS * BINS_PER_SECTOR - 1);
         let range = self.starts[bin] as usize..self.starts[bin + 1] as usize;
         let mut best = None;
         let mut limit = limit;
@@ -229,13 +261,13 @@ impl<'a> Instances<'a> {
 fn add<'a>(
     found: &mut Vec<(Instance<'a>, [usize; 2])>,
     sectors: &[(f64, BodyState)],
-    agent: &Agent,
+    (agent, span): (&Agent, Span),
     candidate: Candidate<'a>,
     stance_at: impl Fn(f64) -> Option<Stance>,
 ) {
-    let half = 0.5 * SPAN / SECTORS as f64;
+    let half = 0.5 * span.all / SECTORS as f64;
     let (t, sensor) = &sectors[SECTORS / 2];
-    let Some(reach) = stance_at(*t).and_then(|stance| rough(agent, sensor, &candidate, &stance)) else {
+    let Some(reach) = stance_at(*t).and_then(|stance| rough((agent, span), sensor, &candidate, &stance)) else {
         return;
     };
     for (k, (t, sensor)) in sectors.iter().enumerate() {
@@ -245,17 +277,17 @@ fn add<'a>(
         }
         let Some(stance) = stance_at(*t) else { continue };
         let view = View::new(agent, sensor, &candidate, &stance);
-        let Some([from, to]) = view.azimuths(sensor) else {
+        let Some([from, to]) = view.azimuths(sensor, span) else {
             continue;
         };
-        let margin = view.margin(agent, sensor, &stance, half);
+        let margin = view.margin((agent, span), sensor, &stance, half);
         // Azimuths repeat after a turn; the sectors overlap the turn at both ends.
         let shift = TAU * ((middle - 0.5 * (from + to)) / TAU).round();
         for shift in [shift - TAU, shift, shift + TAU] {
             let (from, to) = (from + shift - margin, to + shift + margin);
             let (low, high) = (from.max(middle - half), to.min(middle + half));
             if low <= high {
-                let bins = [low, high].map(|azimuth| ((azimuth + LEAD) / BIN) as usize);
+                let bins = [low, high].map(|azimuth| ((azimuth + LEAD) / span.bin) as usize);
                 let own = [k * BINS_PER_SECTOR, (k + 1) * BINS_PER_SECTOR - 1];
                 let bins = bins.map(|bin| bin.clamp(own[0], own[1]));
                 found.push((view.instance(&candidate, &stance, *t), bins));
@@ -266,7 +298,12 @@ fn add<'a>(
 }
 
 /// Middle and half width of the azimuths in which a body can be at any time of the turn; `None` if out of reach.
-fn rough(agent: &Agent, sensor: &BodyState, candidate: &Candidate, stance: &Stance) -> Option<[f64; 2]> {
+fn rough(
+    (agent, span): (&Agent, Span),
+    sensor: &BodyState,
+    candidate: &Candidate,
+    stance: &Stance,
+) -> Option<[f64; 2]> {
     let (x, y) = (stance.pose.x - sensor.position[0], stance.pose.y - sensor.position[1]);
     let distance = (x * x + y * y).sqrt();
     let Solid { low, high, .. } = candidate.solid;
@@ -276,10 +313,10 @@ fn rough(agent: &Agent, sensor: &BodyState, candidate: &Candidate, stance: &Stan
         sensor.velocity[1] - stance.velocity[1],
     );
     let radius = (u * u + v * v).sqrt() + 0.07 * (dx.abs() + dy.abs()) + 0.3;
-    if distance - radius > FARTHEST {
+    if distance - radius > span.farthest {
         return None;
     }
-    let azimuth = sensor.heading + PI - libm::atan2(y, x);
+    let azimuth = sensor.heading - span.first + PI - libm::atan2(y, x);
     if candidate.own || distance <= radius + 0.5 {
         return Some([azimuth, PI]);
     }
@@ -296,7 +333,8 @@ fn away(angle: f64) -> f64 {
 
 /// How far the sensor's tilt moves azimuths, rad.
 fn tilt_margin(agent: &Agent, sensor: &BodyState) -> f64 {
-    (sensor.slope[0].abs() + sensor.slope[1].abs()) * agent.sensor.steepest * 1.3 + 2e-4
+    let mount = agent.mount.pitch.abs() + agent.mount.roll.abs();
+    (sensor.slope[0].abs() + sensor.slope[1].abs()) * agent.sensor.steepest * 1.3 + 2e-4 + mount * agent.sensor.slant
 }
 
 /// A candidate as seen from the sensor.
@@ -344,14 +382,14 @@ impl View {
     }
 
     /// Clockwise azimuths from the sensor's rear that the footprint takes up; `None` if it is far out of reach.
-    fn azimuths(&self, sensor: &BodyState) -> Option<[f64; 2]> {
-        if self.near > FARTHEST {
+    fn azimuths(&self, sensor: &BodyState, span: Span) -> Option<[f64; 2]> {
+        if self.near > span.farthest {
             return None;
         }
         if self.own || self.near < 0.5 {
             return Some([-TAU, 2.0 * TAU]);
         }
-        let clockwise = |c: &[f64; 2]| sensor.heading + PI - libm::atan2(c[1], c[0]);
+        let clockwise = |c: &[f64; 2]| sensor.heading - span.first + PI - libm::atan2(c[1], c[0]);
         let first = clockwise(&self.corners[0]);
         let (mut low, mut high) = (first, first);
         for corner in &self.corners[1..] {
@@ -365,8 +403,8 @@ impl View {
     }
 
     /// How far the azimuths may be off: motion within the sector, and the tilt of the sensor.
-    fn margin(&self, agent: &Agent, sensor: &BodyState, stance: &Stance, half_sector: f64) -> f64 {
-        let time = half_sector / TAU * TURN + 1e-4;
+    fn margin(&self, (agent, span): (&Agent, Span), sensor: &BodyState, stance: &Stance, half_sector: f64) -> f64 {
+        let time = half_sector / span.width * TURN + 1e-4;
         let (dx, dy) = (
             sensor.velocity[0] - stance.velocity[0],
             sensor.velocity[1] - stance.velocity[1],

@@ -2,12 +2,12 @@
 
 mod instances;
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use crate::agents::{Agent, since_epoch};
 use crate::place::Scenery;
 use crate::random::{mix, normal_of, unit_of};
-use crate::sensor::{DROPOUT, Optics};
+use crate::sensor::Optics;
 use crate::solid::Hit;
 use crate::traffic::Traffic;
 use instances::Instances;
@@ -90,9 +90,36 @@ fn tilt([along, across]: [f64; 2]) -> Rotation {
     [0, 1, 2].map(|r| [ahead[r], left[r], up[r]])
 }
 
+/// How a sensor stands on its carrier, unless it stands straight.
+struct Mounted {
+    body_from_sensor: Rotation,
+    /// From the body frame to what it is taken for.
+    told_from_body: Rotation,
+}
+
+impl Mounted {
+    fn of(agent: &Agent) -> Option<Self> {
+        agent.sensor.mount?;
+        let mount = agent.mount;
+        Some(Mounted {
+            body_from_sensor: turned(mount.roll, mount.pitch, mount.yaw),
+            told_from_body: turned(agent.misalignment[0], agent.misalignment[1], 0.0),
+        })
+    }
+}
+
+/// The rotation by yaw, then pitch, then roll, rad.
+fn turned(roll: f64, pitch: f64, yaw: f64) -> Rotation {
+    let ((sin_p, cos_p), (sin_r, cos_r)) = (libm::sincos(pitch), libm::sincos(roll));
+    let about_y = [[cos_p, 0.0, sin_p], [0.0, 1.0, 0.0], [-sin_p, 0.0, cos_p]];
+    let about_x = [[1.0, 0.0, 0.0], [0.0, cos_r, -sin_r], [0.0, sin_r, cos_r]];
+    times(&times(&about_z(yaw), &about_y), &about_x)
+}
+
 /// Casts one sweep of an agent. Points are in the agent's body frame of the instant at which each was measured.
 pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
-    let sensor = agent.sensor;
+    let sensor = &*agent.sensor;
+    let mounted = Mounted::of(agent);
     let start = since_epoch(casting.start);
     let instances = Instances::new(world, agent, start);
     let mut points = vec![0; world.traffic.users.len()];
@@ -101,16 +128,29 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
     } else {
         0
     });
+    let per_column = sensor.beams.len().max(256);
     let mut finished = 0;
     let period = 0.1 / sensor.columns as f64;
     let to_start = (casting.start - casting.stamp) as f64;
     for column in (0..sensor.columns).step_by(casting.column_stride) {
-        let azimuth = TAU * column as f64 / sensor.columns as f64;
+        let azimuth = sensor.scan.width * column as f64 / sensor.columns as f64;
         let fires = column as f64 * period;
         let body = agent.body(world.place, world.traffic, start + fires + 0.5 * period);
-        let body_from_sensor = times(&tilt(body.slope), &about_z(PI - azimuth));
+        let column_turn = about_z(PI - (sensor.scan.first + azimuth));
+        let body_from_sensor = match &mounted {
+            None => times(&tilt(body.slope), &column_turn),
+            Some(mounted) => times(&times(&tilt(body.slope), &mounted.body_from_sensor), &column_turn),
+        };
         let place_from_sensor = times(&about_z(body.heading), &body_from_sensor);
+        // What nobody knows of the mounting stays in the points.
+        let told_from_sensor = match &mounted {
+            None => body_from_sensor,
+            Some(mounted) => times(&mounted.told_from_body, &body_from_sensor),
+        };
         for (number, beam) in sensor.beams.iter().enumerate() {
+            if beam.every > 1 && column % beam.every != 0 {
+                continue;
+            }
             let ray = rotate(&place_from_sensor, &beam.direction);
             // The body's position holds for the middle of the column.
             let aside = beam.fires - 0.5 * period;
@@ -121,7 +161,7 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
             ];
             let hash = mix(casting
                 .key
-                .wrapping_add(((column * 256 + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+                .wrapping_add(((column * per_column + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
             let level = (ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
             let t = start + fires + beam.fires;
             let limit = sensor.optics.farthest;
@@ -143,7 +183,7 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
                 points[user as usize] += 1;
             }
             if casting.clouds {
-                let d = rotate(&body_from_sensor, &beam.direction);
+                let d = rotate(&told_from_sensor, &beam.direction);
                 let time = to_start + (fires + beam.fires) * 1e9;
                 columns.push([d[0] * range, d[1] * range, d[2] * range + agent.info.sensor_height]);
                 columns.intensity.push(intensity);
@@ -206,9 +246,12 @@ impl Columns {
 #[inline]
 fn receive(optics: &Optics, hit: &Hit, hash: u64) -> Option<(f64, u8)> {
     let ratio = optics.reference_range / hit.t;
-    let q = optics.strength * hit.rho * hit.cos * ratio * ratio;
+    let mut q = optics.strength * hit.rho * hit.cos * ratio * ratio;
+    if optics.extinction > 0.0 {
+        q *= libm::exp(-2.0 * optics.extinction * hit.t);
+    }
     let q4 = q * q * q * q;
-    if unit_of(hash) * (q4 + 1.0) >= q4 * (1.0 - DROPOUT) {
+    if unit_of(hash) * (q4 + 1.0) >= q4 * (1.0 - optics.unanswered) {
         return None;
     }
     let scatter = (optics.noise_floor + optics.noise_slope / q.sqrt()).min(optics.noise_ceiling);

@@ -1,8 +1,10 @@
 //! The place: ground, roads, and what stands beside them. Fixed by its own number, whatever the traffic.
 
+mod clutter;
 mod fixtures;
 mod roads;
 mod terrain;
+mod things;
 mod verge;
 
 pub(crate) use roads::{BAY, BAYS, CYCLE_LANE, KERB, LANE, PAVEMENT, REACH, Roads};
@@ -47,6 +49,26 @@ impl Scenery {
             verges,
             heading,
         }
+    }
+
+    /// The place with open verges that are lined and overgrown, instead of streets of walls.
+    pub fn overgrown(mut self, number: u64) -> Self {
+        const DEPTH: f64 = 14.0;
+        let kinds = [VergeKind::Park, VergeKind::Garden, VergeKind::Field, VergeKind::Park];
+        self.verges = Verge::of_grid(&self.roads);
+        let mut draws = Stream::new(number, "kinds", 0);
+        for verge in &mut self.verges {
+            *verge = verge.clone().widened(kinds[draws.below(kinds.len())], DEPTH);
+        }
+        self.fixtures
+            .retain(|fixture| fixture.solid.high[2] - fixture.solid.low[2] < 4.0);
+        let ground = clutter::Ground {
+            open: &|x, y| self.roads.open_ground(x, y),
+            height: &|x, y| self.walk_height(x, y),
+        };
+        let clutter = clutter::clutter(&self.verges, &ground, number);
+        self.fixtures.extend(clutter);
+        self
     }
 
     /// Distance of a point from everything that is paved, negative upon it, m; good to a metre, and never more than

@@ -39,6 +39,11 @@ impl Verge {
         Verge { kind, line, depth }
     }
 
+    /// The same edge with other ground.
+    pub fn widened(self, kind: VergeKind, depth: f64) -> Self {
+        Verge { kind, depth, ..self }
+    }
+
     /// Length of the edge, m.
     pub fn length(&self) -> f64 {
         self.line.length()
