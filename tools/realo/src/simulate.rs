@@ -2,15 +2,16 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::ValueEnum;
 use eyre::{Result, WrapErr};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
 use realo_schemas::Nanos;
-use realo_simulator::{Options, Phase, PoseSample, Scenario, Simulation, Sweep};
+use realo_simulator::{Options, Phase, PoseSample, Scenario, Sensor, Simulation, Sweep};
 
-use crate::Outcome;
+use crate::{Outcome, statistics};
 
 /// Simulates a place, its traffic and the agents that record it
 #[derive(clap::Args)]
@@ -28,11 +29,11 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "locked")]
     phase: PhaseArg,
     /// Fixes traffic and noise; 0–799 train, 800–899 validate, 900–999 test
-    #[arg(long)]
-    seed: u64,
+    #[arg(long, required_unless_present = "statistics")]
+    seed: Option<u64>,
     /// Length of the log
-    #[arg(long)]
-    seconds: f64,
+    #[arg(long, required_unless_present = "statistics")]
+    seconds: Option<f64>,
     /// Agents that record
     #[arg(long, value_delimiter = ',', default_values_t = realo_simulator::AGENTS.map(String::from))]
     agents: Vec<String>,
@@ -54,9 +55,21 @@ pub struct Args {
     /// Where the place lies in the map: east,north in metres
     #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 0.0], allow_negative_numbers = true)]
     map_offset: Vec<f64>,
+    /// The vehicles' sensors, dealt out in turn: names of built-in ones, or files that end in .toml
+    #[arg(long, value_delimiter = ',', value_name = "SENSOR")]
+    vehicle_sensor: Vec<String>,
+    /// The roadside units' sensors, as above
+    #[arg(long, value_delimiter = ',', value_name = "SENSOR")]
+    roadside_sensor: Vec<String>,
     /// The log to write
-    #[arg(short = 'o', long = "output")]
-    output: PathBuf,
+    #[arg(short = 'o', long = "output", required_unless_present = "statistics")]
+    output: Option<PathBuf>,
+    /// Simulates nothing: prints what the clouds of logs are like, real or simulated
+    #[arg(long, num_args = 1.., value_name = "LOG")]
+    statistics: Vec<PathBuf>,
+    /// With --statistics: counts of each cloud only the rings nearest to the beams of this sensor
+    #[arg(long, value_name = "SENSOR", requires = "statistics")]
+    like: Option<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -90,8 +103,8 @@ impl Args {
             },
             dense: self.dense,
             place: self.place,
-            seed: self.seed,
-            seconds: self.seconds,
+            seed: self.seed.unwrap_or_default(),
+            seconds: self.seconds.unwrap_or_default(),
             key_hz: self.key_hz,
             key_sweeps_only: self.key_sweeps_only,
             map_offset_m,
@@ -99,15 +112,25 @@ impl Args {
             detection_min_points: self.detection_min_points,
             agents: self.agents.clone(),
             clouds: !self.no_clouds,
+            vehicle_sensors: sensors(&self.vehicle_sensor)?,
+            roadside_sensors: sensors(&self.roadside_sensor)?,
             ..Options::default()
         })
     }
 }
 
+fn sensors(names: &[String]) -> Result<Vec<Arc<Sensor>>> {
+    Ok(names.iter().map(|name| Sensor::named(name)).collect::<Result<_, _>>()?)
+}
+
 /// Writes the log; nothing is left at its place unless it is complete.
 pub fn main(args: &Args) -> Result<Outcome> {
-    write(&args.options()?, &args.output)?;
-    println!("{}", realo_logs::describe(&args.output)?);
+    let Some(output) = args.output.as_ref().filter(|_| args.statistics.is_empty()) else {
+        statistics::print(&args.statistics, args.like.as_deref())?;
+        return Ok(Outcome::Complete);
+    };
+    write(&args.options()?, output)?;
+    println!("{}", realo_logs::describe(output)?);
     Ok(Outcome::Complete)
 }
 

@@ -57,74 +57,11 @@ pub(crate) enum Shape {
         radii: [f64; 3],
         depth: f64,
     },
-    /// A medium of leaves and twigs in a ball or a block: see [`Foliage`].
-    Foliage(Foliage),
     /// A block whose sides have rows of windows.
     Facade {
         low: [f64; 3],
         high: [f64; 3],
     },
-}
-
-/// Leaves and twigs, in lumps of about 0.3 m. A ray that enters returns at a depth that is distributed exponentially,
-/// with a mean that differs from lump to lump, unless it has left before.
-#[derive(Clone, Debug)]
-pub(crate) struct Foliage {
-    pub within: Within,
-    /// Mean depth that a ray gets into it: one over its extinction coefficient, m.
-    pub depth: f64,
-    /// Tells its lumps from those of others.
-    pub seed: u64,
-}
-
-/// What foliage fills.
-#[derive(Clone, Debug)]
-pub(crate) enum Within {
-    Ball { center: [f64; 3], radii: [f64; 3] },
-    Block { low: [f64; 3], high: [f64; 3] },
-}
-
-/// Lumps along a metre of foliage.
-const LUMPS: f64 = 3.3;
-/// How far lumps may stand back behind the foliage's outline, m.
-const SETBACK: f64 = 0.15;
-/// Cosine that stands for leaves, which point anywhere.
-const LEAF_COS: f64 = 0.6;
-
-impl Foliage {
-    #[inline]
-    fn cast(&self, origin: &[f64; 3], ray: &[f64; 3], inverse: &[f64; 3], limit: f64, chance: u64) -> Option<f64> {
-        let (enter, leave) = match &self.within {
-            Within::Ball { center, radii } => ball(center, radii, origin, ray)?,
-            Within::Block { low, high } => {
-                let (enter, leave, _) = slab(low, high, origin, inverse);
-                (enter, leave)
-            }
-        };
-        let (enter, leave) = (enter.max(0.0), leave.min(limit));
-        if enter >= leave {
-            return None;
-        }
-        let lump = (0..3).fold(self.seed, |hash, k| {
-            let cell = ((origin[k] + ray[k] * enter) * LUMPS + 4096.0) as i32 as u64;
-            hash.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(cell)
-        });
-        let lump = mix(lump);
-        let thin = 0.3 + 1.4 * (lump & 0xffff) as f64 * (1.0 / 65_536.0);
-        let back = SETBACK * (lump >> 16 & 0xffff) as f64 * (1.0 / 65_536.0);
-        let t = enter + back - self.depth * thin * libm::log(1.0 - unit_of(mix(chance ^ self.seed)));
-        (t < leave).then_some(t)
-    }
-
-    fn bounds(&self) -> ([f64; 3], [f64; 3]) {
-        match &self.within {
-            Within::Block { low, high } => (*low, *high),
-            Within::Ball { center, radii } => (
-                [0, 1, 2].map(|k| center[k] - radii[k]),
-                [0, 1, 2].map(|k| center[k] + radii[k]),
-            ),
-        }
-    }
 }
 
 /// A body: its parts, and the box around them.
@@ -281,7 +218,6 @@ impl Shape {
         match self {
             Shape::Block { low, high } | Shape::Facade { low, high } => (*low, *high),
             Shape::Hull(planes) => hull_bounds(planes),
-            Shape::Foliage(foliage) => foliage.bounds(),
             Shape::Post {
                 x,
                 y,
@@ -324,10 +260,6 @@ impl Shape {
                 (enter <= leave && enter > 0.0 && enter < limit).then(|| (enter, ray[axis].abs()))
             }
             Shape::Hull(planes) => cast_hull(planes, origin, ray, limit),
-            Shape::Foliage(foliage) => {
-                let t = foliage.cast(origin, ray, inverse, limit, chance)?;
-                Some((t, LEAF_COS))
-            }
             Shape::Post {
                 x,
                 y,

@@ -9,31 +9,31 @@ use crate::solid::{Hit, Solid};
 use crate::traffic::Footing;
 
 /// Azimuth that beams may look ahead of their column or behind it, rad; a little over 6°.
-const LEAD: f64 = 0.11;
+pub(super) const LEAD: f64 = 0.11;
 /// The sweep is cut into sectors, in each of which everybody moves straight.
 const SECTORS: usize = 40;
 const BINS_PER_SECTOR: usize = 40;
 /// Sensors of the first places see no farther, m.
 const FARTHEST: f64 = 255.0;
 /// Duration of a sweep, s.
-const TURN: f64 = 0.1;
+pub(super) const TURN: f64 = 0.1;
 
 /// The azimuths of a sweep: clockwise from that of its first column, level, `LEAD` more on both sides.
 #[derive(Clone, Copy)]
-struct Span {
+pub(super) struct Span {
     /// Azimuth of the first column, clockwise from the carrier's rear, rad.
-    first: f64,
+    pub first: f64,
     /// What the columns cover, and that with the lead, rad.
-    width: f64,
-    all: f64,
+    pub width: f64,
+    pub all: f64,
     /// Width of a bin, rad.
     bin: f64,
     /// Bodies beyond this are not seen, m.
-    farthest: f64,
+    pub farthest: f64,
 }
 
 impl Span {
-    fn of(agent: &Agent) -> Self {
+    pub fn of(agent: &Agent) -> Self {
         let scan = agent.sensor.scan;
         let all = scan.width + 2.0 * LEAD;
         Span {
@@ -332,7 +332,7 @@ fn away(angle: f64) -> f64 {
 }
 
 /// How far the sensor's tilt moves azimuths, rad.
-fn tilt_margin(agent: &Agent, sensor: &BodyState) -> f64 {
+pub(super) fn tilt_margin(agent: &Agent, sensor: &BodyState) -> f64 {
     let mount = agent.mount.pitch.abs() + agent.mount.roll.abs();
     (sensor.slope[0].abs() + sensor.slope[1].abs()) * agent.sensor.steepest * 1.3 + 2e-4 + mount * agent.sensor.slant
 }

@@ -1,6 +1,7 @@
 //! A sweep: rays against the moving world as the sensor turns, and what comes back of them.
 
 mod instances;
+mod thicket;
 
 use std::f64::consts::PI;
 
@@ -12,6 +13,7 @@ use crate::solid::Hit;
 use crate::traffic::Traffic;
 use instances::Instances;
 use realo_schemas::{Nanos, PointCloud};
+use thicket::Thicket;
 
 /// Coordinates are multiples of this, m, so that they compress; finer than any range step.
 const GRID: f64 = 1.0 / 1024.0;
@@ -122,6 +124,8 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
     let mounted = Mounted::of(agent);
     let start = since_epoch(casting.start);
     let instances = Instances::new(world, agent, start);
+    let middle = agent.body(world.place, world.traffic, start + 0.05);
+    let thicket = (!world.place.foliage.is_empty()).then(|| Thicket::new(&world.place.foliage, agent, &middle));
     let mut points = vec![0; world.traffic.users.len()];
     let mut columns = Columns::with_capacity(if casting.clouds {
         sensor.columns * sensor.beams.len()
@@ -167,12 +171,17 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
             let limit = sensor.optics.farthest;
             let met = instances.cast(azimuth + beam.azimuth, level, &origin, &ray, t, limit, hash);
             let limit = met.map_or(limit, |(hit, _)| hit.t);
-            let (hit, user) = match world.place.cast_ground(origin, ray, limit) {
-                Some(ground) => (ground, None),
-                None => match met {
-                    Some(met) => met,
-                    None => continue,
-                },
+            let ground = world.place.cast_ground(origin, ray, limit);
+            let first = match ground {
+                Some(ground) => Some((ground, None)),
+                None => met,
+            };
+            let leaves = thicket.as_ref().and_then(|thicket| {
+                let limit = first.map_or(limit, |(hit, _)| hit.t);
+                thicket.cast(azimuth + beam.azimuth, level, &origin, &ray, limit, hash)
+            });
+            let Some((hit, user)) = leaves.map(|leaves| (leaves, None)).or(first) else {
+                continue;
             };
             let Some((range, intensity)) = receive(&sensor.optics, &hit, hash) else {
                 continue;

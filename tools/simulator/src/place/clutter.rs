@@ -1,9 +1,11 @@
 //! What stands and grows beside the roads of a place: foliage above all, walls, rails, fences, street furniture, works.
 
-use super::{Fixture, Verge, VergeKind, things};
+use super::foliage::Foliage;
+use super::things::{self, Thing};
+use super::{Fixture, Verge, VergeKind};
 use crate::path::Pose2;
 use crate::random::Stream;
-use crate::solid::{Part, Solid};
+use crate::solid::Solid;
 
 /// What a stretch of a verge is lined with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,15 +110,15 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
     }
 }
 
-/// How much grows behind the first row, shrubs and trees on 100 m² of free ground, by the kind of the verge.
-fn growth(kind: VergeKind) -> [f64; 2] {
+/// How much grows behind the first row, weeds, shrubs and trees on 100 m² of free ground, by the kind of the verge.
+fn growth(kind: VergeKind) -> [f64; 3] {
     match kind {
-        VergeKind::Garden => [1.5, 0.7],
-        VergeKind::Street | VergeKind::Median => [0.0, 0.0],
-        VergeKind::Park => [2.0, 1.2],
-        VergeKind::Field => [0.6, 0.3],
-        VergeKind::Embankment => [2.5, 0.5],
-        VergeKind::CarPark => [0.3, 0.3],
+        VergeKind::Garden => [6.0, 8.0, 2.2],
+        VergeKind::Street | VergeKind::Median => [0.0, 0.0, 0.0],
+        VergeKind::Park => [12.0, 11.0, 3.4],
+        VergeKind::Field => [12.0, 5.0, 1.4],
+        VergeKind::Embankment => [9.0, 10.0, 1.3],
+        VergeKind::CarPark => [0.5, 0.5, 0.5],
     }
 }
 
@@ -128,39 +130,59 @@ pub(super) struct Ground<'a> {
     pub height: &'a dyn Fn(f64, f64) -> f64,
 }
 
+/// What stands on the verges of a place.
+pub(super) struct Clutter {
+    pub fixtures: Vec<Fixture>,
+    pub foliage: Vec<Foliage>,
+}
+
 /// Everything that stands on the verges of a place.
-pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Vec<Fixture> {
+pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter {
     let mut site = Site {
         ground,
         fixtures: Vec::new(),
+        foliage: Vec::new(),
     };
     for (index, verge) in verges.iter().enumerate() {
         let mut draws = Stream::new(number, "clutter", index as u64);
         site.line(verge, &mut draws);
         site.grow(verge, &mut draws);
     }
-    site.fixtures
+    Clutter {
+        fixtures: site.fixtures,
+        foliage: site.foliage,
+    }
 }
 
 struct Site<'a> {
     ground: &'a Ground<'a>,
     fixtures: Vec<Fixture>,
+    foliage: Vec<Foliage>,
 }
 
 impl Site<'_> {
     /// Stands something up, unless the ground within `clear` of its foot is paved.
-    fn stand(&mut self, pose: Pose2, clear: f64, parts: Vec<Part>) {
+    fn stand(&mut self, pose: Pose2, clear: f64, thing: impl Into<Thing>) {
         let Pose2 { x, y, heading } = pose;
         if (self.ground.open)(x, y) < clear {
             return;
         }
-        // Over its length the ground falls: no ray slips under it.
-        let solid = Solid::new(parts);
+        let Thing { parts, masses } = thing.into();
+        // Along its length the ground may fall: no ray slips under it.
         let (sin, cos) = libm::sincos(heading);
-        let ends = [solid.low[0], 0.0, solid.high[0]];
-        let heights = ends.map(|u| (self.ground.height)(x + u * cos, y + u * sin));
-        let z = heights.into_iter().fold(f64::MAX, f64::min) - 0.03;
-        self.fixtures.push(Fixture { pose, z, solid });
+        let height = |half: f64| {
+            let at = |u: f64| (self.ground.height)(x + u * cos, y + u * sin);
+            at(0.0).min(at(half)).min(at(-half)) - 0.03
+        };
+        for mass in &masses {
+            let z = height(if mass.block { mass.half[0] } else { 0.0 });
+            self.foliage.push(Foliage::stand(mass, pose, z));
+        }
+        if !parts.is_empty() {
+            let solid = Solid::new(parts);
+            let z = height(solid.high[0].max(-solid.low[0]).min(3.0));
+            self.fixtures.push(Fixture { pose, z, solid });
+        }
     }
 
     /// The first row, in stretches.
@@ -309,11 +331,7 @@ impl Site<'_> {
                 );
             }
             Lining::Shelter => {
-                site_one(
-                    self,
-                    verge.pose(0.5 * (from + to), across + 0.6),
-                    things::shelter(draws),
-                );
+                self.stand(verge.pose(0.5 * (from + to), across + 0.6), 0.0, things::shelter(draws));
             }
             Lining::Works => {
                 let gap = draws.between(1.2, 3.0);
@@ -395,25 +413,22 @@ impl Site<'_> {
             return;
         }
         let area = deep * verge.length() / 100.0;
-        let [shrubs, trees] = growth(verge.kind);
-        for (density, is_tree) in [(shrubs, false), (trees, true)] {
+        for (kind, density) in growth(verge.kind).into_iter().enumerate() {
             let count = (area * density * draws.between(0.5, 1.5)) as usize;
             for _ in 0..count {
                 let pose = verge.pose(draws.between(0.0, verge.length()), FIRST_ROW + deep * draws.unit());
                 let pose = turned(pose, draws);
-                let thing = if is_tree {
-                    things::tree(draws.between(1.5, 3.0), draws.between(3.5, 10.0), draws)
-                } else {
-                    things::bush(draws.between(0.5, 2.6), draws)
+                // Small ones are many.
+                let share = draws.unit() * draws.unit();
+                let thing: Thing = match kind {
+                    0 => things::bush(0.3 + 0.6 * share, draws),
+                    1 => things::bush(0.5 + 2.3 * share, draws),
+                    _ => things::tree(draws.between(1.5, 3.0), draws.between(3.5, 10.0), draws),
                 };
                 self.stand(pose, 0.5, thing);
             }
         }
     }
-}
-
-fn site_one(site: &mut Site, pose: Pose2, parts: Vec<Part>) {
-    site.stand(pose, 0.0, parts);
 }
 
 fn turned(pose: Pose2, draws: &mut Stream) -> Pose2 {

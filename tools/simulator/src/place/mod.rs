@@ -2,6 +2,7 @@
 
 mod clutter;
 mod fixtures;
+mod foliage;
 mod roads;
 mod terrain;
 mod things;
@@ -13,6 +14,7 @@ use crate::Scenario;
 use crate::path::Pose2;
 use crate::random::Stream;
 use crate::solid::{Hit, Solid};
+pub(crate) use foliage::Foliage;
 use terrain::Terrain;
 pub(crate) use verge::{Verge, VergeKind};
 
@@ -21,6 +23,7 @@ pub(crate) struct Scenery {
     pub roads: Roads,
     pub terrain: Terrain,
     pub fixtures: Vec<Fixture>,
+    pub foliage: Vec<Foliage>,
     /// The edges of free ground beside the roads.
     pub verges: Vec<Verge>,
     /// Direction of the main road in `map`, rad.
@@ -46,6 +49,7 @@ impl Scenery {
             roads,
             terrain,
             fixtures,
+            foliage: Vec::new(),
             verges,
             heading,
         }
@@ -53,7 +57,7 @@ impl Scenery {
 
     /// The place with open verges that are lined and overgrown, instead of streets of walls.
     pub fn overgrown(mut self, number: u64) -> Self {
-        const DEPTH: f64 = 14.0;
+        const DEPTH: f64 = 35.0;
         let kinds = [VergeKind::Park, VergeKind::Garden, VergeKind::Field, VergeKind::Park];
         self.verges = Verge::of_grid(&self.roads);
         let mut draws = Stream::new(number, "kinds", 0);
@@ -67,7 +71,8 @@ impl Scenery {
             height: &|x, y| self.walk_height(x, y),
         };
         let clutter = clutter::clutter(&self.verges, &ground, number);
-        self.fixtures.extend(clutter);
+        self.fixtures.extend(clutter.fixtures);
+        self.foliage = clutter.foliage;
         self
     }
 

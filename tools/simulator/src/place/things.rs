@@ -1,10 +1,10 @@
 //! What stands beside roads, as parts: x along the road, y away from it, z = 0 on the ground.
 
+use super::foliage::Mass;
 use crate::random::Stream;
-use crate::solid::{Foliage, Part, Shape, Within};
+use crate::solid::{Part, Shape};
 
-/// Reflectivity of leaves in the near infrared, of concrete, painted metal, and retro-reflecting sheets.
-const LEAF: f64 = 0.45;
+/// Reflectivity of concrete, painted metal, and retro-reflecting sheets.
 const CONCRETE: f64 = 0.35;
 const METAL: f64 = 0.4;
 const SHEET: f64 = 2.5;
@@ -38,68 +38,83 @@ fn pole(x: f64, y: f64, radius: f64, [low, high]: [f64; 2], rho: f64) -> Part {
     solid(shape, rho)
 }
 
-fn leaves(within: Within, depth: f64, draws: &mut Stream) -> Part {
-    let seed = draws.bits();
-    solid(Shape::Foliage(Foliage { within, depth, seed }), LEAF)
+/// What stands somewhere: solid parts, and foliage.
+#[derive(Default)]
+pub(super) struct Thing {
+    pub parts: Vec<Part>,
+    pub masses: Vec<Mass>,
 }
 
-fn ball_of_leaves(center: [f64; 3], radii: [f64; 3], depth: f64, draws: &mut Stream) -> Part {
-    leaves(Within::Ball { center, radii }, depth, draws)
+impl From<Vec<Part>> for Thing {
+    fn from(parts: Vec<Part>) -> Self {
+        Thing {
+            parts,
+            masses: Vec::new(),
+        }
+    }
+}
+
+fn ball(center: [f64; 3], [wide, high]: [f64; 2], depth: f64, draws: &mut Stream) -> Mass {
+    Mass {
+        center,
+        half: [wide, wide, high],
+        block: false,
+        depth,
+        seed: draws.bits(),
+    }
 }
 
 /// A clipped hedge along the road.
-pub(super) fn hedge(length: f64, width: f64, height: f64, depth: f64, draws: &mut Stream) -> Vec<Part> {
-    let (l, w) = (length / 2.0, width / 2.0);
-    let within = Within::Block {
-        low: [-l, -w, 0.0],
-        high: [l, w, height],
+pub(super) fn hedge(length: f64, width: f64, height: f64, depth: f64, draws: &mut Stream) -> Thing {
+    let mass = Mass {
+        center: [0.0, 0.0, height / 2.0],
+        half: [length / 2.0, width / 2.0, height / 2.0],
+        block: true,
+        depth,
+        seed: draws.bits(),
     };
-    vec![leaves(within, depth, draws)]
+    Thing {
+        masses: vec![mass],
+        ..Thing::default()
+    }
 }
 
-/// A shrub of a few round masses.
-pub(super) fn bush(height: f64, draws: &mut Stream) -> Vec<Part> {
+/// A shrub of one or two round masses.
+pub(super) fn bush(height: f64, draws: &mut Stream) -> Thing {
     let spread = height * draws.between(0.35, 0.7);
     let depth = draws.between(0.15, 0.6);
-    (0..1 + draws.below(3))
-        .map(|_| {
-            let top = height * draws.between(0.7, 1.0);
-            let center = [
-                draws.between(-0.6, 0.6) * spread,
-                draws.between(-0.6, 0.6) * spread,
-                0.5 * top,
-            ];
-            let radii = [
-                spread * draws.between(0.5, 0.9),
-                spread * draws.between(0.5, 0.9),
-                0.52 * top,
-            ];
-            ball_of_leaves(center, radii, depth, draws)
-        })
-        .collect()
+    let masses = (0..1 + draws.below(2)).map(|_| {
+        let top = height * draws.between(0.75, 1.0);
+        let aside = [(); 2].map(|()| draws.between(-0.6, 0.6) * spread);
+        let center = [aside[0], aside[1], 0.48 * top];
+        ball(center, [spread * draws.between(0.6, 1.0), 0.52 * top], depth, draws)
+    });
+    Thing {
+        masses: masses.collect(),
+        ..Thing::default()
+    }
 }
 
 /// A tree with its trunk; the crown begins `under` above ground.
-pub(super) fn tree(under: f64, height: f64, draws: &mut Stream) -> Vec<Part> {
+pub(super) fn tree(under: f64, height: f64, draws: &mut Stream) -> Thing {
     let radius = (0.28 * height * draws.between(0.7, 1.3)).min(4.0);
-    let depth = draws.between(0.4, 1.3);
+    let depth = draws.between(0.6, 2.0);
     let middle = 0.5 * (under + height);
-    let mut parts = vec![pole(0.0, 0.0, draws.between(0.06, 0.2), [0.0, middle], 0.25)];
-    for _ in 0..2 + draws.below(3) {
-        let up = (height - under) * draws.between(0.25, 0.5);
-        let center = [
-            draws.between(-0.5, 0.5) * radius,
-            draws.between(-0.5, 0.5) * radius,
-            draws.between(under + up, height - up),
-        ];
-        let wide = radius * draws.between(0.5, 0.9);
-        parts.push(ball_of_leaves(center, [wide, wide, up], depth, draws));
+    let parts = vec![pole(0.0, 0.0, draws.between(0.06, 0.2), [0.0, middle], 0.25)];
+    let masses = (0..1 + draws.below(3)).map(|_| {
+        let up = (height - under) * draws.between(0.3, 0.5);
+        let aside = [(); 2].map(|()| draws.between(-0.5, 0.5) * radius);
+        let center = [aside[0], aside[1], draws.between(under + up, height - up)];
+        ball(center, [radius * draws.between(0.6, 1.0), up], depth, draws)
+    });
+    Thing {
+        masses: masses.collect(),
+        parts,
     }
-    parts
 }
 
 /// High grass and weeds: most rays go through.
-pub(super) fn grass(length: f64, width: f64, height: f64, draws: &mut Stream) -> Vec<Part> {
+pub(super) fn grass(length: f64, width: f64, height: f64, draws: &mut Stream) -> Thing {
     hedge(length, width, height, draws.between(0.8, 2.5), draws)
 }
 
@@ -241,24 +256,31 @@ mod tests {
     fn things_stand_on_the_ground_and_are_of_their_size() {
         let mut draws = Stream::new(1, "things", 0);
         for _ in 0..200 {
-            let all: [(Vec<Part>, f64, f64); 12] = [
+            let all: [(Thing, f64, f64); 12] = [
                 (hedge(3.0, 0.8, 1.1, 0.3, &mut draws), 1.1, 1.1),
-                (bush(1.5, &mut draws), 1.0, 1.6),
+                (bush(1.5, &mut draws), 1.1, 1.6),
                 (tree(1.5, 7.0, &mut draws), 3.0, 7.1),
-                (wall(4.0, 0.2, 0.6), 0.6, 0.6),
-                (rail(4.0), 0.75, 0.75),
-                (fence(4.0, 1.6, 0.7), 1.6, 1.6),
-                (bollard(&mut draws), 0.6, 1.1),
-                (sign(&mut draws), 2.1, 3.4),
-                (bicycles(4, &mut draws), 1.0, 1.1),
-                (shelter(&mut draws), 2.4, 2.75),
-                (cone(), 0.75, 0.75),
-                (barrier(&mut draws), 0.85, 1.0),
+                (wall(4.0, 0.2, 0.6).into(), 0.6, 0.6),
+                (rail(4.0).into(), 0.75, 0.75),
+                (fence(4.0, 1.6, 0.7).into(), 1.6, 1.6),
+                (bollard(&mut draws).into(), 0.6, 1.1),
+                (sign(&mut draws).into(), 2.1, 3.4),
+                (bicycles(4, &mut draws).into(), 1.0, 1.1),
+                (shelter(&mut draws).into(), 2.4, 2.75),
+                (cone().into(), 0.75, 0.75),
+                (barrier(&mut draws).into(), 0.85, 1.0),
             ];
-            for (index, (parts, low, high)) in all.into_iter().enumerate() {
-                let body = Solid::new(parts);
-                assert!(body.low[2].abs() < 0.45, "thing {index} begins at {}", body.low[2]);
-                let top = body.high[2];
+            for (index, (thing, low, high)) in all.into_iter().enumerate() {
+                let spans = thing
+                    .masses
+                    .iter()
+                    .map(|mass| [-1.0, 1.0].map(|side| mass.center[2] + side * mass.half[2]));
+                let body = (!thing.parts.is_empty()).then(|| Solid::new(thing.parts));
+                let spans = spans.chain(body.map(|body| [body.low[2], body.high[2]]));
+                let [foot, top] = spans.fold([f64::MAX, f64::MIN], |all, span| {
+                    [all[0].min(span[0]), all[1].max(span[1])]
+                });
+                assert!(foot.abs() < 0.2, "thing {index} begins at {foot}");
                 assert!(
                     (low - 1e-9..=high + 1e-9).contains(&top),
                     "thing {index} is {top} m high"

@@ -9,7 +9,6 @@ mod ground;
 mod rings;
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
-use std::fmt;
 
 use realo_schemas::{Box3, PointCloud};
 
@@ -100,15 +99,14 @@ pub struct Row {
     pub digits: usize,
 }
 
-impl fmt::Display for Row {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+impl Row {
+    /// The figures as text; `-` where there are none.
+    pub fn figures(&self) -> String {
         let values: Vec<String> = self.values.iter().map(|v| format!("{v:.*}", self.digits)).collect();
-        let values = if values.is_empty() {
-            "-".into()
-        } else {
-            values.join(" / ")
-        };
-        write!(f, "{:<64} {values}", self.name)
+        match values.is_empty() {
+            true => "-".into(),
+            false => values.join(" / "),
+        }
     }
 }
 

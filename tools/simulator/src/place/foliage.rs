@@ -1,0 +1,191 @@
+//! Leaves and twigs: a medium that rays get into, and through.
+
+use crate::path::Pose2;
+use crate::random::{mix, unit_of};
+use crate::solid::Hit;
+
+/// Reflectivity of leaves in the near infrared, and the cosine that stands for leaves, which point anywhere.
+const RHO: f64 = 0.45;
+const COS: f64 = 0.6;
+/// Lumps along a metre.
+const LUMPS: f64 = 3.3;
+/// How far lumps may stand back behind the outline, m.
+const SETBACK: f64 = 0.15;
+/// What is as high as this or higher is seen as far as anything, m; what is lower ends at `LOW_REACH`.
+const HIGH: f64 = 2.5;
+const LOW_REACH: f64 = 130.0;
+
+/// An upright ball or block of foliage in lumps of about 0.3 m. A ray that enters returns at a depth that is
+/// distributed exponentially, with a mean that differs from lump to lump, unless it has left before.
+#[derive(Clone, Debug)]
+pub(crate) struct Foliage {
+    pub center: [f64; 3],
+    /// Half the sizes along, across and up, m.
+    pub half: [f64; 3],
+    inverse: [f64; 3],
+    cos_sin: [f64; 2],
+    block: bool,
+    /// Mean depth that a ray gets into it: one over its extinction coefficient, m.
+    depth: f64,
+    /// Tells its lumps from those of others.
+    seed: u64,
+}
+
+/// What foliage fills, in the frame of the thing that it belongs to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Mass {
+    pub center: [f64; 3],
+    pub half: [f64; 3],
+    pub block: bool,
+    pub depth: f64,
+    pub seed: u64,
+}
+
+impl Foliage {
+    /// A mass of a thing that stands at a pose, with its foot at a height.
+    pub fn stand(mass: &Mass, pose: Pose2, z: f64) -> Foliage {
+        let (sin, cos) = libm::sincos(pose.heading);
+        let [u, v, w] = mass.center;
+        Foliage {
+            center: [pose.x + u * cos - v * sin, pose.y + u * sin + v * cos, z + w],
+            half: mass.half,
+            inverse: mass.half.map(|half| 1.0 / half),
+            cos_sin: [cos, sin],
+            block: mass.block,
+            depth: mass.depth,
+            seed: mass.seed,
+        }
+    }
+
+    /// Radius of the circle around it, m.
+    pub fn radius(&self) -> f64 {
+        let [a, b, _] = self.half;
+        if self.block { (a * a + b * b).sqrt() } else { a.max(b) }
+    }
+
+    /// How far it is looked for, m.
+    pub fn reach(&self) -> f64 {
+        if self.center[2] + self.half[2] < HIGH {
+            LOW_REACH
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    /// Where a ray returns before `limit`; `chance` is the ray's own hash.
+    #[inline]
+    pub fn cast(&self, origin: &[f64; 3], ray: &[f64; 3], limit: f64, chance: u64) -> Option<Hit> {
+        let [cos, sin] = self.cos_sin;
+        let [ia, ib, ic] = self.inverse;
+        let (x, y) = (origin[0] - self.center[0], origin[1] - self.center[1]);
+        let from = [
+            (cos * x + sin * y) * ia,
+            (cos * y - sin * x) * ib,
+            (origin[2] - self.center[2]) * ic,
+        ];
+        let step = [
+            (cos * ray[0] + sin * ray[1]) * ia,
+            (cos * ray[1] - sin * ray[0]) * ib,
+            ray[2] * ic,
+        ];
+        let (enter, leave) = if self.block {
+            in_block(&from, &step)
+        } else {
+            in_ball(&from, &step)?
+        };
+        let (enter, leave) = (enter.max(0.0), leave.min(limit));
+        if enter >= leave {
+            return None;
+        }
+        let lump = (0..3).fold(self.seed, |hash, k| {
+            let cell = ((from[k] + step[k] * enter) * self.half[k] * LUMPS + 4096.0) as i32 as u64;
+            hash.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(cell)
+        });
+        let lump = mix(lump);
+        let thin = 0.3 + 1.4 * (lump & 0xffff) as f64 * (1.0 / 65_536.0);
+        let back = SETBACK * (lump >> 16 & 0xffff) as f64 * (1.0 / 65_536.0);
+        let depth = self.depth * thin;
+        // Nobody needs the logarithm of a ray that is through: 1 − e^−x <= x.
+        let draw = unit_of(mix(chance ^ self.seed));
+        if draw * depth > leave - enter {
+            return None;
+        }
+        let t = enter + back - depth * libm::log(1.0 - draw);
+        (t < leave).then_some(Hit { t, cos: COS, rho: RHO })
+    }
+}
+
+#[inline]
+fn in_ball(from: &[f64; 3], step: &[f64; 3]) -> Option<(f64, f64)> {
+    let a = step[0] * step[0] + step[1] * step[1] + step[2] * step[2];
+    let b = from[0] * step[0] + from[1] * step[1] + from[2] * step[2];
+    let c = from[0] * from[0] + from[1] * from[1] + from[2] * from[2] - 1.0;
+    let discriminant = b * b - a * c;
+    (discriminant > 0.0).then(|| {
+        let (half, inverse) = (discriminant.sqrt(), 1.0 / a);
+        ((-b - half) * inverse, (-b + half) * inverse)
+    })
+}
+
+#[inline]
+fn in_block(from: &[f64; 3], step: &[f64; 3]) -> (f64, f64) {
+    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+    for k in 0..3 {
+        let inverse = 1.0 / step[k];
+        let (a, b) = ((-1.0 - from[k]) * inverse, (1.0 - from[k]) * inverse);
+        let (near, far) = if a < b { (a, b) } else { (b, a) };
+        enter = if near > enter { near } else { enter };
+        leave = if far < leave { far } else { leave };
+    }
+    (enter, leave)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hits(block: bool, depth: f64) -> Vec<f64> {
+        let mass = Mass {
+            center: [10.0, 0.0, 1.0],
+            half: [1.0, 3.0, 1.0],
+            block,
+            depth,
+            seed: 5,
+        };
+        let pose = Pose2 {
+            x: 0.0,
+            y: 0.0,
+            heading: 0.0,
+        };
+        let foliage = Foliage::stand(&mass, pose, 0.0);
+        let ray = |i: u64| {
+            let (y, z) = ((i % 200) as f64 * 0.01 - 1.0, (i / 200) as f64 * 0.02 + 0.5);
+            foliage.cast(&[0.0, y, z], &[1.0, 0.0, 0.0], 100.0, mix(i))
+        };
+        (0..10_000).filter_map(ray).map(|hit| hit.t).collect()
+    }
+
+    #[test]
+    fn depth_is_exponential_and_some_rays_get_through() {
+        for block in [true, false] {
+            let found = hits(block, 0.5);
+            assert!(found.iter().all(|t| (9.0..11.0).contains(t)));
+            // On average a ray gets through lumps of 0.15 to 0.85 m: a few per cent of them past 2 m.
+            let through = 1.0 - found.len() as f64 / 10_000.0;
+            assert!((0.005..0.15).contains(&through), "{through} got through");
+            let mean = found.iter().sum::<f64>() / found.len() as f64 - 9.0;
+            assert!((0.3..0.75).contains(&mean), "{mean} m deep");
+        }
+        assert!(hits(true, 20.0).len() < 2000, "thin foliage lets most rays through");
+    }
+
+    #[test]
+    fn neighbouring_rays_differ() {
+        let found = hits(true, 0.4);
+        let off = found
+            .windows(3)
+            .filter(|t| (t[1] - 0.5 * (t[0] + t[2])).abs() > 0.1)
+            .count();
+        assert!(off * 2 > found.len(), "{off} of {}", found.len());
+    }
+}
