@@ -45,6 +45,7 @@ mod place;
 mod poses;
 mod random;
 mod sensor;
+mod shapes;
 mod simulation;
 mod solid;
 pub mod statistics;

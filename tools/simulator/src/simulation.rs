@@ -69,7 +69,10 @@ impl Simulation {
             dense: options.dense,
             seconds: options.seconds,
         };
-        let traffic = Traffic::new(&demand);
+        let mut traffic = Traffic::new(&demand);
+        if options.overgrown {
+            traffic.round_off(options.seed);
+        }
         let agents = Agent::all(&options, &place, &traffic);
         let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
         Ok(Simulation {

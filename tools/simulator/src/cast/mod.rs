@@ -18,6 +18,9 @@ use thicket::Thicket;
 /// Coordinates are multiples of this, m, so that they compress; finer than any range step.
 const GRID: f64 = 1.0 / 1024.0;
 
+/// Rays that fall less than this are likely to meet foliage before the ground.
+const FLAT: f64 = 0.06;
+
 /// What there is to be seen.
 #[derive(Clone, Copy)]
 pub(crate) struct World<'a> {
@@ -171,16 +174,23 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
             let limit = sensor.optics.farthest;
             let met = instances.cast(azimuth + beam.azimuth, level, &origin, &ray, t, limit, hash);
             let limit = met.map_or(limit, |(hit, _)| hit.t);
-            let ground = world.place.cast_ground(origin, ray, limit);
-            let first = match ground {
-                Some(ground) => Some((ground, None)),
-                None => met,
-            };
-            let leaves = thicket.as_ref().and_then(|thicket| {
-                let limit = first.map_or(limit, |(hit, _)| hit.t);
+            // The nearest counts, whatever is looked for first: what is likely to be near, so that less is left to search.
+            let flat = ray[2] > -FLAT * level;
+            let leaves = |limit| {
+                let thicket = thicket.as_ref()?;
                 thicket.cast(azimuth + beam.azimuth, level, &origin, &ray, limit, hash)
-            });
-            let Some((hit, user)) = leaves.map(|leaves| (leaves, None)).or(first) else {
+            };
+            let early = if flat { leaves(limit) } else { None };
+            let met = early.map(|hit| (hit, None)).or(met);
+            let limit = met.map_or(limit, |(hit, _)| hit.t);
+            let ground = world.place.cast_ground(origin, ray, limit);
+            let met = ground.map(|hit| (hit, None)).or(met);
+            let late = if flat {
+                None
+            } else {
+                leaves(met.map_or(limit, |(hit, _)| hit.t))
+            };
+            let Some((hit, user)) = late.map(|hit| (hit, None)).or(met) else {
                 continue;
             };
             let Some((range, intensity)) = receive(&sensor.optics, &hit, hash) else {

@@ -9,81 +9,93 @@ use crate::solid::Hit;
 
 const BINS: usize = 1600;
 
-/// The foliage of one sweep, by azimuth.
-pub(super) struct Thicket<'a> {
-    near: Vec<Near<'a>>,
-    /// `entries[starts[bin]..starts[bin + 1]]`: what is in a bin, nearest first.
-    starts: Vec<u32>,
-    entries: Vec<Entry>,
-    bins_per_radian: f64,
-}
+/// Entries that are looked at together.
+const TOGETHER: usize = 8;
 
-struct Near<'a> {
-    foliage: &'a Foliage,
-    bins: [u32; 2],
-    entry: Entry,
+/// The foliage of one sweep, by azimuth.
+pub(super) struct Thicket {
+    /// What is in reach, nearest first.
+    near: Vec<Foliage>,
+    /// `blocks[starts[bin]..starts[bin + 1]]`: what is in a bin, nearest first.
+    starts: Vec<u32>,
+    blocks: Vec<Block>,
+    bins_per_radian: f64,
 }
 
 /// What decides whether a mass of a bin is looked at, rounded outwards: least distance over ground, m, and bounds of
 /// the slope of rays that can meet it.
-#[derive(Clone, Copy, Default)]
-struct Entry {
+#[derive(Clone, Copy)]
+struct Bounds {
     near: f32,
     low: f32,
     high: f32,
-    index: u32,
 }
 
-impl<'a> Thicket<'a> {
+/// Bounds of some masses of a bin; what is left over can never be met.
+#[derive(Clone, Copy)]
+struct Block {
+    near: [f32; TOGETHER],
+    low: [f32; TOGETHER],
+    high: [f32; TOGETHER],
+    index: [u32; TOGETHER],
+}
+
+const EMPTY: Block = Block {
+    near: [f32::INFINITY; TOGETHER],
+    low: [f32::INFINITY; TOGETHER],
+    high: [f32::NEG_INFINITY; TOGETHER],
+    index: [0; TOGETHER],
+};
+
+impl Thicket {
     /// What an agent can see; `sensor` is its body in the middle of the sweep.
-    pub fn new(all: &'a [Foliage], agent: &Agent, sensor: &BodyState) -> Self {
+    pub fn new(all: &[Foliage], agent: &Agent, sensor: &BodyState) -> Self {
         let span = Span::of(agent);
         let bin = span.all / BINS as f64;
-        let mut near: Vec<Near> = Vec::new();
-        for foliage in all {
-            let Some((mut entry, azimuth, half)) = seen(foliage, agent, sensor, span) else {
+        let mut found: Vec<(Bounds, [u16; 2], u32)> = Vec::new();
+        for (index, foliage) in all.iter().enumerate() {
+            let Some((bounds, azimuth, half)) = seen(foliage, agent, sensor, span) else {
                 continue;
             };
             for turn in [-TAU, 0.0, TAU] {
                 let low = (azimuth + turn - half + LEAD) / bin;
                 let high = (azimuth + turn + half + LEAD) / bin;
-                if high < 0.0 || low >= BINS as f64 {
-                    continue;
+                if high >= 0.0 && low < BINS as f64 {
+                    let bins = [low.max(0.0) as u16, (high as u16).min(BINS as u16 - 1)];
+                    found.push((bounds, bins, index as u32));
                 }
-                entry.index = near.len() as u32;
-                let bins = [low.max(0.0) as u32, (high as u32).min(BINS as u32 - 1)];
-                near.push(Near { foliage, bins, entry });
             }
         }
         // Stable: at equal distance the order of the place decides.
-        let mut order: Vec<u32> = (0..near.len() as u32).collect();
-        order.sort_by(|a, b| near[*a as usize].entry.near.total_cmp(&near[*b as usize].entry.near));
-        let mut starts = vec![0u32; BINS + 1];
-        for Near { bins: [from, to], .. } in &near {
-            for count in &mut starts[*from as usize + 1..=*to as usize + 1] {
-                *count += 1;
-            }
+        found.sort_by(|a, b| a.0.near.total_cmp(&b.0.near));
+        let mut counts = [0u32; BINS];
+        for (_, [from, to], _) in &found {
+            counts[usize::from(*from)..=usize::from(*to)]
+                .iter_mut()
+                .for_each(|count| *count += 1);
         }
-        for bin in 0..BINS {
-            starts[bin + 1] += starts[bin];
+        let mut starts = Vec::with_capacity(BINS + 1);
+        starts.push(0);
+        for count in &counts {
+            starts.push(starts[starts.len() - 1] + count.div_ceil(TOGETHER as u32));
         }
-        let mut fill = starts.clone();
-        let mut entries = vec![Entry::default(); starts[BINS] as usize];
-        for index in order {
-            let Near {
-                bins: [from, to],
-                entry,
-                ..
-            } = near[index as usize];
-            for next in &mut fill[from as usize..=to as usize] {
-                entries[*next as usize] = entry;
-                *next += 1;
+        let mut blocks = vec![EMPTY; starts[BINS] as usize];
+        let mut fill = [0usize; BINS];
+        for (index, (bounds, [from, to], _)) in found.iter().enumerate() {
+            for bin in usize::from(*from)..=usize::from(*to) {
+                let block = &mut blocks[starts[bin] as usize + fill[bin] / TOGETHER];
+                let place = fill[bin] % TOGETHER;
+                block.near[place] = bounds.near;
+                block.low[place] = bounds.low;
+                block.high[place] = bounds.high;
+                block.index[place] = index as u32;
+                fill[bin] += 1;
             }
         }
         Thicket {
-            near,
+            near: found.iter().map(|(_, _, index)| all[*index as usize].clone()).collect(),
             starts,
-            entries,
+            blocks,
             bins_per_radian: 1.0 / bin,
         }
     }
@@ -105,18 +117,26 @@ impl<'a> Thicket<'a> {
         let mut limit = limit;
         let mut reach = (limit * level) as f32;
         let mut best = None;
-        for entry in &self.entries[self.starts[bin] as usize..self.starts[bin + 1] as usize] {
-            if entry.near > reach {
+        for block in &self.blocks[self.starts[bin] as usize..self.starts[bin + 1] as usize] {
+            if block.near[0] > reach {
                 break;
             }
-            if slope < entry.low || slope > entry.high {
-                continue;
+            let mut mask = 0u32;
+            for k in 0..TOGETHER {
+                let meets = (block.near[k] <= reach) & (block.low[k] <= slope) & (block.high[k] >= slope);
+                mask |= u32::from(meets) << k;
             }
-            let foliage = self.near[entry.index as usize].foliage;
-            if let Some(hit) = foliage.cast(origin, ray, limit, chance) {
-                limit = hit.t;
-                reach = (limit * level) as f32;
-                best = Some(hit);
+            while mask != 0 {
+                let k = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
+                let foliage = &self.near[block.index[k] as usize];
+                if block.near[k] <= reach
+                    && let Some(hit) = foliage.cast(origin, ray, limit, chance)
+                {
+                    limit = hit.t;
+                    reach = (limit * level) as f32;
+                    best = Some(hit);
+                }
             }
         }
         best
@@ -124,7 +144,7 @@ impl<'a> Thicket<'a> {
 }
 
 /// Bounds, middle azimuth and half width of a mass; `None` if it is out of reach.
-fn seen(foliage: &Foliage, agent: &Agent, sensor: &BodyState, span: Span) -> Option<(Entry, f64, f64)> {
+fn seen(foliage: &Foliage, agent: &Agent, sensor: &BodyState, span: Span) -> Option<(Bounds, f64, f64)> {
     let (x, y) = (
         foliage.center[0] - sensor.position[0],
         foliage.center[1] - sensor.position[1],
@@ -154,15 +174,14 @@ fn seen(foliage: &Foliage, agent: &Agent, sensor: &BodyState, span: Span) -> Opt
     };
     let eye = sensor.position[2] + agent.info.sensor_height;
     let rise = 0.5 * TURN * vz.abs() + 0.05;
-    let foot = foliage.center[2] - foliage.half[2] - eye - rise;
-    let top = foliage.center[2] + foliage.half[2] - eye + rise;
+    let foot = foliage.center[2] - foliage.rise() - eye - rise;
+    let top = foliage.center[2] + foliage.rise() - eye + rise;
     let (least, most) = ((distance - radius - moved).max(1e-3), distance + radius + moved);
     let slope = |height: f64, toward: f64| (height / if height * toward > 0.0 { least } else { most }) as f32;
-    let entry = Entry {
+    let bounds = Bounds {
         near: ((distance - radius - moved).max(0.0) * 0.999_99) as f32,
         low: slope(foot, -1.0) - 1e-5,
         high: slope(top, 1.0) + 1e-5,
-        index: 0,
     };
-    Some((entry, azimuth + shifted, half))
+    Some((bounds, azimuth + shifted, half))
 }

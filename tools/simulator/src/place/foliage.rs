@@ -11,9 +11,10 @@ const COS: f64 = 0.6;
 const LUMPS: f64 = 3.3;
 /// How far lumps may stand back behind the outline, m.
 const SETBACK: f64 = 0.15;
-/// What is as high as this or higher is seen as far as anything, m; what is lower ends at `LOW_REACH`.
-const HIGH: f64 = 2.5;
-const LOW_REACH: f64 = 130.0;
+/// What is lower than twice this is looked for up to `LOW_REACH`, the rest up to `HIGH_REACH`, m.
+const LOW: f64 = 1.0;
+const LOW_REACH: f64 = 110.0;
+const HIGH_REACH: f64 = 180.0;
 
 /// An upright ball or block of foliage in lumps of about 0.3 m. A ray that enters returns at a depth that is
 /// distributed exponentially, with a mean that differs from lump to lump, unless it has left before.
@@ -21,12 +22,12 @@ const LOW_REACH: f64 = 130.0;
 pub(crate) struct Foliage {
     pub center: [f64; 3],
     /// Half the sizes along, across and up, m.
-    pub half: [f64; 3],
-    inverse: [f64; 3],
-    cos_sin: [f64; 2],
+    half: [f32; 3],
+    inverse: [f32; 3],
+    cos_sin: [f32; 2],
     block: bool,
     /// Mean depth that a ray gets into it: one over its extinction coefficient, m.
-    depth: f64,
+    depth: f32,
     /// Tells its lumps from those of others.
     seed: u64,
 }
@@ -48,46 +49,45 @@ impl Foliage {
         let [u, v, w] = mass.center;
         Foliage {
             center: [pose.x + u * cos - v * sin, pose.y + u * sin + v * cos, z + w],
-            half: mass.half,
-            inverse: mass.half.map(|half| 1.0 / half),
-            cos_sin: [cos, sin],
+            half: mass.half.map(|half| half as f32),
+            inverse: mass.half.map(|half| (1.0 / half) as f32),
+            cos_sin: [cos as f32, sin as f32],
             block: mass.block,
-            depth: mass.depth,
+            depth: mass.depth as f32,
             seed: mass.seed,
         }
     }
 
     /// Radius of the circle around it, m.
     pub fn radius(&self) -> f64 {
-        let [a, b, _] = self.half;
+        let [a, b, _] = self.half.map(f64::from);
         if self.block { (a * a + b * b).sqrt() } else { a.max(b) }
+    }
+
+    /// Half its height, m.
+    pub fn rise(&self) -> f64 {
+        f64::from(self.half[2])
     }
 
     /// How far it is looked for, m.
     pub fn reach(&self) -> f64 {
-        if self.center[2] + self.half[2] < HIGH {
-            LOW_REACH
-        } else {
-            f64::INFINITY
-        }
+        if self.rise() < LOW { LOW_REACH } else { HIGH_REACH }
     }
 
     /// Where a ray returns before `limit`; `chance` is the ray's own hash.
     #[inline]
     pub fn cast(&self, origin: &[f64; 3], ray: &[f64; 3], limit: f64, chance: u64) -> Option<Hit> {
-        let [cos, sin] = self.cos_sin;
-        let [ia, ib, ic] = self.inverse;
+        let [ia, ib, ic] = self.inverse.map(f64::from);
         let (x, y) = (origin[0] - self.center[0], origin[1] - self.center[1]);
-        let from = [
-            (cos * x + sin * y) * ia,
-            (cos * y - sin * x) * ib,
-            (origin[2] - self.center[2]) * ic,
-        ];
-        let step = [
-            (cos * ray[0] + sin * ray[1]) * ia,
-            (cos * ray[1] - sin * ray[0]) * ib,
-            ray[2] * ic,
-        ];
+        let (mut from, mut step) = ([x, y], [ray[0], ray[1]]);
+        // Balls are round from above.
+        if self.block {
+            let [cos, sin] = self.cos_sin.map(f64::from);
+            from = [cos * x + sin * y, cos * y - sin * x];
+            step = [cos * ray[0] + sin * ray[1], cos * ray[1] - sin * ray[0]];
+        }
+        let from = [from[0] * ia, from[1] * ib, (origin[2] - self.center[2]) * ic];
+        let step = [step[0] * ia, step[1] * ib, ray[2] * ic];
         let (enter, leave) = if self.block {
             in_block(&from, &step)
         } else {
@@ -98,13 +98,13 @@ impl Foliage {
             return None;
         }
         let lump = (0..3).fold(self.seed, |hash, k| {
-            let cell = ((from[k] + step[k] * enter) * self.half[k] * LUMPS + 4096.0) as i32 as u64;
+            let cell = ((from[k] + step[k] * enter) * f64::from(self.half[k]) * LUMPS + 4096.0) as i32 as u64;
             hash.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(cell)
         });
         let lump = mix(lump);
         let thin = 0.3 + 1.4 * (lump & 0xffff) as f64 * (1.0 / 65_536.0);
         let back = SETBACK * (lump >> 16 & 0xffff) as f64 * (1.0 / 65_536.0);
-        let depth = self.depth * thin;
+        let depth = f64::from(self.depth) * thin;
         // Nobody needs the logarithm of a ray that is through: 1 − e^−x <= x.
         let draw = unit_of(mix(chance ^ self.seed));
         if draw * depth > leave - enter {

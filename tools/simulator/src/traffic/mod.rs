@@ -118,6 +118,15 @@ impl Traffic {
         Self::assemble(crowd, seed, until)
     }
 
+    /// Gives everybody the rounded body that sensors of newer places meet.
+    pub fn round_off(&mut self, seed: u64) {
+        for (index, user) in self.users.iter_mut().enumerate() {
+            user.solid = user
+                .class
+                .shape(user.size, &mut Stream::new(seed, "shape", index as u64));
+        }
+    }
+
     fn assemble(crowd: Vec<Arrival>, seed: u64, until: f64) -> Self {
         let kept = without_overlaps(crowd, until);
         let mut cavs = [0; 2];
