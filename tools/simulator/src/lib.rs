@@ -53,7 +53,9 @@ mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
 pub use bench::{Bench, SensorBench, bench};
-pub use options::{AGENTS, EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario};
+pub use options::{
+    AGENTS, EPOCH, Error, MOST_AGENTS, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Weather, fleet,
+};
 pub use poses::PoseSample;
 pub use sensor::{Sensor, SensorError};
 pub use simulation::{Simulation, Sweep, Sweeps};

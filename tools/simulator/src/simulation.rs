@@ -73,7 +73,7 @@ impl Simulation {
         if options.overgrown {
             traffic.round_off(options.seed);
         }
-        let agents = Agent::all(&options, &place, &traffic);
+        let agents = Agent::all(&options, &place, &traffic)?;
         let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
         Ok(Simulation {
             options,
@@ -144,6 +144,7 @@ impl Simulation {
             clouds: options.clouds,
             labels: options.labels,
             column_stride: options.column_stride,
+            extinction: options.weather.extinction(),
         };
         let Cast {
             cloud,

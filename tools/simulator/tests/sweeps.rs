@@ -3,7 +3,7 @@
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, from_seconds};
 use realo_simulator::{
-    EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Simulation, Sweep,
+    EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Sensor, Simulation, Sweep, fleet,
 };
 
 fn simulate(change: impl FnOnce(&mut Options)) -> Simulation {
@@ -519,11 +519,11 @@ fn agents_that_do_not_record_are_still_there() {
     let few: Vec<_> = simulation.sweeps().filter(|s| &*s.agent == "cav1").collect();
     assert_eq!(all, few);
     let error = Simulation::new(&Options {
-        agents: vec!["cav3".into()],
+        agents: vec!["car3".into()],
         ..Options::default()
     })
     .err();
-    assert_eq!(error, Some(Error::UnknownAgent { found: "cav3".into() }));
+    assert_eq!(error, Some(Error::UnknownAgent { found: "car3".into() }));
 }
 
 #[test]
@@ -552,5 +552,105 @@ fn scored_sweeps_alone_are_those_of_the_whole_log() {
     assert_eq!(
         few.poses("cav1").map(|poses| poses.len()),
         log(false).poses("cav1").map(|poses| poses.len())
+    );
+}
+
+/// The world of newer places: foliage, rounded bodies, sensors with mounts and errors.
+fn overgrown(change: impl FnOnce(&mut Options)) -> Simulation {
+    simulate(|options| {
+        options.overgrown = true;
+        options.vehicle_sensors = vec![
+            Sensor::named("pandar40p").unwrap(),
+            Sensor::named("spinning-16").unwrap(),
+        ];
+        options.roadside_sensors = vec![Sensor::named("forward-scan").unwrap()];
+        options.weather.rain_mm_h = 5.0;
+        change(options);
+    })
+}
+
+#[test]
+fn overgrown_places_give_the_same_bits_everywhere() {
+    let all = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| overgrown(|o| o.column_stride = 10).sweeps().collect::<Vec<_>>())
+    };
+    let [one, three] = [1, 3].map(all);
+    assert_eq!(one, three);
+    assert_eq!(format!("{:016x}", digest(&one)), "");
+}
+
+#[test]
+fn a_fleet_has_sixteen_agents_of_all_sensors() {
+    let sensors: Vec<_> = Sensor::names().map(|name| Sensor::named(name).unwrap()).collect();
+    let simulation = simulate(|o| {
+        (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20);
+        o.agents = fleet(10, 6).unwrap();
+        (o.vehicle_sensors, o.roadside_sensors) = (sensors.clone(), sensors.clone());
+    });
+    let sweeps: Vec<_> = simulation.sweeps().collect();
+    let names: Vec<&str> = simulation.agents().map(|agent| &*agent.name).collect();
+    assert_eq!(
+        (names.len(), names[0], names[9], names[10], names[15]),
+        (16, "cav1", "cav10", "rsu1", "rsu6")
+    );
+    for (agent, info) in simulation.agents().enumerate() {
+        let sweep = sweeps.iter().find(|sweep| sweep.agent == info.name).unwrap();
+        assert!(sweep.cloud.len() > 200, "{}: {} points", info.name, sweep.cloud.len());
+        let pose = &simulation.poses(&info.name).unwrap()[0]
+            .truth
+            .map_from_body
+            .translation
+            .vector;
+        for other in simulation.agents().take(agent) {
+            let there = &simulation.poses(&other.name).unwrap()[0]
+                .truth
+                .map_from_body
+                .translation
+                .vector;
+            assert!((pose - there).norm() > 2.5, "{} stands in {}", info.name, other.name);
+        }
+    }
+    let four: Vec<_> = simulate(|o| (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20))
+        .sweeps()
+        .collect();
+    let more = simulate(|o| {
+        (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20);
+        o.agents = fleet(3, 3).unwrap();
+    });
+    let same: Vec<_> = more
+        .sweeps()
+        .filter(|sweep| four.iter().any(|s| s.agent == sweep.agent))
+        .collect();
+    assert_eq!(same, four, "the first four do not mind the others");
+    let lonely = |o: &mut Options| (o.seconds, o.agents) = (600.0, fleet(16, 0).unwrap());
+    let mut options = Options::default();
+    lonely(&mut options);
+    let error = Simulation::new(&Options {
+        seconds: 60.0,
+        ..options
+    })
+    .err();
+    assert!(error.is_none_or(|error| error.to_string().contains("no car for")));
+}
+
+#[test]
+fn fog_takes_what_is_far() {
+    let count = |visibility_m| {
+        let simulation = overgrown(|o| {
+            (o.seconds, o.column_stride) = (0.1, 10);
+            o.weather.visibility_m = visibility_m;
+        });
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let far = |sweep: &Sweep| {
+            let beyond = |i: &usize| sweep.cloud.x[*i].hypot(sweep.cloud.y[*i]) > 60.0;
+            (0..sweep.cloud.len()).filter(beyond).count()
+        };
+        sweeps.iter().map(far).sum::<usize>()
+    };
+    let (clear, fog) = (count(None), count(Some(60.0)));
+    assert!(
+        clear > 100 && fog * 4 < clear,
+        "{clear} points beyond 60 m in clear air, {fog} in fog"
     );
 }

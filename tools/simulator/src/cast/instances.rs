@@ -3,6 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use super::World;
+use super::table::{Bounds, Table, TableOf};
 use crate::agents::{Agent, BodyState};
 use crate::path::Pose2;
 use crate::solid::{Hit, Solid};
@@ -15,6 +16,9 @@ const SECTORS: usize = 40;
 const BINS_PER_SECTOR: usize = 40;
 /// Sensors of the first places see no farther, m.
 const FARTHEST: f64 = 255.0;
+/// Where a place is overgrown, what is lower than this is looked for up to `LOW_REACH`, m.
+const LOW: f64 = 2.2;
+const LOW_REACH: f64 = 120.0;
 /// Duration of a sweep, s.
 pub(super) const TURN: f64 = 0.1;
 
@@ -96,19 +100,8 @@ impl Instance<'_> {
 /// The bodies of one sweep, by azimuth.
 pub(super) struct Instances<'a> {
     all: Vec<Instance<'a>>,
-    /// `entries[starts[bin]..starts[bin + 1]]`: the instances of a bin, nearest first.
-    starts: Vec<u32>,
-    entries: Vec<Entry>,
+    table: Table,
     bins_per_radian: f64,
-}
-
-/// What decides whether an instance of a bin is looked at, rounded outwards.
-#[derive(Clone, Copy, Default)]
-struct Entry {
-    near: f32,
-    low: f32,
-    high: f32,
-    index: u32,
 }
 
 /// A body and where it may be found in time.
@@ -136,7 +129,14 @@ impl<'a> Instances<'a> {
             .map(|t| (t, agent.body(world.place, world.traffic, t)))
             .collect();
         let mut found = Vec::new();
+        let [eye_x, eye_y, _] = sectors[SECTORS / 2].1.position;
+        let overgrown = !world.place.foliage.is_empty();
         for fixture in &world.place.fixtures {
+            let (dx, dy) = (fixture.pose.x - eye_x, fixture.pose.y - eye_y);
+            let low = fixture.solid.high[2] - fixture.solid.low[2] < LOW;
+            if overgrown && low && dx * dx + dy * dy > LOW_REACH * LOW_REACH {
+                continue;
+            }
             let footing = Footing {
                 z: fixture.z,
                 slope: [0.0; 2],
@@ -185,35 +185,20 @@ impl<'a> Instances<'a> {
     fn sorted(mut found: Vec<(Instance<'a>, [usize; 2])>, span: Span) -> Self {
         // Stable: at equal distance the order of fixtures and road users decides.
         found.sort_by(|a, b| a.0.near.total_cmp(&b.0.near));
-        let bins = SECTORS * BINS_PER_SECTOR;
-        let mut starts = vec![0u32; bins + 1];
-        for (_, [from, to]) in &found {
-            starts[from + 1..=to + 1].iter_mut().for_each(|count| *count += 1);
-        }
-        for bin in 0..bins {
-            starts[bin + 1] += starts[bin];
-        }
-        let mut fill = starts.clone();
-        let mut entries = vec![Entry::default(); starts[bins] as usize];
-        for (index, (instance, [from, to])) in found.iter().enumerate() {
+        let mut table = TableOf::new(SECTORS * BINS_PER_SECTOR, found.iter().map(|(_, bins)| *bins));
+        for (index, (instance, bins)) in found.iter().enumerate() {
             let [low, high] = instance.slopes.map(|slope| slope as f32);
             let margin = |slope: f32| 1e-6 + 1e-6 * slope.abs();
-            let (low, high) = (low - margin(low), high + margin(high));
-            let entry = Entry {
+            let bounds = Bounds {
                 near: instance.near as f32 * 0.999_999,
-                low,
-                high,
-                index: index as u32,
+                low: low - margin(low),
+                high: high + margin(high),
             };
-            for next in &mut fill[*from..=*to] {
-                entries[*next as usize] = entry;
-                *next += 1;
-            }
+            table.add(*bins, bounds, index as u32);
         }
         Instances {
             all: found.into_iter().map(|(instance, _)| instance).collect(),
-            starts,
-            entries,
+            table: table.finish(),
             bins_per_radian: 1.0 / span.bin,
         }
     }
@@ -232,27 +217,16 @@ impl<'a> Instances<'a> {
         limit: f64,
         chance: u64,
     ) -> Option<(Hit, Option<u32>)> {
-        let bin = (((azimuth + LEAD) * self.bins_per_radian) as i32 as usize).min(SECTORS * BINS_PER_SECTOR - 1);
-        let range = self.starts[bin] as usize..self.starts[bin + 1] as usize;
+        let bin = ((azimuth + LEAD) * self.bins_per_radian) as i32 as usize;
         let mut best = None;
-        let mut limit = limit;
         let slope = (ray[2] / level) as f32;
-        let mut reach = (limit * level) as f32;
-        for entry in &self.entries[range] {
-            if entry.near > reach {
-                break;
-            }
-            if slope < entry.low || slope > entry.high {
-                continue;
-            }
-            let instance = &self.all[entry.index as usize];
-            let own_hash = chance ^ u64::from(entry.index).wrapping_mul(0xd6e8_feb8_6659_fd93);
-            if let Some(hit) = instance.cast(origin, ray, t, limit, own_hash) {
-                limit = hit.t;
-                reach = (limit * level) as f32;
-                best = Some((hit, instance.user));
-            }
-        }
+        self.table.each(bin, slope, limit, level, |index, limit| {
+            let instance = &self.all[index as usize];
+            let own_hash = chance ^ u64::from(index).wrapping_mul(0xd6e8_feb8_6659_fd93);
+            let hit = instance.cast(origin, ray, t, limit, own_hash)?;
+            best = Some((hit, instance.user));
+            Some(hit.t)
+        });
         best
     }
 }

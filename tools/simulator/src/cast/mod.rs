@@ -1,6 +1,7 @@
 //! A sweep: rays against the moving world as the sensor turns, and what comes back of them.
 
 mod instances;
+mod table;
 mod thicket;
 
 use std::f64::consts::PI;
@@ -39,6 +40,8 @@ pub(crate) struct Casting {
     pub clouds: bool,
     pub labels: bool,
     pub column_stride: usize,
+    /// What the air takes of the light, 1/m.
+    pub extinction: f64,
 }
 
 /// What a sweep gives.
@@ -124,6 +127,10 @@ fn turned(roll: f64, pitch: f64, yaw: f64) -> Rotation {
 /// Casts one sweep of an agent. Points are in the agent's body frame of the instant at which each was measured.
 pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
     let sensor = &*agent.sensor;
+    let optics = Optics {
+        extinction: casting.extinction,
+        ..sensor.optics
+    };
     let mounted = Mounted::of(agent);
     let start = since_epoch(casting.start);
     let instances = Instances::new(world, agent, start);
@@ -171,7 +178,7 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
                 .wrapping_add(((column * per_column + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
             let level = (ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
             let t = start + fires + beam.fires;
-            let limit = sensor.optics.farthest;
+            let limit = optics.farthest;
             let met = instances.cast(azimuth + beam.azimuth, level, &origin, &ray, t, limit, hash);
             let limit = met.map_or(limit, |(hit, _)| hit.t);
             // The nearest counts, whatever is looked for first: what is likely to be near, so that less is left to search.
@@ -193,7 +200,7 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
             let Some((hit, user)) = late.map(|hit| (hit, None)).or(met) else {
                 continue;
             };
-            let Some((range, intensity)) = receive(&sensor.optics, &hit, hash) else {
+            let Some((range, intensity)) = receive(&optics, &hit, hash) else {
                 continue;
             };
             finished += 1;

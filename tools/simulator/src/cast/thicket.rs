@@ -3,56 +3,27 @@
 use std::f64::consts::{PI, TAU};
 
 use super::instances::{LEAD, Span, TURN, tilt_margin};
+use super::table::{Bounds, Table, TableOf};
 use crate::agents::{Agent, BodyState};
 use crate::place::Foliage;
 use crate::solid::Hit;
 
 const BINS: usize = 1600;
 
-/// Entries that are looked at together.
-const TOGETHER: usize = 8;
-
 /// The foliage of one sweep, by azimuth.
 pub(super) struct Thicket {
     /// What is in reach, nearest first.
     near: Vec<Foliage>,
-    /// `blocks[starts[bin]..starts[bin + 1]]`: what is in a bin, nearest first.
-    starts: Vec<u32>,
-    blocks: Vec<Block>,
+    table: Table,
     bins_per_radian: f64,
 }
-
-/// What decides whether a mass of a bin is looked at, rounded outwards: least distance over ground, m, and bounds of
-/// the slope of rays that can meet it.
-#[derive(Clone, Copy)]
-struct Bounds {
-    near: f32,
-    low: f32,
-    high: f32,
-}
-
-/// Bounds of some masses of a bin; what is left over can never be met.
-#[derive(Clone, Copy)]
-struct Block {
-    near: [f32; TOGETHER],
-    low: [f32; TOGETHER],
-    high: [f32; TOGETHER],
-    index: [u32; TOGETHER],
-}
-
-const EMPTY: Block = Block {
-    near: [f32::INFINITY; TOGETHER],
-    low: [f32::INFINITY; TOGETHER],
-    high: [f32::NEG_INFINITY; TOGETHER],
-    index: [0; TOGETHER],
-};
 
 impl Thicket {
     /// What an agent can see; `sensor` is its body in the middle of the sweep.
     pub fn new(all: &[Foliage], agent: &Agent, sensor: &BodyState) -> Self {
         let span = Span::of(agent);
         let bin = span.all / BINS as f64;
-        let mut found: Vec<(Bounds, [u16; 2], u32)> = Vec::new();
+        let mut found: Vec<(Bounds, [usize; 2], usize)> = Vec::new();
         for (index, foliage) in all.iter().enumerate() {
             let Some((bounds, azimuth, half)) = seen(foliage, agent, sensor, span) else {
                 continue;
@@ -61,41 +32,19 @@ impl Thicket {
                 let low = (azimuth + turn - half + LEAD) / bin;
                 let high = (azimuth + turn + half + LEAD) / bin;
                 if high >= 0.0 && low < BINS as f64 {
-                    let bins = [low.max(0.0) as u16, (high as u16).min(BINS as u16 - 1)];
-                    found.push((bounds, bins, index as u32));
+                    found.push((bounds, [low.max(0.0) as usize, (high as usize).min(BINS - 1)], index));
                 }
             }
         }
         // Stable: at equal distance the order of the place decides.
         found.sort_by(|a, b| a.0.near.total_cmp(&b.0.near));
-        let mut counts = [0u32; BINS];
-        for (_, [from, to], _) in &found {
-            counts[usize::from(*from)..=usize::from(*to)]
-                .iter_mut()
-                .for_each(|count| *count += 1);
-        }
-        let mut starts = Vec::with_capacity(BINS + 1);
-        starts.push(0);
-        for count in &counts {
-            starts.push(starts[starts.len() - 1] + count.div_ceil(TOGETHER as u32));
-        }
-        let mut blocks = vec![EMPTY; starts[BINS] as usize];
-        let mut fill = [0usize; BINS];
-        for (index, (bounds, [from, to], _)) in found.iter().enumerate() {
-            for bin in usize::from(*from)..=usize::from(*to) {
-                let block = &mut blocks[starts[bin] as usize + fill[bin] / TOGETHER];
-                let place = fill[bin] % TOGETHER;
-                block.near[place] = bounds.near;
-                block.low[place] = bounds.low;
-                block.high[place] = bounds.high;
-                block.index[place] = index as u32;
-                fill[bin] += 1;
-            }
+        let mut table = TableOf::new(BINS, found.iter().map(|(_, bins, _)| *bins));
+        for (index, (bounds, bins, _)) in found.iter().enumerate() {
+            table.add(*bins, *bounds, index as u32);
         }
         Thicket {
-            near: found.iter().map(|(_, _, index)| all[*index as usize].clone()).collect(),
-            starts,
-            blocks,
+            near: found.iter().map(|(_, _, index)| all[*index].clone()).collect(),
+            table: table.finish(),
             bins_per_radian: 1.0 / bin,
         }
     }
@@ -112,33 +61,14 @@ impl Thicket {
         limit: f64,
         chance: u64,
     ) -> Option<Hit> {
-        let bin = (((azimuth + LEAD) * self.bins_per_radian) as i32 as usize).min(BINS - 1);
+        let bin = ((azimuth + LEAD) * self.bins_per_radian) as i32 as usize;
         let slope = (ray[2] / level) as f32;
-        let mut limit = limit;
-        let mut reach = (limit * level) as f32;
         let mut best = None;
-        for block in &self.blocks[self.starts[bin] as usize..self.starts[bin + 1] as usize] {
-            if block.near[0] > reach {
-                break;
-            }
-            let mut mask = 0u32;
-            for k in 0..TOGETHER {
-                let meets = (block.near[k] <= reach) & (block.low[k] <= slope) & (block.high[k] >= slope);
-                mask |= u32::from(meets) << k;
-            }
-            while mask != 0 {
-                let k = mask.trailing_zeros() as usize;
-                mask &= mask - 1;
-                let foliage = &self.near[block.index[k] as usize];
-                if block.near[k] <= reach
-                    && let Some(hit) = foliage.cast(origin, ray, limit, chance)
-                {
-                    limit = hit.t;
-                    reach = (limit * level) as f32;
-                    best = Some(hit);
-                }
-            }
-        }
+        self.table.each(bin, slope, limit, level, |index, limit| {
+            let hit = self.near[index as usize].cast(origin, ray, limit, chance)?;
+            best = Some(hit);
+            Some(hit.t)
+        });
         best
     }
 }
@@ -178,10 +108,13 @@ fn seen(foliage: &Foliage, agent: &Agent, sensor: &BodyState, span: Span) -> Opt
     let top = foliage.center[2] + foliage.rise() - eye + rise;
     let (least, most) = ((distance - radius - moved).max(1e-3), distance + radius + moved);
     let slope = |height: f64, toward: f64| (height / if height * toward > 0.0 { least } else { most }) as f32;
+    let up = foliage.center[2] - eye;
+    let slopes = foliage.slopes(distance, up, moved.max(rise));
+    let [low, high] = slopes.map_or([slope(foot, -1.0), slope(top, 1.0)], |slopes| slopes.map(|s| s as f32));
     let bounds = Bounds {
         near: ((distance - radius - moved).max(0.0) * 0.999_99) as f32,
-        low: slope(foot, -1.0) - 1e-5,
-        high: slope(top, 1.0) + 1e-5,
+        low: low - 1e-5,
+        high: high + 1e-5,
     };
     Some((bounds, azimuth + shifted, half))
 }

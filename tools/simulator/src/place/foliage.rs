@@ -1,4 +1,4 @@
-//! Leaves and twigs: a medium that rays get into, and through.
+//! Leaves and twigs: a medium that rays get into, and through; wood, which they do not.
 
 use crate::path::Pose2;
 use crate::random::{mix, unit_of};
@@ -9,12 +9,13 @@ const RHO: f64 = 0.45;
 const COS: f64 = 0.6;
 /// Lumps along a metre.
 const LUMPS: f64 = 3.3;
-/// How far lumps may stand back behind the outline, m.
+/// How far lumps may stand back behind the outline, m, and as a share of half the least width.
 const SETBACK: f64 = 0.15;
+const SETBACK_SHARE: f64 = 0.3;
 /// What is lower than twice this is looked for up to `LOW_REACH`, the rest up to `HIGH_REACH`, m.
 const LOW: f64 = 1.0;
-const LOW_REACH: f64 = 110.0;
-const HIGH_REACH: f64 = 180.0;
+const LOW_REACH: f64 = 100.0;
+const HIGH_REACH: f64 = 160.0;
 
 /// An upright ball or block of foliage in lumps of about 0.3 m. A ray that enters returns at a depth that is
 /// distributed exponentially, with a mean that differs from lump to lump, unless it has left before.
@@ -28,6 +29,8 @@ pub(crate) struct Foliage {
     block: bool,
     /// Mean depth that a ray gets into it: one over its extinction coefficient, m.
     depth: f32,
+    /// How far its lumps may stand back, m.
+    back: f32,
     /// Tells its lumps from those of others.
     seed: u64,
 }
@@ -54,6 +57,7 @@ impl Foliage {
             cos_sin: [cos as f32, sin as f32],
             block: mass.block,
             depth: mass.depth as f32,
+            back: SETBACK.min(SETBACK_SHARE * mass.half[0].min(mass.half[1])) as f32,
             seed: mass.seed,
         }
     }
@@ -62,6 +66,19 @@ impl Foliage {
     pub fn radius(&self) -> f64 {
         let [a, b, _] = self.half.map(f64::from);
         if self.block { (a * a + b * b).sqrt() } else { a.max(b) }
+    }
+
+    /// Bounds of the slope of rays that meet it from an eye `distance` away over ground, where its middle is `up` above
+    /// the eye; `None` near by, where the corners of its box have to do.
+    pub fn slopes(&self, distance: f64, up: f64, slack: f64) -> Option<[f64; 2]> {
+        let (wide, high) = (self.radius() + slack, self.rise() + slack);
+        if self.block || distance < 3.0 * wide {
+            return None;
+        }
+        // Tangents to an ellipse: (up − m·distance)² = high² + m²·wide².
+        let a = distance * distance - wide * wide;
+        let root = (up * up * wide * wide + high * high * a).sqrt();
+        Some([(up * distance - root) / a, (up * distance + root) / a])
     }
 
     /// Half its height, m.
@@ -103,7 +120,7 @@ impl Foliage {
         });
         let lump = mix(lump);
         let thin = 0.3 + 1.4 * (lump & 0xffff) as f64 * (1.0 / 65_536.0);
-        let back = SETBACK * (lump >> 16 & 0xffff) as f64 * (1.0 / 65_536.0);
+        let back = f64::from(self.back) * (lump >> 16 & 0xffff) as f64 * (1.0 / 65_536.0);
         let depth = f64::from(self.depth) * thin;
         // Nobody needs the logarithm of a ray that is through: 1 − e^−x <= x.
         let draw = unit_of(mix(chance ^ self.seed));

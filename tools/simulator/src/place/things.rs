@@ -38,6 +38,9 @@ fn pole(x: f64, y: f64, radius: f64, [low, high]: [f64; 2], rho: f64) -> Part {
     solid(shape, rho)
 }
 
+/// How deep a ray gets into wood, m.
+const WOOD: f64 = 0.005;
+
 /// What stands somewhere: solid parts, and foliage.
 #[derive(Default)]
 pub(super) struct Thing {
@@ -83,7 +86,7 @@ pub(super) fn hedge(length: f64, width: f64, height: f64, depth: f64, draws: &mu
 pub(super) fn bush(height: f64, draws: &mut Stream) -> Thing {
     let spread = height * draws.between(0.35, 0.7);
     let depth = draws.between(0.15, 0.6);
-    let masses = (0..1 + draws.below(2)).map(|_| {
+    let masses = (0..1 + draws.below(3) / 2).map(|_| {
         let top = height * draws.between(0.75, 1.0);
         let aside = [(); 2].map(|()| draws.between(-0.6, 0.6) * spread);
         let center = [aside[0], aside[1], 0.48 * top];
@@ -95,21 +98,27 @@ pub(super) fn bush(height: f64, draws: &mut Stream) -> Thing {
     }
 }
 
-/// A tree with its trunk; the crown begins `under` above ground.
+/// A tree: its trunk is a long ball of wood; the crown begins `under` above ground.
 pub(super) fn tree(under: f64, height: f64, draws: &mut Stream) -> Thing {
     let radius = (0.28 * height * draws.between(0.7, 1.3)).min(4.0);
     let depth = draws.between(0.6, 2.0);
     let middle = 0.5 * (under + height);
-    let parts = vec![pole(0.0, 0.0, draws.between(0.06, 0.2), [0.0, middle], 0.25)];
-    let masses = (0..1 + draws.below(3)).map(|_| {
+    let trunk = ball(
+        [0.0, 0.0, 0.5 * middle],
+        [draws.between(0.08, 0.22), 0.55 * middle],
+        WOOD,
+        draws,
+    );
+    let crown = (0..1 + draws.below(2)).map(|_| {
         let up = (height - under) * draws.between(0.3, 0.5);
         let aside = [(); 2].map(|()| draws.between(-0.5, 0.5) * radius);
         let center = [aside[0], aside[1], draws.between(under + up, height - up)];
-        ball(center, [radius * draws.between(0.6, 1.0), up], depth, draws)
+        ball(center, [radius * draws.between(0.7, 1.1), up], depth, draws)
     });
+    let masses = std::iter::once(trunk).chain(crown.collect::<Vec<_>>()).collect();
     Thing {
-        masses: masses.collect(),
-        parts,
+        masses,
+        ..Thing::default()
     }
 }
 
@@ -280,7 +289,7 @@ mod tests {
                 let [foot, top] = spans.fold([f64::MAX, f64::MIN], |all, span| {
                     [all[0].min(span[0]), all[1].max(span[1])]
                 });
-                assert!(foot.abs() < 0.2, "thing {index} begins at {foot}");
+                assert!(foot.abs() < 0.3, "thing {index} begins at {foot}");
                 assert!(
                     (low - 1e-9..=high + 1e-9).contains(&top),
                     "thing {index} is {top} m high"
