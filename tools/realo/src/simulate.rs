@@ -9,7 +9,7 @@ use eyre::{Result, WrapErr};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
 use realo_schemas::Nanos;
-use realo_simulator::{Options, Phase, PoseSample, Scenario, Sensor, Simulation, Sweep};
+use realo_simulator::{Options, Phase, PoseSample, Scenario, Sensor, Simulation, Sweep, Weather, fleet};
 
 use crate::{Outcome, statistics};
 
@@ -37,6 +37,18 @@ pub struct Args {
     /// Agents that record
     #[arg(long, value_delimiter = ',', default_values_t = realo_simulator::AGENTS.map(String::from))]
     agents: Vec<String>,
+    /// Vehicles that record, instead of --agents; at most 16 agents in all
+    #[arg(long, value_name = "COUNT", conflicts_with = "agents")]
+    vehicles: Option<usize>,
+    /// Roadside units that record, instead of --agents
+    #[arg(long, value_name = "COUNT", conflicts_with = "agents")]
+    roadside: Option<usize>,
+    /// Rain, mm/h
+    #[arg(long, value_name = "MM_H", default_value_t = 0.0)]
+    rain: f64,
+    /// Fog in which one sees so far, m
+    #[arg(long, value_name = "METRES")]
+    visibility: Option<f64>,
     /// Scored frames per second
     #[arg(long, default_value_t = 1.0)]
     key_hz: f64,
@@ -61,6 +73,9 @@ pub struct Args {
     /// The roadside units' sensors, as above
     #[arg(long, value_delimiter = ',', value_name = "SENSOR")]
     roadside_sensor: Vec<String>,
+    /// What newer places have, in an old one
+    #[arg(long, hide = true)]
+    overgrown: bool,
     /// The log to write
     #[arg(short = 'o', long = "output", required_unless_present = "statistics")]
     output: Option<PathBuf>,
@@ -110,7 +125,15 @@ impl Args {
             map_offset_m,
             noise_free_detections: self.noise_free_detections,
             detection_min_points: self.detection_min_points,
-            agents: self.agents.clone(),
+            agents: match (self.vehicles, self.roadside) {
+                (None, None) => self.agents.clone(),
+                (vehicles, roadside) => fleet(vehicles.unwrap_or(0), roadside.unwrap_or(0))?,
+            },
+            overgrown: self.overgrown,
+            weather: Weather {
+                rain_mm_h: self.rain,
+                visibility_m: self.visibility,
+            },
             clouds: !self.no_clouds,
             vehicle_sensors: sensors(&self.vehicle_sensor)?,
             roadside_sensors: sensors(&self.roadside_sensor)?,

@@ -290,3 +290,67 @@ fn receive(optics: &Optics, hit: &Hit, hash: u64) -> Option<(f64, u8)> {
     let shimmer = (hash & 0x3ff) as f64 * (0.06 / 1024.0);
     Some((range, (100.0 * hit.rho * hit.cos * (0.97 + shimmer)).min(255.0) as u8))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Stream;
+    use crate::{Options, Sensor};
+
+    /// What the tables leave out can be met by no ray.
+    #[test]
+    fn foliage_is_found_wherever_it_stands() {
+        let place = Scenery::new(crate::Scenario::Intersection, 4).overgrown(4);
+        let demand = crate::traffic::Demand {
+            place: &place,
+            seed: 4,
+            dense: false,
+            seconds: 1.0,
+        };
+        let traffic = Traffic::new(&demand);
+        let sensors = ["pandar40p", "forward-scan", "spinning-32"].map(|name| Sensor::named(name).unwrap());
+        let mut met = 0;
+        for sensor in sensors {
+            let options = Options {
+                vehicle_sensors: vec![sensor.clone()],
+                roadside_sensors: vec![sensor.clone()],
+                ..Options::default()
+            };
+            for agent in Agent::all(&options, &place, &traffic).unwrap() {
+                let start = 0.35;
+                let middle = agent.body(&place, &traffic, start + 0.05);
+                let thicket = Thicket::new(&place.foliage, &agent, &middle);
+                let mut draws = Stream::new(1, "rays", agent.number);
+                for _ in 0..400 {
+                    let column = draws.below(sensor.columns);
+                    let beam = &sensor.beams[draws.below(sensor.beams.len())];
+                    let azimuth = sensor.scan.width * column as f64 / sensor.columns as f64;
+                    let t = start + 0.1 * column as f64 / sensor.columns as f64;
+                    let body = agent.body(&place, &traffic, t);
+                    let turn = about_z(PI - (sensor.scan.first + azimuth));
+                    let mount = turned(agent.mount.roll, agent.mount.pitch, agent.mount.yaw);
+                    let body_from_sensor = times(&times(&tilt(body.slope), &mount), &turn);
+                    let ray = rotate(&times(&about_z(body.heading), &body_from_sensor), &beam.direction);
+                    let [x, y, z] = body.position;
+                    let origin = [x, y, z + agent.info.sensor_height];
+                    let (level, chance) = ((ray[0] * ray[0] + ray[1] * ray[1]).sqrt(), draws.bits());
+                    let limit = 95.0;
+                    let found = thicket.cast(azimuth + beam.azimuth, level, &origin, &ray, limit, chance);
+                    let all = place
+                        .foliage
+                        .iter()
+                        .filter_map(|mass| mass.cast(&origin, &ray, limit, chance));
+                    let nearest = all.map(|hit| hit.t).fold(limit, f64::min);
+                    assert_eq!(
+                        found.map_or(limit, |hit| hit.t),
+                        nearest,
+                        "{} {column}",
+                        agent.info.name
+                    );
+                    met += usize::from(nearest < limit);
+                }
+            }
+        }
+        assert!(met > 1000, "only {met} rays met foliage");
+    }
+}

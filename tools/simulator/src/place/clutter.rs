@@ -37,7 +37,7 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
             (WalledHedge, 3.0),
             (Shrubs, 3.0),
             (Trees, 2.0),
-            (Wall, 1.5),
+            (Wall, 3.0),
             (Fence, 1.5),
             (Furniture, 1.5),
             (Works, 0.3),
@@ -61,8 +61,8 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
             (Shrubs, 5.0),
             (Trees, 4.0),
             (Grass, 2.0),
-            (Wall, 0.7),
-            (Fence, 0.7),
+            (Wall, 2.5),
+            (Fence, 1.0),
             (Furniture, 1.5),
             (Bicycles, 0.5),
             (Shelter, 0.3),
@@ -113,10 +113,10 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
 /// How much grows behind the first row, weeds, shrubs and trees on 100 m² of free ground, by the kind of the verge.
 fn growth(kind: VergeKind) -> [f64; 3] {
     match kind {
-        VergeKind::Garden => [6.0, 8.0, 2.2],
+        VergeKind::Garden => [11.0, 9.5, 2.4],
         VergeKind::Street | VergeKind::Median => [0.0, 0.0, 0.0],
-        VergeKind::Park => [12.0, 11.0, 3.4],
-        VergeKind::Field => [12.0, 5.0, 1.4],
+        VergeKind::Park => [18.0, 13.0, 3.8],
+        VergeKind::Field => [14.0, 6.0, 1.4],
         VergeKind::Embankment => [9.0, 10.0, 1.3],
         VergeKind::CarPark => [0.5, 0.5, 0.5],
     }
@@ -357,7 +357,7 @@ impl Site<'_> {
         } else {
             width
         };
-        let depth = draws.between(0.12, 0.4);
+        let depth = draws.between(0.05, 0.3);
         let middle_across = if verge.kind == VergeKind::Median {
             0.0
         } else {
@@ -421,9 +421,10 @@ impl Site<'_> {
                 // Small ones are many.
                 let share = draws.unit() * draws.unit();
                 let thing: Thing = match kind {
-                    0 => things::bush(0.3 + 0.6 * share, draws),
+                    0 if draws.chance(0.5) => things::stone(0.4 + 0.6 * share, draws),
+                    0 => things::bush(0.35 + 0.6 * share, draws),
                     1 => things::bush(0.5 + 2.3 * share, draws),
-                    _ => things::tree(draws.between(1.5, 3.0), draws.between(3.5, 10.0), draws),
+                    _ => things::tree(draws.between(1.5, 3.0), draws.between(3.5, 12.0), draws),
                 };
                 self.stand(pose, 0.5, thing);
             }

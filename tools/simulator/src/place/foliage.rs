@@ -1,4 +1,4 @@
-//! Leaves and twigs: a medium that rays get into, and through; wood, which they do not.
+//! Leaves and twigs: a medium that rays get into, and through; and what is hard among them.
 
 use crate::path::Pose2;
 use crate::random::{mix, unit_of};
@@ -9,9 +9,9 @@ const RHO: f64 = 0.45;
 const COS: f64 = 0.6;
 /// Lumps along a metre.
 const LUMPS: f64 = 3.3;
-/// How far lumps may stand back behind the outline, m, and as a share of half the least width.
+/// How far lumps may stand back behind the outline, m; not those of what rays get less deep into than `HARD`.
 const SETBACK: f64 = 0.15;
-const SETBACK_SHARE: f64 = 0.3;
+const HARD: f64 = 0.02;
 /// What is lower than twice this is looked for up to `LOW_REACH`, the rest up to `HIGH_REACH`, m.
 const LOW: f64 = 1.0;
 const LOW_REACH: f64 = 100.0;
@@ -57,7 +57,7 @@ impl Foliage {
             cos_sin: [cos as f32, sin as f32],
             block: mass.block,
             depth: mass.depth as f32,
-            back: SETBACK.min(SETBACK_SHARE * mass.half[0].min(mass.half[1])) as f32,
+            back: if mass.depth < HARD { 0.0 } else { SETBACK as f32 },
             seed: mass.seed,
         }
     }

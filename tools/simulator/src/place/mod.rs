@@ -6,6 +6,7 @@ mod foliage;
 mod roads;
 mod terrain;
 mod things;
+#[allow(dead_code)] // kinds of ground that not every place has
 mod verge;
 
 pub(crate) use roads::{BAY, BAYS, CYCLE_LANE, KERB, LANE, PAVEMENT, REACH, Roads};
@@ -67,7 +68,7 @@ impl Scenery {
         self.fixtures
             .retain(|fixture| fixture.solid.high[2] - fixture.solid.low[2] < 4.0);
         let ground = clutter::Ground {
-            open: &|x, y| self.roads.open_ground(x, y),
+            open: &|x, y| self.open_ground(x, y),
             height: &|x, y| self.walk_height(x, y),
         };
         let clutter = clutter::clutter(&self.verges, &ground, number);

@@ -38,7 +38,7 @@ fn pole(x: f64, y: f64, radius: f64, [low, high]: [f64; 2], rho: f64) -> Part {
     solid(shape, rho)
 }
 
-/// How deep a ray gets into wood, m.
+/// How deep a ray gets into wood and stone, m.
 const WOOD: f64 = 0.005;
 
 /// What stands somewhere: solid parts, and foliage.
@@ -94,6 +94,22 @@ pub(super) fn bush(height: f64, draws: &mut Stream) -> Thing {
     });
     Thing {
         masses: masses.collect(),
+        ..Thing::default()
+    }
+}
+
+/// A boulder, a planter, a block of concrete: low and smooth.
+pub(super) fn stone(height: f64, draws: &mut Stream) -> Thing {
+    let half = [draws.between(0.2, 0.9), draws.between(0.15, 0.4), height / 2.0];
+    let mass = Mass {
+        center: [0.0, 0.0, height / 2.0],
+        half,
+        block: draws.chance(0.7),
+        depth: WOOD,
+        seed: draws.bits(),
+    };
+    Thing {
+        masses: vec![mass],
         ..Thing::default()
     }
 }
