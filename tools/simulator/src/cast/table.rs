@@ -3,6 +3,8 @@
 /// Entries that are looked at together.
 const TOGETHER: usize = 8;
 
+const BITS: [u32; TOGETHER] = [1, 2, 4, 8, 16, 32, 64, 128];
+
 /// What decides whether something is looked at, rounded outwards: least distance over ground, m, and bounds of the slope
 /// of rays that can meet it.
 #[derive(Clone, Copy)]
@@ -100,11 +102,13 @@ impl Table {
             if block.near[0] > reach {
                 break;
             }
-            let mut mask = 0u32;
+            let mut bits = [0u32; TOGETHER];
             for k in 0..TOGETHER {
                 let meets = (block.near[k] <= reach) & (block.low[k] <= slope) & (block.high[k] >= slope);
-                mask |= u32::from(meets) << k;
+                // A choice among constants, not a shift: every processor does eight at once.
+                bits[k] = if meets { BITS[k] } else { 0 };
             }
+            let mut mask = bits.iter().fold(0, |all, bit| all | bit);
             while mask != 0 {
                 let k = mask.trailing_zeros() as usize;
                 mask &= mask - 1;

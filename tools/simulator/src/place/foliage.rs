@@ -7,6 +7,9 @@ use crate::solid::Hit;
 /// Reflectivity of leaves in the near infrared, and the cosine that stands for leaves, which point anywhere.
 const RHO: f64 = 0.45;
 const COS: f64 = 0.6;
+/// Least and greatest mean depth of a lump, of the foliage's.
+const THIN: f64 = 0.3;
+const THICK: f64 = 1.7;
 /// Lumps along a metre.
 const LUMPS: f64 = 3.3;
 /// How far lumps may stand back behind the outline, m; not those of what rays get less deep into than `HARD`.
@@ -114,16 +117,18 @@ impl Foliage {
         if enter >= leave {
             return None;
         }
+        // Nobody needs the lump or the logarithm of a ray that is through: x <= −ln(1 − x).
+        let (draw, depth) = (unit_of(mix(chance ^ self.seed)), f64::from(self.depth));
+        if draw * depth * THIN > leave - enter {
+            return None;
+        }
         let lump = (0..3).fold(self.seed, |hash, k| {
             let cell = ((from[k] + step[k] * enter) * f64::from(self.half[k]) * LUMPS + 4096.0) as i32 as u64;
             hash.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(cell)
         });
         let lump = mix(lump);
-        let thin = 0.3 + 1.4 * (lump & 0xffff) as f64 * (1.0 / 65_536.0);
+        let depth = depth * (THIN + (THICK - THIN) * (lump & 0xffff) as f64 * (1.0 / 65_536.0));
         let back = f64::from(self.back) * (lump >> 16 & 0xffff) as f64 * (1.0 / 65_536.0);
-        let depth = f64::from(self.depth) * thin;
-        // Nobody needs the logarithm of a ray that is through: 1 − e^−x <= x.
-        let draw = unit_of(mix(chance ^ self.seed));
         if draw * depth > leave - enter {
             return None;
         }
