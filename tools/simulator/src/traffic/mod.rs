@@ -118,12 +118,12 @@ impl Traffic {
         Self::assemble(crowd, seed, until)
     }
 
-    /// Gives everybody the rounded body that sensors of newer places meet.
+    /// Gives everybody the size that is labelled and the rounded body that sensors of newer places meet.
     pub fn round_off(&mut self, seed: u64) {
         for (index, user) in self.users.iter_mut().enumerate() {
-            user.solid = user
-                .class
-                .shape(user.size, &mut Stream::new(seed, "shape", index as u64));
+            let mut draws = Stream::new(seed, "shape", index as u64);
+            user.size = user.class.labelled_size(user.size, &mut draws);
+            user.solid = user.class.shape(user.size, &mut draws);
         }
     }
 
