@@ -23,7 +23,8 @@
 //! **Sensors.** `cav1`, `cav2`: 128 beams by the Ruby Plus table, 1,800 columns, 1.9 m over the ground, tilted with
 //! the car; the own roof and bonnet are in the cloud. `rsu1`: OS1-128, `rsu2`: OS1-64, 1,024 columns. All turn at
 //! 10 Hz, clockwise from the rear. Each ray is cast at its own firing time against the world of that instant. Beams
-//! have no width: there are no mixed returns at edges. Rings are numbered from the lowest beam up.
+//! have no width: there are no mixed returns at edges. Rings are numbered from the lowest beam up. Other sensors come
+//! by name or from files ([`Sensor::named`]), fleets have up to sixteen agents ([`fleet`]).
 //!
 //! **Frames and time.** Body frames are gravity-aligned with z = 0 on the ground below the sensor; x is forward, for
 //! roadside units along the main road. The place is turned in `map` by an angle of its own. Logs start at [`EPOCH`];
@@ -42,17 +43,23 @@ mod bodies;
 mod cast;
 mod detections;
 mod options;
+#[allow(dead_code)] // ways of drawing that not every place needs
 mod path;
 mod place;
 mod poses;
 mod random;
 mod sensor;
+mod shapes;
 mod simulation;
 mod solid;
+pub mod statistics;
 mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
 pub use bench::{Bench, SensorBench, bench};
-pub use options::{AGENTS, EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario};
+pub use options::{
+    AGENTS, EPOCH, Error, MOST_AGENTS, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Weather, fleet,
+};
 pub use poses::PoseSample;
+pub use sensor::{Sensor, SensorError};
 pub use simulation::{Simulation, Sweep, Sweeps};

@@ -58,15 +58,19 @@ impl Simulation {
     pub fn new(options: &Options) -> Result<Self, Error> {
         options.check()?;
         let options = options.clone();
-        let place = Scenery::new(options.scenario, options.place.unwrap_or(options.seed));
+        let number = options.place.unwrap_or(options.seed);
+        let place = Scenery::new(options.scenario, number);
         let demand = Demand {
             place: &place,
             seed: options.seed,
             dense: options.dense,
             seconds: options.seconds,
         };
-        let traffic = Traffic::new(&demand)?;
-        let agents = Agent::all(&options, &place, &traffic);
+        let mut traffic = Traffic::new(&demand)?;
+        if place.is_network() {
+            traffic.round_off(options.seed);
+        }
+        let agents = Agent::all(&options, &place, &traffic)?;
         let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
         Ok(Simulation {
             options,
@@ -151,6 +155,7 @@ impl Simulation {
             clouds: options.clouds,
             labels: options.labels,
             column_stride: options.column_stride,
+            extinction: options.weather.extinction(),
         };
         let Cast {
             cloud,

@@ -3,7 +3,7 @@
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, from_seconds};
 use realo_simulator::{
-    EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Simulation, Sweep,
+    EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Sensor, Simulation, Sweep, fleet,
 };
 
 fn simulate(change: impl FnOnce(&mut Options)) -> Simulation {
@@ -73,6 +73,30 @@ fn same_bits_on_every_machine() {
         "ecb02fa62ff3347e",
         "the world has changed: raise WORLD and say so in the change log"
     );
+}
+
+/// The two old places stay what they are for every seed, whatever else the world learns.
+#[test]
+fn old_places_keep_their_bits() {
+    let cases = [
+        (Scenario::Intersection, 0, false, "78530ae561365233"),
+        (Scenario::Intersection, 417, true, "b8112f6490fd43bb"),
+        (Scenario::Corridor, 1, false, "f806f12a5ffe1a15"),
+        (Scenario::Corridor, 905, true, "30aba1d6665ab7a6"),
+    ];
+    for (scenario, seed, dense, expected) in cases {
+        let simulation = simulate(|o| (o.scenario, o.seed, o.dense, o.column_stride) = (scenario, seed, dense, 20));
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let poses: Vec<_> = ["cav1", "cav2", "rsu1", "rsu2"]
+            .map(|agent| simulation.poses(agent).unwrap())
+            .concat();
+        let numbers = poses
+            .iter()
+            .flat_map(|pose| pose.believed.map_from_body.translation.vector.iter().copied());
+        let sum = numbers.fold(0u64, |sum, v| sum.rotate_left(7) ^ v.to_bits());
+        let found = format!("{:016x}", digest(&sweeps) ^ sum);
+        assert_eq!(found, expected, "{scenario:?}, seed {seed}");
+    }
 }
 
 #[test]
@@ -495,11 +519,11 @@ fn agents_that_do_not_record_are_still_there() {
     let few: Vec<_> = simulation.sweeps().filter(|s| &*s.agent == "cav1").collect();
     assert_eq!(all, few);
     let error = Simulation::new(&Options {
-        agents: vec!["cav3".into()],
+        agents: vec!["car3".into()],
         ..Options::default()
     })
     .err();
-    assert_eq!(error, Some(Error::UnknownAgent { found: "cav3".into() }));
+    assert_eq!(error, Some(Error::UnknownAgent { found: "car3".into() }));
 }
 
 #[test]
@@ -646,4 +670,105 @@ fn mixed_is_one_of_all_places_as_its_number_says() {
     for scenario in Scenario::PLACES.into_iter().chain([Scenario::Mixed]) {
         assert_eq!(Scenario::from_name(scenario.name()), Ok(scenario));
     }
+}
+
+/// The world of newer places: foliage, rounded bodies, sensors with mounts and errors.
+fn overgrown(change: impl FnOnce(&mut Options)) -> Simulation {
+    simulate(|options| {
+        options.scenario = Scenario::Junction;
+        options.vehicle_sensors = vec![
+            Sensor::named("pandar40p").unwrap(),
+            Sensor::named("spinning-16").unwrap(),
+        ];
+        options.roadside_sensors = vec![Sensor::named("forward-scan").unwrap()];
+        options.weather.rain_mm_h = 5.0;
+        change(options);
+    })
+}
+
+#[test]
+fn sensors_and_weather_give_the_same_bits_everywhere() {
+    let all = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| overgrown(|o| o.column_stride = 10).sweeps().collect::<Vec<_>>())
+    };
+    let [one, three] = [1, 3].map(all);
+    assert_eq!(one, three);
+    assert_eq!(format!("{:016x}", digest(&one)), "6b864c9bf820967f");
+}
+
+#[test]
+fn a_fleet_has_sixteen_agents_of_all_sensors() {
+    let sensors: Vec<_> = Sensor::names().map(|name| Sensor::named(name).unwrap()).collect();
+    let simulation = simulate(|o| {
+        (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20);
+        o.agents = fleet(10, 6).unwrap();
+        (o.vehicle_sensors, o.roadside_sensors) = (sensors.clone(), sensors.clone());
+    });
+    let sweeps: Vec<_> = simulation.sweeps().collect();
+    let names: Vec<&str> = simulation.agents().map(|agent| &*agent.name).collect();
+    assert_eq!(
+        (names.len(), names[0], names[9], names[10], names[15]),
+        (16, "cav1", "cav10", "rsu1", "rsu6")
+    );
+    for (agent, info) in simulation.agents().enumerate() {
+        let sweep = sweeps.iter().find(|sweep| sweep.agent == info.name).unwrap();
+        assert!(sweep.cloud.len() > 200, "{}: {} points", info.name, sweep.cloud.len());
+        let pose = &simulation.poses(&info.name).unwrap()[0]
+            .truth
+            .map_from_body
+            .translation
+            .vector;
+        for other in simulation.agents().take(agent) {
+            let there = &simulation.poses(&other.name).unwrap()[0]
+                .truth
+                .map_from_body
+                .translation
+                .vector;
+            assert!((pose - there).norm() > 2.5, "{} stands in {}", info.name, other.name);
+        }
+    }
+    let four: Vec<_> = simulate(|o| (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20))
+        .sweeps()
+        .collect();
+    let more = simulate(|o| {
+        (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20);
+        o.agents = fleet(3, 3).unwrap();
+    });
+    let same: Vec<_> = more
+        .sweeps()
+        .filter(|sweep| four.iter().any(|s| s.agent == sweep.agent))
+        .collect();
+    assert_eq!(same, four, "the first four do not mind the others");
+    let error = Simulation::new(&Options {
+        seconds: 600.0,
+        agents: fleet(16, 0).unwrap(),
+        scenario: Scenario::Corridor,
+        seed: 903,
+        ..Options::default()
+    });
+    if let Err(error) = error {
+        assert!(error.to_string().contains("no car for `cav"), "{error}");
+    }
+}
+
+#[test]
+fn fog_takes_what_is_far() {
+    let count = |visibility_m| {
+        let simulation = overgrown(|o| {
+            (o.seconds, o.column_stride) = (0.1, 10);
+            o.weather.visibility_m = visibility_m;
+        });
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let far = |sweep: &Sweep| {
+            let beyond = |i: &usize| sweep.cloud.x[*i].hypot(sweep.cloud.y[*i]) > 60.0;
+            (0..sweep.cloud.len()).filter(beyond).count()
+        };
+        sweeps.iter().map(far).sum::<usize>()
+    };
+    let (clear, fog) = (count(None), count(Some(60.0)));
+    assert!(
+        clear > 100 && fog * 4 < clear,
+        "{clear} points beyond 60 m in clear air, {fog} in fog"
+    );
 }

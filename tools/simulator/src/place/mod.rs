@@ -1,12 +1,15 @@
 //! The place: ground, roads, and what stands beside them. Fixed by its own number, whatever the traffic.
 
+mod clutter;
 mod fixtures;
+mod foliage;
 mod houses;
 mod network;
 mod roads;
 mod scenes;
 mod surface;
 mod terrain;
+mod things;
 mod verge;
 
 pub(crate) use network::{Arm, CROSSING_HALF, Control, Custom, Network, Node, SIDES, Strip};
@@ -16,8 +19,9 @@ use crate::Scenario;
 use crate::path::Pose2;
 use crate::random::Stream;
 use crate::solid::{Hit, Solid};
+pub(crate) use foliage::Foliage;
 use terrain::Terrain;
-pub(crate) use verge::Verge;
+pub(crate) use verge::{Verge, VergeKind};
 
 /// The plan of a place's roads.
 pub(crate) enum Plan {
@@ -35,11 +39,10 @@ pub(crate) struct Scenery {
     pub plan: Plan,
     pub terrain: Terrain,
     pub fixtures: Vec<Fixture>,
+    pub foliage: Vec<Foliage>,
     /// The edges of free ground beside the roads.
-    #[allow(dead_code)] // asked by whatever is placed on them
     pub verges: Vec<Verge>,
     /// Where houses stand that keep the ground from being free, and their extents along and across, m.
-    #[allow(dead_code)] // asked with the open ground
     houses: Vec<(Pose2, [f64; 2])>,
     /// Direction of the main road in `map`, rad.
     pub heading: f64,
@@ -78,6 +81,7 @@ impl Scenery {
             plan: Plan::Grid(roads),
             terrain,
             fixtures,
+            foliage: Vec::new(),
             houses: Vec::new(),
             heading: Self::heading(number),
         }
@@ -102,16 +106,30 @@ impl Scenery {
         });
         let verges = Verge::of_network(&network);
         let (fixtures, houses) = houses::build(&network, &verges, &terrain, number);
-        Scenery {
+        let mut place = Scenery {
             scenario,
             number,
             verges,
             plan: Plan::Network(Box::new(network)),
             terrain,
             fixtures,
+            foliage: Vec::new(),
             houses,
             heading: Self::heading(number),
-        }
+        };
+        let ground = clutter::Ground {
+            open: &|x, y| place.open_ground(x, y),
+            height: &|x, y| place.walk_height(x, y),
+        };
+        let clutter = clutter::clutter(&place.verges, &ground, number);
+        place.fixtures.extend(clutter.fixtures);
+        place.foliage = clutter.foliage;
+        place
+    }
+
+    /// Whether the roads lie at any angle; there is clutter along them, and bodies are rounded.
+    pub fn is_network(&self) -> bool {
+        matches!(self.plan, Plan::Network(_))
     }
 
     fn heading(number: u64) -> f64 {
@@ -138,7 +156,6 @@ impl Scenery {
 
     /// Distance of a point from everything that is paved and, on a network, from the houses, negative upon them, m; good
     /// to a metre, and never more than 30 m. Where it is great, shrubs and trees may grow.
-    #[allow(dead_code)] // asked by whatever is placed on verges
     pub fn open_ground(&self, x: f64, y: f64) -> f64 {
         match &self.plan {
             Plan::Grid(roads) => roads.open_ground(x, y),

@@ -85,6 +85,15 @@ impl Traffic {
         Ok(Self::assemble(crowd, demand.seed, until))
     }
 
+    /// Gives everybody the size that is labelled and the rounded body that sensors of newer places meet.
+    pub fn round_off(&mut self, seed: u64) {
+        for (index, user) in self.users.iter_mut().enumerate() {
+            let mut draws = Stream::new(seed, "shape", index as u64);
+            user.size = user.class.labelled_size(user.size, &mut draws);
+            user.solid = user.class.shape(user.size, &mut draws);
+        }
+    }
+
     pub(crate) fn assemble(mut crowd: Vec<Arrival>, seed: u64, until: f64) -> Self {
         crowd.retain(|(_, _, _, course)| !over_before(course, -0.5));
         let kept = without_overlaps(crowd, until);
