@@ -318,6 +318,9 @@ impl Surface {
         }
         for (i, island) in islands {
             kerb.values[i] = f64::from(kerb.values[i]).max(island) as f32;
+            if island > 0.0 {
+                ground.values[i] = Ground::Green;
+            }
         }
         for (x, y, radius) in turning_places(roads) {
             let [c0, c1, r0, r1] = kerb.around(x, y, radius + corner);
