@@ -43,7 +43,6 @@ mod bodies;
 mod cast;
 mod detections;
 mod options;
-#[allow(dead_code)] // ways of drawing that not every place needs
 mod path;
 mod place;
 mod poses;

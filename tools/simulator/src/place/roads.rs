@@ -130,12 +130,6 @@ impl Roads {
     }
 
     /// Distance of a point from roads and pavements, negative upon them, at most 30 m.
-    #[allow(dead_code)] // asked by whatever is placed on verges
-    pub fn open_ground(&self, x: f64, y: f64) -> f64 {
-        (self.inside_kerb(x, y) - PAVEMENT).min(30.0)
-    }
-
-    /// Distance of a point from roads and pavements, negative upon them, at most 30 m.
     pub fn open_ground(&self, x: f64, y: f64) -> f64 {
         (self.inside_kerb(x, y) - PAVEMENT).min(30.0)
     }
