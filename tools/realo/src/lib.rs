@@ -24,6 +24,7 @@ mod registry;
 pub mod render;
 pub mod run;
 pub mod simulate;
+mod statistics;
 pub mod train;
 pub mod validate;
 

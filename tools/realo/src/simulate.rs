@@ -2,23 +2,25 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use eyre::{Result, WrapErr};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
 use realo_schemas::Nanos;
-use realo_simulator::{Options, Phase, PoseSample, Scenario, Simulation, Sweep};
+use realo_simulator::{Options, Phase, PoseSample, Scenario, Sensor, Simulation, Sweep, Weather, fleet};
 
-use crate::Outcome;
+use crate::{Outcome, statistics};
 
 /// Simulates a place, its traffic and the agents that record it
 #[derive(clap::Args)]
 pub struct Args {
-    /// Which place
-    #[arg(long, value_enum, default_value = "intersection")]
-    scenario: ScenarioArg,
-    /// Heavy traffic: at least 120 road users
+    /// Which place; mixed: one of all, as the place's number says
+    #[arg(long, value_parser = scenarios(), default_value = "intersection")]
+    scenario: Scenario,
+    /// Heavy traffic: at least 120 road users, or as many as there is room for
     #[arg(long)]
     dense: bool,
     /// Fixes roads and buildings [default: from the seed]
@@ -28,14 +30,26 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "locked")]
     phase: PhaseArg,
     /// Fixes traffic and noise; 0–799 train, 800–899 validate, 900–999 test
-    #[arg(long)]
-    seed: u64,
+    #[arg(long, required_unless_present = "statistics")]
+    seed: Option<u64>,
     /// Length of the log
-    #[arg(long)]
-    seconds: f64,
+    #[arg(long, required_unless_present = "statistics")]
+    seconds: Option<f64>,
     /// Agents that record
     #[arg(long, value_delimiter = ',', default_values_t = realo_simulator::AGENTS.map(String::from))]
     agents: Vec<String>,
+    /// Vehicles that record, instead of --agents; at most 16 agents in all
+    #[arg(long, value_name = "COUNT", conflicts_with = "agents")]
+    vehicles: Option<usize>,
+    /// Roadside units that record, instead of --agents
+    #[arg(long, value_name = "COUNT", conflicts_with = "agents")]
+    roadside: Option<usize>,
+    /// Rain, mm/h
+    #[arg(long, value_name = "MM_H", default_value_t = 0.0)]
+    rain: f64,
+    /// Fog in which one sees so far, m
+    #[arg(long, value_name = "METRES")]
+    visibility: Option<f64>,
     /// Scored frames per second
     #[arg(long, default_value_t = 1.0)]
     key_hz: f64,
@@ -54,15 +68,27 @@ pub struct Args {
     /// Where the place lies in the map: east,north in metres
     #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 0.0], allow_negative_numbers = true)]
     map_offset: Vec<f64>,
+    /// The vehicles' sensors, dealt out in turn: names of built-in ones, or files that end in .toml
+    #[arg(long, value_delimiter = ',', value_name = "SENSOR")]
+    vehicle_sensor: Vec<String>,
+    /// The roadside units' sensors, as above
+    #[arg(long, value_delimiter = ',', value_name = "SENSOR")]
+    roadside_sensor: Vec<String>,
     /// The log to write
-    #[arg(short = 'o', long = "output")]
-    output: PathBuf,
+    #[arg(short = 'o', long = "output", required_unless_present = "statistics")]
+    output: Option<PathBuf>,
+    /// Simulates nothing: prints what the clouds of logs are like, real or simulated
+    #[arg(long, num_args = 1.., value_name = "LOG")]
+    statistics: Vec<PathBuf>,
+    /// With --statistics: counts of each cloud only the rings nearest to the beams of this sensor
+    #[arg(long, value_name = "SENSOR", requires = "statistics")]
+    like: Option<String>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum ScenarioArg {
-    Intersection,
-    Corridor,
+/// The scenarios by their names.
+fn scenarios() -> impl TypedValueParser<Value = Scenario> {
+    let names = Scenario::PLACES.map(Scenario::name).into_iter();
+    PossibleValuesParser::new(names.chain([Scenario::Mixed.name()])).try_map(|name| Scenario::from_name(&name))
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -80,34 +106,48 @@ impl Args {
             )
         })?;
         Ok(Options {
-            scenario: match self.scenario {
-                ScenarioArg::Intersection => Scenario::Intersection,
-                ScenarioArg::Corridor => Scenario::Corridor,
-            },
+            scenario: self.scenario,
             phase: match self.phase {
                 PhaseArg::Locked => Phase::Locked,
                 PhaseArg::Spread => Phase::Spread,
             },
             dense: self.dense,
             place: self.place,
-            seed: self.seed,
-            seconds: self.seconds,
+            seed: self.seed.unwrap_or_default(),
+            seconds: self.seconds.unwrap_or_default(),
             key_hz: self.key_hz,
             key_sweeps_only: self.key_sweeps_only,
             map_offset_m,
             noise_free_detections: self.noise_free_detections,
             detection_min_points: self.detection_min_points,
-            agents: self.agents.clone(),
+            agents: match (self.vehicles, self.roadside) {
+                (None, None) => self.agents.clone(),
+                (vehicles, roadside) => fleet(vehicles.unwrap_or(0), roadside.unwrap_or(0))?,
+            },
+            weather: Weather {
+                rain_mm_h: self.rain,
+                visibility_m: self.visibility,
+            },
             clouds: !self.no_clouds,
+            vehicle_sensors: sensors(&self.vehicle_sensor)?,
+            roadside_sensors: sensors(&self.roadside_sensor)?,
             ..Options::default()
         })
     }
 }
 
+fn sensors(names: &[String]) -> Result<Vec<Arc<Sensor>>> {
+    Ok(names.iter().map(|name| Sensor::named(name)).collect::<Result<_, _>>()?)
+}
+
 /// Writes the log; nothing is left at its place unless it is complete.
 pub fn main(args: &Args) -> Result<Outcome> {
-    write(&args.options()?, &args.output)?;
-    println!("{}", realo_logs::describe(&args.output)?);
+    let Some(output) = args.output.as_ref().filter(|_| args.statistics.is_empty()) else {
+        statistics::print(&args.statistics, args.like.as_deref())?;
+        return Ok(Outcome::Complete);
+    };
+    write(&args.options()?, output)?;
+    println!("{}", realo_logs::describe(output)?);
     Ok(Outcome::Complete)
 }
 
@@ -168,6 +208,9 @@ fn write_sweep(writer: &mut LogWriter, sweep: &Sweep, clouds: bool) -> Result<()
     Ok(())
 }
 
+/// Road users that heavy traffic has where there is room.
+const DENSE: usize = 120;
+
 fn log_info(simulation: &Simulation) -> LogInfo {
     let options = simulation.options();
     let agents = simulation.agents().map(|agent| AgentInfo {
@@ -177,17 +220,29 @@ fn log_info(simulation: &Simulation) -> LogInfo {
             realo_simulator::AgentKind::Roadside => AgentKind::Roadside,
         },
         footprint: agent.footprint,
-        sensor: agent.sensor.into(),
+        sensor: agent.sensor.to_string(),
         sensor_position: Some([0.0, 0.0, agent.sensor_height]),
     });
+    let place = match (options.scenario, simulation.scenario()) {
+        (Scenario::Mixed, drawn) => format!("mixed ({})", drawn.name()),
+        (own, _) => own.name().into(),
+    };
+    let users = match (simulation.road_users(), simulation.scenario()) {
+        (_, Scenario::Intersection | Scenario::Corridor) => String::new(),
+        (found, _) if options.dense && found < DENSE => {
+            format!(", {found} road users of {DENSE}: there is room for no more")
+        }
+        (found, _) => format!(", {found} road users"),
+    };
     let source = format!(
-        "realo simulate: {:?}{}, place {}, seed {}, {} s, phase {:?}",
-        options.scenario,
+        "realo simulate: {}{}, place {}, seed {}, {} s, phase {:?}{}",
+        place,
         if options.dense { ", dense" } else { "" },
         simulation.place(),
         options.seed,
         options.seconds,
         options.phase,
+        users,
     );
     let mut info = LogInfo::new(source.to_lowercase(), agents.collect());
     info.key_frames = format!("{} a second", options.key_hz);

@@ -1,14 +1,17 @@
 //! The agents: what carries a sensor, where it is, when it measures.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use realo_schemas::{EgoState, Name, Nanos, PoseStatus, from_seconds, to_seconds};
 
-use crate::options::{AGENTS, EPOCH, Options, Phase, SWEEP_PERIOD};
-use crate::path::Pose2;
+use crate::bodies::Class;
+use crate::options::{EPOCH, Error, Options, Phase, SWEEP_PERIOD, agent_of};
+use crate::path::{Course, Pose2, State};
 use crate::place::Scenery;
 use crate::random::Stream;
-use crate::sensor::Sensor;
-use crate::traffic::Traffic;
+use crate::sensor::{Mount, Sensor};
+use crate::traffic::{Traffic, User};
 
 /// Height of the vehicles' sensors over the ground, m.
 const VEHICLE_SENSOR: f64 = 1.9;
@@ -38,7 +41,7 @@ pub struct AgentInfo {
     /// Height of the sensor over the body frame's origin, m.
     pub sensor_height: f64,
     /// Model of the sensor.
-    pub sensor: &'static str,
+    pub sensor: Name,
     /// Track id of the vehicle in the truth of others.
     pub track: Option<u64>,
 }
@@ -46,13 +49,19 @@ pub struct AgentInfo {
 /// An agent of a simulation.
 pub(crate) struct Agent {
     pub info: AgentInfo,
-    /// Number in [`AGENTS`]; names its random streams.
+    /// Names its random streams; 0 to 3 for the first two vehicles and roadside units.
     pub number: u64,
-    pub sensor: &'static Sensor,
+    pub sensor: Arc<Sensor>,
+    /// Where its sensor is mounted; the sensor's own, or that of the agent's kind.
+    pub mount: Mount,
+    /// Roll and pitch of the sensor that nobody knows of, rad.
+    pub misalignment: [f64; 2],
+    /// What the carrier's springs do, if it has any.
+    sway: Option<Sway>,
     /// The road user that carries it.
     pub user: Option<usize>,
     /// Where it stands, if nobody carries it: pose and height of the ground.
-    stands: (Pose2, f64),
+    stands: Option<(Pose2, f64)>,
     /// Start of the first sweep after [`EPOCH`], ns.
     pub phase: Nanos,
 }
@@ -69,23 +78,87 @@ pub(crate) struct BodyState {
 }
 
 impl Agent {
-    /// The agents that options ask for, in their fixed order.
-    pub fn all(options: &Options, place: &Scenery, traffic: &Traffic) -> Vec<Agent> {
+    /// The agents that options ask for: vehicles, then roadside units, by number.
+    ///
+    /// # Errors
+    /// [`Error::NoCar`], [`Error::NoStand`].
+    pub fn all(options: &Options, place: &Scenery, traffic: &Traffic) -> Result<Vec<Agent>, Error> {
+        let mut wanted: Vec<(bool, usize)> = options.agents.iter().filter_map(|name| agent_of(name)).collect();
+        wanted.sort_by_key(|(vehicle, number)| (!vehicle, *number));
+        let most = |kind: bool| {
+            wanted
+                .iter()
+                .filter(|(vehicle, _)| *vehicle == kind)
+                .map(|(_, k)| k + 1)
+                .max()
+        };
+        let cars = cars(traffic, options.seconds, most(true).unwrap_or(0));
+        let stands = stands(place, most(false).unwrap_or(0));
         let phases = phases(options);
-        (0..AGENTS.len())
-            .filter(|i| options.agents.iter().any(|name| name == AGENTS[*i]))
-            .map(|i| Agent::new(i, phases[i], place, traffic))
-            .collect()
+        let agent = |(vehicle, number): (bool, usize)| {
+            let name = format!("{}{}", if vehicle { "cav" } else { "rsu" }, number + 1);
+            let carrier = match vehicle {
+                true => cars.get(number).map(|car| Carrier::Car(*car)),
+                false => stands.get(number).map(|stand| Carrier::Stand(*stand)),
+            };
+            let found = cars.len();
+            let missing = || match vehicle {
+                true => Error::NoCar {
+                    name: name.clone(),
+                    found,
+                },
+                false => Error::NoStand { name: name.clone() },
+            };
+            let carrier = carrier.ok_or_else(missing)?;
+            // The first four keep the numbers of their streams.
+            let stream = match (vehicle, number) {
+                (true, 0 | 1) => number,
+                (false, 0 | 1) => number + 2,
+                (true, _) => 100 + number,
+                (false, _) => 200 + number,
+            };
+            let phase = phases
+                .get(stream)
+                .copied()
+                .unwrap_or_else(|| late_phase(options, stream));
+            Ok(Agent::new(options, (&name, number, stream), phase, carrier, traffic))
+        };
+        wanted.into_iter().map(agent).collect()
     }
 
-    fn new(number: usize, phase: Nanos, place: &Scenery, traffic: &Traffic) -> Agent {
-        let vehicle = number < 2;
-        let user = vehicle.then(|| traffic.cavs[number]);
-        let sensor = match number {
-            0 | 1 => Sensor::ruby_plus(),
-            2 => Sensor::os1_128(),
+    fn new(
+        options: &Options,
+        (name, of_kind, stream): (&str, usize, usize),
+        phase: Nanos,
+        carrier: Carrier,
+        traffic: &Traffic,
+    ) -> Agent {
+        let (user, stands) = match carrier {
+            Carrier::Car(user) => (Some(user), None),
+            Carrier::Stand(stand) => (None, Some(stand)),
+        };
+        let vehicle = user.is_some();
+        let own = if vehicle {
+            &options.vehicle_sensors
+        } else {
+            &options.roadside_sensors
+        };
+        let sensor = match (own.is_empty(), vehicle, of_kind % 2) {
+            (false, ..) => own[of_kind % own.len()].clone(),
+            (_, true, _) => Sensor::ruby_plus(),
+            (_, _, 0) => Sensor::os1_128(),
             _ => Sensor::os1_64(),
         };
+        let mount = sensor.mount.unwrap_or(Mount {
+            height: if vehicle { VEHICLE_SENSOR } else { ROADSIDE_SENSOR },
+            pitch: 0.0,
+            roll: 0.0,
+            yaw: 0.0,
+            misalignment: 0.0,
+        });
+        let mut draws = Stream::new(options.seed, "mount", stream as u64);
+        let misalignment = [draws.normal(), draws.normal()].map(|v| mount.misalignment * v.clamp(-3.0, 3.0));
+        let sway = (vehicle && sensor.mount.is_some()).then(|| Sway::new(&mut draws));
         let footprint = user.map(|user| {
             let [length, width, _] = traffic.users[user].size;
             [
@@ -96,23 +169,26 @@ impl Agent {
             ]
         });
         let info = AgentInfo {
-            name: AGENTS[number].into(),
+            name: name.into(),
             kind: if vehicle {
                 AgentKind::Vehicle
             } else {
                 AgentKind::Roadside
             },
             footprint,
-            sensor_height: if vehicle { VEHICLE_SENSOR } else { ROADSIDE_SENSOR },
-            sensor: sensor.model,
+            sensor_height: mount.height,
+            sensor: sensor.model.clone(),
             track: user.map(|user| traffic.users[user].track),
         };
         Agent {
             info,
-            number: number as u64,
+            number: stream as u64,
             sensor,
+            mount,
+            misalignment,
+            sway,
             user,
-            stands: place.roadside(number == 3),
+            stands,
             phase,
         }
     }
@@ -125,7 +201,7 @@ impl Agent {
     /// The body frame `t` seconds after [`EPOCH`].
     pub fn body(&self, place: &Scenery, traffic: &Traffic, t: f64) -> BodyState {
         let Some(user) = self.user.map(|user| &traffic.users[user]) else {
-            let (pose, z) = self.stands;
+            let (pose, z) = self.stands.expect("who is not carried stands");
             let position = [pose.x, pose.y, z];
             return BodyState {
                 position,
@@ -151,8 +227,54 @@ impl Agent {
             heading,
             velocity: [vx, vy, vz],
             turn_rate: state.turn_rate,
-            slope: user.footing(place, &state).slope,
+            slope: self.leaning(user.footing(place, &state).slope, user, &state, t),
         }
+    }
+
+    /// The slope of the carrier on its springs: the ground's, and what braking, bends and the road's roughness add.
+    fn leaning(&self, ground: [f64; 2], user: &User, state: &State, t: f64) -> [f64; 2] {
+        let Some(sway) = &self.sway else { return ground };
+        const STEP: f64 = 0.1;
+        let speed = |t: f64| user.course.at(t).map_or(state.speed, |state| state.speed);
+        let acceleration = (speed(t + STEP) - speed(t - STEP)) / (2.0 * STEP);
+        let (pitch, roll) = sway.at(t, state.speed, acceleration, state.speed * state.turn_rate);
+        [ground[0] + pitch, ground[1] + roll]
+    }
+}
+
+/// A vehicle on its springs; the figures are modelling choices: usual cars dive by 1 to 1.5° at 3 m/s², and roll by as
+/// much in bends of 3 m/s².
+#[derive(Clone, Debug)]
+struct Sway {
+    /// Frequency in Hz and phase of each wave, two of pitch, two of roll.
+    waves: [[f64; 2]; 4],
+}
+
+impl Sway {
+    /// Slope for an acceleration of 1 m/s², along and across.
+    const DIVE: f64 = 0.006;
+    const ROLL: f64 = 0.007;
+    /// Slopes of the waves at speed: the body on its springs, and the wheels' shaking.
+    const WAVES: [f64; 2] = [0.0016, 0.000_6];
+
+    fn new(draws: &mut Stream) -> Self {
+        let mut wave = |low, high| [draws.between(low, high), draws.between(0.0, std::f64::consts::TAU)];
+        Sway {
+            waves: [wave(1.0, 1.6), wave(9.0, 13.0), wave(1.2, 1.9), wave(9.0, 13.0)],
+        }
+    }
+
+    /// Slopes along and across, nose and left side up; accelerations ahead and to the left.
+    fn at(&self, t: f64, speed: f64, ahead: f64, left: f64) -> (f64, f64) {
+        let rough = (speed * 0.1).clamp(0.0, 1.0);
+        let wave = |k: usize| {
+            let [frequency, phase] = self.waves[k];
+            rough * Self::WAVES[k % 2] * libm::sin(std::f64::consts::TAU * frequency * t + phase)
+        };
+        // Braking lifts the rear; in a bend to the left the body leans to the right, so that its left side rises.
+        let pitch = Self::DIVE * ahead.clamp(-6.0, 4.0) + wave(0) + wave(1);
+        let roll = Self::ROLL * left.clamp(-5.0, 5.0) + wave(2) + wave(3);
+        (pitch, roll)
     }
 }
 
@@ -184,7 +306,85 @@ pub(crate) fn rotation(roll: f64, pitch: f64, yaw: f64) -> UnitQuaternion<f64> {
     half(yaw, [0.0, 0.0, 1.0]) * half(pitch, [0.0, 1.0, 0.0]) * half(roll, [1.0, 0.0, 0.0])
 }
 
-/// Start of each agent's first sweep after [`EPOCH`], ns.
+/// What carries an agent: a road user, or a pole at a pose and height of the ground.
+#[derive(Clone, Copy)]
+enum Carrier {
+    Car(usize),
+    Stand((Pose2, f64)),
+}
+
+/// Road users that are cav1, cav2, …, at most `count`: the two that the traffic chose, then cars that stay for the whole
+/// log, those that drive before those that are parked, nearest to the first one in the log's middle.
+fn cars(traffic: &Traffic, seconds: f64, count: usize) -> Vec<usize> {
+    let mut cars: Vec<usize> = traffic.cavs.to_vec();
+    if count <= cars.len() {
+        return cars;
+    }
+    let place = |user: &User| user.course.at(0.5 * seconds).map(|state| state.pose);
+    let first = place(&traffic.users[cars[0]]);
+    let mut others: Vec<(bool, f64, usize)> = Vec::new();
+    for (index, user) in traffic.users.iter().enumerate() {
+        let stays = [-0.4, seconds + 0.4].iter().all(|t| user.course.at(*t).is_some());
+        let (Some(here), Some(first)) = (place(user), first) else {
+            continue;
+        };
+        if user.class == Class::Car && stays && !cars.contains(&index) {
+            let (dx, dy) = (here.x - first.x, here.y - first.y);
+            others.push((matches!(user.course, Course::Fixed(_)), dx * dx + dy * dy, index));
+        }
+    }
+    others.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+    cars.extend(others.into_iter().map(|(.., index)| index));
+    cars.truncate(count);
+    cars
+}
+
+/// Where rsu1, rsu2, … stand, at most `count`: the two of the place, then beside the roads within 150 m of the first, each
+/// as far from all before it as can be, looking along the road towards the first.
+fn stands(place: &Scenery, count: usize) -> Vec<(Pose2, f64)> {
+    const STEP: f64 = 5.0;
+    const AROUND: f64 = 150.0;
+    let mut stands = vec![place.roadside(false), place.roadside(true)];
+    let first = stands[0].0;
+    let square = |a: Pose2, b: Pose2| (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y);
+    let mut free: Vec<Pose2> = Vec::new();
+    for verge in &place.verges {
+        let spots = (verge.length() / STEP) as usize;
+        free.extend((0..=spots).map(|k| verge.pose(k as f64 * STEP, 0.2)));
+    }
+    free.retain(|pose| square(*pose, first) < AROUND * AROUND);
+    while stands.len() < count {
+        let lonely = |pose: &Pose2| {
+            stands
+                .iter()
+                .map(|(other, _)| square(*pose, *other))
+                .fold(f64::MAX, f64::min)
+        };
+        let Some(best) = free.iter().max_by(|a, b| lonely(a).total_cmp(&lonely(b))).copied() else {
+            break;
+        };
+        if lonely(&best) < STEP * STEP {
+            break;
+        }
+        let (sin, cos) = libm::sincos(best.heading);
+        let away = (first.x - best.x) * cos + (first.y - best.y) * sin < 0.0;
+        let heading = best.heading + if away { std::f64::consts::PI } else { 0.0 };
+        stands.push((Pose2 { heading, ..best }, place.walk_height(best.x, best.y)));
+    }
+    stands
+}
+
+/// Start of the first sweep of an agent beyond the first four; when all spread, anywhere in the period.
+fn late_phase(options: &Options, stream: usize) -> Nanos {
+    let mut draws = Stream::new(options.seed, "phases", stream as u64);
+    let within = match options.phase {
+        Phase::Locked => 0.000_9,
+        Phase::Spread => 0.1,
+    };
+    from_seconds(draws.between(0.0, within))
+}
+
+/// Start of the first sweep after [`EPOCH`] of cav1, cav2, rsu1 and rsu2, ns.
 fn phases(options: &Options) -> [Nanos; 4] {
     let mut draws = Stream::new(options.seed, "phases", 0);
     match options.phase {

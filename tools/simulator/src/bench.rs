@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use realo_schemas::Name;
+
 use crate::options::{Error, Options};
 use crate::simulation::Simulation;
 
@@ -29,7 +31,7 @@ pub struct SensorBench {
     /// The agent that carries it.
     pub agent: String,
     /// Its model.
-    pub model: &'static str,
+    pub model: Name,
     /// Finished points per second of one core, in the fastest group of sweeps.
     pub points_per_second: f64,
 }
@@ -74,7 +76,7 @@ pub fn bench(seconds: f64) -> Result<Bench, Error> {
         .fold((0, 0.0), |(points, time), (p, t)| (points + p, time + t));
     let sensors = agents.iter().zip(&best).map(|(agent, (points, time))| SensorBench {
         agent: agent.name.to_string(),
-        model: agent.sensor,
+        model: agent.sensor.clone(),
         points_per_second: *points as f64 / time,
     });
     Ok(Bench {

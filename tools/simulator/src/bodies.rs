@@ -248,7 +248,7 @@ fn bus([length, width, height]: [f64; 3], paint: f64) -> Solid {
 }
 
 /// Somebody on two wheels; `frame` is half the machine's own width.
-fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -> Solid {
+pub(crate) fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -> Solid {
     let (l, h, w) = (length / 2.0, height, width / 2.0);
     let radius: f64 = if frame > 0.05 { 0.26 } else { 0.34 };
     let tread = frame.max(0.03);
@@ -310,7 +310,7 @@ fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -> Solid {
     ])
 }
 
-fn walker([length, width, height]: [f64; 3], cloth: f64) -> Solid {
+pub(crate) fn walker([length, width, height]: [f64; 3], cloth: f64) -> Solid {
     let (l, h, w) = (length / 2.0, height, width / 2.0);
     let (hip, shoulder) = (0.5 * h, 0.84 * h);
     let leg = 0.045 * h;

@@ -10,18 +10,21 @@
 //! # Ok::<(), realo_simulator::Error>(())
 //! ```
 //!
-//! **The world.** A signalised intersection or a straight road with a signalised crossing; lanes, cycle lanes, parking
-//! bays, kerbs, buildings, poles, trees; ground that is not quite flat. Vehicles follow each other (Intelligent Driver
-//! Model), obey the lights and each other's right of way; walkers keep to pavements and crossings. `cav1` and `cav2`
-//! are cars of that traffic, on two arms, near each other and `rsu1` for most of the first ten seconds; `rsu1` and
-//! `rsu2` stand on 5 m poles at opposite corners, level. A vehicle that stays for longer turns round at the end of the
-//! road if it is a cav, and else leaves the place. Every road user is an object of truth, named by V2X-Real's raw
+//! **The world.** Twelve places ([`Scenario`]): two whose roads are straight and cross squarely between houses
+//! (`intersection`, `corridor`), and ten whose roads run at any angle, bent, on slopes of up to 3 %, most of them open
+//! beside the road. Each is drawn anew for every number: angles, radii, lanes, lights, bays, houses. Lanes, cycle lanes,
+//! parking bays, kerbs, crowned roads, buildings, poles, trees; ground that is not quite flat. Vehicles follow each
+//! other (Intelligent Driver Model), change lanes, obey the lights and each other's right of way; walkers keep to
+//! pavements and crossings. `cav1` and `cav2` are cars of that traffic, come by two arms (on a network: two lanes), near
+//! each other and `rsu1` for most of the first ten seconds; `rsu1` and `rsu2` stand on 5 m poles at corners, level. A
+//! vehicle that stays for longer turns round at the end of the road if it is a cav, and else leaves the place. Every road user is an object of truth, named by V2X-Real's raw
 //! classes: Car, Van, Truck, Bus, MotorcyleRider (sic), BicycleRider, ScooterRider, Pedestrian, Child.
 //!
 //! **Sensors.** `cav1`, `cav2`: 128 beams by the Ruby Plus table, 1,800 columns, 1.9 m over the ground, tilted with
 //! the car; the own roof and bonnet are in the cloud. `rsu1`: OS1-128, `rsu2`: OS1-64, 1,024 columns. All turn at
 //! 10 Hz, clockwise from the rear. Each ray is cast at its own firing time against the world of that instant. Beams
-//! have no width: there are no mixed returns at edges. Rings are numbered from the lowest beam up.
+//! have no width: there are no mixed returns at edges. Rings are numbered from the lowest beam up. Other sensors come
+//! by name or from files ([`Sensor::named`]), fleets have up to sixteen agents ([`fleet`]).
 //!
 //! **Frames and time.** Body frames are gravity-aligned with z = 0 on the ground below the sensor; x is forward, for
 //! roadside units along the main road. The place is turned in `map` by an angle of its own. Logs start at [`EPOCH`];
@@ -45,12 +48,17 @@ mod place;
 mod poses;
 mod random;
 mod sensor;
+mod shapes;
 mod simulation;
 mod solid;
+pub mod statistics;
 mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
 pub use bench::{Bench, SensorBench, bench};
-pub use options::{AGENTS, EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario};
+pub use options::{
+    AGENTS, EPOCH, Error, MOST_AGENTS, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Weather, fleet,
+};
 pub use poses::PoseSample;
+pub use sensor::{Sensor, SensorError};
 pub use simulation::{Simulation, Sweep, Sweeps};

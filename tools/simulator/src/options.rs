@@ -1,6 +1,11 @@
 //! What can be asked of a simulation, and what is refused.
 
+use std::sync::Arc;
+
 use realo_schemas::Nanos;
+
+use crate::random::Stream;
+use crate::sensor::Sensor;
 
 /// Log time at which every simulation starts: 2026-01-01T00:00:00Z.
 pub const EPOCH: Nanos = 1_767_225_600_000_000_000;
@@ -11,17 +16,146 @@ pub const SWEEP_PERIOD: Nanos = 100_000_000;
 /// Time from one pose to the next, ns.
 pub const POSE_PERIOD: Nanos = 10_000_000;
 
-/// The agents that a place can have, in order.
+/// The agents that record unless options say otherwise, in order.
 pub const AGENTS: [&str; 4] = ["cav1", "cav2", "rsu1", "rsu2"];
 
+/// Agents of a fleet at most.
+pub const MOST_AGENTS: usize = 16;
+
+/// The names of a fleet's agents: vehicles `cav1`, `cav2`, … and roadside units `rsu1`, `rsu2`, …
+///
+/// # Errors
+/// A fleet of none, or of more than [`MOST_AGENTS`].
+pub fn fleet(vehicles: usize, roadside: usize) -> Result<Vec<String>, Error> {
+    let count = vehicles.saturating_add(roadside);
+    if count > MOST_AGENTS {
+        return Err(Error::TooManyAgents { found: count });
+    }
+    if count == 0 {
+        return Err(Error::NoAgent);
+    }
+    let names = |kind: &'static str, count: usize| (1..=count).map(move |k| format!("{kind}{k}"));
+    Ok(names("cav", vehicles).chain(names("rsu", roadside)).collect())
+}
+
+/// Whether a name is that of a vehicle, and its number from 0; `None` for names that no agent has.
+pub(crate) fn agent_of(name: &str) -> Option<(bool, usize)> {
+    let (vehicle, digits) = match (name.strip_prefix("cav"), name.strip_prefix("rsu")) {
+        (Some(digits), _) => (true, digits),
+        (_, Some(digits)) => (false, digits),
+        _ => return None,
+    };
+    let number: usize = digits.parse().ok()?;
+    let usual = (1..=MOST_AGENTS).contains(&number) && number.to_string() == digits;
+    usual.then(|| (vehicle, number - 1))
+}
+
+/// What is in the air.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Weather {
+    /// Rain, mm/h; 0 for none.
+    pub rain_mm_h: f64,
+    /// Meteorological visibility in fog, m; `None` for clear air.
+    pub visibility_m: Option<f64>,
+}
+
+impl Weather {
+    /// What the air takes of the light, 1/m. Rain: 1.076·R^0.67 dB/km (ITU-R P.1814). Fog: ln 20 / V, the extinction at
+    /// which a black object at the visibility keeps a contrast of 5 % (Koschmieder; the meteorological optical range).
+    pub(crate) fn extinction(self) -> f64 {
+        let rain = match self.rain_mm_h > 0.0 {
+            true => 1.076 * libm::pow(self.rain_mm_h, 0.67) * std::f64::consts::LN_10 / 10.0 / 1000.0,
+            false => 0.0,
+        };
+        rain + self.visibility_m.map_or(0.0, |visibility| libm::log(20.0) / visibility)
+    }
+}
+
 /// Which place is built.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Scenario {
-    /// Two roads that cross under traffic lights.
+    /// Two straight roads that cross squarely under traffic lights, between houses.
     #[default]
     Intersection,
-    /// A straight road with a signalised crossing for pedestrians.
+    /// A straight road with a signalised crossing for pedestrians, between houses.
     Corridor,
+    /// Two bent roads that cross at a slant, with lights or without, in the open.
+    Junction,
+    /// A road that ends at another, at a slant.
+    Tee,
+    /// Three or four roads that meet in a ring.
+    Roundabout,
+    /// A winding road with entries.
+    Curve,
+    /// Narrow streets between gardens, cars parked on both sides.
+    Residential,
+    /// Three lanes each way at up to 120 km/h, with an entry.
+    Motorway,
+    /// A car park with its street.
+    CarPark,
+    /// A boulevard with a planted median.
+    Avenue,
+    /// A winding road over open, sloping land, without kerbs.
+    Rural,
+    /// A shopping street: many walkers, vans at the kerb.
+    Market,
+    /// One of all these, as the place's number says.
+    Mixed,
+}
+
+impl Scenario {
+    /// All that are places of their own.
+    pub const PLACES: [Scenario; 12] = [
+        Scenario::Intersection,
+        Scenario::Corridor,
+        Scenario::Junction,
+        Scenario::Tee,
+        Scenario::Roundabout,
+        Scenario::Curve,
+        Scenario::Residential,
+        Scenario::Motorway,
+        Scenario::CarPark,
+        Scenario::Avenue,
+        Scenario::Rural,
+        Scenario::Market,
+    ];
+
+    /// Its name, as it is asked for.
+    pub fn name(self) -> &'static str {
+        match self {
+            Scenario::Intersection => "intersection",
+            Scenario::Corridor => "corridor",
+            Scenario::Junction => "junction",
+            Scenario::Tee => "tee",
+            Scenario::Roundabout => "roundabout",
+            Scenario::Curve => "curve",
+            Scenario::Residential => "residential",
+            Scenario::Motorway => "motorway",
+            Scenario::CarPark => "car_park",
+            Scenario::Avenue => "avenue",
+            Scenario::Rural => "rural",
+            Scenario::Market => "market",
+            Scenario::Mixed => "mixed",
+        }
+    }
+
+    /// The scenario of a name.
+    ///
+    /// # Errors
+    /// [`Error::UnknownScenario`] lists the names.
+    pub fn from_name(name: &str) -> Result<Self, Error> {
+        let mut all = Self::PLACES.into_iter().chain([Scenario::Mixed]);
+        all.find(|scenario| scenario.name() == name)
+            .ok_or_else(|| Error::UnknownScenario { found: name.into() })
+    }
+
+    /// The place that is built for a place's number: what `mixed` draws, else itself.
+    pub fn resolve(self, place: u64) -> Self {
+        match self {
+            Scenario::Mixed => Self::PLACES[Stream::new(place, "scenario", 0).below(Self::PLACES.len())],
+            own => own,
+        }
+    }
 }
 
 /// How the agents' sweeps lie to each other in time.
@@ -60,7 +194,8 @@ pub struct Options {
     pub noise_free_detections: bool,
     /// Own points from which an object can be in the recorded detections.
     pub detection_min_points: u32,
-    /// The agents that record, of [`AGENTS`]; the others are still there.
+    /// The agents that record: `cav1`, `cav2`, … and `rsu1`, `rsu2`, …, at most [`MOST_AGENTS`]; the other cars are still
+    /// there.
     pub agents: Vec<String>,
     /// Whether sweeps carry their points; without them, counts are the same.
     pub clouds: bool,
@@ -70,6 +205,12 @@ pub struct Options {
     pub column_stride: usize,
     /// How the agents' own poses err.
     pub pose_noise: PoseNoise,
+    /// The vehicles' sensors, dealt out in turn; empty: those of the first places.
+    pub vehicle_sensors: Vec<Arc<Sensor>>,
+    /// The roadside units' sensors, dealt out in turn; empty: those of the first places.
+    pub roadside_sensors: Vec<Arc<Sensor>>,
+    /// Rain and fog.
+    pub weather: Weather,
 }
 
 impl Default for Options {
@@ -92,6 +233,9 @@ impl Default for Options {
             labels: false,
             column_stride: 1,
             pose_noise: PoseNoise::default(),
+            vehicle_sensors: Vec::new(),
+            roadside_sensors: Vec::new(),
+            weather: Weather::default(),
         }
     }
 }
@@ -207,7 +351,7 @@ pub enum Error {
         found: String,
     },
     /// An agent that no place has.
-    #[error("simulation option `agents`: no agent `{found}`; a place has cav1, cav2, rsu1 and rsu2")]
+    #[error("simulation option `agents`: no agent `{found}`; a place has cav1 to cav16 and rsu1 to rsu16")]
     UnknownAgent {
         /// The name that came.
         found: String,
@@ -218,9 +362,54 @@ pub enum Error {
         /// The name that came twice.
         found: String,
     },
+    /// A scenario that there is not.
+    #[error(
+        "simulation option `scenario`: no scenario `{found}`; there are intersection, corridor, junction, tee, roundabout, \
+         curve, residential, motorway, car_park, avenue, rural, market and mixed"
+    )]
+    UnknownScenario {
+        /// The name that came.
+        found: String,
+    },
+    /// A place whose traffic has no two cars that can carry agents.
+    #[error(
+        "simulation options `scenario`, `seed` and `place`: in {scenario}, place {place}, no two cars of seed {seed}'s \
+         traffic are near each other; take another seed"
+    )]
+    NoRoom {
+        /// What was built.
+        scenario: &'static str,
+        /// The place's number.
+        place: u64,
+        /// The traffic's.
+        seed: u64,
+    },
     /// Nobody records.
     #[error("simulation option `agents`: nobody records; name at least one of cav1, cav2, rsu1 and rsu2")]
     NoAgent,
+    /// More agents than a fleet has.
+    #[error("simulation option `agents`: expected at most {MOST_AGENTS} agents, found {found}")]
+    TooManyAgents {
+        /// How many came.
+        found: usize,
+    },
+    /// A vehicle that no car can be.
+    #[error(
+        "simulation option `agents`: no car for `{name}`: {found} cars stay for the whole log; \
+         ask for fewer vehicles, a shorter log or dense traffic"
+    )]
+    NoCar {
+        /// The agent.
+        name: String,
+        /// Cars that could be agents.
+        found: usize,
+    },
+    /// A roadside unit for which there is no place.
+    #[error("simulation option `agents`: no place beside the roads for `{name}`; ask for fewer roadside units")]
+    NoStand {
+        /// The agent.
+        name: String,
+    },
 }
 
 fn require(holds: bool, field: &'static str, value: f64, expected: &'static str) -> Result<(), Error> {
@@ -278,6 +467,15 @@ impl Options {
             stride,
             "a number within [1, 1000]",
         )?;
+        let Weather {
+            rain_mm_h,
+            visibility_m,
+        } = self.weather;
+        let rains = (0.0..=300.0).contains(&rain_mm_h);
+        require(rains, "weather.rain_mm_h", rain_mm_h, "mm/h within [0, 300]")?;
+        let visibility = visibility_m.unwrap_or(1000.0);
+        let sees = (5.0..=1e6).contains(&visibility);
+        require(sees, "weather.visibility_m", visibility, "metres within [5, 1e6]")?;
         self.pose_noise.check()?;
         self.check_agents()
     }
@@ -286,9 +484,13 @@ impl Options {
         if self.agents.is_empty() {
             return Err(Error::NoAgent);
         }
+        if self.agents.len() > MOST_AGENTS {
+            let found = self.agents.len();
+            return Err(Error::TooManyAgents { found });
+        }
         for (i, found) in self.agents.iter().enumerate() {
             let found = found.clone();
-            if !AGENTS.contains(&found.as_str()) {
+            if agent_of(&found).is_none() {
                 return Err(Error::UnknownAgent { found });
             }
             if self.agents[..i].contains(&found) {
@@ -306,14 +508,21 @@ mod tests {
     #[test]
     fn refuses_by_name_what_it_cannot_do() {
         type Case = (fn(&mut Options), &'static str);
-        let cases: [Case; 9] = [
+        let cases: [Case; 13] = [
             (|o| o.seconds = f64::NAN, "seconds"),
             (|o| o.seconds = 0.0, "seconds"),
             (|o| o.key_hz = 3.0, "key_hz"),
             (|o| o.key_hz = 0.0, "key_hz"),
             (|o| o.map_offset_m = [f64::INFINITY, 0.0], "map_offset_m"),
             (|o| o.column_stride = 0, "column_stride"),
-            (|o| o.agents = vec!["cav9".into()], "cav9"),
+            (|o| o.agents = vec!["cav17".into()], "cav17"),
+            (
+                |o| o.agents = (1..=16).map(|k| format!("cav{k}")).chain(["rsu1".into()]).collect(),
+                "16 agents, found 17",
+            ),
+            (|o| o.weather.rain_mm_h = -1.0, "rain_mm_h"),
+            (|o| o.weather.visibility_m = Some(f64::NAN), "visibility_m"),
+            (|o| o.agents = vec!["cav01".into()], "cav01"),
             (|o| o.agents = vec!["cav1".into(), "cav1".into()], "twice"),
             (|o| o.pose_noise.heading_bias_deg = -1.0, "heading_bias_deg"),
         ];
@@ -324,5 +533,23 @@ mod tests {
             assert!(error.contains(named), "{error} does not name {named}");
         }
         assert_eq!(Options::default().check(), Ok(()));
+        assert_eq!(fleet(8, 4).unwrap().len(), 12);
+        assert_eq!(fleet(13, 4), Err(Error::TooManyAgents { found: 17 }));
+        assert_eq!(fleet(0, 0), Err(Error::NoAgent));
+    }
+
+    #[test]
+    fn air_takes_what_its_sources_say() {
+        let extinction = |rain_mm_h, visibility_m| {
+            Weather {
+                rain_mm_h,
+                visibility_m,
+            }
+            .extinction()
+        };
+        assert_eq!(extinction(0.0, None), 0.0);
+        // 10 mm/h: 5.03 dB/km.
+        assert!((extinction(10.0, None) * 1000.0 * 10.0 / std::f64::consts::LN_10 - 5.03).abs() < 0.01);
+        assert!((extinction(0.0, Some(100.0)) - 0.029_957).abs() < 1e-5);
     }
 }

@@ -6,7 +6,7 @@ use realo_schemas::{Box3, Boxes, Name, Nanos, PointCloud};
 use crate::agents::{Agent, AgentInfo, BodyState, since_epoch};
 use crate::cast::{Cast, Casting, World, cast};
 use crate::detections::detect;
-use crate::options::{Error, Options, SWEEP_PERIOD};
+use crate::options::{Error, Options, SWEEP_PERIOD, Scenario};
 use crate::place::Scenery;
 use crate::poses::{PoseSample, poses};
 use crate::random::Stream;
@@ -58,15 +58,19 @@ impl Simulation {
     pub fn new(options: &Options) -> Result<Self, Error> {
         options.check()?;
         let options = options.clone();
-        let place = Scenery::new(options.scenario, options.place.unwrap_or(options.seed));
+        let number = options.place.unwrap_or(options.seed);
+        let place = Scenery::new(options.scenario, number);
         let demand = Demand {
             place: &place,
             seed: options.seed,
             dense: options.dense,
             seconds: options.seconds,
         };
-        let traffic = Traffic::new(&demand);
-        let agents = Agent::all(&options, &place, &traffic);
+        let mut traffic = Traffic::new(&demand)?;
+        if place.is_network() {
+            traffic.round_off(options.seed);
+        }
+        let agents = Agent::all(&options, &place, &traffic)?;
         let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
         Ok(Simulation {
             options,
@@ -82,9 +86,23 @@ impl Simulation {
         &self.options
     }
 
+    /// Which place it is: what was asked for, or what `mixed` drew.
+    pub fn scenario(&self) -> Scenario {
+        self.place.scenario
+    }
+
     /// Number of the place: its roads and buildings.
     pub fn place(&self) -> u64 {
         self.options.place.unwrap_or(self.options.seed)
+    }
+
+    /// Road users at the start of the log.
+    pub fn road_users(&self) -> usize {
+        self.traffic
+            .users
+            .iter()
+            .filter(|user| user.course.at(0.0).is_some())
+            .count()
     }
 
     /// The agents that record, in a fixed order.
@@ -137,6 +155,7 @@ impl Simulation {
             clouds: options.clouds,
             labels: options.labels,
             column_stride: options.column_stride,
+            extinction: options.weather.extinction(),
         };
         let Cast {
             cloud,

@@ -3,7 +3,7 @@
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, from_seconds};
 use realo_simulator::{
-    EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Simulation, Sweep,
+    EPOCH, Error, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Sensor, Simulation, Sweep, fleet,
 };
 
 fn simulate(change: impl FnOnce(&mut Options)) -> Simulation {
@@ -73,6 +73,30 @@ fn same_bits_on_every_machine() {
         "ecb02fa62ff3347e",
         "the world has changed: raise WORLD and say so in the change log"
     );
+}
+
+/// The two old places stay what they are for every seed, whatever else the world learns.
+#[test]
+fn old_places_keep_their_bits() {
+    let cases = [
+        (Scenario::Intersection, 0, false, "78530ae561365233"),
+        (Scenario::Intersection, 417, true, "b8112f6490fd43bb"),
+        (Scenario::Corridor, 1, false, "f806f12a5ffe1a15"),
+        (Scenario::Corridor, 905, true, "30aba1d6665ab7a6"),
+    ];
+    for (scenario, seed, dense, expected) in cases {
+        let simulation = simulate(|o| (o.scenario, o.seed, o.dense, o.column_stride) = (scenario, seed, dense, 20));
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let poses: Vec<_> = ["cav1", "cav2", "rsu1", "rsu2"]
+            .map(|agent| simulation.poses(agent).unwrap())
+            .concat();
+        let numbers = poses
+            .iter()
+            .flat_map(|pose| pose.believed.map_from_body.translation.vector.iter().copied());
+        let sum = numbers.fold(0u64, |sum, v| sum.rotate_left(7) ^ v.to_bits());
+        let found = format!("{:016x}", digest(&sweeps) ^ sum);
+        assert_eq!(found, expected, "{scenario:?}, seed {seed}");
+    }
 }
 
 #[test]
@@ -495,11 +519,11 @@ fn agents_that_do_not_record_are_still_there() {
     let few: Vec<_> = simulation.sweeps().filter(|s| &*s.agent == "cav1").collect();
     assert_eq!(all, few);
     let error = Simulation::new(&Options {
-        agents: vec!["cav3".into()],
+        agents: vec!["car3".into()],
         ..Options::default()
     })
     .err();
-    assert_eq!(error, Some(Error::UnknownAgent { found: "cav3".into() }));
+    assert_eq!(error, Some(Error::UnknownAgent { found: "car3".into() }));
 }
 
 #[test]
@@ -528,5 +552,223 @@ fn scored_sweeps_alone_are_those_of_the_whole_log() {
     assert_eq!(
         few.poses("cav1").map(|poses| poses.len()),
         log(false).poses("cav1").map(|poses| poses.len())
+    );
+}
+
+/// The two places on a grid are what older results were made of: what they give must never change.
+#[test]
+fn old_places_keep_their_bits() {
+    let cases = [
+        (Scenario::Intersection, false, 7),
+        (Scenario::Intersection, true, 900),
+        (Scenario::Intersection, false, 903),
+        (Scenario::Corridor, false, 12),
+        (Scenario::Corridor, true, 901),
+        (Scenario::Corridor, true, 905),
+    ];
+    let found = cases.map(|(scenario, dense, seed)| {
+        let simulation = simulate(|o| {
+            (o.scenario, o.dense, o.seed, o.column_stride, o.seconds) = (scenario, dense, seed, 20, 0.1);
+        });
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let agents = ["cav1", "cav2", "rsu1", "rsu2"].iter();
+        let poses = agents.flat_map(|agent| simulation.poses(agent).unwrap());
+        let numbers = poses.flat_map(|pose| {
+            let at = pose.believed.map_from_body.translation.vector;
+            [at.x, at.y, at.z]
+        });
+        let hash = numbers.fold(digest(&sweeps), |hash, v| {
+            (hash ^ v.to_bits()).wrapping_mul(0x0000_0100_0000_01b3)
+        });
+        format!("{hash:016x}")
+    });
+    let expected = [
+        "21d25cdaaefeb4a6",
+        "d6a86202f4415527",
+        "168a98a8414762f7",
+        "7029b208d2b130b5",
+        "960c933989b0ab67",
+        "35d8f99e74aa6434",
+    ];
+    assert_eq!(found, expected);
+}
+
+/// The places with roads at any angle.
+const NETWORKS: [Scenario; 10] = [
+    Scenario::Junction,
+    Scenario::Tee,
+    Scenario::Roundabout,
+    Scenario::Curve,
+    Scenario::Residential,
+    Scenario::Motorway,
+    Scenario::CarPark,
+    Scenario::Avenue,
+    Scenario::Rural,
+    Scenario::Market,
+];
+
+#[test]
+fn every_place_is_the_same_on_any_number_of_threads() {
+    for scenario in NETWORKS {
+        let all = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let change = |o: &mut Options| (o.scenario, o.seconds, o.column_stride) = (scenario, 0.1, 20);
+            pool.install(|| simulate(change).sweeps().collect::<Vec<_>>())
+        };
+        let [one, three] = [1, 3].map(all);
+        assert_eq!(one.len(), 4);
+        assert!(one.iter().all(|sweep| sweep.cloud.len() > 500), "{}", scenario.name());
+        assert_eq!(one, three, "{}", scenario.name());
+    }
+}
+
+/// Who is where in the places with roads at any angle, whatever else there is to be seen.
+#[test]
+fn traffic_of_every_place_is_the_same_on_every_machine() {
+    let found = NETWORKS.map(|scenario| {
+        let simulation = simulate(|o| {
+            (o.scenario, o.seconds, o.column_stride, o.clouds) = (scenario, 0.1, 1000, false);
+            o.agents.truncate(1);
+        });
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let numbers = sweeps[0].truth.iter().flat_map(|object| {
+            let [x, y, z] = object.center;
+            [x, y, z, object.length, object.yaw]
+        });
+        let hash = numbers.fold(0xcbf2_9ce4_8422_2325u64, |hash, v| {
+            (hash ^ v.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29)
+        });
+        format!("{hash:016x}")
+    });
+    let expected = [
+        "74a25dcb53227a13",
+        "c784a6548c3f525a",
+        "079106526ff7fd28",
+        "64a32d494051fdf1",
+        "4f3a8b4eb1f52e8e",
+        "c56982739e683af0",
+        "21cc14b0cc5d2c20",
+        "0c5f830413f17d63",
+        "546ea53dd7f71d2d",
+        "22809d00326bba3e",
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn mixed_is_one_of_all_places_as_its_number_says() {
+    let drawn: Vec<Scenario> = (0..200).map(|place| Scenario::Mixed.resolve(place)).collect();
+    assert!(Scenario::PLACES.iter().all(|place| drawn.contains(place)) && !drawn.contains(&Scenario::Mixed));
+    let of =
+        |scenario, place| simulate(|o| (o.scenario, o.place, o.seconds, o.column_stride) = (scenario, place, 0.1, 100));
+    let number = (0..).find(|number| drawn[*number] == Scenario::Tee).unwrap() as u64;
+    let [mixed, own] = [Scenario::Mixed, Scenario::Tee].map(|scenario| of(scenario, Some(number)));
+    assert_eq!(mixed.scenario(), Scenario::Tee);
+    assert_eq!(mixed.sweeps().next(), own.sweeps().next());
+    let error = Scenario::from_name("airport").unwrap_err().to_string();
+    assert!(error.contains("airport") && error.contains("roundabout"), "{error}");
+    for scenario in Scenario::PLACES.into_iter().chain([Scenario::Mixed]) {
+        assert_eq!(Scenario::from_name(scenario.name()), Ok(scenario));
+    }
+}
+
+/// The world of newer places: foliage, rounded bodies, sensors with mounts and errors.
+fn overgrown(change: impl FnOnce(&mut Options)) -> Simulation {
+    simulate(|options| {
+        options.scenario = Scenario::Junction;
+        options.vehicle_sensors = vec![
+            Sensor::named("pandar40p").unwrap(),
+            Sensor::named("spinning-16").unwrap(),
+        ];
+        options.roadside_sensors = vec![Sensor::named("forward-scan").unwrap()];
+        options.weather.rain_mm_h = 5.0;
+        change(options);
+    })
+}
+
+#[test]
+fn sensors_and_weather_give_the_same_bits_everywhere() {
+    let all = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| overgrown(|o| o.column_stride = 10).sweeps().collect::<Vec<_>>())
+    };
+    let [one, three] = [1, 3].map(all);
+    assert_eq!(one, three);
+    assert_eq!(format!("{:016x}", digest(&one)), "6b864c9bf820967f");
+}
+
+#[test]
+fn a_fleet_has_sixteen_agents_of_all_sensors() {
+    let sensors: Vec<_> = Sensor::names().map(|name| Sensor::named(name).unwrap()).collect();
+    let simulation = simulate(|o| {
+        (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20);
+        o.agents = fleet(10, 6).unwrap();
+        (o.vehicle_sensors, o.roadside_sensors) = (sensors.clone(), sensors.clone());
+    });
+    let sweeps: Vec<_> = simulation.sweeps().collect();
+    let names: Vec<&str> = simulation.agents().map(|agent| &*agent.name).collect();
+    assert_eq!(
+        (names.len(), names[0], names[9], names[10], names[15]),
+        (16, "cav1", "cav10", "rsu1", "rsu6")
+    );
+    for (agent, info) in simulation.agents().enumerate() {
+        let sweep = sweeps.iter().find(|sweep| sweep.agent == info.name).unwrap();
+        assert!(sweep.cloud.len() > 200, "{}: {} points", info.name, sweep.cloud.len());
+        let pose = &simulation.poses(&info.name).unwrap()[0]
+            .truth
+            .map_from_body
+            .translation
+            .vector;
+        for other in simulation.agents().take(agent) {
+            let there = &simulation.poses(&other.name).unwrap()[0]
+                .truth
+                .map_from_body
+                .translation
+                .vector;
+            assert!((pose - there).norm() > 2.5, "{} stands in {}", info.name, other.name);
+        }
+    }
+    let four: Vec<_> = simulate(|o| (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20))
+        .sweeps()
+        .collect();
+    let more = simulate(|o| {
+        (o.dense, o.seconds, o.column_stride) = (true, 0.1, 20);
+        o.agents = fleet(3, 3).unwrap();
+    });
+    let same: Vec<_> = more
+        .sweeps()
+        .filter(|sweep| four.iter().any(|s| s.agent == sweep.agent))
+        .collect();
+    assert_eq!(same, four, "the first four do not mind the others");
+    let error = Simulation::new(&Options {
+        seconds: 600.0,
+        agents: fleet(16, 0).unwrap(),
+        scenario: Scenario::Corridor,
+        seed: 903,
+        ..Options::default()
+    });
+    if let Err(error) = error {
+        assert!(error.to_string().contains("no car for `cav"), "{error}");
+    }
+}
+
+#[test]
+fn fog_takes_what_is_far() {
+    let count = |visibility_m| {
+        let simulation = overgrown(|o| {
+            (o.seconds, o.column_stride) = (0.1, 10);
+            o.weather.visibility_m = visibility_m;
+        });
+        let sweeps: Vec<_> = simulation.sweeps().collect();
+        let far = |sweep: &Sweep| {
+            let beyond = |i: &usize| sweep.cloud.x[*i].hypot(sweep.cloud.y[*i]) > 60.0;
+            (0..sweep.cloud.len()).filter(beyond).count()
+        };
+        sweeps.iter().map(far).sum::<usize>()
+    };
+    let (clear, fog) = (count(None), count(Some(60.0)));
+    assert!(
+        clear > 100 && fog * 4 < clear,
+        "{clear} points beyond 60 m in clear air, {fog} in fog"
     );
 }

@@ -3,22 +3,55 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use super::World;
+use super::table::{Bounds, Table, TableOf};
 use crate::agents::{Agent, BodyState};
 use crate::path::Pose2;
 use crate::solid::{Hit, Solid};
 use crate::traffic::Footing;
 
 /// Azimuth that beams may look ahead of their column or behind it, rad; a little over 6°.
-const LEAD: f64 = 0.11;
+pub(super) const LEAD: f64 = 0.11;
 /// The sweep is cut into sectors, in each of which everybody moves straight.
 const SECTORS: usize = 40;
 const BINS_PER_SECTOR: usize = 40;
-const SPAN: f64 = TAU + 2.0 * LEAD;
-const BIN: f64 = SPAN / (SECTORS * BINS_PER_SECTOR) as f64;
-/// No sensor sees farther, m.
+/// Sensors of the first places see no farther, m.
 const FARTHEST: f64 = 255.0;
-/// Duration of a turn, s.
-const TURN: f64 = 0.1;
+/// Where a place is overgrown, what is lower than this is looked for up to `LOW_REACH`, m.
+const LOW: f64 = 2.2;
+const LOW_REACH: f64 = 120.0;
+/// Duration of a sweep, s.
+pub(super) const TURN: f64 = 0.1;
+
+/// The azimuths of a sweep: clockwise from that of its first column, level, `LEAD` more on both sides.
+#[derive(Clone, Copy)]
+pub(super) struct Span {
+    /// Azimuth of the first column, clockwise from the carrier's rear, rad.
+    pub first: f64,
+    /// What the columns cover, and that with the lead, rad.
+    pub width: f64,
+    pub all: f64,
+    /// Width of a bin, rad.
+    bin: f64,
+    /// Bodies beyond this are not seen, m.
+    pub farthest: f64,
+}
+
+impl Span {
+    pub fn of(agent: &Agent) -> Self {
+        let scan = agent.sensor.scan;
+        let all = scan.width + 2.0 * LEAD;
+        Span {
+            first: scan.first - agent.mount.yaw,
+            width: scan.width,
+            all,
+            bin: all / (SECTORS * BINS_PER_SECTOR) as f64,
+            farthest: agent
+                .sensor
+                .mount
+                .map_or(FARTHEST, |_| agent.sensor.optics.farthest + 5.0),
+        }
+    }
+}
 
 /// A body as it is while the sensor looks its way.
 pub(super) struct Instance<'a> {
@@ -67,18 +100,8 @@ impl Instance<'_> {
 /// The bodies of one sweep, by azimuth.
 pub(super) struct Instances<'a> {
     all: Vec<Instance<'a>>,
-    /// `entries[starts[bin]..starts[bin + 1]]`: the instances of a bin, nearest first.
-    starts: Vec<u32>,
-    entries: Vec<Entry>,
-}
-
-/// What decides whether an instance of a bin is looked at, rounded outwards.
-#[derive(Clone, Copy, Default)]
-struct Entry {
-    near: f32,
-    low: f32,
-    high: f32,
-    index: u32,
+    table: Table,
+    bins_per_radian: f64,
 }
 
 /// A body and where it may be found in time.
@@ -100,12 +123,20 @@ struct Stance {
 impl<'a> Instances<'a> {
     /// Everything that `agent` can see in the turn that begins at `start` seconds.
     pub fn new(world: &World<'a>, agent: &Agent, start: f64) -> Self {
+        let span = Span::of(agent);
         let sectors: Vec<(f64, BodyState)> = (0..SECTORS)
-            .map(|k| start + (((k as f64 + 0.5) * SPAN / SECTORS as f64) - LEAD) / TAU * TURN)
+            .map(|k| start + (((k as f64 + 0.5) * span.all / SECTORS as f64) - LEAD) / span.width * TURN)
             .map(|t| (t, agent.body(world.place, world.traffic, t)))
             .collect();
         let mut found = Vec::new();
+        let [eye_x, eye_y, _] = sectors[SECTORS / 2].1.position;
+        let overgrown = !world.place.foliage.is_empty();
         for fixture in &world.place.fixtures {
+            let (dx, dy) = (fixture.pose.x - eye_x, fixture.pose.y - eye_y);
+            let low = fixture.solid.high[2] - fixture.solid.low[2] < LOW;
+            if overgrown && low && dx * dx + dy * dy > LOW_REACH * LOW_REACH {
+                continue;
+            }
             let footing = Footing {
                 z: fixture.z,
                 slope: [0.0; 2],
@@ -115,7 +146,7 @@ impl<'a> Instances<'a> {
                 user: None,
                 own: false,
             };
-            add(&mut found, &sectors, agent, candidate, |_| {
+            add(&mut found, &sectors, (agent, span), candidate, |_| {
                 Some(Stance {
                     pose: fixture.pose,
                     footing,
@@ -132,7 +163,7 @@ impl<'a> Instances<'a> {
                 user: Some(index as u32),
                 own,
             };
-            add(&mut found, &sectors, agent, candidate, |t| {
+            add(&mut found, &sectors, (agent, span), candidate, |t| {
                 let state = user.course.at(t)?;
                 let (sin, cos) = libm::sincos(state.pose.heading);
                 Some(Stance {
@@ -148,45 +179,31 @@ impl<'a> Instances<'a> {
                 })
             });
         }
-        Instances::sorted(found)
+        Instances::sorted(found, span)
     }
 
-    fn sorted(mut found: Vec<(Instance<'a>, [usize; 2])>) -> Self {
+    fn sorted(mut found: Vec<(Instance<'a>, [usize; 2])>, span: Span) -> Self {
         // Stable: at equal distance the order of fixtures and road users decides.
         found.sort_by(|a, b| a.0.near.total_cmp(&b.0.near));
-        let bins = SECTORS * BINS_PER_SECTOR;
-        let mut starts = vec![0u32; bins + 1];
-        for (_, [from, to]) in &found {
-            starts[from + 1..=to + 1].iter_mut().for_each(|count| *count += 1);
-        }
-        for bin in 0..bins {
-            starts[bin + 1] += starts[bin];
-        }
-        let mut fill = starts.clone();
-        let mut entries = vec![Entry::default(); starts[bins] as usize];
-        for (index, (instance, [from, to])) in found.iter().enumerate() {
+        let mut table = TableOf::new(SECTORS * BINS_PER_SECTOR, found.iter().map(|(_, bins)| *bins));
+        for (index, (instance, bins)) in found.iter().enumerate() {
             let [low, high] = instance.slopes.map(|slope| slope as f32);
             let margin = |slope: f32| 1e-6 + 1e-6 * slope.abs();
-            let (low, high) = (low - margin(low), high + margin(high));
-            let entry = Entry {
+            let bounds = Bounds {
                 near: instance.near as f32 * 0.999_999,
-                low,
-                high,
-                index: index as u32,
+                low: low - margin(low),
+                high: high + margin(high),
             };
-            for next in &mut fill[*from..=*to] {
-                entries[*next as usize] = entry;
-                *next += 1;
-            }
+            table.add(*bins, bounds, index as u32);
         }
         Instances {
             all: found.into_iter().map(|(instance, _)| instance).collect(),
-            starts,
-            entries,
+            table: table.finish(),
+            bins_per_radian: 1.0 / span.bin,
         }
     }
 
-    /// The first body that a ray meets before `limit`. `azimuth` is clockwise from the sweep's start; `level` the
+    /// The first body that a ray meets before `limit`. `azimuth` is clockwise from the first column; `level` the
     /// ray's length over ground.
     #[inline]
     #[allow(clippy::too_many_arguments)] // a ray in its parts; one place calls it, once for each ray
@@ -200,27 +217,16 @@ impl<'a> Instances<'a> {
         limit: f64,
         chance: u64,
     ) -> Option<(Hit, Option<u32>)> {
-        let bin = (((azimuth + LEAD) * (1.0 / BIN)) as i32 as usize).min(SECTORS * BINS_PER_SECTOR - 1);
-        let range = self.starts[bin] as usize..self.starts[bin + 1] as usize;
+        let bin = ((azimuth + LEAD) * self.bins_per_radian) as i32 as usize;
         let mut best = None;
-        let mut limit = limit;
         let slope = (ray[2] / level) as f32;
-        let mut reach = (limit * level) as f32;
-        for entry in &self.entries[range] {
-            if entry.near > reach {
-                break;
-            }
-            if slope < entry.low || slope > entry.high {
-                continue;
-            }
-            let instance = &self.all[entry.index as usize];
-            let own_hash = chance ^ u64::from(entry.index).wrapping_mul(0xd6e8_feb8_6659_fd93);
-            if let Some(hit) = instance.cast(origin, ray, t, limit, own_hash) {
-                limit = hit.t;
-                reach = (limit * level) as f32;
-                best = Some((hit, instance.user));
-            }
-        }
+        self.table.each(bin, slope, limit, level, |index, limit| {
+            let instance = &self.all[index as usize];
+            let own_hash = chance ^ u64::from(index).wrapping_mul(0xd6e8_feb8_6659_fd93);
+            let hit = instance.cast(origin, ray, t, limit, own_hash)?;
+            best = Some((hit, instance.user));
+            Some(hit.t)
+        });
         best
     }
 }
@@ -229,13 +235,13 @@ impl<'a> Instances<'a> {
 fn add<'a>(
     found: &mut Vec<(Instance<'a>, [usize; 2])>,
     sectors: &[(f64, BodyState)],
-    agent: &Agent,
+    (agent, span): (&Agent, Span),
     candidate: Candidate<'a>,
     stance_at: impl Fn(f64) -> Option<Stance>,
 ) {
-    let half = 0.5 * SPAN / SECTORS as f64;
+    let half = 0.5 * span.all / SECTORS as f64;
     let (t, sensor) = &sectors[SECTORS / 2];
-    let Some(reach) = stance_at(*t).and_then(|stance| rough(agent, sensor, &candidate, &stance)) else {
+    let Some(reach) = stance_at(*t).and_then(|stance| rough((agent, span), sensor, &candidate, &stance)) else {
         return;
     };
     for (k, (t, sensor)) in sectors.iter().enumerate() {
@@ -245,17 +251,17 @@ fn add<'a>(
         }
         let Some(stance) = stance_at(*t) else { continue };
         let view = View::new(agent, sensor, &candidate, &stance);
-        let Some([from, to]) = view.azimuths(sensor) else {
+        let Some([from, to]) = view.azimuths(sensor, span) else {
             continue;
         };
-        let margin = view.margin(agent, sensor, &stance, half);
+        let margin = view.margin((agent, span), sensor, &stance, half);
         // Azimuths repeat after a turn; the sectors overlap the turn at both ends.
         let shift = TAU * ((middle - 0.5 * (from + to)) / TAU).round();
         for shift in [shift - TAU, shift, shift + TAU] {
             let (from, to) = (from + shift - margin, to + shift + margin);
             let (low, high) = (from.max(middle - half), to.min(middle + half));
             if low <= high {
-                let bins = [low, high].map(|azimuth| ((azimuth + LEAD) / BIN) as usize);
+                let bins = [low, high].map(|azimuth| ((azimuth + LEAD) / span.bin) as usize);
                 let own = [k * BINS_PER_SECTOR, (k + 1) * BINS_PER_SECTOR - 1];
                 let bins = bins.map(|bin| bin.clamp(own[0], own[1]));
                 found.push((view.instance(&candidate, &stance, *t), bins));
@@ -266,7 +272,12 @@ fn add<'a>(
 }
 
 /// Middle and half width of the azimuths in which a body can be at any time of the turn; `None` if out of reach.
-fn rough(agent: &Agent, sensor: &BodyState, candidate: &Candidate, stance: &Stance) -> Option<[f64; 2]> {
+fn rough(
+    (agent, span): (&Agent, Span),
+    sensor: &BodyState,
+    candidate: &Candidate,
+    stance: &Stance,
+) -> Option<[f64; 2]> {
     let (x, y) = (stance.pose.x - sensor.position[0], stance.pose.y - sensor.position[1]);
     let distance = (x * x + y * y).sqrt();
     let Solid { low, high, .. } = candidate.solid;
@@ -276,10 +287,10 @@ fn rough(agent: &Agent, sensor: &BodyState, candidate: &Candidate, stance: &Stan
         sensor.velocity[1] - stance.velocity[1],
     );
     let radius = (u * u + v * v).sqrt() + 0.07 * (dx.abs() + dy.abs()) + 0.3;
-    if distance - radius > FARTHEST {
+    if distance - radius > span.farthest {
         return None;
     }
-    let azimuth = sensor.heading + PI - libm::atan2(y, x);
+    let azimuth = sensor.heading - span.first + PI - libm::atan2(y, x);
     if candidate.own || distance <= radius + 0.5 {
         return Some([azimuth, PI]);
     }
@@ -295,8 +306,9 @@ fn away(angle: f64) -> f64 {
 }
 
 /// How far the sensor's tilt moves azimuths, rad.
-fn tilt_margin(agent: &Agent, sensor: &BodyState) -> f64 {
-    (sensor.slope[0].abs() + sensor.slope[1].abs()) * agent.sensor.steepest * 1.3 + 2e-4
+pub(super) fn tilt_margin(agent: &Agent, sensor: &BodyState) -> f64 {
+    let mount = agent.mount.pitch.abs() + agent.mount.roll.abs();
+    (sensor.slope[0].abs() + sensor.slope[1].abs()) * agent.sensor.steepest * 1.3 + 2e-4 + mount * agent.sensor.slant
 }
 
 /// A candidate as seen from the sensor.
@@ -344,14 +356,14 @@ impl View {
     }
 
     /// Clockwise azimuths from the sensor's rear that the footprint takes up; `None` if it is far out of reach.
-    fn azimuths(&self, sensor: &BodyState) -> Option<[f64; 2]> {
-        if self.near > FARTHEST {
+    fn azimuths(&self, sensor: &BodyState, span: Span) -> Option<[f64; 2]> {
+        if self.near > span.farthest {
             return None;
         }
         if self.own || self.near < 0.5 {
             return Some([-TAU, 2.0 * TAU]);
         }
-        let clockwise = |c: &[f64; 2]| sensor.heading + PI - libm::atan2(c[1], c[0]);
+        let clockwise = |c: &[f64; 2]| sensor.heading - span.first + PI - libm::atan2(c[1], c[0]);
         let first = clockwise(&self.corners[0]);
         let (mut low, mut high) = (first, first);
         for corner in &self.corners[1..] {
@@ -365,8 +377,8 @@ impl View {
     }
 
     /// How far the azimuths may be off: motion within the sector, and the tilt of the sensor.
-    fn margin(&self, agent: &Agent, sensor: &BodyState, stance: &Stance, half_sector: f64) -> f64 {
-        let time = half_sector / TAU * TURN + 1e-4;
+    fn margin(&self, (agent, span): (&Agent, Span), sensor: &BodyState, stance: &Stance, half_sector: f64) -> f64 {
+        let time = half_sector / span.width * TURN + 1e-4;
         let (dx, dy) = (
             sensor.velocity[0] - stance.velocity[0],
             sensor.velocity[1] - stance.velocity[1],

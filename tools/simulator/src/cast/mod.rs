@@ -1,20 +1,26 @@
 //! A sweep: rays against the moving world as the sensor turns, and what comes back of them.
 
 mod instances;
+mod table;
+mod thicket;
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use crate::agents::{Agent, since_epoch};
 use crate::place::Scenery;
 use crate::random::{mix, normal_of, unit_of};
-use crate::sensor::{DROPOUT, Optics};
+use crate::sensor::Optics;
 use crate::solid::Hit;
 use crate::traffic::Traffic;
 use instances::Instances;
 use realo_schemas::{Nanos, PointCloud};
+use thicket::Thicket;
 
 /// Coordinates are multiples of this, m, so that they compress; finer than any range step.
 const GRID: f64 = 1.0 / 1024.0;
+
+/// Rays that fall less than this are likely to meet foliage before the ground.
+const FLAT: f64 = 0.06;
 
 /// What there is to be seen.
 #[derive(Clone, Copy)]
@@ -34,6 +40,8 @@ pub(crate) struct Casting {
     pub clouds: bool,
     pub labels: bool,
     pub column_stride: usize,
+    /// What the air takes of the light, 1/m.
+    pub extinction: f64,
 }
 
 /// What a sweep gives.
@@ -90,27 +98,73 @@ fn tilt([along, across]: [f64; 2]) -> Rotation {
     [0, 1, 2].map(|r| [ahead[r], left[r], up[r]])
 }
 
+/// How a sensor stands on its carrier, unless it stands straight.
+struct Mounted {
+    body_from_sensor: Rotation,
+    /// From the body frame to what it is taken for.
+    told_from_body: Rotation,
+}
+
+impl Mounted {
+    fn of(agent: &Agent) -> Option<Self> {
+        agent.sensor.mount?;
+        let mount = agent.mount;
+        Some(Mounted {
+            body_from_sensor: turned(mount.roll, mount.pitch, mount.yaw),
+            told_from_body: turned(agent.misalignment[0], agent.misalignment[1], 0.0),
+        })
+    }
+}
+
+/// The rotation by yaw, then pitch, then roll, rad.
+fn turned(roll: f64, pitch: f64, yaw: f64) -> Rotation {
+    let ((sin_p, cos_p), (sin_r, cos_r)) = (libm::sincos(pitch), libm::sincos(roll));
+    let about_y = [[cos_p, 0.0, sin_p], [0.0, 1.0, 0.0], [-sin_p, 0.0, cos_p]];
+    let about_x = [[1.0, 0.0, 0.0], [0.0, cos_r, -sin_r], [0.0, sin_r, cos_r]];
+    times(&times(&about_z(yaw), &about_y), &about_x)
+}
+
 /// Casts one sweep of an agent. Points are in the agent's body frame of the instant at which each was measured.
 pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
-    let sensor = agent.sensor;
+    let sensor = &*agent.sensor;
+    let optics = Optics {
+        extinction: casting.extinction,
+        ..sensor.optics
+    };
+    let mounted = Mounted::of(agent);
     let start = since_epoch(casting.start);
     let instances = Instances::new(world, agent, start);
+    let middle = agent.body(world.place, world.traffic, start + 0.05);
+    let thicket = (!world.place.foliage.is_empty()).then(|| Thicket::new(&world.place.foliage, agent, &middle));
     let mut points = vec![0; world.traffic.users.len()];
     let mut columns = Columns::with_capacity(if casting.clouds {
         sensor.columns * sensor.beams.len()
     } else {
         0
     });
+    let per_column = sensor.beams.len().max(256);
     let mut finished = 0;
     let period = 0.1 / sensor.columns as f64;
     let to_start = (casting.start - casting.stamp) as f64;
     for column in (0..sensor.columns).step_by(casting.column_stride) {
-        let azimuth = TAU * column as f64 / sensor.columns as f64;
+        let azimuth = sensor.scan.width * column as f64 / sensor.columns as f64;
         let fires = column as f64 * period;
         let body = agent.body(world.place, world.traffic, start + fires + 0.5 * period);
-        let body_from_sensor = times(&tilt(body.slope), &about_z(PI - azimuth));
+        let column_turn = about_z(PI - (sensor.scan.first + azimuth));
+        let body_from_sensor = match &mounted {
+            None => times(&tilt(body.slope), &column_turn),
+            Some(mounted) => times(&times(&tilt(body.slope), &mounted.body_from_sensor), &column_turn),
+        };
         let place_from_sensor = times(&about_z(body.heading), &body_from_sensor);
+        // What nobody knows of the mounting stays in the points.
+        let told_from_sensor = match &mounted {
+            None => body_from_sensor,
+            Some(mounted) => times(&mounted.told_from_body, &body_from_sensor),
+        };
         for (number, beam) in sensor.beams.iter().enumerate() {
+            if beam.every > 1 && column % beam.every != 0 {
+                continue;
+            }
             let ray = rotate(&place_from_sensor, &beam.direction);
             // The body's position holds for the middle of the column.
             let aside = beam.fires - 0.5 * period;
@@ -121,20 +175,32 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
             ];
             let hash = mix(casting
                 .key
-                .wrapping_add(((column * 256 + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+                .wrapping_add(((column * per_column + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
             let level = (ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
             let t = start + fires + beam.fires;
-            let limit = sensor.optics.farthest;
+            let limit = optics.farthest;
             let met = instances.cast(azimuth + beam.azimuth, level, &origin, &ray, t, limit, hash);
             let limit = met.map_or(limit, |(hit, _)| hit.t);
-            let (hit, user) = match world.place.cast_ground(origin, ray, limit) {
-                Some(ground) => (ground, None),
-                None => match met {
-                    Some(met) => met,
-                    None => continue,
-                },
+            // The nearest counts, whatever is looked for first: what is likely to be near, so that less is left to search.
+            let flat = ray[2] > -FLAT * level;
+            let leaves = |limit| {
+                let thicket = thicket.as_ref()?;
+                thicket.cast(azimuth + beam.azimuth, level, &origin, &ray, limit, hash)
             };
-            let Some((range, intensity)) = receive(&sensor.optics, &hit, hash) else {
+            let early = if flat { leaves(limit) } else { None };
+            let met = early.map(|hit| (hit, None)).or(met);
+            let limit = met.map_or(limit, |(hit, _)| hit.t);
+            let ground = world.place.cast_ground(origin, ray, limit);
+            let met = ground.map(|hit| (hit, None)).or(met);
+            let late = if flat {
+                None
+            } else {
+                leaves(met.map_or(limit, |(hit, _)| hit.t))
+            };
+            let Some((hit, user)) = late.map(|hit| (hit, None)).or(met) else {
+                continue;
+            };
+            let Some((range, intensity)) = receive(&optics, &hit, hash) else {
                 continue;
             };
             finished += 1;
@@ -143,7 +209,7 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
                 points[user as usize] += 1;
             }
             if casting.clouds {
-                let d = rotate(&body_from_sensor, &beam.direction);
+                let d = rotate(&told_from_sensor, &beam.direction);
                 let time = to_start + (fires + beam.fires) * 1e9;
                 columns.push([d[0] * range, d[1] * range, d[2] * range + agent.info.sensor_height]);
                 columns.intensity.push(intensity);
@@ -206,9 +272,12 @@ impl Columns {
 #[inline]
 fn receive(optics: &Optics, hit: &Hit, hash: u64) -> Option<(f64, u8)> {
     let ratio = optics.reference_range / hit.t;
-    let q = optics.strength * hit.rho * hit.cos * ratio * ratio;
+    let mut q = optics.strength * hit.rho * hit.cos * ratio * ratio;
+    if optics.extinction > 0.0 {
+        q *= libm::exp(-2.0 * optics.extinction * hit.t);
+    }
     let q4 = q * q * q * q;
-    if unit_of(hash) * (q4 + 1.0) >= q4 * (1.0 - DROPOUT) {
+    if unit_of(hash) * (q4 + 1.0) >= q4 * (1.0 - optics.unanswered) {
         return None;
     }
     let scatter = (optics.noise_floor + optics.noise_slope / q.sqrt()).min(optics.noise_ceiling);
@@ -220,4 +289,68 @@ fn receive(optics: &Optics, hit: &Hit, hash: u64) -> Option<(f64, u8)> {
     // Calibrated for range: 100 stands for a white wall met squarely, more for retro-reflectors.
     let shimmer = (hash & 0x3ff) as f64 * (0.06 / 1024.0);
     Some((range, (100.0 * hit.rho * hit.cos * (0.97 + shimmer)).min(255.0) as u8))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Stream;
+    use crate::{Options, Sensor};
+
+    /// What the tables leave out can be met by no ray.
+    #[test]
+    fn foliage_is_found_wherever_it_stands() {
+        let place = Scenery::new(crate::Scenario::Junction, 4);
+        let demand = crate::traffic::Demand {
+            place: &place,
+            seed: 4,
+            dense: false,
+            seconds: 1.0,
+        };
+        let traffic = Traffic::new(&demand);
+        let sensors = ["pandar40p", "forward-scan", "spinning-32"].map(|name| Sensor::named(name).unwrap());
+        let mut met = 0;
+        for sensor in sensors {
+            let options = Options {
+                vehicle_sensors: vec![sensor.clone()],
+                roadside_sensors: vec![sensor.clone()],
+                ..Options::default()
+            };
+            for agent in Agent::all(&options, &place, &traffic).unwrap() {
+                let start = 0.35;
+                let middle = agent.body(&place, &traffic, start + 0.05);
+                let thicket = Thicket::new(&place.foliage, &agent, &middle);
+                let mut draws = Stream::new(1, "rays", agent.number);
+                for _ in 0..400 {
+                    let column = draws.below(sensor.columns);
+                    let beam = &sensor.beams[draws.below(sensor.beams.len())];
+                    let azimuth = sensor.scan.width * column as f64 / sensor.columns as f64;
+                    let t = start + 0.1 * column as f64 / sensor.columns as f64;
+                    let body = agent.body(&place, &traffic, t);
+                    let turn = about_z(PI - (sensor.scan.first + azimuth));
+                    let mount = turned(agent.mount.roll, agent.mount.pitch, agent.mount.yaw);
+                    let body_from_sensor = times(&times(&tilt(body.slope), &mount), &turn);
+                    let ray = rotate(&times(&about_z(body.heading), &body_from_sensor), &beam.direction);
+                    let [x, y, z] = body.position;
+                    let origin = [x, y, z + agent.info.sensor_height];
+                    let (level, chance) = ((ray[0] * ray[0] + ray[1] * ray[1]).sqrt(), draws.bits());
+                    let limit = 95.0;
+                    let found = thicket.cast(azimuth + beam.azimuth, level, &origin, &ray, limit, chance);
+                    let all = place
+                        .foliage
+                        .iter()
+                        .filter_map(|mass| mass.cast(&origin, &ray, limit, chance));
+                    let nearest = all.map(|hit| hit.t).fold(limit, f64::min);
+                    assert_eq!(
+                        found.map_or(limit, |hit| hit.t),
+                        nearest,
+                        "{} {column}",
+                        agent.info.name
+                    );
+                    met += usize::from(nearest < limit);
+                }
+            }
+        }
+        assert!(met > 1000, "only {met} rays met foliage");
+    }
 }

@@ -1,7 +1,6 @@
 //! Buildings, trees, poles and signs along the roads.
 
-use super::{Fixture, PAVEMENT, REACH, Roads, Terrain};
-use crate::Scenario;
+use super::{Fixture, Grid, PAVEMENT, REACH, Roads, Terrain};
 use crate::path::Pose2;
 use crate::random::Stream;
 use crate::solid::{Part, Shape, Solid};
@@ -70,10 +69,10 @@ impl Site<'_> {
         let line = self.roads.half[axis] + PAVEMENT + 0.6;
         let beside = self.roads.half[1 - axis] + PAVEMENT + 0.6;
         // The main road's rows own the corners.
-        let mut along = match (self.roads.scenario, axis) {
-            (Scenario::Corridor, _) => 0.5,
-            (Scenario::Intersection, 0) => beside,
-            (Scenario::Intersection, _) => beside + 21.0,
+        let mut along = match (self.roads.grid, axis) {
+            (Grid::Corridor, _) => 0.5,
+            (Grid::Intersection, 0) => beside,
+            (Grid::Intersection, _) => beside + 21.0,
         };
         while along < REACH + 15.0 {
             let front = draws.between(9.0, 26.0);

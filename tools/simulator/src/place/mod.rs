@@ -1,22 +1,49 @@
 //! The place: ground, roads, and what stands beside them. Fixed by its own number, whatever the traffic.
 
+mod clutter;
 mod fixtures;
+mod foliage;
+mod houses;
+mod network;
 mod roads;
+mod scenes;
+mod surface;
 mod terrain;
+mod things;
+mod verge;
 
-pub(crate) use roads::{BAY, BAYS, CYCLE_LANE, KERB, LANE, PAVEMENT, REACH, Roads};
+pub(crate) use network::{Arm, CROSSING_HALF, Control, Custom, Network, Node, SIDES, Strip};
+pub(crate) use roads::{BAY, BAYS, CYCLE_LANE, Grid, KERB, LANE, PAVEMENT, REACH, Roads};
 
 use crate::Scenario;
 use crate::path::Pose2;
 use crate::random::Stream;
 use crate::solid::{Hit, Solid};
+pub(crate) use foliage::Foliage;
 use terrain::Terrain;
+pub(crate) use verge::{Verge, VergeKind};
+
+/// The plan of a place's roads.
+pub(crate) enum Plan {
+    /// One of the two places whose roads are straight and cross squarely.
+    Grid(Roads),
+    /// Roads at any angle.
+    Network(Box<Network>),
+}
 
 /// Everything that does not move.
 pub(crate) struct Scenery {
-    pub roads: Roads,
+    pub scenario: Scenario,
+    /// The place's number.
+    pub number: u64,
+    pub plan: Plan,
     pub terrain: Terrain,
     pub fixtures: Vec<Fixture>,
+    pub foliage: Vec<Foliage>,
+    /// The edges of free ground beside the roads.
+    pub verges: Vec<Verge>,
+    /// Where houses stand that keep the ground from being free, and their extents along and across, m.
+    houses: Vec<(Pose2, [f64; 2])>,
     /// Direction of the main road in `map`, rad.
     pub heading: f64,
 }
@@ -31,15 +58,117 @@ pub(crate) struct Fixture {
 
 impl Scenery {
     pub fn new(scenario: Scenario, number: u64) -> Self {
-        let roads = Roads::new(scenario, number);
+        match scenario.resolve(number) {
+            Scenario::Intersection => Self::on_grid(Grid::Intersection, number),
+            Scenario::Corridor => Self::on_grid(Grid::Corridor, number),
+            other => Self::of_network(other, number),
+        }
+    }
+
+    /// One of the two places on a grid.
+    pub fn on_grid(grid: Grid, number: u64) -> Self {
+        let roads = Roads::new(grid, number);
         let terrain = Terrain::new(number);
-        let heading = Stream::new(number, "heading", 0).between(-std::f64::consts::PI, std::f64::consts::PI);
         let fixtures = fixtures::build(&roads, &terrain, number);
+        let scenario = match grid {
+            Grid::Intersection => Scenario::Intersection,
+            Grid::Corridor => Scenario::Corridor,
+        };
         Scenery {
-            roads,
+            scenario,
+            number,
+            verges: Verge::of_grid(&roads),
+            plan: Plan::Grid(roads),
             terrain,
             fixtures,
-            heading,
+            foliage: Vec::new(),
+            houses: Vec::new(),
+            heading: Self::heading(number),
+        }
+    }
+
+    /// A place with roads at any angle.
+    fn of_network(scenario: Scenario, number: u64) -> Self {
+        let scenes::Scene { network, grade, cell } = scenes::scene(scenario, number);
+        let mut draws = Stream::new(number, "relief", 0);
+        let waves = [(); 2].map(|()| {
+            let (sin, cos) = libm::sincos(draws.between(0.0, std::f64::consts::TAU));
+            let k = std::f64::consts::TAU / draws.between(180.0, 420.0);
+            let slope = draws.between(0.003, 0.008);
+            [k * cos, k * sin, draws.between(0.0, std::f64::consts::TAU), slope / k]
+        });
+        let crowns = surface::Crowns::new(&network.roads, cell);
+        let terrain = Terrain::shaped(number, cell, grade, |x, y| {
+            let long = waves
+                .iter()
+                .map(|[kx, ky, phase, amplitude]| amplitude * libm::sin(kx * x + ky * y + phase));
+            long.sum::<f64>() + crowns.height(x, y)
+        });
+        let verges = Verge::of_network(&network);
+        let (fixtures, houses) = houses::build(&network, &verges, &terrain, number);
+        let mut place = Scenery {
+            scenario,
+            number,
+            verges,
+            plan: Plan::Network(Box::new(network)),
+            terrain,
+            fixtures,
+            foliage: Vec::new(),
+            houses,
+            heading: Self::heading(number),
+        };
+        let ground = clutter::Ground {
+            open: &|x, y| place.open_ground(x, y),
+            height: &|x, y| place.walk_height(x, y),
+        };
+        let clutter = clutter::clutter(&place.verges, &ground, number);
+        place.fixtures.extend(clutter.fixtures);
+        place.foliage = clutter.foliage;
+        place
+    }
+
+    /// Whether the roads lie at any angle; there is clutter along them, and bodies are rounded.
+    pub fn is_network(&self) -> bool {
+        matches!(self.plan, Plan::Network(_))
+    }
+
+    fn heading(number: u64) -> f64 {
+        Stream::new(number, "heading", 0).between(-std::f64::consts::PI, std::f64::consts::PI)
+    }
+
+    /// The roads of a place on a grid.
+    #[cfg(test)]
+    pub fn grid(&self) -> &Roads {
+        match &self.plan {
+            Plan::Grid(roads) => roads,
+            Plan::Network(_) => panic!("{} is not on a grid", self.scenario.name()),
+        }
+    }
+
+    /// The roads of a place that is not on a grid.
+    #[cfg(test)]
+    pub fn network(&self) -> &Network {
+        match &self.plan {
+            Plan::Network(network) => network,
+            Plan::Grid(_) => panic!("{} is on a grid", self.scenario.name()),
+        }
+    }
+
+    /// Distance of a point from everything that is paved and, on a network, from the houses, negative upon them, m; good
+    /// to a metre, and never more than 30 m. Where it is great, shrubs and trees may grow.
+    pub fn open_ground(&self, x: f64, y: f64) -> f64 {
+        match &self.plan {
+            Plan::Grid(roads) => roads.open_ground(x, y),
+            Plan::Network(network) => {
+                let houses = self.houses.iter().map(|(pose, size)| {
+                    let (sin, cos) = libm::sincos(pose.heading);
+                    let (dx, dy) = (x - pose.x, y - pose.y);
+                    let along = (dx * cos + dy * sin).abs() - 0.5 * size[0];
+                    let across = (dy * cos - dx * sin).abs() - 0.5 * size[1];
+                    along.max(across)
+                });
+                houses.fold(network.surface.open_ground(x, y), f64::min)
+            }
         }
     }
 
@@ -50,16 +179,44 @@ impl Scenery {
 
     /// Height of the ground under a walker, m.
     pub fn walk_height(&self, x: f64, y: f64) -> f64 {
-        self.terrain.height(x, y) + self.roads.step_up(x, y)
+        let step = match &self.plan {
+            Plan::Grid(roads) => roads.step_up(x, y),
+            Plan::Network(network) => step_up(network.surface.inside_kerb(x, y)),
+        };
+        self.terrain.height(x, y) + step
+    }
+
+    /// Whether a point lies on raised ground, behind a kerb.
+    #[inline]
+    pub fn raised(&self, x: f64, y: f64) -> bool {
+        match &self.plan {
+            Plan::Grid(roads) => roads.raised(x, y),
+            Plan::Network(network) => network.surface.raised(x, y),
+        }
+    }
+
+    #[inline]
+    fn reflectivity(&self, x: f64, y: f64, raised: bool) -> f64 {
+        match &self.plan {
+            Plan::Grid(roads) => roads.reflectivity(x, y, raised),
+            Plan::Network(network) => network.surface.reflectivity(x, y),
+        }
     }
 
     /// Where poles for roadside units stand: (pose of the body frame, height of the ground).
     pub fn roadside(&self, second: bool) -> (Pose2, f64) {
+        let roads = match &self.plan {
+            Plan::Grid(roads) => roads,
+            Plan::Network(network) => {
+                let pose = network.roadside[usize::from(second)];
+                return (pose, self.walk_height(pose.x, pose.y));
+            }
+        };
         let side = if second { -1.0 } else { 1.0 };
-        let [main, cross] = self.roads.half;
-        let (x, y) = match self.roads.scenario {
-            Scenario::Intersection => (side * (cross + 1.5), side * (main + 1.5)),
-            Scenario::Corridor => (side * 28.0, side * (main + 1.5)),
+        let [main, cross] = roads.half;
+        let (x, y) = match roads.grid {
+            Grid::Intersection => (side * (cross + 1.5), side * (main + 1.5)),
+            Grid::Corridor => (side * 28.0, side * (main + 1.5)),
         };
         let pose = Pose2 {
             x,
@@ -73,22 +230,33 @@ impl Scenery {
     #[inline]
     pub fn cast_ground(&self, origin: [f64; 3], ray: [f64; 3], limit: f64) -> Option<Hit> {
         let point = |t: f64| (origin[0] + ray[0] * t, origin[1] + ray[1] * t);
+        if let Plan::Network(network) = &self.plan
+            && !network.surface.has_kerbs()
+        {
+            let t = self.terrain.cast(origin, ray, 0.0, [0.0, limit])?;
+            let (x, y) = point(t);
+            return Some(Hit {
+                t,
+                cos: -ray[2],
+                rho: network.surface.reflectivity(x, y),
+            });
+        }
         let upper = self.terrain.cast(origin, ray, KERB, [0.0, limit])?;
         let (x, y) = point(upper);
-        if self.roads.raised(x, y) {
+        if self.raised(x, y) {
             return Some(Hit {
                 t: upper,
                 cos: -ray[2],
-                rho: self.roads.reflectivity(x, y, true),
+                rho: self.reflectivity(x, y, true),
             });
         }
         let lower = self.terrain.cast(origin, ray, 0.0, [upper, limit]);
         let (x, y) = point(lower.unwrap_or(limit));
-        if !self.roads.raised(x, y) {
+        if !self.raised(x, y) {
             return lower.map(|t| Hit {
                 t,
                 cos: -ray[2],
-                rho: self.roads.reflectivity(x, y, false),
+                rho: self.reflectivity(x, y, false),
             });
         }
         // Between the two surfaces the ray went through a kerb's face.
@@ -96,7 +264,7 @@ impl Scenery {
         for _ in 0..12 {
             let middle = 0.5 * (before + behind);
             let (x, y) = point(middle);
-            if self.roads.raised(x, y) {
+            if self.raised(x, y) {
                 behind = middle
             } else {
                 before = middle
@@ -108,4 +276,9 @@ impl Scenery {
             rho: 0.3,
         })
     }
+}
+
+/// How high the ground stands under a walker, m: kerbs are lowered over half a metre.
+fn step_up(inside_kerb: f64) -> f64 {
+    KERB * (inside_kerb * 2.0 + 0.5).clamp(0.0, 1.0)
 }

@@ -3,7 +3,6 @@
 //! An *arm* k leaves the centre towards (cos, sin)(k · 90°); arms 0 and 2 are the main road (axis 0). Traffic keeps
 //! to the right.
 
-use crate::Scenario;
 use crate::random::{Stream, mix, unit_of};
 use crate::solid::fraction;
 
@@ -23,10 +22,19 @@ pub(crate) const KERB: f64 = 0.12;
 /// Radius of the kerb at corners, m.
 const CORNER: f64 = 2.5;
 
+/// Which of the two places on a grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Grid {
+    /// Two roads that cross under traffic lights.
+    Intersection,
+    /// A straight road with a signalised crossing for pedestrians.
+    Corridor,
+}
+
 /// The plan of the roads.
 #[derive(Clone, Debug)]
 pub(crate) struct Roads {
-    pub scenario: Scenario,
+    pub grid: Grid,
     /// Driving lanes in each direction, by axis.
     pub lanes: [usize; 2],
     /// Half the width between the kerbs, by axis, m; 0 where the axis has no road.
@@ -36,17 +44,17 @@ pub(crate) struct Roads {
 }
 
 impl Roads {
-    pub fn new(scenario: Scenario, place: u64) -> Self {
+    pub fn new(grid: Grid, place: u64) -> Self {
         let mut draws = Stream::new(place, "roads", 0);
         let side = if draws.chance(0.5) { 2 } else { 1 };
         let side_bays = draws.chance(0.5);
-        let lanes = match scenario {
-            Scenario::Intersection => [2, side],
-            Scenario::Corridor => [2, 0],
+        let lanes = match grid {
+            Grid::Intersection => [2, side],
+            Grid::Corridor => [2, 0],
         };
         let half = lanes.map(|n| if n == 0 { 0.0 } else { n as f64 * LANE + CYCLE_LANE });
         Roads {
-            scenario,
+            grid,
             lanes,
             half,
             bays: [true, side_bays && lanes[1] > 0],
@@ -55,33 +63,33 @@ impl Roads {
 
     /// The arms that have a road.
     pub fn arms(&self) -> &'static [usize] {
-        match self.scenario {
-            Scenario::Intersection => &[0, 1, 2, 3],
-            Scenario::Corridor => &[0, 2],
+        match self.grid {
+            Grid::Intersection => &[0, 1, 2, 3],
+            Grid::Corridor => &[0, 2],
         }
     }
 
     /// Distance of an axis' stop lines from the centre, m.
     pub fn stop(&self, axis: usize) -> f64 {
-        match self.scenario {
-            Scenario::Intersection => self.half[1 - axis] + 6.7,
-            Scenario::Corridor => 3.4,
+        match self.grid {
+            Grid::Intersection => self.half[1 - axis] + 6.7,
+            Grid::Corridor => 3.4,
         }
     }
 
     /// Distance from the centre behind which a leaving vehicle is clear of junction and crossing, m.
     pub fn clear(&self, axis: usize) -> f64 {
-        match self.scenario {
-            Scenario::Intersection => self.half[1 - axis] + 6.2,
-            Scenario::Corridor => 2.5,
+        match self.grid {
+            Grid::Intersection => self.half[1 - axis] + 6.2,
+            Grid::Corridor => 2.5,
         }
     }
 
     /// The middle of the crossing over an arm, m from the centre, and half its width.
     pub fn crossing(&self, axis: usize) -> (f64, f64) {
-        match self.scenario {
-            Scenario::Intersection => (self.half[1 - axis] + CORNER + 1.5, 1.5),
-            Scenario::Corridor => (0.0, 1.75),
+        match self.grid {
+            Grid::Intersection => (self.half[1 - axis] + CORNER + 1.5, 1.5),
+            Grid::Corridor => (0.0, 1.75),
         }
     }
 
@@ -118,7 +126,12 @@ impl Roads {
 
     /// How high raised ground stands under a walker, m: kerbs are lowered over half a metre.
     pub fn step_up(&self, x: f64, y: f64) -> f64 {
-        KERB * (self.inside_kerb(x, y) * 2.0 + 0.5).clamp(0.0, 1.0)
+        super::step_up(self.inside_kerb(x, y))
+    }
+
+    /// Distance of a point from roads and pavements, negative upon them, at most 30 m.
+    pub fn open_ground(&self, x: f64, y: f64) -> f64 {
+        (self.inside_kerb(x, y) - PAVEMENT).min(30.0)
     }
 
     /// Whether a point lies on a crossing.
@@ -181,11 +194,11 @@ mod tests {
 
     #[test]
     fn kerbs_lie_where_the_plan_says() {
-        let roads = Roads::new(Scenario::Corridor, 0);
+        let roads = Roads::new(Grid::Corridor, 0);
         let half = 2.0 * LANE + CYCLE_LANE;
         assert!(!roads.raised(10.0, half - 0.01) && roads.raised(10.0, half + 0.01));
         assert!(!roads.raised(-60.0, -half - BAY + 0.01) && roads.raised(-60.0, -half - BAY - 0.01));
-        let crossing = Roads::new(Scenario::Intersection, 0);
+        let crossing = Roads::new(Grid::Intersection, 0);
         let [main, side] = crossing.half;
         assert!(!crossing.raised(side - 0.1, main + 50.0) && !crossing.raised(side + 0.2, main + 0.2));
         assert!(crossing.raised(side + 2.0, main + 2.0) && crossing.raised(-side - 2.0, -main - 2.0));

@@ -2,16 +2,28 @@
 
 use crate::random::Stream;
 
-/// Nodes along a side, and metres between them.
+/// Nodes along a side.
 const NODES: usize = 257;
-const CELL: f64 = 2.0;
-const HALF: f64 = CELL * (NODES - 1) as f64 / 2.0;
+/// Cells along the side of a block, and blocks along the field's side.
+const BLOCK: i32 = 4;
+const BLOCKS: i32 = (NODES as i32 - 1) / BLOCK;
 
-/// Heights over the place's plane, m; nowhere steeper than about 1 %.
+/// Heights over the place's plane, m; beside its grade nowhere steeper than about 5 %.
 pub(crate) struct Terrain {
+    /// Heights over the inclined plane.
     heights: Vec<f32>,
+    /// Nodes per metre, a power of two.
+    per_metre: f64,
+    /// Distance of the field's border from the origin, m.
+    half: f64,
+    /// Slope of the inclined plane along x and y.
+    grade: [f64; 2],
+    /// Whether anything was added to the waves.
+    hilly: bool,
     lowest: f64,
     highest: f64,
+    /// Highest points of blocks of cells.
+    tops: Vec<f32>,
     /// Steepest slope of a cell's edge, with a margin.
     steepest: f64,
 }
@@ -19,6 +31,14 @@ pub(crate) struct Terrain {
 impl Terrain {
     /// The ground of a place: a sum of long waves.
     pub fn new(place: u64) -> Self {
+        let mut terrain = Terrain::shaped(place, 2.0, [0.0; 2], |_, _| 0.0);
+        terrain.hilly = false;
+        terrain
+    }
+
+    /// The same on an inclined plane, with something added to the waves.
+    pub fn shaped(place: u64, cell: f64, grade: [f64; 2], added: impl Fn(f64, f64) -> f64) -> Self {
+        let half = cell * (NODES - 1) as f64 / 2.0;
         let mut draws = Stream::new(place, "terrain", 0);
         let waves: Vec<[f64; 4]> = (0..6)
             .map(|_| {
@@ -37,15 +57,24 @@ impl Terrain {
             waves
                 .iter()
                 .map(|[kx, ky, phase, amplitude]| amplitude * libm::sin(kx * x + ky * y + phase))
-                .sum()
+                .sum::<f64>()
+                + added(x, y)
         };
-        let node = |i: usize| i as f64 * CELL - HALF;
+        let node = |i: usize| i as f64 * cell - half;
         let heights: Vec<f32> = (0..NODES * NODES)
             .map(|i| height(node(i % NODES), node(i / NODES)) as f32)
             .collect();
         let (lowest, highest) = heights
             .iter()
             .fold((f32::MAX, f32::MIN), |(low, high), h| (low.min(*h), high.max(*h)));
+        let side = 0..BLOCKS as usize;
+        let blocks = side.clone().flat_map(|b| side.clone().map(move |a| (a, b)));
+        let block = BLOCK as usize;
+        let top = |(a, b): (usize, usize)| {
+            let rows = (b * block..=(b + 1) * block).flat_map(|row| &heights[row * NODES + a * block..][..=block]);
+            rows.fold(f32::MIN, |top, height| top.max(*height))
+        };
+        let tops = blocks.map(top).collect();
         let rise = |i: usize, step: usize| heights.get(i + step).map_or(0.0, |h| (h - heights[i]).abs());
         let along = (0..NODES * NODES)
             .filter(|i| i % NODES != NODES - 1)
@@ -53,21 +82,31 @@ impl Terrain {
         let steepest = along
             .chain((0..NODES * NODES).map(|i| rise(i, NODES)))
             .fold(0.0, f32::max);
-        let steepest = 1.5 * f64::from(steepest) / CELL;
+        let steepest = 1.5 * f64::from(steepest) / cell;
         Terrain {
             heights,
+            per_metre: 1.0 / cell,
+            half,
+            grade,
+            hilly: true,
             lowest: f64::from(lowest),
             highest: f64::from(highest),
+            tops,
             steepest,
         }
     }
 
     /// Height at a point, m; beyond the field, that of its border.
     pub fn height(&self, x: f64, y: f64) -> f64 {
-        let limit = HALF - 1e-6;
+        self.relief(x, y) + (self.grade[0] * x + self.grade[1] * y)
+    }
+
+    /// Height over the inclined plane, m.
+    fn relief(&self, x: f64, y: f64) -> f64 {
+        let limit = self.half - 1e-6;
         let (u, v) = (
-            (x.clamp(-limit, limit) + HALF) / CELL,
-            (y.clamp(-limit, limit) + HALF) / CELL,
+            (x.clamp(-limit, limit) + self.half) * self.per_metre,
+            (y.clamp(-limit, limit) + self.half) * self.per_metre,
         );
         self.in_cell(u as i32, v as i32, u, v)
     }
@@ -84,9 +123,15 @@ impl Terrain {
 
     /// Where a ray first comes down to `lift` above the ground, at a parameter in [`from`, `limit`].
     #[inline]
-    pub fn cast(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
+    pub fn cast(&self, mut origin: [f64; 3], mut ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
+        // Seen from the inclined plane rays stay rays, and keep their parameters.
+        let over = |v: &[f64; 3]| v[2] - (self.grade[0] * v[0] + self.grade[1] * v[1]);
+        (origin[2], ray[2]) = (over(&origin), over(&ray));
         if ray[2] >= 0.0 || (self.highest + lift - origin[2]) / ray[2] > limit {
             return None;
+        }
+        if let Some(t) = self.plunge(&origin, &ray, lift) {
+            return (t <= limit).then(|| t.max(from));
         }
         let steep = 4.0 * self.steepest;
         if ray[2] * ray[2] > steep * steep * (ray[0] * ray[0] + ray[1] * ray[1]) {
@@ -96,13 +141,43 @@ impl Terrain {
         }
     }
 
+    /// For rays steeper than hilly ground, which they meet once: Newton's steps. `None` for flatter rays, where steps do
+    /// not settle, and over ground without hills.
+    #[inline]
+    fn plunge(&self, origin: &[f64; 3], ray: &[f64; 3], lift: f64) -> Option<f64> {
+        let steep = 1.4 * self.steepest;
+        if !self.hilly || ray[2] * ray[2] < steep * steep * (ray[0] * ray[0] + ray[1] * ray[1]) {
+            return None;
+        }
+        let limit = self.half - 1e-6;
+        let mut t = (0.5 * (self.lowest + self.highest) + lift - origin[2]) / ray[2];
+        for _ in 0..8 {
+            let (x, y) = (origin[0] + ray[0] * t, origin[1] + ray[1] * t);
+            let u = (x.clamp(-limit, limit) + self.half) * self.per_metre;
+            let v = (y.clamp(-limit, limit) + self.half) * self.per_metre;
+            let (i, j) = (u as i32, v as i32);
+            let corners = &self.heights[j as usize * NODES + i as usize..][..NODES + 2];
+            let [a, b, c, d] = [corners[0], corners[1], corners[NODES], corners[NODES + 1]].map(f64::from);
+            let (u, v) = (u - f64::from(i), v - f64::from(j));
+            let (low, high) = (a + (b - a) * u, c + (d - c) * u);
+            let over = origin[2] + ray[2] * t - lift - (low + (high - low) * v);
+            let slope_u = (b - a) + ((d - c) - (b - a)) * v;
+            let fall = ray[2] - (slope_u * ray[0] + (high - low) * ray[1]) * self.per_metre;
+            t -= over / fall;
+            if over.abs() < 1e-5 {
+                return Some(t);
+            }
+        }
+        None
+    }
+
     /// For rays much steeper than the ground, which it meets once: the height over it shrinks to nothing in steps.
     #[inline]
     fn drop(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
         let down = 1.0 / ray[2];
         let mut t = ((0.5 * (self.lowest + self.highest) + lift - origin[2]) * down).max(from);
         for _ in 0..8 {
-            let over = origin[2] + ray[2] * t - lift - self.height(origin[0] + ray[0] * t, origin[1] + ray[1] * t);
+            let over = origin[2] + ray[2] * t - lift - self.relief(origin[0] + ray[0] * t, origin[1] + ray[1] * t);
             t -= over * down;
             if over.abs() < 1e-5 {
                 break;
@@ -119,17 +194,52 @@ impl Terrain {
         if t >= end {
             return None;
         }
-        let (u0, v0) = ((origin[0] + HALF) / CELL, (origin[1] + HALF) / CELL);
-        let (du, dv) = (ray[0] / CELL, ray[1] / CELL);
+        let (u0, v0) = (
+            (origin[0] + self.half) * self.per_metre,
+            (origin[1] + self.half) * self.per_metre,
+        );
+        let (du, dv) = (ray[0] * self.per_metre, ray[1] * self.per_metre);
         let (u, v) = (u0 + du * t, v0 + dv * t);
         let last = (NODES - 2) as f64;
         if !(0.0..=last).contains(&u) || !(0.0..=last).contains(&v) {
             return None;
         }
-        let (mut i, mut j) = (u as i32, v as i32);
         let (step_u, step_v) = (if du < 0.0 { -1 } else { 1 }, if dv < 0.0 { -1 } else { 1 });
         let border = |cell: i32, step: i32| f64::from(if step > 0 { cell + 1 } else { cell });
         let (inv_u, inv_v) = (1.0 / du, 1.0 / dv);
+        // Whole blocks are leapt over while the ray stays above their highest points.
+        let (mut a, mut b) = (u as i32 / BLOCK, v as i32 / BLOCK);
+        loop {
+            let edge = |block: i32, step: i32| f64::from(if step > 0 { (block + 1) * BLOCK } else { block * BLOCK });
+            let to_u = if du == 0.0 {
+                f64::INFINITY
+            } else {
+                (edge(a, step_u) - u0) * inv_u
+            };
+            let to_v = if dv == 0.0 {
+                f64::INFINITY
+            } else {
+                (edge(b, step_v) - v0) * inv_v
+            };
+            let out = to_u.min(to_v).min(end).max(t);
+            if origin[2] + ray[2] * out - lift <= f64::from(self.tops[(b * BLOCKS + a) as usize]) {
+                break;
+            }
+            if out >= end {
+                return None;
+            }
+            t = out;
+            if to_u < to_v {
+                a += step_u
+            } else {
+                b += step_v
+            }
+            if a < 0 || b < 0 || a >= BLOCKS || b >= BLOCKS {
+                return None;
+            }
+        }
+        let within = |cell: f64, block: i32| (cell as i32).clamp(block * BLOCK, block * BLOCK + BLOCK - 1);
+        let (mut i, mut j) = (within(u0 + du * t, a), within(v0 + dv * t, b));
         let mut next_u = if du == 0.0 {
             f64::INFINITY
         } else {
@@ -187,7 +297,15 @@ mod tests {
 
     #[test]
     fn ray_ends_on_the_ground() {
-        let terrain = Terrain::new(3);
+        let slope = Terrain::shaped(4, 4.0, [0.02, -0.015], |x, y| {
+            0.3 * libm::sin(0.03 * x) * libm::cos(0.02 * y)
+        });
+        for terrain in [Terrain::new(3), slope] {
+            rays_end_on(&terrain);
+        }
+    }
+
+    fn rays_end_on(terrain: &Terrain) {
         let mut draws = Stream::new(1, "test", 0);
         let mut hits = 0;
         for _ in 0..2000 {
@@ -196,8 +314,17 @@ mod tests {
                 draws.between(-100.0, 100.0),
                 draws.between(1.5, 6.0),
             ];
+            let origin = [
+                origin[0],
+                origin[1],
+                origin[2] + terrain.grade[0] * origin[0] + terrain.grade[1] * origin[1],
+            ];
             let (sin, cos) = libm::sincos(draws.between(0.0, std::f64::consts::TAU));
-            let ray = [cos, sin, -draws.between(0.015, 0.5)];
+            let ray = [
+                cos,
+                sin,
+                terrain.grade[0] * cos + terrain.grade[1] * sin - draws.between(0.015, 0.5),
+            ];
             let lift = draws.between(0.0, 0.2);
             let Some(t) = terrain.cast(origin, ray, lift, [0.0, 200.0]) else {
                 continue;

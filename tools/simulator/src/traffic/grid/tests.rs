@@ -1,7 +1,9 @@
 use super::lights::Light;
 use super::*;
+use crate::path::State;
+use crate::traffic::{Traffic, User, overlaps, touch};
 
-const SCENARIOS: [Scenario; 2] = [Scenario::Intersection, Scenario::Corridor];
+const GRIDS: [Grid; 2] = [Grid::Intersection, Grid::Corridor];
 
 /// Length of the shared simulations, s.
 const SECONDS: f64 = 20.0;
@@ -18,15 +20,16 @@ fn samples() -> &'static [Sample] {
     static SAMPLES: std::sync::OnceLock<Vec<Sample>> = std::sync::OnceLock::new();
     SAMPLES.get_or_init(|| {
         let mut all = Vec::new();
-        for scenario in SCENARIOS {
+        for grid in GRIDS {
             for seed in 0..4 {
-                let (place, dense) = (Scenery::new(scenario, seed), seed % 2 == 0);
+                let (place, dense) = (Scenery::on_grid(grid, seed), seed % 2 == 0);
                 let traffic = Traffic::new(&Demand {
                     place: &place,
                     seed,
                     dense,
                     seconds: SECONDS,
-                });
+                })
+                .unwrap();
                 all.push(Sample {
                     place,
                     traffic,
@@ -73,15 +76,15 @@ fn no_two_bodies_overlap() {
 fn hardly_anybody_has_to_be_left_out_for_that() {
     for Sample { place, seed, dense, .. } in samples() {
         let (seed, dense) = (*seed, *dense);
-        let lights = Lights::new(place.roads.scenario, seed);
-        let network = network::Network::new(&place.roads);
-        let (walkers, crossings) = walkers::walk(&place.roads, &lights, seed, dense, 10.5);
+        let lights = Lights::new(place.grid().grid, seed);
+        let network = network::Network::new(place.grid());
+        let (walkers, crossings) = walkers::walk(place.grid(), &lights, seed, dense, 10.5);
         let plan = TrafficPlan {
             network: &network,
             lights: &lights,
             crossings: &crossings,
             seed: Stream::new(seed, "traffic", 0).bits(),
-            gap: gap(place.roads.scenario, dense),
+            gap: gap(place.grid().grid, dense),
             until: 10.5,
             stay: &[],
         };
@@ -143,14 +146,14 @@ fn coming_in(place: &Scenery, user: &User, state: &State) -> Option<(usize, f64)
     };
     let along = [x, y, -x, -y][arm];
     let across = if arm % 2 == 0 { y.abs() } else { x.abs() };
-    (along > -2.0 && across < place.roads.half[arm % 2]).then_some((arm, along))
+    (along > -2.0 && across < place.grid().half[arm % 2]).then_some((arm, along))
 }
 
 #[test]
 fn vehicles_obey_red_lights() {
     let passed = std::cell::Cell::new(0);
     for_each_traffic(|place, traffic, seed| {
-        let lights = Lights::new(place.roads.scenario, seed);
+        let lights = Lights::new(place.grid().grid, seed);
         for user in traffic.users.iter().filter(|user| !user.class.walks()) {
             for k in 0..400 {
                 let t = f64::from(k) * 0.05;
@@ -161,7 +164,7 @@ fn vehicles_obey_red_lights() {
                 let (Some((arm, from)), Some((_, to))) = fronts else {
                     continue;
                 };
-                let stop = place.roads.stop(arm % 2);
+                let stop = place.grid().stop(arm % 2);
                 if from > stop && to <= stop {
                     passed.set(passed.get() + 1);
                     let turned = user
@@ -185,12 +188,12 @@ fn walkers_keep_to_pavements_and_crossings() {
         for k in 0..100 {
             for (i, state) in there(traffic, f64::from(k) * 0.2) {
                 let Pose2 { x, y, .. } = state.pose;
-                if !traffic.users[i].class.walks() || place.roads.raised(x, y) {
+                if !traffic.users[i].class.walks() || place.grid().raised(x, y) {
                     continue;
                 }
                 crossing.set(crossing.get() + 1);
                 assert!(
-                    place.roads.on_crossing(x, y, 0.3),
+                    place.grid().on_crossing(x, y, 0.3),
                     "seed {seed}: a walker on the road at {x} {y}"
                 );
             }
@@ -202,16 +205,16 @@ fn walkers_keep_to_pavements_and_crossings() {
 #[test]
 fn walkers_set_out_only_when_they_may() {
     for_each_traffic(|place, traffic, seed| {
-        let lights = Lights::new(place.roads.scenario, seed);
+        let lights = Lights::new(place.grid().grid, seed);
         for (k, user) in (0..190).flat_map(|k| traffic.users.iter().map(move |user| (k, user))) {
             let t = f64::from(k) * 0.1;
             let (Some(a), Some(b)) = (user.course.at(t), user.course.at(t + 0.1)) else {
                 continue;
             };
-            let on_road = |s: &State| place.roads.inside_kerb(s.pose.x, s.pose.y) < 0.0;
+            let on_road = |s: &State| place.grid().inside_kerb(s.pose.x, s.pose.y) < 0.0;
             if user.class.walks() && !on_road(&a) && on_road(&b) {
                 let axis = if libm::sin(b.pose.heading).abs() > 0.7 { 0 } else { 1 };
-                let crosses = place.roads.half[axis] - [b.pose.y.abs(), b.pose.x.abs()][axis] < 1.0;
+                let crosses = place.grid().half[axis] - [b.pose.y.abs(), b.pose.x.abs()][axis] < 1.0;
                 assert!(
                     crosses && lights.show(axis, t) == Light::Red,
                     "seed {seed}: a walker steps out at {t} s"
@@ -236,7 +239,7 @@ fn dense_traffic_has_at_least_120_road_users_at_all_times() {
             assert!(
                 count >= least,
                 "seed {seed} {:?}: {count} road users",
-                place.roads.scenario
+                place.grid().grid
             );
         }
     }
@@ -252,7 +255,7 @@ fn cavs_come_by_two_arms_and_stay_near_each_other() {
             .map(|k| [a, b].map(|user| user.course.at(f64::from(k) * 0.5).unwrap().pose))
             .filter(|[p, q]| near(*p, *q) && near(*p, rsu) && near(*q, rsu))
             .count();
-        let scenario = place.roads.scenario;
+        let scenario = place.grid().grid;
         assert!(
             together >= 13,
             "seed {seed} {scenario:?}: together for {together} of 21 looks"
@@ -264,13 +267,14 @@ fn cavs_come_by_two_arms_and_stay_near_each_other() {
 
 #[test]
 fn cavs_turn_round_and_stay_for_minutes() {
-    let place = Scenery::new(Scenario::Intersection, 5);
+    let place = Scenery::on_grid(Grid::Intersection, 5);
     let traffic = Traffic::new(&Demand {
         place: &place,
         seed: 5,
         dense: true,
         seconds: 150.0,
-    });
+    })
+    .unwrap();
     for cav in traffic.cavs {
         let user = &traffic.users[cav];
         let mut gone = 0.0;

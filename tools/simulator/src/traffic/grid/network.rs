@@ -153,12 +153,12 @@ fn way(roads: &Roads, lane: usize, arm: usize, index: Option<usize>, offset: f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Scenario;
+    use crate::place::Grid;
 
     #[test]
     fn ways_end_in_their_exit_lanes() {
         for place in 0..6 {
-            let roads = Roads::new(Scenario::Intersection, place);
+            let roads = Roads::new(Grid::Intersection, place);
             let network = Network::new(&roads);
             for way in &network.ways {
                 let (end, curvature) = way.path.at(way.path.length());
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn only_ways_that_cross_or_merge_conflict() {
-        let roads = Roads::new(Scenario::Intersection, 1);
+        let roads = Roads::new(Grid::Intersection, 1);
         let network = Network::new(&roads);
         let (lanes, ways) = (&network.lanes, &network.ways);
         let find = |arm: usize, turn| {

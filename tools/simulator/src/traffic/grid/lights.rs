@@ -1,7 +1,7 @@
 //! The traffic lights: a fixed cycle in which the axes take turns. At the junction, each axis' green is followed by an
 //! arrow for those who turn left.
 
-use crate::Scenario;
+use crate::place::Grid;
 use crate::random::Stream;
 
 const YELLOW: f64 = 3.0;
@@ -30,10 +30,10 @@ pub(crate) struct Lights {
 }
 
 impl Lights {
-    pub fn new(scenario: Scenario, seed: u64) -> Self {
-        let (green, arrow) = match scenario {
-            Scenario::Intersection => ([18.0, 16.0], 6.0),
-            Scenario::Corridor => ([24.0, 18.0], 0.0),
+    pub fn new(grid: Grid, seed: u64) -> Self {
+        let (green, arrow) = match grid {
+            Grid::Intersection => ([18.0, 16.0], 6.0),
+            Grid::Corridor => ([24.0, 18.0], 0.0),
         };
         let mut lights = Lights {
             green,
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn axes_are_never_open_together_and_walkers_cross_at_red() {
-        let lights = Lights::new(Scenario::Intersection, 3);
+        let lights = Lights::new(Grid::Intersection, 3);
         for k in 0..2000 {
             let t = f64::from(k) * 0.1;
             assert!(lights.show(0, t) == Light::Red || lights.show(1, t) == Light::Red);

@@ -3,10 +3,9 @@
 use super::lights::Lights;
 use super::vehicles::Crossing;
 use super::zones::Zone;
-use crate::Scenario;
 use crate::bodies::Class;
 use crate::path::{Course, Motion, Path, TICK};
-use crate::place::{REACH, Roads};
+use crate::place::{Grid, REACH, Roads};
 use crate::random::Stream;
 
 /// Seconds walked before the log begins.
@@ -157,9 +156,9 @@ impl Crowd<'_> {
     }
 
     fn route(&self, draws: &mut Stream) -> Route {
-        match self.roads.scenario {
-            Scenario::Intersection => self.route_at_junction(draws),
-            Scenario::Corridor => self.route_along(draws),
+        match self.roads.grid {
+            Grid::Intersection => self.route_at_junction(draws),
+            Grid::Corridor => self.route_along(draws),
         }
     }
 

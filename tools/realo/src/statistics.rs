@@ -1,0 +1,155 @@
+//! `realo simulate --statistics`: what clouds are like, real or simulated, in the figures of `docs/world.md`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use eyre::{Result, WrapErr, bail};
+use realo_logs::{AgentKind, Log, Stream};
+use realo_schemas::{Box3, Nanos, PointCloud};
+use realo_simulator::Sensor;
+use realo_simulator::statistics::{Observed, ROADSIDE_SECTOR, Row, Statistics, VEHICLE_SECTOR};
+
+/// Prints the figures of every agent over all logs; `like` thins spinning sensors to the beams of another.
+pub fn print(logs: &[PathBuf], like: Option<&str>) -> Result<()> {
+    let beams = match like {
+        Some(name) => Sensor::named(name)?.elevations(),
+        None => Vec::new(),
+    };
+    let mut agents = BTreeMap::new();
+    for path in logs {
+        add(&mut agents, path, &beams).wrap_err_with(|| format!("{}", path.display()))?;
+    }
+    if agents.is_empty() {
+        bail!("no agent of these logs has points; simulate without --no-clouds");
+    }
+    println!("{}", table(&agents));
+    Ok(())
+}
+
+fn add(agents: &mut BTreeMap<String, Statistics>, path: &Path, beams: &[f64]) -> Result<()> {
+    let log = Log::open(path)?;
+    for agent in &log.info().agents {
+        if !log.has(&agent.name, Stream::Points) {
+            continue;
+        }
+        let Some(sensor) = agent.sensor_position else {
+            bail!("agent `{}`: the log does not say where its sensor is", agent.name);
+        };
+        let sector = match agent.kind {
+            AgentKind::Vehicle => VEHICLE_SECTOR,
+            AgentKind::Roadside => ROADSIDE_SECTOR,
+        };
+        let statistics = agents.entry(agent.name.clone()).or_default();
+        each_sweep(&log, &agent.name, |cloud, objects| {
+            statistics.add(&Observed {
+                cloud,
+                sensor,
+                sector,
+                objects,
+                beams,
+            });
+        })?;
+    }
+    Ok(())
+}
+
+/// Points and labels of each sweep of an agent. Labels are the ground truth that the agent has points on, where the log
+/// counts them; else the recorded detections, which in imported data are the labels of the agent's own side.
+fn each_sweep(log: &Log, agent: &str, mut visit: impl FnMut(&PointCloud, &[Box3])) -> Result<()> {
+    let streams = [
+        Stream::Points,
+        Stream::GroundTruth,
+        Stream::GroundTruthInfo,
+        Stream::Detections,
+    ];
+    let wanted: Vec<(&str, Stream)> = streams
+        .into_iter()
+        .filter(|stream| log.has(agent, *stream))
+        .map(|stream| (agent, stream))
+        .collect();
+    let mut reader = log.read_all(&wanted)?;
+    let mut sweep = Sweep::default();
+    while let Some(entry) = reader.next()? {
+        if entry.stamp() != sweep.stamp {
+            sweep.finish(&mut visit);
+            sweep.stamp = entry.stamp();
+        }
+        match entry.stream {
+            Stream::Points => sweep.cloud = Some(entry.cloud()?),
+            Stream::GroundTruth => sweep.truth = Some(entry.boxes()?),
+            Stream::GroundTruthInfo => {
+                if let Some(truth) = &mut sweep.truth {
+                    let info = entry.info(truth)?;
+                    let own = info.agents.iter().position(|counted| &**counted == agent);
+                    sweep.points = info.points.zip(own).map(|(points, own)| {
+                        let each = info.agents.len();
+                        points.iter().skip(own).step_by(each).copied().collect()
+                    });
+                }
+            }
+            _ => sweep.detections = entry.boxes()?.0,
+        }
+    }
+    sweep.finish(&mut visit);
+    Ok(())
+}
+
+/// What is known of one stamp.
+#[derive(Default)]
+struct Sweep {
+    stamp: Nanos,
+    cloud: Option<PointCloud>,
+    truth: Option<realo_schemas::Boxes>,
+    points: Option<Vec<u32>>,
+    detections: Vec<Box3>,
+}
+
+impl Sweep {
+    fn finish(&mut self, visit: &mut impl FnMut(&PointCloud, &[Box3])) {
+        let Sweep {
+            cloud,
+            truth,
+            points,
+            detections,
+            ..
+        } = std::mem::take(self);
+        let Some(cloud) = cloud else { return };
+        let objects = match (truth, points) {
+            (Some(truth), Some(points)) => {
+                let seen = truth.0.into_iter().zip(points).filter(|(_, points)| *points > 0);
+                seen.map(|(object, _)| object).collect()
+            }
+            _ => detections,
+        };
+        visit(&cloud, &objects);
+    }
+}
+
+/// A row for each figure, a column for each agent.
+fn table(agents: &BTreeMap<String, Statistics>) -> String {
+    let columns: Vec<(&String, Vec<Row>)> = agents.iter().map(|(name, all)| (name, all.rows())).collect();
+    let names = columns
+        .iter()
+        .flat_map(|(_, rows)| rows)
+        .map(|row| row.name.chars().count());
+    let first = names.max().unwrap_or(0);
+    let widths: Vec<usize> = columns
+        .iter()
+        .map(|(name, rows)| {
+            let values = rows.iter().map(|row| row.figures().chars().count());
+            values.chain([name.chars().count()]).max().unwrap_or(0)
+        })
+        .collect();
+    let mut lines = vec![" ".repeat(first)];
+    for ((name, _), width) in columns.iter().zip(&widths) {
+        lines[0] += &format!("  {name:>width$}");
+    }
+    for index in 0..columns[0].1.len() {
+        let mut line = format!("{:<first$}", columns[0].1[index].name);
+        for ((_, rows), width) in columns.iter().zip(&widths) {
+            line += &format!("  {:>width$}", rows[index].figures());
+        }
+        lines.push(line);
+    }
+    lines.join("\n")
+}

@@ -1,0 +1,440 @@
+//! What stands and grows beside the roads of a place: foliage above all, walls, rails, fences, street furniture, works.
+
+use super::foliage::Foliage;
+use super::things::{self, Thing};
+use super::{Fixture, Verge, VergeKind};
+use crate::path::Pose2;
+use crate::random::Stream;
+use crate::solid::Solid;
+
+/// What a stretch of a verge is lined with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Lining {
+    Hedge,
+    /// A low wall with a hedge behind it.
+    WalledHedge,
+    Shrubs,
+    Trees,
+    /// High grass with a shrub here and there.
+    Grass,
+    Wall,
+    Rail,
+    Fence,
+    /// Bollards, signs, lamps, bins, cabinets.
+    Furniture,
+    Bicycles,
+    Shelter,
+    Works,
+    Bare,
+}
+
+/// How often stretches have what lining, by the kind of the verge; weights.
+fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
+    use Lining::*;
+    match kind {
+        VergeKind::Garden => &[
+            (Hedge, 5.0),
+            (WalledHedge, 3.0),
+            (Shrubs, 3.0),
+            (Trees, 2.0),
+            (Wall, 3.0),
+            (Fence, 1.5),
+            (Furniture, 1.5),
+            (Works, 0.3),
+            (Bare, 1.0),
+        ],
+        VergeKind::Street => &[
+            (Furniture, 4.0),
+            (Bicycles, 1.5),
+            (Shelter, 0.5),
+            (Hedge, 1.5),
+            (Shrubs, 1.5),
+            (Trees, 2.0),
+            (Wall, 0.7),
+            (Fence, 1.0),
+            (Works, 0.6),
+            (Bare, 2.0),
+        ],
+        VergeKind::Park => &[
+            (Hedge, 3.0),
+            (WalledHedge, 1.5),
+            (Shrubs, 5.0),
+            (Trees, 4.0),
+            (Grass, 2.0),
+            (Wall, 2.5),
+            (Fence, 1.0),
+            (Furniture, 1.5),
+            (Bicycles, 0.5),
+            (Shelter, 0.3),
+            (Works, 0.3),
+            (Bare, 1.0),
+        ],
+        VergeKind::Field => &[
+            (Grass, 5.0),
+            (Shrubs, 3.0),
+            (Trees, 2.0),
+            (Hedge, 1.0),
+            (Rail, 1.0),
+            (Fence, 1.0),
+            (Furniture, 1.0),
+            (Bare, 2.0),
+        ],
+        VergeKind::Embankment => &[
+            (Rail, 5.0),
+            (Shrubs, 4.0),
+            (Grass, 2.0),
+            (Fence, 1.0),
+            (Trees, 1.0),
+            (Furniture, 0.7),
+            (Works, 0.4),
+        ],
+        VergeKind::Median => &[
+            (Hedge, 4.0),
+            (Rail, 2.0),
+            (Fence, 2.0),
+            (Shrubs, 1.5),
+            (Trees, 0.7),
+            (Works, 0.3),
+            (Bare, 1.5),
+        ],
+        VergeKind::CarPark => &[
+            (Hedge, 3.0),
+            (Shrubs, 2.0),
+            (Furniture, 2.0),
+            (Wall, 1.0),
+            (Fence, 1.0),
+            (Bicycles, 1.0),
+            (Trees, 1.0),
+            (Bare, 2.0),
+        ],
+    }
+}
+
+/// How much grows behind the first row, weeds, shrubs and trees on 100 m² of free ground, by the kind of the verge.
+fn growth(kind: VergeKind) -> [f64; 3] {
+    match kind {
+        VergeKind::Garden => [11.0, 9.5, 2.4],
+        VergeKind::Street | VergeKind::Median => [0.0, 0.0, 0.0],
+        VergeKind::Park => [18.0, 13.0, 3.8],
+        VergeKind::Field => [14.0, 6.0, 1.4],
+        VergeKind::Embankment => [9.0, 10.0, 1.3],
+        VergeKind::CarPark => [0.5, 0.5, 0.5],
+    }
+}
+
+/// The ground on which clutter stands.
+pub(super) struct Ground<'a> {
+    /// Distance of a point from all that is paved, m.
+    pub open: &'a dyn Fn(f64, f64) -> f64,
+    /// Height, m.
+    pub height: &'a dyn Fn(f64, f64) -> f64,
+}
+
+/// What stands on the verges of a place.
+pub(super) struct Clutter {
+    pub fixtures: Vec<Fixture>,
+    pub foliage: Vec<Foliage>,
+}
+
+/// Everything that stands on the verges of a place.
+pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter {
+    let mut site = Site {
+        ground,
+        fixtures: Vec::new(),
+        foliage: Vec::new(),
+    };
+    for (index, verge) in verges.iter().enumerate() {
+        let mut draws = Stream::new(number, "clutter", index as u64);
+        site.line(verge, &mut draws);
+        site.grow(verge, &mut draws);
+    }
+    Clutter {
+        fixtures: site.fixtures,
+        foliage: site.foliage,
+    }
+}
+
+struct Site<'a> {
+    ground: &'a Ground<'a>,
+    fixtures: Vec<Fixture>,
+    foliage: Vec<Foliage>,
+}
+
+impl Site<'_> {
+    /// Stands something up, unless the ground within `clear` of its foot is paved.
+    fn stand(&mut self, pose: Pose2, clear: f64, thing: impl Into<Thing>) {
+        let Pose2 { x, y, heading } = pose;
+        if (self.ground.open)(x, y) < clear {
+            return;
+        }
+        let Thing { parts, masses } = thing.into();
+        // Along its length the ground may fall: no ray slips under it.
+        let (sin, cos) = libm::sincos(heading);
+        let height = |half: f64| {
+            let at = |u: f64| (self.ground.height)(x + u * cos, y + u * sin);
+            at(0.0).min(at(half)).min(at(-half)) - 0.03
+        };
+        for mass in &masses {
+            let z = height(if mass.block { mass.half[0] } else { 0.0 });
+            self.foliage.push(Foliage::stand(mass, pose, z));
+        }
+        if !parts.is_empty() {
+            let solid = Solid::new(parts);
+            let z = height(solid.high[0].max(-solid.low[0]).min(3.0));
+            self.fixtures.push(Fixture { pose, z, solid });
+        }
+    }
+
+    /// The first row, in stretches.
+    fn line(&mut self, verge: &Verge, draws: &mut Stream) {
+        let choices = linings(verge.kind);
+        let total: f64 = choices.iter().map(|(_, weight)| weight).sum();
+        let mut along = draws.between(0.0, 5.0);
+        while along < verge.length() {
+            let mut pick = draws.between(0.0, total);
+            let lining = choices.iter().find(|(_, weight)| {
+                pick -= weight;
+                pick < 0.0
+            });
+            let lining = lining.map_or(Lining::Bare, |(lining, _)| *lining);
+            let length = match lining {
+                Lining::Shelter | Lining::Bicycles => draws.between(4.0, 9.0),
+                Lining::Rail => draws.between(20.0, 70.0),
+                _ => draws.between(6.0, 30.0),
+            };
+            let end = (along + length).min(verge.length());
+            self.stretch(verge, lining, [along, end], draws);
+            along = end + draws.between(0.3, 5.0);
+        }
+    }
+
+    fn stretch(&mut self, verge: &Verge, lining: Lining, [from, to]: [f64; 2], draws: &mut Stream) {
+        let across = if verge.kind == VergeKind::Median {
+            0.0
+        } else {
+            draws.between(0.3, 1.2).min(0.5 * verge.depth())
+        };
+        match lining {
+            Lining::Hedge => self.hedge(verge, across, [from, to], draws),
+            Lining::WalledHedge => {
+                let height = draws.between(0.4, 0.7);
+                self.pieces(
+                    [from, to],
+                    4.0,
+                    |site, middle, length, _| {
+                        site.stand(verge.pose(middle, across), 0.1, things::wall(length, 0.24, height));
+                    },
+                    draws,
+                );
+                self.hedge(verge, across + draws.between(0.5, 1.0), [from, to], draws);
+            }
+            Lining::Wall => {
+                let height = draws.between(0.35, 1.1);
+                self.pieces(
+                    [from, to],
+                    4.0,
+                    |site, middle, length, _| {
+                        site.stand(verge.pose(middle, across), 0.1, things::wall(length, 0.24, height));
+                    },
+                    draws,
+                );
+            }
+            Lining::Rail => self.pieces(
+                [from, to],
+                4.0,
+                |site, middle, length, _| {
+                    site.stand(verge.pose(middle, across), 0.1, things::rail(length));
+                },
+                draws,
+            ),
+            Lining::Fence => {
+                let (height, pass) = (draws.between(0.8, 2.0), draws.between(0.6, 0.9));
+                self.pieces(
+                    [from, to],
+                    4.0,
+                    |site, middle, length, _| {
+                        site.stand(verge.pose(middle, across), 0.1, things::fence(length, height, pass));
+                    },
+                    draws,
+                );
+            }
+            Lining::Shrubs => {
+                let (height, gap) = (draws.between(0.5, 2.0), draws.between(0.8, 3.5));
+                self.spots(
+                    [from, to],
+                    gap,
+                    |site, along, draws| {
+                        let aside = across + draws.between(0.0, 1.5).min(0.5 * verge.depth());
+                        let height = height * draws.between(0.5, 1.2);
+                        let pose = turned(verge.pose(along, aside), draws);
+                        site.stand(pose, 0.2, things::bush(height, draws));
+                    },
+                    draws,
+                );
+            }
+            Lining::Trees => {
+                let (under, height) = (draws.between(1.5, 3.0), draws.between(4.0, 9.0));
+                self.spots(
+                    [from, to],
+                    draws.between(4.0, 8.0),
+                    |site, along, draws| {
+                        let pose = turned(verge.pose(along, across + 0.4), draws);
+                        let under = under * draws.between(0.8, 1.2);
+                        site.stand(pose, 0.3, things::tree(under, height * draws.between(0.8, 1.2), draws));
+                        if draws.chance(0.3) {
+                            let pose = verge.pose(along + draws.between(0.8, 2.5), across + draws.between(0.0, 0.8));
+                            site.stand(pose, 0.2, things::bush(draws.between(0.4, 1.3), draws));
+                        }
+                    },
+                    draws,
+                );
+            }
+            Lining::Grass => {
+                self.pieces(
+                    [from, to],
+                    3.0,
+                    |site, middle, length, draws| {
+                        let width = draws.between(0.8, 2.5).min(verge.depth());
+                        let pose = verge.pose(middle, across + 0.5 * width);
+                        site.stand(pose, 0.1, things::grass(length, width, draws.between(0.2, 0.6), draws));
+                    },
+                    draws,
+                );
+            }
+            Lining::Furniture => {
+                let gap = draws.between(2.0, 7.0);
+                self.spots(
+                    [from, to],
+                    gap,
+                    |site, along, draws| {
+                        let thing = match draws.below(6) {
+                            0 | 1 => things::bollard(draws),
+                            2 => things::sign(draws),
+                            3 => things::lamp(draws),
+                            4 => things::bin(draws),
+                            _ => things::cabinet(draws),
+                        };
+                        site.stand(verge.pose(along, across), 0.0, thing);
+                    },
+                    draws,
+                );
+            }
+            Lining::Bicycles => {
+                self.spots(
+                    [from, to],
+                    4.2,
+                    |site, along, draws| {
+                        let count = 2 + draws.below(5);
+                        site.stand(verge.pose(along, across + 0.6), 0.0, things::bicycles(count, draws));
+                    },
+                    draws,
+                );
+            }
+            Lining::Shelter => {
+                self.stand(verge.pose(0.5 * (from + to), across + 0.6), 0.0, things::shelter(draws));
+            }
+            Lining::Works => {
+                let gap = draws.between(1.2, 3.0);
+                let cones = draws.chance(0.5);
+                self.spots(
+                    [from, to.min(from + 15.0)],
+                    gap,
+                    |site, along, draws| {
+                        let thing = if cones { things::cone() } else { things::barrier(draws) };
+                        site.stand(verge.pose(along, across + draws.between(-0.2, 0.2)), 0.0, thing);
+                    },
+                    draws,
+                );
+            }
+            Lining::Bare => {}
+        }
+    }
+
+    fn hedge(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
+        let (height, width) = (draws.between(0.4, 1.7), draws.between(0.5, 1.4));
+        let width = if verge.kind == VergeKind::Median {
+            width.min(2.0 * verge.depth())
+        } else {
+            width
+        };
+        let depth = draws.between(0.05, 0.3);
+        let middle_across = if verge.kind == VergeKind::Median {
+            0.0
+        } else {
+            across + width / 2.0
+        };
+        self.pieces(
+            stretch,
+            3.0,
+            |site, middle, length, draws| {
+                let height = height * draws.between(0.88, 1.1);
+                let parts = things::hedge(length, width, height, depth, draws);
+                site.stand(verge.pose(middle, middle_across), 0.1, parts);
+            },
+            draws,
+        );
+    }
+
+    /// Cuts a stretch into pieces of about `size`: middle and length of each.
+    fn pieces(
+        &mut self,
+        [from, to]: [f64; 2],
+        size: f64,
+        mut put: impl FnMut(&mut Self, f64, f64, &mut Stream),
+        draws: &mut Stream,
+    ) {
+        let count = ((to - from) / size).ceil().max(1.0);
+        let length = (to - from) / count;
+        for k in 0..count as usize {
+            put(self, from + (k as f64 + 0.5) * length, length, draws);
+        }
+    }
+
+    /// Goes along a stretch in uneven steps of about `gap`.
+    fn spots(
+        &mut self,
+        [from, to]: [f64; 2],
+        gap: f64,
+        mut put: impl FnMut(&mut Self, f64, &mut Stream),
+        draws: &mut Stream,
+    ) {
+        let mut along = from + 0.5 * gap * draws.unit();
+        while along < to {
+            put(self, along, draws);
+            along += gap * draws.between(0.6, 1.4);
+        }
+    }
+
+    /// What grows behind the first row, over all of the free ground.
+    fn grow(&mut self, verge: &Verge, draws: &mut Stream) {
+        const FIRST_ROW: f64 = 2.0;
+        let deep = verge.depth() - FIRST_ROW;
+        if deep <= 0.0 {
+            return;
+        }
+        let area = deep * verge.length() / 100.0;
+        for (kind, density) in growth(verge.kind).into_iter().enumerate() {
+            let count = (area * density * draws.between(0.5, 1.5)) as usize;
+            for _ in 0..count {
+                let pose = verge.pose(draws.between(0.0, verge.length()), FIRST_ROW + deep * draws.unit());
+                let pose = turned(pose, draws);
+                // Small ones are many.
+                let share = draws.unit() * draws.unit();
+                let thing: Thing = match kind {
+                    0 if draws.chance(0.5) => things::stone(0.4 + 0.6 * share, draws),
+                    0 => things::bush(0.35 + 0.6 * share, draws),
+                    1 => things::bush(0.5 + 2.3 * share, draws),
+                    _ => things::tree(draws.between(1.5, 3.0), draws.between(3.5, 12.0), draws),
+                };
+                self.stand(pose, 0.5, thing);
+            }
+        }
+    }
+}
+
+fn turned(pose: Pose2, draws: &mut Stream) -> Pose2 {
+    Pose2 {
+        heading: pose.heading + draws.between(0.0, std::f64::consts::TAU),
+        ..pose
+    }
+}

@@ -1,0 +1,316 @@
+//! What stands beside roads, as parts: x along the road, y away from it, z = 0 on the ground.
+
+use super::foliage::Mass;
+use crate::random::Stream;
+use crate::solid::{Part, Shape};
+
+/// Reflectivity of concrete, painted metal, and retro-reflecting sheets.
+const CONCRETE: f64 = 0.35;
+const METAL: f64 = 0.4;
+const SHEET: f64 = 2.5;
+
+pub(super) fn solid(shape: Shape, rho: f64) -> Part {
+    Part { shape, rho, pass: 0.0 }
+}
+
+fn block(low: [f64; 3], high: [f64; 3], rho: f64) -> Part {
+    solid(Shape::Block { low, high }, rho)
+}
+
+/// A block of which a share of the rays meets nothing.
+fn sieve(low: [f64; 3], high: [f64; 3], rho: f64, pass: f64) -> Part {
+    Part {
+        shape: Shape::Block { low, high },
+        rho,
+        pass,
+    }
+}
+
+fn pole(x: f64, y: f64, radius: f64, [low, high]: [f64; 2], rho: f64) -> Part {
+    let shape = Shape::Post {
+        x,
+        y,
+        radius,
+        low,
+        high,
+        swing: 0.0,
+    };
+    solid(shape, rho)
+}
+
+/// How deep a ray gets into wood and stone, m.
+const WOOD: f64 = 0.005;
+
+/// What stands somewhere: solid parts, and foliage.
+#[derive(Default)]
+pub(super) struct Thing {
+    pub parts: Vec<Part>,
+    pub masses: Vec<Mass>,
+}
+
+impl From<Vec<Part>> for Thing {
+    fn from(parts: Vec<Part>) -> Self {
+        Thing {
+            parts,
+            masses: Vec::new(),
+        }
+    }
+}
+
+fn ball(center: [f64; 3], [wide, high]: [f64; 2], depth: f64, draws: &mut Stream) -> Mass {
+    Mass {
+        center,
+        half: [wide, wide, high],
+        block: false,
+        depth,
+        seed: draws.bits(),
+    }
+}
+
+/// A clipped hedge along the road.
+pub(super) fn hedge(length: f64, width: f64, height: f64, depth: f64, draws: &mut Stream) -> Thing {
+    let mass = Mass {
+        center: [0.0, 0.0, height / 2.0],
+        half: [length / 2.0, width / 2.0, height / 2.0],
+        block: true,
+        depth,
+        seed: draws.bits(),
+    };
+    Thing {
+        masses: vec![mass],
+        ..Thing::default()
+    }
+}
+
+/// A shrub of one or two round masses.
+pub(super) fn bush(height: f64, draws: &mut Stream) -> Thing {
+    let spread = height * draws.between(0.35, 0.7);
+    let depth = draws.between(0.15, 0.6);
+    let masses = (0..1 + draws.below(3) / 2).map(|_| {
+        let top = height * draws.between(0.75, 1.0);
+        let aside = [(); 2].map(|()| draws.between(-0.6, 0.6) * spread);
+        let center = [aside[0], aside[1], 0.48 * top];
+        ball(center, [spread * draws.between(0.6, 1.0), 0.52 * top], depth, draws)
+    });
+    Thing {
+        masses: masses.collect(),
+        ..Thing::default()
+    }
+}
+
+/// A boulder, a planter, a block of concrete: low and smooth.
+pub(super) fn stone(height: f64, draws: &mut Stream) -> Thing {
+    let half = [draws.between(0.2, 0.9), draws.between(0.15, 0.4), height / 2.0];
+    let mass = Mass {
+        center: [0.0, 0.0, height / 2.0],
+        half,
+        block: draws.chance(0.7),
+        depth: WOOD,
+        seed: draws.bits(),
+    };
+    Thing {
+        masses: vec![mass],
+        ..Thing::default()
+    }
+}
+
+/// A tree: its trunk is a long ball of wood; the crown begins `under` above ground.
+pub(super) fn tree(under: f64, height: f64, draws: &mut Stream) -> Thing {
+    let radius = (0.28 * height * draws.between(0.7, 1.3)).min(4.0);
+    let depth = draws.between(0.6, 2.0);
+    let middle = 0.5 * (under + height);
+    let trunk = ball(
+        [0.0, 0.0, 0.5 * middle],
+        [draws.between(0.08, 0.22), 0.55 * middle],
+        WOOD,
+        draws,
+    );
+    let crown = (0..1 + draws.below(2)).map(|_| {
+        let up = (height - under) * draws.between(0.3, 0.5);
+        let aside = [(); 2].map(|()| draws.between(-0.5, 0.5) * radius);
+        let center = [aside[0], aside[1], draws.between(under + up, height - up)];
+        ball(center, [radius * draws.between(0.7, 1.1), up], depth, draws)
+    });
+    let masses = std::iter::once(trunk).chain(crown.collect::<Vec<_>>()).collect();
+    Thing {
+        masses,
+        ..Thing::default()
+    }
+}
+
+/// High grass and weeds: most rays go through.
+pub(super) fn grass(length: f64, width: f64, height: f64, draws: &mut Stream) -> Thing {
+    hedge(length, width, height, draws.between(0.8, 2.5), draws)
+}
+
+pub(super) fn wall(length: f64, width: f64, height: f64) -> Vec<Part> {
+    let (l, w) = (length / 2.0, width / 2.0);
+    vec![block([-l, -w, 0.0], [l, w, height], CONCRETE)]
+}
+
+/// A guard rail: a beam on posts.
+pub(super) fn rail(length: f64) -> Vec<Part> {
+    let l = length / 2.0;
+    let mut parts = vec![block([-l, -0.04, 0.43], [l, 0.04, 0.75], METAL)];
+    for x in [-0.5 * l, 0.5 * l] {
+        parts.push(block([x - 0.05, 0.05, 0.0], [x + 0.05, 0.15, 0.7], METAL));
+    }
+    parts
+}
+
+/// A fence of mesh or bars between posts.
+pub(super) fn fence(length: f64, height: f64, pass: f64) -> Vec<Part> {
+    let l = length / 2.0;
+    vec![
+        sieve([-l, -0.02, 0.05], [l, 0.02, height], METAL, pass),
+        block([-l, -0.03, height - 0.05], [l, 0.03, height], METAL),
+        pole(-l, 0.0, 0.04, [0.0, height], METAL),
+        pole(0.0, 0.0, 0.04, [0.0, height], METAL),
+    ]
+}
+
+pub(super) fn bollard(draws: &mut Stream) -> Vec<Part> {
+    vec![pole(
+        0.0,
+        0.0,
+        draws.between(0.05, 0.15),
+        [0.0, draws.between(0.6, 1.1)],
+        0.4,
+    )]
+}
+
+pub(super) fn lamp(draws: &mut Stream) -> Vec<Part> {
+    let height = draws.between(6.0, 10.0);
+    vec![
+        pole(0.0, 0.0, draws.between(0.06, 0.11), [0.0, height], METAL),
+        block([-0.1, -1.8, height - 0.15], [0.1, 0.0, height], METAL),
+    ]
+}
+
+/// A plate on a post, square to the road.
+pub(super) fn sign(draws: &mut Stream) -> Vec<Part> {
+    let half = draws.between(0.25, 0.5);
+    let low = draws.between(1.6, 2.4);
+    vec![
+        pole(0.0, 0.0, 0.04, [0.0, low + half], METAL),
+        block([-0.02, -half, low], [0.02, half, low + 2.0 * half], SHEET),
+    ]
+}
+
+pub(super) fn bin(draws: &mut Stream) -> Vec<Part> {
+    let (l, w, h) = (
+        draws.between(0.25, 0.7),
+        draws.between(0.25, 0.4),
+        draws.between(0.8, 1.3),
+    );
+    vec![block([-l, -w, 0.08], [l, w, h], draws.between(0.1, 0.5))]
+}
+
+/// A box of a utility: electricity, signals, post.
+pub(super) fn cabinet(draws: &mut Stream) -> Vec<Part> {
+    let (l, w, h) = (
+        draws.between(0.3, 1.0),
+        draws.between(0.2, 0.45),
+        draws.between(0.9, 1.7),
+    );
+    vec![block([-l, -w, 0.0], [l, w, h], 0.4)]
+}
+
+/// Bicycles side by side, square to the road.
+pub(super) fn bicycles(count: usize, draws: &mut Stream) -> Vec<Part> {
+    let mut parts = Vec::new();
+    for k in 0..count.min(6) {
+        let x = (k as f64 - 0.5 * count as f64) * 0.6 + draws.between(-0.1, 0.1);
+        let frame = |low: [f64; 3], high: [f64; 3], pass| sieve(low, high, 0.15, pass);
+        parts.push(frame([x - 0.03, -0.85, 0.02], [x + 0.03, -0.2, 0.68], 0.75));
+        parts.push(frame([x - 0.03, 0.2, 0.02], [x + 0.03, 0.85, 0.68], 0.75));
+        parts.push(frame([x - 0.04, -0.4, 0.35], [x + 0.04, 0.45, 0.85], 0.55));
+        parts.push(block([x - 0.25, 0.4, 0.95], [x + 0.25, 0.48, 1.02], 0.2));
+    }
+    parts
+}
+
+/// A bus shelter: glass at the back and the ends, a roof, a bench.
+pub(super) fn shelter(draws: &mut Stream) -> Vec<Part> {
+    let (l, h) = (draws.between(1.6, 2.4), draws.between(2.3, 2.6));
+    let glass = |low, high| sieve(low, high, 0.15, 0.6);
+    vec![
+        glass([-l, 0.7, 0.3], [l, 0.74, h]),
+        glass([-l, -0.5, 0.3], [-l + 0.04, 0.7, 2.0]),
+        block([l - 0.15, -0.4, 0.2], [l, 0.7, 2.1], 0.4),
+        block([-l - 0.1, -0.8, h], [l + 0.1, 0.8, h + 0.12], 0.3),
+        block([-0.7 * l, 0.25, 0.4], [0.4 * l, 0.6, 0.46], 0.3),
+        pole(-l, 0.7, 0.05, [0.0, h], METAL),
+        pole(l, 0.7, 0.05, [0.0, h], METAL),
+        pole(0.0, 0.7, 0.05, [0.0, h], METAL),
+    ]
+}
+
+/// A construction cone: rings that narrow upwards, of which one reflects.
+pub(super) fn cone() -> Vec<Part> {
+    vec![
+        block([-0.2, -0.2, 0.0], [0.2, 0.2, 0.04], 0.1),
+        pole(0.0, 0.0, 0.13, [0.04, 0.3], 0.35),
+        pole(0.0, 0.0, 0.09, [0.3, 0.5], SHEET),
+        pole(0.0, 0.0, 0.05, [0.5, 0.75], 0.35),
+    ]
+}
+
+/// A barrier of a building site: filled with water, or boards on feet.
+pub(super) fn barrier(draws: &mut Stream) -> Vec<Part> {
+    if draws.chance(0.5) {
+        return vec![
+            block([-0.95, -0.25, 0.0], [0.95, 0.25, 0.35], 0.5),
+            block([-0.95, -0.12, 0.35], [0.95, 0.12, 0.85], 0.5),
+        ];
+    }
+    vec![
+        block([-1.0, -0.02, 0.8], [1.0, 0.02, 1.0], SHEET),
+        block([-1.0, -0.02, 0.35], [1.0, 0.02, 0.5], 0.5),
+        block([-0.95, -0.3, 0.0], [-0.85, 0.3, 0.1], 0.1),
+        block([0.85, -0.3, 0.0], [0.95, 0.3, 0.1], 0.1),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solid::Solid;
+
+    #[test]
+    fn things_stand_on_the_ground_and_are_of_their_size() {
+        let mut draws = Stream::new(1, "things", 0);
+        for _ in 0..200 {
+            let all: [(Thing, f64, f64); 12] = [
+                (hedge(3.0, 0.8, 1.1, 0.3, &mut draws), 1.1, 1.1),
+                (bush(1.5, &mut draws), 1.1, 1.6),
+                (tree(1.5, 7.0, &mut draws), 3.0, 7.1),
+                (wall(4.0, 0.2, 0.6).into(), 0.6, 0.6),
+                (rail(4.0).into(), 0.75, 0.75),
+                (fence(4.0, 1.6, 0.7).into(), 1.6, 1.6),
+                (bollard(&mut draws).into(), 0.6, 1.1),
+                (sign(&mut draws).into(), 2.1, 3.4),
+                (bicycles(4, &mut draws).into(), 1.0, 1.1),
+                (shelter(&mut draws).into(), 2.4, 2.75),
+                (cone().into(), 0.75, 0.75),
+                (barrier(&mut draws).into(), 0.85, 1.0),
+            ];
+            for (index, (thing, low, high)) in all.into_iter().enumerate() {
+                let spans = thing
+                    .masses
+                    .iter()
+                    .map(|mass| [-1.0, 1.0].map(|side| mass.center[2] + side * mass.half[2]));
+                let body = (!thing.parts.is_empty()).then(|| Solid::new(thing.parts));
+                let spans = spans.chain(body.map(|body| [body.low[2], body.high[2]]));
+                let [foot, top] = spans.fold([f64::MAX, f64::MIN], |all, span| {
+                    [all[0].min(span[0]), all[1].max(span[1])]
+                });
+                assert!(foot.abs() < 0.3, "thing {index} begins at {foot}");
+                assert!(
+                    (low - 1e-9..=high + 1e-9).contains(&top),
+                    "thing {index} is {top} m high"
+                );
+            }
+        }
+    }
+}

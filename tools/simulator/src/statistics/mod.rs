@@ -1,0 +1,540 @@
+//! What a cloud is like: the figures in which simulated clouds are held against real ones.
+//!
+//! All figures are of what an agent's own log holds: points in its body frame, boxes of what it was labelled with. The
+//! ground is estimated from the cloud. *Background* is what stands over the ground outside all boxes, which are taken
+//! 0.3 m larger; it and the clusters are looked for in the *labelled sector* ahead of the sensor.
+
+mod clusters;
+mod ground;
+mod rings;
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+use realo_schemas::{Box3, PointCloud};
+
+use clusters::clusters;
+use ground::Ground;
+use rings::{Ring, column_step, rings};
+
+/// The sector in which DAIR-V2X's vehicles are labelled, rad: their cameras' view.
+pub const VEHICLE_SECTOR: f64 = 118.0 * PI / 180.0;
+/// The same for its roadside units.
+pub const ROADSIDE_SECTOR: f64 = 51.0 * PI / 180.0;
+
+/// Boxes are taken so much larger on each side, m: labels are not exact, and objects move within a sweep.
+const MARGIN: f64 = 0.3;
+/// Upper limits of the bins of height over ground, m.
+const HEIGHTS: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
+
+/// A sweep and what is known about it.
+#[derive(Clone, Copy, Debug)]
+pub struct Observed<'a> {
+    /// The points, in the agent's body frame.
+    pub cloud: &'a PointCloud,
+    /// The sensor in the body frame, m.
+    pub sensor: [f64; 3],
+    /// Width of the labelled sector ahead of the sensor, rad.
+    pub sector: f64,
+    /// The labelled objects, in the body frame.
+    pub objects: &'a [Box3],
+    /// Elevations of the beams to thin the cloud to, rad: of its rings those nearest to them count. Empty: all count.
+    pub beams: &'a [f64],
+}
+
+/// Figures of any number of sweeps.
+#[derive(Clone, Debug, Default)]
+pub struct Statistics {
+    sweeps: usize,
+    points: usize,
+    clusters: Clusters,
+    off_ring: [Share; 3],
+    on_objects: Share,
+    within_50: usize,
+    ground: usize,
+    heights: [usize; 7],
+    beyond_50: Share,
+    open: Share,
+    headings: [Share; 2],
+    squared_tilts: [f64; 2],
+    answered: [Share; 2],
+    bodies: [Share; 2],
+    windows: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Clusters {
+    all: usize,
+    low: usize,
+    lowest: usize,
+    vehicle_like: usize,
+    car_like: usize,
+}
+
+/// Some of all.
+#[derive(Clone, Copy, Debug, Default)]
+struct Share {
+    some: usize,
+    all: usize,
+}
+
+impl Share {
+    fn count(&mut self, holds: bool) {
+        self.some += usize::from(holds);
+        self.all += 1;
+    }
+
+    fn percent(self) -> Option<f64> {
+        (self.all > 0).then(|| 100.0 * self.some as f64 / self.all as f64)
+    }
+}
+
+/// A figure with its name; `values` are empty where the sweeps do not tell.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// What it is.
+    pub name: &'static str,
+    /// The figures, in the order of the name.
+    pub values: Vec<f64>,
+    /// Digits after the point that mean something.
+    pub digits: usize,
+}
+
+impl Row {
+    /// The figures as text; `-` where there are none.
+    pub fn figures(&self) -> String {
+        let values: Vec<String> = self.values.iter().map(|v| format!("{v:.*}", self.digits)).collect();
+        match values.is_empty() {
+            true => "-".into(),
+            false => values.join(" / "),
+        }
+    }
+}
+
+/// A sweep, taken apart.
+struct Parts<'a> {
+    observed: &'a Observed<'a>,
+    /// Relative to the sensor.
+    points: Vec<[f64; 3]>,
+    /// Height of each point above ground, m.
+    above: Vec<f64>,
+    /// The object that each point lies on.
+    object: Vec<Option<usize>>,
+    rings: Vec<Ring>,
+}
+
+impl Statistics {
+    /// Adds a sweep.
+    pub fn add(&mut self, observed: &Observed) {
+        let thinned = thin(observed);
+        let observed = Observed {
+            cloud: thinned.as_ref().unwrap_or(observed.cloud),
+            ..*observed
+        };
+        let cloud = observed.cloud;
+        let points: Vec<[f64; 3]> = (0..cloud.len())
+            .map(|i| [0, 1, 2].map(|k| f64::from([cloud.x[i], cloud.y[i], cloud.z[i]][k]) - observed.sensor[k]))
+            .collect();
+        let ground = Ground::new(&points);
+        let plane = ground.plane;
+        let parts = Parts {
+            above: points.iter().map(|p| p[2] - ground.height(p[0], p[1])).collect(),
+            object: points.iter().map(|p| object(&observed, p)).collect(),
+            rings: rings(cloud, &points),
+            points,
+            observed: &observed,
+        };
+        self.sweeps += 1;
+        self.points += cloud.len();
+        self.squared_tilts[0] += plane[1] * plane[1];
+        self.squared_tilts[1] += plane[2] * plane[2];
+        self.add_clusters(&parts);
+        self.add_points(&parts);
+        self.add_rings(&parts);
+        self.add_directions(&parts);
+        self.add_bodies(&parts);
+        for object in observed
+            .objects
+            .iter()
+            .filter(|object| object.length > 3.0 && in_region(&object.center, 100.0, 40.0))
+        {
+            let off = (object.yaw - FRAC_PI_2 * (object.yaw / FRAC_PI_2).round())
+                .abs()
+                .to_degrees();
+            self.headings[0].count(off > 5.0);
+            self.headings[1].count(off > 20.0);
+        }
+    }
+
+    fn add_clusters(&mut self, parts: &Parts) {
+        let sensor = parts.observed.sensor;
+        let raised = parts.background(0.3, 3.5).filter(|i| parts.in_sector(*i));
+        let raised: Vec<[f64; 3]> = raised
+            .map(|i| {
+                [
+                    parts.points[i][0] + sensor[0],
+                    parts.points[i][1] + sensor[1],
+                    parts.above[i],
+                ]
+            })
+            .collect();
+        for cluster in clusters(&raised) {
+            let (top, length) = (cluster.top, cluster.length);
+            let counts = &mut self.clusters;
+            counts.all += 1;
+            counts.low += usize::from(top < 2.5);
+            counts.lowest += usize::from(top < 1.0);
+            counts.vehicle_like += usize::from((0.5..2.5).contains(&top) && (1.0..8.0).contains(&length));
+            let car = (1.0..2.2).contains(&top) && (1.5..6.0).contains(&length) && cluster.width < 3.0;
+            counts.car_like += usize::from(car);
+        }
+    }
+
+    fn add_points(&mut self, parts: &Parts) {
+        for (i, point) in parts.points.iter().enumerate() {
+            let (above, level) = (parts.above[i], point[0].hypot(point[1]));
+            if (0.3..3.0).contains(&above) && parts.in_sector(i) && in_region(point, 100.0, 40.0) {
+                self.on_objects.count(parts.object[i].is_some());
+            }
+            self.beyond_50.count(level > 50.0);
+            if level > 50.0 {
+                continue;
+            }
+            self.within_50 += 1;
+            if above.abs() <= 0.25 {
+                self.ground += 1;
+            } else if above > 0.0 {
+                self.heights[HEIGHTS.partition_point(|limit| *limit <= above)] += 1;
+            }
+        }
+    }
+
+    fn add_rings(&mut self, parts: &Parts) {
+        for ring in &parts.rings {
+            for (index, deviation) in ring.deviations() {
+                let (i, above) = (index as usize, parts.above[index as usize]);
+                if parts.object[i].is_some() || !parts.in_sector(i) {
+                    continue;
+                }
+                for (bin, limits) in [0.3..1.0, 1.0..2.0, 2.0..3.0].iter().enumerate() {
+                    if limits.contains(&above) {
+                        self.off_ring[bin].count(deviation > 0.1);
+                    }
+                }
+            }
+        }
+        let Some(step) = column_step(&parts.rings) else { return };
+        for (band, [from, to]) in [[-8.0, -1.0], [5.0, 20.0]].iter().enumerate() {
+            let beams: Vec<&Ring> = parts
+                .rings
+                .iter()
+                .filter(|ring| (*from..*to).contains(&ring.elevation.to_degrees()))
+                .collect();
+            // A beam of which a sector has nothing is there all the same; what is near may look like a beam of its own.
+            let sectors = beams.iter().map(|ring| ring.sector + 1).max().unwrap_or(1);
+            let mut counts = vec![0; sectors];
+            beams.iter().for_each(|ring| counts[ring.sector] += 1);
+            counts.sort_unstable();
+            let most = counts[(sectors - 1) * 4 / 5];
+            self.answered[band].some += beams.iter().map(|ring| ring.points.len()).sum::<usize>();
+            self.answered[band].all += most * (TAU / step).round() as usize;
+        }
+    }
+
+    fn add_directions(&mut self, parts: &Parts) {
+        let mut open = [true; 180];
+        for (i, point) in parts.points.iter().enumerate() {
+            let direction = (libm::atan2(point[1], point[0]) + PI).to_degrees() * 0.5;
+            if parts.above[i] > 3.0 && point[0].hypot(point[1]) < 60.0 {
+                open[(direction as usize).min(179)] = false;
+            }
+        }
+        let half = parts.observed.sector / 2.0;
+        for (direction, open) in open.iter().enumerate() {
+            let middle = ((direction as f64 + 0.5) * 2.0).to_radians() - PI;
+            if middle.abs() < half {
+                self.open.count(*open);
+            }
+        }
+    }
+
+    /// Rays that found nothing between two that met the same car's lower body, and how deep those go that met it
+    /// behind its windows.
+    fn add_bodies(&mut self, parts: &Parts) {
+        let Some(step) = column_step(&parts.rings) else { return };
+        let car = |object: &&Box3| (3.0..5.2).contains(&object.length) && object.height < 2.4;
+        for (number, object) in parts
+            .observed
+            .objects
+            .iter()
+            .enumerate()
+            .filter(|(_, object)| car(object))
+        {
+            let [x, y, z] = object.center;
+            let range = (x - parts.observed.sensor[0]).hypot(y - parts.observed.sensor[1]);
+            let bin = match range {
+                r if r < 25.0 => 0,
+                r if r < 60.0 => 1,
+                _ => continue,
+            };
+            let foot = z - object.height / 2.0 - parts.observed.sensor[2];
+            for ring in &parts.rings {
+                let share = |i: usize| (parts.points[i][2] - foot) / object.height;
+                let on = |seen: &&rings::Seen| parts.object[seen.index as usize] == Some(number);
+                let body = |seen: &&rings::Seen| on(seen) && (0.2..0.5).contains(&share(seen.index as usize));
+                let hits: Vec<f64> = ring.points.iter().filter(body).map(|seen| seen.azimuth).collect();
+                if let [first, .., last] = hits[..]
+                    && last - first < 1.5
+                {
+                    // Whatever stands before the car answers as well: only where nothing came back was no answer.
+                    let span = ring.points.partition_point(|seen| seen.azimuth < first)
+                        ..ring.points.partition_point(|seen| seen.azimuth <= last);
+                    let gaps = ring.points[span]
+                        .windows(2)
+                        .map(|pair| (pair[1].azimuth - pair[0].azimuth) / step);
+                    self.bodies[bin].all += ((last - first) / step).round() as usize + 1;
+                    self.bodies[bin].some += gaps.map(|gap| (gap.round() as usize).saturating_sub(1)).sum::<usize>();
+                }
+                if bin == 0 {
+                    let window = |seen: &&rings::Seen| on(seen) && (0.65..0.9).contains(&share(seen.index as usize));
+                    let met = ring.points.iter().filter(window);
+                    let depths =
+                        met.filter_map(|seen| depth(parts.observed, object, &parts.points[seen.index as usize]));
+                    self.windows.extend(depths);
+                }
+            }
+        }
+    }
+
+    /// The figures, in the order of the table.
+    pub fn rows(&self) -> Vec<Row> {
+        let sweeps = self.sweeps.max(1) as f64;
+        let each = |count: usize| count as f64 / sweeps;
+        let row = |name, digits, values: Vec<f64>| Row { name, values, digits };
+        let shares = |name, digits, shares: &[Share]| {
+            let values: Option<Vec<f64>> = shares.iter().map(|share| share.percent()).collect();
+            row(name, digits, values.unwrap_or_default())
+        };
+        let of_near = |count: usize| 100.0 * count as f64 / self.within_50.max(1) as f64;
+        let mut windows = self.windows.clone();
+        windows.sort_by(f64::total_cmp);
+        let quartiles = [1, 2, 3]
+            .iter()
+            .filter_map(|k| windows.get(windows.len() * k / 4))
+            .copied();
+        let tilts = self
+            .squared_tilts
+            .map(|sum| libm::atan((sum / sweeps).sqrt()).to_degrees());
+        let Clusters {
+            all,
+            low,
+            lowest,
+            vehicle_like,
+            car_like,
+        } = self.clusters;
+        vec![
+            row("sweeps", 0, vec![self.sweeps as f64]),
+            row("points a sweep", 0, vec![each(self.points)]),
+            row("background clusters a sweep", 1, vec![each(all)]),
+            row("  top under 2.5 m / under 1 m", 1, vec![each(low), each(lowest)]),
+            row("  vehicle-like: top 0.5-2.5 m, 1-8 m long", 1, vec![each(vehicle_like)]),
+            row(
+                "  car-like: top 1-2.2 m, 1.5-6 m long, under 3 m wide",
+                1,
+                vec![each(car_like)],
+            ),
+            shares(
+                "background off its ring by over 0.1 m, at 0.3-1/1-2/2-3 m, %",
+                0,
+                &self.off_ring,
+            ),
+            shares("points at 0.3-3 m on labelled objects, %", 0, &[self.on_objects]),
+            row(
+                "ground (±0.25 m), of points within 50 m, %",
+                0,
+                vec![of_near(self.ground)],
+            ),
+            row(
+                "  0.25-0.5/-1/-1.5/-2/-2.5/-3/above, %",
+                0,
+                self.heights.map(of_near).to_vec(),
+            ),
+            shares("points beyond 50 m, %", 0, &[self.beyond_50]),
+            shares(
+                "directions (2°) without anything over 3 m within 60 m, %",
+                0,
+                &[self.open],
+            ),
+            shares("headings over 5°/20° off the axes, %", 1, &self.headings),
+            row("ground plane within 40 m, rms pitch/roll, degrees", 2, tilts.to_vec()),
+            shares("rays answered at -8 to -1°, %", 0, &self.answered[..1]),
+            shares("rays answered at 5 to 20°, %", 0, &self.answered[1..]),
+            shares("unanswered on lower car bodies, to 25 m, %", 1, &self.bodies[..1]),
+            shares("unanswered on lower car bodies, 25-60 m, %", 1, &self.bodies[1..]),
+            row(
+                "window returns, depth into the box to 25 m, quartiles, m",
+                2,
+                quartiles.collect(),
+            ),
+        ]
+    }
+}
+
+impl Parts<'_> {
+    fn in_sector(&self, i: usize) -> bool {
+        let [x, y, _] = self.points[i];
+        libm::atan2(y, x).abs() < self.observed.sector / 2.0
+    }
+
+    fn background(&self, from: f64, to: f64) -> impl Iterator<Item = usize> + '_ {
+        (0..self.points.len()).filter(move |i| self.object[*i].is_none() && (from..to).contains(&self.above[*i]))
+    }
+}
+
+fn in_region(point: &[f64; 3], x: f64, y: f64) -> bool {
+    point[0].abs() < x && point[1].abs() < y
+}
+
+/// A point relative to the sensor, in the frame of a box's centre.
+fn into_box(observed: &Observed, object: &Box3, point: &[f64; 3]) -> [f64; 3] {
+    let [x, y, z] = [0, 1, 2].map(|k| point[k] + observed.sensor[k] - object.center[k]);
+    let (sin, cos) = libm::sincos(object.yaw);
+    [x * cos + y * sin, y * cos - x * sin, z]
+}
+
+/// The first object on which a point lies.
+fn object(observed: &Observed, point: &[f64; 3]) -> Option<usize> {
+    observed.objects.iter().position(|object| {
+        let [x, y] = [0, 1].map(|k| point[k] + observed.sensor[k] - object.center[k]);
+        let reach = 0.5 * (object.length + object.width) + 2.0 * MARGIN;
+        if x.abs() > reach || y.abs() > reach {
+            return false;
+        }
+        let half = [object.length, object.width, object.height].map(|size| size / 2.0 + MARGIN);
+        let inside = into_box(observed, object, point);
+        (0..3).all(|k| inside[k].abs() <= half[k])
+    })
+}
+
+/// How far behind the place where it enters a box a ray got, m; `None` if it passes beside the box.
+fn depth(observed: &Observed, object: &Box3, point: &[f64; 3]) -> Option<f64> {
+    let end = into_box(observed, object, point);
+    let start = into_box(observed, object, &[0.0; 3]);
+    let half = [object.length, object.width, object.height].map(|size| size / 2.0);
+    let (mut enter, mut leave) = (f64::MIN, f64::MAX);
+    for k in 0..3 {
+        let step = end[k] - start[k];
+        let (a, b) = ((-half[k] - start[k]) / step, (half[k] - start[k]) / step);
+        (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+    }
+    let length = (0..3)
+        .map(|k| (end[k] - start[k]) * (end[k] - start[k]))
+        .sum::<f64>()
+        .sqrt();
+    (enter <= leave).then_some((1.0 - enter) * length)
+}
+
+/// The cloud with only those of its rings that lie nearest to beams; `None` if all are to count.
+fn thin(observed: &Observed) -> Option<PointCloud> {
+    let cloud = observed.cloud;
+    if observed.beams.is_empty() {
+        return None;
+    }
+    let points: Vec<[f64; 3]> = (0..cloud.len())
+        .map(|i| [0, 1, 2].map(|k| f64::from([cloud.x[i], cloud.y[i], cloud.z[i]][k]) - observed.sensor[k]))
+        .collect();
+    let mut rings = rings(cloud, &points);
+    let mut kept: Vec<usize> = Vec::new();
+    for beam in observed.beams {
+        let off = |ring: &Ring| (ring.elevation - beam).abs();
+        if let Some(best) = (0..rings.len()).min_by(|a, b| off(&rings[*a]).total_cmp(&off(&rings[*b]))) {
+            kept.extend(rings.swap_remove(best).points.iter().map(|seen| seen.index as usize));
+        }
+    }
+    kept.sort_unstable();
+    fn pick<T: Copy>(column: &[T], kept: &[usize]) -> Vec<T> {
+        kept.iter().map(|i| column[*i]).collect()
+    }
+    PointCloud::new(
+        pick(&cloud.x, &kept),
+        pick(&cloud.y, &kept),
+        pick(&cloud.z, &kept),
+        pick(&cloud.intensity, &kept),
+        pick(&cloud.time, &kept),
+        pick(&cloud.ring, &kept),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Options, Simulation};
+
+    fn values(statistics: &Statistics, name: &str) -> Vec<f64> {
+        let rows = statistics.rows();
+        let row = rows.iter().find(|row| row.name.contains(name));
+        row.unwrap_or_else(|| panic!("no row {name}")).values.clone()
+    }
+
+    /// A street of walls, whose beams' numbers are known: they are found from the elevations alone as well.
+    #[test]
+    fn figures_do_not_depend_on_numbered_beams() {
+        let options = Options {
+            seed: 900,
+            seconds: 0.2,
+            agents: vec!["rsu1".into()],
+            ..Options::default()
+        };
+        let (sweep, _) = Simulation::new(&options).unwrap().sweep(0, 0);
+        let bare = PointCloud {
+            ring: vec![0u16; sweep.cloud.len()].into(),
+            ..sweep.cloud.clone()
+        };
+        let figures = [&sweep.cloud, &bare].map(|cloud| {
+            let mut statistics = Statistics::default();
+            statistics.add(&Observed {
+                cloud,
+                sensor: [0.0, 0.0, 5.0],
+                sector: VEHICLE_SECTOR,
+                objects: &sweep.truth,
+                beams: &[],
+            });
+            statistics
+        });
+        for name in ["rays answered at -8", "off its ring", "25-60 m"] {
+            let [told, found] = figures.each_ref().map(|statistics| values(statistics, name));
+            assert!(!told.is_empty(), "{name}");
+            for (told, found) in told.iter().zip(&found) {
+                assert!(
+                    (told - found).abs() < 4.0,
+                    "{name}: {told} by numbers, {found} by elevations"
+                );
+            }
+        }
+        assert_eq!(values(&figures[0], "points a sweep"), [sweep.cloud.len() as f64]);
+    }
+
+    #[test]
+    fn thinning_keeps_the_nearest_beams() {
+        let options = Options {
+            seed: 900,
+            seconds: 0.1,
+            agents: vec!["cav1".into()],
+            ..Options::default()
+        };
+        let (sweep, _) = Simulation::new(&options).unwrap().sweep(0, 0);
+        let observed = Observed {
+            cloud: &sweep.cloud,
+            sensor: [0.0, 0.0, 1.9],
+            sector: VEHICLE_SECTOR,
+            objects: &[],
+            beams: &[f64::to_radians(-10.0), f64::to_radians(0.0)],
+        };
+        let thinned = thin(&observed).unwrap();
+        let mut rings: Vec<u16> = thinned.ring.to_vec();
+        rings.sort_unstable();
+        rings.dedup();
+        assert_eq!(rings.len(), 2);
+        let all = sweep.cloud.ring.iter().filter(|ring| rings.contains(ring)).count();
+        assert_eq!(thinned.len(), all);
+    }
+}
