@@ -71,7 +71,7 @@ fn counters(folder: &Path, found: &mut BTreeSet<String>) {
         }
         let text = fs::read_to_string(&path).unwrap();
         let text = text.split("#[cfg(test)]").next().unwrap_or_default();
-        for call in ["out.count(", "script.count(", "count(&counters,"] {
+        for call in ["out.count(", "script.count(", "count(&counters,", "count(counters,"] {
             for (at, _) in text.match_indices(call) {
                 let rest = &text[at + call.len()..];
                 let arguments = &rest[..rest.find(';').unwrap_or(rest.len())];

@@ -307,7 +307,7 @@ mod tests {
             dense: false,
             seconds: 1.0,
         };
-        let traffic = Traffic::new(&demand);
+        let traffic = Traffic::new(&demand).unwrap();
         let sensors = ["pandar40p", "forward-scan", "spinning-32"].map(|name| Sensor::named(name).unwrap());
         let mut met = 0;
         for sensor in sensors {
