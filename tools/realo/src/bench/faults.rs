@@ -684,7 +684,8 @@ mod tests {
 
     #[test]
     fn a_condition_that_is_not_met_is_named_and_fails_the_bench() {
-        let broken: [(fn(&mut Row), &str); 11] = [
+        type Breaks = fn(&mut Row);
+        let broken: [(Breaks, &str); 11] = [
             (
                 |row| row.frames[0] = 199,
                 "all 200 of the ego's frames, found 199 of 200",
