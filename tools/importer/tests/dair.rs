@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use realo_importer::{DairOptions, ImportError, Level, ROADSIDE, RoadsideStamp, VEHICLE, dair, lidar_height, read_pcd};
+use realo_importer::{DairOptions, ImportError, Level, ROADSIDE, RoadsideStamp, VEHICLE, dair, read_pcd};
 use realo_logs::{AgentKind, Log, Stream};
 use realo_schemas::geometry::{View, yaw_of};
 use realo_schemas::{Box3, Boxes, Nanos};
