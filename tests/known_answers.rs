@@ -143,7 +143,8 @@ fn dair_may_be_scored_as_before_there_were_views() {
         .expect("the protocol can be read")
         .replace("outside_views: ignored\n", "");
     std::fs::write(&path, text).expect("the protocol can be written");
-    let args = [&DAIR_OFFLINE[..], &["--protocol", &path.to_string_lossy()]].concat();
+    let path = path.to_string_lossy();
+    let args = [&DAIR_OFFLINE[..], &["--protocol", &path]].concat();
     let result = run_virtual("dair_before", "late_fusion", &log, &args);
     assert_eq!(counts(&result, "vehicle", "0.5"), (170, 0, 171));
     assert!(result["in_no_view"].is_null());
