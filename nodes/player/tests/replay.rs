@@ -552,7 +552,7 @@ fn truth_has_its_views_and_what_the_own_side_labelled() {
             // The second sweep has neither views nor own labels.
             if sweep != 1 && agent != "cav2" {
                 log.own_views(agent, now, now, &[view(sweep as f64)]).unwrap();
-                log.own_labels(agent, now, now, &[object(sweep)], Some(&[7]), sweep % 2 == 0)
+                log.own_labels(agent, now, now, &[object(sweep)], Some(&[7]), sweep.is_multiple_of(2))
                     .unwrap();
             }
             // The roadside unit has nothing but its own labels.
@@ -593,7 +593,7 @@ fn truth_has_its_views_and_what_the_own_side_labelled() {
             let own = labelled.then(|| OwnLabels {
                 boxes: vec![object(sweep as u64)],
                 points: vec![7],
-                key: sweep % 2 == 0,
+                key: sweep.is_multiple_of(2),
                 views: vec![view(sweep as f64)],
             });
             assert_eq!(truth.own, own, "sweep {sweep} of {ego}");
