@@ -93,13 +93,21 @@ fn seen(foliage: &Foliage, agent: &Agent, sensor: &BodyState, span: Span) -> Opt
     let azimuth = (turn - turn.floor()) * TAU;
     // Where it is while the sensor looks its way, to first order.
     let until = ((azimuth - 0.5 * span.width) / span.width).clamp(-0.6, 0.6) * TURN;
-    let shifted = (x * vy - y * vx) * until / square.max(1e-6) + sensor.turn_rate * until;
+    let drift = (x * vy - y * vx) / square.max(1e-6) + sensor.turn_rate;
+    let shifted = drift * until;
+    // Near the first column it may be seen at either end of the sweep.
+    let ends = if azimuth.min(TAU - azimuth) < 0.35 {
+        drift.abs() * TURN
+    } else {
+        0.0
+    };
     let (share, stray) = (radius / distance, moved / distance);
     let half = match close {
         true => PI,
         // asin(s) <= 1.05 s up to one half.
         false => {
-            1.05 * share + stray * stray + 0.12 * stray + sensor.turn_rate.abs() * 0.002 + tilt_margin(agent, sensor)
+            let aside = 1.05 * share + stray * stray + 0.12 * stray;
+            aside + sensor.turn_rate.abs() * 0.002 + tilt_margin(agent, sensor) + ends
         }
     };
     let eye = sensor.position[2] + agent.info.sensor_height;
