@@ -85,6 +85,85 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
     panic!("other boxes in frames {different:?} of three runs");
 }
 
+/// What the vehicle finds of points and maps that come over a link without limits, beside what its sister on one machine finds over
+/// a perfect one. Two sweeps a second leave time to compute, so that ages are those of the log on any machine.
+fn assert_same_boxes(strategy: &str, sender: &[&str]) {
+    let _alone = alone();
+    let args = "--seed 903 --seconds 5 --phase spread --key-hz 2 --key-sweeps-only --agents cav1,rsu1";
+    let (log, port) = (
+        simulated("radio_slow", &args.split(' ').collect::<Vec<_>>()),
+        free_port(),
+    );
+    let set = |settings: &[&str]| -> Vec<String> {
+        let settings = settings.iter().copied();
+        settings.flat_map(|one| ["--set".to_string(), one.into()]).collect()
+    };
+    let together = format!("radio_{strategy}_together");
+    let mut args: Vec<String> = ["--ego", "cav1", "--agents", "cav1,rsu1", "--project"]
+        .map(String::from)
+        .into();
+    args.push(if strategy == "attfuse" { "sender" } else { "receiver" }.into());
+    let of_others: Vec<String> = sender.iter().map(|one| format!("others.{one}")).collect();
+    args.extend(set(&of_others.iter().map(String::as_str).collect::<Vec<_>>()));
+    run_virtual(
+        &together,
+        strategy,
+        &log,
+        &args.iter().map(String::as_str).collect::<Vec<_>>(),
+    );
+    let expected = boxes(&Path::new(env!("CARGO_TARGET_TMPDIR")).join(&together));
+
+    let (near, far) = (
+        folder(&format!("radio_{strategy}_near")),
+        folder(&format!("radio_{strategy}_far")),
+    );
+    let run = |name: &str, out: &Path, settings: &[&str]| {
+        let (log, out) = (log.display().to_string(), out.display().to_string());
+        let all = ["run".into(), graph(name), "--log".into(), log, "--out".into(), out];
+        all.into_iter().chain(set(settings)).collect::<Vec<String>>()
+    };
+    let clock = "v2x.clock_error_ms=0.001";
+    let connect = format!("v2x.connect=tcp/127.0.0.1:{port}");
+    let _peer = Peer::spawn(run(
+        &format!("{strategy}.roadside"),
+        &far,
+        &[&connect, clock, "player.repeat=20"],
+    ));
+    let listen = format!("v2x.listen=tcp/127.0.0.1:{port}");
+    realo_ok(run(
+        &format!("{strategy}.vehicle"),
+        &near,
+        &[&listen, clock, "player.repeat=2"],
+    ));
+    let result = json(&near.join("result.json"));
+    let found = boxes(&near);
+    assert_eq!(found.len(), 2 * expected.len(), "{}", result["frames"]);
+    // The first pass may begin before the other agent is heard, and a machine that stands still may cost a frame.
+    let same = (0..expected.len()).filter(|frame| found[expected.len() + frame] == expected[*frame]);
+    let same = same.count();
+    assert!(
+        same + 1 >= expected.len(),
+        "{same} of {} frames have the boxes of a perfect link: {}",
+        expected.len(),
+        result["links"]
+    );
+}
+
+#[test]
+fn early_fusion_over_zenoh_finds_what_a_perfect_link_finds() {
+    assert_same_boxes("early_fusion", &["sender.step_m=0.01"]);
+}
+
+#[test]
+fn attfuse_over_zenoh_finds_what_a_perfect_link_finds() {
+    assert_same_boxes("attfuse", &["encoder.confidence=true", "sender.budget_bytes=60000"]);
+}
+
+#[test]
+fn hybrid_fusion_over_zenoh_finds_what_a_perfect_link_finds() {
+    assert_same_boxes("hybrid_fusion", &["sender.step_m=0.01"]);
+}
+
 #[test]
 fn an_agent_alone_finds_what_it_finds_without_others() {
     let _alone = alone();

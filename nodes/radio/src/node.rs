@@ -24,7 +24,7 @@ use crate::protocol::{Arrived, Offer, Settings, is_bulk};
 use crate::refusal::{Refusal, Refusals};
 use crate::seal::Seal;
 use crate::session::Place;
-use crate::station::{Event, MOST_BYTES, Report, Station};
+use crate::station::{AT_ONCE, Event, MOST_BYTES, Report, Station};
 
 const PACKETS: PortId = PortId(0);
 const STATE: PortId = PortId(1);
@@ -35,8 +35,6 @@ const PEERS: PortId = PortId(1);
 const STATES: PortId = PortId(2);
 /// Bytes of boxes and states at most, which cross in one frame.
 const MOST_SMALL: usize = MOST_BYTES - 1024;
-/// Messages of a peer and a kind that are given to the graph at once.
-const AT_ONCE: usize = 4;
 /// A message that was measured later than now by more is refused, ns.
 const FUTURE: Nanos = 1_000_000_000;
 /// Time lines that differ by more are of runs that have nothing to do with each other, ns.
@@ -277,10 +275,7 @@ impl Gateway for Radio {
         let passed = passed_over(&taken.events);
         for (event, is_passed) in taken.events.into_iter().zip(passed) {
             match event {
-                Event::Arrived(from, message) if is_passed => {
-                    let header = self.header(&from, &message, message.stamp, out);
-                    out.tell(&header, Fate::Superseded);
-                }
+                Event::Arrived(from, message) if is_passed => self.take(Event::PassedOver(from, message), out),
                 event => self.take(event, out),
             }
         }
@@ -305,6 +300,10 @@ impl Radio {
     fn take(&mut self, event: Event, out: &mut Outputs) {
         match event {
             Event::Arrived(from, message) => self.deliver(&from, message, out),
+            Event::PassedOver(from, message) => {
+                let header = self.header(&from, &message, message.stamp, out);
+                out.tell(&header, Fate::Superseded);
+            }
             Event::Books(from, News { traffic, fates }) => {
                 for (kind, traffic) in traffic {
                     out.carried(&from, &self.place.agent, kind, traffic);
@@ -414,9 +413,7 @@ impl Radio {
 
     /// What a peer's stamps are moved by; `None`: its time line has nothing to do with this one.
     fn shift(&self, from: &Name) -> Option<Nanos> {
-        let Some(clock) = self.clock(from) else {
-            return Some(0);
-        };
+        let clock = self.clock(from)?;
         let differs = clock.offset.saturating_abs();
         match differs {
             _ if differs > APART => None,
@@ -439,7 +436,7 @@ fn passed_over(events: &[Event]) -> Vec<bool> {
                 *newer += 1;
                 *newer > AT_ONCE
             }
-            Event::Books(..) => false,
+            Event::PassedOver(..) | Event::Books(..) => false,
         })
         .collect();
     passed.reverse();
@@ -546,7 +543,9 @@ mod tests {
         let given = events.iter().zip(&passed).filter(|(_, passed)| !**passed);
         let given: Vec<String> = given
             .map(|(event, _)| match event {
-                Event::Arrived(from, message) => format!("{from} {} {}", message.kind, message.seq),
+                Event::Arrived(from, message) | Event::PassedOver(from, message) => {
+                    format!("{from} {} {}", message.kind, message.seq)
+                }
                 Event::Books(from, _) => format!("{from} books"),
             })
             .collect();

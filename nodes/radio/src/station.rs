@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
-use realo_schemas::{Name, Nanos};
+use realo_schemas::{Kind, Name, Nanos};
 
 use crate::books::{Heard, News, Sent, Sheet};
 use crate::offset::{Estimate, Exchange, Offset, Said};
@@ -22,6 +22,8 @@ const SHEETS: Nanos = 500 * MS;
 const QUESTIONS: [Nanos; 2] = [100 * MS, 500 * MS];
 /// Questions at first.
 const FIRST_QUESTIONS: u32 = 20;
+/// Messages of a peer and a kind that are given to the graph at once, or wait for the first answer about time.
+pub(crate) const AT_ONCE: usize = 4;
 
 /// What a message between agents is about; each has a key of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -90,8 +92,10 @@ pub struct Outgoing {
 /// What came of frames, for the graph.
 #[derive(Debug)]
 pub enum Event {
-    /// A message of a peer is whole.
+    /// A message of a peer is whole, and where the peer's time line lies is known, but at the end.
     Arrived(Name, Arrived),
+    /// The same of a message that waited for that until too many newer ones of its kind did.
+    PassedOver(Name, Arrived),
     /// What became of messages of a peer.
     Books(Name, News),
 }
@@ -120,7 +124,11 @@ struct Peer {
     sent: Sent,
     receiver: Receiver,
     heard: Heard,
+    /// Its newest session that was heard of: with each its time line may be another.
+    session: Option<u64>,
     offset: Offset,
+    /// What came since before the first answer about time.
+    unplaced: Vec<Arrived>,
     questions: u32,
     /// The question that has no answer yet.
     asked: Option<Nanos>,
@@ -213,7 +221,7 @@ impl Station {
         let mut events = Vec::new();
         let taken = match topic {
             Topic::Bulk | Topic::Small | Topic::Ack => peer.frame(&bytes, now, from, &mut events),
-            Topic::Clock => peer.time(&bytes, now),
+            Topic::Clock => peer.time(&bytes, now, from, &mut events),
             Topic::Books => peer.sheet(&bytes, now, from, &mut events),
         };
         self.events.append(&mut events);
@@ -277,6 +285,7 @@ impl Station {
             let mut news = News::default();
             peer.heard.settle(None, &mut news);
             note(&mut self.events, name, news);
+            peer.place(name, &mut self.events);
         }
         std::mem::take(&mut self.events)
     }
@@ -339,7 +348,9 @@ impl Station {
                 sent: Sent::default(),
                 receiver: Receiver::new(self.largest),
                 heard: Heard::new(name.clone(), self.name.clone()),
+                session: None,
                 offset: Offset::default(),
+                unplaced: Vec::new(),
                 questions: 0,
                 asked: None,
                 asks_at: Nanos::MIN,
@@ -363,6 +374,7 @@ impl Peer {
         match Frame::parse(bytes)? {
             Frame::Part(head, part) => {
                 let received = self.receiver.take(&head, part, now.steady)?;
+                self.is_of(head.session, now);
                 if let Some(ack) = received.acknowledgement {
                     let bytes = Frame::Acknowledgement(ack).to_bytes();
                     self.outgoing.push_back((Topic::Ack, bytes));
@@ -372,7 +384,11 @@ impl Peer {
                     let (kind, seq, bytes) = (message.kind, message.seq, message.bytes.len());
                     self.heard.arrived(head.session, kind, seq, bytes, &mut news);
                     note(events, name, news);
-                    events.push(Event::Arrived(name.clone(), message));
+                    self.unplaced.push(message);
+                    match now.log.and_then(|log| self.offset.estimate(log)) {
+                        Some(_) => self.place(name, events),
+                        None => self.pass_over(kind, name, events),
+                    }
                 }
             }
             Frame::Acknowledgement(ack) => {
@@ -383,6 +399,28 @@ impl Peer {
         Ok(())
     }
 
+    /// A session that begins may have another time line, which is asked for at once.
+    fn is_of(&mut self, session: u64, now: Moment) {
+        if self.session.replace(session).is_some_and(|known| known != session) {
+            (self.offset, self.asked) = (Offset::default(), None);
+            (self.questions, self.asks_at) = (0, now.steady);
+        }
+    }
+
+    /// Gives what waited to be placed in time.
+    fn place(&mut self, name: &Name, events: &mut Vec<Event>) {
+        let placed = self.unplaced.drain(..);
+        events.extend(placed.map(|message| Event::Arrived(name.clone(), message)));
+    }
+
+    /// Of a kind only the newest messages wait to be placed.
+    fn pass_over(&mut self, kind: Kind, name: &Name, events: &mut Vec<Event>) {
+        let mut places = (0..self.unplaced.len()).filter(|place| self.unplaced[*place].kind == kind);
+        if let (Some(oldest), AT_ONCE..) = (places.next(), places.count()) {
+            events.push(Event::PassedOver(name.clone(), self.unplaced.remove(oldest)));
+        }
+    }
+
     fn sheet(&mut self, bytes: &[u8], now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
         let sheet: Sheet = serde_json::from_slice(bytes).map_err(|_| Refusal::Malformed)?;
         let mut news = News::default();
@@ -391,7 +429,7 @@ impl Peer {
         Ok(())
     }
 
-    fn time(&mut self, bytes: &[u8], now: Moment) -> Result<(), Refusal> {
+    fn time(&mut self, bytes: &[u8], now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
         let Some(log) = now.log else {
             return Ok(());
         };
@@ -410,6 +448,9 @@ impl Peer {
                 self.answered(*asked, *answered, Some(Said { line, error }), log, now);
             }
             _ => return Err(Refusal::Malformed),
+        }
+        if self.offset.estimate(log).is_some() {
+            self.place(name, events);
         }
         Ok(())
     }

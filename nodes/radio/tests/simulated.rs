@@ -4,7 +4,7 @@
 
 use std::any::Any;
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
 use std::ops::Range;
 use std::panic::catch_unwind;
 use std::sync::LazyLock;
@@ -59,6 +59,57 @@ struct Way {
     cuts: Vec<(Nanos, Nanos)>,
     /// When the link is free again.
     free: Nanos,
+    /// Where frames go in a stream of TCP.
+    stream: Option<SlowStart>,
+}
+
+/// TCP's window while nothing is lost: after every pause it begins with ten segments, and grows by what is acknowledged.
+#[derive(Clone, Debug)]
+struct SlowStart {
+    /// What acknowledgements take.
+    back: Nanos,
+    /// Bytes that may be on the way.
+    window: usize,
+    /// When what is on the way is acknowledged, and its bytes.
+    flying: VecDeque<(Nanos, usize)>,
+    flying_bytes: usize,
+}
+
+impl SlowStart {
+    const SEGMENT: usize = 1448;
+    /// A pause after which a stream begins anew.
+    const PAUSE: Nanos = 200 * MS;
+
+    fn new(back: Nanos) -> SlowStart {
+        SlowStart {
+            back,
+            window: 10 * Self::SEGMENT,
+            flying: VecDeque::new(),
+            flying_bytes: 0,
+        }
+    }
+
+    /// When a segment that is there now goes out.
+    fn opens(&mut self, now: Nanos, bytes: usize) -> Nanos {
+        if self.flying.back().is_none_or(|(last, _)| now - last > Self::PAUSE) {
+            *self = SlowStart::new(self.back);
+        }
+        let mut time = now;
+        while let Some((acknowledged, of)) = self.flying.front().copied()
+            && (acknowledged <= time || self.flying_bytes + bytes > self.window)
+        {
+            time = time.max(acknowledged);
+            self.window += of;
+            self.flying_bytes -= of;
+            self.flying.pop_front();
+        }
+        time
+    }
+
+    fn goes(&mut self, acknowledged: Nanos, bytes: usize) {
+        self.flying.push_back((acknowledged, bytes));
+        self.flying_bytes += bytes;
+    }
 }
 
 impl Way {
@@ -94,6 +145,7 @@ impl Way {
             },
             cuts,
             free: 0,
+            stream: None,
         }
     }
 
@@ -105,6 +157,11 @@ impl Way {
     /// When the copies of a frame that goes in now come out.
     fn pass(&mut self, now: Nanos, bytes: usize, draws: &mut Draws) -> Vec<Nanos> {
         let cut = self.cuts.iter().any(|(from, to)| (*from..*to).contains(&now));
+        if let Some(mut stream) = self.stream.take() {
+            let arrives = self.through(&mut stream, now, bytes);
+            self.stream = Some(stream);
+            return vec![arrives];
+        }
         if cut || self.free - now > self.queue || draws.chance(self.loss) {
             return Vec::new();
         }
@@ -112,6 +169,19 @@ impl Way {
         let copies = 1 + usize::from(draws.chance(self.duplicate));
         let mut arrival = || self.free + self.delay + (draws.unit() * self.jitter as f64) as Nanos;
         (0..copies).map(|_| arrival()).collect()
+    }
+
+    /// When a frame comes out of a stream.
+    fn through(&mut self, stream: &mut SlowStart, now: Nanos, bytes: usize) -> Nanos {
+        let mut left = bytes;
+        while left > 0 {
+            let segment = left.min(SlowStart::SEGMENT);
+            let goes = stream.opens(now, segment);
+            self.free = self.free.max(goes) + (segment as f64 / self.rate(now) * 1e9) as Nanos;
+            stream.goes(self.free + self.delay + stream.back, segment);
+            left -= segment;
+        }
+        self.free + self.delay
     }
 
     fn is_steady(&self) -> bool {
@@ -489,6 +559,53 @@ fn check_turns(seed: u64) {
     }
 }
 
+/// Messages in a stream of TCP, which begins slowly after every pause: such as the protocol makes while it awaits the time of its next trial.
+/// What would arrive within three quarters of its deadline, with the round trips in which the stream's window grows, arrives again and again.
+fn check_stream(seed: u64) {
+    let mut draws = Draws(ChaCha8Rng::seed_from_u64(seed));
+    let settings = Settings {
+        deadline: draws.scaled(0.4e9, 2e9) as Nanos,
+        ..Settings::default()
+    };
+    let delay = draws.scaled(1e6, 40e6) as Nanos;
+    let rate = draws.scaled(5e5, 2e7);
+    let way = Way {
+        rates: vec![(0, rate)],
+        delay,
+        jitter: 0,
+        queue: 10 * SECOND,
+        loss: 0.0,
+        duplicate: 0.0,
+        cuts: Vec::new(),
+        free: 0,
+        stream: Some(SlowStart::new(delay)),
+    };
+    let crossing = draws.between(0.1, 0.7) * settings.deadline as f64;
+    let bytes = ((crossing * 1e-9 * rate) as usize).min(LARGEST);
+    let stream = Stream {
+        kind: Kind::Points,
+        bytes,
+        period: draws.between(50e6, 200e6) as Nanos,
+        phase: 0,
+    };
+    // The window doubles in every round trip, until it holds what the way carries in one or the whole message.
+    let fills = (rate * 2.0 * delay as f64 * 1e-9).min(bytes as f64);
+    let rounds = (fills / (10 * SlowStart::SEGMENT) as f64).log2().max(0.0) + 1.0;
+    let crossing = bytes as f64 / rate * 1e9 + 2.0 * delay as f64 * rounds;
+    if crossing > 0.75 * settings.deadline as f64 {
+        return;
+    }
+    let ways = [way.clone(), Way { stream: None, ..way }];
+    let story = live(&[stream.clone()], ways, &settings, &mut draws);
+    let from = 5 * SECOND;
+    let arrived = ages(&story, stream.kind, from).len();
+    let turns = (LASTS - from) as f64 / crossing.max(stream.period as f64);
+    assert!(
+        arrived as f64 >= 0.5 * (turns - 1.0),
+        "seed {seed}: {arrived} arrived in {turns:.1} turns of {stream:?} at {rate} bytes/s, {delay} ns, {settings:?}"
+    );
+}
+
 /// Which seeds are tried: `REALO_SEEDS`, a number of them or `FROM..TO`, or as many as usual.
 fn seeds(usual: u64) -> Range<u64> {
     let Ok(text) = std::env::var("REALO_SEEDS") else {
@@ -537,6 +654,11 @@ fn holds_over_networks_drawn_at_random() {
 #[test]
 fn holds_over_networks_that_showed_something() {
     [93_032, 12_332, 6_122, 14_583, 9_209].into_iter().for_each(check);
+}
+
+#[test]
+fn streams_that_begin_slowly_carry_what_fits() {
+    over_seeds(200, check_stream);
 }
 
 #[test]

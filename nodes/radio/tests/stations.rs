@@ -29,6 +29,8 @@ enum Next {
     Injected(usize, Name, Topic, Vec<u8>),
     Down(usize, Name),
     Up(usize, Name),
+    /// An agent starts anew, its time line so much further.
+    Restart(usize, Nanos),
     Wake,
 }
 
@@ -51,6 +53,8 @@ struct World {
     accounts: BTreeMap<(usize, Name), Account>,
     /// How far each agent's time line lies from the world's.
     lines: Vec<Nanos>,
+    /// When each agent started.
+    started: Vec<Nanos>,
     /// What agents say that their clocks are off by at most.
     error: Nanos,
     is_hostile: bool,
@@ -86,6 +90,7 @@ impl World {
             loss,
             accounts: BTreeMap::new(),
             lines: (0..agents as i64).map(|n| n * 123 * MS).collect(),
+            started: vec![0; agents],
             error: MS / 100,
         }
     }
@@ -167,6 +172,7 @@ impl World {
                 }
             }
             let events = self.stations[agent].take_events(moment);
+            self.assert_placed(agent, &events, moment);
             self.note(agent, events);
             if let Some(wakes) = self.stations[agent].wakes_at() {
                 self.at(wakes.max(now + MS), Next::Wake);
@@ -174,10 +180,23 @@ impl World {
         }
     }
 
+    /// What is given to the graph can be placed in time, by the clock of an agent that started before it was offered.
+    fn assert_placed(&self, agent: usize, events: &[Event], moment: Moment) {
+        for event in events {
+            let Event::Arrived(from, message) = event else { continue };
+            let clock = self.stations[agent].clock_of(from, moment).expect("its clock is known");
+            let sender = self.names.iter().position(|name| name == from).expect("an agent");
+            if message.stamp >= self.started[sender] {
+                let offset = self.lines[sender] - self.lines[agent];
+                assert!((clock.offset - offset).abs() <= clock.bound + MS, "{clock:?}, {offset}");
+            }
+        }
+    }
+
     fn note(&mut self, agent: usize, events: Vec<Event>) {
         for event in events {
             match event {
-                Event::Arrived(from, message) => {
+                Event::Arrived(from, message) | Event::PassedOver(from, message) => {
                     let account = self.accounts.entry((agent, from)).or_default();
                     assert!(account.arrived.insert((message.kind, message.seq)), "given twice");
                 }
@@ -236,6 +255,17 @@ impl World {
                     self.stations[agent].up(&name, moment);
                 }
                 Next::Down(agent, name) => self.stations[agent].down(&name),
+                Next::Restart(agent, later) => {
+                    self.lines[agent] += later;
+                    self.started[agent] = now;
+                    let name = self.names[agent].clone();
+                    self.accounts.retain(|(to, from), _| *to != agent && *from != name);
+                    self.stations[agent] = Station::new(name, Settings::default(), 4 << 20, 8, None);
+                    for other in (0..agents).filter(|other| *other != agent) {
+                        let name = self.names[other].clone();
+                        self.at(now, Next::Up(agent, name));
+                    }
+                }
                 // Many ask for the same wake.
                 Next::Wake if now == last => continue,
                 Next::Wake => last = now,
@@ -306,6 +336,17 @@ proptest! {
 }
 
 #[test]
+fn what_an_agent_says_after_a_restart_is_placed_by_its_new_clock() {
+    for (seed, later) in [(1, 200 * MS), (2, -200 * MS), (3, 3_600 * SECOND), (4, 0)] {
+        let mut world = World::new(3, seed, 0.01);
+        world.at(1_234 * MS, Next::Restart(1, later));
+        world.live(3 * SECOND, &[(Kind::Boxes, 900), (Kind::Features, 60_000)]);
+        let given = &world.accounts[&(0, world.names[1].clone())].arrived;
+        assert!(given.len() >= 25, "{later} ns later: {given:?}");
+    }
+}
+
+#[test]
 fn there_are_only_so_many_peers() {
     let mut world = World::new(1, 1, 0.0);
     let moment = world.moment(0, 0);
@@ -335,11 +376,9 @@ fn what_was_sent_before_does_not_come_in_again_even_after_a_restart() {
     let bytes = sent.expect("it goes out at once").bytes;
     let arrived = |station: &mut Station, now: Moment| {
         station.take(&names[1], Topic::Small, &bytes, now);
-        let events = station.take_events(now);
-        events
-            .iter()
-            .filter(|event| matches!(event, Event::Arrived(..)))
-            .count()
+        // Of its sender nothing is known that would place it.
+        let events = station.take_events(now).into_iter().chain(station.end());
+        events.filter(|event| matches!(event, Event::Arrived(..))).count()
     };
     assert_eq!(arrived(&mut world.stations[0], first), 1);
     assert_eq!(arrived(&mut world.stations[0], first), 0, "its number has come in");
