@@ -376,8 +376,14 @@ impl Sender {
             };
             let offer = self.waiting.remove(&kind).expect("it is its turn");
             let arrives = self.arrival(now, offer.bytes.len());
-            let trial = match arrives <= offer.born + self.settings.deadline {
+            let must = offer.born + self.settings.deadline;
+            let trial = match arrives <= must {
                 true => None,
+                // However fast the way is.
+                false if now > must => {
+                    self.tell(&offer, Outcome::Late);
+                    continue;
+                }
                 // What else crosses would be in the way of what a trial is to find out.
                 false if self.may_try(kind, now) && !self.transfers.is_empty() => {
                     self.waiting.insert(kind, offer);
