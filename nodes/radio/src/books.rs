@@ -10,11 +10,15 @@ use realo_schemas::{Kind, Name, Nanos};
 use serde::{Deserialize, Serialize};
 
 use crate::protocol::{Outcome, Told};
+use crate::refusal::Refusal;
 
-/// Lines of a sheet at most; a sender has a few kinds at a few tens of messages a second.
+const SECOND: Nanos = 1_000_000_000;
+/// Lines of a sheet at most, and of a peer a second; a sender has a few kinds at a few tens of messages a second.
 const LINES: usize = 1024;
+/// Seconds of lines that may come at once, after the way stood still.
+const STOOD_STILL: usize = 8;
 /// A message that went out whole and did not come in for so long is lost, ns.
-const LOST: Nanos = 2_000_000_000;
+const LOST: Nanos = 2 * SECOND;
 /// Messages of a kind that are remembered.
 const REMEMBERED: usize = 1024;
 
@@ -91,6 +95,8 @@ pub struct Heard {
     session: u64,
     /// Sheets of the session that came in.
     sheets: BTreeSet<u64>,
+    /// Lines that may come, and when that was so.
+    allowed: (usize, Nanos),
 }
 
 /// Messages of a kind.
@@ -113,6 +119,7 @@ impl Heard {
             kinds: BTreeMap::new(),
             session: 0,
             sheets: BTreeSet::new(),
+            allowed: (LINES * STOOD_STILL, Nanos::MIN),
         }
     }
 
@@ -136,10 +143,18 @@ impl Heard {
     }
 
     /// A sheet came in.
-    pub fn sheet(&mut self, sheet: &Sheet, now: Nanos, news: &mut News) {
+    ///
+    /// # Errors
+    /// [`Refusal::Flood`] of more lines than an agent has.
+    pub fn sheet(&mut self, sheet: &Sheet, now: Nanos, news: &mut News) -> Result<(), Refusal> {
+        let (left, then) = self.allowed;
+        let since = now.saturating_sub(then).clamp(0, SECOND * STOOD_STILL as Nanos);
+        let allowed = (left + (since as usize * LINES) / SECOND as usize).min(LINES * STOOD_STILL);
+        let left = allowed.checked_sub(sheet.lines.len()).ok_or(Refusal::Flood)?;
+        self.allowed = (left, now);
         self.begin(sheet.session, news);
         if sheet.session < self.session || !remember(&mut self.sheets, sheet.number) {
-            return;
+            return Ok(());
         }
         for Line(kind, seq, bytes, outcome) in sheet.lines.iter().take(LINES) {
             let messages = self.kinds.entry(*kind).or_default();
@@ -148,6 +163,13 @@ impl Heard {
                 _ if messages.arrived.contains(seq) => continue,
                 Outcome::Sent => {
                     messages.awaited.insert(*seq, now);
+                    let Some((seq, _)) = (messages.awaited.len() > REMEMBERED)
+                        .then(|| messages.awaited.pop_first())
+                        .flatten()
+                    else {
+                        continue;
+                    };
+                    news.fates.push(self.fated(*kind, seq, Fate::Lost));
                     continue;
                 }
                 Outcome::Superseded => Fate::Superseded,
@@ -156,6 +178,7 @@ impl Heard {
             };
             news.fates.push(self.fated(*kind, *seq, fate));
         }
+        Ok(())
     }
 
     /// Time goes by: what has not come in for long is lost; at the end all of it.

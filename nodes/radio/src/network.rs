@@ -4,7 +4,8 @@
 //! and so connections, of its own at the port behind that of everything else: what stands in its queues, and its closing, concern
 //! nobody else.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -22,14 +23,20 @@ use crate::clock::{steady, wall, wall_error};
 use crate::protocol::Offer;
 use crate::refusal::Refusals;
 use crate::session::{NetworkError, Place, open, zenoh_error};
-use crate::station::{Event, Moment, Outgoing, Report, Station, Topic};
+use crate::station::{Event, Moment, Outgoing, Passed, Report, Station, Topic};
 
 /// What has come in and the station has not seen yet; more is lost, as on the way.
 const WAITING: usize = 4096;
 /// Its bytes at most.
 const WAITING_BYTES: usize = 32 << 20;
+/// What comes in one name takes so much of both at most, a half: the others are heard beside it.
+const SHARE: usize = 2;
+/// What the thread hears before it sends and tells again.
+const AT_A_TIME: usize = 64;
 /// Events that wait for the graph; of more the oldest go.
-const EVENTS: usize = 1024;
+const EVENTS: usize = 65_536;
+/// Bytes of the messages among them; of more the oldest messages are passed over.
+const EVENT_BYTES: usize = 64 << 20;
 /// How long the thread sleeps at most.
 const LOOK: Nanos = 100_000_000;
 /// How long what is on its way is waited for at the end.
@@ -41,7 +48,6 @@ enum Heard {
     Went(Name),
     Bytes(Name, Topic, Bytes),
     Offer(Offer),
-    Stop,
 }
 
 /// What the graph's calls and the thread share.
@@ -54,19 +60,56 @@ struct Shared {
     refused: Refusals,
     /// Messages that came while too many waited.
     overrun: u64,
-    /// Bytes that have come in and the station has not seen yet.
-    waiting_bytes: usize,
+    /// What has come in and the station has not seen yet, by the name in which it came: frames and bytes.
+    waiting: BTreeMap<Name, (usize, usize)>,
+    /// Nothing will be offered any more.
+    is_over: bool,
 }
 
 impl Shared {
-    /// Whether there is room for what came in, which waits then.
-    fn admits(&mut self, bytes: usize) -> bool {
-        let is_admitted = self.waiting_bytes + bytes <= WAITING_BYTES;
-        match is_admitted {
-            true => self.waiting_bytes += bytes,
-            false => self.overrun += 1,
+    /// Whether there is room for what came in somebody's name, which waits then.
+    fn admits(&mut self, from: &Name, bytes: usize) -> bool {
+        let all: usize = self.waiting.values().map(|(_, bytes)| bytes).sum();
+        let (frames, own) = self.waiting.get(from).copied().unwrap_or_default();
+        let has_room = all + bytes <= WAITING_BYTES;
+        let has_share = own + bytes <= WAITING_BYTES / SHARE && frames < WAITING / SHARE;
+        if has_room && has_share {
+            self.waiting.insert(from.clone(), (frames + 1, own + bytes));
+        } else {
+            self.overrun += 1;
         }
-        is_admitted
+        has_room && has_share
+    }
+
+    /// What waited is heard, or does not wait any more.
+    fn leaves(&mut self, from: &Name, bytes: usize) {
+        if let Some((frames, own)) = self.waiting.get_mut(from) {
+            (*frames, *own) = (*frames - 1, *own - bytes);
+            if *frames == 0 {
+                self.waiting.remove(from);
+            }
+        }
+    }
+
+    /// Events wait for the graph, which may stand still.
+    fn keep(&mut self, events: Vec<Event>) {
+        self.events.extend(events);
+        let bytes = |event: &Event| match event {
+            Event::Arrived(_, message, _) => message.bytes.len(),
+            Event::PassedOver(..) | Event::Books(..) => 0,
+        };
+        let mut surplus = self.events.iter().map(bytes).sum::<usize>().saturating_sub(EVENT_BYTES);
+        for event in &mut self.events {
+            if surplus == 0 {
+                break;
+            }
+            surplus = surplus.saturating_sub(bytes(event));
+            if let Event::Arrived(from, message, _) = event {
+                *event = Event::PassedOver(from.clone(), Passed::from(&*message));
+            }
+        }
+        let surplus = self.events.len().saturating_sub(EVENTS);
+        self.overrun += self.events.drain(..surplus).count() as u64;
     }
 }
 
@@ -154,8 +197,7 @@ impl Network {
 
     /// Leaves, after what is on its way has arrived or a moment has passed.
     pub fn leave(&mut self) {
-        // If it is full, the thread hears of the end when this end of the channel is dropped.
-        let _ = self.heard.try_send(Heard::Stop);
+        lock(&self.shared).is_over = true;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -181,13 +223,13 @@ fn listen(
             return;
         };
         let length = sample.payload().len();
-        if !lock(&shared).admits(length) {
+        if !lock(&shared).admits(&from, length) {
             return;
         }
         let bytes = Bytes::from(sample.payload().to_bytes().into_owned());
-        if let Err(TrySendError::Full(_)) = heard.try_send(Heard::Bytes(from, topic, bytes)) {
+        if let Err(TrySendError::Full(Heard::Bytes(from, ..))) = heard.try_send(Heard::Bytes(from, topic, bytes)) {
             let mut shared = lock(&shared);
-            shared.waiting_bytes -= length;
+            shared.leaves(&from, length);
             shared.overrun += 1;
         }
     };
@@ -296,9 +338,12 @@ struct Loop {
 
 impl Loop {
     fn run(mut self) {
-        while self.turn() {}
+        while !lock(&self.shared).is_over {
+            self.turn(LOOK);
+        }
+        // What was offered before the end is still to be heard, and what goes out to arrive.
         let until = steady() + LINGER;
-        while self.station.held() > 0 && steady() < until && self.turn() {}
+        while steady() < until && (self.turn(0) || self.station.held() > 0) {}
         let now = self.now();
         self.station.close(now);
         self.send();
@@ -307,8 +352,8 @@ impl Loop {
         self.report();
     }
 
-    /// Sends and listens once; `false` if it is to stop.
-    fn turn(&mut self) -> bool {
+    /// Sends and listens once, for so long at most; whether something was heard.
+    fn turn(&mut self, longest: Nanos) -> bool {
         self.send();
         let now = self.now();
         let events = self.station.take_events(now);
@@ -319,32 +364,29 @@ impl Loop {
             self.report_at = now.steady + LOOK;
         }
         let wakes_at = self.station.wakes_at().unwrap_or(Nanos::MAX);
-        let wait = (wakes_at.saturating_sub(now.steady)).clamp(0, LOOK);
-        let first = match self.hears.recv_timeout(Duration::from_nanos(wait as u64)) {
-            Ok(first) => first,
-            Err(RecvTimeoutError::Timeout) => return true,
-            Err(RecvTimeoutError::Disconnected) => return false,
+        let wait = wakes_at.saturating_sub(now.steady).clamp(0, longest);
+        let Ok(first) = self.hears.recv_timeout(Duration::from_nanos(wait as u64)) else {
+            return false;
         };
-        let mut goes_on = self.hear(first);
-        while let Ok(next) = self.hears.try_recv() {
-            goes_on &= self.hear(next);
+        self.hear(first);
+        for _ in 1..AT_A_TIME {
+            let Ok(next) = self.hears.try_recv() else { break };
+            self.hear(next);
         }
-        goes_on
+        true
     }
 
-    fn hear(&mut self, heard: Heard) -> bool {
+    fn hear(&mut self, heard: Heard) {
         let now = self.now();
         match heard {
             Heard::Came(name) => self.station.up(&name, now),
             Heard::Went(name) => self.station.down(&name),
             Heard::Bytes(from, topic, bytes) => {
-                lock(&self.shared).waiting_bytes -= bytes.len();
+                lock(&self.shared).leaves(&from, bytes.len());
                 self.station.take(&from, topic, &bytes, now);
             }
             Heard::Offer(offer) => self.station.offer(&offer),
-            Heard::Stop => return false,
         }
-        true
     }
 
     fn send(&mut self) {
@@ -361,11 +403,7 @@ impl Loop {
             return;
         }
         self.report();
-        let mut shared = lock(&self.shared);
-        shared.events.extend(events);
-        let surplus = shared.events.len().saturating_sub(EVENTS);
-        shared.overrun += shared.events.drain(..surplus).count() as u64;
-        drop(shared);
+        lock(&self.shared).keep(events);
         self.waker.wake();
     }
 
@@ -389,16 +427,54 @@ impl Loop {
 
 #[cfg(test)]
 mod tests {
+    use realo_schemas::Kind;
+
     use super::*;
+    use crate::offset::{Basis, Estimate};
+    use crate::protocol::Arrived;
 
     #[test]
-    fn a_flood_is_dropped_before_it_fills_the_memory() {
-        let mut shared = Shared::default();
-        let frame = 128 << 10;
-        let admitted = (0..WAITING).filter(|_| shared.admits(frame)).count();
-        assert_eq!(admitted * frame, WAITING_BYTES);
+    fn a_flood_is_dropped_before_it_fills_the_memory_and_others_are_heard_beside_it() {
+        let (mut shared, frame) = (Shared::default(), 128 << 10);
+        let [loud, quiet, third] = ["loud", "quiet", "third"].map(Name::from);
+        let admitted = (0..WAITING).filter(|_| shared.admits(&loud, frame)).count();
+        assert_eq!(admitted * frame, WAITING_BYTES / SHARE);
         assert_eq!(shared.overrun as usize, WAITING - admitted);
-        shared.waiting_bytes -= frame;
-        assert!(shared.admits(frame) && !shared.admits(1));
+        let admitted = (0..WAITING).filter(|_| shared.admits(&quiet, 1)).count();
+        assert_eq!(admitted, WAITING / SHARE);
+        shared.leaves(&loud, frame);
+        assert!(shared.admits(&loud, frame) && !shared.admits(&loud, 1));
+        let admitted = (0..WAITING).filter(|_| shared.admits(&third, frame)).count();
+        assert!(admitted * frame < WAITING_BYTES / SHARE);
+        (0..WAITING / SHARE).for_each(|_| shared.leaves(&quiet, 1));
+        assert!(!shared.waiting.contains_key(&quiet));
     }
+
+    #[test]
+    fn a_graph_that_stands_still_is_told_of_every_message_and_given_the_newest() {
+        let mut shared = Shared::default();
+        let bytes = Bytes::from(vec![0; EVENT_BYTES / 8]);
+        for seq in 0..100 {
+            let message = Arrived {
+                kind: Kind::Points,
+                seq,
+                stamp: 0,
+                bytes: bytes.clone(),
+                took: 0,
+            };
+            shared.keep(vec![Event::Arrived("rsu1".into(), message, AT_ONCE)]);
+        }
+        let given = |event: &Event| matches!(event, Event::Arrived(..));
+        assert_eq!((shared.events.len(), shared.overrun), (100, 0));
+        assert!(shared.events[..92].iter().all(|event| !given(event)) && shared.events[92..].iter().all(given));
+    }
+
+    /// The clock of an agent of the same machine.
+    const AT_ONCE: Estimate = Estimate {
+        offset: 0,
+        uncertainty: 0,
+        bound: 0,
+        drift: 0.0,
+        basis: Basis::Exchanges,
+    };
 }

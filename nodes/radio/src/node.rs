@@ -24,7 +24,7 @@ use crate::protocol::{Arrived, Offer, Settings, is_bulk};
 use crate::refusal::{Refusal, Refusals};
 use crate::seal::Seal;
 use crate::session::Place;
-use crate::station::{AT_ONCE, Event, MOST_BYTES, Report, Station};
+use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
 
 const PACKETS: PortId = PortId(0);
 const STATE: PortId = PortId(1);
@@ -35,6 +35,8 @@ const PEERS: PortId = PortId(1);
 const STATES: PortId = PortId(2);
 /// Bytes of boxes and states at most, which cross in one frame.
 const MOST_SMALL: usize = MOST_BYTES - 1024;
+/// Messages of a peer and a kind that are given to the graph at once.
+const AT_ONCE: usize = 4;
 /// A message that was measured later than now by more is refused, ns.
 const FUTURE: Nanos = 1_000_000_000;
 /// Time lines that differ by more are of runs that have nothing to do with each other, ns.
@@ -275,7 +277,9 @@ impl Gateway for Radio {
         let passed = passed_over(&taken.events);
         for (event, is_passed) in taken.events.into_iter().zip(passed) {
             match event {
-                Event::Arrived(from, message) if is_passed => self.take(Event::PassedOver(from, message), out),
+                Event::Arrived(from, message, _) if is_passed => {
+                    self.take(Event::PassedOver(from, Passed::from(&message)), out);
+                }
                 event => self.take(event, out),
             }
         }
@@ -299,9 +303,9 @@ impl Gateway for Radio {
 impl Radio {
     fn take(&mut self, event: Event, out: &mut Outputs) {
         match event {
-            Event::Arrived(from, message) => self.deliver(&from, message, out),
-            Event::PassedOver(from, message) => {
-                let header = self.header(&from, &message, message.stamp, out);
+            Event::Arrived(from, message, clock) => self.deliver(&from, message, &clock, out),
+            Event::PassedOver(from, passed) => {
+                let header = self.header(&from, passed, out);
                 out.tell(&header, Fate::Superseded);
             }
             Event::Books(from, News { traffic, fates }) => {
@@ -318,48 +322,52 @@ impl Radio {
     }
 
     /// Gives a message of a peer to the graph, on this agent's time line.
-    fn deliver(&mut self, from: &Name, message: Arrived, out: &mut Outputs) {
-        match self.moved(from, &message, out) {
+    fn deliver(&mut self, from: &Name, message: Arrived, clock: &Estimate, out: &mut Outputs) {
+        let told = Passed::from(&message);
+        match self.moved(from, &message, clock, out) {
             Ok((packet, stamp)) => {
                 let port = if message.kind == Kind::EgoState { STATES } else { TO_EGO };
-                let header = self.header(from, &message, stamp, out);
+                let header = self.header(from, Passed { stamp, ..told }, out);
                 out.send(port, Message::new(header, packet));
             }
             Err(refusal) => {
                 out.count(refusal.as_str(), 1);
-                out.tell(&self.header(from, &message, message.stamp, out), Fate::Rejected);
+                out.tell(&self.header(from, told, out), Fate::Rejected);
                 let refused = self.refused.entry(from.clone()).or_default();
                 *refused.entry(refusal).or_default() += 1;
             }
         }
     }
 
-    fn header(&self, from: &Name, message: &Arrived, stamp: Nanos, out: &Outputs) -> Header {
+    fn header(&self, from: &Name, of: Passed, out: &Outputs) -> Header {
         Header {
             to: Some(self.place.agent.clone()),
-            ..Header::origin(&Name::default(), from, message.kind, message.seq, stamp, out.now())
+            ..Header::origin(&Name::default(), from, of.kind, of.seq, of.stamp, out.now())
         }
     }
 
     /// The packet of a message and when it was measured, on this agent's time line.
-    fn moved(&mut self, from: &Name, message: &Arrived, out: &mut Outputs) -> Result<(Packet, Nanos), Refusal> {
+    fn moved(
+        &mut self,
+        from: &Name,
+        message: &Arrived,
+        clock: &Estimate,
+        out: &mut Outputs,
+    ) -> Result<(Packet, Nanos), Refusal> {
         let (packet, given) = body::of_bytes(&message.bytes).ok_or(Refusal::Malformed)?;
         let now = out.now();
-        let clock = self.clock(from);
-        let on_the_way = clock.map(|clock| now.saturating_add(clock.offset).saturating_sub(given).max(0));
-        if let Some(on_the_way) = on_the_way {
-            out.steps().took(on_the_way_of(message.kind), on_the_way);
-        }
+        let on_the_way = now.saturating_add(clock.offset).saturating_sub(given).max(0);
+        out.steps().took(on_the_way_of(message.kind), on_the_way);
         let (bytes, took) = (message.bytes.len(), message.took);
         self.course(from).came(
             now,
             &Came {
                 bytes,
-                on_the_way,
+                on_the_way: Some(on_the_way),
                 took,
             },
         );
-        let shift = self.shift(from).ok_or(Refusal::OtherTimeLine)?;
+        let shift = shift(clock).ok_or(Refusal::OtherTimeLine)?;
         let stamp = message.stamp.checked_add(shift).ok_or(Refusal::Malformed)?;
         if stamp.saturating_sub(now) > FUTURE {
             return Err(Refusal::Future);
@@ -403,23 +411,22 @@ impl Radio {
         }
     }
 
+    /// Of as many peers as are heard at a time; of more, that of the last.
     fn course(&mut self, from: &Name) -> &mut Course {
+        if self.courses.len() >= MOST_PEERS && !self.courses.contains_key(from) {
+            self.courses.pop_last();
+        }
         self.courses.entry(from.clone()).or_insert_with(Course::busy)
     }
+}
 
-    fn clock(&self, of: &Name) -> Option<Estimate> {
-        self.reports.iter().find(|report| report.peer == *of)?.clock
-    }
-
-    /// What a peer's stamps are moved by; `None`: its time line has nothing to do with this one.
-    fn shift(&self, from: &Name) -> Option<Nanos> {
-        let clock = self.clock(from)?;
-        let differs = clock.offset.saturating_abs();
-        match differs {
-            _ if differs > APART => None,
-            _ if are_one_time_line(clock.offset, clock.uncertainty) => Some(0),
-            _ => Some(-clock.offset),
-        }
+/// What a peer's stamps are moved by; `None`: its time line has nothing to do with this one.
+fn shift(clock: &Estimate) -> Option<Nanos> {
+    let differs = clock.offset.saturating_abs();
+    match differs {
+        _ if differs > APART => None,
+        _ if are_one_time_line(clock.offset, clock.uncertainty) => Some(0),
+        _ => Some(-clock.offset),
     }
 }
 
@@ -431,7 +438,7 @@ fn passed_over(events: &[Event]) -> Vec<bool> {
         .iter()
         .rev()
         .map(|event| match event {
-            Event::Arrived(from, message) => {
+            Event::Arrived(from, message, _) => {
                 let newer = newer.entry((from, message.kind)).or_default();
                 *newer += 1;
                 *newer > AT_ONCE
@@ -533,7 +540,14 @@ mod tests {
                 bytes: Bytes::new(),
                 took: 0,
             };
-            Event::Arrived(from.into(), message)
+            let clock = Estimate {
+                offset: 0,
+                uncertainty: 0,
+                bound: 0,
+                drift: 0.0,
+                basis: Basis::Exchanges,
+            };
+            Event::Arrived(from.into(), message, clock)
         };
         let mut events: Vec<Event> = (0..30).map(|seq| arrived("rsu1", Kind::Boxes, seq)).collect();
         events.insert(3, Event::Books("rsu1".into(), News::default()));
@@ -543,9 +557,8 @@ mod tests {
         let given = events.iter().zip(&passed).filter(|(_, passed)| !**passed);
         let given: Vec<String> = given
             .map(|(event, _)| match event {
-                Event::Arrived(from, message) | Event::PassedOver(from, message) => {
-                    format!("{from} {} {}", message.kind, message.seq)
-                }
+                Event::Arrived(from, message, _) => format!("{from} {} {}", message.kind, message.seq),
+                Event::PassedOver(from, _) => format!("{from} passed over"),
                 Event::Books(from, _) => format!("{from} books"),
             })
             .collect();

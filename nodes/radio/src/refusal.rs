@@ -15,17 +15,19 @@ pub enum Refusal {
     Unsigned,
     /// The signature is not its sender's, or of something else.
     Forged,
-    /// Signed too long ago, or of an earlier start of its sender: it was sent before.
+    /// Signed too long ago, or of an earlier start of its sender: it was sent before, or two agents have one name.
     Replayed,
     /// Signed, or measured, in the future.
     Future,
     /// Of a time line that has nothing to do with this agent's.
     OtherTimeLine,
+    /// More words about its messages than an agent has.
+    Flood,
 }
 
 impl Refusal {
     /// All.
-    pub const ALL: [Refusal; 8] = [
+    pub const ALL: [Refusal; 9] = [
         Refusal::Malformed,
         Refusal::Oversized,
         Refusal::Stranger,
@@ -34,6 +36,7 @@ impl Refusal {
         Refusal::Replayed,
         Refusal::Future,
         Refusal::OtherTimeLine,
+        Refusal::Flood,
     ];
 
     /// The counter's name.
@@ -47,6 +50,7 @@ impl Refusal {
             Refusal::Replayed => "replayed",
             Refusal::Future => "future",
             Refusal::OtherTimeLine => "other_time_line",
+            Refusal::Flood => "flood",
         }
     }
 }

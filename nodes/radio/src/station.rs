@@ -12,8 +12,10 @@ use crate::refusal::{Refusal, Refusals};
 use crate::seal::{SEAL_BYTES, Seal};
 
 const MS: Nanos = 1_000_000;
-/// Peers at most, so that strangers cannot take all memory.
+/// Peers at a time at most, so that strangers cannot take all memory.
 pub const MOST_PEERS: usize = 64;
+/// What is kept of all peers' messages, in messages of the greatest size.
+const MOST_KEPT: usize = 4;
 /// Bytes of a frame, a question or a sheet at most, with its seal.
 pub const MOST_BYTES: usize = (128 << 10) + SEAL_BYTES;
 /// Between two sheets of the books.
@@ -22,8 +24,8 @@ const SHEETS: Nanos = 500 * MS;
 const QUESTIONS: [Nanos; 2] = [100 * MS, 500 * MS];
 /// Questions at first.
 const FIRST_QUESTIONS: u32 = 20;
-/// Messages of a peer and a kind that are given to the graph at once, or wait for the first answer about time.
-pub(crate) const AT_ONCE: usize = 4;
+/// Messages of a peer and a kind that wait for the first answer about time.
+const UNPLACED: usize = 4;
 
 /// What a message between agents is about; each has a key of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -92,12 +94,35 @@ pub struct Outgoing {
 /// What came of frames, for the graph.
 #[derive(Debug)]
 pub enum Event {
-    /// A message of a peer is whole, and where the peer's time line lies is known, but at the end.
-    Arrived(Name, Arrived),
-    /// The same of a message that waited for that until too many newer ones of its kind did.
-    PassedOver(Name, Arrived),
+    /// A message of a peer is whole; with how far the peer's time line lies from this agent's.
+    Arrived(Name, Arrived, Estimate),
+    /// The same that is not given, for newer ones were before it, or because it was not known until the end where its sender's time
+    /// line lies.
+    PassedOver(Name, Passed),
     /// What became of messages of a peer.
     Books(Name, News),
+}
+
+/// A message that is passed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Passed {
+    /// What it carried.
+    pub kind: Kind,
+    /// Its number.
+    pub seq: u64,
+    /// When what it tells was measured, as its sender said.
+    pub stamp: Nanos,
+}
+
+impl From<&Arrived> for Passed {
+    fn from(message: &Arrived) -> Self {
+        let Arrived { kind, seq, stamp, .. } = message;
+        Passed {
+            kind: *kind,
+            seq: *seq,
+            stamp: *stamp,
+        }
+    }
 }
 
 /// What is known of a peer.
@@ -120,12 +145,14 @@ pub struct Report {
 /// All that an agent keeps of a peer.
 struct Peer {
     is_up: bool,
+    /// When it was last heard.
+    heard_at: Nanos,
     sender: Sender,
     sent: Sent,
     receiver: Receiver,
     heard: Heard,
-    /// Its newest session that was heard of: with each its time line may be another.
-    session: Option<u64>,
+    /// Its newest session that was heard of, 0 before: with each its time line may be another.
+    session: u64,
     offset: Offset,
     /// What came since before the first answer about time.
     unplaced: Vec<Arrived>,
@@ -174,7 +201,7 @@ impl Station {
     /// A peer has come.
     pub fn up(&mut self, name: &Name, now: Moment) {
         let is_trusted = self.seal.as_ref().is_none_or(|seal| seal.trusts(name));
-        match self.peer(name).filter(|_| is_trusted) {
+        match is_trusted.then(|| self.peer(name, now)).flatten() {
             Some(peer) => {
                 peer.is_up = true;
                 peer.questions = 0;
@@ -217,15 +244,32 @@ impl Station {
             Some(seal) => seal.open(from, topic, bytes, now.wall)?,
             None => bytes.clone(),
         };
-        let peer = self.peer(from).ok_or(Refusal::Stranger)?;
+        let own = self.session;
+        let peer = self.peer(from, now).ok_or(Refusal::Stranger)?;
+        peer.heard_at = now.steady;
         let mut events = Vec::new();
         let taken = match topic {
             Topic::Bulk | Topic::Small | Topic::Ack => peer.frame(&bytes, now, from, &mut events),
-            Topic::Clock => peer.time(&bytes, now, from, &mut events),
+            Topic::Clock => peer.time(&bytes, own, now, from, &mut events),
             Topic::Books => peer.sheet(&bytes, now, from, &mut events),
         };
         self.events.append(&mut events);
+        self.keep_within_bounds();
         taken
+    }
+
+    /// Has those forget of whom most is kept, if it is too much.
+    fn keep_within_bounds(&mut self) {
+        while self.kept() > MOST_KEPT * self.largest {
+            let Some((name, peer)) = self.peers.iter_mut().max_by_key(|(_, peer)| peer.kept()) else {
+                return;
+            };
+            if !peer.unplaced.is_empty() {
+                self.events.push(peer.pass_over(0, name));
+            } else if !peer.receiver.forget_largest() {
+                return;
+            }
+        }
     }
 
     /// Something in a peer's name was not taken.
@@ -285,7 +329,7 @@ impl Station {
             let mut news = News::default();
             peer.heard.settle(None, &mut news);
             note(&mut self.events, name, news);
-            peer.place(name, &mut self.events);
+            peer.pass_all_over(name, &mut self.events);
         }
         std::mem::take(&mut self.events)
     }
@@ -301,6 +345,11 @@ impl Station {
     pub fn held(&self) -> usize {
         let up = self.peers.values().filter(|peer| peer.is_up);
         up.map(|peer| peer.sender.held()).sum()
+    }
+
+    /// Bytes of peers' messages that are incomplete, or wait to be placed in time.
+    pub fn kept(&self) -> usize {
+        self.peers.values().map(Peer::kept).sum()
     }
 
     /// How far the time line of a peer lies from this agent's, now.
@@ -336,19 +385,20 @@ impl Station {
         &self.total
     }
 
-    /// A peer, known or new; `None` if there are too many.
-    fn peer(&mut self, name: &Name) -> Option<&mut Peer> {
+    /// A peer, known or new; `None` if there are too many. Who has gone longest ago makes room.
+    fn peer(&mut self, name: &Name, now: Moment) -> Option<&mut Peer> {
         if !self.peers.contains_key(name) {
-            if self.peers.len() >= MOST_PEERS || **name == *self.name {
+            if **name == *self.name || (self.peers.len() >= MOST_PEERS && !self.forget_who_has_gone()) {
                 return None;
             }
             let peer = Peer {
                 is_up: false,
+                heard_at: now.steady,
                 sender: Sender::new(self.settings.clone(), self.session),
                 sent: Sent::default(),
                 receiver: Receiver::new(self.largest),
                 heard: Heard::new(name.clone(), self.name.clone()),
-                session: None,
+                session: 0,
                 offset: Offset::default(),
                 unplaced: Vec::new(),
                 questions: 0,
@@ -360,6 +410,21 @@ impl Station {
             self.peers.insert(name.clone(), peer);
         }
         self.peers.get_mut(name)
+    }
+
+    /// Forgets the peer that is not there and was heard longest ago; `false` if all are there.
+    fn forget_who_has_gone(&mut self) -> bool {
+        let gone = self.peers.iter().filter(|(_, peer)| !peer.is_up);
+        let Some(name) = gone.min_by_key(|(_, peer)| peer.heard_at).map(|(name, _)| name.clone()) else {
+            return false;
+        };
+        if let Some(mut peer) = self.peers.remove(&name) {
+            let mut news = News::default();
+            peer.heard.settle(None, &mut news);
+            note(&mut self.events, &name, news);
+            peer.pass_all_over(&name, &mut self.events);
+        }
+        true
     }
 }
 
@@ -374,7 +439,7 @@ impl Peer {
         match Frame::parse(bytes)? {
             Frame::Part(head, part) => {
                 let received = self.receiver.take(&head, part, now.steady)?;
-                self.is_of(head.session, now);
+                self.is_of(head.session, now, name, events)?;
                 if let Some(ack) = received.acknowledgement {
                     let bytes = Frame::Acknowledgement(ack).to_bytes();
                     self.outgoing.push_back((Topic::Ack, bytes));
@@ -385,9 +450,10 @@ impl Peer {
                     self.heard.arrived(head.session, kind, seq, bytes, &mut news);
                     note(events, name, news);
                     self.unplaced.push(message);
-                    match now.log.and_then(|log| self.offset.estimate(log)) {
-                        Some(_) => self.place(name, events),
-                        None => self.pass_over(kind, name, events),
+                    self.place(now.log, name, events);
+                    let mut same = (0..self.unplaced.len()).filter(|place| self.unplaced[*place].kind == kind);
+                    if let (Some(oldest), UNPLACED..) = (same.next(), same.count()) {
+                        events.push(self.pass_over(oldest, name));
                     }
                 }
             }
@@ -399,73 +465,104 @@ impl Peer {
         Ok(())
     }
 
-    /// A session that begins may have another time line, which is asked for at once.
-    fn is_of(&mut self, session: u64, now: Moment) {
-        if self.session.replace(session).is_some_and(|known| known != session) {
+    /// Something is of a session of the peer. One that begins may have another time line, which is asked for at once; what waited for
+    /// that of the session before is passed over.
+    fn is_of(&mut self, session: u64, now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
+        if session < self.session {
+            return Err(Refusal::Replayed);
+        }
+        if session > self.session {
+            self.session = session;
+            self.pass_all_over(name, events);
             (self.offset, self.asked) = (Offset::default(), None);
             (self.questions, self.asks_at) = (0, now.steady);
         }
+        Ok(())
     }
 
-    /// Gives what waited to be placed in time.
-    fn place(&mut self, name: &Name, events: &mut Vec<Event>) {
-        let placed = self.unplaced.drain(..);
-        events.extend(placed.map(|message| Event::Arrived(name.clone(), message)));
-    }
-
-    /// Of a kind only the newest messages wait to be placed.
-    fn pass_over(&mut self, kind: Kind, name: &Name, events: &mut Vec<Event>) {
-        let mut places = (0..self.unplaced.len()).filter(|place| self.unplaced[*place].kind == kind);
-        if let (Some(oldest), AT_ONCE..) = (places.next(), places.count()) {
-            events.push(Event::PassedOver(name.clone(), self.unplaced.remove(oldest)));
+    /// Gives what waited to be placed in time, once that is known.
+    fn place(&mut self, log: Option<Nanos>, name: &Name, events: &mut Vec<Event>) {
+        if let Some(clock) = log.and_then(|log| self.offset.estimate(log)) {
+            let placed = self.unplaced.drain(..);
+            events.extend(placed.map(|message| Event::Arrived(name.clone(), message, clock)));
         }
+    }
+
+    fn pass_over(&mut self, place: usize, name: &Name) -> Event {
+        let message = self.unplaced.remove(place);
+        Event::PassedOver(name.clone(), Passed::from(&message))
+    }
+
+    fn pass_all_over(&mut self, name: &Name, events: &mut Vec<Event>) {
+        let passed = self.unplaced.drain(..);
+        events.extend(passed.map(|message| Event::PassedOver(name.clone(), Passed::from(&message))));
+    }
+
+    /// Bytes of messages that are kept.
+    fn kept(&self) -> usize {
+        let unplaced = self.unplaced.iter().map(|message| message.bytes.len());
+        self.receiver.held() + unplaced.sum::<usize>()
     }
 
     fn sheet(&mut self, bytes: &[u8], now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
         let sheet: Sheet = serde_json::from_slice(bytes).map_err(|_| Refusal::Malformed)?;
         let mut news = News::default();
-        self.heard.sheet(&sheet, now.steady, &mut news);
+        let taken = self.heard.sheet(&sheet, now.steady, &mut news);
         note(events, name, news);
-        Ok(())
+        taken
     }
 
-    fn time(&mut self, bytes: &[u8], now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
+    /// A question has its time and session, `[asked, session]`; an answer repeats the time, and has that of its sender and the sender's
+    /// session, `[asked, answered, session]`, and what its machine says of its clock, `[…, line, error]`.
+    fn time(
+        &mut self,
+        bytes: &[u8],
+        own: u64,
+        now: Moment,
+        name: &Name,
+        events: &mut Vec<Event>,
+    ) -> Result<(), Refusal> {
         let Some(log) = now.log else {
             return Ok(());
         };
         let (words, rest) = bytes.as_chunks();
         let words: Vec<Nanos> = words.iter().map(|word| Nanos::from_le_bytes(*word)).collect();
         match (&*words, rest) {
-            ([asked], []) => {
+            ([asked, session], []) => {
+                self.is_of(*session as u64, now, name, events)?;
                 let said = now.said().map(|said| [said.line, said.error]);
-                let answer = [*asked, log].into_iter().chain(said.into_iter().flatten());
+                let answer = [*asked, log, own as Nanos].into_iter();
+                let answer = answer.chain(said.into_iter().flatten());
                 let answer: Vec<u8> = answer.flat_map(Nanos::to_le_bytes).collect();
                 self.outgoing.push_back((Topic::Clock, answer.into()));
             }
-            ([asked, answered], []) => self.answered(*asked, *answered, None, log, now),
-            ([asked, answered, line, error], []) => {
-                let (line, error) = (*line, *error);
-                self.answered(*asked, *answered, Some(Said { line, error }), log, now);
+            ([asked, answered, session, said @ ..], []) if matches!(said.len(), 0 | 2) => {
+                // Who answers in a session that begins has heard the question in it.
+                let is_open = self.asked.take_if(|open| *open == *asked).is_some();
+                self.is_of(*session as u64, now, name, events)?;
+                if is_open {
+                    let said = said.as_array().map(|[line, error]| Said {
+                        line: *line,
+                        error: *error,
+                    });
+                    self.answered(*asked, *answered, said, log, now);
+                    self.place(now.log, name, events);
+                }
             }
             _ => return Err(Refusal::Malformed),
-        }
-        if self.offset.estimate(log).is_some() {
-            self.place(name, events);
         }
         Ok(())
     }
 
     /// The answer went out where the question came in: no time between them counts.
     fn answered(&mut self, asked: Nanos, answered: Nanos, said: Option<Said>, log: Nanos, now: Moment) {
-        if self.asked.take_if(|open| *open == asked).is_some() {
-            self.offset.take(Exchange {
-                asked,
-                heard: answered,
-                answered,
-                known: log,
-            });
-            self.offset.said(log, now.said(), said);
-        }
+        self.offset.take(Exchange {
+            asked,
+            heard: answered,
+            answered,
+            known: log,
+        });
+        self.offset.said(log, now.said(), said);
     }
 
     fn next(&mut self, now: Moment, session: u64) -> Option<(Topic, Bytes)> {
@@ -485,7 +582,8 @@ impl Peer {
                     seldom
                 };
             self.asked = Some(log);
-            return Some((Topic::Clock, log.to_le_bytes().to_vec().into()));
+            let question = [log, session as Nanos].map(Nanos::to_le_bytes).concat();
+            return Some((Topic::Clock, question.into()));
         }
         if now.steady >= self.asks_at {
             self.asks_at = now.steady + QUESTIONS[0];

@@ -202,7 +202,12 @@ fn seeds() -> Vec<Seed> {
         ("answer_least", 0, Nanos::MIN),
         ("answer_to_nothing", Nanos::MAX, 5),
     ] {
-        add(Some(Topic::Clock), case, None, [word(asked), word(answered)].concat());
+        add(
+            Some(Topic::Clock),
+            case,
+            None,
+            [asked, answered, SESSION as Nanos].map(word).concat(),
+        );
     }
     for (case, line, error) in [
         ("synchronised", 40 * MS - WALL, MS / 10),
@@ -211,12 +216,24 @@ fn seeds() -> Vec<Seed> {
         ("synchronised_error_greatest", 0, Nanos::MAX),
         ("synchronised_error_negative", 0, Nanos::MIN),
     ] {
-        let answer = [0, 123_456 * MS, line, error].map(word).concat();
+        let answer = [0, 123_456 * MS, SESSION as Nanos, line, error].map(word).concat();
         add(Some(Topic::Clock), case, None, answer);
     }
-    add(Some(Topic::Clock), "question_greatest", None, word(Nanos::MAX));
-    add(Some(Topic::Clock), "question_least", None, word(Nanos::MIN));
-    for bytes in [0, 7, 15, 24, 4_000] {
+    for (case, asked, session) in [
+        ("question_greatest", Nanos::MAX, SESSION as Nanos),
+        ("question_least", Nanos::MIN, SESSION as Nanos),
+        ("question_of_a_later_session", 0, Nanos::MAX),
+        ("question_of_the_last_session", 0, -1),
+    ] {
+        add(Some(Topic::Clock), case, None, [asked, session].map(word).concat());
+    }
+    add(
+        Some(Topic::Clock),
+        "question_of_an_earlier_session",
+        old,
+        [0, SESSION as Nanos - 1].map(word).concat(),
+    );
+    for bytes in [0, 7, 15, 32, 4_000] {
         add(Some(Topic::Clock), &format!("bytes_{bytes}"), odd, vec![1; bytes]);
     }
 

@@ -10,10 +10,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use realo_radio::keys::{Own, Trusted};
 use realo_radio::offset::Basis;
-use realo_radio::protocol::{Offer, Settings};
+use realo_radio::protocol::{Arrived, Frame, Head, Offer, Settings};
 use realo_radio::refusal::Refusal;
 use realo_radio::seal::{Seal, WINDOW};
-use realo_radio::station::{Event, MOST_BYTES, MOST_PEERS, Moment, Station, Topic};
+use realo_radio::station::{Event, MOST_BYTES, MOST_PEERS, Moment, Passed, Station, Topic};
 use realo_schemas::report::Fate;
 use realo_schemas::{Kind, Name, Nanos};
 
@@ -53,8 +53,9 @@ struct World {
     accounts: BTreeMap<(usize, Name), Account>,
     /// How far each agent's time line lies from the world's.
     lines: Vec<Nanos>,
-    /// When each agent started.
+    /// When each agent started, and by how much its line moved then.
     started: Vec<Nanos>,
+    moved: Vec<Nanos>,
     /// What agents say that their clocks are off by at most.
     error: Nanos,
     is_hostile: bool,
@@ -91,6 +92,7 @@ impl World {
             accounts: BTreeMap::new(),
             lines: (0..agents as i64).map(|n| n * 123 * MS).collect(),
             started: vec![0; agents],
+            moved: vec![0; agents],
             error: MS / 100,
         }
     }
@@ -172,7 +174,7 @@ impl World {
                 }
             }
             let events = self.stations[agent].take_events(moment);
-            self.assert_placed(agent, &events, moment);
+            self.assert_placed(agent, &events);
             self.note(agent, events);
             if let Some(wakes) = self.stations[agent].wakes_at() {
                 self.at(wakes.max(now + MS), Next::Wake);
@@ -180,25 +182,27 @@ impl World {
         }
     }
 
-    /// What is given to the graph can be placed in time, by the clock of an agent that started before it was offered.
-    fn assert_placed(&self, agent: usize, events: &[Event], moment: Moment) {
+    /// What is given to the graph is placed in time by the clock that its sender had when it was offered.
+    fn assert_placed(&self, agent: usize, events: &[Event]) {
         for event in events {
-            let Event::Arrived(from, message) = event else { continue };
-            let clock = self.stations[agent].clock_of(from, moment).expect("its clock is known");
+            let Event::Arrived(from, message, clock) = event else {
+                continue;
+            };
             let sender = self.names.iter().position(|name| name == from).expect("an agent");
-            if message.stamp >= self.started[sender] {
-                let offset = self.lines[sender] - self.lines[agent];
-                assert!((clock.offset - offset).abs() <= clock.bound + MS, "{clock:?}, {offset}");
-            }
+            let is_of_now = message.stamp >= self.started[sender];
+            let line = self.lines[sender] - if is_of_now { 0 } else { self.moved[sender] };
+            let offset = line - self.lines[agent];
+            assert!((clock.offset - offset).abs() <= clock.bound + MS, "{clock:?}, {offset}");
         }
     }
 
     fn note(&mut self, agent: usize, events: Vec<Event>) {
         for event in events {
             match event {
-                Event::Arrived(from, message) | Event::PassedOver(from, message) => {
+                Event::Arrived(from, Arrived { kind, seq, .. }, _)
+                | Event::PassedOver(from, Passed { kind, seq, .. }) => {
                     let account = self.accounts.entry((agent, from)).or_default();
-                    assert!(account.arrived.insert((message.kind, message.seq)), "given twice");
+                    assert!(account.arrived.insert((kind, seq)), "given twice");
                 }
                 Event::Books(from, news) => {
                     let account = self.accounts.entry((agent, from)).or_default();
@@ -257,7 +261,7 @@ impl World {
                 Next::Down(agent, name) => self.stations[agent].down(&name),
                 Next::Restart(agent, later) => {
                     self.lines[agent] += later;
-                    self.started[agent] = now;
+                    (self.started[agent], self.moved[agent]) = (now, later);
                     let name = self.names[agent].clone();
                     self.accounts.retain(|(to, from), _| *to != agent && *from != name);
                     self.stations[agent] = Station::new(name, Settings::default(), 4 << 20, 8, None);
@@ -347,17 +351,69 @@ fn what_an_agent_says_after_a_restart_is_placed_by_its_new_clock() {
 }
 
 #[test]
-fn there_are_only_so_many_peers() {
+fn who_has_gone_makes_room_and_who_is_there_stays() {
     let mut world = World::new(1, 1, 0.0);
-    let moment = world.moment(0, 0);
-    for n in 0..MOST_PEERS + 5 {
-        world.stations[0].take(&format!("peer{n}").into(), Topic::Clock, &Bytes::new(), moment);
+    let station = &mut world.stations[0];
+    let moment = |time| Moment {
+        steady: time,
+        log: Some(time),
+        wall: time,
+        wall_error: None,
+    };
+    let name = |n: usize| Name::from(format!("peer{n}"));
+    for n in 0..MOST_PEERS {
+        station.up(&name(n), moment(n as Nanos));
     }
-    assert_eq!(world.stations[0].reports(moment).len(), MOST_PEERS);
-    assert_eq!(world.stations[0].refused()[&Refusal::Stranger], 5);
-    let me = world.names[0].clone();
-    world.stations[0].up(&me, moment);
-    assert_eq!(world.stations[0].reports(moment).len(), MOST_PEERS);
+    station.up(&name(MOST_PEERS), moment(SECOND));
+    assert_eq!(station.refused()[&Refusal::Stranger], 1, "all are there");
+    station.down(&name(5));
+    station.down(&name(3));
+    station.up(&name(MOST_PEERS), moment(SECOND));
+    station.take(&name(MOST_PEERS + 1), Topic::Clock, &Bytes::new(), moment(SECOND));
+    let known: Vec<Name> = station
+        .reports(moment(SECOND))
+        .into_iter()
+        .map(|report| report.peer)
+        .collect();
+    assert_eq!(known.len(), MOST_PEERS);
+    assert!(!known.contains(&name(3)) && !known.contains(&name(5)), "{known:?}");
+    let me = Name::from("agent0");
+    station.up(&me, moment(SECOND));
+    assert_eq!(station.refused()[&Refusal::Stranger], 2, "nobody is one's own peer");
+}
+
+#[test]
+fn what_peers_leave_incomplete_takes_so_much_memory_at_most() {
+    let mut world = World::new(1, 1, 0.0);
+    let (moment, station) = (world.moment(0, 0), &mut world.stations[0]);
+    let (largest, parts) = (4usize << 20, 4_000u32);
+    let part = Bytes::from(vec![1; 1000]);
+    let mut kept = 0;
+    for peer in 0..20 {
+        for index in 0..parts - 1 {
+            let head = Head {
+                kind: Kind::Points,
+                asks: false,
+                waits: false,
+                session: 1,
+                seq: 1,
+                index,
+                count: parts,
+                sent: 0,
+                stamp: 0,
+            };
+            let frame = Frame::Part(head, part.clone()).to_bytes();
+            station.take(&format!("peer{peer}").into(), Topic::Bulk, &frame, moment);
+            kept = kept.max(station.kept());
+        }
+    }
+    assert!((3 * largest..=4 * largest).contains(&kept), "{kept}");
+    let forgotten: u64 = station
+        .reports(moment)
+        .iter()
+        .map(|report| report.received.forgotten)
+        .sum();
+    assert!(forgotten >= 15, "{forgotten}");
 }
 
 #[test]
@@ -378,7 +434,8 @@ fn what_was_sent_before_does_not_come_in_again_even_after_a_restart() {
         station.take(&names[1], Topic::Small, &bytes, now);
         // Of its sender nothing is known that would place it.
         let events = station.take_events(now).into_iter().chain(station.end());
-        events.filter(|event| matches!(event, Event::Arrived(..))).count()
+        let given = |event: &Event| matches!(event, Event::Arrived(..) | Event::PassedOver(..));
+        events.filter(given).count()
     };
     assert_eq!(arrived(&mut world.stations[0], first), 1);
     assert_eq!(arrived(&mut world.stations[0], first), 0, "its number has come in");

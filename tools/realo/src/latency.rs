@@ -157,7 +157,7 @@ fn answer(args: &Args) -> Result<Outcome> {
     eprintln!("realo: answers `realo latency --peer tcp/ADDRESS:PORT --log LOG` until it is stopped");
     loop {
         for event in end.take(Duration::from_millis(100)).events {
-            if let Event::Arrived(_, Arrived { kind, seq, bytes, .. }) = event {
+            if let Event::Arrived(_, Arrived { kind, seq, bytes, .. }, _) = event {
                 let here = wall().to_le_bytes();
                 end.send(kind, seq, [&here[..], &bytes].concat());
             }
@@ -337,7 +337,7 @@ impl Asking {
                 self.clock = clock;
             }
             let back = taken.events.iter().find_map(|event| match event {
-                Event::Arrived(_, message) if (message.kind, message.seq) == (kind, seq) => Some(message),
+                Event::Arrived(_, message, _) if (message.kind, message.seq) == (kind, seq) => Some(message),
                 _ => None,
             });
             let Some(back) = back else { continue };

@@ -6,6 +6,7 @@ use bytes::Bytes;
 use realo_schemas::{Kind, Nanos};
 
 use super::frame::{Acknowledgement, Head};
+use super::is_bulk;
 use super::window::SMALLEST;
 use crate::refusal::Refusal;
 
@@ -17,6 +18,8 @@ const REMEMBERED: usize = 256;
 const TOGETHER: Nanos = 1_000_000;
 /// Parts that share one at most.
 const SHARED: u32 = 4;
+/// What a part takes of memory beside its bytes.
+const PART_COSTS: usize = 128;
 
 /// A message that came in whole.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -82,9 +85,16 @@ struct Lane {
 struct Incomplete {
     begun: Nanos,
     stamp: Nanos,
-    parts: Vec<Option<Bytes>>,
-    missing: usize,
+    count: u32,
+    parts: BTreeMap<u32, Bytes>,
     bytes: usize,
+}
+
+impl Incomplete {
+    /// Memory that it takes.
+    fn held(&self) -> usize {
+        self.bytes + self.parts.len() * PART_COSTS
+    }
 }
 
 impl Receiver {
@@ -147,10 +157,27 @@ impl Receiver {
         self.counts
     }
 
-    /// Bytes of incomplete messages.
+    /// Bytes that incomplete messages take.
     pub fn held(&self) -> usize {
         let incomplete = self.kinds.values().flat_map(|lane| lane.incomplete.values());
-        incomplete.map(|message| message.bytes).sum()
+        incomplete.map(Incomplete::held).sum()
+    }
+
+    /// Forgets the incomplete message that takes most; `false` if there is none.
+    pub fn forget_largest(&mut self) -> bool {
+        let lanes = self.kinds.values_mut();
+        let messages = lanes.flat_map(|lane| {
+            let held: Vec<(usize, u64)> = (lane.incomplete.iter())
+                .map(|(seq, message)| (message.held(), *seq))
+                .collect();
+            held.into_iter().max().map(|largest| (largest, lane))
+        });
+        let Some(((_, seq), lane)) = messages.max_by_key(|(largest, _)| *largest) else {
+            return false;
+        };
+        lane.incomplete.remove(&seq);
+        self.counts.forgotten += 1;
+        true
     }
 }
 
@@ -172,7 +199,7 @@ impl Lane {
         if part.len() > largest || count > most {
             return Err(Refusal::Oversized);
         }
-        if part.is_empty() && count > 1 {
+        if count > 1 && (part.is_empty() || !is_bulk(head.kind)) {
             return Err(Refusal::Malformed);
         }
         if count == 1 {
@@ -185,30 +212,28 @@ impl Lane {
         let message = self.incomplete.entry(head.seq).or_insert_with(|| Incomplete {
             begun: now,
             stamp: head.stamp,
-            parts: vec![None; count],
-            missing: count,
+            count: head.count,
+            parts: BTreeMap::new(),
             bytes: 0,
         });
-        if message.parts.len() != count || message.stamp != head.stamp {
+        if message.count != head.count || message.stamp != head.stamp {
             return Err(Refusal::Malformed);
         }
         if message.bytes + part.len() > largest {
             return Err(Refusal::Oversized);
         }
-        let place = &mut message.parts[head.index as usize];
-        if place.is_some() {
+        if message.parts.contains_key(&head.index) {
             return Ok(Inserted::Again);
         }
         message.bytes += part.len();
-        message.missing -= 1;
-        *place = Some(part);
-        if message.missing > 0 {
+        message.parts.insert(head.index, part);
+        if message.parts.len() < count {
             return Ok(Inserted::Part);
         }
         let message = self.incomplete.remove(&head.seq).expect("it was just there");
         self.given(head.seq);
         self.newest = head.seq;
-        let parts: Vec<Bytes> = message.parts.into_iter().flatten().collect();
+        let parts: Vec<Bytes> = message.parts.into_values().collect();
         // The first part is what time is counted from.
         let took = (now - message.begun) * count as Nanos / (count as Nanos - 1);
         Ok(Inserted::Whole(parts.concat().into(), took))
@@ -248,7 +273,7 @@ impl Lane {
         // One that overtook this part is told of together with it.
         let further = unsaid
             .map(|(_, index)| index)
-            .filter(|index| index.saturating_sub(head.index) <= 32);
+            .filter(|index| index.saturating_sub(head.index) <= 32 && *index < head.count);
         let index = further.map_or(head.index, |further| further.max(head.index));
         self.silent += 1;
         if close && !waits && self.silent < SHARED {
@@ -270,10 +295,7 @@ impl Lane {
     /// Which of the 32 parts before one came in.
     fn before(&self, seq: u64, index: u32) -> u32 {
         let known = self.incomplete.get(&seq).map(|message| &message.parts);
-        let arrived = |index: u32| match known {
-            Some(parts) => parts[index as usize].is_some(),
-            None => true,
-        };
+        let arrived = |index: u32| known.is_none_or(|parts| parts.contains_key(&index));
         let back = (0..32u32).filter(|back| index.checked_sub(1 + back).is_some_and(arrived));
         back.fold(0, |bits, back| bits | 1 << back)
     }
@@ -281,6 +303,8 @@ impl Lane {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     const MS: Nanos = 1_000_000;
@@ -358,7 +382,7 @@ mod tests {
         for seq in 10..30 {
             receiver.take(&head(seq, 0, 2), part("a"), 0).unwrap();
         }
-        assert_eq!(receiver.held(), INCOMPLETE);
+        assert_eq!(receiver.held(), INCOMPLETE * (1 + PART_COSTS));
     }
 
     #[test]
@@ -412,6 +436,38 @@ mod tests {
         };
         rejected(&mut receiver, moved, 6, odd);
         rejected(&mut receiver, head(1, 0, 1), 6, odd);
-        assert_eq!(receiver.held(), 2 * SMALLEST);
+        assert_eq!(receiver.held(), 2 * SMALLEST + PART_COSTS);
+    }
+
+    proptest! {
+        /// Whatever a peer says of a few numbers: each message is given once, what goes back is of parts that there are, and what is
+        /// kept has its bounds.
+        #[test]
+        fn heads_that_contradict_each_other_do_no_harm(parts in prop::collection::vec(
+            (0u64..4, 1u32..40, any::<u32>(), any::<(bool, bool, bool)>(), 0i64..3, 0i64..2 * MS, 0usize..2 * SMALLEST),
+            0..200,
+        )) {
+            let mut receiver = Receiver::new(8 * SMALLEST);
+            let (mut now, mut given) = (0, BTreeSet::new());
+            for (seq, count, index, (asks, waits, is_bulk), stamp, later, bytes) in parts {
+                now += later;
+                let head = Head {
+                    kind: if is_bulk { Kind::Points } else { Kind::Boxes },
+                    asks,
+                    waits,
+                    stamp,
+                    ..head(seq, index % count, count)
+                };
+                if let Ok(received) = receiver.take(&head, vec![7; bytes].into(), now) {
+                    prop_assert!(received.acknowledgement.is_none_or(|ack| ack.index < count && ack.seq == seq));
+                    if let Some(message) = received.message {
+                        prop_assert!(given.insert((message.kind, message.seq)));
+                    }
+                }
+                prop_assert!(receiver.held() <= 2 * INCOMPLETE * (8 * SMALLEST + 40 * PART_COSTS));
+            }
+            while receiver.forget_largest() {}
+            prop_assert_eq!(receiver.held(), 0);
+        }
     }
 }

@@ -246,7 +246,7 @@ impl Sender {
             if place < sent_before {
                 part.overtaken += later;
             }
-            if part.overtaken >= OVERTAKEN && ack.sent - part.sent >= CLOSELY {
+            if part.overtaken >= OVERTAKEN && ack.sent.saturating_sub(part.sent) >= CLOSELY {
                 self.flying_bytes -= part.bytes;
                 lost.push(part);
             } else {

@@ -451,7 +451,7 @@ fn over_radio(args: &End) -> Result<Vec<Came>> {
         while let Some(left) = until.checked_duration_since(Instant::now()) {
             let _ = woken.recv_timeout(left);
             for event in network.take().events {
-                if let Event::Arrived(_, message) = event {
+                if let Event::Arrived(_, message, _) = event {
                     came.push(Came {
                         kind: message.kind,
                         given: given(&message.bytes),
