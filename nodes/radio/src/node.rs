@@ -293,6 +293,10 @@ impl Gateway for Radio {
         let now = out.now();
         self.on_wake(now, out)?;
         self.network = None;
+        out.count(
+            "alone",
+            u64::from(self.reports.iter().all(|report| report.received.messages == 0)),
+        );
         let peers: Vec<Peer> = self.reports.iter().map(|report| self.peer(report)).collect();
         let header = Header::origin(&Name::default(), &self.place.agent, Kind::Report, 0, now, now);
         out.send(PEERS, Message::new(header, to_report(report::PEERS, &peers)));

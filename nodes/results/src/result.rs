@@ -396,6 +396,16 @@ impl RunResult {
                 ),
             );
         }
+        for (id, node) in &self.nodes {
+            let is_alone = node.operator == "radio" && node.counters.get("alone").is_some_and(|alone| *alone > 0);
+            note(
+                is_alone,
+                format!(
+                    "node {id} (radio) took no message of another agent: look whether `{id}.connect` here or there is the other \
+                     machine's address, its graph runs, and both have one `{id}.site`"
+                ),
+            );
+        }
         for (link, kind, books) in self.channels() {
             if let Some(unaccounted) = books.accounted.map(|books| books.unaccounted).filter(|n| *n != 0) {
                 note(

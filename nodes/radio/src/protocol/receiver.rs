@@ -84,6 +84,8 @@ struct Lane {
 #[derive(Debug)]
 struct Incomplete {
     begun: Nanos,
+    /// When its last part came in.
+    grew: Nanos,
     stamp: Nanos,
     count: u32,
     parts: BTreeMap<u32, Bytes>,
@@ -211,6 +213,7 @@ impl Lane {
         }
         let message = self.incomplete.entry(head.seq).or_insert_with(|| Incomplete {
             begun: now,
+            grew: now,
             stamp: head.stamp,
             count: head.count,
             parts: BTreeMap::new(),
@@ -226,6 +229,7 @@ impl Lane {
             return Ok(Inserted::Again);
         }
         message.bytes += part.len();
+        message.grew = now;
         message.parts.insert(head.index, part);
         if message.parts.len() < count {
             return Ok(Inserted::Part);
@@ -254,10 +258,16 @@ impl Lane {
         std::mem::replace(&mut self.incomplete, newer).len() as u64
     }
 
+    /// Of too many, those are forgotten of which nothing came for longest: their sender has given them up.
     fn forget_most(&mut self) -> u64 {
         let mut forgotten = 0;
         while self.incomplete.len() > INCOMPLETE {
-            self.incomplete.pop_first();
+            let stale = self
+                .incomplete
+                .iter()
+                .min_by_key(|(seq, message)| (message.grew, **seq));
+            let Some(seq) = stale.map(|(seq, _)| *seq) else { break };
+            self.incomplete.remove(&seq);
             forgotten += 1;
         }
         forgotten
