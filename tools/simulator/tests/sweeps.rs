@@ -617,16 +617,16 @@ fn traffic_of_every_place_is_the_same_on_every_machine() {
         format!("{hash:016x}")
     });
     let expected = [
-        "768d520c53f62f21",
-        "8568f02fb9561449",
-        "37cca57951c97625",
-        "41ed58c3f41eda4d",
+        "1f43760add7a8dee",
+        "6f5ac7eae77e410d",
+        "17269e629b08d7e9",
+        "a085e0afb508c5b0",
         "115296750f4e5795",
         "635a26b859a4810a",
-        "fb529dba472a7502",
-        "39be1ab587e5f062",
+        "75ce06f248bee522",
+        "c9e904b0a66075f2",
         "2a692be16579b581",
-        "2538ce0884cf98c3",
+        "87799b934dc9acf7",
     ];
     assert_eq!(found, expected);
 }
@@ -670,7 +670,7 @@ fn sensors_and_weather_give_the_same_bits_everywhere() {
     };
     let [one, three] = [1, 3].map(all);
     assert_eq!(one, three);
-    assert_eq!(format!("{:016x}", digest(&one)), "85918c4fd5bc8e79");
+    assert_eq!(format!("{:016x}", digest(&one)), "2db0f9b4ae24847f");
 }
 
 #[test]

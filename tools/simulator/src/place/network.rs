@@ -121,6 +121,12 @@ impl Section {
         self.half() + self.bay_depth(side) + self.pavement[side]
     }
 
+    /// The strip of a wide pavement on which things stand and nobody walks, from and to, m behind the kerb; vehicles reach
+    /// over the kerb where they turn and park.
+    pub fn strip(&self, side: usize) -> Option<[f64; 2]> {
+        (self.pavement[side] >= 3.3).then_some([0.55, 1.35])
+    }
+
     /// Offset of the median's middle, m.
     pub fn middle(&self) -> f64 {
         let [forward, backward] = self.lanes.map(|n| n as f64 * self.width);

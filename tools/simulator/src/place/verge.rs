@@ -24,10 +24,6 @@ pub(crate) enum VergeKind {
     Kerb,
 }
 
-/// Pavements as wide as this have a strip behind the kerb, and its width, m.
-const WALKED: f64 = 2.5;
-const STRIP: f64 = 0.6;
-
 /// An edge along which things stand: from it, free ground reaches outwards, without roads, pavements and the walls of
 /// buildings.
 #[derive(Clone, Debug)]
@@ -86,18 +82,18 @@ impl Verge {
                 }
             }
             for (side, sign) in SIDES.into_iter().enumerate() {
-                if !network.kerbs || road.section.pavement[side] < WALKED {
+                let Some([near, far]) = road.section.strip(side).filter(|_| network.kerbs) else {
                     continue;
-                }
-                let kerb = road.section.half() + road.section.bay_depth(side) + 0.1;
-                let free = |s: f64| {
-                    let pose = road.line.at(s).0.aside(sign * (kerb + 0.5 * STRIP));
-                    network.surface.off_road(pose.x, pose.y) > 0.5 * STRIP
                 };
-                for [begin, end] in runs(from + 1.0, to - 1.0, free) {
-                    let line = road.line.part(begin, end).parallel(sign * kerb);
+                let kerb = road.section.half() + road.section.bay_depth(side);
+                let free = |s: f64| {
+                    let pose = road.line.at(s).0.aside(sign * (kerb + near));
+                    network.surface.off_road(pose.x, pose.y) > near - 0.1
+                };
+                for [begin, end] in runs(from + 2.0, to - 2.0, free) {
+                    let line = road.line.part(begin, end).parallel(sign * (kerb + near));
                     let line = if side == 1 { line } else { line.reversed() };
-                    verges.push(Verge::new(VergeKind::Kerb, line, STRIP));
+                    verges.push(Verge::new(VergeKind::Kerb, line, far - near));
                 }
             }
             if road.section.median > 1.0 {
@@ -115,12 +111,12 @@ impl Verge {
     /// The verges of the roads on a grid: on both sides of each arm, the strip between the walking band and the row of
     /// buildings.
     pub fn of_grid(roads: &Roads) -> Vec<Verge> {
-        const FREE: f64 = 0.5;
+        const STRIP: f64 = 0.5;
         let mut verges = Vec::new();
         for arm in roads.arms() {
             let axis = arm % 2;
             let from = roads.half[1 - axis] + PAVEMENT + 2.0;
-            let across = roads.half[axis] + PAVEMENT - FREE + 0.1;
+            let across = roads.half[axis] + PAVEMENT - STRIP + 0.1;
             let centre = Pose2 {
                 x: 0.0,
                 y: 0.0,
@@ -132,7 +128,7 @@ impl Verge {
             right.line(REACH - from);
             // The free ground lies to the left of the line: the right-hand edge runs towards the centre.
             for line in [left, right.reversed()] {
-                verges.push(Verge::new(VergeKind::Street, line, FREE));
+                verges.push(Verge::new(VergeKind::Street, line, STRIP));
             }
         }
         verges
