@@ -121,6 +121,12 @@ impl Section {
         self.half() + self.bay_depth(side) + self.pavement[side]
     }
 
+    /// The strip of a wide pavement on which things stand and nobody walks, from and to, m behind the kerb; vehicles reach
+    /// over the kerb where they turn and park.
+    pub fn strip(&self, side: usize) -> Option<[f64; 2]> {
+        (self.pavement[side] >= 3.3).then_some([0.55, 1.35])
+    }
+
     /// Offset of the median's middle, m.
     pub fn middle(&self) -> f64 {
         let [forward, backward] = self.lanes.map(|n| n as f64 * self.width);
@@ -318,6 +324,19 @@ pub(crate) struct Network {
     /// Where rsu1 and rsu2 stand.
     pub roadside: [Pose2; 2],
     pub surface: Surface,
+}
+
+impl Network {
+    /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
+    pub fn watched(&self, x: f64, y: f64) -> f64 {
+        const HALF_ANGLE: f64 = 0.45;
+        let seen = self.roadside.iter().filter_map(|unit| {
+            let (dx, dy) = (x - unit.x, y - unit.y);
+            let off = angle_within(libm::atan2(dy, dx) - unit.heading).abs();
+            (off < HALF_ANGLE).then(|| (dx * dx + dy * dy).sqrt())
+        });
+        seen.fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// A network in the making.

@@ -20,6 +20,8 @@ pub(crate) enum VergeKind {
     Median,
     /// The edge of a car park.
     CarPark,
+    /// The strip of a pavement behind the kerb, on which nobody walks.
+    Kerb,
 }
 
 /// An edge along which things stand: from it, free ground reaches outwards, without roads, pavements and the walls of
@@ -77,6 +79,21 @@ impl Verge {
                     let line = Path::through(&points);
                     let line = if side == 1 { line } else { line.reversed() };
                     verges.push(Verge::new(kind, line, depth));
+                }
+            }
+            for (side, sign) in SIDES.into_iter().enumerate() {
+                let Some([near, far]) = road.section.strip(side).filter(|_| network.kerbs) else {
+                    continue;
+                };
+                let kerb = road.section.half() + road.section.bay_depth(side);
+                let free = |s: f64| {
+                    let pose = road.line.at(s).0.aside(sign * (kerb + near));
+                    network.surface.off_road(pose.x, pose.y) > near - 0.1
+                };
+                for [begin, end] in runs(from + 2.0, to - 2.0, free) {
+                    let line = road.line.part(begin, end).parallel(sign * (kerb + near));
+                    let line = if side == 1 { line } else { line.reversed() };
+                    verges.push(Verge::new(VergeKind::Kerb, line, far - near));
                 }
             }
             if road.section.median > 1.0 {

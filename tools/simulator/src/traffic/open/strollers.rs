@@ -249,10 +249,10 @@ impl Crowd<'_> {
             return None;
         }
         let from = section.half() + section.bay_depth(on_road);
-        let band = if width < 2.5 {
-            [0.6, width - 0.4]
-        } else {
-            [0.9, width - 0.6]
+        let band = match section.strip(on_road) {
+            Some([_, to]) => [to + 0.35, width - 0.6],
+            None if width < 2.5 => [0.6, width - 0.4],
+            None => [0.9, width - 0.6],
         };
         Some(Track {
             node,
