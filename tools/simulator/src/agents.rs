@@ -8,7 +8,7 @@ use realo_schemas::{EgoState, Name, Nanos, PoseStatus, from_seconds, to_seconds}
 use crate::bodies::Class;
 use crate::options::{EPOCH, Error, Options, Phase, SWEEP_PERIOD, agent_of};
 use crate::path::{Course, Pose2, State};
-use crate::place::Scenery;
+use crate::place::{Scenery, VergeKind};
 use crate::random::Stream;
 use crate::sensor::{Mount, Sensor};
 use crate::traffic::{Traffic, User};
@@ -348,7 +348,7 @@ fn stands(place: &Scenery, count: usize) -> Vec<(Pose2, f64)> {
     let first = stands[0].0;
     let square = |a: Pose2, b: Pose2| (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y);
     let mut free: Vec<Pose2> = Vec::new();
-    for verge in &place.verges {
+    for verge in place.verges.iter().filter(|verge| verge.kind != VergeKind::Kerb) {
         let spots = (verge.length() / STEP) as usize;
         free.extend((0..=spots).map(|k| verge.pose(k as f64 * STEP, 0.2)));
     }

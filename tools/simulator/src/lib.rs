@@ -16,7 +16,8 @@
 //! parking bays, kerbs, crowned roads, buildings, poles, trees; ground that is not quite flat. Vehicles follow each
 //! other (Intelligent Driver Model), change lanes, obey the lights and each other's right of way; walkers keep to
 //! pavements and crossings. `cav1` and `cav2` are cars of that traffic, come by two arms (on a network: two lanes), near
-//! each other and `rsu1` for most of the first ten seconds; `rsu1` and `rsu2` stand on 5 m poles at corners, level. A
+//! each other and `rsu1` for most of the first ten seconds; `rsu1` and `rsu2` stand on 5 m poles at corners, level (on a
+//! network they look across the node and along the arm ahead). A
 //! vehicle that stays for longer turns round at the end of the road if it is a cav, and else leaves the place. Every road user is an object of truth, named by V2X-Real's raw
 //! classes: Car, Van, Truck, Bus, MotorcyleRider (sic), BicycleRider, ScooterRider, Pedestrian, Child.
 //!
@@ -35,7 +36,7 @@
 //! bits on any number of threads.
 
 /// Rises with every change of what a seed gives, so that what was made of it earlier can be told apart.
-pub const WORLD: u32 = 1;
+pub const WORLD: u32 = 2;
 
 mod agents;
 mod bench;

@@ -1,6 +1,6 @@
 //! What stands and grows beside the roads of a place: foliage above all, walls, rails, fences, street furniture, works.
 
-use super::foliage::Foliage;
+use super::foliage::{Foliage, Mass};
 use super::things::{self, Thing};
 use super::{Fixture, Verge, VergeKind};
 use crate::path::Pose2;
@@ -44,16 +44,16 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
             (Bare, 1.0),
         ],
         VergeKind::Street => &[
-            (Furniture, 4.0),
-            (Bicycles, 1.5),
+            (Furniture, 3.0),
+            (Bicycles, 3.0),
             (Shelter, 0.5),
-            (Hedge, 1.5),
-            (Shrubs, 1.5),
+            (Hedge, 3.0),
+            (Shrubs, 3.0),
             (Trees, 2.0),
-            (Wall, 0.7),
-            (Fence, 1.0),
+            (Wall, 1.0),
+            (Fence, 0.7),
             (Works, 0.6),
-            (Bare, 2.0),
+            (Bare, 1.0),
         ],
         VergeKind::Park => &[
             (Hedge, 3.0),
@@ -107,20 +107,36 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
             (Trees, 1.0),
             (Bare, 2.0),
         ],
+        VergeKind::Kerb => &[
+            (Hedge, 3.0),
+            (Bicycles, 3.0),
+            (Furniture, 3.0),
+            (Fence, 0.5),
+            (Bare, 1.5),
+        ],
     }
 }
 
 /// How much grows behind the first row, weeds, shrubs and trees on 100 m² of free ground, by the kind of the verge.
 fn growth(kind: VergeKind) -> [f64; 3] {
     match kind {
-        VergeKind::Garden => [11.0, 9.5, 2.4],
-        VergeKind::Street | VergeKind::Median => [0.0, 0.0, 0.0],
-        VergeKind::Park => [18.0, 13.0, 3.8],
-        VergeKind::Field => [14.0, 6.0, 1.4],
-        VergeKind::Embankment => [9.0, 10.0, 1.3],
-        VergeKind::CarPark => [0.5, 0.5, 0.5],
+        VergeKind::Garden => [36.0, 17.0, 3.6],
+        VergeKind::Street => [50.0, 30.0, 4.0],
+        VergeKind::Median => [0.0, 0.0, 0.0],
+        VergeKind::Park => [28.0, 11.5, 3.2],
+        VergeKind::Field => [11.0, 3.5, 1.2],
+        VergeKind::Embankment => [1.5, 1.2, 1.0],
+        VergeKind::CarPark => [20.0, 15.0, 1.8],
+        VergeKind::Kerb => [0.0, 0.0, 0.0],
     }
 }
+
+/// What is higher is a tree, m.
+const TREE: f64 = 3.0;
+/// Roadside units stand where they see: so near to them there are no trees in the middle of their view, m,
+pub(super) const TREELESS: f64 = 50.0;
+/// and so near less grows than elsewhere.
+const TENDED: f64 = 100.0;
 
 /// The ground on which clutter stands.
 pub(super) struct Ground<'a> {
@@ -128,6 +144,8 @@ pub(super) struct Ground<'a> {
     pub open: &'a dyn Fn(f64, f64) -> f64,
     /// Height, m.
     pub height: &'a dyn Fn(f64, f64) -> f64,
+    /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
+    pub watched: &'a dyn Fn(f64, f64) -> f64,
 }
 
 /// What stands on the verges of a place.
@@ -140,11 +158,13 @@ pub(super) struct Clutter {
 pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter {
     let mut site = Site {
         ground,
+        paved: false,
         fixtures: Vec::new(),
         foliage: Vec::new(),
     };
     for (index, verge) in verges.iter().enumerate() {
         let mut draws = Stream::new(number, "clutter", index as u64);
+        site.paved = verge.kind == VergeKind::Kerb;
         site.line(verge, &mut draws);
         site.grow(verge, &mut draws);
     }
@@ -156,18 +176,24 @@ pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter
 
 struct Site<'a> {
     ground: &'a Ground<'a>,
+    /// Whether things may stand on what is paved.
+    paved: bool,
     fixtures: Vec<Fixture>,
     foliage: Vec<Foliage>,
 }
 
 impl Site<'_> {
-    /// Stands something up, unless the ground within `clear` of its foot is paved.
+    /// Stands something up, unless the ground within `clear` of its foot is paved and has to be free.
     fn stand(&mut self, pose: Pose2, clear: f64, thing: impl Into<Thing>) {
         let Pose2 { x, y, heading } = pose;
-        if (self.ground.open)(x, y) < clear {
+        if !self.paved && (self.ground.open)(x, y) < clear {
             return;
         }
         let Thing { parts, masses } = thing.into();
+        let top = |mass: &Mass| mass.center[2] + mass.half[2];
+        if masses.iter().any(|mass| top(mass) > TREE) && (self.ground.watched)(x, y) < TREELESS {
+            return;
+        }
         // Along its length the ground may fall: no ray slips under it.
         let (sin, cos) = libm::sincos(heading);
         let height = |half: f64| {
@@ -200,19 +226,24 @@ impl Site<'_> {
             let length = match lining {
                 Lining::Shelter | Lining::Bicycles => draws.between(4.0, 9.0),
                 Lining::Rail => draws.between(20.0, 70.0),
-                _ => draws.between(6.0, 30.0),
+                Lining::Hedge | Lining::WalledHedge | Lining::Wall => 3.0 + 17.0 * draws.unit() * draws.unit(),
+                _ => draws.between(5.0, 20.0),
             };
             let end = (along + length).min(verge.length());
-            self.stretch(verge, lining, [along, end], draws);
-            along = end + draws.between(0.3, 5.0);
+            let middle = verge.pose(0.5 * (along + end), 0.0);
+            let tended = (self.ground.watched)(middle.x, middle.y) < TENDED;
+            if !(tended && draws.chance(0.5)) {
+                self.stretch(verge, lining, [along, end], draws);
+            }
+            along = end + draws.between(0.8, 3.5);
         }
     }
 
     fn stretch(&mut self, verge: &Verge, lining: Lining, [from, to]: [f64; 2], draws: &mut Stream) {
-        let across = if verge.kind == VergeKind::Median {
-            0.0
-        } else {
-            draws.between(0.3, 1.2).min(0.5 * verge.depth())
+        let across = match verge.kind {
+            VergeKind::Median => 0.0,
+            VergeKind::Kerb => 0.5 * verge.depth(),
+            _ => draws.between(0.3, 1.2).min(0.5 * verge.depth()),
         };
         match lining {
             Lining::Hedge => self.hedge(verge, across, [from, to], draws),
@@ -319,6 +350,18 @@ impl Site<'_> {
                     draws,
                 );
             }
+            Lining::Bicycles if verge.kind == VergeKind::Kerb => {
+                self.spots(
+                    [from, to],
+                    2.2,
+                    |site, along, draws| {
+                        let pose = verge.pose(along, across);
+                        let heading = pose.heading + std::f64::consts::FRAC_PI_2;
+                        site.stand(Pose2 { heading, ..pose }, 0.0, things::bicycles(1, draws));
+                    },
+                    draws,
+                );
+            }
             Lining::Bicycles => {
                 self.spots(
                     [from, to],
@@ -352,17 +395,12 @@ impl Site<'_> {
 
     fn hedge(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
         let (height, width) = (draws.between(0.4, 1.7), draws.between(0.5, 1.4));
-        let width = if verge.kind == VergeKind::Median {
-            width.min(2.0 * verge.depth())
-        } else {
-            width
+        let (width, middle_across) = match verge.kind {
+            VergeKind::Median => (width.min(2.0 * verge.depth()), 0.0),
+            VergeKind::Kerb => (width.min(verge.depth()), across),
+            _ => (width, across + width / 2.0),
         };
         let depth = draws.between(0.05, 0.3);
-        let middle_across = if verge.kind == VergeKind::Median {
-            0.0
-        } else {
-            across + width / 2.0
-        };
         self.pieces(
             stretch,
             3.0,
@@ -420,10 +458,13 @@ impl Site<'_> {
                 let pose = turned(pose, draws);
                 // Small ones are many.
                 let share = draws.unit() * draws.unit();
+                if kind < 2 && (self.ground.watched)(pose.x, pose.y) < TENDED && draws.chance(0.9) {
+                    continue;
+                }
                 let thing: Thing = match kind {
                     0 if draws.chance(0.5) => things::stone(0.4 + 0.6 * share, draws),
                     0 => things::bush(0.35 + 0.6 * share, draws),
-                    1 => things::bush(0.5 + 2.3 * share, draws),
+                    1 => things::bush(draws.between(0.6, 2.4), draws),
                     _ => things::tree(draws.between(1.5, 3.0), draws.between(3.5, 12.0), draws),
                 };
                 self.stand(pose, 0.5, thing);

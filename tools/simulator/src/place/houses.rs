@@ -45,7 +45,7 @@ fn rows(kind: VergeKind) -> Option<Rows> {
             gap: [25.0, 90.0],
             share: 0.35,
         }),
-        VergeKind::Embankment | VergeKind::Median | VergeKind::CarPark => None,
+        VergeKind::Embankment | VergeKind::Median | VergeKind::CarPark | VergeKind::Kerb => None,
     }
 }
 
@@ -141,6 +141,7 @@ impl Site<'_> {
             VergeKind::Median => (0.7, 0.95),
             VergeKind::CarPark => (0.4, 0.9),
             VergeKind::Embankment => (0.0, 0.0),
+            VergeKind::Kerb => return,
         };
         let apart = match verge.kind {
             VergeKind::Garden | VergeKind::Field => [18.0, 40.0],
@@ -158,7 +159,9 @@ impl Site<'_> {
             let pose = verge.pose(along, across);
             let kind = draws.unit();
             if verge.kind == VergeKind::Median || self.network.surface.open_ground(pose.x, pose.y) > 0.25 {
-                if kind < trees {
+                if kind < trees && self.network.watched(pose.x, pose.y) < super::clutter::TREELESS {
+                    // A roadside unit looks over here.
+                } else if kind < trees {
                     self.tree(pose, draws);
                 } else if kind < lamps {
                     let lamp = post(0.09, draws.between(5.5, 8.5), 0.4);

@@ -94,7 +94,7 @@ impl Scenery {
         let waves = [(); 2].map(|()| {
             let (sin, cos) = libm::sincos(draws.between(0.0, std::f64::consts::TAU));
             let k = std::f64::consts::TAU / draws.between(180.0, 420.0);
-            let slope = draws.between(0.003, 0.008);
+            let slope = draws.between(0.002, 0.006);
             [k * cos, k * sin, draws.between(0.0, std::f64::consts::TAU), slope / k]
         });
         let crowns = surface::Crowns::new(&network.roads, cell);
@@ -120,6 +120,7 @@ impl Scenery {
         let ground = clutter::Ground {
             open: &|x, y| place.open_ground(x, y),
             height: &|x, y| place.walk_height(x, y),
+            watched: &|x, y| place.watched(x, y),
         };
         let clutter = clutter::clutter(&place.verges, &ground, number);
         place.fixtures.extend(clutter.fixtures);
@@ -169,6 +170,14 @@ impl Scenery {
                 });
                 houses.fold(network.surface.open_ground(x, y), f64::min)
             }
+        }
+    }
+
+    /// Distance from a roadside unit of a network to a point in the middle of its view, m; infinite outside.
+    fn watched(&self, x: f64, y: f64) -> f64 {
+        match &self.plan {
+            Plan::Grid(_) => f64::INFINITY,
+            Plan::Network(network) => network.watched(x, y),
         }
     }
 

@@ -320,6 +320,19 @@ pub(crate) struct Network {
     pub surface: Surface,
 }
 
+impl Network {
+    /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
+    pub fn watched(&self, x: f64, y: f64) -> f64 {
+        const HALF_ANGLE: f64 = 0.45;
+        let seen = self.roadside.iter().filter_map(|unit| {
+            let (dx, dy) = (x - unit.x, y - unit.y);
+            let off = angle_within(libm::atan2(dy, dx) - unit.heading).abs();
+            (off < HALF_ANGLE).then(|| (dx * dx + dy * dy).sqrt())
+        });
+        seen.fold(f64::INFINITY, f64::min)
+    }
+}
+
 /// A network in the making.
 pub(crate) struct Builder {
     pub roads: Vec<Road>,

@@ -6,7 +6,7 @@ use super::network::{Bays, Builder, Control, Custom, Merge, Network, Node, Secti
 use super::surface::Surface;
 use super::verge::VergeKind;
 use crate::Scenario;
-use crate::path::{Path, Pose2};
+use crate::path::{Path, Pose2, angle_within};
 use crate::random::Stream;
 
 /// How far roads reach from the place's middle, m.
@@ -63,7 +63,8 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
     let Builder { roads, nodes } = builder;
     let surface = Surface::new(&roads, &nodes, kerbs);
     let (sin, cos) = libm::sincos(draws.between(0.0, std::f64::consts::TAU));
-    let slope = draws.between(grade[0], grade[1]);
+    // Level places are many.
+    let slope = grade[0] + (grade[1] - grade[0]) * draws.unit() * draws.unit();
     Scene {
         network: Network {
             roads,
@@ -94,11 +95,35 @@ impl Stand {
             Stand::Corner { node, arm } => {
                 let node = &builder.nodes[node];
                 let arm = arm % node.arms.len();
-                corner(builder, node, arm, 1.3)
+                let pose = corner(builder, node, arm, 1.3);
+                let ahead = across(node, pose);
+                Pose2 {
+                    heading: libm::atan2(ahead[1] - pose.y, ahead[0] - pose.x),
+                    ..pose
+                }
             }
-            Stand::Beside { road, along, across } => builder.roads[road].line.at(along).0.aside(across),
+            Stand::Beside { road, along, across } => {
+                const INWARDS: f64 = 0.4;
+                let pose = builder.roads[road].line.at(along).0.aside(across);
+                Pose2 {
+                    heading: pose.heading - INWARDS.copysign(across),
+                    ..pose
+                }
+            }
         }
     }
+}
+
+/// Where a unit at a corner of a node looks: over the node and out along the arm most nearly ahead.
+fn across(node: &Node, from: Pose2) -> [f64; 2] {
+    const OUT: f64 = 35.0;
+    let over = libm::atan2(node.at[1] - from.y, node.at[0] - from.x);
+    let off = |arm: &&super::network::Arm| angle_within(arm.heading - over).abs();
+    let nearest = node.arms.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+    nearest.map_or(node.at, |arm| {
+        let end = arm.out.at(OUT).0;
+        [end.x, end.y]
+    })
 }
 
 /// The point `behind` the kerbs between an arm and the next one counter-clockwise, heading along the arm.
@@ -156,7 +181,7 @@ impl Draft {
             custom,
             kerbs: true,
             roadside,
-            grade: [0.004, 0.025],
+            grade: [0.002, 0.022],
             cell: 2.0,
             merges: Vec::new(),
             islands: Vec::new(),
@@ -214,9 +239,9 @@ fn degrees(draws: &mut Stream, low: f64, high: f64) -> f64 {
 
 fn beside(draws: &mut Stream) -> [(VergeKind, f64); 2] {
     [(); 2].map(|()| match draws.unit() {
-        u if u < 0.45 => (VergeKind::Park, draws.between(10.0, 25.0)),
-        u if u < 0.8 => (VergeKind::Garden, draws.between(8.0, 14.0)),
-        _ => (VergeKind::Street, draws.between(1.0, 4.0)),
+        u if u < 0.45 => (VergeKind::Park, draws.between(18.0, 36.0)),
+        u if u < 0.8 => (VergeKind::Garden, draws.between(9.0, 18.0)),
+        _ => (VergeKind::Street, draws.between(2.5, 6.0)),
     })
 }
 
@@ -237,7 +262,7 @@ fn junction(draws: &mut Stream) -> Draft {
         let mut section = Section::street(3.3, if main { 50.0 * KMH } else { 40.0 * KMH });
         section.lanes = if main { [lanes; 2] } else { [1, 1] };
         section.cycle = cycle;
-        section.beside = [(VergeKind::Park, draws.between(12.0, 25.0)); 2];
+        section.beside = [(VergeKind::Park, draws.between(18.0, 36.0)); 2];
         let base = if k < 2 { 0.0 } else { PI } + if main { 0.0 } else { slant };
         let heading = base + degrees(draws, -9.0, 9.0);
         let angle = sign(draws) * degrees(draws, 16.0, 36.0);
@@ -372,7 +397,7 @@ fn residential(draws: &mut Stream) -> Draft {
                 u if u < 0.9 => Bays::slanted(60.0),
                 _ => Bays::SQUARE,
             });
-            section.beside[side] = (VergeKind::Garden, draws.between(6.0, 12.0));
+            section.beside[side] = (VergeKind::Garden, draws.between(8.0, 15.0));
         }
         section
     };
@@ -548,7 +573,7 @@ fn car_park(draws: &mut Stream) -> Draft {
     let way = |limit: f64| {
         let mut section = Section::street(2.9, limit);
         section.pavement = [0.0; 2];
-        section.beside = [(VergeKind::CarPark, 6.0); 2];
+        section.beside = [(VergeKind::CarPark, 14.0); 2];
         section
     };
     let half = way(5.0).half();
@@ -660,7 +685,7 @@ fn avenue(draws: &mut Stream) -> Draft {
             let slanted = [45.0, 60.0, 90.0][draws.below(3)];
             section.bays[draws.below(2)] = Some(Bays::slanted(slanted));
         }
-        section.beside = [(VergeKind::Street, draws.between(0.8, 3.0)); 2];
+        section.beside = [(VergeKind::Street, draws.between(5.0, 10.0)); 2];
         let base = if k < 2 { 0.0 } else { PI } + if main { 0.0 } else { slant };
         let heading = base + degrees(draws, -7.0, 7.0);
         let angle = sign(draws) * degrees(draws, 14.0, 32.0);
@@ -690,7 +715,7 @@ fn rural(draws: &mut Stream) -> Draft {
         );
         section.pavement = [0.0; 2];
         section.shoulder = if main { 0.6 } else { 0.2 };
-        section.beside = [(VergeKind::Field, draws.between(15.0, 30.0)); 2];
+        section.beside = [(VergeKind::Field, draws.between(20.0, 36.0)); 2];
         let angle = sign(draws) * degrees(draws, 20.0, 45.0);
         let heading = base + degrees(draws, -9.0, 9.0);
         let line = outwards([0.0; 2], heading, draws.between(60.0, 110.0), angle, REACH);
@@ -718,7 +743,7 @@ fn market(draws: &mut Stream) -> Draft {
         section.pavement = [draws.between(5.0, 7.0), draws.between(5.0, 7.0)];
         let slanted = Bays::slanted([45.0, 60.0][draws.below(2)]);
         section.bays = [Some(Bays::PARALLEL), Some(slanted)];
-        section.beside = [(VergeKind::Street, draws.between(0.6, 1.6)); 2];
+        section.beside = [(VergeKind::Street, draws.between(4.0, 8.0)); 2];
         section
     };
     let headings = [degrees(draws, -14.0, 14.0), degrees(draws, -14.0, 14.0)];
@@ -737,7 +762,7 @@ fn market(draws: &mut Stream) -> Draft {
     let mut section = Section::street(3.0, 25.0 * KMH);
     section.pavement = [4.0; 2];
     section.bays[0] = Some(Bays::PARALLEL);
-    section.beside = [(VergeKind::Street, 1.0); 2];
+    section.beside = [(VergeKind::Street, 5.0); 2];
     let heading = headings[0] + sign(draws) * degrees(draws, 68.0, 112.0);
     let angle = sign(draws) * degrees(draws, 10.0, 25.0);
     let line = outwards(ends[0], heading, draws.between(70.0, 130.0), angle, REACH - 40.0);

@@ -84,7 +84,7 @@ pub(super) fn hedge(length: f64, width: f64, height: f64, depth: f64, draws: &mu
 
 /// A shrub of one or two round masses.
 pub(super) fn bush(height: f64, draws: &mut Stream) -> Thing {
-    let spread = height * draws.between(0.35, 0.7);
+    let spread = 0.2 + height * draws.between(0.3, 0.6);
     let depth = draws.between(0.15, 0.6);
     let masses = (0..1 + draws.below(3) / 2).map(|_| {
         let top = height * draws.between(0.75, 1.0);

@@ -20,7 +20,13 @@ pub(crate) enum VergeKind {
     Median,
     /// The edge of a car park.
     CarPark,
+    /// The strip of a pavement behind the kerb, on which nobody walks.
+    Kerb,
 }
+
+/// Pavements as wide as this have a strip behind the kerb, and its width, m.
+const WALKED: f64 = 2.5;
+const STRIP: f64 = 0.6;
 
 /// An edge along which things stand: from it, free ground reaches outwards, without roads, pavements and the walls of
 /// buildings.
@@ -79,6 +85,21 @@ impl Verge {
                     verges.push(Verge::new(kind, line, depth));
                 }
             }
+            for (side, sign) in SIDES.into_iter().enumerate() {
+                if !network.kerbs || road.section.pavement[side] < WALKED {
+                    continue;
+                }
+                let kerb = road.section.half() + road.section.bay_depth(side) + 0.1;
+                let free = |s: f64| {
+                    let pose = road.line.at(s).0.aside(sign * (kerb + 0.5 * STRIP));
+                    network.surface.off_road(pose.x, pose.y) > 0.5 * STRIP
+                };
+                for [begin, end] in runs(from + 1.0, to - 1.0, free) {
+                    let line = road.line.part(begin, end).parallel(sign * kerb);
+                    let line = if side == 1 { line } else { line.reversed() };
+                    verges.push(Verge::new(VergeKind::Kerb, line, STRIP));
+                }
+            }
             if road.section.median > 1.0 {
                 let middle = road.section.middle();
                 let line = road.line.part(from + 1.0, to - 1.0).parallel(middle);
@@ -94,12 +115,12 @@ impl Verge {
     /// The verges of the roads on a grid: on both sides of each arm, the strip between the walking band and the row of
     /// buildings.
     pub fn of_grid(roads: &Roads) -> Vec<Verge> {
-        const STRIP: f64 = 0.5;
+        const FREE: f64 = 0.5;
         let mut verges = Vec::new();
         for arm in roads.arms() {
             let axis = arm % 2;
             let from = roads.half[1 - axis] + PAVEMENT + 2.0;
-            let across = roads.half[axis] + PAVEMENT - STRIP + 0.1;
+            let across = roads.half[axis] + PAVEMENT - FREE + 0.1;
             let centre = Pose2 {
                 x: 0.0,
                 y: 0.0,
@@ -111,7 +132,7 @@ impl Verge {
             right.line(REACH - from);
             // The free ground lies to the left of the line: the right-hand edge runs towards the centre.
             for line in [left, right.reversed()] {
-                verges.push(Verge::new(VergeKind::Street, line, STRIP));
+                verges.push(Verge::new(VergeKind::Street, line, FREE));
             }
         }
         verges
