@@ -41,16 +41,16 @@ pub struct TrainingPlan {
     pub batch: usize,
     /// Steps in all.
     pub steps: u64,
-    /// Probability that a step sees half of the range.
-    pub half_range: f64,
+    /// Probability that a step sees parts of the range.
+    pub parts: f64,
     /// How weights are moved; its rate does not count.
     pub optimizer: OptimizerSettings,
     /// How samples are drawn.
     pub augmentation: Augmentation,
     /// Where frames come from, in words.
     pub data: String,
-    /// The model whose encoder it has, of one that learns to fuse.
-    pub encoder: Option<String>,
+    /// The weights that it began with, if they were not random.
+    pub from: Option<String>,
 }
 
 impl TrainingPlan {

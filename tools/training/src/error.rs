@@ -70,17 +70,17 @@ pub enum TrainError {
         /// Why.
         reason: String,
     },
-    /// A model whose maps are not those that a fusion needs.
+    /// A model whose weights cannot be begun with.
     #[error(
-        "`{}` makes other maps than `{model}` fuses: {differences}; name a model file that `{model}` extends, or one with the \
+        "`{}` makes other maps than `{model}`: {differences}; name a model file that `{model}` extends, or one with the \
          same layers",
-        encoder.display()
+        from.display()
     )]
     OtherMaps {
-        /// The model that fuses.
+        /// The model that is trained.
         model: String,
         /// The file of the other.
-        encoder: PathBuf,
+        from: PathBuf,
         /// What differs.
         differences: String,
     },

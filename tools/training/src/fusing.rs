@@ -27,15 +27,16 @@ use crate::train::option;
 const ADDED: [&str; 4] = [".fn.a_linears.", ".to_out.0.", ".fn.net.3.", ".rte.emb.lin."];
 
 /// Whether a model's fusion has weights that are trained here, its encoder's not.
-fn learns_to_fuse(model: &Model) -> bool {
+pub(crate) fn learns_to_fuse(model: &Model) -> bool {
     matches!(model.arch, Arch::V2XViT(_))
 }
 
-/// The network whose encoder a model takes that learns to fuse; `None` for one that learns as a whole.
+/// The weights that a model begins with; `None` for random ones.
 ///
 /// # Errors
-/// [`TrainError`] if the model cannot be trained so, the file is not given, not to be had, or makes other maps.
-pub(crate) fn encoder(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>, TrainError> {
+/// [`TrainError`] if the model cannot be trained so, the file of one that learns to fuse is not given, not to be had, or makes
+/// other maps.
+pub(crate) fn start(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>, TrainError> {
     let refuse = |reason: &str| TrainError::Model {
         model: model.name.clone(),
         reason: reason.into(),
@@ -43,35 +44,29 @@ pub(crate) fn encoder(model: &Model, file: Option<&Path>) -> Result<Option<Loade
     if matches!(model.arch, Arch::V2VNet(_)) {
         return Err(refuse("the fusion of V2VNet cannot be trained here"));
     }
-    let (settings, file) = match (&model.arch, file) {
-        (Arch::V2XViT(settings), Some(file)) => (settings, file),
-        (Arch::V2XViT(_), None) => {
-            return Err(option(
-                "from",
-                "a model file with weights whose encoder is taken, as --from models/lite.toml, since this model learns to fuse",
-                "none",
-            ));
-        }
-        (_, Some(file)) => {
-            return Err(option(
-                "from",
-                "none, since this model's fusion has no weights: it is trained as a whole, as one agent sees",
-                file.display(),
-            ));
-        }
-        (_, None) => return Ok(None),
-    };
-    if settings.compression > 0 {
+    if let Arch::V2XViT(settings) = &model.arch
+        && settings.compression > 0
+    {
         return Err(refuse(
             "its `arch.compression` is not 0, and compressors are not trained here",
         ));
     }
+    let Some(file) = file else {
+        return match learns_to_fuse(model) {
+            false => Ok(None),
+            true => Err(option(
+                "from",
+                "a model file with weights whose encoder is taken, as --from models/lite.toml, since this model learns to fuse",
+                "none",
+            )),
+        };
+    };
     let loaded = realo_nn::load(file, Kernels::auto(1))?;
     match &other_maps(model, &loaded.model)[..] {
         [] => Ok(Some(loaded)),
         found => Err(TrainError::OtherMaps {
             model: model.name.clone(),
-            encoder: file.into(),
+            from: file.into(),
             differences: found.join("; "),
         }),
     }
@@ -110,7 +105,7 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
         .collect()
 }
 
-/// A network whose encoder and heads are another one's, and whose fusion gives the ego's map as it is.
+/// A network whose encoder and heads are another one's, and whose fusion, if it has weights, gives the ego's map as it is.
 ///
 /// # Errors
 /// Those of candle.

@@ -14,7 +14,7 @@ use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
 use crate::data::{Augmentation, Batch, Frames, Input, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, write_whole};
-use crate::fusing::{beginning, encoder};
+use crate::fusing::{beginning, learns_to_fuse, start};
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
 use crate::validate::{Validation, validate, validate_fusion};
@@ -30,8 +30,9 @@ const TRAINING_SEEDS: u64 = 800;
 pub struct TrainOptions {
     /// The model file.
     pub model: PathBuf,
-    /// The model file whose encoder and first heads are taken, for a model that learns to fuse.
-    pub encoder: Option<PathBuf>,
+    /// The model file with weights to begin with; of a model that learns to fuse, those of the encoder, which stay, and of
+    /// the heads.
+    pub from: Option<PathBuf>,
     /// Folder of the results: `checkpoint.safetensors`, `<model>.safetensors`, `curve.csv`, `curve.svg`.
     pub output: PathBuf,
     /// Whether to go on from the checkpoint that is there.
@@ -46,8 +47,9 @@ pub struct TrainOptions {
     pub seed: u64,
     /// Samples of a step.
     pub batch: usize,
-    /// Probability that a step sees half of the range along x only, at half the cost.
-    pub half_range: f64,
+    /// Probability that a step sees parts of the range: squares, turned by any angle; of a model that learns to fuse half of
+    /// the range along x.
+    pub parts: f64,
     /// Minutes from one checkpoint to the next.
     pub checkpoint_minutes: f64,
     /// Steps from one validation to the next; none without.
@@ -155,8 +157,8 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     if !(rate > 0.0 && rate.is_finite()) {
         return Err(option("rate", "a number greater than 0", rate));
     }
-    if !(0.0..=1.0).contains(&options.half_range) {
-        return Err(option("half_range", "a probability", options.half_range));
+    if !(0.0..=1.0).contains(&options.parts) {
+        return Err(option("parts", "a probability", options.parts));
     }
     match &options.data {
         Data::Simulated { seeds, .. } if seeds.end > TRAINING_SEEDS => Err(option(
@@ -289,42 +291,44 @@ impl<'a> Training<'a> {
                 reason,
             });
         }
-        let encoder = encoder(&model, options.encoder.as_deref())?;
-        let source = Source::open(&options.data, encoder.is_some())?;
+        let start = start(&model, options.from.as_deref())?;
+        let source = Source::open(&options.data, learns_to_fuse(&model))?;
         let plan = TrainingPlan {
             model: model.clone(),
             seed: options.seed,
             batch: options.batch,
             steps: options.steps,
-            half_range: options.half_range,
+            parts: options.parts,
             optimizer: options.optimizer,
             augmentation: options.augmentation.clone(),
             data: source.name.clone(),
-            encoder: encoder.as_ref().map(|encoder| encoder.identity.clone()),
+            from: start.as_ref().map(|start| start.identity.clone()),
         };
         let lock = lock(&options.output)?;
         let checkpoint = options.output.join("checkpoint.safetensors");
-        let weights = encoder.as_ref().map(|encoder| &*encoder.weights);
+        let weights = start.as_ref().map(|start| &*start.weights);
         let state = state(options, &model, weights, plan, &checkpoint)?;
-        let maps = match encoder {
-            Some(_) => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
-            None => None,
+        let maps = match learns_to_fuse(&model) {
+            true => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
+            false => None,
         };
+        // Every frame is used as often as the others.
+        let samples = options.steps * options.batch as u64;
+        let uses = samples.div_ceil(source.frames.len() as u64).max(1);
         let recipe = Recipe {
             frames: source.frames.clone(),
             model: model.clone(),
             augmentation: options.augmentation.clone(),
             seed: options.seed,
             batch: options.batch,
-            half_range: options.half_range,
+            uses,
+            parts: options.parts,
             encoder: maps.map(|maps| Arc::new(Mutex::new(maps))),
         };
         let mut filling = Filling::default();
-        filling.threads.extend(
-            source
-                .missing
-                .map(|frames| frames.fill(recipe.order(0), filling.stop.clone())),
-        );
+        filling
+            .threads
+            .extend(source.missing.map(|frames| frames.fill(filling.stop.clone())));
         let training = Training {
             options,
             model,
@@ -360,12 +364,12 @@ impl<'a> Training<'a> {
     /// Every class of the model needs an object.
     fn check_classes(&self) -> Result<(), TrainError> {
         let mut missing: Vec<&str> = self.model.classes.iter().map(|class| class.name.as_str()).collect();
-        let mut order = self.recipe.order(0);
-        if matches!(self.options.data, Data::Simulated { .. }) {
-            order.truncate(SEARCHED);
-        }
-        for index in &order {
-            let frame = self.recipe.frames.load(*index)?;
+        let frames = match self.options.data {
+            Data::Simulated { .. } => self.recipe.frames.len().min(SEARCHED),
+            Data::Logged { .. } => self.recipe.frames.len(),
+        };
+        for index in 0..frames {
+            let frame = self.recipe.frames.load(index)?;
             let has = |class: &str| {
                 let objects = frame.agents.iter().flat_map(|agent| &agent.objects);
                 let mut counted = objects.filter(|object| object.points >= 5);
@@ -376,7 +380,6 @@ impl<'a> Training<'a> {
                 return Ok(());
             }
         }
-        let frames = order.len();
         Err(TrainError::AbsentClass {
             class: missing.join("`, `"),
             frames,
@@ -395,8 +398,8 @@ impl<'a> Training<'a> {
         let mut waiting: Option<Checkpoint> = None;
         let mut pace = Pace::default();
         let mut validations = Vec::new();
-        // What is learnt in addition to a detector is measured by where it began.
-        if self.recipe.encoder.is_some() && self.state.optimizer.steps == 0 && self.options.validate_every.is_some() {
+        // What is learnt in addition is measured by where it began.
+        if self.options.from.is_some() && self.state.optimizer.steps == 0 && self.options.validate_every.is_some() {
             validations.push((0, self.validate()?));
         }
         while self.state.optimizer.steps < self.options.steps && budget.is_none_or(|budget| begin.elapsed() < budget) {
@@ -531,11 +534,11 @@ pub fn frames(data: &Data) -> Result<Arc<dyn Frames>, TrainError> {
     Ok(Source::open(data, false)?.frames)
 }
 
-/// `encoder`: weights of the network whose encoder is taken.
+/// `start`: the weights to begin with.
 fn state(
     options: &TrainOptions,
     model: &Model,
-    encoder: Option<&Weights>,
+    start: Option<&Weights>,
     plan: TrainingPlan,
     path: &Path,
 ) -> Result<Checkpoint, TrainError> {
@@ -556,8 +559,8 @@ fn state(
                     "there is none, but there are weights, {weights}, that a training would overwrite; choose another folder"
                 )));
             }
-            let network = match encoder {
-                Some(encoder) => beginning(model, encoder, options.seed)?,
+            let network = match start {
+                Some(start) => beginning(model, start, options.seed)?,
                 None => Network::random(model, options.seed)?,
             };
             Ok(Checkpoint {

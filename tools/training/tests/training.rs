@@ -68,7 +68,7 @@ impl Folder {
         fs::write(&model, MODEL.replace("CLASS", second_class)).unwrap();
         TrainOptions {
             model,
-            encoder: None,
+            from: None,
             output: self.path(output),
             resume: false,
             data: Data::Simulated {
@@ -80,7 +80,7 @@ impl Folder {
             minutes: None,
             seed: 3,
             batch: 2,
-            half_range: 0.5,
+            parts: 0.5,
             checkpoint_minutes: 0.0,
             validate_every: None,
             optimizer: OptimizerSettings {
@@ -148,7 +148,7 @@ fn a_killed_training_goes_on_to_the_same_bits() {
 fn the_loss_falls() {
     let folder = Folder::new();
     let mut options = folder.options("truck", "out");
-    (options.steps, options.checkpoint_minutes, options.half_range) = (150, 1.0, 0.0);
+    (options.steps, options.checkpoint_minutes, options.parts) = (150, 1.0, 0.0);
     options.optimizer.rate = 1e-2;
     options.augmentation = Augmentation {
         alone: 0.0,
@@ -273,6 +273,44 @@ fn a_checkpoint_of_another_plan_is_refused() {
     assert!(matches!(train(&options, |_| ()), Err(TrainError::Checkpoint { .. })));
 }
 
+#[test]
+fn a_training_begins_with_the_weights_that_are_given() {
+    let folder = Folder::new();
+    let how = Augmentation {
+        alone: 0.0,
+        everybody: 1.0,
+        ..Augmentation::none()
+    };
+    let first = TrainOptions {
+        steps: 60,
+        checkpoint_minutes: 1.0,
+        parts: 0.0,
+        augmentation: how,
+        ..folder.options("truck", "first")
+    };
+    let losses = |options: &TrainOptions| {
+        let mut losses = Vec::new();
+        train(options, |progress| losses.push(progress.point.loss())).unwrap();
+        losses
+    };
+    let learnt = losses(&first);
+    let again = TrainOptions {
+        output: folder.path("again"),
+        from: Some(first.output.join("small.toml")),
+        steps: 1,
+        ..first.clone()
+    };
+    let begun = losses(&again)[0];
+    assert!(begun < 0.7 * learnt[0], "{begun}, random weights {}", learnt[0]);
+    let other = TrainOptions {
+        from: None,
+        resume: true,
+        ..again
+    };
+    let said = train(&other, |_| ()).unwrap_err().to_string();
+    assert!(said.contains("from: was \"small-"), "{said}");
+}
+
 /// Options for a fusion behind an encoder that was trained for some steps.
 fn fusing(folder: &Folder) -> TrainOptions {
     let detector = folder.options("truck", "detector");
@@ -282,7 +320,7 @@ fn fusing(folder: &Folder) -> TrainOptions {
     fs::write(&model, FUSING).unwrap();
     TrainOptions {
         model,
-        encoder: Some(detector.output.join("small.toml")),
+        from: Some(detector.output.join("small.toml")),
         augmentation: Augmentation::of_fusion(),
         ..folder.options("truck", "fusing")
     }
@@ -337,7 +375,7 @@ fn a_fusion_without_an_encoder_that_fits_is_refused() {
     let options = fusing(&folder);
     let refused = |options: &TrainOptions| train(options, |_| ()).unwrap_err().to_string();
     let none = TrainOptions {
-        encoder: None,
+        from: None,
         ..options.clone()
     };
     let said = refused(&none);
@@ -345,12 +383,6 @@ fn a_fusion_without_an_encoder_that_fits_is_refused() {
         said.contains("`from`") && said.contains("--from models/lite.toml"),
         "{said}"
     );
-    let detector = TrainOptions {
-        encoder: options.encoder.clone(),
-        ..folder.options("truck", "other")
-    };
-    let said = refused(&detector);
-    assert!(said.contains("`from`: expected none"), "{said}");
     let text = fs::read_to_string(folder.path("small.toml")).unwrap();
     let narrow = text.replace("channels = [8, 16]", "channels = [8, 12]");
     fs::write(folder.path("small.toml"), narrow).unwrap();

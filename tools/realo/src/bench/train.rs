@@ -58,7 +58,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
         let _ = std::fs::remove_dir_all(&output);
         let options = TrainOptions {
             model: MODEL.into(),
-            encoder: None,
+            from: None,
             output,
             resume: false,
             data: Data::Simulated {
@@ -70,7 +70,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             minutes: None,
             seed: 0,
             batch: BATCH,
-            half_range: 0.0,
+            parts: 0.0,
             checkpoint_minutes: 60.0,
             validate_every: None,
             optimizer: OptimizerSettings::default(),

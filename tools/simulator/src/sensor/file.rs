@@ -189,6 +189,25 @@ impl Sensor {
             })
     }
 
+    /// The same sensor at a height over the ground, m, and turned down by an angle, degrees.
+    ///
+    /// # Errors
+    /// [`SensorError::Field`] for a mount that a file may not have either.
+    pub fn mounted(&self, height_m: f64, pitch_deg: f64) -> Result<Sensor, SensorError> {
+        let [roll, yaw, misalignment] = self.mount.map_or([0.0; 3], |own| [own.roll, own.yaw, own.misalignment]);
+        let text = MountText {
+            height_m,
+            pitch_deg,
+            roll_deg: roll.to_degrees(),
+            yaw_deg: yaw.to_degrees(),
+            misalignment_deg: misalignment.to_degrees(),
+        };
+        Ok(Sensor {
+            mount: Some(mount(&Checker { path: &self.model }, &text)?),
+            ..self.clone()
+        })
+    }
+
     fn load(path: &Path) -> Result<Sensor, SensorError> {
         let read = |path: &Path| {
             std::fs::read_to_string(path).map_err(|error| SensorError::Unreadable {

@@ -13,7 +13,10 @@ use crate::TrainError;
 /// Coordinates are kept in units of 1/256 m: 4 mm steps, up to 128 m from the sensor.
 const UNIT: f32 = 1.0 / 256.0;
 
-const MAGIC: &[u8; 8] = b"realofr1";
+const MAGIC: &[u8; 8] = b"realofr2";
+
+/// Bytes of a return in a file.
+const RETURN: usize = 8;
 
 /// The agents' sweeps of one instant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,13 +49,42 @@ pub struct AgentSweep {
     /// Its true pose at its stamp.
     #[serde(with = "pose")]
     pub map_from_body: Isometry3<f64>,
-    /// x, y, z in its body frame at its stamp, in units of 1/256 m; without its own body.
+    /// What came back, without its own body.
     #[serde(skip)]
-    pub points: Vec<[i16; 3]>,
+    pub points: Vec<Return>,
     #[serde(rename = "points")]
     count: usize,
     /// The objects around it, in its body frame at its stamp.
     pub objects: Vec<Seen>,
+}
+
+/// A point of a sweep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Return {
+    /// x, y, z in the body frame at the sweep's stamp, in units of 1/256 m.
+    pub at: [i16; 3],
+    /// Number of its beam; 0 for all where beams are not known.
+    pub ring: u16,
+}
+
+impl Return {
+    /// x, y, z, m.
+    pub fn metres(self) -> [f32; 3] {
+        self.at.map(|value| f32::from(value) * UNIT)
+    }
+
+    fn to_bytes(self) -> [u8; RETURN] {
+        let [[a, b], [c, d], [e, f]] = self.at.map(i16::to_le_bytes);
+        let [g, h] = self.ring.to_le_bytes();
+        [a, b, c, d, e, f, g, h]
+    }
+
+    fn from_bytes([a, b, c, d, e, f, g, h]: [u8; RETURN]) -> Self {
+        Return {
+            at: [[a, b], [c, d], [e, f]].map(i16::from_le_bytes),
+            ring: u16::from_le_bytes([g, h]),
+        }
+    }
 }
 
 /// An object as one agent sees it.
@@ -69,19 +101,22 @@ pub struct Seen {
 }
 
 impl AgentSweep {
-    /// A sweep from columns of points (m); what lies outside of ±128 m is left out.
+    /// A sweep from points (m) and the numbers of their beams; what lies outside of ±128 m is left out.
     pub fn new(
         name: &str,
         roadside: bool,
         map_from_body: Isometry3<f64>,
-        points: impl Iterator<Item = [f32; 3]>,
+        points: impl Iterator<Item = ([f32; 3], u16)>,
         objects: Vec<Seen>,
     ) -> Self {
         let limit = f32::from(i16::MAX);
-        let points: Vec<[i16; 3]> = points
-            .map(|point| point.map(|value| (value / UNIT).round()))
-            .filter(|point| point.iter().all(|value| value.abs() <= limit))
-            .map(|point| point.map(|value| value as i16))
+        let points: Vec<Return> = points
+            .map(|(point, ring)| (point.map(|value| (value / UNIT).round()), ring))
+            .filter(|(point, _)| point.iter().all(|value| value.abs() <= limit))
+            .map(|(point, ring)| Return {
+                at: point.map(|value| value as i16),
+                ring,
+            })
             .collect();
         AgentSweep {
             name: name.into(),
@@ -95,9 +130,7 @@ impl AgentSweep {
 
     /// x, y, z of all points, m.
     pub fn metres(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
-        self.points
-            .iter()
-            .map(|point| point.map(|value| f32::from(value) * UNIT))
+        self.points.iter().map(|point| point.metres())
     }
 }
 
@@ -115,13 +148,12 @@ impl Frame {
     pub fn write(&self, path: &Path) -> Result<(), TrainError> {
         let header = serde_json::to_vec(self).expect("frames are plain data");
         let points = self.sweeps().map(|agent| agent.points.len()).sum::<usize>();
-        let mut bytes = Vec::with_capacity(16 + header.len() + 6 * points);
+        let mut bytes = Vec::with_capacity(16 + header.len() + RETURN * points);
         bytes.extend_from_slice(MAGIC);
         bytes.extend_from_slice(&(header.len() as u64).to_le_bytes());
         bytes.extend_from_slice(&header);
         for agent in self.sweeps() {
-            let values = agent.points.as_flattened();
-            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+            bytes.extend(agent.points.iter().flat_map(|point| point.to_bytes()));
         }
         // Several trainings may fill one folder; each has parts of its own.
         static PARTS: AtomicU64 = AtomicU64::new(0);
@@ -154,14 +186,14 @@ impl Frame {
         let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|error| error.to_string())?;
         let (header, rest) = rest.split_at_checked(length).ok_or("it ends in its header")?;
         let mut frame: Frame = serde_json::from_slice(header).map_err(|error| error.to_string())?;
-        let mut values = rest.as_chunks::<2>().0.iter().map(|bytes| i16::from_le_bytes(*bytes));
+        let mut returns = rest.as_chunks().0.iter().map(|bytes| Return::from_bytes(*bytes));
         let expected = frame
             .sweeps()
             .try_fold(0usize, |sum, agent| sum.checked_add(agent.count));
-        if expected.and_then(|points| points.checked_mul(6)) != Some(rest.len()) {
+        if expected.and_then(|points| points.checked_mul(RETURN)) != Some(rest.len()) {
             let expected = expected.unwrap_or(usize::MAX);
             return Err(format!(
-                "expected {expected} points of 6 bytes, found {} bytes",
+                "expected {expected} points of {RETURN} bytes, found {} bytes",
                 rest.len()
             ));
         }
@@ -185,8 +217,7 @@ impl Frame {
         }
         let earlier = frame.earlier.iter_mut().flat_map(|earlier| &mut earlier.agents);
         for agent in frame.agents.iter_mut().chain(earlier) {
-            let mut next = || values.next().unwrap_or(0);
-            agent.points = (0..agent.count).map(|_| [next(), next(), next()]).collect();
+            agent.points = returns.by_ref().take(agent.count).collect();
         }
         Ok(frame)
     }
@@ -253,14 +284,14 @@ mod tests {
             "cav1",
             false,
             Isometry3::translation(1.0, 2.0, 3.0),
-            points.into_iter(),
+            points.into_iter().zip(5..),
             vec![object],
         );
         let before = AgentSweep::new(
             "cav1",
             false,
             Isometry3::translation(0.5, 2.0, 3.0),
-            [[2.0, 0.5, -1.0]].into_iter(),
+            [([2.0, 0.5, -1.0], 0)].into_iter(),
             Vec::new(),
         );
         let earlier = Earlier {
@@ -282,7 +313,10 @@ mod tests {
         let back = Frame::read(&path).unwrap();
         assert_eq!(back, frame());
         assert_eq!(back.agents[0].metres().next(), Some([1.0, -2.5, 0.25]));
-        assert_eq!(back.agents[0].points.len(), 2);
+        assert_eq!(
+            back.agents[0].points.iter().map(|point| point.ring).collect::<Vec<_>>(),
+            [5, 6]
+        );
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

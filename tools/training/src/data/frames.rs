@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 
@@ -12,7 +13,7 @@ use super::simulated;
 use crate::TrainError;
 
 /// Rises with every change of how frames are made of sweeps.
-const RECIPE: u32 = 1;
+const RECIPE: u32 = 2;
 
 /// What decides, beside the seed, what is in a simulated frame.
 pub(crate) fn world() -> String {
@@ -109,25 +110,13 @@ impl SimulatedFrames {
             .join(format!("{world}-seed-{seed:06}-{number}-of-{of}{earlier}.frame"))
     }
 
-    /// Makes what is missing in the background, in the order of `indices`, until all is there or `stop` says so.
-    pub fn fill(
-        &self,
-        indices: Vec<usize>,
-        stop: Arc<std::sync::atomic::AtomicBool>,
-    ) -> JoinHandle<Result<(), TrainError>> {
+    /// Makes what is missing in the background, in order, until all is there or `stop` says so.
+    pub fn fill(&self, stop: Arc<AtomicBool>) -> JoinHandle<Result<(), TrainError>> {
         let frames = self.clone();
         std::thread::spawn(move || {
-            let mut asked = BTreeSet::new();
-            for index in indices {
-                let seed = frames.seeds.start + (index / frames.per_seed) as u64;
-                if stop.load(std::sync::atomic::Ordering::Relaxed) {
-                    break;
-                }
-                if asked.insert(seed) {
-                    frames.make(seed)?;
-                }
-            }
-            Ok(())
+            let mut seeds = frames.seeds.clone();
+            let going = |_: &u64| !stop.load(Ordering::Relaxed);
+            seeds.by_ref().take_while(going).try_for_each(|seed| frames.make(seed))
         })
     }
 }

@@ -6,20 +6,23 @@ use std::thread::JoinHandle;
 
 use realo_nn::anchors::Anchors;
 use realo_nn::arch::Arch;
-use realo_nn::model::Model;
+use realo_nn::model::{Grid, Model};
 use realo_nn::targets::{Targets, assign};
 use realo_nn_candle::transformer::Agent;
 
 use super::frame::Frame;
 use super::frames::Frames;
 use super::maps::{MapEncoder, Party};
-use super::sample::{Augmentation, Cast, Sample, Scene};
+use super::sample::{Augmentation, Cast, Change, Sample, Scene};
 use crate::TrainError;
 use crate::layers::PillarBatch;
 use crate::random::Stream;
 
 /// Batches that wait for the trainer.
 const AHEAD: usize = 3;
+
+/// Samples are drawn from so many frames, those that joined last.
+const POOL: u64 = 400;
 
 /// The samples of a step.
 pub struct Batch {
@@ -50,58 +53,58 @@ pub struct Recipe {
     pub seed: u64,
     /// Samples of a step.
     pub batch: usize,
-    /// Probability that a step sees half of the range along x.
-    pub half_range: f64,
+    /// Samples from one frame that joins those that are drawn from to the next.
+    pub uses: u64,
+    /// Probability that a step sees parts of the range.
+    pub parts: f64,
     /// What makes maps of points, for a network that learns to fuse them.
     pub(crate) encoder: Option<Arc<Mutex<MapEncoder>>>,
 }
 
 impl Recipe {
-    /// Frames in the order in which an epoch takes them.
-    pub fn order(&self, epoch: u64) -> Vec<usize> {
-        let mut draws = Stream::new(self.seed, "order", epoch);
-        let mut order: Vec<usize> = (0..self.frames.len()).collect();
-        for i in (1..order.len()).rev() {
-            order.swap(i, draws.below(i + 1));
-        }
-        order
+    /// The frame that a sample is drawn from. Frames join in their order, so that those yet to be made are asked for at an
+    /// even pace.
+    fn frame(&self, sample: u64) -> usize {
+        let newest = sample / self.uses;
+        let pool = POOL.min(newest + 1) as usize;
+        let back = Stream::new(self.seed, "frame", sample).below(pool) as u64;
+        ((newest - back) % self.frames.len() as u64) as usize
     }
 
-    /// The batch of a step; `orders` remembers an epoch.
+    /// The batch of a step.
     ///
     /// # Errors
     /// [`TrainError`] if a frame cannot be had.
-    fn batch(&self, step: u64, order: &mut (u64, Vec<usize>)) -> Result<Batch, TrainError> {
+    fn batch(&self, step: u64) -> Result<Batch, TrainError> {
         let mut draws = Stream::new(self.seed, "batch", step);
-        let half = draws.chance(self.half_range);
+        let parts = draws.chance(self.parts);
         let mut frames = Vec::with_capacity(self.batch);
         for number in (0..self.batch as u64).map(|i| step * self.batch as u64 + i) {
-            let (epoch, place) = (number / self.frames.len() as u64, number % self.frames.len() as u64);
-            if order.0 != epoch {
-                *order = (epoch, self.order(epoch));
-            }
-            let frame = self.frames.load(order.1[place as usize])?;
+            let frame = self.frames.load(self.frame(number))?;
             frames.push((frame, Stream::new(self.seed, "sample", number)));
         }
         match &self.encoder {
-            None => Ok(self.of_points(frames, half)),
-            Some(encoder) => self.of_maps(frames, half, encoder),
+            None => Ok(self.of_points(frames, parts)),
+            Some(encoder) => self.of_maps(frames, parts, encoder),
         }
     }
 
-    fn of_points(&self, frames: Vec<(Frame, Stream)>, half: bool) -> Batch {
+    fn of_points(&self, frames: Vec<(Frame, Stream)>, parts: bool) -> Batch {
+        let how = &self.augmentation;
         let mut samples = Vec::with_capacity(frames.len());
         let mut model = self.model.clone();
         for (frame, mut draws) in frames {
-            let cast = Cast::draw(&frame, &self.augmentation, &mut draws);
-            let mut scene = Scene::new(&frame, &cast, &self.model, &self.augmentation, &mut draws);
-            scene.augment(&self.augmentation, &mut draws);
-            if half {
-                model = window(&self.model, &mut draws);
+            let cast = Cast::draw(&frame, how, &mut draws);
+            let mut scene = Scene::new(&frame, &cast, &self.model, how, &mut draws);
+            let rotation = if parts { std::f64::consts::PI } else { how.rotation };
+            let change = Change::draw(how, rotation, &mut draws);
+            scene.change(&change);
+            if parts {
+                model = square(&self.model, &change, &mut draws);
             }
             samples.push(scene.sample(&model));
         }
-        // All windows have one size, and no more than that is asked of the last one here.
+        // All squares have one size, and no more than that is asked of the last one here.
         let (pillars, targets) = gather(&model, samples);
         Batch {
             input: Input::Points(pillars),
@@ -112,7 +115,7 @@ impl Recipe {
     fn of_maps(
         &self,
         frames: Vec<(Frame, Stream)>,
-        half: bool,
+        parts: bool,
         encoder: &Mutex<MapEncoder>,
     ) -> Result<Batch, TrainError> {
         let mut encoder = encoder.lock().unwrap_or_else(PoisonError::into_inner);
@@ -120,7 +123,7 @@ impl Recipe {
         for (frame, mut draws) in frames {
             let party = Party::draw(&frame, &self.model, &self.augmentation, &mut draws);
             let maps = encoder.run(&frame, &party, &self.augmentation, &mut draws)?;
-            let model = match half {
+            let model = match parts {
                 true => window(&self.model, &mut draws),
                 false => self.model.clone(),
             };
@@ -139,9 +142,8 @@ impl Recipe {
     pub fn start(self, first: u64) -> (Receiver<Result<Batch, TrainError>>, JoinHandle<()>) {
         let (sender, receiver) = sync_channel(AHEAD);
         let thread = std::thread::spawn(move || {
-            let mut order = (u64::MAX, Vec::new());
             for step in first.. {
-                let batch = self.batch(step, &mut order);
+                let batch = self.batch(step);
                 let failed = batch.is_err();
                 if sender.send(batch).is_err() || failed {
                     break;
@@ -166,6 +168,28 @@ fn least_common_multiple(a: usize, b: usize) -> usize {
     multiples.find(|multiple| multiple.is_multiple_of(b)).unwrap_or(a)
 }
 
+/// The model on a square as wide as its grid is along its shorter side. It lies where a change brings the middle of the
+/// grid, or, as often, that of another square on it, so that the turn of a long grid takes no part of it away.
+fn square(model: &Model, change: &Change, draws: &mut Stream) -> Model {
+    let mut model = model.clone();
+    let strides = model.backbone.strides.iter().product::<usize>().max(1);
+    let Grid { x, y, cell, .. } = model.grid;
+    let cells = model.grid.rows().min(model.grid.columns()) / strides * strides;
+    let side = cells as f64 * cell;
+    let in_the_middle = draws.chance(0.5);
+    let [along, across] = [x, y].map(|[from, to]| {
+        let aside = if in_the_middle { 0.5 } else { draws.unit() };
+        from + 0.5 * side + aside * (to - from - side)
+    });
+    let center = change.point([along, across, 0.0]);
+    let part = |center: f64, [from, _]: [f64; 2]| {
+        let start = from + ((center - 0.5 * side - from) / cell).round() * cell;
+        [start, start + side]
+    };
+    (model.grid.x, model.grid.y) = (part(center[0], x), part(center[1], y));
+    model
+}
+
 /// The model on half of its range along x: the middle, or any other part. Cells keep their places in the world.
 fn window(model: &Model, draws: &mut Stream) -> Model {
     let mut model = model.clone();
@@ -188,4 +212,110 @@ fn window(model: &Model, draws: &mut Stream) -> Model {
     let start = from + (place * step) as f64 * model.grid.cell;
     model.grid.x = [start, (start + half as f64 * model.grid.cell).min(to)];
     model
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Isometry3;
+
+    use super::super::frame::{AgentSweep, Seen};
+    use super::*;
+
+    /// Frames with a car each; its distance tells which frame it is.
+    struct Rows(usize);
+
+    impl Frames for Rows {
+        fn len(&self) -> usize {
+            self.0
+        }
+
+        fn load(&self, index: usize) -> Result<Frame, TrainError> {
+            let car = Seen {
+                track: 1,
+                class: 0,
+                lwh: [12.0 + index as f64, 3.0, 0.8, 4.5, 1.9, 1.6, 0.4],
+                points: 60,
+            };
+            let points = (0..60).map(|i| ([12.0 + index as f32 + 0.01 * i as f32, 3.0, 0.9], i));
+            let agent = AgentSweep::new("cav1", false, Isometry3::identity(), points, vec![car]);
+            Ok(Frame {
+                classes: vec!["vehicle".into()],
+                agents: vec![agent],
+                earlier: None,
+            })
+        }
+    }
+
+    fn model() -> Model {
+        Model::read(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/lite.toml")).unwrap()
+    }
+
+    fn recipe(frames: usize, uses: u64) -> Recipe {
+        Recipe {
+            frames: Arc::new(Rows(frames)),
+            model: model(),
+            augmentation: Augmentation::default(),
+            seed: 3,
+            batch: 2,
+            uses,
+            parts: 0.5,
+            encoder: None,
+        }
+    }
+
+    #[test]
+    fn frames_join_at_an_even_pace_and_are_used_alike() {
+        let recipe = recipe(1000, 5);
+        let mut uses = vec![0; 1000];
+        for sample in 0..5000 {
+            let frame = recipe.frame(sample);
+            assert!(
+                frame as u64 <= sample / 5,
+                "frame {frame} is asked for at sample {sample}"
+            );
+            assert!(frame as u64 + POOL > sample / 5);
+            uses[frame] += 1;
+        }
+        let later = &uses[100..500];
+        assert!(later.iter().all(|uses| (0..20).contains(uses)));
+        assert!((later.iter().sum::<i32>() as f64 / 400.0 - 5.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn a_batch_is_the_same_whoever_makes_it() {
+        let samples = |batch: Result<Batch, TrainError>| batch.unwrap().targets;
+        let whole: Vec<_> = (0..4).map(|step| samples(recipe(8, 1).batch(step))).collect();
+        let (batches, thread) = recipe(8, 1).start(2);
+        let resumed: Vec<_> = batches.iter().take(2).map(samples).collect();
+        drop(batches);
+        thread.join().unwrap();
+        assert_eq!(resumed, whole[2..]);
+    }
+
+    #[test]
+    fn squares_keep_the_cells_and_hold_what_was_on_the_long_grid() {
+        let model = model();
+        let how = Augmentation::none();
+        let (mut far, mut ahead) = (0, 0);
+        for number in 0..200 {
+            let mut draws = Stream::new(1, "test", number);
+            let change = Change::draw(&how, std::f64::consts::PI, &mut draws);
+            let part = square(&model, &change, &mut draws).grid;
+            assert_eq!((part.rows(), part.columns()), (200, 200));
+            for (part, whole) in [(part.x, model.grid.x), (part.y, model.grid.y)] {
+                let cells = (part[0] - whole[0]) / model.grid.cell;
+                assert!((cells - cells.round()).abs() < 1e-6, "cells keep their places");
+            }
+            let holds = |point: [f64; 3]| {
+                let [x, y, _] = change.point(point);
+                (part.x[0]..part.x[1]).contains(&x) && (part.y[0]..part.y[1]).contains(&y)
+            };
+            far += usize::from(holds([85.0, 0.0, 0.0]));
+            ahead += usize::from(holds([30.0, 0.0, 0.0]));
+        }
+        assert!(
+            far > 10 && ahead > 140,
+            "of 200 squares {far} hold what is far, {ahead} what is near"
+        );
+    }
 }

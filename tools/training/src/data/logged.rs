@@ -11,7 +11,7 @@ use realo_scoring::Protocol;
 
 use super::frame::{AgentSweep, Frame, Seen};
 use super::frames::Frames;
-use super::simulated::{class_names, deskewed, seen};
+use super::simulated::{class_names, deskewed, returns, seen};
 use crate::TrainError;
 
 /// Least time between two frames, ns.
@@ -197,13 +197,14 @@ impl Reading {
             };
             let track = &self.tracks[&info.name];
             let roadside = info.kind == AgentKind::Roadside;
-            let (Some(pose), Some(points)) = (track.at(at), deskewed(&cloud, track, at, roadside)) else {
+            let (Some(pose), Some(cloud)) = (track.at(at), deskewed(&cloud, track, at, roadside)) else {
                 continue;
             };
+            let points: Vec<[f32; 3]> = returns(&cloud).map(|(point, _)| point).collect();
             let Some(objects) = self.objects(&info.name, at, &pose, &points, (labelled, stamp)) else {
                 continue;
             };
-            agents.push(AgentSweep::new(&info.name, roadside, pose, points.into_iter(), objects));
+            agents.push(AgentSweep::new(&info.name, roadside, pose, returns(&cloud), objects));
         }
         let complete = agents.iter().any(|agent| agent.name == labelled);
         let classes = class_names(&self.protocol);

@@ -9,7 +9,7 @@ use realo_nn::weights::Weights;
 use realo_nn_candle::{Placed, transformer};
 
 use super::frame::{AgentSweep, Frame};
-use super::sample::{Augmentation, Cast, Scene};
+use super::sample::{Augmentation, Cast, Kept, Scene};
 use crate::TrainError;
 use crate::layers::tensor;
 use crate::random::Stream;
@@ -135,9 +135,9 @@ impl Party {
 
     /// The objects around the ego of which those who take part have enough points.
     pub fn objects(&self, frame: &Frame, model: &Model) -> Scene {
-        let sweeps: Vec<&AgentSweep> = self.parts(frame).iter().map(|part| part.sweep).collect();
+        let sweeps: Vec<(&AgentSweep, f64)> = self.parts(frame).iter().map(|part| (part.sweep, 1.0)).collect();
         let mut scene = Scene::default();
-        scene.add_objects(frame, sweeps[0], &sweeps[1..], model, 1.0);
+        scene.add_objects(frame, &sweeps, model);
         scene
     }
 }
@@ -203,7 +203,8 @@ impl MapEncoder {
                 Project::Receiver => map_from_sweep,
             };
             let mut scene = Scene::default();
-            scene.add_points(part.sweep, &(map_from_points.inverse() * map_from_sweep), 1.0, draws);
+            let points_from_sweep = map_from_points.inverse() * map_from_sweep;
+            scene.add_points(part.sweep, &points_from_sweep, &Kept::all(), draws);
             let (canvas, _) = self.pillarer.run(&scene.points());
             let map = self.network.encode(canvas)?;
             let points_from_ego = (map_from_points.inverse() * map_from_ego).to_homogeneous();

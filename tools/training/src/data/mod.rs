@@ -9,7 +9,7 @@ mod sample;
 mod simulated;
 
 pub(crate) use frame::write_whole;
-pub use frame::{AgentSweep, Earlier, Frame, Seen};
+pub use frame::{AgentSweep, Earlier, Frame, Return, Seen};
 pub(crate) use frames::world;
 pub use frames::{Frames, SimulatedFrames};
 pub(crate) use loader::gather;

@@ -1,14 +1,15 @@
 //! From a frame to what a network learns from: an ego, its collaborators, their merged cloud, augmented, as pillars with
 //! targets.
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use realo_nn::anchors::Anchors;
 use realo_nn::model::{Grid, Model};
 use realo_nn::pillars::{Pillariser, Points};
 use realo_nn::targets::{Object, Targets, assign};
 use serde::{Deserialize, Serialize};
 
-use super::frame::{AgentSweep, Frame};
+use super::frame::{AgentSweep, Frame, Return};
+use crate::fusing::learns_to_fuse;
 use crate::layers::PillarFrame;
 use crate::random::Stream;
 
@@ -28,14 +29,19 @@ pub struct Augmentation {
     pub alone: f64,
     /// Probability that everybody within 70 m takes part; else everybody does by a coin of his own.
     pub everybody: f64,
-    /// Greatest rotation, rad. The reference takes 45 degrees on a grid of the same shape; then the road, along which
-    /// the grid is longest, leaves it after 55 m, and half of the far objects that count in evaluation are never seen.
-    /// At 20 degrees it leaves after 115 m; crossing roads give the other headings.
+    /// Greatest rotation of what is seen on the whole grid, rad; squares are turned by any angle. At 45 degrees the road,
+    /// along which the grid is longest, would leave it after 55 m, at 20 degrees after 115 m.
     pub rotation: f64,
+    /// Greatest pitch and roll, rad.
+    pub tilt: f64,
+    /// Greatest rise and fall, m.
+    pub lift: f64,
     /// Least and greatest scale.
     pub scale: [f64; 2],
     /// Probability of mirroring left and right, and front and rear.
     pub mirror: f64,
+    /// Probability that an agent's beams are dropped: three of four, every second, or any by chance.
+    pub drop_beams: f64,
     /// Probability that points are dropped.
     pub drop: f64,
     /// Least share of points that is kept then.
@@ -51,8 +57,11 @@ impl Default for Augmentation {
             alone: 0.5,
             everybody: 0.3,
             rotation: 20f64.to_radians(),
+            tilt: 1.5f64.to_radians(),
+            lift: 0.3,
             scale: [0.95, 1.05],
             mirror: 0.5,
+            drop_beams: 0.3,
             drop: 0.3,
             keep: 0.5,
             pose_noise: [0.03, 0.002],
@@ -65,12 +74,23 @@ impl Augmentation {
     pub fn none() -> Self {
         Augmentation {
             rotation: 0.0,
+            tilt: 0.0,
+            lift: 0.0,
             scale: [1.0, 1.0],
             mirror: 0.0,
+            drop_beams: 0.0,
             drop: 0.0,
             keep: 1.0,
             pose_noise: [0.0; 2],
             ..Augmentation::default()
+        }
+    }
+
+    /// What a model needs.
+    pub fn of(model: &Model) -> Self {
+        match learns_to_fuse(model) {
+            true => Augmentation::of_fusion(),
+            false => Augmentation::default(),
         }
     }
 
@@ -150,6 +170,120 @@ pub(crate) fn near(frame: &Frame, ego: usize) -> Vec<usize> {
         .collect()
 }
 
+/// A beam is not dropped if so few would be left.
+const FEWEST_BEAMS: usize = 16;
+
+/// What is kept of a sweep: whole beams, and a share of their points by chance.
+#[derive(Clone, Debug)]
+pub(crate) struct Kept {
+    /// By number of the beam; beams beyond are kept.
+    beams: Vec<bool>,
+    share: f64,
+}
+
+impl Kept {
+    /// Everything.
+    pub fn all() -> Self {
+        Kept {
+            beams: Vec::new(),
+            share: 1.0,
+        }
+    }
+
+    fn draw(agent: &AgentSweep, share: f64, how: &Augmentation, draws: &mut Stream) -> Self {
+        let mut kept = Kept {
+            beams: Vec::new(),
+            share,
+        };
+        let count = agent
+            .points
+            .iter()
+            .map(|point| point.ring)
+            .max()
+            .map_or(0, |last| usize::from(last) + 1);
+        if !draws.chance(how.drop_beams) || count < 2 * FEWEST_BEAMS {
+            return kept;
+        }
+        kept.beams = match (draws.below(3), count / FEWEST_BEAMS) {
+            (0, 4..) => every(4, count, draws),
+            (0 | 1, _) => every(2, count, draws),
+            _ => {
+                let share = draws.between(0.5, 1.0);
+                (0..count).map(|_| draws.chance(share)).collect()
+            }
+        };
+        kept
+    }
+
+    fn has(&self, point: &Return) -> bool {
+        self.beams.get(usize::from(point.ring)).copied().unwrap_or(true)
+    }
+
+    /// Share of an agent's points that is kept.
+    fn of(&self, agent: &AgentSweep) -> f64 {
+        let kept = agent.points.iter().filter(|point| self.has(point)).count();
+        self.share * kept as f64 / agent.points.len().max(1) as f64
+    }
+}
+
+/// Every n-th of so many beams.
+fn every(n: usize, count: usize, draws: &mut Stream) -> Vec<bool> {
+    let first = draws.below(n);
+    (0..count).map(|beam| beam % n == first).collect()
+}
+
+/// How a scene is changed: mirrored left and right and front and rear, turned, tilted, scaled and lifted, in this order.
+#[derive(Clone, Debug)]
+pub(crate) struct Change {
+    matrix: Matrix3<f64>,
+    lift: f64,
+    mirror: [f64; 2],
+    turn: f64,
+    scale: f64,
+}
+
+impl Change {
+    /// `rotation`: the greatest, rad.
+    pub fn draw(how: &Augmentation, rotation: f64, draws: &mut Stream) -> Self {
+        let mirror = [(); 2].map(|()| if draws.chance(how.mirror) { -1.0 } else { 1.0 });
+        let turn = draws.between(-rotation, rotation);
+        let scale = draws.between(how.scale[0], how.scale[1]);
+        let [roll, pitch] = [(); 2].map(|()| draws.between(-how.tilt, how.tilt));
+        let tilted = UnitQuaternion::from_euler_angles(roll, pitch, 0.0);
+        let turned = tilted * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        let mirrored = Matrix3::from_diagonal(&Vector3::new(mirror[0], mirror[1], 1.0));
+        Change {
+            matrix: scale * turned.to_rotation_matrix().matrix() * mirrored,
+            lift: draws.between(-how.lift, how.lift),
+            mirror,
+            turn,
+            scale,
+        }
+    }
+
+    /// Where a point comes to.
+    pub fn point(&self, point: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = (self.matrix * Vector3::from(point)).into();
+        [x, y, z + self.lift]
+    }
+
+    /// A box as `x, y, z, h, w, l, yaw`; it stays upright.
+    fn hwl(&self, [x, y, z, h, w, l, yaw]: [f64; 7]) -> [f64; 7] {
+        let [x, y, z] = self.point([x, y, z]);
+        let [h, w, l] = [h, w, l].map(|side| side * self.scale);
+        let mirrored = (yaw.sin() * self.mirror[1]).atan2(yaw.cos() * self.mirror[0]);
+        [
+            x,
+            y,
+            z,
+            h,
+            w,
+            l,
+            realo_schemas::geometry::normalize_yaw(mirrored + self.turn),
+        ]
+    }
+}
+
 /// A merged cloud with the objects in it, in the ego's body frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Scene {
@@ -176,28 +310,34 @@ impl Scene {
             1.0
         };
         let mut scene = Scene::default();
-        scene.add_points(ego, &Isometry3::identity(), keep, draws);
-        let map_from_ego = ego.map_from_body;
-        let others: Vec<&AgentSweep> = cast.others.iter().map(|other| &frame.agents[*other]).collect();
-        for other in &others {
-            let ego_from_other = map_from_ego.inverse() * other.map_from_body * how.pose_error(draws);
-            scene.add_points(other, &ego_from_other, keep, draws);
+        let mut take_part = vec![(ego, Isometry3::identity())];
+        take_part.extend(cast.others.iter().map(|other| {
+            let other = &frame.agents[*other];
+            let ego_from_other = ego.map_from_body.inverse() * other.map_from_body * how.pose_error(draws);
+            (other, ego_from_other)
+        }));
+        let mut shares = Vec::new();
+        for (agent, ego_from_agent) in take_part {
+            let kept = Kept::draw(agent, keep, how, draws);
+            scene.add_points(agent, &ego_from_agent, &kept, draws);
+            shares.push((agent, kept.of(agent)));
         }
-        scene.add_objects(frame, ego, &others, model, keep);
+        scene.add_objects(frame, &shares, model);
         scene
     }
 
-    /// Adds the objects around an ego of which a share of its own and others' points is enough.
-    pub fn add_objects(&mut self, frame: &Frame, ego: &AgentSweep, others: &[&AgentSweep], model: &Model, keep: f64) {
+    /// Adds the objects around an ego, of which the kept shares of its own and others' points are enough; the ego comes
+    /// first.
+    pub fn add_objects(&mut self, frame: &Frame, shares: &[(&AgentSweep, f64)], model: &Model) {
         let classes = classes_in(model, &frame.classes);
-        for object in &ego.objects {
-            let of = |agent: &&AgentSweep| {
+        for object in shares.iter().take(1).flat_map(|(ego, _)| &ego.objects) {
+            let of = |(agent, share): &(&AgentSweep, f64)| {
                 let known = agent.objects.iter().find(|known| known.track == object.track);
-                known.map_or(0, |known| known.points)
+                known.map_or(0.0, |known| f64::from(known.points) * share)
             };
-            let others: u32 = others.iter().map(of).sum();
+            let points: f64 = shares.iter().map(of).sum();
             let Some(class) = classes[object.class] else { continue };
-            if f64::from(object.points + others) * keep >= LEAST_POINTS {
+            if points >= LEAST_POINTS {
                 let [x, y, z, length, width, height, yaw] = object.lwh;
                 self.objects.push(Object {
                     class,
@@ -208,22 +348,23 @@ impl Scene {
         }
     }
 
-    /// Adds a share of an agent's points.
-    pub fn add_points(&mut self, agent: &AgentSweep, ego_from_agent: &Isometry3<f64>, keep: f64, draws: &mut Stream) {
+    /// Adds what is kept of an agent's points.
+    pub fn add_points(&mut self, agent: &AgentSweep, ego_from_agent: &Isometry3<f64>, kept: &Kept, draws: &mut Stream) {
         let rotation = ego_from_agent.rotation.to_rotation_matrix();
         let (r, t) = (
             rotation.matrix().cast::<f32>(),
             ego_from_agent.translation.vector.cast::<f32>(),
         );
         let still = *ego_from_agent == Isometry3::identity();
-        let threshold = (keep * f64::from(1 << 24)) as u32;
+        let threshold = (kept.share * f64::from(1 << 24)) as u32;
         // A cheap generator of its own: one draw for each of 10^5 points.
         let mut state = (draws.unit() * f64::from(u32::MAX)) as u32 | 1;
-        for [x, y, z] in agent.metres() {
+        for point in agent.points.iter().filter(|point| kept.has(point)) {
             state = state.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
             if state >> 8 >= threshold {
                 continue;
             }
+            let [x, y, z] = point.metres();
             let moved = match still {
                 true => [x, y, z],
                 false => std::array::from_fn(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]),
@@ -235,32 +376,16 @@ impl Scene {
         }
     }
 
-    /// Mirrors, turns and scales points and objects together, in this order.
-    pub fn augment(&mut self, how: &Augmentation, draws: &mut Stream) {
-        let mirror = [(); 2].map(|()| if draws.chance(how.mirror) { -1.0 } else { 1.0 });
-        let (angle, scale) = (
-            draws.between(-how.rotation, how.rotation),
-            draws.between(how.scale[0], how.scale[1]),
-        );
-        let (sin, cos) = angle.sin_cos();
-        let turn = |[x, y]: [f64; 2]| {
-            let (x, y) = (x * mirror[0], y * mirror[1]);
-            [scale * (x * cos - y * sin), scale * (x * sin + y * cos)]
-        };
-        let matrix = [turn([1.0, 0.0]), turn([0.0, 1.0])].map(|column| column.map(|v| v as f32));
+    /// Changes points and objects together.
+    pub fn change(&mut self, change: &Change) {
+        let (matrix, lift) = (change.matrix.cast::<f32>(), change.lift as f32);
         let [x, y, z] = &mut self.columns;
         for ((x, y), z) in x.iter_mut().zip(y).zip(z) {
-            let (a, b) = (*x, *y);
-            *x = matrix[0][0] * a + matrix[1][0] * b;
-            *y = matrix[0][1] * a + matrix[1][1] * b;
-            *z *= scale as f32;
+            [*x, *y, *z] = (matrix * Vector3::new(*x, *y, *z)).into();
+            *z += lift;
         }
         for Object { hwl, .. } in &mut self.objects {
-            let [x, y] = turn([hwl[0], hwl[1]]);
-            let [ahead, left] = [hwl[6].cos() * mirror[0], hwl[6].sin() * mirror[1]];
-            (hwl[0], hwl[1], hwl[2]) = (x, y, hwl[2] * scale);
-            hwl[3..6].iter_mut().for_each(|side| *side *= scale);
-            hwl[6] = realo_schemas::geometry::normalize_yaw(left.atan2(ahead) + angle);
+            *hwl = change.hwl(*hwl);
         }
     }
 
@@ -280,10 +405,15 @@ impl Scene {
         let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
         let pillars = pillariser.run(&self.points());
         let pillars = PillarFrame::new(&model.grid, pillars, &model.pillars);
+        let anchors = Anchors::of(model);
+        let outside = |object: &&Object| !is_within(&model.grid, object);
+        let cut: Vec<Object> = self.objects.iter().filter(outside).copied().collect();
         let (objects, ego_points) = self.objects_within(&model.grid);
+        let mut targets = assign(&anchors, &objects);
+        ignore(&mut targets, &assign(&anchors, &cut));
         Sample {
             pillars,
-            targets: assign(&Anchors::of(model), &objects),
+            targets,
             objects,
             ego_points,
         }
@@ -291,12 +421,22 @@ impl Scene {
 
     /// The objects whose centres lie on a grid, and the ego's own points on each.
     pub fn objects_within(self, grid: &Grid) -> (Vec<Object>, Vec<u32>) {
-        let within = |hwl: &[f64; 7]| {
-            let inside = |value: f64, [from, to]: [f64; 2]| (from..to).contains(&value);
-            inside(hwl[0], grid.x) && inside(hwl[1], grid.y)
-        };
         let both = self.objects.into_iter().zip(self.ego_points);
-        both.filter(|(object, _)| within(&object.hwl)).unzip()
+        both.filter(|(object, _)| is_within(grid, object)).unzip()
+    }
+}
+
+fn is_within(grid: &Grid, object: &Object) -> bool {
+    let inside = |value: f64, [from, to]: [f64; 2]| (from..to).contains(&value);
+    inside(object.hwl[0], grid.x) && inside(object.hwl[1], grid.y)
+}
+
+/// Background where there would be objects whose centres the grid loses does not count.
+fn ignore(targets: &mut Targets, lost: &Targets) {
+    for (label, lost) in targets.labels.iter_mut().zip(&lost.labels) {
+        if *label == 0 && *lost != 0 {
+            *label = -1;
+        }
     }
 }
 
@@ -334,7 +474,7 @@ mod tests {
             lwh,
             points: points as u32,
         };
-        AgentSweep::new(name, false, pose, corners(lwh, points).into_iter(), vec![seen])
+        AgentSweep::new(name, false, pose, corners(lwh, points).into_iter().zip(0..), vec![seen])
     }
 
     /// One car, of which either vehicle alone has fewer points than count.
@@ -355,7 +495,7 @@ mod tests {
     fn scene(others: Vec<usize>, how: &Augmentation, number: u64) -> Scene {
         let mut draws = Stream::new(1, "test", number);
         let mut scene = Scene::new(&frame(), &Cast { ego: 0, others }, &model(), how, &mut draws);
-        scene.augment(how, &mut draws);
+        scene.change(&Change::draw(how, std::f64::consts::PI, &mut draws));
         scene
     }
 
@@ -378,26 +518,117 @@ mod tests {
             pose_noise: [0.0; 2],
             ..Augmentation::default()
         };
-        let mut headings = Vec::new();
+        let mut eighths = [0; 8];
         for number in 0..100 {
             let scene = scene(vec![1], &how, number);
             let [object] = &scene.objects[..] else {
                 panic!("one object: {:?}", scene.objects)
             };
-            let [x, y, _, _, width, length, yaw] = object.hwl;
+            let [x, y, z, height, width, length, yaw] = object.hwl;
             let (sin, cos) = yaw.sin_cos();
-            for (px, py) in scene.columns[0].iter().zip(&scene.columns[1]) {
-                let (dx, dy) = (f64::from(*px) - x, f64::from(*py) - y);
+            let [xs, ys, zs] = &scene.columns;
+            for ((px, py), pz) in xs.iter().zip(ys).zip(zs) {
+                let (dx, dy, dz) = (f64::from(*px) - x, f64::from(*py) - y, f64::from(*pz) - z);
                 let (along, across) = (dx * cos + dy * sin, dy * cos - dx * sin);
+                // A box stays upright: a tilt takes what is 2.4 m from its centre 6 cm out of it.
                 assert!(
-                    along.abs() <= length / 2.0 && across.abs() <= width / 2.0,
-                    "{number}: a corner at {along}, {across} of {length} x {width}"
+                    along.abs() <= length / 2.0 && across.abs() <= width / 2.0 && dz.abs() <= 0.2 * height,
+                    "{number}: a corner at {along}, {across}, {dz} of {length} x {width}"
                 );
             }
-            headings.push((yaw * 1e6) as i64);
+            eighths[((yaw / std::f64::consts::FRAC_PI_4).floor() as i64).rem_euclid(8) as usize] += 1;
         }
-        headings.sort_unstable();
-        headings.dedup();
-        assert!(headings.len() > 90, "every draw is another: {}", headings.len());
+        assert!(eighths.iter().all(|count| *count > 2), "all headings: {eighths:?}");
+    }
+
+    #[test]
+    fn changes_are_as_large_as_is_said() {
+        let how = Augmentation::default();
+        let mut draws = Stream::new(4, "test", 0);
+        let (mut most, mut rises) = (0.0f64, Vec::new());
+        for _ in 0..500 {
+            let change = Change::draw(&how, std::f64::consts::PI, &mut draws);
+            let origin = change.point([0.0; 3]);
+            assert!(origin[0] == 0.0 && origin[1] == 0.0);
+            rises.push(origin[2]);
+            let up = change.point([0.0, 0.0, 1.0]);
+            let (aside, up) = (up[0].hypot(up[1]), up[2] - origin[2]);
+            most = most.max(aside.atan2(up).to_degrees());
+            let scale = aside.hypot(up);
+            assert!((0.95..=1.05).contains(&scale), "{scale}");
+        }
+        // Pitch and roll of 1.5 degrees together.
+        assert!((1.8..2.13).contains(&most), "{most} degrees");
+        let reach = |of: fn(f64, f64) -> f64| rises.iter().copied().fold(0.0, of);
+        assert!((-0.3..-0.25).contains(&reach(f64::min)) && (0.25..0.3).contains(&reach(f64::max)));
+    }
+
+    /// 4,000 points on 40 beams, 100 of each.
+    fn beams() -> AgentSweep {
+        let points = (0..4000).map(|i| ([i as f32 * 0.01, 1.0, 1.0], i / 100));
+        AgentSweep::new("cav1", false, pose(0.0, 0.0, 0.0), points, Vec::new())
+    }
+
+    #[test]
+    fn whole_beams_are_dropped_and_never_too_many() {
+        let agent = beams();
+        let how = Augmentation {
+            drop_beams: 1.0,
+            ..Augmentation::none()
+        };
+        let mut shares = Vec::new();
+        for number in 0..60 {
+            let mut draws = Stream::new(2, "test", number);
+            let kept = Kept::draw(&agent, 1.0, &how, &mut draws);
+            let mut scene = Scene::default();
+            scene.add_points(&agent, &Isometry3::identity(), &kept, &mut draws);
+            let left = scene.columns[0].len();
+            assert_eq!(left as f64, 4000.0 * kept.of(&agent));
+            assert!(left.is_multiple_of(100) && left >= 1000, "{left} points of whole beams");
+            shares.push(left);
+        }
+        let halves = shares.iter().filter(|left| **left == 2000).count();
+        assert!(
+            (25..55).contains(&halves),
+            "{halves}: of 40 beams a quarter would be too few"
+        );
+        let some = AgentSweep::new(
+            "cav1",
+            false,
+            pose(0.0, 0.0, 0.0),
+            [([1.0; 3], 0)].into_iter(),
+            Vec::new(),
+        );
+        let kept = Kept::draw(&some, 1.0, &how, &mut Stream::new(2, "test", 0));
+        assert_eq!(kept.of(&some), 1.0, "beams that are not known are kept");
+    }
+
+    #[test]
+    fn background_beside_the_grid_counts_but_where_an_object_is_cut() {
+        let model = model();
+        let object = |x: f64| Object {
+            class: 0,
+            hwl: [x, 0.0, 0.8, 1.6, 1.9, 4.5, 0.0],
+        };
+        let labels = |x: Option<f64>| {
+            let scene = Scene {
+                objects: x.map(object).into_iter().collect(),
+                ego_points: x.map(|_| 9).into_iter().collect(),
+                ..Scene::default()
+            };
+            scene.sample(&model).targets.labels
+        };
+        let count = |labels: &[i8], label: i8| labels.iter().filter(|found| **found == label).count();
+        let empty = labels(None);
+        assert_eq!(count(&empty, 0), empty.len());
+        let cut = labels(Some(102.5));
+        let [ignored, found] = [-1, 1].map(|label| count(&cut, label));
+        assert!(
+            ignored > 1 && found == 0,
+            "at the edge {ignored} are ignored, {found} found"
+        );
+        let far = labels(Some(120.0));
+        assert_eq!(count(&far, 0), far.len());
+        assert!(count(&labels(Some(100.0)), 1) > 0);
     }
 }

@@ -1,9 +1,11 @@
 //! Frames from simulator seeds.
 
+use std::sync::Arc;
+
 use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{Box3, Nanos, PointCloud, from_seconds};
 use realo_scoring::Protocol;
-use realo_simulator::{AgentKind, Options, Phase, Scenario, Simulation, Sweep};
+use realo_simulator::{AgentKind, Options, Phase, Scenario, Sensor, Simulation};
 use realo_sync::{OwnBody, clean};
 
 use super::frame::{AgentSweep, Earlier, Frame, Seen};
@@ -16,25 +18,51 @@ const SECONDS: f64 = 10.0;
 /// The earlier sweeps of a frame lie at most so many before it.
 const LONGEST_DELAY: u64 = 3;
 
-/// What a training seed simulates: all combinations of place and traffic, and every eighth with sweeps that do not start
-/// together.
+/// After so many seeds the places come round again. The first ones, the two on a grid, come twice: their houses and
+/// sensors are like no other place's.
+const ROUND: u64 = Scenario::PLACES.len() as u64 + 2;
+
+/// What vehicles carry, and roadside units, in places that are not on a grid.
+const VEHICLE_SENSORS: [&str; 6] = [
+    "spinning-16",
+    "spinning-32",
+    "pandar40p",
+    "os1-64",
+    "os1-128",
+    "ruby-plus-128",
+];
+const ROADSIDE_SENSORS: [&str; 4] = ["forward-scan", "os1-64", "os1-128", "ruby-plus-128"];
+
+/// What a training seed simulates: all combinations of place and traffic, a third dense, a fifth with sweeps that do not
+/// start together; on a grid with the sensors of these places, elsewhere with drawn ones.
 pub fn options(seed: u64) -> Options {
+    let scenario = Scenario::PLACES[(seed % ROUND) as usize % Scenario::PLACES.len()];
+    let on_grid = matches!(scenario, Scenario::Intersection | Scenario::Corridor);
+    let mut draws = Stream::new(seed, "sensors", 0);
+    let mut pair = |names: &[&str], heights, pitches| match on_grid {
+        true => Vec::new(),
+        false => vec![
+            sensor(names, heights, pitches, &mut draws),
+            sensor(names, heights, pitches, &mut draws),
+        ],
+    };
     Options {
-        scenario: if seed.is_multiple_of(2) {
-            Scenario::Intersection
-        } else {
-            Scenario::Corridor
-        },
-        dense: seed / 2 % 3 == 2,
-        phase: if seed / 6 % 4 == 3 {
-            Phase::Spread
-        } else {
-            Phase::Locked
-        },
+        scenario,
+        dense: seed % 3 == 2,
+        phase: if seed % 5 == 4 { Phase::Spread } else { Phase::Locked },
         seed,
         seconds: SECONDS,
+        vehicle_sensors: pair(&VEHICLE_SENSORS, [1.6, 2.4], [-1.0, 1.5]),
+        roadside_sensors: pair(&ROADSIDE_SENSORS, [4.0, 8.0], [-1.0, 5.0]),
         ..Options::default()
     }
+}
+
+/// One of some sensors, at a height (m) and a pitch (degrees down) between two.
+fn sensor(names: &[&str], heights: [f64; 2], pitches: [f64; 2], draws: &mut Stream) -> Arc<Sensor> {
+    let sensor = Sensor::named(names[draws.below(names.len())]).expect("a built-in sensor");
+    let [height, pitch] = [heights, pitches].map(|[from, to]| draws.between(from, to));
+    Arc::new(sensor.mounted(height, pitch).expect("a usual mount"))
 }
 
 /// `count` frames of a simulation, at least a second apart; at most 10. With `earlier`, each has what was one to three sweeps
@@ -94,11 +122,13 @@ fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
     let agents = simulation.agents().zip(tracks).enumerate();
     let agents = agents.map(|(index, (info, track))| {
         let (sweep, _) = simulation.sweep(index, seq);
-        let pose = track.at(sweep.stamp).expect("poses cover every sweep");
+        let covered = "poses cover every sweep";
+        let pose = track.at(sweep.stamp).expect(covered);
         let counts = sweep.points.iter().copied();
         let objects = seen(&protocol, &sweep.truth, counts);
         let roadside = info.kind == AgentKind::Roadside;
-        AgentSweep::new(&info.name, roadside, pose, still(&sweep, track, roadside), objects)
+        let still = deskewed(&sweep.cloud, track, sweep.stamp, roadside).expect(covered);
+        AgentSweep::new(&info.name, roadside, pose, returns(&still), objects)
     });
     Frame {
         classes: class_names(&protocol),
@@ -107,16 +137,9 @@ fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
     }
 }
 
-/// The points without the agent's motion and body.
-fn still(sweep: &Sweep, track: &PoseTrack, roadside: bool) -> impl Iterator<Item = [f32; 3]> + use<> {
-    deskewed(&sweep.cloud, track, sweep.stamp, roadside)
-        .unwrap_or_default()
-        .into_iter()
-}
-
 /// The points of a sweep as `sync` passes them on: in the body frame at its stamp, without a vehicle's own body; `None`
 /// where the track does not cover the sweep.
-pub(crate) fn deskewed(cloud: &PointCloud, track: &PoseTrack, stamp: Nanos, roadside: bool) -> Option<Vec<[f32; 3]>> {
+pub(crate) fn deskewed(cloud: &PointCloud, track: &PoseTrack, stamp: Nanos, roadside: bool) -> Option<PointCloud> {
     let (first, last) = cloud
         .time
         .iter()
@@ -128,9 +151,14 @@ pub(crate) fn deskewed(cloud: &PointCloud, track: &PoseTrack, stamp: Nanos, road
             clean(cloud, Some(OwnBody::V2X_REAL), Some(&motion))
         }
     };
-    let PointCloud { x, y, z, .. } = &cleaned.cloud;
-    let points = x.iter().zip(y.iter()).zip(z.iter());
-    Some(points.map(|((x, y), z)| [*x, *y, *z]).collect())
+    Some(cleaned.cloud)
+}
+
+/// The points of a cloud, m, and the numbers of their beams.
+pub(crate) fn returns(cloud: &PointCloud) -> impl Iterator<Item = ([f32; 3], u16)> + '_ {
+    let PointCloud { x, y, z, ring, .. } = cloud;
+    let points = x.iter().zip(y.iter()).zip(z.iter()).zip(ring.iter());
+    points.map(|(((x, y), z), ring)| ([*x, *y, *z], *ring))
 }
 
 /// Names of a protocol's super-classes, in order.
@@ -159,6 +187,8 @@ pub(crate) fn seen(protocol: &Protocol, truth: &[Box3], points: impl Iterator<It
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     #[test]
@@ -172,14 +202,32 @@ mod tests {
     }
 
     #[test]
-    fn seeds_cover_both_places_with_all_kinds_of_traffic() {
-        let mut kinds: Vec<_> = (0..24)
-            .map(options)
-            .map(|o| (o.scenario == Scenario::Corridor, o.dense, o.phase == Phase::Spread))
+    fn seeds_cover_all_places_with_all_kinds_of_traffic_and_all_sensors() {
+        let all: Vec<Options> = (0..800).map(options).collect();
+        let kinds: BTreeSet<_> = all
+            .iter()
+            .map(|o| (o.scenario, o.dense, o.phase == Phase::Spread))
             .collect();
-        kinds.sort_unstable();
-        kinds.dedup();
-        assert_eq!(kinds.len(), 8);
+        assert_eq!(kinds.len(), 4 * Scenario::PLACES.len());
+        let sensors = |of: fn(&Options) -> &Vec<Arc<Sensor>>| {
+            let elevations = all.iter().flat_map(of).map(|sensor| sensor.elevations().len());
+            elevations.collect::<BTreeSet<_>>()
+        };
+        assert_eq!(sensors(|o| &o.vehicle_sensors), BTreeSet::from([16, 32, 40, 64, 128]));
+        assert_eq!(
+            sensors(|o| &o.roadside_sensors).len(),
+            3,
+            "a forward scan, 64 and 128 beams"
+        );
+        let on_grid = all.iter().filter(|o| o.vehicle_sensors.is_empty()).count();
+        assert!((200..250).contains(&on_grid), "{on_grid} seeds of the places on a grid");
+    }
+
+    #[test]
+    fn validation_covers_every_place_once() {
+        let places: BTreeSet<Scenario> = (800..812).map(|seed| options(seed).scenario).collect();
+        assert_eq!(places, Scenario::PLACES.into_iter().collect());
+        assert_eq!((800..812).filter(|seed| options(*seed).dense).count(), 4);
     }
 
     #[test]
