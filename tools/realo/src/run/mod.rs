@@ -260,7 +260,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     for (name, cells) in names.iter().zip(&cells) {
         folders.lock(&dir_of(args, name))?;
         for cell in cells {
-            folders.claim(&cell.out)?;
+            folders.claim(&cell.out, &cell.recordings())?;
             cell.tell()?;
         }
     }

@@ -48,6 +48,13 @@ impl Cell {
         !self.told.settings.project.is_empty()
     }
 
+    /// The files in the folder of its results that it records into.
+    pub fn recordings(&self) -> Vec<PathBuf> {
+        let file = |node| given(node, decided_argument(node, Decided::Recording)?).map(PathBuf::from);
+        let files = deciding(&self.graph, Decided::Recording).filter_map(file);
+        files.filter(|file| file.parent() == Some(&self.out)).collect()
+    }
+
     /// Writes what the result tells of the run to where the graph has it.
     pub fn tell(&self) -> Result<()> {
         let path = self.out.join(TOLD);
