@@ -8,7 +8,7 @@ use realo_operator::{
     Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected, wrong_port,
 };
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
-use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
+use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, file, to_millis};
 use realo_transmission::{Encoder, EncoderConfig, restamped};
 use serde::{Deserialize, Serialize};
 
@@ -186,6 +186,14 @@ impl Describe for Radio {
             .hasty(),
     ];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
+
+    fn examine(config: &Config) -> Result<(), Error> {
+        check(config)?;
+        if !config.zenoh.as_os_str().is_empty() {
+            file::read(&config.zenoh).map_err(|error| format!("argument `zenoh`: {error}"))?;
+        }
+        seal(config).map(drop)
+    }
 }
 
 impl Gateway for Radio {
@@ -460,6 +468,14 @@ fn check(config: &Config) -> Result<(), Error> {
              found none, and so nobody to exchange packets with"
                 .into(),
         );
+    }
+    for (at, first) in config.listen.iter().enumerate() {
+        if let Some(second) = config.listen[at + 1..].iter().find(|second| first.collides(second)) {
+            return Err(format!(
+                "argument `listen`: expected ports of their own for each, which takes the one behind it too, found {first} and {second}"
+            )
+            .into());
+        }
     }
     for (name, value) in [("deadline_ms", config.deadline_ms), ("queue_ms", config.queue_ms)] {
         if !(value.is_finite() && value > 0.0 && value <= 1e6) {

@@ -14,7 +14,7 @@ use realo_scoring::Protocol;
 use super::lane::{self, SendingLane};
 use super::networks::Networks;
 use super::nodes::{
-    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_relative_path, set_model,
+    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path, set_model,
     takers, values,
 };
 use super::{Args, Mode, compute, dir_of};
@@ -131,6 +131,10 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
             };
             spare(&graph, &logs)?;
             check(&graph)?;
+            if mode == Mode::Realtime {
+                // In virtual time nothing is started before all are built.
+                super::check_nodes(&graph).map_err(|error| eyre!("{} cannot run:\n  {error}", path.display()))?;
+            }
             cells.push(Cell {
                 name: format!("{name}, {stem}, {ego}"),
                 graph,
@@ -253,8 +257,7 @@ pub fn nobody_projects(graphs: &str) -> Report {
 /// A `--set`; a path in it, and the name of a file that is there, is seen from where the user is.
 fn setting(text: &str) -> Result<Setting> {
     let mut setting: Setting = text.parse()?;
-    let path = Path::new(&setting.value);
-    let is_file = (path.components().count() > 1 || path.extension().is_some()) && path.exists();
+    let is_file = is_like_path(&setting.value) && Path::new(&setting.value).exists();
     if setting.key == "model" || is_relative_path(&setting.value) || is_file {
         setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
     }
