@@ -1,6 +1,7 @@
 //! `realo latency`: how long an agent's messages take to another machine.
 
 use std::collections::BTreeMap;
+use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -88,9 +89,26 @@ pub struct Args {
 /// Measures, or answers.
 pub fn main(args: &Args) -> Result<Outcome> {
     match (&args.peer, &args.log) {
-        (Some(peer), Some(log)) => measure(args, peer, log),
+        (Some(peer), Some(log)) => {
+            let is_new = open_for_trace(&args.output)?;
+            let measured = measure(args, peer, log);
+            if measured.is_err() && is_new {
+                let _ = fs::remove_file(&args.output);
+            }
+            measured
+        }
         _ => answer(args),
     }
+}
+
+/// Finds out, before anything is measured, whether the trace can be written; what is there stays. Whether the file is new.
+fn open_for_trace(path: &Path) -> Result<bool> {
+    let is_new = !path.exists();
+    let opened = OpenOptions::new().write(true).create(true).truncate(false).open(path);
+    opened.wrap_err_with(|| {
+        format!("{}: the trace cannot be written there; name another file (--output)", path.display())
+    })?;
+    Ok(is_new)
 }
 
 /// One end of the way.
@@ -244,12 +262,12 @@ fn measure(args: &Args, peer: &Endpoint, log: &Path) -> Result<Outcome> {
         trace: args.output.clone(),
     };
     asking.end.network.leave();
-    let trace = Phase::trace(&asking.course.close());
-    std::fs::write(&args.output, trace).wrap_err_with(|| format!("{}", args.output.display()))?;
     match args.json {
         true => println!("{}", serde_json::to_string_pretty(&found)?),
         false => found.print(),
     }
+    let trace = Phase::trace(&asking.course.close());
+    fs::write(&args.output, trace).wrap_err_with(|| format!("{}", args.output.display()))?;
     let is_whole = found.kinds.iter().all(|row| row.came_back == row.sent);
     Ok(if is_whole { Outcome::Complete } else { Outcome::Partial })
 }
