@@ -172,6 +172,29 @@ fn a_relay_refuses_what_it_cannot_do() {
     drop(taken);
 }
 
+#[test]
+fn a_name_that_is_taken_or_none_is_told_and_what_is_there_stays() {
+    let taken = format!("realo{}taken", std::process::id());
+    let said = text(&realo(["emulate", "--names", "a/b,roadside"]).stderr);
+    assert!(said.contains("neither . nor - at the beginning, found `a/b`"), "{said}");
+    let ip = |arguments: &[&str]| Command::new("ip").args(arguments).output().ok();
+    if !ip(&["netns", "add", &taken]).is_some_and(|output| output.status.success()) {
+        return skipped::skip("network namespaces, as root");
+    }
+    // As the second name too: what was made for the first one goes again.
+    let other = format!("{taken}too");
+    let mut all = Vec::new();
+    for names in [format!("{taken},{other}"), format!("{other},{taken}")] {
+        all.push(text(&realo(["emulate", "--names", &names]).stderr));
+    }
+    let left = ip(&["netns", "list"]).map(|output| text(&output.stdout)).unwrap_or_default();
+    ip(&["netns", "del", &taken]);
+    assert!(left.contains(&taken) && !left.contains(&other), "{left}");
+    for said in all {
+        assert!(said.contains(&format!("`ip netns del {taken}`")), "{said}");
+    }
+}
+
 /// What a bench says as JSON; `None` where it needs what is not here.
 fn bench(args: &[&str]) -> Option<Value> {
     let (found, ends_well, said) = judged(args)?;
