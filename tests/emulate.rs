@@ -6,7 +6,9 @@ use std::io::{BufRead, BufReader, Lines, Write};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Mutex, MutexGuard};
+use std::time::Duration;
 
 use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
 use serde_json::Value;
@@ -161,6 +163,10 @@ fn a_relay_refuses_what_it_cannot_do() {
             "--duplicate: expected a number from 0 to 1, found 1.5",
         ),
         (["--port", "65535"], "--port: expected one with another behind it"),
+        (["--port", "0"], "from 1 to 65534, found 0"),
+        (["--rate", "1e300"], "--rate: expected 0, for no limit, or a number of Mbit/s"),
+        (["--rate", "1e-7"], "--rate: expected 0, for no limit, or a number of Mbit/s"),
+        (["--delay", "1e300"], "--delay: expected a number of ms from 0 to 1000000"),
     ] {
         let output = realo(["emulate", "--loopback"].iter().chain(&args));
         let said = text(&output.stderr);
@@ -170,6 +176,26 @@ fn a_relay_refuses_what_it_cannot_do() {
     let said = text(&realo(["emulate", "--loopback", "--port", &port]).stderr);
     assert!(said.contains("choose another --port") && said.contains(&port), "{said}");
     drop(taken);
+}
+
+#[test]
+fn a_line_that_is_no_text_does_not_end_the_commands() {
+    let port = free_port().to_string();
+    let mut emulated = Emulated::start(&["--loopback", "--port", &port]);
+    let input = emulated.child.stdin.as_mut().expect("a pipe");
+    input.write_all(b"rate \xff\n").expect("it listens");
+    // Where nobody answers it ends, and the wait for an answer with it.
+    let (answered, waits) = std::sync::mpsc::channel::<()>();
+    let id = emulated.child.id().to_string();
+    let watch = std::thread::spawn(move || {
+        if waits.recv_timeout(Duration::from_secs(20)) == Err(RecvTimeoutError::Timeout) {
+            let _ = Command::new("kill").args(["-INT", &id]).status();
+        }
+    });
+    let carried = emulated.carried();
+    drop(answered);
+    watch.join().expect("it only waits");
+    assert_eq!(carried, [0, 0]);
 }
 
 #[test]
