@@ -535,6 +535,17 @@ fn what_an_option_decides_cannot_be_set_beside_it() {
 }
 
 #[test]
+fn who_takes_part_is_not_chosen_in_the_graph_of_one_agent() {
+    let log = small();
+    let args = ["--log", &*log.to_string_lossy(), "--agents", "cav2,rsu1"].map(String::from);
+    let said = text(&realo(["run".to_string(), graph("late_fusion.vehicle")].iter().chain(&args)).stderr);
+    assert!(
+        said.contains("--agents") && said.contains("late_fusion.vehicle.yml is the graph of one agent, cav1"),
+        "{said}"
+    );
+}
+
+#[test]
 fn protocols_that_do_not_fit_the_log_say_what_to_do() {
     let dir = folder("protocol_keys");
     let sound = fs::read_to_string(common::root().join("operators/scoring/protocols/default.yml"));

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Report, Result, WrapErr, bail, eyre};
-use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
+use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_operator::Decided;
@@ -99,6 +99,13 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
         }
         let coop = args.coop.map_or(realo_player::Coop::All, super::Coop::for_player);
         let own = values(&graph, Decided::Own, str::to_string);
+        if !own.is_empty() && !args.agents.is_empty() {
+            bail!(
+                "--agents: {} is the graph of one agent, {own}, and the others have graphs of their own: start those that take part, and \
+                 say by --ego whose this one is",
+                path.display()
+            );
+        }
         let ego = args.ego.as_deref().unwrap_or(&own);
         let plan = realo_player::plan(&log, ego, coop, &args.agents)?;
         for planned in plan.runs {
@@ -344,8 +351,8 @@ struct Told<'a> {
 
 impl Told<'_> {
     /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
-    fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
-        let mut graph = graph.clone();
+    fn to(&self, base: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
+        let mut graph = base.clone();
         let mut told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
         if !values(&graph, Decided::Own, str::to_string).is_empty() {
             told.push((Decided::Own, self.ego.into()));
@@ -365,8 +372,8 @@ impl Told<'_> {
         }
         for node in &mut graph.nodes {
             if let Some(argument) = decided_argument(node, Decided::Recording) {
-                let path = PathBuf::from(given(node, argument).unwrap_or("recording.mcap"));
-                let name = path.file_name().unwrap_or_default();
+                let before = base.node(&node.id).unwrap_or(node);
+                let name = recording_name(before, argument, self.ego);
                 node.set(argument, &self.out.join(name).to_string_lossy());
             }
         }
@@ -461,6 +468,19 @@ impl Told<'_> {
     }
 }
 
+/// The file that a node of a graph records into; one that is named after the node's agent is named after the one of the run.
+fn recording_name(node: &FlatNode, argument: &str, ego: &str) -> PathBuf {
+    let path = Path::new(given(node, argument).unwrap_or("recording.mcap"));
+    let name = PathBuf::from(path.file_name().unwrap_or_default());
+    let agent = decided_argument(node, Decided::Ego).and_then(|key| given(node, key));
+    match (agent, name.extension()) {
+        (Some(agent), Some(kind)) if name.file_stem() == Some(agent.as_ref()) => {
+            PathBuf::from(ego).with_added_extension(kind)
+        }
+        _ => name,
+    }
+}
+
 /// The name of something built in as it is, a file absolute: nodes start in another folder than the user.
 fn name_or_file(text: &str) -> Result<String> {
     if Path::new(text).components().count() == 1 && Path::new(text).extension().is_none() {
@@ -499,4 +519,19 @@ fn check(graph: &FlatGraph) -> Result<()> {
         return Ok(());
     }
     bail!("{} cannot run:\n  {}", graph.file.display(), errors.join("\n  "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_log_of_an_agents_sensors_is_named_after_the_agent_of_the_run() {
+        let graphs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows");
+        let graph = Graph::load(&graphs.join("late_fusion.roadside.yml")).unwrap().expand().unwrap();
+        let named = |node: &str, ego| recording_name(graph.node(node).unwrap(), "path", ego);
+        assert_eq!(named("log", "cav2"), Path::new("cav2.mcap"));
+        assert_eq!(named("log", "rsu1"), Path::new("rsu1.mcap"));
+        assert_eq!(named("score.recorder", "cav2"), Path::new("recording.mcap"));
+    }
 }
