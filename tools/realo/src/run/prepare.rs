@@ -14,8 +14,8 @@ use realo_scoring::Protocol;
 use super::lane::{self, SendingLane};
 use super::networks::Networks;
 use super::nodes::{
-    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path, set_model,
-    takers, values,
+    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
+    set_model, takers, values,
 };
 use super::{Args, Mode, compute, dir_of};
 use crate::fit::protocol_fits;
@@ -496,9 +496,15 @@ fn stem(path: &Path) -> String {
 /// A change by hand as results tell it: the argument and its value, a file by its name, for results hold no path.
 fn change_in_words(setting: &Setting) -> (String, String) {
     let path = Path::new(&setting.value);
-    let value = path.file_name().filter(|_| path.components().count() > 1);
-    let value = value.map_or(setting.value.clone().into(), |name| name.to_string_lossy());
-    (format!("{}.{}", setting.node, setting.key), value.into_owned())
+    // The last dot of an address may stand before its port: `tcp/10.0.0.1:7447`.
+    let has_ending = |path: &Path| {
+        path.extension()
+            .is_some_and(|kind| !kind.to_string_lossy().contains(':'))
+    };
+    let is_path = path.is_absolute() || (path.components().count() > 1 && has_ending(path));
+    let name = path.file_name().filter(|_| is_path);
+    let value = name.map_or(setting.value.clone(), |name| name.to_string_lossy().into_owned());
+    (format!("{}.{}", setting.node, setting.key), value)
 }
 
 /// Refuses a graph with errors and prints its warnings.
@@ -528,10 +534,31 @@ mod tests {
     #[test]
     fn the_log_of_an_agents_sensors_is_named_after_the_agent_of_the_run() {
         let graphs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows");
-        let graph = Graph::load(&graphs.join("late_fusion.roadside.yml")).unwrap().expand().unwrap();
+        let graph = Graph::load(&graphs.join("late_fusion.roadside.yml"))
+            .unwrap()
+            .expand()
+            .unwrap();
         let named = |node: &str, ego| recording_name(graph.node(node).unwrap(), "path", ego);
         assert_eq!(named("log", "cav2"), Path::new("cav2.mcap"));
         assert_eq!(named("log", "rsu1"), Path::new("rsu1.mcap"));
         assert_eq!(named("score.recorder", "cav2"), Path::new("recording.mcap"));
+    }
+
+    #[test]
+    fn results_tell_addresses_whole_and_files_by_their_names() {
+        for (value, expected) in [
+            ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"),
+            ("tls/rsu1.local:7447", "tls/rsu1.local:7447"),
+            ("tcp/10.0.0.1:7447,tcp/[::1]:7447", "tcp/10.0.0.1:7447,tcp/[::1]:7447"),
+            ("north/crossing", "north/crossing"),
+            ("/home/me/keys/cav1.key", "cav1.key"),
+            ("/home/me/models", "models"),
+            ("models/attfuse.toml", "attfuse.toml"),
+            ("0.5", "0.5"),
+        ] {
+            let setting: Setting = format!("v2x.connect={value}").parse().unwrap();
+            let told = change_in_words(&setting);
+            assert_eq!(told, ("v2x.connect".to_string(), expected.to_string()));
+        }
     }
 }
