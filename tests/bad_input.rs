@@ -535,6 +535,14 @@ fn what_an_option_decides_cannot_be_set_beside_it() {
 }
 
 #[test]
+fn a_clock_that_is_said_twice_is_no_choice() {
+    let log = small().to_string_lossy().into_owned();
+    let clocks = ["--clock", "rsu1=0", "--clock", "rsu1=5"];
+    let said = text(&realo(["merge", &log, &log, "-o", "unused.mcap"].iter().chain(&clocks)).stderr);
+    assert!(said.contains("--clock rsu1: expected one for each agent"), "{said}");
+}
+
+#[test]
 fn who_takes_part_is_not_chosen_in_the_graph_of_one_agent() {
     let log = small();
     let args = ["--log", &*log.to_string_lossy(), "--agents", "cav2,rsu1"].map(String::from);

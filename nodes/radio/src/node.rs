@@ -17,7 +17,7 @@ use crate::books::News;
 use crate::clock::{steady, wall};
 use crate::course::{Came, Course};
 use crate::endpoint::Endpoint;
-use crate::keys::{KeyError, Own, Trusted, is_name};
+use crate::keys::{KeyError, NAME, Own, Trusted, is_name};
 use crate::network::Network;
 use crate::offset::{Basis, Estimate};
 use crate::protocol::{Arrived, Offer, Settings, is_bulk};
@@ -454,12 +454,12 @@ fn passed_over(events: &[Event]) -> Vec<bool> {
 fn check(config: &Config) -> Result<(), Error> {
     if !is_name(&config.agent) {
         let found = &config.agent;
-        return Err(format!("argument `agent`: expected a name without / * $ ? #, found `{found}`").into());
+        return Err(format!("argument `agent`: expected {NAME}, found `{found}`").into());
     }
     if !config.site.split('/').all(is_name) {
         let found = &config.site;
         return Err(
-            format!("argument `site`: expected names without * $ ? # and / between them, found `{found}`").into(),
+            format!("argument `site`: expected names with / between them, each {NAME}, found `{found}`").into(),
         );
     }
     if config.listen.is_empty() && config.connect.is_empty() {
