@@ -535,6 +535,20 @@ fn what_an_option_decides_cannot_be_set_beside_it() {
 }
 
 #[test]
+fn negative_numbers_are_told_the_range() {
+    for (args, expected) in [
+        (&["simulate", "--seed", "1", "--seconds", "1", "-o", "unused.mcap", "--rain", "-3"][..], "[0, 300], found -3"),
+        (&["simulate", "--seed", "1", "-o", "unused.mcap", "--seconds", "-1"], "found -1"),
+        (&["simulate", "--seed", "-1", "-o", "unused.mcap", "--seconds", "1"], "invalid value '-1' for '--seed <SEED>'"),
+        (&["run", &graph("late_fusion"), "--rate", "-2"], "--rate: expected a positive number, found -2"),
+    ] {
+        let output = realo(args);
+        let said = text(&output.stderr);
+        assert!(!output.status.success() && said.contains(expected), "{args:?}: {said}");
+    }
+}
+
+#[test]
 fn a_clock_that_is_said_twice_is_no_choice() {
     let log = small().to_string_lossy().into_owned();
     let clocks = ["--clock", "rsu1=0", "--clock", "rsu1=5"];

@@ -167,6 +167,7 @@ fn a_relay_refuses_what_it_cannot_do() {
         (["--rate", "1e300"], "--rate: expected 0, for no limit, or a number of Mbit/s"),
         (["--rate", "1e-7"], "--rate: expected 0, for no limit, or a number of Mbit/s"),
         (["--delay", "1e300"], "--delay: expected a number of ms from 0 to 1000000"),
+        (["--delay", "-3"], "--delay: expected a number of ms from 0 to 1000000, found -3"),
     ] {
         let output = realo(["emulate", "--loopback"].iter().chain(&args));
         let said = text(&output.stderr);
