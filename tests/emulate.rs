@@ -10,6 +10,8 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
+use linkemu::{ADDRESSES, Link, Machines};
+
 use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
 use serde_json::Value;
 
@@ -164,10 +166,22 @@ fn a_relay_refuses_what_it_cannot_do() {
         ),
         (["--port", "65535"], "--port: expected one with another behind it"),
         (["--port", "0"], "from 1 to 65534, found 0"),
-        (["--rate", "1e300"], "--rate: expected 0, for no limit, or a number of Mbit/s"),
-        (["--rate", "1e-7"], "--rate: expected 0, for no limit, or a number of Mbit/s"),
-        (["--delay", "1e300"], "--delay: expected a number of ms from 0 to 1000000"),
-        (["--delay", "-3"], "--delay: expected a number of ms from 0 to 1000000, found -3"),
+        (
+            ["--rate", "1e300"],
+            "--rate: expected 0, for no limit, or a number of Mbit/s",
+        ),
+        (
+            ["--rate", "1e-7"],
+            "--rate: expected 0, for no limit, or a number of Mbit/s",
+        ),
+        (
+            ["--delay", "1e300"],
+            "--delay: expected a number of ms from 0 to 1000000",
+        ),
+        (
+            ["--delay", "-3"],
+            "--delay: expected a number of ms from 0 to 1000000, found -3",
+        ),
     ] {
         let output = realo(["emulate", "--loopback"].iter().chain(&args));
         let said = text(&output.stderr);
@@ -214,11 +228,64 @@ fn a_name_that_is_taken_or_none_is_told_and_what_is_there_stays() {
     for names in [format!("{taken},{other}"), format!("{other},{taken}")] {
         all.push(text(&realo(["emulate", "--names", &names]).stderr));
     }
-    let left = ip(&["netns", "list"]).map(|output| text(&output.stdout)).unwrap_or_default();
+    let left = ip(&["netns", "list"])
+        .map(|output| text(&output.stdout))
+        .unwrap_or_default();
     ip(&["netns", "del", &taken]);
     assert!(left.contains(&taken) && !left.contains(&other), "{left}");
     for said in all {
         assert!(said.contains(&format!("`ip netns del {taken}`")), "{said}");
+    }
+}
+
+#[test]
+fn a_clock_that_is_set_meanwhile_moves_no_latency() {
+    let _alone = alone();
+    let link = Link::default();
+    assert!(link.set("delay", 40.0));
+    let names = ["answers", "asks"].map(|name| format!("realo{}{name}", std::process::id()));
+    let machines = match Machines::join(&names[0], &names[1], link.into()) {
+        Ok(machines) => machines,
+        Err(linkemu::Error::Nowhere { .. }) => return skipped::skip("network namespaces and /dev/net/tun, as root"),
+        Err(error) => panic!("{error}"),
+    };
+    let mut answering = machines.command(0, REALO);
+    answering.args(["latency", "--listen", "tcp/0.0.0.0:7447"]);
+    let _answering = Peer::of(answering);
+    let (log, trace) = (log().display().to_string(), folder("latency_set").join("way.csv"));
+    let peer = format!("tcp/{}:7447", ADDRESSES[0]);
+    let mut asking = machines.command(1, REALO);
+    asking.args([
+        "latency",
+        "--peer",
+        &peer,
+        "--log",
+        &log,
+        "--recorded-detections",
+        "--json",
+    ]);
+    asking
+        .args(["--graph", "dataflows/late_fusion.yml", "--messages", "30", "-o"])
+        .arg(&trace);
+    let asking = asking
+        .current_dir(root())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut asking = asking.expect("realo can be started");
+    let mut ahead_ms = 0.0;
+    while asking.try_wait().expect("it is a child").is_none() {
+        std::thread::sleep(Duration::from_millis(300));
+        ahead_ms = 5000.0 - ahead_ms;
+        machines.set_clock(1, ahead_ms).expect("its programs read it");
+    }
+    let output = asking.wait_with_output().expect("it has ended");
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let row = &found["kinds"][0];
+    for way in ["half_of_round_trip_ms", "one_way_ms"] {
+        let of = |share: &str| row[way][share].as_f64().expect("ms");
+        assert!(of("p50") >= 30.0 && of("p99") < 1000.0, "{found}");
     }
 }
 
