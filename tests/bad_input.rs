@@ -535,6 +535,165 @@ fn what_an_option_decides_cannot_be_set_beside_it() {
 }
 
 #[test]
+fn what_a_node_cannot_run_with_is_told_before_dora_starts() {
+    let dir = folder("examined");
+    let (log, out) = (small(), dir.join("out"));
+    let run = [
+        "run".into(),
+        graph("late_fusion.vehicle"),
+        "--recorded-detections".into(),
+        "--log".into(),
+    ];
+    let run = [
+        &run[..],
+        &[log.display().to_string(), "--out".into(), out.display().to_string()],
+    ]
+    .concat();
+    for (set, expected) in [
+        (&["v2x.deadline_ms=-3"][..], "node `v2x`: argument `deadline_ms`"),
+        (&["v2x.site=a*b"], "node `v2x`: argument `site`"),
+        (&["v2x.max_bytes=3"], "`max_bytes`"),
+        (&["v2x.key=none.key"], "argument `trust`: expected a file"),
+        (&["v2x.key=none.key", "v2x.trust=none.toml"], "argument `key`: none.key"),
+        (&["v2x.zenoh=/nope"], "argument `zenoh`: /nope"),
+        (&["player.skew_ms=1e9"], "node `player`: player: `skew_ms`"),
+        (
+            &["fusion.bank.forget_ms=1", "v2x.site=a*b"],
+            "node `fusion.bank`: argument `forget_ms`",
+        ),
+    ] {
+        let sets = set.iter().flat_map(|set| ["--set".to_string(), set.to_string()]);
+        let output = realo(run.iter().cloned().chain(sets));
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{set:?}: {said}");
+        assert!(
+            said.contains("cannot run") && said.contains(expected),
+            "{set:?}: {said}"
+        );
+        assert!(!said.contains("dora"), "{set:?}: {said}");
+    }
+    assert!(!out.exists(), "nothing was started");
+}
+
+#[test]
+fn what_a_node_cannot_run_with_is_found_by_validate() {
+    let dir = folder("validated");
+    for name in ["bin", "modules", "types"] {
+        std::os::unix::fs::symlink(common::root().join("dataflows").join(name), dir.join(name))
+            .expect("links can be made");
+    }
+    let sound = fs::read_to_string(graph("late_fusion.vehicle")).expect("the graph can be read");
+    let path = dir.join("vehicle.yml");
+    let validate = |graph: &str| {
+        fs::write(&path, graph).expect("the graph can be written");
+        let output = realo(["validate".as_ref(), path.as_os_str()]);
+        (output.status.code(), text(&output.stdout))
+    };
+    assert_eq!(validate(&sound).0, Some(0));
+    let listen = "listen=tcp/0.0.0.0:7447";
+    for (from, to, expected) in [
+        (
+            "radio agent=cav1",
+            "radio",
+            "node `v2x`: argument `agent`: expected a name",
+        ),
+        (listen, "", "node `v2x`: arguments `listen`, `connect`"),
+        (
+            listen,
+            "listen=tcp/0.0.0.0:7447,tcp/10.0.0.1:7448",
+            "found tcp/0.0.0.0:7447 and tcp/10.0.0.1:7448",
+        ),
+        (
+            listen,
+            "listen=tcp/0.0.0.0:7447 key=keys/a.key trust=keys/b.toml",
+            "argument `key`: keys/a.key",
+        ),
+        (
+            "radio agent=cav1",
+            "radio agent=cav2",
+            "node `v2x`: expected `agent=cav1`, as node `player` has it, found `cav2`",
+        ),
+        (
+            "log-recorder agent=cav1",
+            "log-recorder agent=rsu1",
+            "node `log`: expected `agent=cav1`",
+        ),
+        (
+            "log-recorder agent=cav1",
+            "log-recorder",
+            "node `log`: argument `agent`",
+        ),
+    ] {
+        assert!(sound.contains(from), "{from}");
+        let (code, said) = validate(&sound.replace(from, to));
+        assert_eq!(code, Some(1), "{to}: {said}");
+        assert!(said.contains(expected), "{to}: {said}");
+    }
+    // Files are seen from the graph's folder.
+    let keys = dir.join("keys").display().to_string();
+    fs::create_dir(&keys).expect("a folder");
+    assert!(realo(["keys", "new", "cav1", "-o", &keys]).status.success());
+    let keys = format!("{listen} key=keys/cav1.key trust=keys/cav1.pub");
+    let (code, said) = validate(&sound.replace(listen, &keys));
+    assert_eq!(code, Some(0), "{said}");
+}
+
+#[test]
+fn negative_numbers_are_told_the_range() {
+    for (args, expected) in [
+        (
+            &[
+                "simulate",
+                "--seed",
+                "1",
+                "--seconds",
+                "1",
+                "-o",
+                "unused.mcap",
+                "--rain",
+                "-3",
+            ][..],
+            "[0, 300], found -3",
+        ),
+        (
+            &["simulate", "--seed", "1", "-o", "unused.mcap", "--seconds", "-1"],
+            "found -1",
+        ),
+        (
+            &["simulate", "--seed", "-1", "-o", "unused.mcap", "--seconds", "1"],
+            "invalid value '-1' for '--seed <SEED>'",
+        ),
+        (
+            &["run", &graph("late_fusion"), "--rate", "-2"],
+            "--rate: expected a positive number, found -2",
+        ),
+    ] {
+        let output = realo(args);
+        let said = text(&output.stderr);
+        assert!(!output.status.success() && said.contains(expected), "{args:?}: {said}");
+    }
+}
+
+#[test]
+fn a_clock_that_is_said_twice_is_no_choice() {
+    let log = small().to_string_lossy().into_owned();
+    let clocks = ["--clock", "rsu1=0", "--clock", "rsu1=5"];
+    let said = text(&realo(["merge", &log, &log, "-o", "unused.mcap"].iter().chain(&clocks)).stderr);
+    assert!(said.contains("--clock rsu1: expected one for each agent"), "{said}");
+}
+
+#[test]
+fn who_takes_part_is_not_chosen_in_the_graph_of_one_agent() {
+    let log = small();
+    let args = ["--log", &*log.to_string_lossy(), "--agents", "cav2,rsu1"].map(String::from);
+    let said = text(&realo(["run".to_string(), graph("late_fusion.vehicle")].iter().chain(&args)).stderr);
+    assert!(
+        said.contains("--agents") && said.contains("late_fusion.vehicle.yml is the graph of one agent, cav1"),
+        "{said}"
+    );
+}
+
+#[test]
 fn protocols_that_do_not_fit_the_log_say_what_to_do() {
     let dir = folder("protocol_keys");
     let sound = fs::read_to_string(common::root().join("operators/scoring/protocols/default.yml"));

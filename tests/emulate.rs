@@ -6,7 +6,11 @@ use std::io::{BufRead, BufReader, Lines, Write};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Mutex, MutexGuard};
+use std::time::Duration;
+
+use linkemu::{ADDRESSES, Link, Machines};
 
 use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
 use serde_json::Value;
@@ -161,6 +165,23 @@ fn a_relay_refuses_what_it_cannot_do() {
             "--duplicate: expected a number from 0 to 1, found 1.5",
         ),
         (["--port", "65535"], "--port: expected one with another behind it"),
+        (["--port", "0"], "from 1 to 65534, found 0"),
+        (
+            ["--rate", "1e300"],
+            "--rate: expected 0, for no limit, or a number of Mbit/s",
+        ),
+        (
+            ["--rate", "1e-7"],
+            "--rate: expected 0, for no limit, or a number of Mbit/s",
+        ),
+        (
+            ["--delay", "1e300"],
+            "--delay: expected a number of ms from 0 to 1000000",
+        ),
+        (
+            ["--delay", "-3"],
+            "--delay: expected a number of ms from 0 to 1000000, found -3",
+        ),
     ] {
         let output = realo(["emulate", "--loopback"].iter().chain(&args));
         let said = text(&output.stderr);
@@ -170,6 +191,102 @@ fn a_relay_refuses_what_it_cannot_do() {
     let said = text(&realo(["emulate", "--loopback", "--port", &port]).stderr);
     assert!(said.contains("choose another --port") && said.contains(&port), "{said}");
     drop(taken);
+}
+
+#[test]
+fn a_line_that_is_no_text_does_not_end_the_commands() {
+    let port = free_port().to_string();
+    let mut emulated = Emulated::start(&["--loopback", "--port", &port]);
+    let input = emulated.child.stdin.as_mut().expect("a pipe");
+    input.write_all(b"rate \xff\n").expect("it listens");
+    // Where nobody answers it ends, and the wait for an answer with it.
+    let (answered, waits) = std::sync::mpsc::channel::<()>();
+    let id = emulated.child.id().to_string();
+    let watch = std::thread::spawn(move || {
+        if waits.recv_timeout(Duration::from_secs(20)) == Err(RecvTimeoutError::Timeout) {
+            let _ = Command::new("kill").args(["-INT", &id]).status();
+        }
+    });
+    let carried = emulated.carried();
+    drop(answered);
+    watch.join().expect("it only waits");
+    assert_eq!(carried, [0, 0]);
+}
+
+#[test]
+fn a_name_that_is_taken_or_none_is_told_and_what_is_there_stays() {
+    let taken = format!("realo{}taken", std::process::id());
+    let said = text(&realo(["emulate", "--names", "a/b,roadside"]).stderr);
+    assert!(said.contains("neither . nor - at the beginning, found `a/b`"), "{said}");
+    let ip = |arguments: &[&str]| Command::new("ip").args(arguments).output().ok();
+    if !ip(&["netns", "add", &taken]).is_some_and(|output| output.status.success()) {
+        return skipped::skip("network namespaces, as root");
+    }
+    // As the second name too: what was made for the first one goes again.
+    let other = format!("{taken}too");
+    let mut all = Vec::new();
+    for names in [format!("{taken},{other}"), format!("{other},{taken}")] {
+        all.push(text(&realo(["emulate", "--names", &names]).stderr));
+    }
+    let left = ip(&["netns", "list"])
+        .map(|output| text(&output.stdout))
+        .unwrap_or_default();
+    ip(&["netns", "del", &taken]);
+    assert!(left.contains(&taken) && !left.contains(&other), "{left}");
+    for said in all {
+        assert!(said.contains(&format!("`ip netns del {taken}`")), "{said}");
+    }
+}
+
+#[test]
+fn a_clock_that_is_set_meanwhile_moves_no_latency() {
+    let _alone = alone();
+    let link = Link::default();
+    assert!(link.set("delay", 40.0));
+    let names = ["answers", "asks"].map(|name| format!("realo{}{name}", std::process::id()));
+    let machines = match Machines::join(&names[0], &names[1], link.into()) {
+        Ok(machines) => machines,
+        Err(linkemu::Error::Nowhere { .. }) => return skipped::skip("network namespaces and /dev/net/tun, as root"),
+        Err(error) => panic!("{error}"),
+    };
+    let mut answering = machines.command(0, REALO);
+    answering.args(["latency", "--listen", "tcp/0.0.0.0:7447"]);
+    let _answering = Peer::of(answering);
+    let (log, trace) = (log().display().to_string(), folder("latency_set").join("way.csv"));
+    let peer = format!("tcp/{}:7447", ADDRESSES[0]);
+    let mut asking = machines.command(1, REALO);
+    asking.args([
+        "latency",
+        "--peer",
+        &peer,
+        "--log",
+        &log,
+        "--recorded-detections",
+        "--json",
+    ]);
+    asking
+        .args(["--graph", "dataflows/late_fusion.yml", "--messages", "30", "-o"])
+        .arg(&trace);
+    let asking = asking
+        .current_dir(root())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut asking = asking.expect("realo can be started");
+    let mut ahead_ms = 0.0;
+    while asking.try_wait().expect("it is a child").is_none() {
+        std::thread::sleep(Duration::from_millis(300));
+        ahead_ms = 5000.0 - ahead_ms;
+        machines.set_clock(1, ahead_ms).expect("its programs read it");
+    }
+    let output = asking.wait_with_output().expect("it has ended");
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let row = &found["kinds"][0];
+    for way in ["half_of_round_trip_ms", "one_way_ms"] {
+        let of = |share: &str| row[way][share].as_f64().expect("ms");
+        assert!(of("p50") >= 30.0 && of("p99") < 1000.0, "{found}");
+    }
 }
 
 /// What a bench says as JSON; `None` where it needs what is not here.

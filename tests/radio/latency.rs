@@ -95,6 +95,11 @@ fn what_cannot_be_measured_is_told() {
             &["--peer", "tcp/127.0.0.1:1", "--log", &log, "--graph", "none.yml"],
             "none.yml",
         ),
+        // Before it looks for the other end.
+        (
+            &["--peer", "tcp/127.0.0.1:1", "--log", &log, "-o", "none/way.csv"],
+            "none/way.csv: the trace cannot be written there",
+        ),
         (&["--listen", "tcp/127.0.0.1:1", "--key", "a.key"], "--trust <TRUST>"),
         (
             &["--listen", "tcp/127.0.0.1:1", "--key", "a.key", "--trust", "b.toml"],
@@ -104,4 +109,5 @@ fn what_cannot_be_measured_is_told() {
         let found = refused(args);
         assert!(found.contains(expected), "{args:?}: {found}");
     }
+    assert!(!out.join("channel.csv").exists(), "nothing was measured");
 }

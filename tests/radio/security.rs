@@ -129,6 +129,16 @@ fn keys_that_cannot_be_are_told() {
         "{}",
         text(&again.stderr)
     );
+    let public = dir.join("cav1.pub");
+    let before = std::fs::read(&public).expect("the public half");
+    std::fs::remove_file(&public).expect("a file");
+    realo_ok(["keys", "public", &key]);
+    assert_eq!(std::fs::read(&public).expect("it is there again"), before);
+    // Where the public half cannot be written there is no private one either.
+    std::fs::create_dir(dir.join("cav3.pub")).expect("a folder");
+    let made = realo(["keys", "new", "cav3", "-o", &dir.display().to_string()]);
+    assert!(text(&made.stderr).contains("cav3.pub"), "{}", text(&made.stderr));
+    assert!(!dir.join("cav3.key").exists());
     let more = folder("security_wrong_more");
     keys(&more, &["cav1"]);
     let public = more.join("cav1.pub").display().to_string();

@@ -241,6 +241,7 @@ mod tests {
         paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
+        examine: |_| Ok(()),
         build: |_| Err("built by the test".into()),
     };
 

@@ -216,6 +216,7 @@ mod tests {
         paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
+        examine: |_| Ok(()),
         build: |args| match args {
             [] => Ok(Built::Operator(Box::new(Nothing))),
             args => Err(args.join(" ").into()),

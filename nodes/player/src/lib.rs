@@ -383,6 +383,10 @@ impl Describe for Player {
         (Decided::Detections, "detections"),
         (Decided::Precomputed, "precomputed"),
     ];
+
+    fn examine(config: &Config) -> Result<(), Error> {
+        check(config)
+    }
 }
 
 impl Source for Player {
@@ -441,6 +445,9 @@ impl Source for Player {
 /// What is played, and with whom.
 fn feed(config: &Config, counters: &Counters) -> Result<(Feed, PlannedRun), Error> {
     check(config)?;
+    if !config.log.exists() {
+        return Err(no_log(&config.log).into());
+    }
     let log = Log::open(&config.log)?;
     if log.truncation().is_some() {
         count(counters, "log_truncated");
@@ -483,10 +490,8 @@ fn count(counters: &Counters, counter: &str) {
         .insert(counter.into(), 1);
 }
 
+/// Everything but the log, which may not be made yet.
 fn check(config: &Config) -> Result<(), Error> {
-    if !config.log.exists() {
-        return Err(no_log(&config.log).into());
-    }
     let positive = |value: f64| value.is_finite() && value > 0.0;
     if !positive(config.rate) {
         return Err(format!("player: `rate` must be a positive number, found {}", config.rate).into());

@@ -48,6 +48,13 @@ impl Endpoint {
             self.port.saturating_add(after)
         )
     }
+
+    /// Whether one machine cannot listen at both: each takes two ports.
+    pub fn collides(&self, other: &Endpoint) -> bool {
+        let is_any = |host: &str| matches!(host, "0.0.0.0" | "[::]");
+        let one_host = self.host == other.host || is_any(&self.host) || is_any(&other.host);
+        one_host && self.port.abs_diff(other.port) < 2
+    }
 }
 
 impl FromStr for Endpoint {
@@ -106,6 +113,21 @@ mod tests {
         }
         let endpoint: Endpoint = "tcp/[::1]:7447".parse().unwrap();
         assert_eq!(endpoint.text(1), "tcp/[::1]:7448");
+    }
+
+    #[test]
+    fn addresses_collide_where_they_share_a_port() {
+        for (one, other, expected) in [
+            ("tcp/10.0.0.1:7447", "tcp/10.0.0.1:7447", true),
+            ("tcp/10.0.0.1:7447", "tls/10.0.0.1:7448", true),
+            ("tcp/10.0.0.1:7447", "tcp/10.0.0.1:7449", false),
+            ("tcp/10.0.0.1:7447", "tcp/10.0.0.2:7447", false),
+            ("tcp/0.0.0.0:7447", "tcp/10.0.0.2:7448", true),
+            ("tcp/10.0.0.2:7448", "tcp/[::]:7447", true),
+        ] {
+            let [a, b]: [Endpoint; 2] = [one, other].map(|text| text.parse().unwrap());
+            assert_eq!([a.collides(&b), b.collides(&a)], [expected; 2], "{one} {other}");
+        }
     }
 
     #[test]

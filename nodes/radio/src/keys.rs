@@ -66,7 +66,7 @@ pub enum KeyError {
         agent: Name,
     },
     /// No name of an agent.
-    #[error("expected the name of an agent, without / * $ ? #, found `{0}`")]
+    #[error("an agent: expected {NAME}, found `{0}`")]
     Agent(String),
     /// The system has no random numbers.
     #[error("random numbers of the system: {0}")]
@@ -98,9 +98,13 @@ struct ListFile {
     agents: BTreeMap<String, String>,
 }
 
-/// Whether a text may be the name of an agent: it is a part of keys on the network.
+/// What [`is_name`] asks for.
+pub const NAME: &str = "a name without blanks / * $ ? #, and no dot at its beginning";
+
+/// Whether a text may be the name of an agent: it is a part of keys on the network, and of the names of files.
 pub fn is_name(text: &str) -> bool {
-    !text.is_empty() && !text.contains(['/', '*', '$', '?', '#']) && !text.chars().any(char::is_control)
+    let is_other = |c: char| c.is_whitespace() || c.is_control() || ['/', '*', '$', '?', '#'].contains(&c);
+    !text.is_empty() && !text.starts_with('.') && !text.chars().any(is_other)
 }
 
 impl Own {
@@ -171,7 +175,7 @@ impl Own {
         let file: OwnFile =
             toml::from_str(&text).map_err(|_| wrong("private key", "`agent` and `private`, two texts"))?;
         if !is_name(&file.agent) {
-            return Err(wrong("agent", "a name without / * $ ? #"));
+            return Err(wrong("agent", NAME));
         }
         let secret = of_text(&file.private).ok_or_else(|| wrong("private", KEY))?;
         Ok(Own {
@@ -202,7 +206,7 @@ impl Trusted {
         let mut trusted = BTreeMap::new();
         for (agent, text) in file.agents {
             if !is_name(&agent) {
-                return Err(wrong("agents".into(), "a name without / * $ ? #", format!("`{agent}`")));
+                return Err(wrong("agents".into(), NAME, format!("`{agent}`")));
             }
             let key = of_text(&text).and_then(|bytes| VerifyingKey::from_bytes(&bytes).ok());
             // A weak key fits signatures that nobody made.
@@ -242,10 +246,13 @@ impl Trusted {
         });
         let whole = path.with_added_extension("new");
         let written = fs::write(&whole, text.expect("texts under texts")).and_then(|()| fs::rename(&whole, path));
-        written.map_err(|error| KeyError::File {
-            path: path.into(),
-            error,
-            mend: "name a folder that is there and may be written to",
+        written.map_err(|error| {
+            let _ = fs::remove_file(&whole);
+            KeyError::File {
+                path: path.into(),
+                error,
+                mend: "name a folder that is there and may be written to",
+            }
         })
     }
 }
@@ -363,6 +370,28 @@ mod tests {
         }
         let error = Trusted::read(&folder.path().join("none.toml")).unwrap_err().to_string();
         assert!(error.contains("realo keys"), "{error}");
-        assert!(matches!(Own::new("a/b"), Err(KeyError::Agent(_))));
+    }
+
+    #[test]
+    fn names_can_be_parts_of_keys_and_names_of_files() {
+        for name in ["cav1", "rsu-1", "a.b", "Straße_7"] {
+            assert!(is_name(name), "{name}");
+        }
+        for name in [
+            "", ".", "..", ".cav1", "cav 1", " ", "cav1\t", "a/b", "a*", "$a", "a?", "a#",
+        ] {
+            let error = Own::new(name).map(|_| ()).unwrap_err().to_string();
+            assert!(error.contains(&format!("found `{name}`")), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_written_leaves_nothing() {
+        let folder = folder();
+        let list = folder.path().join("list.pub");
+        fs::create_dir(&list).unwrap();
+        let error = Own::new("cav1").unwrap().public().write(&list).unwrap_err().to_string();
+        assert!(error.contains("list.pub"), "{error}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

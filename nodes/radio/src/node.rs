@@ -8,7 +8,7 @@ use realo_operator::{
     Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected, wrong_port,
 };
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
-use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
+use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, file, to_millis};
 use realo_transmission::{Encoder, EncoderConfig, restamped};
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ use crate::books::News;
 use crate::clock::{steady, wall};
 use crate::course::{Came, Course};
 use crate::endpoint::Endpoint;
-use crate::keys::{KeyError, Own, Trusted, is_name};
+use crate::keys::{KeyError, NAME, Own, Trusted, is_name};
 use crate::network::Network;
 use crate::offset::{Basis, Estimate};
 use crate::protocol::{Arrived, Offer, Settings, is_bulk};
@@ -188,6 +188,14 @@ impl Describe for Radio {
             .hasty(),
     ];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
+
+    fn examine(config: &Config) -> Result<(), Error> {
+        check(config)?;
+        if !config.zenoh.as_os_str().is_empty() {
+            file::read(&config.zenoh).map_err(|error| format!("argument `zenoh`: {error}"))?;
+        }
+        seal(config).map(drop)
+    }
 }
 
 impl Gateway for Radio {
@@ -457,12 +465,12 @@ fn passed_over(events: &[Event]) -> Vec<bool> {
 fn check(config: &Config) -> Result<(), Error> {
     if !is_name(&config.agent) {
         let found = &config.agent;
-        return Err(format!("argument `agent`: expected a name without / * $ ? #, found `{found}`").into());
+        return Err(format!("argument `agent`: expected {NAME}, found `{found}`").into());
     }
     if !config.site.split('/').all(is_name) {
         let found = &config.site;
         return Err(
-            format!("argument `site`: expected names without * $ ? # and / between them, found `{found}`").into(),
+            format!("argument `site`: expected names with / between them, each {NAME}, found `{found}`").into(),
         );
     }
     if config.listen.is_empty() && config.connect.is_empty() {
@@ -472,9 +480,19 @@ fn check(config: &Config) -> Result<(), Error> {
                 .into(),
         );
     }
+    for (at, first) in config.listen.iter().enumerate() {
+        if let Some(second) = config.listen[at + 1..].iter().find(|second| first.collides(second)) {
+            return Err(format!(
+                "argument `listen`: expected ports of their own for each, which takes the one behind it too, found {first} and {second}"
+            )
+            .into());
+        }
+    }
     for (name, value) in [("deadline_ms", config.deadline_ms), ("queue_ms", config.queue_ms)] {
         if !(value.is_finite() && value > 0.0 && value <= 1e6) {
-            return Err(format!("argument `{name}`: expected milliseconds above 0, found {value}").into());
+            return Err(
+                format!("argument `{name}`: expected milliseconds above 0, up to a million; found {value}").into(),
+            );
         }
     }
     if let Some(value) = config.clock_error_ms.filter(|value| !(0.0..=1e6).contains(value)) {
@@ -483,8 +501,11 @@ fn check(config: &Config) -> Result<(), Error> {
         )
         .into());
     }
-    if config.max_bytes < 1024 || config.lease_ms < 100 {
-        return Err("arguments `max_bytes`, `lease_ms`: expected at least 1024 bytes and 100 ms".into());
+    let (bytes, lease) = (config.max_bytes as u64, config.lease_ms);
+    for (name, least, found, unit) in [("max_bytes", 1024, bytes, "bytes"), ("lease_ms", 100, lease, "ms")] {
+        if found < least {
+            return Err(format!("argument `{name}`: expected {least} {unit} or more, found {found}").into());
+        }
     }
     Ok(())
 }

@@ -108,13 +108,18 @@ impl Describe for LogRecorder {
         (Decided::Ego, "agent"),
         (Decided::Points, "points"),
     ];
+
+    fn examine(config: &LogConfig) -> Result<(), Error> {
+        if config.agent.is_empty() {
+            return Err("argument `agent`: expected whose sensors are recorded, found nothing".into());
+        }
+        Ok(())
+    }
 }
 
 impl Sink for LogRecorder {
     fn new(config: LogConfig) -> Result<Self, Error> {
-        if config.agent.is_empty() {
-            return Err("argument `agent`: expected whose sensors are recorded, found nothing".into());
-        }
+        Self::examine(&config)?;
         let info = info(&config)?;
         if let Some(folder) = config.path.parent() {
             std::fs::create_dir_all(folder)

@@ -191,13 +191,6 @@ pub fn claim(folder: &Path) -> Result<(), FilesError> {
     for file in earlier(folder)? {
         std::fs::remove_file(&file).map_err(|reason| refused(&file, reason))?;
     }
-    let traces = std::fs::read_dir(folder.join(CHANNELS)).into_iter().flatten().flatten();
-    for trace in traces.map(|entry| entry.path()) {
-        let text = std::fs::read_to_string(&trace).unwrap_or_default();
-        if text.starts_with(Phase::COLUMNS) {
-            std::fs::remove_file(&trace).map_err(|reason| refused(&trace, reason))?;
-        }
-    }
     Ok(())
 }
 
@@ -213,13 +206,13 @@ fn write_traces(folder: &Path, courses: &BTreeMap<String, Vec<Phase>>) -> Result
     Ok(())
 }
 
-/// The files of an earlier run in a folder, `result.json` first.
+/// The files of an earlier run in a folder, `result.json` first, and its traces below it.
 ///
 /// # Errors
 /// [`FilesError`] for files of these names that are not of realo.
 pub fn earlier(folder: &Path) -> Result<Vec<PathBuf>, FilesError> {
     let present = FILES.iter().filter(|(name, _)| folder.join(name).exists());
-    present
+    let files: Result<Vec<PathBuf>, FilesError> = present
         .map(|(name, schema)| {
             let file = folder.join(name);
             match read_any(&file, schema) {
@@ -228,7 +221,11 @@ pub fn earlier(folder: &Path) -> Result<Vec<PathBuf>, FilesError> {
                 Err(error) => Err(error),
             }
         })
-        .collect()
+        .collect();
+    let is_trace = |path: &PathBuf| std::fs::read_to_string(path).is_ok_and(|text| text.starts_with(Phase::COLUMNS));
+    let traces = std::fs::read_dir(folder.join(CHANNELS)).into_iter().flatten().flatten();
+    let traces = traces.map(|entry| entry.path()).filter(is_trace);
+    Ok(files?.into_iter().chain(traces).collect())
 }
 
 fn refused(file: &Path, reason: std::io::Error) -> FilesError {

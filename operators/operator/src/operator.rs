@@ -42,6 +42,15 @@ pub trait Describe {
     const DECIDED: &'static [(Decided, &'static str)] = &[];
     /// What the paper measured for the whole inference of the method that this fusion stands for.
     const PAPER_INFERENCE: Option<Nanos> = None;
+
+    /// Looks at a configuration and the files that it names before a run; opens no socket and writes nothing.
+    ///
+    /// # Errors
+    /// What its `new` would say of that.
+    fn examine(config: &Self::Config) -> Result<(), Error> {
+        let _ = config;
+        Ok(())
+    }
 }
 
 /// What whoever prepares a run knows, and a graph need not say.

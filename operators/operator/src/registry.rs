@@ -158,6 +158,8 @@ pub struct Registration {
     pub defaults: fn() -> serde_json::Map<String, Value>,
     /// Whether it takes these arguments; opens nothing.
     pub check: fn(&[String]) -> Result<(), ConfigError>,
+    /// Looks at its arguments and the files that they name; see [`Describe::examine`](crate::Describe::examine).
+    pub examine: fn(&[String]) -> Result<(), Error>,
     /// Builds it from `key=value` arguments.
     pub build: fn(&[String]) -> Result<Built, Error>,
 }
@@ -177,6 +179,7 @@ macro_rules! registration {
                 paper_inference: T::PAPER_INFERENCE,
                 defaults: defaults::<T::Config>,
                 check: |args| parse::<T::Config>(args).map(|_| ()),
+                examine: |args| T::examine(&parse(args)?),
                 build: |args| {
                     let $made = T::new(parse(args)?)?;
                     Ok($built)

@@ -50,6 +50,10 @@ const LOST: usize = 2;
 const OVERFLOWN: usize = 3;
 const DUPLICATED: usize = 4;
 
+/// Least rate above 0, Mbit/s.
+const LEAST: f64 = 1e-3;
+/// Greatest rate, Mbit/s, and time, ms.
+const MOST: f64 = 1e6;
 /// Shares are of so many.
 const ALL: u64 = 1_000_000;
 
@@ -71,10 +75,14 @@ impl Default for Link {
 
 impl Link {
     /// Sets `rate` (Mbit/s, 0: no limit), `delay`, `jitter`, `queue` (ms), `loss`, `duplicate` (0 to 1), `half_duplex` or `cut`
-    /// (0 or 1); `false` if there is no such thing or the number is none.
+    /// (0 or 1); `false` if there is no such thing or it does not take the number ([`Link::takes`]).
     pub fn set(&self, what: &str, value: f64) -> bool {
-        let most = if Link::is_share(what) { 1.0 } else { f64::MAX };
-        if !(0.0..=most).contains(&value) {
+        let is_taken = match what {
+            "rate" => value == 0.0 || (LEAST..=MOST).contains(&value),
+            "delay" | "jitter" | "queue" => (0.0..=MOST).contains(&value),
+            _ => (0.0..=1.0).contains(&value),
+        };
+        if !is_taken {
             return false;
         }
         match what {
@@ -89,6 +97,17 @@ impl Link {
             _ => return false,
         }
         true
+    }
+
+    /// Which numbers a setting takes, in words; `None`: there is no such setting.
+    pub fn takes(what: &str) -> Option<&'static str> {
+        match what {
+            "rate" => Some("0, for no limit, or a number of Mbit/s from 0.001 to 1000000"),
+            "delay" | "jitter" | "queue" => Some("a number of ms from 0 to 1000000"),
+            "loss" | "duplicate" => Some("a number from 0 to 1"),
+            "half_duplex" | "cut" => Some("0 or 1"),
+            _ => None,
+        }
     }
 
     /// Whether a setting is a share, from 0 to 1, of all packets.
@@ -291,9 +310,17 @@ mod tests {
             assert!(link.set(what, 0.5), "{what}");
             assert!(!link.set(what, f64::NAN) && !link.set(what, f64::INFINITY), "{what}");
             assert!(!link.set(what, -1.0), "{what}");
-            assert_eq!(link.set(what, 1.1), !Link::is_share(what), "{what}");
+            let is_up_to_1 = ["loss", "duplicate", "half_duplex", "cut"].contains(&what);
+            assert_eq!(link.set(what, 1.1), !is_up_to_1, "{what}");
+            assert!(link.set(what, 0.0) && !link.set(what, 1e300), "{what}");
+            assert!(Link::takes(what).is_some(), "{what}");
         }
-        assert!(!link.set("speed", 1.0));
+        assert!(!link.set("speed", 1.0) && Link::takes("speed").is_none());
+        // A link of hardly any rate is not one without a limit.
+        assert!(!link.set("rate", 1e-7) && link.set("rate", 1e-3));
+        let (now, free) = (Instant::now(), Mutex::new([Instant::now(); 2]));
+        let leaves = pass(&link, 0, 125, now, &free).expect("the queue is empty");
+        assert!(leaves - now >= Duration::from_secs(1), "{:?}", leaves - now);
     }
 
     /// What a link makes of 10,000 packets of 1,500 bytes that come one after the other.

@@ -41,19 +41,35 @@ pub enum Error {
         /// What is in the way.
         reason: String,
     },
+    /// A name that no machine can have.
+    #[error("a machine's name: expected {expected}, found `{found}`")]
+    Name {
+        /// What can be one.
+        expected: &'static str,
+        /// What is none.
+        found: String,
+    },
+    /// A namespace of the name is there.
+    #[error(
+        "a network namespace `{0}` is there already; `ip netns del {0}` if it is left of a run that was killed, or choose another name"
+    )]
+    Taken(String),
     /// `ip` failed.
-    #[error("`{command}`: {reason}; it needs root and iproute2")]
+    #[error("`{command}`: {reason}{mend}")]
     Ip {
         /// What was called.
         command: String,
         /// What it said.
         reason: String,
+        /// What helps.
+        mend: &'static str,
     },
 }
 
 /// Two network namespaces, and a wall clock of each, which go with it.
 pub struct Machines {
-    names: [String; 2],
+    /// Those whose namespaces are made.
+    names: Vec<String>,
     clocks: [WallClock; 2],
 }
 
@@ -63,6 +79,7 @@ impl Machines {
     /// # Errors
     /// [`Error`], where there is no ground for example, or where a namespace of the name exists.
     pub fn join(first: &str, second: &str, link: Arc<Link>) -> Result<Machines, Error> {
+        check_names(first, second)?;
         Ground::find()?;
         let (machines, tuns) = Machines::make(first, second)?;
         carry(&link, tuns)?;
@@ -76,20 +93,23 @@ impl Machines {
     }
 
     fn make(first: &str, second: &str) -> Result<(Machines, [Tun; 2]), Error> {
-        let names = [first, second].map(String::from);
-        let clock = |machine: usize| {
+        let clock = |machine: &str| {
             WallClock::new().map_err(|error| Error::Clock {
-                machine: names[machine].clone(),
+                machine: machine.into(),
                 reason: format!("{}: {error}", std::env::temp_dir().display()),
             })
         };
-        let clocks = [clock(0)?, clock(1)?];
+        let clocks = [clock(first)?, clock(second)?];
         let devices = [0, 1].map(|end| format!("tun{}{end}", std::process::id()));
         let tuns = [Tun::new(&devices[0])?, Tun::new(&devices[1])?];
-        ip(&["netns", "add", first])?;
+        add_namespace(first)?;
         // From here on, what was made goes with it.
-        let machines = Machines { names, clocks };
-        ip(&["netns", "add", second])?;
+        let mut machines = Machines {
+            names: vec![first.into()],
+            clocks,
+        };
+        add_namespace(second)?;
+        machines.names.push(second.into());
         for end in [0, 1] {
             let (name, device) = (&*machines.names[end], &*devices[end]);
             ip(&["link", "set", device, "netns", name])?;
@@ -199,16 +219,80 @@ impl Drop for Machines {
     }
 }
 
+/// Names of namespaces are names of files.
+fn check_names(first: &str, second: &str) -> Result<(), Error> {
+    let wrong = |expected, found: &str| Error::Name {
+        expected,
+        found: found.into(),
+    };
+    for name in [first, second] {
+        let is_one = !name.is_empty() && name.len() <= 200 && !name.starts_with(['.', '-']);
+        if !is_one || name.chars().any(|c| c == '/' || c.is_whitespace() || c.is_control()) {
+            let expected = "up to 200 bytes without blanks and /, and neither . nor - at the beginning";
+            return Err(wrong(expected, name));
+        }
+    }
+    match first == second {
+        true => Err(wrong("another than the first one's", second)),
+        false => Ok(()),
+    }
+}
+
+fn add_namespace(name: &str) -> Result<(), Error> {
+    ip(&["netns", "add", name]).map(drop).map_err(|error| match error {
+        Error::Ip { reason, .. } if reason.contains("File exists") => Error::Taken(name.into()),
+        other => other,
+    })
+}
+
 /// What `ip` says.
 fn ip(arguments: &[&str]) -> Result<String, Error> {
-    let failed = |reason: String| Error::Ip {
+    let failed = |reason: String, mend| Error::Ip {
         command: format!("ip {}", arguments.join(" ")),
         reason,
+        mend,
     };
     let output = Command::new("ip").args(arguments).output();
-    let output = output.map_err(|error| failed(error.to_string()))?;
-    match output.status.success() {
-        true => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
-        false => Err(failed(String::from_utf8_lossy(&output.stderr).trim().to_string())),
+    let output = output.map_err(|error| failed(error.to_string(), "; it needs iproute2"))?;
+    if output.status.success() {
+        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+    }
+    let reason = String::from_utf8_lossy(&output.stderr).trim().to_string();
+    let is_refused = ["not permitted", "ermission denied"]
+        .iter()
+        .any(|word| reason.contains(word));
+    Err(failed(reason, if is_refused { "; it needs root" } else { "" }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_cannot_be_are_told() {
+        for (names, expected) in [
+            (
+                ["a/b", "car"],
+                "without blanks and /, and neither . nor - at the beginning, found `a/b`",
+            ),
+            (["car", ""], "found ``"),
+            (["car", "a b"], "found `a b`"),
+            (["..", "car"], "found `..`"),
+            (["-all", "car"], "found `-all`"),
+            (["car", "car"], "expected another than the first one's, found `car`"),
+        ] {
+            let error = check_names(names[0], names[1]).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        check_names("car", "roadside").unwrap();
+    }
+
+    #[test]
+    fn what_ip_refuses_is_told_as_it_says_it() {
+        let error = ip(&["netns", "exec"]).unwrap_err().to_string();
+        assert!(
+            error.starts_with("`ip netns exec`: ") && !error.contains("root"),
+            "{error}"
+        );
     }
 }

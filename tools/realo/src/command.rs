@@ -1,7 +1,8 @@
+use std::any::TypeId;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
@@ -46,6 +47,26 @@ enum Command {
     Host(host::ModuleArgs),
 }
 
+/// Lets options that take numbers take negative ones, so that whoever checks their range tells it.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let numbers = [
+        TypeId::of::<f64>(),
+        TypeId::of::<f32>(),
+        TypeId::of::<u16>(),
+        TypeId::of::<u32>(),
+        TypeId::of::<u64>(),
+        TypeId::of::<usize>(),
+    ];
+    let command = command.mut_args(|arg| {
+        let kind = arg.get_value_parser().type_id();
+        match numbers.iter().any(|number| kind == *number) {
+            true => arg.allow_negative_numbers(true),
+            false => arg,
+        }
+    });
+    command.mut_subcommands(with_negative_numbers)
+}
+
 /// The whole `main` of a binary that hosts everything of realo and operators of its own:
 ///
 /// ```no_run
@@ -75,7 +96,9 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
             usual(panic);
         }
     }));
-    let outcome = match Cli::parse().command {
+    let mut matches = with_negative_numbers(Cli::command()).get_matches();
+    let cli = Cli::from_arg_matches_mut(&mut matches).unwrap_or_else(|error| error.exit());
+    let outcome = match cli.command {
         Command::Run(args) => run::main(&args),
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),

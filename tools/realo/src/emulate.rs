@@ -52,8 +52,9 @@ pub struct Args {
 
 /// Makes the machines and waits.
 pub fn main(args: &Args) -> Result<Outcome> {
-    if args.port == u16::MAX {
-        bail!("--port: expected one with another behind it, found {}", args.port);
+    if !(1..u16::MAX).contains(&args.port) {
+        let found = args.port;
+        bail!("--port: expected one with another behind it, from 1 to 65534, found {found}");
     }
     let [first, second] = &*args.names else {
         bail!("--names: expected two, as car,roadside, found {}", args.names.join(","));
@@ -69,8 +70,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
         ("half_duplex", if args.half_duplex { 1.0 } else { 0.0 }),
     ] {
         if !link.set(what, value) {
-            let until = if Link::is_share(what) { "to 1" } else { "on" };
-            bail!("--{what}: expected a number from 0 {until}, found {value}");
+            let expected = Link::takes(what).unwrap_or_default();
+            bail!("--{what}: expected {expected}, found {value}");
         }
     }
     let interrupts = Interrupts::hold();
@@ -78,12 +79,17 @@ pub fn main(args: &Args) -> Result<Outcome> {
     println!("Ctrl-C ends it");
     let is_relay = matches!(place, Place::Loopback(_));
     std::thread::spawn(move || {
-        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+        for line in std::io::stdin().lock().split(b'\n').map_while(Result::ok) {
+            let line = String::from_utf8_lossy(&line);
             let what = line.split_whitespace().next().unwrap_or_default();
             if is_relay && Link::is_share(what) {
                 eprintln!("realo: {what}: {OF_PACKETS}");
             } else if !obey(&link, &line) {
-                eprintln!("realo: expected `WHAT NUMBER` (realo emulate --help), found `{line}`");
+                let expected = match Link::takes(what) {
+                    Some(takes) => format!("`{what}` and {takes}"),
+                    None => "`WHAT NUMBER` (realo emulate --help)".into(),
+                };
+                eprintln!("realo: expected {expected}, found `{}`", line.trim_end());
             }
         }
     });

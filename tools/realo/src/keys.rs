@@ -1,6 +1,6 @@
 //! `realo keys`: keys of agents, and whom they trust.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use eyre::Result;
 use realo_radio::keys::{Own, Trusted};
@@ -24,6 +24,11 @@ enum Command {
         #[arg(short, long, default_value = ".")]
         output: PathBuf,
     },
+    /// Writes AGENT.pub again beside a private key
+    Public {
+        /// What `realo keys new` made for the agent: AGENT.key
+        key: PathBuf,
+    },
     /// Adds agents to a list of those that are trusted
     Trust {
         /// What `realo keys new` made for others, or other lists
@@ -40,12 +45,16 @@ pub fn main(args: &Args) -> Result<Outcome> {
     match &args.command {
         Command::New { agent, output } => {
             let own = Own::new(agent)?;
-            let [private, public] = ["key", "pub"].map(|kind| output.join(format!("{agent}.{kind}")));
+            let private = output.join(format!("{agent}.key"));
             own.write(&private)?;
-            own.public().write(&public)?;
+            if let Err(error) = write_public(&own, &private) {
+                // Nobody knows it yet.
+                std::fs::remove_file(&private)?;
+                return Err(error);
+            }
             println!("{}: stays on the machine of {agent}: v2x.key", private.display());
-            println!("{}: for the others: realo keys trust {agent}.pub", public.display());
         }
+        Command::Public { key } => write_public(&Own::read(key)?, key)?,
         Command::Trust { public, list } => {
             let mut trusted = match list.exists() {
                 true => Trusted::read(list)?,
@@ -60,4 +69,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     Ok(Outcome::Complete)
+}
+
+/// Writes what the others need beside a private key, and says so.
+fn write_public(own: &Own, private: &Path) -> Result<()> {
+    let agent = &own.agent;
+    let public = private.with_file_name(format!("{agent}.pub"));
+    own.public().write(&public)?;
+    println!("{}: for the others: realo keys trust {agent}.pub", public.display());
+    Ok(())
 }

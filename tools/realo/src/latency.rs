@@ -1,7 +1,9 @@
 //! `realo latency`: how long an agent's messages take to another machine.
 
 use std::collections::BTreeMap;
+use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
@@ -15,6 +17,7 @@ use realo_radio::keys::{Own, Trusted};
 use realo_radio::network::{Network, Taken};
 use realo_radio::offset::Estimate;
 use realo_radio::protocol::{Arrived, Offer, Settings};
+use realo_radio::refusal::{Refusal, Refusals};
 use realo_radio::seal::Seal;
 use realo_radio::session::Place;
 use realo_radio::station::{Event, Station};
@@ -88,9 +91,36 @@ pub struct Args {
 /// Measures, or answers.
 pub fn main(args: &Args) -> Result<Outcome> {
     match (&args.peer, &args.log) {
-        (Some(peer), Some(log)) => measure(args, peer, log),
+        (Some(peer), Some(log)) => {
+            let is_new = open_for_trace(&args.output)?;
+            let measured = measure(args, peer, log);
+            if measured.is_err() && is_new {
+                let _ = fs::remove_file(&args.output);
+            }
+            measured
+        }
         _ => answer(args),
     }
+}
+
+/// Finds out, before anything is measured, whether the trace can be written; what is there stays. Whether the file is new.
+fn open_for_trace(path: &Path) -> Result<bool> {
+    let is_new = !path.exists();
+    let opened = OpenOptions::new().write(true).create(true).truncate(false).open(path);
+    opened.wrap_err_with(|| {
+        format!(
+            "{}: the trace cannot be written there; name another file (--output)",
+            path.display()
+        )
+    })?;
+    Ok(is_new)
+}
+
+/// Time on this end's line: the wall clock when it was first asked, going on by the steady one, so that a clock that is set meanwhile
+/// moves no time.
+fn now() -> Nanos {
+    static BEGUN: OnceLock<Nanos> = OnceLock::new();
+    *BEGUN.get_or_init(|| wall() - steady()) + steady()
 }
 
 /// One end of the way.
@@ -126,14 +156,14 @@ impl End {
         });
         let station = Station::new(name, settings, LARGEST, wall() as u64, seal);
         let network = Network::join(&place, station, waker)?;
-        network.set_time(wall());
+        network.set_time(now());
         Ok(End { network, woken })
     }
 
     /// What came until now, waiting at most so long for it.
     fn take(&self, wait: Duration) -> Taken {
         let _ = self.woken.recv_timeout(wait);
-        self.network.set_time(wall());
+        self.network.set_time(now());
         self.network.take()
     }
 
@@ -141,7 +171,7 @@ impl End {
         let is_taken = self.network.offer(Offer {
             kind,
             seq,
-            stamp: wall(),
+            stamp: now(),
             born: steady(),
             bytes: bytes.into(),
         });
@@ -158,7 +188,7 @@ fn answer(args: &Args) -> Result<Outcome> {
     loop {
         for event in end.take(Duration::from_millis(100)).events {
             if let Event::Arrived(_, Arrived { kind, seq, bytes, .. }, _) = event {
-                let here = wall().to_le_bytes();
+                let here = now().to_le_bytes();
                 end.send(kind, seq, [&here[..], &bytes].concat());
             }
         }
@@ -218,14 +248,11 @@ fn measure(args: &Args, peer: &Endpoint, log: &Path) -> Result<Outcome> {
             break known;
         }
         if Instant::now() > until {
-            let refused = taken.reports.iter().flat_map(|report| &report.refused);
-            let refused: Vec<String> = refused
-                .map(|(why, count)| format!("{count} {}", why.as_str()))
-                .collect();
-            bail!(
-                "{peer}: nobody answers (refused: [{}]); run `realo latency --listen tcp/0.0.0.0:PORT` there",
-                refused.join(", ")
-            );
+            let mut refused = Refusals::new();
+            for (why, count) in taken.reports.iter().flat_map(|report| &report.refused) {
+                *refused.entry(*why).or_default() += count;
+            }
+            bail!("{peer}: {}", why_nobody_answers(&refused, args.key.is_some()));
         }
     };
     let mut asking = Asking {
@@ -233,7 +260,7 @@ fn measure(args: &Args, peer: &Endpoint, log: &Path) -> Result<Outcome> {
         clock: known.1,
         course: Course::default(),
         // Greater than that of an earlier call.
-        seq: (wall() / 1000) as u64,
+        seq: (now() / 1000) as u64,
     };
     let kinds = messages.iter().map(|(kind, bodies)| asking.circulate(*kind, bodies));
     let found = Found {
@@ -244,14 +271,40 @@ fn measure(args: &Args, peer: &Endpoint, log: &Path) -> Result<Outcome> {
         trace: args.output.clone(),
     };
     asking.end.network.leave();
-    let trace = Phase::trace(&asking.course.close());
-    std::fs::write(&args.output, trace).wrap_err_with(|| format!("{}", args.output.display()))?;
     match args.json {
         true => println!("{}", serde_json::to_string_pretty(&found)?),
         false => found.print(),
     }
+    let trace = Phase::trace(&asking.course.close());
+    fs::write(&args.output, trace).wrap_err_with(|| format!("{}", args.output.display()))?;
     let is_whole = found.kinds.iter().all(|row| row.came_back == row.sent);
     Ok(if is_whole { Outcome::Complete } else { Outcome::Partial })
+}
+
+/// What keeps two ends from meeting, and what to do about it.
+fn why_nobody_answers(refused: &Refusals, signs: bool) -> String {
+    let Some((most, _)) = refused.iter().max_by_key(|(_, count)| **count) else {
+        let trusting = if signs {
+            ", with a --trust that has this end's key"
+        } else {
+            ""
+        };
+        return format!("nobody answers; run `realo latency --listen tcp/0.0.0.0:PORT` there{trusting}");
+    };
+    let mend = match most {
+        Refusal::Stranger => "the list at --trust has no key of it: `realo keys trust AGENT.pub`",
+        Refusal::Unsigned => "it signs nothing: give it --key and --trust too, or take them from this end",
+        Refusal::Forged => "the list at --trust has another key of it: `realo keys trust` of the one that it has now",
+        Refusal::Replayed | Refusal::Future => "its clock and this one differ by more than 10 s: set them",
+        Refusal::Malformed | Refusal::Oversized | Refusal::OtherTimeLine | Refusal::Flood => {
+            "is it another version of realo? both ends have to be of one"
+        }
+    };
+    let counts: Vec<String> = refused
+        .iter()
+        .map(|(why, count)| format!("{count} {}", why.as_str()))
+        .collect();
+    format!("what comes from there is refused ({}): {mend}", counts.join(", "))
 }
 
 /// By kind, what an agent sends in the graphs.
@@ -328,11 +381,11 @@ impl Asking {
     /// Has a message go there and back; `None` if it does not come back.
     fn round(&mut self, kind: Kind, body: &[u8]) -> Option<Round> {
         self.seq += 1;
-        let (seq, given, until) = (self.seq, wall(), Instant::now() + PATIENCE);
+        let (seq, given, until) = (self.seq, now(), Instant::now() + PATIENCE);
         self.end.send(kind, seq, body.to_vec());
         while let Some(left) = until.checked_duration_since(Instant::now()) {
             let taken = self.end.take(left.min(Duration::from_millis(100)));
-            let now = wall();
+            let now = now();
             if let Some(clock) = taken.reports.iter().find_map(|report| report.clock) {
                 self.clock = clock;
             }
@@ -355,7 +408,7 @@ impl Asking {
                 there: here - given,
             });
         }
-        self.course.lost(wall(), 1);
+        self.course.lost(now(), 1);
         None
     }
 }
@@ -408,5 +461,37 @@ impl Found {
             "{}: the way from {peer}, a trace for `[channel]` of a link profile",
             trace.display()
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_is_not_met_is_told_what_is_in_the_way() {
+        let refused = |all: &[(Refusal, u64)]| all.iter().copied().collect::<Refusals>();
+        for (all, signs, expected) in [
+            (
+                &[][..],
+                false,
+                "nobody answers; run `realo latency --listen tcp/0.0.0.0:PORT` there",
+            ),
+            (&[], true, "with a --trust that has this end's key"),
+            (
+                &[(Refusal::Stranger, 57)],
+                true,
+                "(57 strangers): the list at --trust has no key of it",
+            ),
+            (
+                &[(Refusal::Malformed, 1), (Refusal::Unsigned, 9)],
+                true,
+                "(1 malformed, 9 unsigned): it signs nothing",
+            ),
+            (&[(Refusal::Future, 3)], true, "(3 future): its clock"),
+        ] {
+            let said = why_nobody_answers(&refused(all), signs);
+            assert!(said.contains(expected), "{said}");
+        }
     }
 }

@@ -36,6 +36,13 @@ fn clock(text: &str) -> Result<(String, Nanos), String> {
 pub fn main(args: &Args) -> Result<Outcome> {
     let logs: Vec<Log> = args.logs.iter().map(Log::open).collect::<Result<_, _>>()?;
     let first = &logs[0];
+    let agents = || args.clock.iter().map(|(agent, _)| agent);
+    if let Some((_, twice)) = agents()
+        .enumerate()
+        .find(|(at, agent)| agents().take(*at).any(|known| known == *agent))
+    {
+        bail!("--clock {twice}: expected one for each agent, found two; say which one is meant");
+    }
     if let Some((agent, _)) = args.clock.iter().find(|(agent, _)| first.info().agent(agent).is_some()) {
         let path = first.path().display();
         bail!(

@@ -66,7 +66,7 @@ pub struct Args {
     #[arg(long)]
     no_clouds: bool,
     /// Where the place lies in the map: east,north in metres
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 0.0], allow_negative_numbers = true)]
+    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 0.0])]
     map_offset: Vec<f64>,
     /// The vehicles' sensors, dealt out in turn: names of built-in ones, or files that end in .toml
     #[arg(long, value_delimiter = ',', value_name = "SENSOR")]

@@ -1,5 +1,6 @@
 //! What dora does not check about a graph.
 
+mod agents;
 mod hosting;
 mod lanes;
 mod machines;
@@ -66,7 +67,7 @@ impl fmt::Display for Finding {
 /// Everything that is wrong with a graph and dora does not see, in the order of its nodes.
 ///
 /// Checked are: stages and their arguments, ports and their types, wires (their ends, policies, cycles), lanes (what
-/// belongs to the ego, what to the others, what crossed a link), outputs of processes, and health checks. The
+/// belongs to the ego, what to the others, what crossed a link), outputs of processes, health checks, and whose graph it is. The
 /// graph that has no [`Severity::Error`] can be run by either driver, unless a [`Severity::Note`] names a foreign node.
 pub fn validate(graph: &FlatGraph, registry: &Registry) -> Vec<Finding> {
     validate_asking(graph, registry, &mut |_| None)
@@ -99,6 +100,7 @@ pub fn validate_asking(
     }
     processes::check(graph, &mut findings);
     machines::check(graph, &mut findings);
+    agents::check(graph, &stages, &mut findings);
     match graph.ranks(registry) {
         Ok(ranks) => {
             lanes::check(graph, &ranks, &stages, &mut findings);

@@ -337,6 +337,7 @@ static NOBODY: Registration = Registration {
     paper_inference: None,
     defaults: serde_json::Map::new,
     check: |_| Ok(()),
+    examine: |_| Ok(()),
     build: |_| Err("a program that has not said hello".into()),
 };
 

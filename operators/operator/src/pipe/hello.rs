@@ -142,6 +142,7 @@ fn register(name: &str, ports: Ports) -> Result<&'static Registration, String> {
             paper_inference: None,
             defaults: serde_json::Map::new,
             check: |_| Ok::<(), ConfigError>(()),
+            examine: |_| Ok(()),
             build: |_| Err("a program of its own cannot be built in this process".into()),
         }))
     });
@@ -292,6 +293,7 @@ mod tests {
             paper_inference: None,
             defaults: serde_json::Map::new,
             check: |_| Ok(()),
+            examine: |_| Ok(()),
             build: |_| Err("".into()),
         };
         let hello = read(whole(write(&registration, true))).unwrap();

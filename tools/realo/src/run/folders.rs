@@ -1,5 +1,6 @@
 //! The folders of runs.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
@@ -10,8 +11,10 @@ use super::prepare::TOLD;
 
 /// What a run records, in its folder.
 const RECORDING: &str = "recording.mcap";
-/// What a run recorded that failed, where the recording of an earlier one stands.
-const FAILED_RECORDING: &str = "recording.failed.mcap";
+/// What recordings end in.
+const RECORDED: &str = "mcap";
+/// What the recordings of a run that failed end in, where those of an earlier one stand.
+const FAILED: &str = "failed.mcap";
 /// Where an earlier run's files lie while another one runs.
 const ASIDE: &str = ".earlier";
 /// Is locked while a run writes to the folder.
@@ -45,14 +48,14 @@ impl Folders {
             );
         }
         self.locks.push((path, file));
-        self.claim(folder)
+        self.claim(folder, &[])
     }
 
-    /// Makes a run's folder and puts an earlier run's files aside.
+    /// Makes a run's folder and puts an earlier run's files aside; `recordings` are the files in it that the run records into.
     ///
     /// # Errors
     /// Files of those names that no run of realo wrote; a folder that cannot be written to.
-    pub fn claim(&mut self, folder: &Path) -> Result<()> {
+    pub fn claim(&mut self, folder: &Path, recordings: &[PathBuf]) -> Result<()> {
         if self.claimed.iter().any(|claimed| claimed == folder) {
             return Ok(());
         }
@@ -60,16 +63,15 @@ impl Folders {
         // Of a run that was killed.
         put_back(folder);
         let mut files = realo_results::earlier(folder)?;
-        let others = [RECORDING, TOLD].map(|name| folder.join(name));
-        files.extend(others.into_iter().filter(|file| file.exists()));
+        let mut others = BTreeSet::from([RECORDING, TOLD].map(|name| folder.join(name)));
+        others.extend(recordings.iter().cloned());
+        files.extend(others.into_iter().filter(|file| file.is_file()));
         self.claimed.push(folder.into());
-        let aside = folder.join(ASIDE);
-        if !files.is_empty() {
-            fs::create_dir_all(&aside).wrap_err_with(|| format!("{}", aside.display()))?;
-        }
         for file in files {
-            let name = file.file_name().unwrap_or_default();
-            fs::rename(&file, aside.join(name)).wrap_err_with(|| format!("{}", file.display()))?;
+            let place = folder.join(ASIDE).join(file.strip_prefix(folder)?);
+            let above = place.parent().unwrap_or(folder);
+            fs::create_dir_all(above).wrap_err_with(|| format!("{}", above.display()))?;
+            fs::rename(&file, &place).wrap_err_with(|| format!("{}", file.display()))?;
         }
         Ok(())
     }
@@ -94,22 +96,32 @@ impl Folders {
 /// Puts an earlier run's files back, unless a run has come to its end there since; whether it did.
 fn put_back(folder: &Path) -> bool {
     let aside = folder.join(ASIDE);
-    let Ok(entries) = fs::read_dir(&aside) else {
+    if !aside.is_dir() {
         return false;
-    };
+    }
     if folder.join(RESULT_FILE).exists() {
         let _ = fs::remove_dir_all(&aside);
         return false;
     }
-    for name in entries.flatten().map(|entry| entry.file_name()) {
-        if name == RECORDING && folder.join(RECORDING).exists() {
-            let _ = fs::rename(folder.join(RECORDING), folder.join(FAILED_RECORDING));
-        }
-        // What cannot be moved stays where it is, for the next run to try.
-        let _ = fs::rename(aside.join(&name), folder.join(&name));
-    }
-    let _ = fs::remove_dir(&aside);
+    restore(&aside, folder);
     true
+}
+
+/// Moves all that lies in a folder to another one, and takes the first away. What cannot be moved stays, for the next run to try.
+fn restore(from: &Path, to: &Path) {
+    for entry in fs::read_dir(from).into_iter().flatten().flatten() {
+        let (path, place) = (entry.path(), to.join(entry.file_name()));
+        if path.is_dir() {
+            let _ = fs::create_dir_all(&place);
+            restore(&path, &place);
+            continue;
+        }
+        if place.extension().is_some_and(|kind| kind == RECORDED) && place.exists() {
+            let _ = fs::rename(&place, place.with_extension(FAILED));
+        }
+        let _ = fs::rename(&path, &place);
+    }
+    let _ = fs::remove_dir(from);
 }
 
 impl Drop for Folders {
@@ -144,6 +156,8 @@ impl Drop for Folders {
 
 #[cfg(test)]
 mod tests {
+    use realo_schemas::report::Phase;
+
     use super::*;
 
     #[test]
@@ -155,7 +169,7 @@ mod tests {
             let mut folders = Folders::default();
             folders.lock(&at("there/out")).unwrap();
             for folder in ["there", "there/out/a", "there/out/b", "made/c/d", "made/e"] {
-                folders.claim(&at(folder)).unwrap();
+                folders.claim(&at(folder), &[]).unwrap();
             }
             fs::write(at("made/c/d").join(TOLD), "{}").unwrap();
             fs::write(at("there/out/b/dora.log"), "it failed").unwrap();
@@ -164,15 +178,28 @@ mod tests {
         for gone in ["there/out/a", "there/out/.running", "made"] {
             assert!(!at(gone).exists(), "{gone}");
         }
-        Folders::default().claim(&at("there")).unwrap();
+        Folders::default().claim(&at("there"), &[]).unwrap();
         assert!(at("there").exists(), "it was there before");
     }
 
     fn write_earlier(folder: &Path) {
         let result = r#"{"schema": "realo/result", "version": 1}"#;
-        for (name, text) in [("result.json", result), (RECORDING, "earlier"), (TOLD, "earlier")] {
+        for (name, text) in [("result.json", result), (TOLD, "earlier")] {
             fs::write(folder.join(name), text).unwrap();
         }
+        for name in [RECORDING, LOG] {
+            fs::write(folder.join(name), "earlier").unwrap();
+        }
+        fs::create_dir_all(folder.join("channels")).unwrap();
+        fs::write(folder.join(TRACE), trace("earlier")).unwrap();
+    }
+
+    /// What the sensors of an agent gave, which runs of its graph record.
+    const LOG: &str = "cav1.mcap";
+    const TRACE: &str = "channels/rsu1.csv";
+
+    fn trace(rows: &str) -> String {
+        format!("{}\n{rows}", Phase::COLUMNS)
     }
 
     fn names(folder: &Path) -> Vec<String> {
@@ -194,27 +221,33 @@ mod tests {
         for (begun, killed) in [(false, false), (true, false), (false, true)] {
             let mut folders = Folders::default();
             folders.lock(folder).unwrap();
-            folders.claim(folder).unwrap();
-            assert!(!folder.join("result.json").exists(), "it does not stand for this run");
+            folders.claim(folder, &[folder.join(LOG)]).unwrap();
+            for name in ["result.json", LOG, TRACE] {
+                assert!(!folder.join(name).exists(), "{name} does not stand for this run");
+            }
             if begun {
-                fs::write(folder.join(RECORDING), "failed").unwrap();
-                fs::write(folder.join(TOLD), "failed").unwrap();
+                for name in [RECORDING, LOG, TOLD] {
+                    fs::write(folder.join(name), "failed").unwrap();
+                }
+                fs::write(folder.join(TRACE), trace("failed")).unwrap();
             }
             match killed {
                 true => {
                     std::mem::take(&mut folders.claimed);
                     drop(folders);
                     assert!(folder.join(ASIDE).exists() && !folder.join(TOLD).exists());
-                    drop(Folders::default().claim(folder));
+                    drop(Folders::default().claim(folder, &[]));
                 }
                 false => drop(folders),
             }
-            for file in [RECORDING, TOLD] {
+            for file in [RECORDING, LOG, TOLD] {
                 assert_eq!(fs::read_to_string(folder.join(file)).unwrap(), "earlier");
             }
-            let failed = folder.join(FAILED_RECORDING);
-            assert_eq!(failed.exists(), begun);
-            let _ = fs::remove_file(failed);
+            assert_eq!(fs::read_to_string(folder.join(TRACE)).unwrap(), trace("earlier"));
+            for failed in ["recording.failed.mcap", "cav1.failed.mcap"].map(|name| folder.join(name)) {
+                assert_eq!(failed.exists(), begun);
+                let _ = fs::remove_file(failed);
+            }
             assert_eq!(names(folder), before);
         }
     }
@@ -225,11 +258,12 @@ mod tests {
         let folder = root.path();
         write_earlier(folder);
         let mut folders = Folders::default();
-        folders.claim(folder).unwrap();
+        folders.claim(folder, &[folder.join(LOG)]).unwrap();
         fs::write(folder.join("result.json"), "{}").unwrap();
         folders.keep_new();
         drop(folders);
-        assert_eq!(names(folder), ["result.json"]);
+        assert_eq!(names(folder), ["channels", "result.json"]);
+        assert!(names(&folder.join("channels")).is_empty());
     }
 
     #[test]
@@ -242,13 +276,13 @@ mod tests {
         for cell in &cells {
             fs::create_dir(cell).unwrap();
             write_earlier(cell);
-            folders.claim(cell).unwrap();
+            folders.claim(cell, &[cell.join(LOG)]).unwrap();
         }
         fs::write(cells[0].join("result.json"), "new").unwrap();
         drop(folders);
-        assert_eq!(names(root.path()), ["a", "b"]);
-        assert_eq!(names(&cells[0]), ["result.json"]);
-        assert_eq!(names(&cells[1]), [RECORDING, "result.json", TOLD]);
+        assert_eq!(names(root.path()), ["a", "b", LOG, "channels"]);
+        assert_eq!(names(&cells[0]), ["channels", "result.json"]);
+        assert_eq!(names(&cells[1]), [LOG, "channels", RECORDING, "result.json", TOLD]);
     }
 
     #[test]
@@ -266,7 +300,7 @@ mod tests {
     fn files_of_somebody_else_stay() {
         let root = tempfile::tempdir().unwrap();
         fs::write(root.path().join("result.json"), "mine").unwrap();
-        let error = Folders::default().claim(root.path()).unwrap_err().to_string();
+        let error = Folders::default().claim(root.path(), &[]).unwrap_err().to_string();
         assert!(error.contains("is not of realo"), "{error}");
         assert_eq!(names(root.path()), ["result.json"]);
     }

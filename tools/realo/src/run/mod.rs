@@ -200,27 +200,39 @@ impl Args {
 ///
 /// # Errors
 /// A model or weights that cannot be had, a model file for a graph without a network, kernels that this processor lacks,
-/// models that do not fit together, a value that an operator does not take.
+/// models that do not fit together, a value that a node does not take.
 pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
     nodes::anchor_paths(&mut graph)?;
     if let Some(model) = model {
         nodes::set_model(&mut graph, model)?;
     }
     Networks::default().check(&graph)?;
-    graph.nodes.iter().try_for_each(build)
+    check_nodes(&graph)
 }
 
-/// Builds an operator as its process would; networks are looked at once for all, and sources and sinks open files.
-fn build(node: &FlatNode) -> Result<()> {
-    let known = node.registration(&registry());
-    let Some(known) = known.filter(|known| known.role == Role::Operator) else {
-        return Ok(());
-    };
-    if known.argument(Decided::Model).is_some() {
-        return Ok(());
+/// Has every node say what keeps it from a run, before its process does.
+///
+/// # Errors
+/// What all those say.
+fn check_nodes(graph: &FlatGraph) -> Result<()> {
+    let errors = graph.nodes.iter().filter_map(|node| {
+        let error = check_node(node).err()?;
+        Some(format!("node `{}`: {error}", node.id))
+    });
+    let errors: Vec<String> = errors.collect();
+    match errors.is_empty() {
+        true => Ok(()),
+        false => bail!("{}", errors.join("\n  ")),
     }
-    let built = (known.build)(node.settings());
-    built.map(|_| ()).map_err(|error| eyre!("node `{}`: {error}", node.id))
+}
+
+/// Builds an operator; networks are looked at once for all, and all else opens files and sockets.
+fn check_node(node: &FlatNode) -> Result<(), realo_operator::Error> {
+    match node.registration(&registry()) {
+        Some(known) if known.role != Role::Operator => (known.examine)(node.settings()),
+        Some(known) if known.argument(Decided::Model).is_none() => (known.build)(node.settings()).map(drop),
+        _ => Ok(()),
+    }
 }
 
 /// Processes whose program is not there, and is not this one.
@@ -260,7 +272,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     for (name, cells) in names.iter().zip(&cells) {
         folders.lock(&dir_of(args, name))?;
         for cell in cells {
-            folders.claim(&cell.out)?;
+            folders.claim(&cell.out, &cell.recordings())?;
             cell.tell()?;
         }
     }

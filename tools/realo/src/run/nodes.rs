@@ -92,8 +92,8 @@ pub fn argument(node: &FlatNode, key: &str) -> Option<String> {
 }
 
 /// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
-/// own, from which they are seen. A value that begins with `./` or `../` is one; the model of a network and the program of a
-/// plug-in always.
+/// own, from which they are seen. A value that begins with `./` or `../` is one, and one with a `/` or an ending where there is such
+/// a file; the model of a network and the program of a plug-in always.
 pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
@@ -107,13 +107,23 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
         let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();
         let model = decided_argument(node, Decided::Model);
         for key in keys {
-            let is_path = |value: &String| is_relative_path(value) || model == Some(key.as_str());
+            let is_path = |value: &String| {
+                is_relative_path(value)
+                    || model == Some(key.as_str())
+                    || (is_like_path(value) && folder.join(value).is_file())
+            };
             if let Some(path) = argument(node, &key).filter(is_path) {
                 node.set(&key, &normalized(&folder.join(path)).to_string_lossy());
             }
         }
     }
     Ok(())
+}
+
+/// Whether a value could be the name of a file.
+pub fn is_like_path(value: &str) -> bool {
+    let path = Path::new(value);
+    path.components().count() > 1 || path.extension().is_some()
 }
 
 /// Whether a value is a path that is seen from somewhere.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Report, Result, WrapErr, bail, eyre};
-use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
+use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_operator::Decided;
@@ -14,8 +14,8 @@ use realo_scoring::Protocol;
 use super::lane::{self, SendingLane};
 use super::networks::Networks;
 use super::nodes::{
-    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_relative_path, set_model,
-    takers, values,
+    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
+    set_model, takers, values,
 };
 use super::{Args, Mode, compute, dir_of};
 use crate::fit::protocol_fits;
@@ -46,6 +46,13 @@ impl Cell {
     /// Whether somebody can choose who brings what crosses the link to the ego's frame.
     pub fn can_project(&self) -> bool {
         !self.told.settings.project.is_empty()
+    }
+
+    /// The files in the folder of its results that it records into.
+    pub fn recordings(&self) -> Vec<PathBuf> {
+        let file = |node| given(node, decided_argument(node, Decided::Recording)?).map(PathBuf::from);
+        let files = deciding(&self.graph, Decided::Recording).filter_map(file);
+        files.filter(|file| file.parent() == Some(&self.out)).collect()
     }
 
     /// Writes what the result tells of the run to where the graph has it.
@@ -92,6 +99,13 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
         }
         let coop = args.coop.map_or(realo_player::Coop::All, super::Coop::for_player);
         let own = values(&graph, Decided::Own, str::to_string);
+        if !own.is_empty() && !args.agents.is_empty() {
+            bail!(
+                "--agents: {} is the graph of one agent, {own}, and the others have graphs of their own: start those that take part, and \
+                 say by --ego whose this one is",
+                path.display()
+            );
+        }
         let ego = args.ego.as_deref().unwrap_or(&own);
         let plan = realo_player::plan(&log, ego, coop, &args.agents)?;
         for planned in plan.runs {
@@ -124,6 +138,10 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
             };
             spare(&graph, &logs)?;
             check(&graph)?;
+            if mode == Mode::Realtime {
+                // In virtual time nothing is started before all are built.
+                super::check_nodes(&graph).map_err(|error| eyre!("{} cannot run:\n  {error}", path.display()))?;
+            }
             cells.push(Cell {
                 name: format!("{name}, {stem}, {ego}"),
                 graph,
@@ -246,8 +264,7 @@ pub fn nobody_projects(graphs: &str) -> Report {
 /// A `--set`; a path in it, and the name of a file that is there, is seen from where the user is.
 fn setting(text: &str) -> Result<Setting> {
     let mut setting: Setting = text.parse()?;
-    let path = Path::new(&setting.value);
-    let is_file = (path.components().count() > 1 || path.extension().is_some()) && path.exists();
+    let is_file = is_like_path(&setting.value) && Path::new(&setting.value).exists();
     if setting.key == "model" || is_relative_path(&setting.value) || is_file {
         setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
     }
@@ -334,8 +351,8 @@ struct Told<'a> {
 
 impl Told<'_> {
     /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
-    fn to(&self, graph: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
-        let mut graph = graph.clone();
+    fn to(&self, base: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
+        let mut graph = base.clone();
         let mut told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
         if !values(&graph, Decided::Own, str::to_string).is_empty() {
             told.push((Decided::Own, self.ego.into()));
@@ -355,8 +372,8 @@ impl Told<'_> {
         }
         for node in &mut graph.nodes {
             if let Some(argument) = decided_argument(node, Decided::Recording) {
-                let path = PathBuf::from(given(node, argument).unwrap_or("recording.mcap"));
-                let name = path.file_name().unwrap_or_default();
+                let before = base.node(&node.id).unwrap_or(node);
+                let name = recording_name(before, argument, self.ego);
                 node.set(argument, &self.out.join(name).to_string_lossy());
             }
         }
@@ -451,6 +468,19 @@ impl Told<'_> {
     }
 }
 
+/// The file that a node of a graph records into; one that is named after the node's agent is named after the one of the run.
+fn recording_name(node: &FlatNode, argument: &str, ego: &str) -> PathBuf {
+    let path = Path::new(given(node, argument).unwrap_or("recording.mcap"));
+    let name = PathBuf::from(path.file_name().unwrap_or_default());
+    let agent = decided_argument(node, Decided::Ego).and_then(|key| given(node, key));
+    match (agent, name.extension()) {
+        (Some(agent), Some(kind)) if name.file_stem() == Some(agent.as_ref()) => {
+            PathBuf::from(ego).with_added_extension(kind)
+        }
+        _ => name,
+    }
+}
+
 /// The name of something built in as it is, a file absolute: nodes start in another folder than the user.
 fn name_or_file(text: &str) -> Result<String> {
     if Path::new(text).components().count() == 1 && Path::new(text).extension().is_none() {
@@ -466,9 +496,15 @@ fn stem(path: &Path) -> String {
 /// A change by hand as results tell it: the argument and its value, a file by its name, for results hold no path.
 fn change_in_words(setting: &Setting) -> (String, String) {
     let path = Path::new(&setting.value);
-    let value = path.file_name().filter(|_| path.components().count() > 1);
-    let value = value.map_or(setting.value.clone().into(), |name| name.to_string_lossy());
-    (format!("{}.{}", setting.node, setting.key), value.into_owned())
+    // The last dot of an address may stand before its port: `tcp/10.0.0.1:7447`.
+    let has_ending = |path: &Path| {
+        path.extension()
+            .is_some_and(|kind| !kind.to_string_lossy().contains(':'))
+    };
+    let is_path = path.is_absolute() || (path.components().count() > 1 && has_ending(path));
+    let name = path.file_name().filter(|_| is_path);
+    let value = name.map_or(setting.value.clone(), |name| name.to_string_lossy().into_owned());
+    (format!("{}.{}", setting.node, setting.key), value)
 }
 
 /// Refuses a graph with errors and prints its warnings.
@@ -489,4 +525,40 @@ fn check(graph: &FlatGraph) -> Result<()> {
         return Ok(());
     }
     bail!("{} cannot run:\n  {}", graph.file.display(), errors.join("\n  "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_log_of_an_agents_sensors_is_named_after_the_agent_of_the_run() {
+        let graphs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows");
+        let graph = Graph::load(&graphs.join("late_fusion.roadside.yml"))
+            .unwrap()
+            .expand()
+            .unwrap();
+        let named = |node: &str, ego| recording_name(graph.node(node).unwrap(), "path", ego);
+        assert_eq!(named("log", "cav2"), Path::new("cav2.mcap"));
+        assert_eq!(named("log", "rsu1"), Path::new("rsu1.mcap"));
+        assert_eq!(named("score.recorder", "cav2"), Path::new("recording.mcap"));
+    }
+
+    #[test]
+    fn results_tell_addresses_whole_and_files_by_their_names() {
+        for (value, expected) in [
+            ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"),
+            ("tls/rsu1.local:7447", "tls/rsu1.local:7447"),
+            ("tcp/10.0.0.1:7447,tcp/[::1]:7447", "tcp/10.0.0.1:7447,tcp/[::1]:7447"),
+            ("north/crossing", "north/crossing"),
+            ("/home/me/keys/cav1.key", "cav1.key"),
+            ("/home/me/models", "models"),
+            ("models/attfuse.toml", "attfuse.toml"),
+            ("0.5", "0.5"),
+        ] {
+            let setting: Setting = format!("v2x.connect={value}").parse().unwrap();
+            let told = change_in_words(&setting);
+            assert_eq!(told, ("v2x.connect".to_string(), expected.to_string()));
+        }
+    }
 }

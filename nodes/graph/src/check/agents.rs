@@ -1,0 +1,33 @@
+//! Whose graph it is, where one agent has a graph of its own.
+
+use super::{Findings, FlatGraph, FlatNode, Severity};
+use realo_operator::{Decided, Registration, Role};
+use realo_schemas::file::shown;
+
+/// Player, radio and log recorder of a graph are of one agent.
+pub(super) fn check(graph: &FlatGraph, stages: &[Option<&'static Registration>], findings: &mut Findings) {
+    let mut first: Option<(&FlatNode, &str)> = None;
+    for (node, stage) in graph.nodes.iter().zip(stages) {
+        let Some(argument) = stage.and_then(agent_argument) else {
+            continue;
+        };
+        let given = node.settings().iter().filter_map(|setting| setting.split_once('='));
+        let mut given = given.filter(|(key, value)| *key == argument && !value.is_empty());
+        let Some((_, agent)) = given.next() else { continue };
+        let (other, known) = *first.get_or_insert((node, agent));
+        if agent != known {
+            let expected = format!("`{argument}={}`, as node `{}` has it", shown(known), other.id);
+            let mend = "a graph with a radio or a log recorder is one agent's: give all three the same `agent`";
+            findings.node(Severity::Error, node, expected, format!("`{}`", shown(agent)), mend);
+        }
+    }
+}
+
+/// The argument that says whose sensors, packets or log it has.
+fn agent_argument(stage: &Registration) -> Option<&'static str> {
+    match stage.role {
+        Role::Source => stage.argument(Decided::Own),
+        Role::Gateway | Role::Sink => stage.argument(Decided::Ego),
+        Role::Operator => None,
+    }
+}
