@@ -577,10 +577,11 @@ fn what_a_node_cannot_run_with_is_told_before_dora_starts() {
 
 #[test]
 fn what_a_node_cannot_run_with_is_found_by_validate() {
-    let dir = folder("validated");
-    for name in ["bin", "modules", "types"] {
-        std::os::unix::fs::symlink(common::root().join("dataflows").join(name), dir.join(name))
-            .expect("links can be made");
+    let root = folder("validated");
+    let dir = root.join("dataflows");
+    fs::create_dir(&dir).expect("a folder can be made");
+    for name in ["dataflows/bin", "dataflows/modules", "dataflows/types", "models"] {
+        std::os::unix::fs::symlink(common::root().join(name), root.join(name)).expect("links can be made");
     }
     let sound = fs::read_to_string(graph("late_fusion.vehicle")).expect("the graph can be read");
     let path = dir.join("vehicle.yml");

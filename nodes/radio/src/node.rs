@@ -8,7 +8,7 @@ use realo_operator::{
     Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected, wrong_port,
 };
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
-use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, file, to_millis};
+use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
 use realo_transmission::{Encoder, EncoderConfig, restamped};
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +23,7 @@ use crate::offset::{Basis, Estimate};
 use crate::protocol::{Arrived, Offer, Settings, is_bulk};
 use crate::refusal::{Refusal, Refusals};
 use crate::seal::Seal;
-use crate::session::Place;
+use crate::session::{self, Place};
 use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
 
 const PACKETS: PortId = PortId(0);
@@ -192,7 +192,7 @@ impl Describe for Radio {
     fn examine(config: &Config) -> Result<(), Error> {
         check(config)?;
         if !config.zenoh.as_os_str().is_empty() {
-            file::read(&config.zenoh).map_err(|error| format!("argument `zenoh`: {error}"))?;
+            session::examine(&config.zenoh)?;
         }
         seal(config).map(drop)
     }

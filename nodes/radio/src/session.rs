@@ -106,6 +106,11 @@ pub(crate) fn open(place: &Place, after: u16) -> Result<Session, NetworkError> {
     zenoh::open(config).wait().map_err(|error| zenoh_error(what, &error))
 }
 
+/// Looks whether a file has settings of Zenoh.
+pub(crate) fn examine(path: &Path) -> Result<(), NetworkError> {
+    add(&mut zenoh::Config::default(), path)
+}
+
 /// Puts the settings of a file over those that are there.
 fn add(config: &mut zenoh::Config, path: &Path) -> Result<(), NetworkError> {
     let wrong = |reason: String| NetworkError::Settings {

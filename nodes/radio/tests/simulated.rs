@@ -563,12 +563,23 @@ fn check_turns(seed: u64) {
 /// What would arrive within three quarters of its deadline, with the round trips in which the stream's window grows, arrives again and again.
 fn check_stream(seed: u64) {
     let mut draws = Draws(ChaCha8Rng::seed_from_u64(seed));
+    let (deadline, delay, rate, grows) = loop {
+        let (deadline, delay, rate) = (
+            draws.scaled(0.4e9, 2e9),
+            draws.scaled(1e6, 40e6),
+            draws.scaled(5e5, 2e7),
+        );
+        // The window doubles in every round trip, until it holds what the way carries in one.
+        let fills = rate * 2e-9 * delay / (10 * SlowStart::SEGMENT) as f64;
+        let grows = 2.0 * delay * (fills.log2().max(0.0) + 1.0);
+        if grows < 0.5 * deadline {
+            break (deadline, delay as Nanos, rate, grows);
+        }
+    };
     let settings = Settings {
-        deadline: draws.scaled(0.4e9, 2e9) as Nanos,
+        deadline: deadline as Nanos,
         ..Settings::default()
     };
-    let delay = draws.scaled(1e6, 40e6) as Nanos;
-    let rate = draws.scaled(5e5, 2e7);
     let way = Way {
         rates: vec![(0, rate)],
         delay,
@@ -580,26 +591,19 @@ fn check_stream(seed: u64) {
         free: 0,
         stream: Some(SlowStart::new(delay)),
     };
-    let crossing = draws.between(0.1, 0.7) * settings.deadline as f64;
-    let bytes = ((crossing * 1e-9 * rate) as usize).min(LARGEST);
+    let alone = draws.between(0.1, 1.0) * (0.75 * deadline - grows);
+    let bytes = ((alone * 1e-9 * rate) as usize).min(LARGEST);
     let stream = Stream {
         kind: Kind::Points,
         bytes,
         period: draws.between(50e6, 200e6) as Nanos,
         phase: 0,
     };
-    // The window doubles in every round trip, until it holds what the way carries in one or the whole message.
-    let fills = (rate * 2.0 * delay as f64 * 1e-9).min(bytes as f64);
-    let rounds = (fills / (10 * SlowStart::SEGMENT) as f64).log2().max(0.0) + 1.0;
-    let crossing = bytes as f64 / rate * 1e9 + 2.0 * delay as f64 * rounds;
-    if crossing > 0.75 * settings.deadline as f64 {
-        return;
-    }
     let ways = [way.clone(), Way { stream: None, ..way }];
-    let story = live(&[stream.clone()], ways, &settings, &mut draws);
+    let story = live(std::slice::from_ref(&stream), ways, &settings, &mut draws);
     let from = 5 * SECOND;
     let arrived = ages(&story, stream.kind, from).len();
-    let turns = (LASTS - from) as f64 / crossing.max(stream.period as f64);
+    let turns = (LASTS - from) as f64 / (alone + grows).max(stream.period as f64);
     assert!(
         arrived as f64 >= 0.5 * (turns - 1.0),
         "seed {seed}: {arrived} arrived in {turns:.1} turns of {stream:?} at {rate} bytes/s, {delay} ns, {settings:?}"

@@ -318,6 +318,8 @@ mod tests {
         assert!(!link.set("speed", 1.0) && Link::takes("speed").is_none());
         // A link of hardly any rate is not one without a limit.
         assert!(!link.set("rate", 1e-7) && link.set("rate", 1e-3));
+        let link = Link::default();
+        assert!(link.set("rate", 1e-3));
         let (now, free) = (Instant::now(), Mutex::new([Instant::now(); 2]));
         let leaves = pass(&link, 0, 125, now, &free).expect("the queue is empty");
         assert!(leaves - now >= Duration::from_secs(1), "{:?}", leaves - now);
@@ -334,7 +336,7 @@ mod tests {
     #[test]
     fn copies_follow_and_take_their_time_on_the_link() {
         let (link, now) = (Link::default(), Instant::now());
-        for (what, value) in [("rate", 12.0), ("queue", 1e9), ("duplicate", 0.1), ("loss", 0.2)] {
+        for (what, value) in [("rate", 12.0), ("queue", 1e6), ("duplicate", 0.1), ("loss", 0.2)] {
             assert!(link.set(what, value));
         }
         let all = arrivals(&link, now);
@@ -384,7 +386,7 @@ mod tests {
             assert_eq!(order.len(), 10_000);
             order.is_sorted_by(|one, next| one < next)
         };
-        for (what, value) in [("rate", 12.0), ("queue", 1e9), ("delay", 20.0)] {
+        for (what, value) in [("rate", 12.0), ("queue", 1e6), ("delay", 20.0)] {
             assert!(link.set(what, value));
         }
         assert!(in_order(&link));

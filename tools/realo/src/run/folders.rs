@@ -56,17 +56,16 @@ impl Folders {
     /// # Errors
     /// Files of those names that no run of realo wrote; a folder that cannot be written to.
     pub fn claim(&mut self, folder: &Path, recordings: &[PathBuf]) -> Result<()> {
-        if self.claimed.iter().any(|claimed| claimed == folder) {
-            return Ok(());
+        let mut files: BTreeSet<PathBuf> = recordings.iter().cloned().collect();
+        if !self.claimed.iter().any(|claimed| claimed == folder) {
+            self.make(folder)?;
+            // Of a run that was killed.
+            put_back(folder);
+            files.extend([RECORDING, TOLD].map(|name| folder.join(name)));
+            files.extend(realo_results::earlier(folder)?);
+            self.claimed.push(folder.into());
         }
-        self.make(folder)?;
-        // Of a run that was killed.
-        put_back(folder);
-        let mut files = realo_results::earlier(folder)?;
-        let mut others = BTreeSet::from([RECORDING, TOLD].map(|name| folder.join(name)));
-        others.extend(recordings.iter().cloned());
-        files.extend(others.into_iter().filter(|file| file.is_file()));
-        self.claimed.push(folder.into());
+        files.retain(|file| file.is_file());
         for file in files {
             let place = folder.join(ASIDE).join(file.strip_prefix(folder)?);
             let above = place.parent().unwrap_or(folder);
