@@ -7,6 +7,7 @@ use eyre::{Result, bail, eyre};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_nn::model::Model;
 use realo_training::data::Augmentation;
+use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, Progress, TrainOptions, Validation, train};
 
@@ -67,6 +68,9 @@ pub struct Args {
     /// Threads [default: all]
     #[arg(long)]
     threads: Option<usize>,
+    /// Numbers of the convolutions' products, bf16 or f32 [default: bf16 where the CPU has instructions for it]
+    #[arg(long)]
+    arithmetic: Option<Arithmetic>,
 }
 
 /// Trains and says where the results are.
@@ -121,6 +125,7 @@ impl Args {
             },
             augmentation: Augmentation::of(&Model::read(&self.model)?),
             threads: self.threads,
+            arithmetic: self.arithmetic,
         })
     }
 }

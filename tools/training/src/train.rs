@@ -15,6 +15,7 @@ use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
 use crate::data::{Augmentation, Batch, Frames, Input, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, write_whole};
 use crate::fusing::{beginning, learns_to_fuse, start};
+use crate::layers::Arithmetic;
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
 use crate::validate::{Validation, validate, validate_fusion};
@@ -60,6 +61,8 @@ pub struct TrainOptions {
     pub augmentation: Augmentation,
     /// Threads of the layers; all cores by default.
     pub threads: Option<usize>,
+    /// Of the products of convolutions; by default what the CPU computes fastest. A training may be resumed in the other one.
+    pub arithmetic: Option<Arithmetic>,
 }
 
 /// Where frames come from.
@@ -149,6 +152,10 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     }
     if let Some(threads) = options.threads.filter(|threads| *threads > 1024) {
         return Err(option("threads", "at most 1024", threads));
+    }
+    if let Some(arithmetic) = options.arithmetic.filter(|arithmetic| !arithmetic.is_available()) {
+        let expected = "f32: this CPU has no instructions for products of bf16";
+        return Err(option("arithmetic", expected, arithmetic));
     }
     if options.validate_every == Some(0) {
         return Err(option("validate_every", "at least 1", 0));
@@ -307,7 +314,8 @@ impl<'a> Training<'a> {
         let lock = lock(&options.output)?;
         let checkpoint = options.output.join("checkpoint.safetensors");
         let weights = start.as_ref().map(|start| &*start.weights);
-        let state = state(options, &model, weights, plan, &checkpoint)?;
+        let mut state = state(options, &model, weights, plan, &checkpoint)?;
+        state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);
         let maps = match learns_to_fuse(&model) {
             true => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
             false => None,
