@@ -55,8 +55,8 @@ pub struct Args {
     /// Greatest learning rate
     #[arg(long, default_value_t = 2e-3)]
     rate: f64,
-    /// Probability that a step sees parts of the range: squares turned by any angle, at two fifths of the cost; of a V2X-ViT
-    /// model half of the range
+    /// Probability that a step sees parts of the range, of the first two thirds of the steps: squares turned by any angle, at two
+    /// fifths of the cost; of a V2X-ViT model half of the range
     #[arg(long, default_value_t = 0.75)]
     parts: f64,
     /// Steps from one validation (seeds 800 to 811) to the next
