@@ -56,7 +56,7 @@ pub mod statistics;
 mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
-pub use bench::{Bench, SensorBench, bench};
+pub use bench::{Bench, PlaceBench, SensorBench, bench, points_per_second};
 pub use options::{
     AGENTS, EPOCH, Error, MOST_AGENTS, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Weather, fleet,
 };
