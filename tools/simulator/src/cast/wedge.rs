@@ -375,6 +375,7 @@ impl Wedge {
     pub fn rays(&self, columns: &Columns) -> impl Iterator<Item = (&Row, usize)> {
         let rows = self.rows.iter().map(|row| (row, row.fired(columns)));
         rows.flat_map(|(row, fired)| fired.map(move |ray| (row, ray)))
+            .filter(|(row, ray)| row.limit(*ray) >= 0.0)
     }
 }
 
