@@ -263,6 +263,9 @@ fn realised_age_is_that_of_an_independent_calculation() {
     assert!(share(99) <= 5_000_000 + 4 * noise, "p99 {} ms", millis(share(99)));
 }
 
+/// What threads of a busy machine wait for each other, ms.
+const HAND_OVER: f64 = 0.3;
+
 #[test]
 fn a_measured_profile_gives_the_latency_of_each_stage_in_virtual_time() {
     let _alone = alone();
@@ -285,17 +288,16 @@ fn a_measured_profile_gives_the_latency_of_each_stage_in_virtual_time() {
             continue;
         };
         // Stages of microseconds are as long as the threads' hand-over.
-        if stage.contains('.') && a > 1.0 {
-            assert!((a - b).abs() <= 0.15 * a, "{stage}: {a} ms in realtime, {b} ms charged");
+        if stage.contains('.') && a > 1.0 || stage == "ego.sense.sync" {
+            let off = (a - b).abs();
+            assert!(
+                off <= 0.15 * a + HAND_OVER,
+                "{stage}: {a} ms in realtime, {b} ms charged"
+            );
             compared += 1;
         }
     }
-    let sync = replayed["ego.sense.sync"]["p50"].as_f64().expect("sync");
-    let measured = realtime["ego.sense.sync"]["p50"].as_f64().expect("sync");
-    assert!(
-        (sync - measured).abs() <= 0.15 * measured + 0.2,
-        "sync: {measured} ms, {sync} ms charged"
-    );
+    assert!(compared > 0, "not even sync was timed");
     println!("{compared} stages of more than 1 ms");
 }
 

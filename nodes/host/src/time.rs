@@ -18,7 +18,7 @@ pub fn running_time() -> Nanos {
 ///
 /// Where the machine's wall clock is set meanwhile, this one goes on as before: to follow it would stall what waits for a time,
 /// hold up what came before the step, and lay what operators know on another line than what they hear next.
-pub(crate) fn wall_now() -> Nanos {
+pub fn wall_now() -> Nanos {
     static BEGUN: LazyLock<Nanos> = LazyLock::new(|| begun_at(running_time, true_wall));
     *BEGUN + running_time()
 }

@@ -163,13 +163,11 @@ impl Heard {
                 _ if messages.arrived.contains(seq) => continue,
                 Outcome::Sent => {
                     messages.awaited.insert(*seq, now);
-                    let Some((seq, _)) = (messages.awaited.len() > REMEMBERED)
-                        .then(|| messages.awaited.pop_first())
-                        .flatten()
-                    else {
-                        continue;
-                    };
-                    news.fates.push(self.fated(*kind, seq, Fate::Lost));
+                    if messages.awaited.len() > REMEMBERED
+                        && let Some((oldest, _)) = messages.awaited.pop_first()
+                    {
+                        news.fates.push(self.fated(*kind, oldest, Fate::Lost));
+                    }
                     continue;
                 }
                 Outcome::Superseded => Fate::Superseded,

@@ -56,12 +56,16 @@ struct Shared {
     /// A moment at which the graph's time was known.
     clock: Option<(Nanos, Nanos)>,
     events: Vec<Event>,
+    /// Bytes of the messages among the events.
+    event_bytes: usize,
     reports: Vec<Report>,
     refused: Refusals,
     /// Messages that came while too many waited.
     overrun: u64,
     /// What has come in and the station has not seen yet, by the name in which it came: frames and bytes.
     waiting: BTreeMap<Name, (usize, usize)>,
+    /// Bytes of all that waits so.
+    waiting_bytes: usize,
     /// Nothing will be offered any more.
     is_over: bool,
 }
@@ -69,12 +73,12 @@ struct Shared {
 impl Shared {
     /// Whether there is room for what came in somebody's name, which waits then.
     fn admits(&mut self, from: &Name, bytes: usize) -> bool {
-        let all: usize = self.waiting.values().map(|(_, bytes)| bytes).sum();
         let (frames, own) = self.waiting.get(from).copied().unwrap_or_default();
-        let has_room = all + bytes <= WAITING_BYTES;
+        let has_room = self.waiting_bytes + bytes <= WAITING_BYTES;
         let has_share = own + bytes <= WAITING_BYTES / SHARE && frames < WAITING / SHARE;
         if has_room && has_share {
             self.waiting.insert(from.clone(), (frames + 1, own + bytes));
+            self.waiting_bytes += bytes;
         } else {
             self.overrun += 1;
         }
@@ -85,6 +89,7 @@ impl Shared {
     fn leaves(&mut self, from: &Name, bytes: usize) {
         if let Some((frames, own)) = self.waiting.get_mut(from) {
             (*frames, *own) = (*frames - 1, *own - bytes);
+            self.waiting_bytes -= bytes;
             if *frames == 0 {
                 self.waiting.remove(from);
             }
@@ -93,23 +98,32 @@ impl Shared {
 
     /// Events wait for the graph, which may stand still.
     fn keep(&mut self, events: Vec<Event>) {
-        self.events.extend(events);
         let bytes = |event: &Event| match event {
             Event::Arrived(_, message, _) => message.bytes.len(),
             Event::PassedOver(..) | Event::Books(..) => 0,
         };
-        let mut surplus = self.events.iter().map(bytes).sum::<usize>().saturating_sub(EVENT_BYTES);
-        for event in &mut self.events {
-            if surplus == 0 {
-                break;
-            }
-            surplus = surplus.saturating_sub(bytes(event));
+        self.event_bytes += events.iter().map(bytes).sum::<usize>();
+        self.events.extend(events);
+        let mut oldest = self.events.iter_mut();
+        while self.event_bytes > EVENT_BYTES
+            && let Some(event) = oldest.next()
+        {
+            self.event_bytes -= bytes(event);
             if let Event::Arrived(from, message, _) = event {
                 *event = Event::PassedOver(from.clone(), Passed::from(&*message));
             }
         }
         let surplus = self.events.len().saturating_sub(EVENTS);
-        self.overrun += self.events.drain(..surplus).count() as u64;
+        for event in self.events.drain(..surplus) {
+            self.event_bytes -= bytes(&event);
+            self.overrun += 1;
+        }
+    }
+
+    /// What waited for the graph.
+    fn take_events(&mut self) -> Vec<Event> {
+        self.event_bytes = 0;
+        std::mem::take(&mut self.events)
     }
 }
 
@@ -188,7 +202,7 @@ impl Network {
     pub fn take(&self) -> Taken {
         let mut shared = lock(&self.shared);
         Taken {
-            events: std::mem::take(&mut shared.events),
+            events: shared.take_events(),
             reports: shared.reports.clone(),
             refused: shared.refused.clone(),
             overrun: shared.overrun,

@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 
 use realo_schemas::file;
 use realo_schemas::report::Peer;
-use realo_scoring::{Accuracy, Dropped, Ignored, Intervals, Orders, RangeBin, Scores, Table, score};
+use realo_scoring::{Accuracy, Dropped, Ignored, Intervals, Orders, PointsBin, RangeBin, Scores, Table, score};
 use serde::{Deserialize, Serialize};
 
 use crate::{Fates, Samples, Spread};
@@ -52,6 +52,9 @@ pub struct RunResult {
     pub accuracy_processed: Option<Orders<Accuracy>>,
     /// By super-class and IoU.
     pub precision_recall_by_range: Option<Table<Vec<RangeBin>>>,
+    /// Recall by the ego's own points on an object.
+    #[serde(default)]
+    pub recall_by_points: Option<Table<Vec<PointsBin>>>,
     /// 95 % intervals by resampling logs; `None` with fewer than two.
     pub intervals: Option<Intervals>,
     /// Detections that did not count, and why.
@@ -275,6 +278,7 @@ impl RunResult {
             accuracy_seen: None,
             accuracy_processed: None,
             precision_recall_by_range: None,
+            recall_by_points: None,
             intervals: None,
             dropped_detections: None,
             dropped_truths: None,
@@ -308,6 +312,7 @@ impl RunResult {
         self.accuracy_seen = Some(scores.accuracy_seen);
         self.accuracy_processed = Some(scores.accuracy_processed);
         self.precision_recall_by_range = Some(scores.by_range);
+        self.recall_by_points = Some(scores.by_points);
         self.intervals = scores.intervals;
         self.dropped_detections = Some(scores.dropped_detections);
         self.dropped_truths = Some(scores.dropped_truths);

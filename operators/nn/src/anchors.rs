@@ -2,7 +2,7 @@
 //!
 //! A box here is seven numbers: x, y, z of the centre, height, width, length (m), yaw (rad).
 
-use crate::model::{ClassAnchor, Model};
+use crate::model::{ClassAnchor, Matching, Model};
 
 /// x, y, z, height, width, length, yaw.
 pub type Hwl<T> = [T; 7];
@@ -16,6 +16,8 @@ pub struct Anchors {
     pub classes: Vec<ClassAnchor>,
     /// Headings, rad.
     pub rotations: Vec<f64>,
+    /// How objects are laid beside them.
+    pub matching: Matching,
 }
 
 impl Anchors {
@@ -30,6 +32,7 @@ impl Anchors {
             cells: Cells::divided(model.grid.x, model.grid.y, rows, columns),
             classes: model.classes.iter().map(class).collect(),
             rotations: model.rotations.clone(),
+            matching: model.matching,
         }
     }
 
@@ -53,6 +56,22 @@ impl Anchors {
                 class("truck", [8.0, 3.0, 3.0], -1.78, [0.45, 0.6]),
             ],
             rotations: vec![0.0, 1.57],
+            matching: Matching::Hull,
+        }
+    }
+
+    /// What of an object is laid beside anchors: it, or it in the nearest of their headings.
+    pub(crate) fn beside(&self, object: &Hwl<f64>) -> Hwl<f64> {
+        let [.., yaw] = *object;
+        // Front and rear are alike.
+        let off = |rotation: &f64| libm::sin(yaw - rotation).abs();
+        let nearest = self.rotations.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+        match (self.matching, nearest) {
+            (Matching::Turned, Some(rotation)) => {
+                let [x, y, z, h, w, l, _] = *object;
+                [x, y, z, h, w, l, *rotation]
+            }
+            _ => *object,
         }
     }
 

@@ -34,6 +34,9 @@ pub struct Model {
     pub precision: Precision,
     /// Headings of the anchors, rad.
     pub rotations: Vec<f64>,
+    /// What decides in training which anchors an object has.
+    #[serde(default, skip_serializing_if = "Matching::is_default")]
+    pub matching: Matching,
     /// Detections score more than this, 0 to 1.
     pub score_threshold: f32,
     /// How the layers are put together; a PointPillars detector if the file does not say.
@@ -63,6 +66,24 @@ pub enum Frame {
     Body,
     /// Its LiDAR.
     Lidar,
+}
+
+/// How an object is laid beside anchors, which are in a few headings only.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Matching {
+    /// By its upright hull, as V2X-Real does. A car that stands 13 degrees off the anchors' headings matches none well, one
+    /// of 45 degrees not even nearly: but for the best, all anchors around it learn that there is nothing.
+    #[default]
+    Hull,
+    /// Turned to the nearest of the anchors' headings.
+    Turned,
+}
+
+impl Matching {
+    fn is_default(&self) -> bool {
+        *self == Matching::default()
+    }
 }
 
 /// Number type of maps and weights in the convolutions; sums of floating-point numbers are f32.

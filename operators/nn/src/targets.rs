@@ -1,6 +1,7 @@
 //! What each anchor should answer in training (V2X-Real, after PointPillars).
 //!
-//! Overlap is the IoU of upright hulls on the ground plane with 1 added to every width and height: a rule for pixels that
+//! Overlap is the IoU of upright hulls on the ground plane, of objects as they stand or turned to an anchor's heading
+//! ([`Matching`](crate::model::Matching)), with 1 added to every width and height: a rule for pixels that
 //! the reference applies to metres. It enlarges small boxes, so pedestrians depend on it.
 
 use crate::anchors::{Anchors, Hwl, encode};
@@ -91,18 +92,24 @@ fn assign_class(
     let mut best_of_objects = Vec::with_capacity(objects.len());
     for (index, object) in objects {
         let mut best = (0.0, None);
-        for_anchors_near(anchors, class, &shapes, &Hull::of(&object.hwl), |anchor, iou| {
-            if iou > best.0 {
-                best = (iou, Some(anchor));
-            }
-            let label = &mut labels[anchor];
-            if *label != positive && iou > matched {
-                *label = positive;
-                pairs.push((anchor as u32, *index));
-            } else if *label != positive && iou >= unmatched {
-                *label = IGNORED;
-            }
-        });
+        for_anchors_near(
+            anchors,
+            class,
+            &shapes,
+            &Hull::of(&anchors.beside(&object.hwl)),
+            |anchor, iou| {
+                if iou > best.0 {
+                    best = (iou, Some(anchor));
+                }
+                let label = &mut labels[anchor];
+                if *label != positive && iou > matched {
+                    *label = positive;
+                    pairs.push((anchor as u32, *index));
+                } else if *label != positive && iou >= unmatched {
+                    *label = IGNORED;
+                }
+            },
+        );
         best_of_objects.extend(best.1.map(|anchor| (anchor, *index)));
     }
     for (anchor, object) in best_of_objects {
@@ -204,6 +211,7 @@ mod tests {
 
     use super::*;
     use crate::anchors::Cells;
+    use crate::model::Matching;
     use crate::vectors::Vector;
 
     /// The definition: every anchor with every object of its class.
@@ -214,7 +222,16 @@ mod tests {
             let [x, y, z, h, w, l, yaw] = anchors.get(anchor);
             Hull::of(&[0.0, 0.0, z, h, w, l, yaw]).at([x as f32, y as f32])
         };
-        let iou = |anchor: usize, object: &Object| overlap(&hull(anchor), &Hull::of(&object.hwl));
+        let beside = |object: &Object| {
+            let [x, y, z, h, w, l, yaw] = object.hwl;
+            // The second of the headings is a quarter turn but for rounding.
+            let across = yaw.sin().abs() > yaw.cos().abs();
+            match anchors.matching {
+                Matching::Hull => Hull::of(&object.hwl),
+                Matching::Turned => Hull::of(&[x, y, z, h, w, l, if across { 1.57 } else { 0.0 }]),
+            }
+        };
+        let iou = |anchor: usize, object: &Object| overlap(&hull(anchor), &beside(object));
         let mut owner = vec![None; anchors.count()];
         let mut labels = vec![BACKGROUND; anchors.count()];
         for anchor in 0..anchors.count() {
@@ -339,6 +356,21 @@ mod tests {
         assert_eq!(assign(&small(), &objects), assign(&small(), &[]));
     }
 
+    #[test]
+    fn turned_objects_have_as_many_anchors_whatever_their_heading() {
+        let positives = |matching, degrees: i32| {
+            let hwl = [0.4, 0.4, -1.0, 1.5, 1.85, 4.4, f64::from(degrees).to_radians()];
+            let anchors = Anchors { matching, ..small() };
+            assign(&anchors, &[Object { class: 0, hwl }]).positives.len()
+        };
+        let along = positives(Matching::Hull, 0);
+        assert!(along > 1, "{along}");
+        for degrees in (-180..180).step_by(7) {
+            assert_eq!(positives(Matching::Turned, degrees), along, "{degrees}");
+        }
+        assert_eq!(positives(Matching::Hull, 45), 1);
+    }
+
     fn object() -> impl Strategy<Value = Object> {
         let place = (0usize..3, -15.0..15.0, -8.0..8.0, 0u8..3);
         (place, 0.7..1.4, 0.7..1.4, -4.0..4.0).prop_map(|((class, x, y, snap), wide, long, yaw): (_, f64, f64, f64)| {
@@ -362,8 +394,15 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn is_the_plain_definition(objects in prop::collection::vec(object(), 0..25), unmatched in 0u8..4) {
+        fn is_the_plain_definition(
+            objects in prop::collection::vec(object(), 0..25),
+            unmatched in 0u8..4,
+            turned in any::<bool>(),
+        ) {
             let mut anchors = small();
+            if turned {
+                anchors.matching = Matching::Turned;
+            }
             if unmatched == 0 {
                 anchors.classes[1].unmatched = 0.0;
             }

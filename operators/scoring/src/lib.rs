@@ -26,7 +26,7 @@ pub use matching::{Outcome, Scope, match_frame};
 pub use precision::average_precision;
 pub use protocol::{EgoKind, Labels, OutsideViews, Protocol, ProtocolError, Rule, SuperClass};
 pub use same::{TruthMismatch, same_truth};
-pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, RangeBin, Scores, frame_scores, score};
+pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, PointsBin, RangeBin, Scores, frame_scores, score};
 pub use table::{Orders, Table};
 
 /// The wire on which boxes are scored and kept.

@@ -37,6 +37,9 @@ pub struct Protocol {
     pub seen_points: u64,
     /// Lower edges of range bins, m from the ego, ascending from 0; the last bin is open.
     pub range_edges: Vec<f64>,
+    /// Lower edges of bins by the ego's own points on an object, ascending from 0; the last bin is open.
+    #[serde(default = "point_edges")]
+    pub point_edges: Vec<u64>,
     /// Which labels of the log are the truth.
     #[serde(default, skip_serializing_if = "is_default")]
     pub labels: Labels,
@@ -46,6 +49,10 @@ pub struct Protocol {
     /// What the ego must be; `None`: anything.
     #[serde(default, skip_serializing_if = "is_default")]
     pub ego: Option<EgoKind>,
+}
+
+fn point_edges() -> Vec<u64> {
+    vec![0, 10, 50]
 }
 
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
@@ -208,6 +215,13 @@ impl Protocol {
                 self.range_edges
             ));
         }
+        let ascending = self.point_edges.windows(2).all(|pair| pair[0] < pair[1]);
+        if self.point_edges.first() != Some(&0) || !ascending {
+            return Err(format!(
+                "`point_edges`: expected an ascending list from 0, found {:?}",
+                self.point_edges
+            ));
+        }
         Ok(())
     }
 
@@ -237,6 +251,11 @@ impl Protocol {
     pub(crate) fn range_bin(&self, [x, y]: [f64; 2]) -> usize {
         let range = libm::hypot(x, y);
         self.range_edges.iter().rposition(|edge| range >= *edge).unwrap_or(0)
+    }
+
+    /// The bin of an object by the ego's own points on it.
+    pub(crate) fn point_bin(&self, points: u64) -> usize {
+        self.point_edges.iter().rposition(|edge| points >= *edge).unwrap_or(0)
     }
 
     /// An IoU as results name it.

@@ -24,6 +24,8 @@ pub struct Scores {
     pub intervals: Option<Intervals>,
     /// Precision and recall by distance from the ego.
     pub by_range: Table<Vec<RangeBin>>,
+    /// Recall by the ego's own points on an object: what it hardly sees others must tell it.
+    pub by_points: Table<Vec<PointsBin>>,
     /// Sweeps of the ego.
     pub frames: FrameCounts,
     /// Detections that did not count.
@@ -82,6 +84,22 @@ pub struct RangeBin {
     pub recall: Option<f64>,
 }
 
+/// Recall of objects on which the ego has so many points of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PointsBin {
+    /// Least points.
+    pub from: u64,
+    /// Points that are no longer included; `None` in the last bin.
+    pub to: Option<u64>,
+    /// Objects that were found.
+    #[serde(rename = "true")]
+    pub hits: u64,
+    /// Objects.
+    pub total: u64,
+    /// Found share of the objects; `None` without any.
+    pub recall: Option<f64>,
+}
+
 /// Sweeps of the ego.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameCounts {
@@ -121,6 +139,7 @@ pub fn score(evaluation: &Evaluation) -> Scores {
         accuracy_processed: orders(protocol, &all, processed),
         intervals: intervals(evaluation, &all, &seen),
         by_range: table(protocol, &all, |sequence| range_bins(protocol, sequence)),
+        by_points: table(protocol, &all, |sequence| points_bins(protocol, sequence)),
         frames: FrameCounts::default(),
         dropped_detections: Dropped::default(),
         dropped_truths: Dropped::default(),
@@ -180,7 +199,6 @@ fn orders(
 }
 
 fn range_bins(protocol: &Protocol, sequence: &Sequence) -> Vec<RangeBin> {
-    let share = |part: u64, of: u64| (of > 0).then(|| part as f64 / of as f64);
     let bins = protocol.range_edges.iter().zip(&sequence.bins).enumerate();
     bins.map(|(i, (from, bin))| RangeBin {
         from: *from,
@@ -194,6 +212,22 @@ fn range_bins(protocol: &Protocol, sequence: &Sequence) -> Vec<RangeBin> {
         recall: share(bin.hits, bin.total),
     })
     .collect()
+}
+
+fn points_bins(protocol: &Protocol, sequence: &Sequence) -> Vec<PointsBin> {
+    let bins = protocol.point_edges.iter().zip(&sequence.bins_by_points).enumerate();
+    bins.map(|(i, (from, bin))| PointsBin {
+        from: *from,
+        to: protocol.point_edges.get(i + 1).copied(),
+        hits: bin.hits,
+        total: bin.total,
+        recall: share(bin.hits, bin.total),
+    })
+    .collect()
+}
+
+fn share(part: u64, of: u64) -> Option<f64> {
+    (of > 0).then(|| part as f64 / of as f64)
 }
 
 fn notes(evaluation: &Evaluation, all: &[Vec<Sequence>], seen: &[Vec<Sequence>]) -> Vec<String> {

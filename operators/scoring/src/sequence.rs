@@ -19,7 +19,7 @@ pub(crate) struct Entry {
     pub hit: bool,
 }
 
-/// True, false and total of one range bin.
+/// True, false and total of one bin.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Bin {
     pub hits: u64,
@@ -37,6 +37,8 @@ pub(crate) struct Sequence {
     pub processed_total: u64,
     /// By range: an object and what found it at the object's place, a false detection at its own.
     pub bins: Vec<Bin>,
+    /// By the ego's own points on an object, where they are known; a false detection is in none.
+    pub bins_by_points: Vec<Bin>,
 }
 
 impl Sequence {
@@ -80,6 +82,7 @@ pub(crate) fn sequences(evaluation: &Evaluation, scope: Scope) -> Vec<Vec<Sequen
     let empty = Sequence {
         totals: vec![0; logs.len()],
         bins: vec![Bin::default(); protocol.range_edges.len()],
+        bins_by_points: vec![Bin::default(); protocol.point_edges.len()],
         ..Sequence::default()
     };
     let mut sequences = vec![vec![empty; protocol.ious.len()]; protocol.classes.len()];
@@ -98,11 +101,15 @@ fn add_scene(sequences: &mut [Vec<Sequence>], scene: &Scene, log: usize, protoco
         for (class, per_iou) in sequences.iter_mut().enumerate() {
             let overlaps = Overlaps::new(frame, class as u8);
             let counts = |truth: usize| scope.counts(frame, truth, protocol);
+            let point_bin = |truth: usize| frame.truths[truth].points.map(|[_, own]| protocol.point_bin(own));
             for (sequence, iou) in per_iou.iter_mut().zip(&protocol.ious) {
                 for truth in overlaps.truths.iter().copied().filter(|truth| counts(*truth)) {
                     sequence.totals[log] += 1;
                     sequence.processed_total += u64::from(frame.processed);
                     sequence.bins[protocol.range_bin(frame.truths[truth].outline.center_m())].total += 1;
+                    if let Some(bin) = point_bin(truth) {
+                        sequence.bins_by_points[bin].total += 1;
+                    }
                 }
                 let outcomes = overlaps.matched(frame, *iou, scope, protocol);
                 for (detection, outcome) in overlaps.detections.iter().zip(outcomes) {
@@ -111,6 +118,9 @@ fn add_scene(sequences: &mut [Vec<Sequence>], scene: &Scene, log: usize, protoco
                         Outcome::Ignored => continue,
                         Outcome::True(truth) => {
                             sequence.bins[protocol.range_bin(frame.truths[truth].outline.center_m())].hits += 1;
+                            if let Some(bin) = point_bin(truth) {
+                                sequence.bins_by_points[bin].hits += 1;
+                            }
                         }
                         Outcome::False => sequence.bins[protocol.range_bin(detection.outline.center_m())].misses += 1,
                     }

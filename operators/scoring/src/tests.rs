@@ -393,6 +393,26 @@ fn range_bins_count_an_object_where_it_is() {
 }
 
 #[test]
+fn points_bins_count_what_the_ego_has_on_an_object() {
+    let objects = vec![car(10.0, 1.0), car(20.0, 1.0), car(40.0, 1.0), car(60.0, 1.0)];
+    let all = truth_with_points(objects, &[[90, 9], [0, 10], [0, 49], [0, 50]]);
+    let detections = vec![car(10.0, 0.9), car(20.0, 0.8), car(60.0, 0.7), car(80.0, 0.6)];
+    let scores = run("default", vec![with_truth(0, all), with_boxes(0, detections)]).scores;
+    let bins = scores.by_points["vehicle"]["0.5"].iter();
+    let values: Vec<_> = bins
+        .map(|bin| (bin.from, bin.to, bin.hits, bin.total, bin.recall))
+        .collect();
+    assert_eq!(
+        values,
+        [
+            (0, Some(10), 1, 1, Some(1.0)),
+            (10, Some(50), 1, 2, Some(0.5)),
+            (50, None, 1, 1, Some(1.0))
+        ]
+    );
+}
+
+#[test]
 fn boxes_and_truth_of_two_times_are_refused_in_either_order() {
     let later = Header {
         stamp: header(0, Kind::Boxes).stamp + 1,

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use realo_nn::anchors::Anchors;
 use realo_nn::fuse::Warp;
-use realo_nn::model::{Backbone, ClassAnchor, Frame, Grid, Model, PillarSettings, Precision};
+use realo_nn::model::{Backbone, ClassAnchor, Frame, Grid, Matching, Model, PillarSettings, Precision};
 use realo_schemas::Box3;
 use serde_json::Value;
 
@@ -162,6 +162,7 @@ pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model
         lidar_height: None,
         precision: Precision::F32,
         rotations: vec![0.0, 1.57],
+        matching: Matching::Hull,
         score_threshold: 0.2,
         arch: Default::default(),
         classes: classes(),

@@ -24,6 +24,6 @@ mod tun;
 
 pub use ground::Ground;
 pub use interrupt::Interrupts;
-pub use link::{Counts, Link};
+pub use link::{Counts, Link, Unit};
 pub use machines::{ADDRESSES, Error, Machines};
 pub use relay::Relay;

@@ -2,7 +2,8 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
@@ -24,8 +25,10 @@ pub struct Link {
     loss: AtomicU64,
     /// Of a million packets, those of which a copy follows.
     duplicate: AtomicU64,
-    half_duplex: AtomicBool,
-    cut: AtomicBool,
+    /// 0 or 1.
+    half_duplex: AtomicU64,
+    /// 0 or 1.
+    cut: AtomicU64,
     counts: [[AtomicU64; 5]; 2],
 }
 
@@ -57,6 +60,54 @@ const MOST: f64 = 1e6;
 /// Shares are of so many.
 const ALL: u64 = 1_000_000;
 
+/// What a setting of a link is counted in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Mbit/s; 0: no limit.
+    Rate,
+    /// ms.
+    Time,
+    /// A share of all packets, 0 to 1.
+    Share,
+    /// 0 or 1.
+    Switch,
+}
+
+impl Unit {
+    /// Of a setting; `None`: there is no such one.
+    pub fn of(setting: &str) -> Option<Unit> {
+        match setting {
+            "rate" => Some(Unit::Rate),
+            "delay" | "jitter" | "queue" => Some(Unit::Time),
+            "loss" | "duplicate" => Some(Unit::Share),
+            "half_duplex" | "cut" => Some(Unit::Switch),
+            _ => None,
+        }
+    }
+
+    /// A number as a link keeps it; `None`: it takes no such number.
+    fn kept(self, value: f64) -> Option<u64> {
+        let (is_taken, scale) = match self {
+            Unit::Rate => (value == 0.0 || (LEAST..=MOST).contains(&value), 1e6),
+            Unit::Time => ((0.0..=MOST).contains(&value), 1e3),
+            Unit::Share => ((0.0..=1.0).contains(&value), ALL as f64),
+            Unit::Switch => (value == 0.0 || value == 1.0, 1.0),
+        };
+        is_taken.then_some((value * scale) as u64)
+    }
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Unit::Rate => write!(f, "0, for no limit, or a number of Mbit/s from {LEAST} to {MOST}"),
+            Unit::Time => write!(f, "a number of ms from 0 to {MOST}"),
+            Unit::Share => f.write_str("a number from 0 to 1"),
+            Unit::Switch => f.write_str("0 or 1"),
+        }
+    }
+}
+
 impl Default for Link {
     fn default() -> Self {
         Link {
@@ -66,53 +117,33 @@ impl Default for Link {
             queue: AtomicU64::new(100_000),
             loss: AtomicU64::new(0),
             duplicate: AtomicU64::new(0),
-            half_duplex: AtomicBool::new(false),
-            cut: AtomicBool::new(false),
+            half_duplex: AtomicU64::new(0),
+            cut: AtomicU64::new(0),
             counts: Default::default(),
         }
     }
 }
 
 impl Link {
-    /// Sets `rate` (Mbit/s, 0: no limit), `delay`, `jitter`, `queue` (ms), `loss`, `duplicate` (0 to 1), `half_duplex` or `cut`
-    /// (0 or 1); `false` if there is no such thing or it does not take the number ([`Link::takes`]).
+    /// Sets `rate`, `delay`, `jitter`, `queue`, `loss`, `duplicate`, `half_duplex` or `cut`, in its [`Unit`]; `false` if there is no
+    /// such thing or it does not take the number.
     pub fn set(&self, what: &str, value: f64) -> bool {
-        let is_taken = match what {
-            "rate" => value == 0.0 || (LEAST..=MOST).contains(&value),
-            "delay" | "jitter" | "queue" => (0.0..=MOST).contains(&value),
-            _ => (0.0..=1.0).contains(&value),
-        };
-        if !is_taken {
-            return false;
-        }
-        match what {
-            "rate" => self.rate.store((value * 1e6) as u64, Relaxed),
-            "delay" => self.delay.store((value * 1e3) as u64, Relaxed),
-            "jitter" => self.jitter.store((value * 1e3) as u64, Relaxed),
-            "queue" => self.queue.store((value * 1e3) as u64, Relaxed),
-            "loss" => self.loss.store((value * ALL as f64) as u64, Relaxed),
-            "duplicate" => self.duplicate.store((value * ALL as f64) as u64, Relaxed),
-            "half_duplex" => self.half_duplex.store(value > 0.0, Relaxed),
-            "cut" => self.cut.store(value > 0.0, Relaxed),
+        let setting = match what {
+            "rate" => &self.rate,
+            "delay" => &self.delay,
+            "jitter" => &self.jitter,
+            "queue" => &self.queue,
+            "loss" => &self.loss,
+            "duplicate" => &self.duplicate,
+            "half_duplex" => &self.half_duplex,
+            "cut" => &self.cut,
             _ => return false,
+        };
+        let kept = Unit::of(what).and_then(|unit| unit.kept(value));
+        if let Some(kept) = kept {
+            setting.store(kept, Relaxed);
         }
-        true
-    }
-
-    /// Which numbers a setting takes, in words; `None`: there is no such setting.
-    pub fn takes(what: &str) -> Option<&'static str> {
-        match what {
-            "rate" => Some("0, for no limit, or a number of Mbit/s from 0.001 to 1000000"),
-            "delay" | "jitter" | "queue" => Some("a number of ms from 0 to 1000000"),
-            "loss" | "duplicate" => Some("a number from 0 to 1"),
-            "half_duplex" | "cut" => Some("0 or 1"),
-            _ => None,
-        }
-    }
-
-    /// Whether a setting is a share, from 0 to 1, of all packets.
-    pub fn is_share(what: &str) -> bool {
-        matches!(what, "loss" | "duplicate")
+        kept.is_some()
     }
 
     /// What became of the packets from the first machine to the second, and back.
@@ -158,7 +189,7 @@ impl Link {
     }
 
     pub(crate) fn is_cut(&self) -> bool {
-        self.cut.load(Relaxed)
+        self.cut.load(Relaxed) > 0
     }
 
     /// How long a packet or a part of a stream is on its way once it has left.
@@ -259,7 +290,11 @@ pub(crate) fn pass(link: &Link, direction: usize, bytes: usize, now: Instant, fr
     if rate == 0 {
         return Some(now);
     }
-    let place = if link.half_duplex.load(Relaxed) { 0 } else { direction };
+    let place = if link.half_duplex.load(Relaxed) > 0 {
+        0
+    } else {
+        direction
+    };
     let mut free: MutexGuard<[Instant; 2]> = free.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let begins = free[place].max(now);
     if begins - now > Duration::from_micros(link.queue.load(Relaxed)) {
@@ -307,15 +342,16 @@ mod tests {
             "half_duplex",
             "cut",
         ] {
-            assert!(link.set(what, 0.5), "{what}");
+            let unit = Unit::of(what).expect(what);
+            assert!(link.set(what, 1.0), "{what}");
+            assert_eq!(link.set(what, 0.5), unit != Unit::Switch, "{what}");
             assert!(!link.set(what, f64::NAN) && !link.set(what, f64::INFINITY), "{what}");
             assert!(!link.set(what, -1.0), "{what}");
-            let is_up_to_1 = ["loss", "duplicate", "half_duplex", "cut"].contains(&what);
+            let is_up_to_1 = matches!(unit, Unit::Share | Unit::Switch);
             assert_eq!(link.set(what, 1.1), !is_up_to_1, "{what}");
             assert!(link.set(what, 0.0) && !link.set(what, 1e300), "{what}");
-            assert!(Link::takes(what).is_some(), "{what}");
         }
-        assert!(!link.set("speed", 1.0) && Link::takes("speed").is_none());
+        assert!(!link.set("speed", 1.0) && Unit::of("speed").is_none());
         // A link of hardly any rate is not one without a limit.
         assert!(!link.set("rate", 1e-7) && link.set("rate", 1e-3));
         let link = Link::default();

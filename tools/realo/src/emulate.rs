@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use eyre::{Result, WrapErr, bail};
-use linkemu::{ADDRESSES, Ground, Interrupts, Link, Machines, Relay};
+use linkemu::{ADDRESSES, Ground, Interrupts, Link, Machines, Relay, Unit};
 
 use crate::Outcome;
 
@@ -69,9 +69,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
         ("duplicate", args.duplicate),
         ("half_duplex", if args.half_duplex { 1.0 } else { 0.0 }),
     ] {
-        if !link.set(what, value) {
-            let expected = Link::takes(what).unwrap_or_default();
-            bail!("--{what}: expected {expected}, found {value}");
+        if let (false, Some(unit)) = (link.set(what, value), Unit::of(what)) {
+            bail!("--{what}: expected {unit}, found {value}");
         }
     }
     let interrupts = Interrupts::hold();
@@ -82,11 +81,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
         for line in std::io::stdin().lock().split(b'\n').map_while(Result::ok) {
             let line = String::from_utf8_lossy(&line);
             let what = line.split_whitespace().next().unwrap_or_default();
-            if is_relay && Link::is_share(what) {
+            if is_relay && Unit::of(what) == Some(Unit::Share) {
                 eprintln!("realo: {what}: {OF_PACKETS}");
             } else if !obey(&link, &line) {
-                let expected = match Link::takes(what) {
-                    Some(takes) => format!("`{what}` and {takes}"),
+                let expected = match Unit::of(what) {
+                    Some(unit) => format!("`{what}` and {unit}"),
                     None => "`WHAT NUMBER` (realo emulate --help)".into(),
                 };
                 eprintln!("realo: expected {expected}, found `{}`", line.trim_end());

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use clap::ArgGroup;
 use eyre::{Result, WrapErr, bail, eyre};
+use realo_host::wall_now;
 use realo_logs::Log;
 use realo_operator::Waker;
 use realo_radio::clock::{steady, wall};
@@ -116,13 +116,6 @@ fn open_for_trace(path: &Path) -> Result<bool> {
     Ok(is_new)
 }
 
-/// Time on this end's line: the wall clock when it was first asked, going on by the steady one, so that a clock that is set meanwhile
-/// moves no time.
-fn now() -> Nanos {
-    static BEGUN: OnceLock<Nanos> = OnceLock::new();
-    *BEGUN.get_or_init(|| wall() - steady()) + steady()
-}
-
 /// One end of the way.
 struct End {
     network: Network,
@@ -156,14 +149,14 @@ impl End {
         });
         let station = Station::new(name, settings, LARGEST, wall() as u64, seal);
         let network = Network::join(&place, station, waker)?;
-        network.set_time(now());
+        network.set_time(wall_now());
         Ok(End { network, woken })
     }
 
     /// What came until now, waiting at most so long for it.
     fn take(&self, wait: Duration) -> Taken {
         let _ = self.woken.recv_timeout(wait);
-        self.network.set_time(now());
+        self.network.set_time(wall_now());
         self.network.take()
     }
 
@@ -171,7 +164,7 @@ impl End {
         let is_taken = self.network.offer(Offer {
             kind,
             seq,
-            stamp: now(),
+            stamp: wall_now(),
             born: steady(),
             bytes: bytes.into(),
         });
@@ -188,7 +181,7 @@ fn answer(args: &Args) -> Result<Outcome> {
     loop {
         for event in end.take(Duration::from_millis(100)).events {
             if let Event::Arrived(_, Arrived { kind, seq, bytes, .. }, _) = event {
-                let here = now().to_le_bytes();
+                let here = wall_now().to_le_bytes();
                 end.send(kind, seq, [&here[..], &bytes].concat());
             }
         }
@@ -260,7 +253,7 @@ fn measure(args: &Args, peer: &Endpoint, log: &Path) -> Result<Outcome> {
         clock: known.1,
         course: Course::default(),
         // Greater than that of an earlier call.
-        seq: (now() / 1000) as u64,
+        seq: (wall_now() / 1000) as u64,
     };
     let kinds = messages.iter().map(|(kind, bodies)| asking.circulate(*kind, bodies));
     let found = Found {
@@ -381,11 +374,11 @@ impl Asking {
     /// Has a message go there and back; `None` if it does not come back.
     fn round(&mut self, kind: Kind, body: &[u8]) -> Option<Round> {
         self.seq += 1;
-        let (seq, given, until) = (self.seq, now(), Instant::now() + PATIENCE);
+        let (seq, given, until) = (self.seq, wall_now(), Instant::now() + PATIENCE);
         self.end.send(kind, seq, body.to_vec());
         while let Some(left) = until.checked_duration_since(Instant::now()) {
             let taken = self.end.take(left.min(Duration::from_millis(100)));
-            let now = now();
+            let now = wall_now();
             if let Some(clock) = taken.reports.iter().find_map(|report| report.clock) {
                 self.clock = clock;
             }
@@ -408,7 +401,7 @@ impl Asking {
                 there: here - given,
             });
         }
-        self.course.lost(now(), 1);
+        self.course.lost(wall_now(), 1);
         None
     }
 }

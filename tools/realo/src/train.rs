@@ -7,6 +7,7 @@ use eyre::{Result, bail, eyre};
 use indicatif::{ProgressBar, ProgressStyle};
 use realo_nn::model::Model;
 use realo_training::data::Augmentation;
+use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, Progress, TrainOptions, Validation, train};
 
@@ -54,8 +55,8 @@ pub struct Args {
     /// Greatest learning rate
     #[arg(long, default_value_t = 2e-3)]
     rate: f64,
-    /// Probability that a step sees parts of the range: squares turned by any angle, at two fifths of the cost; of a V2X-ViT
-    /// model half of the range
+    /// Probability that a step sees parts of the range, of the first two thirds of the steps: squares turned by any angle, at two
+    /// fifths of the cost; of a V2X-ViT model half of the range
     #[arg(long, default_value_t = 0.75)]
     parts: f64,
     /// Steps from one validation (seeds 800 to 811) to the next
@@ -67,6 +68,9 @@ pub struct Args {
     /// Threads [default: all]
     #[arg(long)]
     threads: Option<usize>,
+    /// Numbers of the convolutions' products, bf16 or f32 [default: bf16 where the CPU has instructions for it]
+    #[arg(long)]
+    arithmetic: Option<Arithmetic>,
 }
 
 /// Trains and says where the results are.
@@ -121,6 +125,7 @@ impl Args {
             },
             augmentation: Augmentation::of(&Model::read(&self.model)?),
             threads: self.threads,
+            arithmetic: self.arithmetic,
         })
     }
 }

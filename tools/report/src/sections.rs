@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult};
-use realo_scoring::{Accuracy, Counts, Orders, RangeBin, Table};
+use realo_scoring::{Accuracy, Counts, Orders, PointsBin, RangeBin, Table};
 
 use realo_schemas::report::ClockBy;
 
@@ -234,6 +234,30 @@ fn recall(rows: &mut Rows, iou: &str) {
                 (bin.counts != Counts::default()).then(|| both(&bin.counts))
             });
         }
+        recall_by_points(rows, &class, iou);
+    }
+}
+
+fn recall_by_points(rows: &mut Rows, class: &str, iou: &str) {
+    let bins = |run: &Run| -> Option<Vec<PointsBin>> {
+        let by_points = run.result.recall_by_points.as_ref()?;
+        by_points.get(class)?.get(iou).cloned()
+    };
+    let mut edges: Vec<(u64, Option<u64>)> = Vec::new();
+    for bin in rows.runs.iter().filter_map(|run| bins(run)).flatten() {
+        if !edges.contains(&(bin.from, bin.to)) {
+            edges.push((bin.from, bin.to));
+        }
+    }
+    for (from, to) in edges {
+        let label = to.map_or(format!("  from {from} own points, recall"), |to| {
+            format!("  {from} to {} own points, recall", to - 1)
+        });
+        rows.add(label, |run| {
+            let bins = bins(run)?;
+            let bin = bins.iter().find(|bin| (bin.from, bin.to) == (from, to))?;
+            (bin.total > 0).then(|| share(bin.hits, bin.total))
+        });
     }
 }
 

@@ -13,8 +13,14 @@ pub(crate) enum Class {
     Motorcycle,
     Bicycle,
     Scooter,
+    /// Three wheels and a bed for loads, motorised.
+    Tricycle,
+    /// A lorry with a trailer: one body.
+    Articulated,
     Pedestrian,
     Child,
+    /// Somebody and the pram that he pushes: one body.
+    Pram,
 }
 
 impl Class {
@@ -23,23 +29,23 @@ impl Class {
         match self {
             Class::Car => "Car",
             Class::Van => "Van",
-            Class::Truck => "Truck",
+            Class::Truck | Class::Articulated => "Truck",
             Class::Bus => "Bus",
-            Class::Motorcycle => "MotorcyleRider",
+            Class::Motorcycle | Class::Tricycle => "MotorcyleRider",
             Class::Bicycle => "BicycleRider",
             Class::Scooter => "ScooterRider",
-            Class::Pedestrian => "Pedestrian",
+            Class::Pedestrian | Class::Pram => "Pedestrian",
             Class::Child => "Child",
         }
     }
 
     pub fn walks(self) -> bool {
-        matches!(self, Class::Pedestrian | Class::Child)
+        matches!(self, Class::Pedestrian | Class::Child | Class::Pram)
     }
 
     /// Whether it keeps to straight lanes because it is too long to turn in one.
     pub fn long(self) -> bool {
-        matches!(self, Class::Truck | Class::Bus)
+        matches!(self, Class::Truck | Class::Articulated | Class::Bus)
     }
 
     /// Length, width and height, m.
@@ -77,6 +83,21 @@ impl Class {
                 draw(0.75, 0.04, 0.66, 0.84),
                 draw(1.5, 0.07, 1.35, 1.65),
             ],
+            Class::Tricycle => [
+                draw(2.9, 0.12, 2.6, 3.1),
+                draw(1.2, 0.08, 1.05, 1.4),
+                draw(1.55, 0.1, 1.4, 1.8),
+            ],
+            Class::Articulated => [
+                draw(15.6, 0.9, 13.5, 16.5),
+                draw(2.55, 0.04, 2.45, 2.65),
+                draw(3.8, 0.15, 3.4, 4.0),
+            ],
+            Class::Pram => [
+                draw(1.62, 0.07, 1.48, 1.78),
+                draw(0.6, 0.03, 0.54, 0.66),
+                draw(1.69, 0.08, 1.5, 1.9),
+            ],
             Class::Pedestrian => [
                 draw(0.66, 0.05, 0.54, 0.78),
                 draw(0.56, 0.04, 0.48, 0.66),
@@ -101,6 +122,7 @@ impl Class {
             Class::Bicycle => rider(size, paint, 0.02),
             Class::Motorcycle | Class::Scooter => rider(size, paint, 0.12),
             Class::Pedestrian | Class::Child => walker(size, 0.15 + 0.5 * paint),
+            Class::Tricycle | Class::Articulated | Class::Pram => self.shape(size, draws),
         }
     }
 }
@@ -310,7 +332,12 @@ pub(crate) fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -
     ])
 }
 
-pub(crate) fn walker([length, width, height]: [f64; 3], cloth: f64) -> Solid {
+pub(crate) fn walker(size: [f64; 3], cloth: f64) -> Solid {
+    Solid::new(figure(size, cloth, 0.0))
+}
+
+/// The parts of somebody on foot whose middle is `x` ahead of the body's.
+pub(crate) fn figure([length, width, height]: [f64; 3], cloth: f64, x: f64) -> Vec<Part> {
     let (l, h, w) = (length / 2.0, height, width / 2.0);
     let (hip, shoulder) = (0.5 * h, 0.84 * h);
     let leg = 0.045 * h;
@@ -318,7 +345,7 @@ pub(crate) fn walker([length, width, height]: [f64; 3], cloth: f64) -> Solid {
     let limb = |y: f64, radius: f64, low: f64, high: f64, swing: f64| {
         solid(
             Shape::Post {
-                x: 0.0,
+                x,
                 y,
                 radius,
                 low,
@@ -329,26 +356,26 @@ pub(crate) fn walker([length, width, height]: [f64; 3], cloth: f64) -> Solid {
         )
     };
     let head = 0.07 * h;
-    Solid::new(vec![
+    vec![
         limb(-0.3 * w, leg, 0.0, hip, l - leg),
         limb(0.3 * w, leg, 0.0, hip, -(l - leg)),
         limb(-w + arm, arm, 0.45 * h, shoulder, -(l - arm) * 0.7),
         limb(w - arm, arm, 0.45 * h, shoulder, (l - arm) * 0.7),
         solid(
             Shape::Ball {
-                center: [0.0, 0.0, 0.66 * h],
+                center: [x, 0.0, 0.66 * h],
                 radii: [0.075 * h, w - 1.6 * arm, 0.21 * h],
             },
             cloth,
         ),
         solid(
             Shape::Ball {
-                center: [0.02, 0.0, h - 0.085 * h],
+                center: [x + 0.02, 0.0, h - 0.085 * h],
                 radii: [head, 0.9 * head, 0.085 * h],
             },
             0.4,
         ),
-    ])
+    ]
 }
 
 #[cfg(test)]

@@ -18,8 +18,10 @@
 //! pavements and crossings. `cav1` and `cav2` are cars of that traffic, come by two arms (on a network: two lanes), near
 //! each other and `rsu1` for most of the first ten seconds; `rsu1` and `rsu2` stand on 5 m poles at corners, level (on a
 //! network they look across the node and along the arm ahead). A
-//! vehicle that stays for longer turns round at the end of the road if it is a cav, and else leaves the place. Every road user is an object of truth, named by V2X-Real's raw
-//! classes: Car, Van, Truck, Bus, MotorcyleRider (sic), BicycleRider, ScooterRider, Pedestrian, Child.
+//! vehicle that stays for longer turns round at the end of the road if it is a cav, and else leaves the place. Every
+//! road user is an object of truth, named by V2X-Real's raw classes: Car, Van, Truck, Bus, MotorcyleRider (sic),
+//! BicycleRider, ScooterRider, Pedestrian, Child. On networks there are also lorries with trailers (one Truck),
+//! tricycles (MotorcyleRider), somebody with a pram (one Pedestrian), and groups of people.
 //!
 //! **Sensors.** `cav1`, `cav2`: 128 beams by the Ruby Plus table, 1,800 columns, 1.9 m over the ground, tilted with
 //! the car; the own roof and bonnet are in the cloud. `rsu1`: OS1-128, `rsu2`: OS1-64, 1,024 columns. All turn at
@@ -36,7 +38,7 @@
 //! bits on any number of threads.
 
 /// Rises with every change of what a seed gives, so that what was made of it earlier can be told apart.
-pub const WORLD: u32 = 2;
+pub const WORLD: u32 = 3;
 
 mod agents;
 mod bench;

@@ -89,7 +89,7 @@ pub enum Scenario {
     Curve,
     /// Narrow streets between gardens, cars parked on both sides.
     Residential,
-    /// Three lanes each way at up to 120 km/h, with an entry.
+    /// Three lanes each way at up to 100 km/h, in a bend, with an entry.
     Motorway,
     /// A car park with its street.
     CarPark,
@@ -119,6 +119,12 @@ impl Scenario {
         Scenario::Rural,
         Scenario::Market,
     ];
+
+    /// The places whose roads run at any angle: all but the two on a grid.
+    pub const NETWORKS: [Scenario; 10] = {
+        let [_, _, networks @ ..] = Self::PLACES;
+        networks
+    };
 
     /// Its name, as it is asked for.
     pub fn name(self) -> &'static str {

@@ -324,6 +324,12 @@ impl Motion {
         self.first + (self.ticks.len() - 1) as f64 * TICK
     }
 
+    /// The state at `t` seconds; `None` before the first tick and after the last.
+    pub fn at(&self, t: f64) -> Option<State> {
+        let there = t >= self.first - 1e-9 && t <= self.last() + 1e-9;
+        there.then(|| self.state(t))
+    }
+
     fn state(&self, t: f64) -> State {
         let at = ((t - self.first) / TICK).max(0.0);
         let k = (at as usize).min(self.ticks.len().saturating_sub(2));
@@ -362,10 +368,7 @@ impl Course {
                 turn_rate: 0.0,
                 gone: 0.0,
             }),
-            Course::Moving(motion) => {
-                let there = t >= motion.first - 1e-9 && t <= motion.last() + 1e-9;
-                there.then(|| motion.state(t))
-            }
+            Course::Moving(motion) => motion.at(t),
         }
     }
 }

@@ -66,10 +66,7 @@ impl Simulation {
             dense: options.dense,
             seconds: options.seconds,
         };
-        let mut traffic = Traffic::new(&demand)?;
-        if place.is_network() {
-            traffic.round_off(options.seed);
-        }
+        let traffic = Traffic::new(&demand)?;
         let agents = Agent::all(&options, &place, &traffic)?;
         let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
         Ok(Simulation {

@@ -103,7 +103,6 @@ impl Solid {
     }
 
     /// [x min, x max, y min, y max] of the parts that begin below a height.
-    #[cfg(test)]
     pub fn footprint_below(&self, height: f64) -> [f64; 4] {
         let bounds = self
             .parts

@@ -1,6 +1,6 @@
 //! The state of a training: one file, replaced as a whole.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
 use realo_nn::layers::{Layers, TensorSpec};
@@ -11,10 +11,13 @@ use serde_json::Value;
 
 use crate::TrainError;
 use crate::curve::{Curve, Point};
-use crate::data::{Augmentation, write_whole};
+use crate::data::{Augmentation, Decoys, Supply, write_whole};
 use crate::layers::with_numbers;
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
+
+/// Names of the tensors of decoys, with the step from which on samples have them.
+const DECOYS: &str = "decoys.";
 
 /// Everything that the next step depends on, and how it came to this.
 #[derive(Clone, Debug)]
@@ -25,6 +28,8 @@ pub struct Checkpoint {
     pub optimizer: AdamW,
     /// Loss and learning rate of all steps so far.
     pub curve: Curve,
+    /// What is pasted into samples.
+    pub supply: Supply,
     /// What must not change between the parts of a training.
     pub plan: TrainingPlan,
 }
@@ -129,6 +134,10 @@ impl Checkpoint {
             vec![self.curve.points.len(), Point::NUMBERS],
             points,
         ));
+        for (step, decoys) in self.supply.iter() {
+            let numbers = decoys.to_numbers();
+            tensors.add_f32(format!("{DECOYS}{step}"), &[numbers.len()], &numbers);
+        }
         let plan = serde_json::to_string(&self.plan).expect("plans are plain data");
         let about = HashMap::from([
             ("plan".to_string(), plan),
@@ -196,6 +205,16 @@ impl Checkpoint {
             optimizer.first[index] = read(&format!("adam.first.{}", parameter.name), shape)?;
             optimizer.second[index] = read(&format!("adam.second.{}", parameter.name), shape)?;
         }
+        let steps_of_decoys = file
+            .names()
+            .into_iter()
+            .filter_map(|name| name.strip_prefix(DECOYS)?.parse::<u64>().ok());
+        let mut supply = Supply::default();
+        for step in steps_of_decoys.collect::<BTreeSet<u64>>() {
+            let name = format!("{DECOYS}{step}");
+            let view = file.tensor(&name).map_err(|error| error.to_string())?;
+            supply.add(step, Decoys::from_numbers(&read(&name, view.shape())?));
+        }
         let curve = file.tensor("curve").map_err(|error| error.to_string())?;
         let numbers: Vec<f64> = curve
             .data()
@@ -214,6 +233,7 @@ impl Checkpoint {
             network,
             optimizer,
             curve: Curve { points },
+            supply,
             plan,
         })
     }
@@ -249,5 +269,45 @@ impl Tensors {
             (name.as_str(), view)
         });
         safetensors::serialize(views, Some(about)).expect("views that were checked")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_comes_back_with_its_decoys() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/lite.toml");
+        let model = Model::read(&path).unwrap();
+        let network = Network::random(&model, 1).unwrap();
+        let mut supply = Supply::default();
+        supply.add(100, Decoys::default());
+        supply.add(
+            1000,
+            Decoys::from_numbers(&[0.0, 0.5, 1.0, 2.0, 0.4, 0.0, 0.5, 1.1, 2.0, 0.5]),
+        );
+        let state = Checkpoint {
+            optimizer: AdamW::new(&network),
+            network,
+            curve: Curve::default(),
+            supply,
+            plan: TrainingPlan {
+                model: model.clone(),
+                seed: 1,
+                batch: 2,
+                steps: 2000,
+                parts: 0.5,
+                optimizer: OptimizerSettings::default(),
+                augmentation: Augmentation::default(),
+                data: "a test".into(),
+                from: None,
+            },
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint.safetensors");
+        state.write(&path).unwrap();
+        let read = Checkpoint::read(&path, &model).unwrap();
+        assert_eq!((read.supply, read.plan), (state.supply, state.plan));
     }
 }

@@ -17,8 +17,8 @@ use realo_nn::weights::{Weights, WeightsError};
 
 use crate::fusing::frozen;
 use crate::layers::{
-    Bias, Conv, MapShape, Moments, Norm, PillarBatch, PillarLayer, Pointwise, Statistics, WeightOrder, buffer, tensor,
-    with_numbers,
+    Arithmetic, Bias, Conv, MapShape, Moments, Norm, PillarBatch, PillarLayer, Pointwise, Statistics, WeightOrder,
+    buffer, tensor, with_numbers,
 };
 use crate::random::Stream;
 use crate::tape::Tape;
@@ -50,6 +50,8 @@ pub struct Network {
     parameters: Vec<Parameter>,
     /// Where a key's tensor is.
     places: HashMap<String, usize>,
+    /// Of the products of convolutions, forward and backward.
+    pub(crate) arithmetic: Arithmetic,
 }
 
 /// What the heads give for a batch, as maps with a border.
@@ -124,6 +126,7 @@ impl Network {
             layers,
             parameters,
             places,
+            arithmetic: Arithmetic::F32,
         })
     }
 
@@ -328,7 +331,10 @@ impl Run<'_> {
         let made = match (layer.transposed, layer.kernel) {
             (true, _) => self.pointwise(WeightOrder::Transposed, map, weight),
             (false, 1) if layer.stride == 1 => self.pointwise(WeightOrder::Plain, map, weight),
-            (false, 3) => self.tape.apply2(Conv { stride: layer.stride }, map, weight),
+            (false, 3) => {
+                let (stride, arithmetic) = (layer.stride, network.arithmetic);
+                self.tape.apply2(Conv { stride, arithmetic }, map, weight)
+            }
             (false, kernel) => candle_core::bail!(
                 "`{}`: there is no training for a kernel of {kernel} at stride {}",
                 layer.key,
@@ -353,7 +359,8 @@ impl Run<'_> {
     }
 
     fn pointwise(&mut self, order: WeightOrder, map: &Tensor, weight: &Tensor) -> candle_core::Result<Tensor> {
-        self.tape.apply2(Pointwise { order }, map, weight)
+        let arithmetic = self.network.arithmetic;
+        self.tape.apply2(Pointwise { order, arithmetic }, map, weight)
     }
 
     /// Batch norm and ReLU.

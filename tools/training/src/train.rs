@@ -3,7 +3,7 @@
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use realo_nn::loss;
@@ -13,14 +13,23 @@ use realo_nn::weights::Weights;
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
-use crate::data::{Augmentation, Batch, Frames, Input, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, write_whole};
+use crate::data::{
+    Augmentation, Batch, Frames, Input, LATER, LoggedFrames, MapEncoder, Recipe, SimulatedFrames, Supply, write_whole,
+};
 use crate::fusing::{beginning, learns_to_fuse, start};
+use crate::layers::Arithmetic;
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
-use crate::validate::{Validation, validate, validate_fusion};
+use crate::random::Stream;
+use crate::validate::{Validation, decoys, validate, validate_fusion};
 
 /// Simulated frames that are searched for an object of each class before training begins; of logs all are.
 const SEARCHED: usize = 100;
+
+/// The last of so many parts of the steps see the whole range alone. A batch of squares is normed by what squares are like, and one
+/// of far ones, where little is, hardly as the far parts of a whole grid: weights have to learn what they will meet, and so have the
+/// running statistics. Without that a detector misses what is far.
+const WHOLE: u64 = 3;
 
 /// Simulator seeds from here on are for validation and tests.
 const TRAINING_SEEDS: u64 = 800;
@@ -47,7 +56,7 @@ pub struct TrainOptions {
     pub seed: u64,
     /// Samples of a step.
     pub batch: usize,
-    /// Probability that a step sees parts of the range: squares, turned by any angle; of a model that learns to fuse half of
+    /// Probability that a step sees parts of the range, before the last third of the steps: squares, turned by any angle; of a model that learns to fuse half of
     /// the range along x.
     pub parts: f64,
     /// Minutes from one checkpoint to the next.
@@ -60,6 +69,8 @@ pub struct TrainOptions {
     pub augmentation: Augmentation,
     /// Threads of the layers; all cores by default.
     pub threads: Option<usize>,
+    /// Of the products of convolutions; by default what the CPU computes fastest. A training may be resumed in the other one.
+    pub arithmetic: Option<Arithmetic>,
 }
 
 /// Where frames come from.
@@ -149,6 +160,10 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     }
     if let Some(threads) = options.threads.filter(|threads| *threads > 1024) {
         return Err(option("threads", "at most 1024", threads));
+    }
+    if let Some(arithmetic) = options.arithmetic.filter(|arithmetic| !arithmetic.is_available()) {
+        let expected = "f32: this CPU has no instructions for products of bf16";
+        return Err(option("arithmetic", expected, arithmetic));
     }
     if options.validate_every == Some(0) {
         return Err(option("validate_every", "at least 1", 0));
@@ -307,7 +322,8 @@ impl<'a> Training<'a> {
         let lock = lock(&options.output)?;
         let checkpoint = options.output.join("checkpoint.safetensors");
         let weights = start.as_ref().map(|start| &*start.weights);
-        let state = state(options, &model, weights, plan, &checkpoint)?;
+        let mut state = state(options, &model, weights, plan, &checkpoint)?;
+        state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);
         let maps = match learns_to_fuse(&model) {
             true => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
             false => None,
@@ -323,6 +339,8 @@ impl<'a> Training<'a> {
             batch: options.batch,
             uses,
             parts: options.parts,
+            whole_from: options.steps - options.steps / WHOLE,
+            supply: Arc::new(Mutex::new(state.supply.clone())),
             encoder: maps.map(|maps| Arc::new(Mutex::new(maps))),
         };
         let mut filling = Filling::default();
@@ -417,6 +435,7 @@ impl<'a> Training<'a> {
                 .is_some_and(|every| self.state.optimizer.steps.is_multiple_of(every));
             if due {
                 validations.push((self.state.optimizer.steps, self.validate()?));
+                self.search_decoys()?;
             }
             let steps_left = (self.options.steps - self.state.optimizer.steps) as f64 * pace.seconds;
             let time_left = budget.map_or(f64::INFINITY, |budget| {
@@ -499,6 +518,20 @@ impl<'a> Training<'a> {
         }
     }
 
+    /// Has later samples hold what is now taken for an object and is none.
+    fn search_decoys(&mut self) -> Result<(), TrainError> {
+        if self.recipe.augmentation.decoys == 0 {
+            return Ok(());
+        }
+        let steps = self.state.optimizer.steps;
+        let mut draws = Stream::new(self.options.seed, "decoys", steps);
+        let found = decoys(&self.state.network, &self.recipe.frames, &mut draws)?;
+        self.state.supply.add(steps + LATER, found);
+        let mut supply = self.recipe.supply.lock().unwrap_or_else(PoisonError::into_inner);
+        *supply = self.state.supply.clone();
+        Ok(())
+    }
+
     /// Writes everything; each file is replaced as a whole.
     fn save(&self, state: &Checkpoint) -> Result<PathBuf, TrainError> {
         let output = |name: &str| self.options.output.join(name);
@@ -567,6 +600,7 @@ fn state(
                 optimizer: AdamW::new(&network),
                 network,
                 curve: Curve::default(),
+                supply: Supply::default(),
                 plan,
             })
         }

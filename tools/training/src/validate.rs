@@ -9,7 +9,9 @@ use realo_nn::targets::Object;
 use realo_schemas::geometry::{Footprint, iou, iou_exceeds};
 
 use crate::TrainError;
-use crate::data::{AgentSweep, Augmentation, Cast, Frame, Frames, MapEncoder, Party, Project, Scene, gather, near};
+use crate::data::{
+    AgentSweep, Augmentation, Cast, Decoys, Frame, Frames, MapEncoder, Party, Project, Scene, gather, near,
+};
 use crate::layers::{MapShape, with_numbers};
 use crate::network::{Network, inner};
 use crate::random::Stream;
@@ -60,6 +62,25 @@ pub fn validate(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validatio
         let (pillars, _) = gather(model, vec![sample]);
         Ok((detect(network, &pillars)?, objects))
     })
+}
+
+/// Frames that are searched for decoys.
+const SEARCHED: usize = 48;
+
+/// What a network in training takes for objects in some frames where none are.
+///
+/// # Errors
+/// [`TrainError`] if a frame cannot be had or a layer fails.
+pub(crate) fn decoys(network: &Network, frames: &Arc<dyn Frames>, draws: &mut Stream) -> Result<Decoys, TrainError> {
+    let (model, how, mut decoys) = (network.model(), Augmentation::none(), Decoys::default());
+    for _ in 0..SEARCHED {
+        let frame = frames.load(draws.below(frames.len()))?;
+        let cast = Cast::draw(&frame, &how, draws);
+        let scene = Scene::new(&frame, &cast, model, &how, draws);
+        let (pillars, _) = gather(model, vec![scene.clone().sample(model)]);
+        decoys.add(&scene, &detect(network, &pillars)?);
+    }
+    Ok(decoys)
 }
 
 /// Scores what finds boxes on frames, with each vehicle of a frame as ego; `detect`: the boxes of a scene, best first and

@@ -89,6 +89,7 @@ impl Folder {
             },
             augmentation: Augmentation::default(),
             threads: Some(2),
+            arithmetic: None,
         }
     }
 }

@@ -76,6 +76,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             optimizer: OptimizerSettings::default(),
             augmentation: Augmentation::default(),
             threads: None,
+            arithmetic: None,
         };
         train(&options, |progress| {
             if progress.point.step >= WARM_UP {
@@ -96,7 +97,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             minimum: least,
             median: middle,
             ratio: median / middle,
-            goal: 1.2,
+            goal: 1.0,
         }
     });
     Ok(Train {

@@ -125,7 +125,7 @@ fn growth(kind: VergeKind) -> [f64; 3] {
         VergeKind::Median => [0.0, 0.0, 0.0],
         VergeKind::Park => [28.0, 11.5, 3.2],
         VergeKind::Field => [11.0, 3.5, 1.2],
-        VergeKind::Embankment => [1.5, 1.2, 1.0],
+        VergeKind::Embankment => [5.0, 3.5, 1.0],
         VergeKind::CarPark => [20.0, 15.0, 1.8],
         VergeKind::Kerb => [0.0, 0.0, 0.0],
     }

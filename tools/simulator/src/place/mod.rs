@@ -56,6 +56,16 @@ pub(crate) struct Fixture {
     pub solid: Solid,
 }
 
+impl Fixture {
+    /// Middle and extent of what road users could touch, length, width and 0, m.
+    pub fn footprint(&self) -> (Pose2, [f64; 3]) {
+        const TALLEST: f64 = 1.8;
+        let low = self.solid.footprint_below(TALLEST);
+        let pose = self.pose.at(0.5 * (low[0] + low[1]), 0.5 * (low[2] + low[3]));
+        (pose, [low[1] - low[0], low[3] - low[2], 0.0])
+    }
+}
+
 impl Scenery {
     pub fn new(scenario: Scenario, number: u64) -> Self {
         match scenario.resolve(number) {

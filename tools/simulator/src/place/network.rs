@@ -289,12 +289,24 @@ pub(crate) struct Custom {
     pub gap: [f64; 2],
     /// Walkers at the begin.
     pub walkers: [usize; 2],
+    /// Share of those who come on foot that are groups of two to six.
+    pub groups: f64,
+    /// Groups of two to six who stand together on pavements.
+    pub standing: [usize; 2],
+    /// Share of grown-up walkers who push a pram.
+    pub prams: f64,
+    /// How often somebody stands at a taken bay, between cars.
+    pub between: f64,
     /// Share of the bays that are taken.
     pub parked: [f64; 2],
     /// Shares of vans among parked cars and among those that drive.
     pub vans: [f64; 2],
     /// Shares of trucks and buses among those that drive.
     pub long: f64,
+    /// Share of trucks that have a trailer where the roads are straight enough.
+    pub trailers: f64,
+    /// Shares of tricycles among those parked and among those that drive.
+    pub tricycles: [f64; 2],
     /// Share of riders among those that drive where there are no cycle lanes.
     pub riders: f64,
     /// Within this distance of `rsu1` cav1 and cav2 are near it, m.

@@ -193,9 +193,15 @@ fn custom() -> Custom {
     Custom {
         gap: [62.0, 28.0],
         walkers: [16, 46],
+        groups: 0.15,
+        standing: [2, 4],
+        prams: 0.06,
+        between: 0.08,
         parked: [0.35, 0.65],
         vans: [0.14, 0.10],
         long: 0.1,
+        trailers: 0.3,
+        tricycles: [0.02, 0.02],
         riders: 0.08,
         near: 65.0,
     }
@@ -256,7 +262,7 @@ fn junction(draws: &mut Stream) -> Draft {
         Control::Priority
     };
     let node = builder.node([0.0; 2], control, draws.between(3.5, 6.0), true);
-    let slant = FRAC_PI_2 + sign(draws) * degrees(draws, 8.0, 30.0);
+    let slant = FRAC_PI_2 + sign(draws) * degrees(draws, 12.0, 35.0);
     for k in 0..4 {
         let main = k % 2 == 0;
         let mut section = Section::street(3.3, if main { 50.0 * KMH } else { 40.0 * KMH });
@@ -281,7 +287,7 @@ fn tee(draws: &mut Stream) -> Draft {
         Control::Priority
     };
     let node = builder.node([0.0; 2], control, draws.between(3.0, 5.0), true);
-    let stem = sign(draws) * degrees(draws, 60.0, 120.0);
+    let stem = sign(draws) * (FRAC_PI_2 + sign(draws) * degrees(draws, 10.0, 40.0));
     let lanes = if draws.chance(0.3) { 2 } else { 1 };
     for (k, base) in [0.0, PI, stem].into_iter().enumerate() {
         let main = k < 2;
@@ -364,7 +370,7 @@ fn curve(draws: &mut Stream) -> Draft {
         builder.road(line, section.clone(), [Some(nodes[k]), None], true, 0);
         let mut entry = Section::street(3.0, 30.0 * KMH);
         entry.beside = beside(draws);
-        entry.bays[1] = draws.chance(0.5).then_some(Bays::PARALLEL);
+        entry.bays[1] = draws.chance(0.6).then_some(Bays::slanted([45.0, 60.0][draws.below(2)]));
         let ahead = if k == 0 { 0.0 } else { end.heading };
         let side = ahead - turn * degrees(draws, 70.0, 115.0);
         let line = outwards(
@@ -392,8 +398,8 @@ fn residential(draws: &mut Stream) -> Draft {
         section.pavement = [2.0; 2];
         for side in 0..2 {
             section.bays[side] = Some(match draws.unit() {
-                u if u < 0.6 => Bays::PARALLEL,
-                u if u < 0.75 => Bays::slanted(45.0),
+                u if u < 0.4 => Bays::PARALLEL,
+                u if u < 0.65 => Bays::slanted(45.0),
                 u if u < 0.9 => Bays::slanted(60.0),
                 _ => Bays::SQUARE,
             });
@@ -432,6 +438,8 @@ fn residential(draws: &mut Stream) -> Draft {
     let mut draft = Draft::new(builder, custom());
     draft.custom.gap = [85.0, 45.0];
     draft.custom.walkers = [14, 30];
+    draft.custom.prams = 0.12;
+    draft.custom.tricycles = [0.04, 0.06];
     draft.custom.parked = [0.5, 0.8];
     draft.custom.long = 0.02;
     draft.custom.riders = 0.25;
@@ -446,7 +454,8 @@ fn motorway(draws: &mut Stream) -> Draft {
     let turn = sign(draws);
     let curve = |start: Pose2, first: f64, second: f64, radius: f64| {
         let mut path = Path::from_pose(start);
-        path.line(80.0);
+        // The middle of the place lies in the first bend.
+        path.line(320.0);
         bend(&mut path, radius, first);
         path.line(40.0);
         bend(&mut path, radius, second);
@@ -454,9 +463,9 @@ fn motorway(draws: &mut Stream) -> Draft {
         path.line(left.max(60.0));
         path
     };
-    let radius = draws.between(360.0, 520.0);
+    let radius = draws.between(280.0, 400.0);
     let (first, second) = (
-        turn * degrees(draws, 24.0, 38.0),
+        turn * degrees(draws, 40.0, 60.0),
         sign(draws) * degrees(draws, 14.0, 30.0),
     );
     let origin = Pose2 {
@@ -480,7 +489,7 @@ fn motorway(draws: &mut Stream) -> Draft {
         shoulder: 2.8,
         bays: [None; 2],
         pavement: [0.0; 2],
-        limit: 120.0 * KMH,
+        limit: 100.0 * KMH,
         beside: [(VergeKind::Embankment, 25.0); 2],
     };
     let ramp_width = 3.6;
@@ -529,11 +538,12 @@ fn motorway(draws: &mut Stream) -> Draft {
         custom: Custom {
             gap: [85.0, 42.0],
             walkers: [0, 0],
-            parked: [0.0; 2],
             vans: [0.14, 0.14],
-            long: 0.3,
+            long: 0.4,
+            trailers: 0.75,
             riders: 0.03,
             near: 110.0,
+            ..custom()
         },
         kerbs: false,
         roadside: [
@@ -562,8 +572,8 @@ fn car_park(draws: &mut Stream) -> Draft {
     let count = 3 + draws.below(2);
     let rows: Vec<Bays> = (0..count)
         .map(|_| match draws.unit() {
-            u if u < 0.4 => Bays::SQUARE,
-            u if u < 0.7 => Bays::slanted(60.0),
+            u if u < 0.2 => Bays::SQUARE,
+            u if u < 0.6 => Bays::slanted(60.0),
             _ => Bays::slanted(45.0),
         })
         .collect();
@@ -657,6 +667,7 @@ fn car_park(draws: &mut Stream) -> Draft {
     ];
     draft.custom.gap = [42.0, 25.0];
     draft.custom.parked = [0.5, 0.85];
+    draft.custom.between = 0.12;
     draft.custom.long = 0.03;
     draft.custom.near = 75.0;
     draft.grade = [0.003, 0.014];
@@ -668,7 +679,7 @@ fn car_park(draws: &mut Stream) -> Draft {
 fn avenue(draws: &mut Stream) -> Draft {
     let mut builder = Builder::new();
     let node = builder.node([0.0; 2], Control::Signals, draws.between(4.0, 6.0), true);
-    let slant = FRAC_PI_2 + sign(draws) * degrees(draws, 8.0, 28.0);
+    let slant = FRAC_PI_2 + sign(draws) * degrees(draws, 12.0, 34.0);
     let median = draws.between(3.5, 8.0);
     let bays = draws.chance(0.6);
     for k in 0..4 {
@@ -727,6 +738,7 @@ fn rural(draws: &mut Stream) -> Draft {
     draft.custom.walkers = [0, 0];
     draft.custom.long = 0.14;
     draft.custom.riders = 0.12;
+    draft.custom.tricycles = [0.0, 0.04];
     draft.grade = [0.012, 0.03];
     draft.custom.near = 75.0;
     draft
@@ -742,7 +754,8 @@ fn market(draws: &mut Stream) -> Draft {
         let mut section = Section::street(3.0, 25.0 * KMH);
         section.pavement = [draws.between(5.0, 7.0), draws.between(5.0, 7.0)];
         let slanted = Bays::slanted([45.0, 60.0][draws.below(2)]);
-        section.bays = [Some(Bays::PARALLEL), Some(slanted)];
+        let other = if draws.chance(0.5) { slanted } else { Bays::PARALLEL };
+        section.bays = [Some(other), Some(slanted)];
         section.beside = [(VergeKind::Street, draws.between(4.0, 8.0)); 2];
         section
     };
@@ -770,6 +783,11 @@ fn market(draws: &mut Stream) -> Draft {
     let mut draft = Draft::new(builder, custom());
     draft.custom.gap = [60.0, 34.0];
     draft.custom.walkers = [46, 84];
+    draft.custom.groups = 0.25;
+    draft.custom.standing = [5, 9];
+    draft.custom.prams = 0.08;
+    draft.custom.between = 0.15;
+    draft.custom.tricycles = [0.08, 0.08];
     draft.custom.parked = [0.4, 0.7];
     draft.custom.vans = [0.45, 0.2];
     draft.custom.long = 0.03;

@@ -2,10 +2,11 @@
 
 mod grid;
 mod open;
+mod walking;
 
 use crate::bodies::Class;
 use crate::options::Error;
-use crate::path::{Course, Pose2, State};
+use crate::path::{Course, Motion, Pose2, State};
 use crate::place::{Plan, Scenery};
 use crate::random::Stream;
 use crate::solid::Solid;
@@ -19,6 +20,17 @@ pub(crate) struct User {
     pub size: [f64; 3],
     pub solid: Solid,
     pub course: Course,
+}
+
+/// A vehicle and its motion, from when it came until it left.
+struct Driven {
+    /// Number of the vehicle in its simulation.
+    number: u64,
+    class: Class,
+    size: [f64; 3],
+    motion: Motion,
+    /// The arm (on a grid) or the lane (on a network) by which it came first.
+    came_by: usize,
 }
 
 /// All road users of a simulation.
@@ -82,19 +94,11 @@ impl Traffic {
             Plan::Grid(roads) => grid::crowd(demand, roads, until),
             Plan::Network(network) => open::crowd(demand, network, until)?,
         };
-        Ok(Self::assemble(crowd, demand.seed, until))
+        Ok(Self::assemble(crowd, demand, until))
     }
 
-    /// Gives everybody the size that is labelled and the rounded body that sensors of newer places meet.
-    pub fn round_off(&mut self, seed: u64) {
-        for (index, user) in self.users.iter_mut().enumerate() {
-            let mut draws = Stream::new(seed, "shape", index as u64);
-            user.size = user.class.labelled_size(user.size, &mut draws);
-            user.solid = user.class.shape(user.size, &mut draws);
-        }
-    }
-
-    pub(crate) fn assemble(mut crowd: Vec<Arrival>, seed: u64, until: f64) -> Self {
+    /// Gives a body to everybody who meets nobody: on networks the rounded ones.
+    pub(crate) fn assemble(mut crowd: Vec<Arrival>, demand: &Demand, until: f64) -> Self {
         crowd.retain(|(_, _, _, course)| !over_before(course, -0.5));
         let kept = without_overlaps(crowd, until);
         let mut cavs = [0; 2];
@@ -103,7 +107,11 @@ impl Traffic {
             if let Some(cav) = cav {
                 cavs[cav] = index;
             }
-            let solid = class.body(size, &mut Stream::new(seed, "body", index as u64));
+            let draws = |name| Stream::new(demand.seed, name, index as u64);
+            let solid = match demand.place.is_network() {
+                true => class.shape(size, &mut draws("shape")),
+                false => class.body(size, &mut draws("body")),
+            };
             users.push(User {
                 track: index as u64 + 1,
                 class,
@@ -145,6 +153,8 @@ fn without_overlaps(crowd: Vec<Arrival>, until: f64) -> Vec<Arrival> {
 
 /// Pairs that touch at some time, each with the first time's order.
 fn overlaps(crowd: &[Arrival], until: f64) -> Vec<(usize, usize)> {
+    /// No two bodies reach each other from farther apart, m.
+    const REACH: f64 = 17.5;
     let steps = ((until + 0.5) / 0.1).ceil() as usize;
     let mut pairs = Vec::new();
     for k in 0..=steps {
@@ -156,7 +166,7 @@ fn overlaps(crowd: &[Arrival], until: f64) -> Vec<(usize, usize)> {
             .collect();
         there.sort_by(|a, b| a.1.x.total_cmp(&b.1.x));
         for (n, (i, a, size_a)) in there.iter().enumerate() {
-            for (j, b, size_b) in there[n + 1..].iter().take_while(|other| other.1.x - a.x < 13.0) {
+            for (j, b, size_b) in there[n + 1..].iter().take_while(|other| other.1.x - a.x < REACH) {
                 if touch(*a, *size_a, *b, *size_b) && !pairs.contains(&(*i.min(j), *i.max(j))) {
                     pairs.push((*i.min(j), *i.max(j)));
                 }

@@ -10,6 +10,7 @@ use realo_nn::model::{Grid, Model};
 use realo_nn::targets::{Targets, assign};
 use realo_nn_candle::transformer::Agent;
 
+use super::decoys::Supply;
 use super::frame::Frame;
 use super::frames::Frames;
 use super::maps::{MapEncoder, Party};
@@ -20,6 +21,9 @@ use crate::random::Stream;
 
 /// Batches that wait for the trainer.
 const AHEAD: usize = 3;
+
+/// What is found after a step changes the batches from so many steps later on: those before may have been made.
+pub(crate) const LATER: u64 = 2 * AHEAD as u64;
 
 /// Samples are drawn from so many frames, those that joined last.
 const POOL: u64 = 400;
@@ -57,6 +61,10 @@ pub struct Recipe {
     pub uses: u64,
     /// Probability that a step sees parts of the range.
     pub parts: f64,
+    /// Steps from here on see the whole range.
+    pub whole_from: u64,
+    /// What is pasted into samples.
+    pub supply: Arc<Mutex<Supply>>,
     /// What makes maps of points, for a network that learns to fuse them.
     pub(crate) encoder: Option<Arc<Mutex<MapEncoder>>>,
 }
@@ -77,25 +85,29 @@ impl Recipe {
     /// [`TrainError`] if a frame cannot be had.
     fn batch(&self, step: u64) -> Result<Batch, TrainError> {
         let mut draws = Stream::new(self.seed, "batch", step);
-        let parts = draws.chance(self.parts);
+        let parts = step < self.whole_from && draws.chance(self.parts);
         let mut frames = Vec::with_capacity(self.batch);
         for number in (0..self.batch as u64).map(|i| step * self.batch as u64 + i) {
             let frame = self.frames.load(self.frame(number))?;
             frames.push((frame, Stream::new(self.seed, "sample", number)));
         }
         match &self.encoder {
-            None => Ok(self.of_points(frames, parts)),
+            None => Ok(self.of_points(step, frames, parts)),
             Some(encoder) => self.of_maps(frames, parts, encoder),
         }
     }
 
-    fn of_points(&self, frames: Vec<(Frame, Stream)>, parts: bool) -> Batch {
+    fn of_points(&self, step: u64, frames: Vec<(Frame, Stream)>, parts: bool) -> Batch {
         let how = &self.augmentation;
+        let decoys = self.supply.lock().unwrap_or_else(PoisonError::into_inner).at(step);
         let mut samples = Vec::with_capacity(frames.len());
         let mut model = self.model.clone();
         for (frame, mut draws) in frames {
             let cast = Cast::draw(&frame, how, &mut draws);
             let mut scene = Scene::new(&frame, &cast, &self.model, how, &mut draws);
+            if let Some(decoys) = &decoys {
+                decoys.paste(&mut scene, how.decoys, &mut draws);
+            }
             let rotation = if parts { std::f64::consts::PI } else { how.rotation };
             let change = Change::draw(how, rotation, &mut draws);
             scene.change(&change);
@@ -218,10 +230,11 @@ fn window(model: &Model, draws: &mut Stream) -> Model {
 mod tests {
     use nalgebra::Isometry3;
 
+    use super::super::decoys::Decoys;
     use super::super::frame::{AgentSweep, Seen};
     use super::*;
 
-    /// Frames with a car each; its distance tells which frame it is.
+    /// Frames with a car each on even ground; its distance tells which frame it is.
     struct Rows(usize);
 
     impl Frames for Rows {
@@ -237,6 +250,8 @@ mod tests {
                 points: 60,
             };
             let points = (0..60).map(|i| ([12.0 + index as f32 + 0.01 * i as f32, 3.0, 0.9], i));
+            let ground = (0..6400).map(|i| ([(i % 80) as f32 - 40.0, (i / 80) as f32 - 40.0, 0.0], 0));
+            let points = points.chain(ground);
             let agent = AgentSweep::new("cav1", false, Isometry3::identity(), points, vec![car]);
             Ok(Frame {
                 classes: vec!["vehicle".into()],
@@ -259,6 +274,8 @@ mod tests {
             batch: 2,
             uses,
             parts: 0.5,
+            whole_from: u64::MAX,
+            supply: Arc::default(),
             encoder: None,
         }
     }
@@ -290,6 +307,22 @@ mod tests {
         drop(batches);
         thread.join().unwrap();
         assert_eq!(resumed, whole[2..]);
+    }
+
+    #[test]
+    fn samples_hold_decoys_from_the_step_on_that_has_them() {
+        let count = |recipe: &Recipe, step| match recipe.batch(step).unwrap().input {
+            Input::Points(pillars) => pillars.count(),
+            Input::Maps(_) => unreachable!("the model fuses nothing"),
+        };
+        let (plain, pasting) = (recipe(8, 1), recipe(8, 1));
+        let post: Vec<f32> = (1..40).flat_map(|i| [0.0, 0.9, 15.0, 0.0, 0.04 * i as f32]).collect();
+        pasting.supply.lock().unwrap().add(4, Decoys::from_numbers(&post));
+        for step in 0..4 {
+            assert_eq!(count(&pasting, step), count(&plain, step), "{step}");
+        }
+        let more = (4..24).filter(|step| count(&pasting, *step) > count(&plain, *step));
+        assert!(more.count() > 5);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Training data: frames of all agents, from simulator seeds or logs, and the samples that are drawn from them.
 
+mod decoys;
 mod frame;
 mod frames;
 mod loader;
@@ -8,12 +9,13 @@ mod maps;
 mod sample;
 mod simulated;
 
+pub use decoys::{Decoys, Supply};
 pub(crate) use frame::write_whole;
 pub use frame::{AgentSweep, Earlier, Frame, Return, Seen};
 pub(crate) use frames::world;
 pub use frames::{Frames, SimulatedFrames};
-pub(crate) use loader::gather;
 pub use loader::{Batch, Input, Recipe};
+pub(crate) use loader::{LATER, gather};
 pub use logged::LoggedFrames;
 pub(crate) use maps::{MapEncoder, Party, Project};
 pub use sample::{Augmentation, Cast, Sample};

@@ -46,6 +46,8 @@ pub struct Augmentation {
     pub drop: f64,
     /// Least share of points that is kept then.
     pub keep: f64,
+    /// Decoys that a sample has at most: background that looked like an object when the network was last validated.
+    pub decoys: usize,
     /// Deviations of a collaborator's position (m) and heading (rad), as two independent GNSS/INS have.
     pub pose_noise: [f64; 2],
 }
@@ -64,6 +66,7 @@ impl Default for Augmentation {
             drop_beams: 0.3,
             drop: 0.3,
             keep: 0.5,
+            decoys: 3,
             pose_noise: [0.03, 0.002],
         }
     }
@@ -81,6 +84,7 @@ impl Augmentation {
             drop_beams: 0.0,
             drop: 0.0,
             keep: 1.0,
+            decoys: 0,
             pose_noise: [0.0; 2],
             ..Augmentation::default()
         }
@@ -369,11 +373,21 @@ impl Scene {
                 true => [x, y, z],
                 false => std::array::from_fn(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]),
             };
-            self.columns
-                .iter_mut()
-                .zip(moved)
-                .for_each(|(column, value)| column.push(value));
+            self.push(moved);
         }
+    }
+
+    /// Adds a point, m.
+    pub fn push(&mut self, point: [f32; 3]) {
+        for (column, value) in self.columns.iter_mut().zip(point) {
+            column.push(value);
+        }
+    }
+
+    /// Its points, m.
+    pub fn iter(&self) -> impl Iterator<Item = [f32; 3]> {
+        let [x, y, z] = &self.columns;
+        x.iter().zip(y).zip(z).map(|((x, y), z)| [*x, *y, *z])
     }
 
     /// Changes points and objects together.

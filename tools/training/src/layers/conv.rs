@@ -4,7 +4,7 @@ use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::map::{MapShape, buffer, numbers, tensor, with_numbers};
-use super::product::{View, multiply};
+use super::product::{Arithmetic, View, multiply};
 
 /// Least cells of one product: enough that packing the weights anew for it costs little.
 const BAND: usize = 512;
@@ -19,6 +19,8 @@ const PARTS: usize = 4;
 pub struct Conv {
     /// 1 or 2.
     pub stride: usize,
+    /// Of its products.
+    pub arithmetic: Arithmetic,
 }
 
 impl CustomOp2 for Conv {
@@ -27,7 +29,7 @@ impl CustomOp2 for Conv {
     }
 
     fn cpu_fwd(&self, x: &CpuStorage, xl: &Layout, w: &CpuStorage, wl: &Layout) -> Result<(CpuStorage, Shape)> {
-        let shapes = Shapes::new(xl.shape(), wl.shape(), self.stride)?;
+        let shapes = Shapes::new(xl.shape(), wl.shape(), self)?;
         let kernel = Kernel::forward(numbers(w, wl)?, &shapes);
         let mut out = buffer(shapes.output.len());
         convolve(&mut out, numbers(x, xl)?, &kernel, &shapes);
@@ -35,7 +37,7 @@ impl CustomOp2 for Conv {
     }
 
     fn bwd(&self, x: &Tensor, w: &Tensor, _: &Tensor, grad: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let shapes = Shapes::new(x.shape(), w.shape(), self.stride)?;
+        let shapes = Shapes::new(x.shape(), w.shape(), self)?;
         with_numbers(grad, |grad| {
             let dx = with_numbers(w, |w| Ok(input_gradient(grad, w, &shapes)))?;
             let dw = with_numbers(x, |x| Ok(weight_gradient(x, grad, &shapes)))?;
@@ -51,10 +53,12 @@ struct Shapes {
     input: MapShape,
     output: MapShape,
     stride: usize,
+    arithmetic: Arithmetic,
 }
 
 impl Shapes {
-    fn new(x: &Shape, w: &Shape, stride: usize) -> Result<Self> {
+    fn new(x: &Shape, w: &Shape, Conv { stride, arithmetic }: &Conv) -> Result<Self> {
+        let (stride, arithmetic) = (*stride, *arithmetic);
         let input = MapShape::of(x)?;
         let (out, within, height, width) = w.dims4()?;
         if within != input.channels || (height, width) != (3, 3) || !(1..=2).contains(&stride) {
@@ -70,7 +74,12 @@ impl Shapes {
             channels: out,
             ..input
         };
-        Ok(Shapes { input, output, stride })
+        Ok(Shapes {
+            input,
+            output,
+            stride,
+            arithmetic,
+        })
     }
 
     /// The stride-1 convolution that leads gradients back.
@@ -79,6 +88,7 @@ impl Shapes {
             input: self.output,
             output: self.input,
             stride: 1,
+            arithmetic: self.arithmetic,
         }
     }
 }
@@ -155,7 +165,8 @@ fn convolve_bands(out: &mut [f32], x: &[f32], kernel: &Kernel, shapes: &Shapes) 
         for ky in 0..3 {
             let from = input.at(image, (first + ky) as isize - 1, -1);
             let (a, b) = (View::rows(&x[from..], ins), View::rows(kernel.row(ky), outs));
-            multiply(&mut rows[outs..], outs, a, b, [cells, 3 * ins, outs], ky > 0);
+            let size = [cells, 3 * ins, outs];
+            multiply(shapes.arithmetic, &mut rows[outs..], outs, a, b, size, ky > 0);
         }
         for row in rows.chunks_mut(pitch) {
             row[..outs].fill(0.0);
@@ -165,13 +176,16 @@ fn convolve_bands(out: &mut [f32], x: &[f32], kernel: &Kernel, shapes: &Shapes) 
 }
 
 fn convolve_rows(out: &mut [f32], x: &[f32], kernel: &Kernel, shapes: &Shapes) {
-    let Shapes { input, output, stride } = shapes;
+    let Shapes {
+        input, output, stride, ..
+    } = shapes;
     let (ins, outs) = (input.channels, output.channels);
     output.fill_rows(out, |image, row, cells| {
         for ky in 0..3 {
             let from = input.at(image, (row * stride + ky) as isize - 1, -1);
             let (a, b) = (View::rows(&x[from..], stride * ins), View::rows(kernel.row(ky), outs));
-            multiply(cells, outs, a, b, [output.columns, 3 * ins, outs], ky > 0);
+            let size = [output.columns, 3 * ins, outs];
+            multiply(shapes.arithmetic, cells, outs, a, b, size, ky > 0);
         }
     });
 }
@@ -203,21 +217,16 @@ fn spread_rows(dx: &mut [f32], grad: &[f32], kernel: &Kernel, shapes: &Shapes) {
             let from = output.at(image, row as isize, 0);
             let even = output.columns;
             let (a, b) = (View::rows(&grad[from..], outs), View::rows(kernel.from(ky, 1), ins));
-            multiply(cells, 2 * ins, a, b, [even, outs, ins], !first);
+            multiply(shapes.arithmetic, cells, 2 * ins, a, b, [even, outs, ins], !first);
             let odd = input.columns / 2;
             // Columns 0 and 2 of the turned kernel, one above the other.
             let sides = [&kernel.from(ky, 0)[..outs * ins], &kernel.from(ky, 2)[..outs * ins]];
             for (side, matrix) in sides.into_iter().enumerate() {
                 let a = View::rows(&grad[from + side * outs..], outs);
                 if odd > 0 {
-                    multiply(
-                        &mut cells[ins..],
-                        2 * ins,
-                        a,
-                        View::rows(matrix, ins),
-                        [odd, outs, ins],
-                        !first || side > 0,
-                    );
+                    let (b, size) = (View::rows(matrix, ins), [odd, outs, ins]);
+                    let add = !first || side > 0;
+                    multiply(shapes.arithmetic, &mut cells[ins..], 2 * ins, a, b, size, add);
                 }
             }
             first = false;
@@ -261,7 +270,9 @@ fn weight_gradient_of(
     image: usize,
     rows: std::ops::Range<usize>,
 ) {
-    let Shapes { input, output, stride } = shapes;
+    let Shapes {
+        input, output, stride, ..
+    } = shapes;
     let (ins, outs) = (input.channels, output.channels);
     // With stride 1 the border between two rows may take part: its gradient is 0.
     let (step, cells) = match stride {
@@ -273,7 +284,8 @@ fn weight_gradient_of(
         for (ky, sum) in sum.chunks_mut(3 * ins * outs).enumerate() {
             let from = input.at(image, (row * stride + ky) as isize - 1, -1);
             let a = View::columns(&x[from..], stride * ins);
-            multiply(sum, outs, a, View::rows(g, outs), [3 * ins, cells, outs], true);
+            let size = [3 * ins, cells, outs];
+            multiply(shapes.arithmetic, sum, outs, a, View::rows(g, outs), size, true);
         }
     }
 }

@@ -22,3 +22,4 @@ pub(crate) use map::{MapShape, buffer, tensor, with_numbers};
 pub use norm::{Moments, Norm, Statistics};
 pub use pillars::{PillarBatch, PillarFrame, PillarLayer};
 pub use pointwise::{Pointwise, WeightOrder};
+pub use product::{Arithmetic, UnknownArithmetic};

@@ -82,6 +82,14 @@ pub struct PillarBatch {
     count: usize,
 }
 
+impl PillarBatch {
+    /// Points, and empty slots where they take part.
+    #[cfg(test)]
+    pub(crate) fn count(&self) -> usize {
+        self.count
+    }
+}
+
 impl PillarFrame {
     /// The features of a sample's pillars on a grid.
     pub fn new(grid: &Grid, pillars: &Pillars, settings: &PillarSettings) -> Self {

@@ -4,7 +4,7 @@ use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::map::{MapShape, buffer, numbers, tensor, with_numbers};
-use super::product::{View, multiply};
+use super::product::{Arithmetic, View, multiply};
 
 /// Parts of the weight gradient's sum, for each image.
 const PARTS: usize = 4;
@@ -23,6 +23,8 @@ pub enum WeightOrder {
 pub struct Pointwise {
     /// How the weights lie.
     pub order: WeightOrder,
+    /// Of its products.
+    pub arithmetic: Arithmetic,
 }
 
 impl CustomOp2 for Pointwise {
@@ -31,7 +33,7 @@ impl CustomOp2 for Pointwise {
     }
 
     fn cpu_fwd(&self, x: &CpuStorage, xl: &Layout, w: &CpuStorage, wl: &Layout) -> Result<(CpuStorage, Shape)> {
-        let shapes = Shapes::new(xl.shape(), wl.shape(), self.order)?;
+        let shapes = Shapes::new(xl.shape(), wl.shape(), self)?;
         let (x, w) = (numbers(x, xl)?, shapes.pack(numbers(w, wl)?));
         let mut out = buffer(shapes.output.len());
         shapes.forward(&mut out, x, &w);
@@ -39,7 +41,7 @@ impl CustomOp2 for Pointwise {
     }
 
     fn bwd(&self, x: &Tensor, w: &Tensor, _: &Tensor, grad: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let shapes = Shapes::new(x.shape(), w.shape(), self.order)?;
+        let shapes = Shapes::new(x.shape(), w.shape(), self)?;
         with_numbers(grad, |grad| {
             let packed = with_numbers(w, |w| Ok(shapes.pack(w)))?;
             let dx = shapes.input_gradient(grad, &packed);
@@ -57,10 +59,12 @@ struct Shapes {
     output: MapShape,
     factor: usize,
     order: WeightOrder,
+    arithmetic: Arithmetic,
 }
 
 impl Shapes {
-    fn new(x: &Shape, w: &Shape, order: WeightOrder) -> Result<Self> {
+    fn new(x: &Shape, w: &Shape, Pointwise { order, arithmetic }: &Pointwise) -> Result<Self> {
+        let (order, arithmetic) = (*order, *arithmetic);
         let input = MapShape::of(x)?;
         let (first, second, factor, width) = w.dims4()?;
         let (within, out) = match order {
@@ -85,6 +89,7 @@ impl Shapes {
             output,
             factor,
             order,
+            arithmetic,
         })
     }
 
@@ -120,18 +125,27 @@ impl Shapes {
         self.output.fill_rows(out, |image, row, cells| {
             let a = View::rows(self.input.row(x, image, row / self.factor), ins);
             let b = View::rows(&packed[row % self.factor * ins * span..], span);
-            multiply(cells, span, a, b, [self.input.columns, ins, span], false);
+            let size = [self.input.columns, ins, span];
+            multiply(self.arithmetic, cells, span, a, b, size, false);
         });
     }
 
     fn input_gradient(&self, grad: &[f32], packed: &[f32]) -> Vec<f32> {
         let (ins, span) = (self.input.channels, self.span());
         let mut dx = buffer(self.input.len());
+        // `[factor (dy)][factor (dx) * out][in]`, whose rows are contiguous.
+        let mut turned = Vec::with_capacity(packed.len());
+        for packed in packed.chunks(ins * span) {
+            for o in 0..span {
+                turned.extend(packed.iter().skip(o).step_by(span));
+            }
+        }
         self.input.fill_rows(&mut dx, |image, row, cells| {
             for dy in 0..self.factor {
                 let a = View::rows(self.output.row(grad, image, row * self.factor + dy), span);
-                let b = View::columns(&packed[dy * ins * span..], span);
-                multiply(cells, ins, a, b, [self.input.columns, span, ins], dy > 0);
+                let b = View::rows(&turned[dy * ins * span..], ins);
+                let size = [self.input.columns, span, ins];
+                multiply(self.arithmetic, cells, ins, a, b, size, dy > 0);
             }
         });
         dx
@@ -151,7 +165,8 @@ impl Shapes {
                     let a = View::columns(self.input.row(x, image, row), ins);
                     for (dy, sum) in sum.chunks_mut(ins * span).enumerate() {
                         let b = View::rows(self.output.row(grad, image, row * self.factor + dy), span);
-                        multiply(sum, span, a, b, [ins, self.input.columns, span], true);
+                        let size = [ins, self.input.columns, span];
+                        multiply(self.arithmetic, sum, span, a, b, size, true);
                     }
                 }
                 sum

@@ -46,6 +46,20 @@ fn plain_map(map: &MapShape, mut value: impl FnMut(usize, usize, usize, usize) -
     data
 }
 
+fn conv(stride: usize) -> Conv {
+    Conv {
+        stride,
+        arithmetic: Arithmetic::F32,
+    }
+}
+
+fn pointwise(order: WeightOrder) -> Pointwise {
+    Pointwise {
+        order,
+        arithmetic: Arithmetic::F32,
+    }
+}
+
 fn vec(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
@@ -120,7 +134,7 @@ fn convolution_is_the_plain_loop() {
                 channels: ins,
             };
             let (x, w) = (noise.map(map), noise.tensor(&[outs, ins, 3, 3]));
-            let out = x.apply_op2_no_bwd(&w, &Conv { stride }).unwrap();
+            let out = x.apply_op2_no_bwd(&w, &conv(stride)).unwrap();
             let (xs, ws) = (vec(&x), vec(&w));
             let to = MapShape {
                 batch,
@@ -160,7 +174,7 @@ fn gradients_of_the_convolution_are_its_slopes() {
                 channels: ins,
             };
             let inputs = [noise.map(map), noise.tensor(&[outs, ins, 3, 3])];
-            let op = Conv { stride };
+            let op = conv(stride);
             check_gradients(
                 &inputs,
                 &[Some(map), None],
@@ -195,9 +209,7 @@ fn transposed_convolution_is_the_plain_loop_with_its_slopes() {
                 channels: ins,
             };
             let inputs = [noise.map(map), noise.tensor(&[ins, outs, factor, factor])];
-            let op = Pointwise {
-                order: WeightOrder::Transposed,
-            };
+            let op = pointwise(WeightOrder::Transposed);
             let out = inputs[0].apply_op2_no_bwd(&inputs[1], &op).unwrap();
             let (xs, ws) = (vec(&inputs[0]), vec(&inputs[1]));
             let to = MapShape {
@@ -234,6 +246,52 @@ fn transposed_convolution_is_the_plain_loop_with_its_slopes() {
 }
 
 #[test]
+fn bf16_gives_what_f32_gives_but_for_rounding() {
+    if !Arithmetic::Bf16.is_available() {
+        return;
+    }
+    /// Both layers' result and gradients, in both arithmetics.
+    fn compare<Op: CustomOp2>([f32, bf16]: [Op; 2], weights: &[usize], what: &str) {
+        let mut noise = Noise(41);
+        let map = MapShape {
+            batch: 2,
+            rows: 11,
+            columns: 37,
+            channels: 48,
+        };
+        let (x, w) = (noise.map(map), noise.tensor(weights));
+        let exact = x.apply_op2_no_bwd(&w, &f32).unwrap();
+        let rounded = x.apply_op2_no_bwd(&w, &bf16).unwrap();
+        let grad = noise.map(MapShape::of(exact.shape()).unwrap());
+        let gradients = |op: &Op, out| {
+            let (dx, dw) = op.bwd(&x, &w, out, &grad).unwrap();
+            [dx.unwrap(), dw.unwrap()]
+        };
+        let [dx, dw] = gradients(&f32, &exact);
+        let [rounded_dx, rounded_dw] = gradients(&bf16, &rounded);
+        for (exact, rounded) in [(exact, rounded), (dx, rounded_dx), (dw, rounded_dw)] {
+            let (exact, rounded) = (vec(&exact), vec(&rounded));
+            let off: Vec<f32> = exact.iter().zip(&rounded).map(|(a, b)| a - b).collect();
+            let share = (dot(&off, &off) / dot(&exact, &exact)).sqrt();
+            // Of two factors each is off by 2^-9 at most.
+            assert!((1e-5..4e-3).contains(&share), "{what}: off by {share}");
+        }
+    }
+    let both = [Arithmetic::F32, Arithmetic::Bf16];
+    for stride in [1, 2] {
+        let ops = both.map(|arithmetic| Conv { stride, arithmetic });
+        compare(ops, &[70, 48, 3, 3], &format!("3x3, stride {stride}"));
+    }
+    for (order, weights) in [
+        (WeightOrder::Plain, [18, 48, 1, 1]),
+        (WeightOrder::Transposed, [48, 20, 2, 2]),
+    ] {
+        let ops = both.map(|arithmetic| Pointwise { order, arithmetic });
+        compare(ops, &weights, &format!("{order:?}"));
+    }
+}
+
+#[test]
 fn a_plain_pointwise_layer_is_the_transposed_one_with_its_weights_turned() {
     let mut noise = Noise(5);
     let map = MapShape {
@@ -244,14 +302,7 @@ fn a_plain_pointwise_layer_is_the_transposed_one_with_its_weights_turned() {
     };
     let (x, w) = (noise.map(map), noise.tensor(&[5, 6, 1, 1]));
     let turned = w.transpose(0, 1).unwrap().contiguous().unwrap();
-    let (plain, other) = (
-        Pointwise {
-            order: WeightOrder::Plain,
-        },
-        Pointwise {
-            order: WeightOrder::Transposed,
-        },
-    );
+    let (plain, other) = (pointwise(WeightOrder::Plain), pointwise(WeightOrder::Transposed));
     let out = x.apply_op2_no_bwd(&w, &plain).unwrap();
     assert_eq!(vec(&out), vec(&x.apply_op2_no_bwd(&turned, &other).unwrap()));
     let grad = noise.map(map.with_channels(5));
@@ -439,7 +490,7 @@ fn bits_do_not_depend_on_the_number_of_threads() {
                 channels: 8,
             };
             let (x, w) = (noise.map(map), noise.tensor(&[8, 8, 3, 3]));
-            let op = Conv { stride: 1 };
+            let op = conv(1);
             let y = x.apply_op2_no_bwd(&w, &op).unwrap();
             let norm = Norm {
                 statistics: Statistics::batch(),

@@ -7,9 +7,9 @@ mod walkers;
 mod zones;
 
 use lights::Lights;
-use vehicles::{Driven, TrafficPlan, drive};
+use vehicles::{TrafficPlan, drive};
 
-use super::{Arrival, Demand};
+use super::{Arrival, Demand, Driven};
 use crate::bodies::Class;
 use crate::path::{Course, Pose2};
 use crate::place::{BAY, BAYS, Grid, Roads, Scenery};
@@ -112,15 +112,15 @@ fn best_pair(place: &Scenery, roads: &Roads, driven: &[Driven], horizon: f64) ->
             .map(|p| ((p[1][0] - p[0][0]).abs() + (p[1][1] - p[0][1]).abs()).min(20.0));
         steps.sum::<f64>() / horizon
     };
-    let stop_distance = |vehicle: &Driven| roads.stop(vehicle.arm % 2);
+    let stop_distance = |vehicle: &Driven| roads.stop(vehicle.came_by % 2);
     let approaching = |vehicle: &Driven, places: &[[f64; 2]]| {
-        let along = if vehicle.arm.is_multiple_of(2) {
+        let along = if vehicle.came_by.is_multiple_of(2) {
             places[0][0].abs()
         } else {
             places[0][1].abs()
         };
         let before = along > stop_distance(vehicle);
-        let inward = match vehicle.arm {
+        let inward = match vehicle.came_by {
             0 => places[0][0] > 0.0,
             1 => places[0][1] > 0.0,
             2 => places[0][0] < 0.0,
@@ -133,7 +133,10 @@ fn best_pair(place: &Scenery, roads: &Roads, driven: &[Driven], horizon: f64) ->
         .iter()
         .filter(|(vehicle, places)| approaching(vehicle, places))
     {
-        for (second, b) in candidates.iter().filter(|(vehicle, _)| vehicle.arm != first.arm) {
+        for (second, b) in candidates
+            .iter()
+            .filter(|(vehicle, _)| vehicle.came_by != first.came_by)
+        {
             let together = (0..times.len())
                 .filter(|k| near(a[*k], b[*k]) && near(a[*k], [rsu.x, rsu.y]) && near(b[*k], [rsu.x, rsu.y]))
                 .count();

@@ -111,15 +111,7 @@ fn nobody_touches_what_stands_beside_the_road() {
                 let user = &traffic.users[i];
                 for fixture in &place.fixtures {
                     // Crowns and plates are above everybody's head: compare what stands within 1.8 m of the ground.
-                    let low = fixture.solid.footprint_below(1.8);
-                    let (sin, cos) = libm::sincos(fixture.pose.heading);
-                    let (u, v) = (0.5 * (low[0] + low[1]), 0.5 * (low[2] + low[3]));
-                    let pose = Pose2 {
-                        x: fixture.pose.x + u * cos - v * sin,
-                        y: fixture.pose.y + u * sin + v * cos,
-                        heading: fixture.pose.heading,
-                    };
-                    let size = [low[1] - low[0], low[3] - low[2], 0.0];
+                    let (pose, size) = fixture.footprint();
                     let touches = touch(state.pose, user.size, pose, size);
                     assert!(
                         !touches,

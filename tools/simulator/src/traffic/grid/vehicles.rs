@@ -12,6 +12,7 @@ use crate::bodies::Class;
 use crate::path::{Motion, Path, TICK};
 use crate::place::REACH;
 use crate::random::Stream;
+use crate::traffic::Driven;
 
 /// Seconds simulated before the log begins.
 pub(crate) const WARM_UP: f64 = 45.0;
@@ -40,17 +41,6 @@ pub(crate) struct TrafficPlan<'a> {
     pub until: f64,
     /// Vehicles (by number) that turn round at the ends of the roads.
     pub stay: &'a [u64],
-}
-
-/// A vehicle and its motion, from when it came until it left.
-pub(crate) struct Driven {
-    /// Number of the vehicle in its simulation.
-    pub number: u64,
-    pub class: Class,
-    pub size: [f64; 3],
-    pub motion: Motion,
-    /// The arm that it came in by first.
-    pub arm: usize,
 }
 
 struct Vehicle {
@@ -115,7 +105,7 @@ fn finish(vehicle: Vehicle) -> Driven {
         class: vehicle.class,
         size: vehicle.size,
         motion,
-        arm: vehicle.first_arm,
+        came_by: vehicle.first_arm,
     }
 }
 

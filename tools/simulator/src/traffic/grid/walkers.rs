@@ -3,26 +3,13 @@
 use super::lights::Lights;
 use super::vehicles::Crossing;
 use super::zones::Zone;
-use crate::bodies::Class;
-use crate::path::{Course, Motion, Path, TICK};
+use crate::path::{Course, Motion, Path};
 use crate::place::{Grid, REACH, Roads};
 use crate::random::Stream;
+use crate::traffic::walking::{APART, Gait, Over, Start, WAIT, WARM_UP, Walker, admit_all, quarters, stroll};
 
-/// Seconds walked before the log begins.
-const WARM_UP: f64 = 25.0;
-/// Nobody's middle comes closer to another's than this, m.
-const APART: f64 = 0.95;
-/// Distance from the kerb at which one waits, m.
-const WAIT: f64 = 0.7;
 /// Between this and that from the kerb people walk along a road, m.
 const BAND: [f64; 2] = [3.6, 6.0];
-
-/// Somebody on foot.
-pub(crate) struct Walker {
-    pub class: Class,
-    pub size: [f64; 3],
-    pub course: Course,
-}
 
 /// Walkers, and when they take up which part of the junction.
 pub(crate) fn walk(roads: &Roads, lights: &Lights, seed: u64, dense: bool, until: f64) -> (Vec<Walker>, Vec<Crossing>) {
@@ -34,19 +21,10 @@ pub(crate) fn walk(roads: &Roads, lights: &Lights, seed: u64, dense: bool, until
         crossings: Vec::new(),
     };
     let count = if dense { 54 } else { 18 };
-    for index in 0..count {
-        crowd.admit(&mut Stream::new(seed, "walker", index), -WARM_UP);
-    }
-    // Later ones come in at the ends of the roads, as many as leave there.
-    let mut arrivals = Stream::new(seed, "walker-arrivals", 0);
-    let pause = 160.0 / count as f64;
-    let mut t = -WARM_UP + arrivals.exponential(pause);
-    let mut index = count;
-    while t < until {
-        crowd.admit(&mut Stream::new(seed, "walker", index), t);
-        t += arrivals.exponential(pause);
-        index += 1;
-    }
+    admit_all(seed, count, until, |draws, t| {
+        crowd.admit(draws, t);
+        1
+    });
     (crowd.walkers, crowd.crossings)
 }
 
@@ -66,24 +44,10 @@ struct Route {
     crossing: Option<Over>,
 }
 
-/// A crossing on the way: the road's axis, and the distances of waiting point and far kerb.
-#[derive(Clone, Copy)]
-struct Over {
-    axis: usize,
-    wait: f64,
-    far: f64,
-}
-
 impl Crowd<'_> {
     /// Finds a way for one more that keeps clear of all before; gives up after some tries.
     fn admit(&mut self, draws: &mut Stream, t: f64) {
-        let class = if draws.chance(0.1) {
-            Class::Child
-        } else {
-            Class::Pedestrian
-        };
-        let size = class.size(draws);
-        let speed = draws.normal_in(1.32, 0.18, 1.05, 1.8);
+        let Gait { class, size, speed } = Gait::draw(draws);
         for _ in 0..12 {
             let route = self.route(draws);
             let start = if t > -WARM_UP {
@@ -98,7 +62,16 @@ impl Crowd<'_> {
                 continue;
             }
             let delay = draws.between(0.0, 1.2);
-            let motion = self.stroll(route.path, route.crossing, t, start, speed, delay);
+            let start = Start {
+                t,
+                at: start,
+                speed,
+                delay,
+            };
+            let lights = self.lights;
+            let motion = stroll(route.path, route.crossing.as_slice(), start, self.until, |axis, t| {
+                lights.next_walk(axis, t)
+            });
             let crossings = route.crossing.map(|over| crossings(&motion, over)).unwrap_or_default();
             let course = Course::Moving(motion);
             if self.clear(&course, t) {
@@ -121,38 +94,6 @@ impl Crowd<'_> {
                     dx * dx + dy * dy > APART * APART
                 })
         })
-    }
-
-    /// Walks a route tick by tick and waits at the kerb while one may not cross.
-    fn stroll(&self, path: Path, over: Option<Over>, first: f64, start: f64, speed: f64, delay: f64) -> Motion {
-        const BRAKE: f64 = 1.2;
-        let (mut t, mut s, mut v) = (first, start, speed);
-        let mut ticks = Vec::new();
-        let mut waits = over.filter(|over| over.wait > start);
-        let mut go_at = None::<f64>;
-        while t <= self.until + TICK && s < path.length() {
-            ticks.push((s, v));
-            let mut wanted = speed;
-            if let Some(over) = waits {
-                let left = over.wait - s;
-                let arrival = t + left / v.max(0.6);
-                let go = self.lights.next_walk(over.axis, arrival);
-                if left < 0.1 && go_at.is_none() && go > t + 0.2 {
-                    go_at = Some(go + delay);
-                }
-                let free = go_at.map_or(go <= arrival + 0.01, |go| t >= go);
-                if free && left < 0.2 {
-                    waits = None;
-                } else if !free {
-                    wanted = (2.0 * BRAKE * (left - 0.03).max(0.0)).sqrt().min(speed);
-                }
-            }
-            let next = wanted.clamp(v - 2.0 * BRAKE * TICK, v + BRAKE * TICK).max(0.0);
-            s += 0.5 * (v + next) * TICK;
-            v = next;
-            t += TICK;
-        }
-        Motion { path, first, ticks }
     }
 
     fn route(&self, draws: &mut Stream) -> Route {
@@ -273,7 +214,7 @@ fn rounded(points: &[[f64; 2]], middle: usize, axis: Option<usize>) -> Route {
         cut = next_cut;
     }
     let crossing = axis.map(|axis| Over {
-        axis,
+        crossing: axis,
         wait: at[middle],
         far: at[middle + 1],
     });
@@ -286,23 +227,14 @@ fn rounded(points: &[[f64; 2]], middle: usize, axis: Option<usize>) -> Route {
 
 /// When a walker takes up which quarter of his crossing.
 fn crossings(motion: &Motion, over: Over) -> Vec<Crossing> {
-    let time_at = |s: f64| {
-        let k = motion.ticks.partition_point(|(at, _)| *at < s);
-        motion.first + k as f64 * TICK
+    let crossing = |quarter: crate::traffic::walking::Quarter| {
+        let [from, to] = quarter.along;
+        Crossing {
+            zone: Zone::along(&motion.path, from, to, 0.9),
+            from: quarter.from,
+            until: quarter.until,
+        }
     };
-    // Who still waits takes up nothing.
-    let leaves = over.wait + 0.15;
-    (0..4)
-        .map(|quarter| {
-            let cut = |q: i32| over.wait + 0.3 + f64::from(q) * 0.25 * (over.far - over.wait - 0.3);
-            let (from, to) = (cut(quarter), cut(quarter + 1));
-            let zone = Zone::along(&motion.path, from, to, 0.9);
-            Crossing {
-                zone,
-                from: time_at((from - 0.9).max(leaves)),
-                until: time_at(to + 0.9),
-            }
-        })
-        .filter(|crossing| crossing.from < crossing.until)
-        .collect()
+    let all = quarters(motion, over).map(crossing).into_iter();
+    all.filter(|crossing| crossing.from < crossing.until).collect()
 }

@@ -10,6 +10,7 @@ use crate::bodies::Class;
 use crate::path::{Motion, Path, Pose2, TICK};
 use crate::place::{Control, Custom, Network};
 use crate::random::Stream;
+use crate::traffic::Driven;
 
 /// Seconds simulated before the log begins.
 pub(super) const WARM_UP: f64 = 45.0;
@@ -46,16 +47,6 @@ pub(super) struct FlowPlan<'a> {
     pub until: f64,
     /// Vehicles (by number) that turn round at the ends of the roads.
     pub stay: &'a [u64],
-}
-
-/// A vehicle and its motion, from when it came until it left.
-pub(super) struct Driven {
-    pub number: u64,
-    pub class: Class,
-    pub size: [f64; 3],
-    pub motion: Motion,
-    /// The lane on which it came.
-    pub first_lane: usize,
 }
 
 /// A part of a vehicle's way that lies on a lane.
@@ -160,7 +151,7 @@ fn finish(vehicle: Vehicle) -> Driven {
         number: vehicle.number,
         class: vehicle.class,
         size: vehicle.size,
-        first_lane: vehicle.first_lane,
+        came_by: vehicle.first_lane,
         motion: Motion {
             path: vehicle.path,
             first: vehicle.first,
@@ -245,11 +236,12 @@ impl<'a> Flow<'a> {
         self.next_number += 1;
         let mut draws = Stream::new(self.plan.seed, "vehicle", number);
         let class = self.class_for(lane, &mut draws);
-        let size = class.size(&mut draws);
+        let size = class.labelled_size(&mut draws);
         let top = match class {
             Class::Bicycle => draws.between(3.8, 5.8),
             Class::Scooter => draws.between(5.5, 7.5),
-            Class::Truck | Class::Bus => draws.between(21.0, 24.5),
+            Class::Tricycle => draws.between(5.0, 9.0),
+            Class::Truck | Class::Articulated | Class::Bus => draws.between(21.0, 24.5),
             _ => draws.between(26.0, 37.0),
         };
         let eager = draws.between(0.8, 1.08);
@@ -285,9 +277,9 @@ impl<'a> Flow<'a> {
         vehicle
     }
 
-    fn class_for(&self, lane: usize, draws: &mut Stream) -> Class {
+    fn class_for(&self, number: usize, draws: &mut Stream) -> Class {
         let draw = draws.unit();
-        let lane = self.lane(lane);
+        let lane = self.lane(number);
         if lane.kind == Kind::Cycle {
             return if draw < 0.6 { Class::Bicycle } else { Class::Scooter };
         }
@@ -295,31 +287,50 @@ impl<'a> Flow<'a> {
         let mixed = lane
             .road
             .is_some_and(|road| self.plan.network.roads[road].section.cycle == 0.0);
-        let long = if lane.outer && lane.limit >= SLOW {
-            custom.long
-        } else {
-            0.0
+        let share = |class: Class, share: f64| match lane.outer && self.carries(class, number, 0) {
+            true => share,
+            false => 0.0,
         };
+        let trailers = share(Class::Articulated, custom.trailers);
         let riders = if mixed && lane.outer { custom.riders } else { 0.0 };
-        let bounds = [custom.vans[1], long * 0.6, long * 0.4, 0.03, riders * 0.7, riders * 0.3];
-        let classes = [
-            Class::Van,
-            Class::Truck,
-            Class::Bus,
-            Class::Motorcycle,
-            Class::Bicycle,
-            Class::Scooter,
+        let shares = [
+            (Class::Van, custom.vans[1]),
+            (Class::Articulated, custom.long * 0.6 * trailers),
+            (Class::Truck, share(Class::Truck, custom.long * 0.6 * (1.0 - trailers))),
+            (Class::Bus, share(Class::Bus, custom.long * 0.4)),
+            (Class::Motorcycle, 0.03),
+            (Class::Tricycle, if lane.outer { custom.tricycles[1] } else { 0.0 }),
+            (Class::Bicycle, riders * 0.7),
+            (Class::Scooter, riders * 0.3),
         ];
         let mut sum = 0.0;
-        for (class, share) in classes.into_iter().zip(bounds) {
+        for (class, share) in shares {
             sum += share;
             // Riders keep off fast roads.
-            let slow = matches!(class, Class::Bicycle | Class::Scooter) && lane.limit > 20.0;
+            let slow = matches!(class, Class::Bicycle | Class::Scooter | Class::Tricycle) && lane.limit > 20.0;
             if draw < sum && !slow {
                 return class;
             }
         }
         Class::Car
+    }
+
+    /// Whether a lane and some way on from it are wide and straight enough for a class.
+    fn carries(&self, class: Class, lane: usize, passed: usize) -> bool {
+        const FARTHEST: usize = 8;
+        let tightest = match class {
+            // Bodies are rigid: their ends swing out.
+            Class::Articulated => 66.0,
+            Class::Bus => 16.0,
+            Class::Truck => 11.0,
+            _ => return true,
+        };
+        let own = self.lane(lane);
+        let on = |next: &(usize, f64)| self.carries(class, next.0, passed + 1);
+        passed < FARTHEST
+            && own.tightest > tightest
+            && own.limit >= SLOW
+            && (own.exit.is_some() || own.next.iter().any(on))
     }
 
     /// Chooses the way on until it reaches beyond sight.
@@ -347,14 +358,7 @@ impl<'a> Flow<'a> {
     }
 
     fn choose(&self, lane: &Lane, vehicle: &mut Vehicle) -> Option<usize> {
-        let beyond = |next: usize| {
-            self.lane(next)
-                .next
-                .first()
-                .map_or(f64::INFINITY, |(lane, _)| self.lane(*lane).limit)
-        };
-        let fits =
-            |next: &&(usize, f64)| !vehicle.class.long() || self.lane(next.0).tightest > 11.0 && beyond(next.0) >= SLOW;
+        let fits = |next: &&(usize, f64)| self.carries(vehicle.class, next.0, 0);
         let mut all: Vec<(usize, f64)> = lane.next.iter().filter(fits).copied().collect();
         if all.is_empty() {
             let widest = lane
@@ -742,10 +746,7 @@ impl<'a> Flow<'a> {
             }
             if own.rear() < leg.way[0]
                 || leg.leaving.is_some()
-                || !matches!(
-                    own.class,
-                    Class::Car | Class::Van | Class::Motorcycle | Class::Truck | Class::Bus
-                )
+                || matches!(own.class, Class::Bicycle | Class::Scooter | Class::Tricycle)
             {
                 continue;
             }

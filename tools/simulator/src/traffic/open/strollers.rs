@@ -1,21 +1,19 @@
-//! Everybody on foot on a network: along the pavements, around corners, over the crossings.
+//! Everybody on foot on a network: along the pavements, around corners, over the crossings, alone, in groups and with
+//! prams; and groups that stand.
 
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
+use super::Footprint;
 use super::flow::Walked;
 use super::lanes::Zebra;
 use super::signals::Signals;
 use crate::bodies::Class;
-use crate::path::{Course, Motion, Path, TICK, angle_within};
+use crate::path::{Course, Motion, Path, Pose2, angle_within};
 use crate::place::{Network, Node, SIDES};
 use crate::random::Stream;
+use crate::traffic::touch;
+use crate::traffic::walking::{APART, Gait, Over, Start, WAIT, WARM_UP, Walker, admit_all, quarters, stroll};
 
-/// Seconds walked before the log begins.
-const WARM_UP: f64 = 25.0;
-/// Nobody's middle comes closer to another's than this, m.
-const APART: f64 = 0.95;
-/// Distance from the kerb at which one waits, m.
-const WAIT: f64 = 0.7;
 /// Nobody walks farther in the place than this, m.
 const FARTHEST: f64 = 420.0;
 /// So far before the open ends of roads walkers come in, m: behind are the places where vehicles turn round.
@@ -23,49 +21,40 @@ const OPEN_END: f64 = 14.0;
 /// Seconds between the looks at whether two come too close.
 const LOOK: f64 = 0.2;
 
-/// Somebody on foot.
-pub(super) struct Stroller {
-    pub class: Class,
-    pub size: [f64; 3],
-    pub course: Course,
-}
+/// Two who walk side by side keep this far from the middle between them, m.
+const ABREAST: f64 = 0.37;
+/// Between those who walk behind each other, m.
+const BEHIND: f64 = 0.3;
 
 /// What the walkers' ways depend on.
 pub(super) struct Ways<'a> {
     pub network: &'a Network,
+    pub things: &'a [Footprint],
     pub crossings: &'a [Zebra],
     pub signals: &'a [Option<Signals>],
     pub seed: u64,
-    pub count: usize,
+    pub dense: bool,
     pub until: f64,
 }
 
 /// Walkers, and when they take up which part of which crossing.
-pub(super) fn walk(ways: &Ways) -> (Vec<Stroller>, Vec<Walked>) {
-    let starts = starts(ways.network);
+pub(super) fn walk(ways: &Ways) -> (Vec<Walker>, Vec<Walked>) {
     let mut crowd = Crowd {
         ways,
-        starts,
+        starts: starts(ways.network),
         walkers: Vec::new(),
         walked: Vec::new(),
         places: vec![Vec::new(); ((ways.until + WARM_UP) / LOOK).ceil() as usize + 2],
     };
-    if ways.count == 0 || crowd.starts.is_empty() {
+    let custom = &ways.network.custom;
+    let count = custom.walkers[usize::from(ways.dense)];
+    if count == 0 || crowd.starts.is_empty() {
         return (Vec::new(), Vec::new());
     }
-    for index in 0..ways.count as u64 {
-        crowd.admit(&mut Stream::new(ways.seed, "walker", index), -WARM_UP);
+    for index in 0..custom.standing[usize::from(ways.dense)] as u64 {
+        crowd.gather(&mut Stream::new(ways.seed, "standing", index));
     }
-    // Later ones come in at the ends of the roads, about as many as leave there.
-    let mut arrivals = Stream::new(ways.seed, "walker-arrivals", 0);
-    let pause = 160.0 / ways.count as f64;
-    let mut t = -WARM_UP + arrivals.exponential(pause);
-    let mut index = ways.count as u64;
-    while t < ways.until {
-        crowd.admit(&mut Stream::new(ways.seed, "walker", index), t);
-        t += arrivals.exponential(pause);
-        index += 1;
-    }
+    admit_all(ways.seed, count, ways.until, |draws, t| crowd.admit(draws, t));
     (crowd.walkers, crowd.walked)
 }
 
@@ -90,32 +79,111 @@ fn starts(network: &Network) -> Vec<(usize, usize, usize)> {
 struct Crowd<'a> {
     ways: &'a Ways<'a>,
     starts: Vec<(usize, usize, usize)>,
-    walkers: Vec<Stroller>,
+    walkers: Vec<Walker>,
     walked: Vec<Walked>,
-    /// Where everybody is, by look.
-    places: Vec<Vec<[f64; 2]>>,
+    /// Where everybody is by look, and how far from him others keep, m.
+    places: Vec<Vec<([f64; 2], f64)>>,
 }
 
-/// A crossing on the way.
-#[derive(Clone, Copy)]
-struct Over {
-    crossing: usize,
-    /// Distances along the way of the waiting point and the far kerb.
-    wait: f64,
-    far: f64,
-    /// From the arm's left to its right.
-    rightwards: bool,
+/// One of those who walk together.
+struct Member {
+    class: Class,
+    size: [f64; 3],
+    /// How far behind the first and to the left of the common way, m.
+    back: f64,
+    aside: f64,
+}
+
+/// Those who walk together, the first first.
+struct Party {
+    members: Vec<Member>,
+    speed: f64,
+}
+
+impl Party {
+    fn draw(draws: &mut Stream, groups: f64, prams: f64) -> Self {
+        let count = if draws.chance(groups) { companions(draws) } else { 1 };
+        let mut party = Party {
+            members: Vec::new(),
+            speed: f64::INFINITY,
+        };
+        for _ in 0..count {
+            let Gait {
+                mut class,
+                mut size,
+                speed,
+            } = Gait::draw(draws);
+            party.speed = party.speed.min(speed);
+            if class == Class::Pedestrian && draws.chance(prams) {
+                class = Class::Pram;
+                size = class.labelled_size(draws);
+                party.speed = party.speed.min(1.3);
+            }
+            party.members.push(Member {
+                class,
+                size,
+                back: 0.0,
+                aside: 0.0,
+            });
+        }
+        party
+    }
+
+    /// Lines them up in one or in two files.
+    fn line_up(&mut self, abreast: bool) {
+        let files = if abreast { 2 } else { 1 };
+        for i in 0..self.members.len() {
+            let back = match i.checked_sub(files) {
+                Some(before) => {
+                    let before = &self.members[before];
+                    before.back + 0.5 * (before.size[0] + self.members[i].size[0]) + BEHIND
+                }
+                None => 0.5 * (self.members[i].size[0] - self.members[0].size[0]).max(0.0),
+            };
+            let member = &mut self.members[i];
+            member.back = back;
+            member.aside = if abreast { ABREAST * SIDES[i % 2] } else { 0.0 };
+        }
+    }
+
+    /// How far the last walks behind the first, m.
+    fn tail(&self) -> f64 {
+        self.members.iter().map(|member| member.back).fold(0.0, f64::max)
+    }
+}
+
+/// How many go or stand together: two to six.
+fn companions(draws: &mut Stream) -> usize {
+    match draws.unit() {
+        u if u < 0.5 => 2,
+        u if u < 0.75 => 3,
+        u if u < 0.88 => 4,
+        u if u < 0.95 => 5,
+        _ => 6,
+    }
+}
+
+/// How far from somebody's middle others keep theirs, m.
+fn margin(class: Class, size: [f64; 3]) -> f64 {
+    match class {
+        Class::Pram => 0.5 * (size[0] * size[0] + size[1] * size[1]).sqrt(),
+        _ => 0.5 * APART,
+    }
 }
 
 /// A way on foot.
 struct Route {
     path: Path,
     overs: Vec<Over>,
+    /// Whether each crossing is gone over from its arm's left to its right.
+    rightwards: Vec<bool>,
 }
 
 /// The points of a route in the making, and the crossings between some of them.
 struct Draft {
     points: Vec<[f64; 2]>,
+    /// Least radius of its corners where there is room, m.
+    radius: f64,
     overs: Vec<(usize, usize, bool)>,
 }
 
@@ -126,120 +194,182 @@ struct Track {
     arm: usize,
     side: usize,
     across: f64,
+    /// How far beside it somebody walks, m.
+    aside: f64,
 }
 
 impl Crowd<'_> {
-    /// Finds a way for one more that keeps clear of all before; gives up after some tries.
-    fn admit(&mut self, draws: &mut Stream, t: f64) {
-        let class = if draws.chance(0.1) {
-            Class::Child
-        } else {
-            Class::Pedestrian
-        };
-        let size = class.size(draws);
-        let speed = draws.normal_in(1.32, 0.18, 1.05, 1.8);
-        for _ in 0..12 {
+    /// Finds a way for some more that keeps clear of all before, or gives up after some tries; tells how many they are.
+    fn admit(&mut self, draws: &mut Stream, t: f64) -> usize {
+        const TRIES: usize = 12;
+        let custom = &self.ways.network.custom;
+        let mut party = Party::draw(draws, custom.groups, custom.prams);
+        let count = party.members.len();
+        for attempt in 0..TRIES {
+            let abreast = count > 1 && attempt < TRIES / 2;
+            party.line_up(abreast);
+            let tail = party.tail();
             let start = self.starts[draws.below(self.starts.len())];
-            let Some(route) = self.route(start, draws) else {
+            let Some(mut route) = self.route(start, if abreast { ABREAST } else { 0.0 }, draws) else {
                 continue;
             };
+            // Who pushes a pram waits so that it does not stand on the road.
+            let ahead = 0.5 * (party.members[0].size[0] - 0.66).max(0.0);
+            route.overs.iter_mut().for_each(|over| over.wait -= ahead);
             let length = route.path.length();
-            let begin = if t > -WARM_UP {
-                0.0
+            let at = if t > -WARM_UP {
+                tail
             } else {
-                draws.between(0.0, (length - 45.0).max(1.0))
+                draws.between(tail, (length - 45.0).max(tail + 1.0))
             };
-            let inside = |over: &Over| (over.wait - 0.5..over.far + 0.5).contains(&begin);
-            if begin > length - 5.0 || route.overs.iter().any(inside) {
+            let inside = |over: &Over| over.wait - 0.5 < at && at - tail < over.far + 0.5;
+            if at > length - 5.0 || route.overs.iter().any(inside) {
                 continue;
             }
-            let delay = draws.between(0.0, 1.2);
-            let motion = self.stroll(&route, t, begin, speed, delay);
-            let walked: Vec<Walked> = route.overs.iter().flat_map(|over| walked(&motion, *over)).collect();
-            let course = Course::Moving(motion);
-            let places = self.places_of(&course);
-            if self.clear(&places) {
-                for (look, place) in places {
-                    self.places[look].push(place);
+            let start = Start {
+                t,
+                at,
+                speed: party.speed,
+                delay: draws.between(0.0, 1.2),
+            };
+            let until = self.ways.until;
+            let leader = stroll(route.path.clone(), &route.overs, start, until, |over, t| {
+                self.next_walk(over, t)
+            });
+            let courses: Option<Vec<Course>> = (party.members.iter())
+                .map(|member| beside(&leader, member).map(Course::Moving))
+                .collect();
+            let Some(courses) = courses else { continue };
+            if self.join(&party.members, courses) {
+                for member in &party.members {
+                    let behind = Motion {
+                        ticks: leader.ticks.iter().map(|(s, v)| (s - member.back, *v)).collect(),
+                        ..leader.clone()
+                    };
+                    let walked = (route.overs.iter().zip(&route.rightwards))
+                        .flat_map(|(over, rightwards)| walked(&behind, *over, *rightwards));
+                    self.walked.extend(walked);
                 }
-                self.walkers.push(Stroller { class, size, course });
-                self.walked.extend(walked);
+                break;
+            }
+        }
+        count
+    }
+
+    /// Lets a group stand together on a pavement that is wide enough for others to pass.
+    fn gather(&mut self, draws: &mut Stream) {
+        const NARROWEST: f64 = 3.0;
+        let members: Vec<Member> = Party::draw(draws, 1.0, 0.0).members;
+        let network = self.ways.network;
+        for _ in 0..12 {
+            let node = &network.nodes[draws.below(network.nodes.len())];
+            let (arm, side) = (draws.below(node.arms.len()), draws.below(2));
+            let own = &node.arms[arm];
+            let section = &network.roads[own.road].section;
+            let on_road = if own.at_start { side } else { 1 - side };
+            let width = section.pavement[on_road];
+            let [from, to] = [own.mouth + 5.0, (own.out.length() - 30.0).min(75.0)];
+            if width < NARROWEST || to < from {
+                continue;
+            }
+            let kerb = section.half() + section.bay_depth(on_road);
+            let free = [section.strip(on_road).map_or(0.4, |[_, to]| to + 0.45), width - 0.45];
+            let along = draws.between(from, to);
+            let turned = draws.between(0.0, TAU);
+            // At the houses' side, as wide a ring as keeps them from touching.
+            let mut radius = 0.3;
+            let ring = |radius: f64| -> Vec<Pose2> {
+                let across = kerb + free[1] - radius;
+                let middle = node.place(arm, along, SIDES[side] * across);
+                let pose = |k: usize| {
+                    let heading = turned + TAU * k as f64 / members.len() as f64;
+                    let on_ring = Pose2 { heading, ..middle }.at(-radius, 0.0);
+                    Pose2 { heading, ..on_ring }
+                };
+                (0..members.len()).map(pose).collect()
+            };
+            while radius < 1.2 && collides(&members, &ring(radius)) {
+                radius += 0.05;
+            }
+            // Where roads lie close to each other a pavement may end before its road does.
+            let off_road = |pose: &Pose2| network.surface.off_road(pose.x, pose.y) > 0.4;
+            let poses = ring(radius);
+            let stands_free = |(pose, member): (&Pose2, &Member)| {
+                let meets = |(thing, extent): &Footprint| touch(*pose, member.size, *thing, *extent);
+                off_road(pose) && !self.ways.things.iter().any(meets)
+            };
+            if free[1] - 2.0 * radius < free[0]
+                || collides(&members, &poses)
+                || !poses.iter().zip(&members).all(stands_free)
+            {
+                continue;
+            }
+            let courses = poses.into_iter().map(Course::Fixed).collect();
+            if self.join(&members, courses) {
                 return;
             }
         }
     }
 
+    /// Admits those who keep clear of all before and of each other.
+    fn join(&mut self, members: &[Member], courses: Vec<Course>) -> bool {
+        let places: Vec<_> = courses.iter().map(|course| self.places_of(course)).collect();
+        let apart = |look: usize| {
+            let there = members.iter().zip(&places).filter_map(|(member, places)| {
+                let first = places.first()?.0;
+                places.get(look.checked_sub(first)?).map(|(_, pose)| (member, *pose))
+            });
+            let there: Vec<(&Member, Pose2)> = there.collect();
+            let pairs = there
+                .iter()
+                .enumerate()
+                .flat_map(|(n, a)| there[n + 1..].iter().map(move |b| (a, b)));
+            pairs.into_iter().all(|((a, p), (b, q))| !touch(*p, a.size, *q, b.size))
+        };
+        let clear = |(member, places): (&Member, &Vec<(usize, Pose2)>)| {
+            let own = margin(member.class, member.size);
+            places.iter().all(|(look, pose)| {
+                self.places[*look].iter().all(|([x, y], theirs)| {
+                    let (dx, dy, least) = (x - pose.x, y - pose.y, own + theirs);
+                    dx * dx + dy * dy > least * least
+                })
+            })
+        };
+        if !(0..self.places.len()).all(apart) || !members.iter().zip(&places).all(clear) {
+            return false;
+        }
+        for ((member, places), course) in members.iter().zip(places).zip(courses) {
+            let margin = margin(member.class, member.size);
+            for (look, pose) in places {
+                self.places[look].push(([pose.x, pose.y], margin));
+            }
+            self.walkers.push(Walker {
+                class: member.class,
+                size: member.size,
+                course,
+            });
+        }
+        true
+    }
+
     /// Where somebody is at each look.
-    fn places_of(&self, course: &Course) -> Vec<(usize, [f64; 2])> {
+    fn places_of(&self, course: &Course) -> Vec<(usize, Pose2)> {
         let at = |look: usize| {
             let state = course.at(look as f64 * LOOK - WARM_UP)?;
-            Some((look, [state.pose.x, state.pose.y]))
+            Some((look, state.pose))
         };
         (0..self.places.len()).filter_map(at).collect()
     }
 
-    fn clear(&self, places: &[(usize, [f64; 2])]) -> bool {
-        places.iter().all(|(look, own)| {
-            self.places[*look].iter().all(|other| {
-                let (dx, dy) = (other[0] - own[0], other[1] - own[1]);
-                dx * dx + dy * dy > APART * APART
-            })
-        })
-    }
-
-    /// Walks a route tick by tick and waits at kerbs while one may not cross.
-    fn stroll(&self, route: &Route, first: f64, start: f64, speed: f64, delay: f64) -> Motion {
-        const BRAKE: f64 = 1.2;
-        let path = &route.path;
-        let (mut t, mut s, mut v) = (first, start, speed);
-        let mut ticks = Vec::new();
-        let mut ahead: Vec<Over> = route
-            .overs
-            .iter()
-            .copied()
-            .filter(|over| over.wait > start)
-            .rev()
-            .collect();
-        let mut go_at = None::<f64>;
-        while t <= self.ways.until + TICK && s < path.length() {
-            ticks.push((s, v));
-            let mut wanted = speed;
-            if let Some(over) = ahead.last().copied() {
-                let left = over.wait - s;
-                let arrival = t + left / v.max(0.6);
-                let go = self.next_walk(over, arrival);
-                if left < 0.1 && go_at.is_none() && go > t + 0.2 {
-                    go_at = Some(go + delay);
-                }
-                let free = go_at.map_or(go <= arrival + 0.01, |go| t >= go);
-                if free && left < 0.2 {
-                    ahead.pop();
-                    go_at = None;
-                } else if !free {
-                    wanted = (2.0 * BRAKE * (left - 0.03).max(0.0)).sqrt().min(speed);
-                }
-            }
-            let next = wanted.clamp(v - 2.0 * BRAKE * TICK, v + BRAKE * TICK).max(0.0);
-            s += 0.5 * (v + next) * TICK;
-            v = next;
-            t += TICK;
-        }
-        Motion {
-            path: path.clone(),
-            first,
-            ticks,
-        }
-    }
-
-    fn next_walk(&self, over: Over, t: f64) -> f64 {
-        let Zebra { node, arm } = self.ways.crossings[over.crossing];
+    fn next_walk(&self, crossing: usize, t: f64) -> f64 {
+        let Zebra { node, arm } = self.ways.crossings[crossing];
         let phase = self.ways.network.nodes[node].arms[arm].phase;
         self.ways.signals[node]
             .as_ref()
             .map_or(t, |signals| signals.next_walk(phase, t))
     }
 
-    fn track(&self, node: usize, arm: usize, side: usize, draws: &mut Stream) -> Option<Track> {
+    fn track(&self, [node, arm, side]: [usize; 3], aside: f64, draws: &mut Stream) -> Option<Track> {
         let network = self.ways.network;
         let own = &network.nodes[node].arms[arm];
         let section = &network.roads[own.road].section;
@@ -254,22 +384,25 @@ impl Crowd<'_> {
             None if width < 2.5 => [0.6, width - 0.4],
             None => [0.9, width - 0.6],
         };
-        Some(Track {
+        let [low, high] = [band[0] + aside, band[1] - aside];
+        (low < high).then(|| Track {
             node,
             arm,
             side,
-            across: from + draws.between(band[0], band[1]),
+            across: from + draws.between(low, high),
+            aside,
         })
     }
 
-    /// In along a pavement, then from node to node until the place ends.
-    fn route(&self, (node, arm, side): (usize, usize, usize), draws: &mut Stream) -> Option<Route> {
+    /// In along a pavement, then from node to node until the place ends, with room for somebody `aside` to both sides.
+    fn route(&self, (node, arm, side): (usize, usize, usize), aside: f64, draws: &mut Stream) -> Option<Route> {
         let network = self.ways.network;
         let mut draft = Draft {
             points: Vec::new(),
+            radius: 0.7 + 2.0 * aside,
             overs: Vec::new(),
         };
-        let mut track = self.track(node, arm, side, draws)?;
+        let mut track = self.track([node, arm, side], aside, draws)?;
         let mut inwards = true;
         let mut length = 0.0;
         loop {
@@ -293,7 +426,7 @@ impl Crowd<'_> {
                         node: next,
                         arm,
                         side: 1 - track.side,
-                        across: track.across,
+                        ..track
                     };
                     track = self.turn(&mut draft, there, draws)?;
                 }
@@ -345,7 +478,7 @@ impl Crowd<'_> {
         // Around the corner, and perhaps over the arm behind it.
         for _ in 0..2 {
             let arm = next(here);
-            let there = self.track(from.node, arm, 1 - here.side, draws)?;
+            let there = self.track([from.node, arm, 1 - here.side], from.aside, draws)?;
             self.corner(draft, node, here, there);
             here = there;
             let on = node.arms[arm].crossing.is_some() && draws.chance(0.4);
@@ -366,10 +499,10 @@ impl Crowd<'_> {
         let node = &network.nodes[from.node];
         let middle = node.arms[from.arm].crossing?;
         let half = network.roads[node.arms[from.arm].road].section.half();
-        let to = self.track(from.node, from.arm, 1 - from.side, draws)?;
+        let to = self.track([from.node, from.arm, 1 - from.side], from.aside, draws)?;
         // One keeps to the right, so that nobody walks into somebody.
         let sign = SIDES[from.side];
-        let along = middle + sign * draws.between(0.25, 1.15);
+        let along = middle + sign * draws.between(0.25 + from.aside, 1.15);
         let crossing = |zebra: &Zebra| zebra.node == from.node && zebra.arm == from.arm;
         let number = self.ways.crossings.iter().position(crossing)?;
         for (k, across) in [
@@ -422,7 +555,7 @@ impl Crowd<'_> {
             let road = node.arms[track.arm].road;
             track.across - self.ways.network.roads[road].section.half()
         };
-        let out = (0.293 * node.corner + 0.9 * half + 0.3 - kerb(from).min(kerb(to))).max(0.0) / half;
+        let out = (0.293 * node.corner + 0.9 * half + 0.3 + from.aside - kerb(from).min(kerb(to))).max(0.0) / half;
         let toward = a.heading + 0.5 * angle_within(b.heading - a.heading);
         let (sin, cos) = libm::sincos(toward);
         draft.points.push([pose.x + out * cos, pose.y + out * sin]);
@@ -431,8 +564,7 @@ impl Crowd<'_> {
 
 /// A path through points with rounded corners; `None` where the points lie so that it would turn back.
 fn rounded(draft: Draft) -> Option<Route> {
-    const RADIUS: f64 = 0.7;
-    let Draft { points, overs } = draft;
+    let Draft { points, radius, overs } = draft;
     let heading = |i: usize| libm::atan2(points[i + 1][1] - points[i][1], points[i + 1][0] - points[i][0]);
     let distance = |i: usize| {
         let (dx, dy) = (points[i + 1][0] - points[i][0], points[i + 1][1] - points[i][1]);
@@ -450,7 +582,7 @@ fn rounded(draft: Draft) -> Option<Route> {
             return None;
         }
         let room = 0.45 * distance(i - 1).min(distance(i));
-        *cut = (RADIUS * libm::tan(0.5 * turn)).min(room);
+        *cut = (radius * libm::tan(0.5 * turn)).min(room);
     }
     let mut path = Path::from(points[0][0], points[0][1], heading(0));
     let mut at = vec![0.0];
@@ -462,45 +594,76 @@ fn rounded(draft: Draft) -> Option<Route> {
         }
         at.push(path.length());
     }
-    let overs = overs
+    let rightwards = overs.iter().map(|(.., from_left)| *from_left).collect();
+    let over = |(point, crossing, _): (usize, usize, bool)| Over {
+        crossing,
+        wait: at[point],
+        far: at[point + 1],
+    };
+    let overs = overs.into_iter().map(over).collect();
+    Some(Route {
+        path,
+        overs,
+        rightwards,
+    })
+}
+
+/// The motion of somebody beside the common way; `None` where it bends too sharply for him.
+fn beside(leader: &Motion, member: &Member) -> Option<Motion> {
+    /// Nobody is slowed down to less than this share in a bend.
+    const LEAST: f64 = 0.3;
+    let pieces: Vec<(f64, f64, f64)> = leader.path.pieces().collect();
+    let scale = |curvature: f64| 1.0 - curvature * member.aside;
+    if pieces
+        .iter()
+        .any(|(from, to, curvature)| to > from && scale(*curvature) < LEAST)
+    {
+        return None;
+    }
+    // Distances along his own way where the pieces begin.
+    let mut own = vec![0.0];
+    for (from, to, curvature) in &pieces {
+        own.push(own[own.len() - 1] + (to - from) * scale(*curvature));
+    }
+    let ticks = leader.ticks.iter().map(|(s, v)| {
+        let s = s - member.back;
+        let k = pieces.partition_point(|(from, ..)| *from <= s).max(1) - 1;
+        let (from, _, curvature) = pieces[k];
+        (own[k] + (s - from) * scale(curvature), v * scale(curvature))
+    });
+    Some(Motion {
+        path: leader.path.parallel(member.aside),
+        first: leader.first,
+        ticks: ticks.collect(),
+    })
+}
+
+/// Whether two of some who stand touch.
+fn collides(members: &[Member], poses: &[Pose2]) -> bool {
+    let pairs = (0..poses.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+    pairs
         .into_iter()
-        .map(|(point, crossing, from_left)| Over {
-            crossing,
-            wait: at[point],
-            far: at[point + 1],
-            rightwards: from_left,
-        })
-        .collect();
-    Some(Route { path, overs })
+        .any(|(i, j)| touch(poses[i], members[i].size, poses[j], members[j].size))
 }
 
 /// When a walker takes up which quarter of a crossing.
-fn walked(motion: &Motion, over: Over) -> Vec<Walked> {
+fn walked(motion: &Motion, over: Over, rightwards: bool) -> Vec<Walked> {
     let last = motion.ticks[motion.ticks.len() - 1].0;
     if last < over.wait || motion.ticks[0].0 > over.far {
         return Vec::new();
     }
-    let time_at = |s: f64| {
-        let k = motion.ticks.partition_point(|(at, _)| *at < s);
-        motion.first + k as f64 * TICK
+    let share = |q: usize| {
+        let along = 0.25 * q as f64;
+        if rightwards { along } else { 1.0 - along }
     };
-    // Who still waits takes up nothing.
-    let leaves = over.wait + 0.15;
-    (0..4)
-        .map(|quarter| {
-            let cut = |q: i32| over.wait + 0.3 + f64::from(q) * 0.25 * (over.far - over.wait - 0.3);
-            let share = |q: i32| {
-                let along = 0.25 * f64::from(q);
-                if over.rightwards { along } else { 1.0 - along }
-            };
-            let (a, b) = (share(quarter), share(quarter + 1));
-            Walked {
-                crossing: over.crossing,
-                share: [a.min(b), a.max(b)],
-                from: time_at((cut(quarter) - 0.9).max(leaves)),
-                until: time_at(cut(quarter + 1) + 0.9),
-            }
-        })
-        .filter(|walked| walked.from < walked.until)
-        .collect()
+    let all = quarters(motion, over).into_iter().enumerate().map(|(q, quarter)| {
+        let (a, b) = (share(q), share(q + 1));
+        Walked {
+            crossing: over.crossing,
+            share: [a.min(b), a.max(b)],
+            from: quarter.from,
+            until: quarter.until,
+        }
+    });
+    all.filter(|walked| walked.from < walked.until).collect()
 }
