@@ -1,95 +1,140 @@
 //! How fast the world is cast.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use realo_schemas::Name;
 
-use crate::options::{Error, Options};
+use crate::options::{Error, Options, Scenario};
 use crate::simulation::Simulation;
 
-/// Sweeps timed together: long enough that the clock's own steps do not matter.
-const GROUP: u64 = 6;
+/// Log seconds that are simulated, and the sweeps of each agent that are cast in a round.
+const SECONDS: f64 = 3.0;
+const SWEEPS: [u64; 2] = [8, 21];
 
-/// What a bench measured on one thread.
+/// What was measured on one thread: every place, with usual and with dense traffic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bench {
-    /// One entry for each agent.
-    pub sensors: Vec<SensorBench>,
-    /// Finished points per second of one core over all four sensors, from each one's fastest group of sweeps.
-    pub points_per_second: f64,
-    /// The same from all sweeps.
-    pub mean_points_per_second: f64,
-    /// Finished points of all sweeps.
-    pub points: usize,
-    /// Processor time that they took, s; wall time where the system does not tell.
-    pub cpu_seconds: f64,
+    /// Seed of all places.
+    pub seed: u64,
+    /// Sweeps of each agent in a round.
+    pub sweeps: usize,
+    /// How often everything was cast.
+    pub rounds: usize,
+    /// One entry for each.
+    pub places: Vec<PlaceBench>,
 }
 
-/// One sensor's part of a [`Bench`].
+/// One place's part of a [`Bench`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlaceBench {
+    /// The place.
+    pub scenario: Scenario,
+    /// Whether the traffic is heavy.
+    pub dense: bool,
+    /// One entry for each agent.
+    pub sensors: Vec<SensorBench>,
+}
+
+/// One sensor's part of a [`PlaceBench`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorBench {
     /// The agent that carries it.
     pub agent: String,
     /// Its model.
     pub model: Name,
-    /// Finished points per second of one core, in the fastest group of sweeps.
-    pub points_per_second: f64,
+    /// Finished points of a round.
+    pub points: usize,
+    /// Processor time of the quickest round, s; wall time where the system does not tell.
+    pub least_seconds: f64,
+    /// The same of the median round.
+    pub median_seconds: f64,
 }
 
-/// Casts sweeps of all four sensors at a dense intersection on the calling thread for about `seconds` and counts the
-/// finished points: truth, noise, rounding and recorded detections included, building the world not.
+/// Finished points per second of one core over some sensors: in each one's quickest round, and in its median one.
+pub fn points_per_second<'a>(sensors: impl IntoIterator<Item = &'a SensorBench>) -> [f64; 2] {
+    let sums = sensors.into_iter().fold([0.0; 3], |[points, least, median], sensor| {
+        [
+            points + sensor.points as f64,
+            least + sensor.least_seconds,
+            median + sensor.median_seconds,
+        ]
+    });
+    [sums[0] / sums[1], sums[0] / sums[2]]
+}
+
+/// Casts sweeps of the four usual sensors at every place, usual and dense, on the calling thread, in rounds for about
+/// `seconds` but at least once, and counts the finished points: truth, noise, rounding and recorded detections included,
+/// building the world not.
 ///
 /// # Errors
 /// Those of [`Simulation::new`].
 pub fn bench(seconds: f64) -> Result<Bench, Error> {
-    let simulation = Simulation::new(&Options {
-        dense: true,
-        seed: 1,
-        seconds: 3.0,
-        ..Options::default()
-    })?;
+    let places = Scenario::PLACES.map(|scenario| [(scenario, false), (scenario, true)]);
+    measure(places.as_flattened(), seconds)
+}
+
+fn measure(places: &[(Scenario, bool)], seconds: f64) -> Result<Bench, Error> {
+    let seed = 1;
+    let simulations = places.iter().map(|(scenario, dense)| {
+        Simulation::new(&Options {
+            scenario: *scenario,
+            dense: *dense,
+            seed,
+            seconds: SECONDS,
+            ..Options::default()
+        })
+    });
+    let simulations = simulations.collect::<Result<Vec<_>, _>>()?;
+    // For each sensor, the points of a round and the times of all rounds.
+    let mut found: Vec<Vec<(usize, Vec<f64>)>> = simulations
+        .iter()
+        .map(|simulation| vec![(0, Vec::new()); simulation.agents().count()])
+        .collect();
     let began = Instant::now();
-    let agents: Vec<_> = simulation.agents().collect();
-    // Points and time of each agent's fastest group.
-    let mut best = vec![(0usize, f64::INFINITY); agents.len()];
-    let (mut points, mut cpu_seconds) = (0, 0.0);
-    for round in 0.. {
-        for (agent, best) in best.iter_mut().enumerate() {
-            let first = round * GROUP % (simulation.options().sweeps_per_agent() - GROUP);
-            let before = cpu_time(began);
-            let finished: usize = (first..first + GROUP)
-                .map(|seq| std::hint::black_box(simulation.sweep(agent, seq)).1)
-                .sum();
-            let took = cpu_time(began) - before;
-            points += finished;
-            cpu_seconds += took;
-            if finished as f64 * best.1 > best.0 as f64 * took {
-                *best = (finished, took);
+    loop {
+        for (simulation, found) in simulations.iter().zip(&mut found) {
+            for (agent, (points, times)) in found.iter_mut().enumerate() {
+                let before = cpu_time(began);
+                let cast = SWEEPS.map(|seq| std::hint::black_box(simulation.sweep(agent, seq)).1);
+                times.push(cpu_time(began) - before);
+                *points = cast.iter().sum();
             }
         }
         if began.elapsed().as_secs_f64() >= seconds {
             break;
         }
     }
-    let of_all = best
-        .iter()
-        .fold((0, 0.0), |(points, time), (p, t)| (points + p, time + t));
-    let sensors = agents.iter().zip(&best).map(|(agent, (points, time))| SensorBench {
-        agent: agent.name.to_string(),
-        model: agent.sensor.clone(),
-        points_per_second: *points as f64 / time,
-    });
+    let rounds = found[0][0].1.len();
+    let place =
+        |((scenario, dense), (simulation, found)): (&(Scenario, bool), (&Simulation, Vec<(usize, Vec<f64>)>))| {
+            let sensor = |(agent, (points, mut times)): (&crate::AgentInfo, (usize, Vec<f64>))| {
+                times.sort_by(f64::total_cmp);
+                SensorBench {
+                    agent: agent.name.to_string(),
+                    model: agent.sensor.clone(),
+                    points,
+                    least_seconds: times[0],
+                    median_seconds: times[times.len() / 2],
+                }
+            };
+            PlaceBench {
+                scenario: *scenario,
+                dense: *dense,
+                sensors: simulation.agents().zip(found).map(sensor).collect(),
+            }
+        };
     Ok(Bench {
-        sensors: sensors.collect(),
-        points_per_second: of_all.0 as f64 / of_all.1,
-        mean_points_per_second: points as f64 / cpu_seconds,
-        points,
-        cpu_seconds,
+        seed,
+        sweeps: SWEEPS.len(),
+        rounds,
+        places: places.iter().zip(simulations.iter().zip(found)).map(place).collect(),
     })
 }
 
 /// Processor time of this thread, s, from an arbitrary origin.
 fn cpu_time(began: Instant) -> f64 {
+    // The system adds up a thread's time when it leaves the processor, else only at each tick.
+    std::thread::sleep(Duration::from_micros(1));
     let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
     let nanos = told.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
     nanos.map_or_else(|| began.elapsed().as_secs_f64(), |nanos| nanos * 1e-9)
@@ -97,14 +142,29 @@ fn cpu_time(began: Instant) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+
     #[test]
-    fn bench_counts_points_of_every_sensor() {
-        let bench = super::bench(0.0).unwrap();
-        assert_eq!(
-            bench.sensors.iter().map(|s| s.agent.as_str()).collect::<Vec<_>>(),
-            ["cav1", "cav2", "rsu1", "rsu2"]
-        );
-        assert!(bench.sensors.iter().all(|sensor| sensor.points_per_second > 1e4));
-        assert!(bench.points > 1_000_000 && bench.cpu_seconds > 0.0);
+    fn bench_counts_points_of_every_sensor_of_every_place() {
+        let asked = [(Scenario::Corridor, false), (Scenario::Motorway, true)];
+        let bench = measure(&asked, 0.0).unwrap();
+        assert_eq!(bench.rounds, 1);
+        let places: Vec<_> = bench.places.iter().map(|place| (place.scenario, place.dense)).collect();
+        assert_eq!(places, asked);
+        for place in &bench.places {
+            let agents: Vec<&str> = place.sensors.iter().map(|sensor| &*sensor.agent).collect();
+            assert_eq!(agents, ["cav1", "cav2", "rsu1", "rsu2"]);
+            assert!(place.sensors.iter().all(|sensor| sensor.points > 40_000));
+            assert!(place.sensors.iter().all(|sensor| sensor.least_seconds > 0.0));
+        }
+        let sensor = |points, least_seconds, median_seconds| SensorBench {
+            agent: "a".into(),
+            model: "m".into(),
+            points,
+            least_seconds,
+            median_seconds,
+        };
+        let two = [sensor(300, 1.0, 2.0), sensor(100, 1.0, 3.0)];
+        assert_eq!(points_per_second(&two), [200.0, 80.0]);
     }
 }

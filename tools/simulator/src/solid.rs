@@ -119,7 +119,7 @@ impl Solid {
     #[inline]
     pub fn cast(&self, origin: [f64; 3], ray: [f64; 3], limit: f64, chance: u64, stride: f64) -> Option<Hit> {
         let inverse = [1.0 / ray[0], 1.0 / ray[1], 1.0 / ray[2]];
-        let (enter, leave, _) = slab(&self.low, &self.high, &origin, &inverse);
+        let (enter, leave, axis) = slab(&self.low, &self.high, &origin, &inverse);
         if !(enter <= leave && leave > 0.0 && enter < limit) {
             return None;
         }
@@ -130,9 +130,14 @@ impl Solid {
             let index = left.trailing_zeros();
             left &= left - 1;
             let part = &self.parts[index as usize];
-            let Some((t, cos)) = part.shape.cast(&origin, &ray, &inverse, limit, chance, stride) else {
-                continue;
+            let met = match part.shape {
+                // It fills the body's box.
+                Shape::Block { .. } | Shape::Facade { .. } if self.parts.len() == 1 => {
+                    (enter > 0.0).then(|| (enter, ray[axis].abs()))
+                }
+                _ => part.shape.cast(&origin, &ray, &inverse, limit, chance, stride),
             };
+            let Some((t, cos)) = met else { continue };
             let draw = || unit_of(mix(chance ^ u64::from(index + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
             if part.pass > 0.0 && draw() < part.pass {
                 continue;

@@ -49,7 +49,7 @@ pub struct Args {
 enum Name {
     /// Rotated NMS against powerboxesrs
     Nms,
-    /// Finished points per second and core of the simulator
+    /// Finished points per second and core of the simulator, at every place
     Simulate,
     /// From points to the canvas; the pillar step against spconv
     Detector,
@@ -76,7 +76,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let only = args.only.as_deref().unwrap_or_default();
     match args.name {
         Name::Nms => print(&nms::bench()?, args.json),
-        Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(20.0))?, args.json),
+        Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(45.0))?, args.json),
         Name::Detector => print(&detector::bench(args.python.as_deref())?, args.json),
         Name::Network => print(&network::bench(args.python.as_deref())?, args.json),
         Name::Train => print(&train::bench(args.python.as_deref())?, args.json),

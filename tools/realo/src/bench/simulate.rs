@@ -1,54 +1,114 @@
 use std::fmt;
 
 use eyre::Result;
+use realo_simulator::{PlaceBench, Scenario, points_per_second};
 use serde::Serialize;
 
 /// How fast the world is cast, on one core.
 #[derive(Serialize)]
 pub struct Simulate {
-    /// Finished points per second of one core, all sensors together.
-    points_per_second: f64,
-    /// The same from all sweeps, on a machine that may do other things.
-    mean_points_per_second: f64,
-    /// By sensor: the fastest group of sweeps.
-    sensors: Vec<(String, f64)>,
-    points: usize,
-    cpu_seconds: f64,
+    threads: usize,
+    seed: u64,
+    /// Of each of the four sensors at each place, in a round.
+    sweeps: usize,
+    rounds: usize,
+    places: Vec<Place>,
+    /// By sensor: dense traffic at the intersection.
+    dense_intersection: Vec<(String, Rate)>,
+    over_all: Rate,
 }
 
-/// Casts sweeps at a dense intersection for about `seconds`.
+/// Finished points per second of one core.
+#[derive(Clone, Copy, Serialize)]
+struct Rate {
+    /// From each sensor's quickest round.
+    best: f64,
+    /// From its median round.
+    median: f64,
+}
+
+#[derive(Serialize)]
+struct Place {
+    name: &'static str,
+    usual: Rate,
+    dense: Rate,
+}
+
+impl Rate {
+    fn of<'a>(places: impl IntoIterator<Item = &'a PlaceBench>) -> Self {
+        let [best, median] = points_per_second(places.into_iter().flat_map(|place| &place.sensors));
+        Rate { best, median }
+    }
+}
+
+/// Casts sweeps of every place in rounds for about `seconds`.
 pub fn bench(seconds: f64) -> Result<Simulate> {
     let bench = realo_simulator::bench(seconds)?;
+    let rate = |scenario: Scenario, dense: bool| {
+        let own = |place: &&PlaceBench| place.scenario == scenario && place.dense == dense;
+        Rate::of(bench.places.iter().filter(own))
+    };
+    let old = |place: &&PlaceBench| place.scenario == Scenario::Intersection && place.dense;
+    let sensors = bench.places.iter().filter(old).flat_map(|place| &place.sensors);
     Ok(Simulate {
-        points_per_second: bench.points_per_second,
-        mean_points_per_second: bench.mean_points_per_second,
-        sensors: bench
-            .sensors
-            .iter()
-            .map(|s| (format!("{} ({})", s.model, s.agent), s.points_per_second))
+        threads: 1,
+        seed: bench.seed,
+        sweeps: bench.sweeps,
+        rounds: bench.rounds,
+        places: Scenario::PLACES
+            .map(|scenario| Place {
+                name: scenario.name(),
+                usual: rate(scenario, false),
+                dense: rate(scenario, true),
+            })
+            .into(),
+        dense_intersection: sensors
+            .map(|sensor| {
+                let [best, median] = points_per_second([sensor]);
+                (format!("{} ({})", sensor.model, sensor.agent), Rate { best, median })
+            })
             .collect(),
-        points: bench.points,
-        cpu_seconds: bench.cpu_seconds,
+        over_all: Rate::of(&bench.places),
     })
+}
+
+impl fmt::Display for Rate {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{:6.2} {:6.2}", self.median / 1e6, self.best / 1e6)
+    }
 }
 
 impl fmt::Display for Simulate {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        writeln!(f, "finished points per second and core (goal: 5.0 million)")?;
-        for (sensor, rate) in &self.sensors {
-            writeln!(f, "  {sensor:<24} {:6.2} million", rate / 1e6)?;
-        }
-        let all = self.points_per_second / 1e6;
-        let mean = self.mean_points_per_second / 1e6;
+        let Simulate {
+            threads,
+            seed,
+            sweeps,
+            rounds,
+            ..
+        } = self;
         writeln!(
             f,
-            "  {:<24} {all:6.2} million (from each sensor's fastest sweeps)",
-            "all"
+            "finished points per second and core, millions (bar: 5.0 over all); {threads} thread, seed {seed}, {sweeps} sweeps of \
+             each of the four usual sensors a round, {rounds} rounds; from each sensor's median and quickest round"
         )?;
-        write!(
-            f,
-            "  {:<24} {mean:6.2} million ({} points in {:.1} s of CPU)",
-            "all sweeps", self.points, self.cpu_seconds
-        )
+        writeln!(f, "  {:<32} usual traffic  dense traffic", "")?;
+        writeln!(f, "  {:<32} median   best  median   best", "place")?;
+        for Place { name, usual, dense } in &self.places {
+            writeln!(f, "  {name:<32} {usual}  {dense}")?;
+        }
+        let all = self
+            .places
+            .iter()
+            .flat_map(|place| [(place, "usual", place.usual), (place, "dense", place.dense)]);
+        if let Some((place, traffic, rate)) = all.min_by(|a, b| a.2.median.total_cmp(&b.2.median)) {
+            writeln!(f, "  {:<32} {rate}", format!("least: {}, {traffic}", place.name))?;
+        }
+        writeln!(f, "  {:<32} {}", "over all", self.over_all)?;
+        write!(f, "dense intersection by sensor")?;
+        for (sensor, rate) in &self.dense_intersection {
+            write!(f, "\n  {sensor:<32} {rate}")?;
+        }
+        Ok(())
     }
 }

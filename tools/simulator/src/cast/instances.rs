@@ -1,63 +1,24 @@
-//! Which objects a ray can meet: for each sweep, the bodies by azimuth, nearest first.
+//! The bodies that rays can meet in a sweep, by azimuth.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use super::World;
-use super::table::{Bounds, Table, TableOf};
+use super::table::{Extent, Table};
+use super::wedge::{Columns, LANES, Lanes, Row, Wedge};
+use super::{BINS, LEAD, Span, TURN, World};
 use crate::agents::{Agent, BodyState};
 use crate::path::Pose2;
-use crate::solid::{Hit, Solid};
+use crate::solid::Solid;
 use crate::traffic::Footing;
 
-/// Azimuth that beams may look ahead of their column or behind it, rad; a little over 6°.
-pub(super) const LEAD: f64 = 0.11;
 /// The sweep is cut into sectors, in each of which everybody moves straight.
 const SECTORS: usize = 40;
-const BINS_PER_SECTOR: usize = 40;
-/// Sensors of the first places see no farther, m.
-const FARTHEST: f64 = 255.0;
+const BINS_PER_SECTOR: usize = BINS / SECTORS;
 /// Where a place is overgrown, what is lower than this is looked for up to `LOW_REACH`, m.
 const LOW: f64 = 2.2;
 const LOW_REACH: f64 = 120.0;
-/// Duration of a sweep, s.
-pub(super) const TURN: f64 = 0.1;
-
-/// The azimuths of a sweep: clockwise from that of its first column, level, `LEAD` more on both sides.
-#[derive(Clone, Copy)]
-pub(super) struct Span {
-    /// Azimuth of the first column, clockwise from the carrier's rear, rad.
-    pub first: f64,
-    /// What the columns cover, and that with the lead, rad.
-    pub width: f64,
-    pub all: f64,
-    /// Width of a bin, rad.
-    bin: f64,
-    /// Bodies beyond this are not seen, m.
-    pub farthest: f64,
-}
-
-impl Span {
-    pub fn of(agent: &Agent) -> Self {
-        let scan = agent.sensor.scan;
-        let all = scan.width + 2.0 * LEAD;
-        Span {
-            first: scan.first - agent.mount.yaw,
-            width: scan.width,
-            all,
-            bin: all / (SECTORS * BINS_PER_SECTOR) as f64,
-            farthest: agent
-                .sensor
-                .mount
-                .map_or(FARTHEST, |_| agent.sensor.optics.farthest + 5.0),
-        }
-    }
-}
 
 /// A body as it is while the sensor looks its way.
 pub(super) struct Instance<'a> {
-    /// Least distance over ground, m, and bounds of the slope of rays that can meet it.
-    near: f64,
-    slopes: [f64; 2],
     solid: &'a Solid,
     /// Index of the road user.
     pub user: Option<u32>,
@@ -74,13 +35,13 @@ pub(super) struct Instance<'a> {
 }
 
 impl Instance<'_> {
-    /// Where a ray meets the body before `limit`; `t` is the ray's time.
+    /// A ray in the body's frame; `t` is the ray's time.
     #[inline(always)]
-    fn cast(&self, origin: &[f64; 3], ray: &[f64; 3], t: f64, limit: f64, chance: u64) -> Option<Hit> {
+    fn local<const FIXED: bool>(&self, origin: [f64; 3], ray: [f64; 3], t: f64) -> [[f64; 3]; 2] {
         let [mut cos, mut sin] = self.cos_sin;
         let (mut x, mut y) = (origin[0] - self.position[0], origin[1] - self.position[1]);
         let (mut w, mut dw) = (origin[2] - self.position[2], ray[2]);
-        if !self.fixed {
+        if !FIXED {
             let dt = t - self.t;
             let turn = self.turn_rate * dt;
             (cos, sin) = (cos - sin * turn, sin + cos * turn);
@@ -89,19 +50,62 @@ impl Instance<'_> {
         }
         let (u, v) = (cos * x + sin * y, cos * y - sin * x);
         let (du, dv) = (cos * ray[0] + sin * ray[1], cos * ray[1] - sin * ray[0]);
-        if !self.fixed {
+        if !FIXED {
             w -= self.lean[0] * u + self.lean[1] * v;
             dw -= self.lean[0] * du + self.lean[1] * dv;
         }
-        self.solid.cast([u, v, w], [du, dv, dw], limit, chance, self.stride)
+        [[u, v, w], [du, dv, dw]]
+    }
+
+    /// Which rays of a group meet the box around the body before what they have met: those with 0 or more.
+    #[inline(always)]
+    fn room<const FIXED: bool>(&self, columns: &Columns, row: &Row, group: usize) -> Lanes {
+        let origins = columns.origins(row, group);
+        let ([x, y, z], [dx, dy, dz]) = (&origins, row.rays(group));
+        let (limits, times) = (row.limits(group), columns.times(row, group));
+        let mut room = [0.0; LANES];
+        for k in 0..LANES {
+            let (origin, ray) = ([x[k], y[k], z[k]], [dx[k], dy[k], dz[k]]);
+            let [origin, ray] = self.local::<FIXED>(origin, ray, times[k] + row.fires);
+            let (mut enter, mut leave) = (f64::NEG_INFINITY, limits[k]);
+            for axis in 0..3 {
+                let inverse = 1.0 / ray[axis];
+                let a = (self.solid.low[axis] - origin[axis]) * inverse;
+                let b = (self.solid.high[axis] - origin[axis]) * inverse;
+                let (near, far) = if a < b { (a, b) } else { (b, a) };
+                enter = if near > enter { near } else { enter };
+                leave = if far < leave { far } else { leave };
+            }
+            let within = leave - enter;
+            room[k] = if leave < within { leave } else { within };
+        }
+        room
+    }
+
+    /// Casts the rays of a group that look into the body's bins; its number goes into their hashes.
+    #[inline(always)]
+    fn cast<const FIXED: bool>(&self, columns: &Columns, row: &mut Row, group: usize, (number, bins): (u64, [i16; 2])) {
+        let room = self.room::<FIXED>(columns, row, group);
+        for (k, room) in room.iter().enumerate() {
+            let ray = group * LANES + k;
+            if *room < 0.0 || !row.looks_into(ray, bins) {
+                continue;
+            }
+            let t = columns.time(row, ray) + row.fires;
+            let [from, step] = self.local::<FIXED>(columns.origin(row, ray), row.ray(ray), t);
+            let chance = row.hash(ray) ^ number.wrapping_mul(0xd6e8_feb8_6659_fd93);
+            if let Some(hit) = self.solid.cast(from, step, row.limit(ray), chance, self.stride) {
+                row.meet(ray, hit, self.user);
+            }
+        }
     }
 }
 
-/// The bodies of one sweep, by azimuth.
+/// The bodies of one sweep.
 pub(super) struct Instances<'a> {
-    all: Vec<Instance<'a>>,
+    /// Nearest first.
+    all: Vec<(Instance<'a>, Extent)>,
     table: Table,
-    bins_per_radian: f64,
 }
 
 /// A body and where it may be found in time.
@@ -121,8 +125,8 @@ struct Stance {
 }
 
 impl<'a> Instances<'a> {
-    /// Everything that `agent` can see in the turn that begins at `start` seconds.
-    pub fn new(world: &World<'a>, agent: &Agent, start: f64) -> Self {
+    /// Everything that `agent` can see in the turn that begins at `start` seconds, for wedges with these bins of azimuth.
+    pub fn new(world: &World<'a>, agent: &Agent, start: f64, wedges: &[[i16; 2]]) -> Self {
         let span = Span::of(agent);
         let sectors: Vec<(f64, BodyState)> = (0..SECTORS)
             .map(|k| start + (((k as f64 + 0.5) * span.all / SECTORS as f64) - LEAD) / span.width * TURN)
@@ -179,61 +183,29 @@ impl<'a> Instances<'a> {
                 })
             });
         }
-        Instances::sorted(found, span)
-    }
-
-    fn sorted(mut found: Vec<(Instance<'a>, [usize; 2])>, span: Span) -> Self {
         // Stable: at equal distance the order of fixtures and road users decides.
-        found.sort_by(|a, b| a.0.near.total_cmp(&b.0.near));
-        let mut table = TableOf::new(SECTORS * BINS_PER_SECTOR, found.iter().map(|(_, bins)| *bins));
-        for (index, (instance, bins)) in found.iter().enumerate() {
-            let [low, high] = instance.slopes.map(|slope| slope as f32);
-            let margin = |slope: f32| 1e-6 + 1e-6 * slope.abs();
-            let bounds = Bounds {
-                near: instance.near as f32 * 0.999_999,
-                low: low - margin(low),
-                high: high + margin(high),
-            };
-            table.add(*bins, bounds, index as u32);
-        }
-        Instances {
-            all: found.into_iter().map(|(instance, _)| instance).collect(),
-            table: table.finish(),
-            bins_per_radian: 1.0 / span.bin,
-        }
+        found.sort_by(|a, b| a.1.near.total_cmp(&b.1.near));
+        let table = Table::new(wedges, found.iter().map(|(_, extent)| extent.bins));
+        Instances { all: found, table }
     }
 
-    /// The first body that a ray meets before `limit`. `azimuth` is clockwise from the first column; `level` the
-    /// ray's length over ground.
-    #[inline]
-    #[allow(clippy::too_many_arguments)] // a ray in its parts; one place calls it, once for each ray
-    pub fn cast(
-        &self,
-        azimuth: f64,
-        level: f64,
-        origin: &[f64; 3],
-        ray: &[f64; 3],
-        t: f64,
-        limit: f64,
-        chance: u64,
-    ) -> Option<(Hit, Option<u32>)> {
-        let bin = ((azimuth + LEAD) * self.bins_per_radian) as i32 as usize;
-        let mut best = None;
-        let slope = (ray[2] / level) as f32;
-        self.table.each(bin, slope, limit, level, |index, limit| {
-            let instance = &self.all[index as usize];
-            let own_hash = chance ^ u64::from(index).wrapping_mul(0xd6e8_feb8_6659_fd93);
-            let hit = instance.cast(origin, ray, t, limit, own_hash)?;
-            best = Some((hit, instance.user));
-            Some(hit.t)
-        });
-        best
+    /// Casts the rays of a wedge.
+    pub fn cast(&self, columns: &Columns, number: usize, wedge: &mut Wedge) {
+        for index in self.table.of(number) {
+            let (instance, extent) = &self.all[index];
+            let place = (index as u64, extent.bins);
+            if instance.fixed {
+                wedge.each(extent, |row, group| instance.cast::<true>(columns, row, group, place));
+            } else {
+                wedge.each(extent, |row, group| instance.cast::<false>(columns, row, group, place));
+            }
+        }
     }
 }
 
 /// Adds a candidate's instances: one for each sector in whose azimuths it is while the sensor looks there.
 fn add<'a>(
-    found: &mut Vec<(Instance<'a>, [usize; 2])>,
+    found: &mut Vec<(Instance<'a>, Extent)>,
     sectors: &[(f64, BodyState)],
     (agent, span): (&Agent, Span),
     candidate: Candidate<'a>,
@@ -263,8 +235,8 @@ fn add<'a>(
             if low <= high {
                 let bins = [low, high].map(|azimuth| ((azimuth + LEAD) / span.bin) as usize);
                 let own = [k * BINS_PER_SECTOR, (k + 1) * BINS_PER_SECTOR - 1];
-                let bins = bins.map(|bin| bin.clamp(own[0], own[1]));
-                found.push((view.instance(&candidate, &stance, *t), bins));
+                let bins = bins.map(|bin| bin.clamp(own[0], own[1]) as i16);
+                found.push((view.instance(&candidate, &stance, *t), view.extent(bins)));
                 break;
             }
         }
@@ -306,7 +278,7 @@ fn away(angle: f64) -> f64 {
 }
 
 /// How far the sensor's tilt moves azimuths, rad.
-pub(super) fn tilt_margin(agent: &Agent, sensor: &BodyState) -> f64 {
+fn tilt_margin(agent: &Agent, sensor: &BodyState) -> f64 {
     let mount = agent.mount.pitch.abs() + agent.mount.roll.abs();
     (sensor.slope[0].abs() + sensor.slope[1].abs()) * agent.sensor.steepest * 1.3 + 2e-4 + mount * agent.sensor.slant
 }
@@ -388,14 +360,21 @@ impl View {
         (moved / self.near.max(0.5)).min(FRAC_PI_2) + sensor.turn_rate.abs() * time + tilt_margin(agent, sensor)
     }
 
-    fn instance<'a>(&self, candidate: &Candidate<'a>, stance: &Stance, t: f64) -> Instance<'a> {
+    fn extent(&self, bins: [i16; 2]) -> Extent {
         let [foot, top] = self.heights;
         let (near, far) = ((self.near - 0.2).max(1e-3), self.far + 0.2);
-        let slope = |height: f64, toward: f64| height / if height * toward > 0.0 { near } else { far };
+        let slope = |height: f64, toward: f64| (height / if height * toward > 0.0 { near } else { far }) as f32;
+        Extent {
+            bins,
+            low: slope(foot, -1.0),
+            high: slope(top, 1.0),
+            near: (self.near - 0.2).max(0.0),
+        }
+    }
+
+    fn instance<'a>(&self, candidate: &Candidate<'a>, stance: &Stance, t: f64) -> Instance<'a> {
         let (sin, cos) = libm::sincos(stance.pose.heading);
         Instance {
-            near: (self.near - 0.2).max(0.0),
-            slopes: [slope(foot, -1.0), slope(top, 1.0)],
             solid: candidate.solid,
             user: candidate.user,
             t,

@@ -3,24 +3,72 @@
 mod instances;
 mod table;
 mod thicket;
+mod wedge;
 
 use std::f64::consts::PI;
 
 use crate::agents::{Agent, since_epoch};
 use crate::place::Scenery;
-use crate::random::{mix, normal_of, unit_of};
+
 use crate::sensor::Optics;
-use crate::solid::Hit;
+
 use crate::traffic::Traffic;
 use instances::Instances;
 use realo_schemas::{Nanos, PointCloud};
 use thicket::Thicket;
+use wedge::{Column, Return, Wedge};
 
 /// Coordinates are multiples of this, m, so that they compress; finer than any range step.
 const GRID: f64 = 1.0 / 1024.0;
 
-/// Rays that fall less than this are likely to meet foliage before the ground.
-const FLAT: f64 = 0.06;
+/// Duration of a sweep, s.
+const TURN: f64 = 0.1;
+/// Azimuth that beams may look ahead of their column or behind it, rad; a little over 6°.
+const LEAD: f64 = 0.11;
+/// Parts of a sweep's azimuths by which is known what stands where.
+const BINS: usize = 1600;
+/// Sensors of the first places see no farther, m.
+const FARTHEST: f64 = 255.0;
+
+/// The azimuths of a sweep: clockwise from that of its first column, level, `LEAD` more on both sides.
+#[derive(Clone, Copy)]
+struct Span {
+    /// Azimuth of the first column, clockwise from the carrier's rear, rad.
+    first: f64,
+    /// What the columns cover, and that with the lead, rad.
+    width: f64,
+    all: f64,
+    /// Width of a bin, rad.
+    bin: f64,
+    bins_per_radian: f64,
+    /// Bodies beyond this are not seen, m.
+    farthest: f64,
+}
+
+impl Span {
+    fn of(agent: &Agent) -> Self {
+        let scan = agent.sensor.scan;
+        let all = scan.width + 2.0 * LEAD;
+        let bin = all / BINS as f64;
+        Span {
+            first: scan.first - agent.mount.yaw,
+            width: scan.width,
+            all,
+            bin,
+            bins_per_radian: 1.0 / bin,
+            farthest: agent
+                .sensor
+                .mount
+                .map_or(FARTHEST, |_| agent.sensor.optics.farthest + 5.0),
+        }
+    }
+
+    /// The bin of a ray's azimuth, clockwise from the first column.
+    #[inline(always)]
+    fn bin_of(&self, azimuth: f64) -> i16 {
+        (((azimuth + LEAD) * self.bins_per_radian) as i32).clamp(0, BINS as i32 - 1) as i16
+    }
+}
 
 /// What there is to be seen.
 #[derive(Clone, Copy)]
@@ -55,8 +103,9 @@ pub(crate) struct Cast {
     pub finished: usize,
 }
 
+/// The points of a cloud.
 #[derive(Default)]
-struct Columns {
+struct Kept {
     x: Vec<f32>,
     y: Vec<f32>,
     z: Vec<f32>,
@@ -124,6 +173,70 @@ fn turned(roll: f64, pitch: f64, yaw: f64) -> Rotation {
     times(&times(&about_z(yaw), &about_y), &about_x)
 }
 
+/// A sweep that is being cast.
+struct Shot<'a> {
+    world: &'a World<'a>,
+    agent: &'a Agent,
+    mounted: Option<Mounted>,
+    span: Span,
+    /// Key of the rays' hashes.
+    key: u64,
+    /// Start of the sweep, s.
+    start: f64,
+}
+
+impl<'a> Shot<'a> {
+    fn new(world: &'a World<'a>, agent: &'a Agent, key: u64, start: f64) -> Self {
+        Shot {
+            world,
+            agent,
+            mounted: Mounted::of(agent),
+            span: Span::of(agent),
+            key,
+            start,
+        }
+    }
+
+    /// Clockwise azimuth of a column from the first, rad.
+    fn azimuth(&self, column: usize) -> f64 {
+        let sensor = &*self.agent.sensor;
+        sensor.scan.width * column as f64 / sensor.columns as f64
+    }
+
+    /// Every `stride`-th column.
+    fn columns(&self, stride: usize) -> wedge::Columns {
+        let sensor = &*self.agent.sensor;
+        let all = (0..sensor.columns).step_by(stride).map(|number| self.column(number));
+        wedge::Columns::new(self, all.collect(), self.azimuth(stride))
+    }
+
+    fn column(&self, number: usize) -> Column {
+        let (agent, sensor) = (self.agent, &*self.agent.sensor);
+        let period = TURN / sensor.columns as f64;
+        let azimuth = self.azimuth(number);
+        let fires = number as f64 * period;
+        let body = agent.body(self.world.place, self.world.traffic, self.start + fires + 0.5 * period);
+        let column_turn = about_z(PI - (sensor.scan.first + azimuth));
+        let body_from_sensor = match &self.mounted {
+            None => times(&tilt(body.slope), &column_turn),
+            Some(mounted) => times(&times(&tilt(body.slope), &mounted.body_from_sensor), &column_turn),
+        };
+        Column {
+            number,
+            azimuth,
+            fires,
+            position: body.position,
+            velocity: body.velocity,
+            place_from_sensor: times(&about_z(body.heading), &body_from_sensor),
+            // What nobody knows of the mounting stays in the points.
+            told_from_sensor: match &self.mounted {
+                None => body_from_sensor,
+                Some(mounted) => times(&mounted.told_from_body, &body_from_sensor),
+            },
+        }
+    }
+}
+
 /// Casts one sweep of an agent. Points are in the agent's body frame of the instant at which each was measured.
 pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
     let sensor = &*agent.sensor;
@@ -131,97 +244,51 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
         extinction: casting.extinction,
         ..sensor.optics
     };
-    let mounted = Mounted::of(agent);
     let start = since_epoch(casting.start);
-    let instances = Instances::new(world, agent, start);
-    let middle = agent.body(world.place, world.traffic, start + 0.05);
-    let thicket = (!world.place.foliage.is_empty()).then(|| Thicket::new(&world.place.foliage, agent, &middle));
+    let shot = Shot::new(world, agent, casting.key, start);
+    let columns = shot.columns(casting.column_stride);
+    let wedges = columns.bins(&shot);
+    let instances = Instances::new(world, agent, start, &wedges);
+    let thicket = Thicket::new(&shot, &wedges);
+    let mut returns = vec![Return::NONE; columns.all.len() * sensor.beams.len()];
+    let mut wedge = Wedge::new(sensor);
+    for number in 0..columns.wedges() {
+        wedge.fire(&shot, &columns, number);
+        instances.cast(&columns, number, &mut wedge);
+        // The nearest counts, whatever is looked for first: what is likely to be near, so that less is left to search.
+        wedge.ground(&columns, world.place, false);
+        thicket.cast(&columns, number, &mut wedge);
+        wedge.ground(&columns, world.place, true);
+        wedge.receive(&columns, &optics, &mut returns);
+    }
     let mut points = vec![0; world.traffic.users.len()];
-    let mut columns = Columns::with_capacity(if casting.clouds {
-        sensor.columns * sensor.beams.len()
-    } else {
-        0
-    });
-    let per_column = sensor.beams.len().max(256);
+    let mut kept = Kept::with_capacity(if casting.clouds { returns.len() } else { 0 });
     let mut finished = 0;
-    let period = 0.1 / sensor.columns as f64;
     let to_start = (casting.start - casting.stamp) as f64;
-    for column in (0..sensor.columns).step_by(casting.column_stride) {
-        let azimuth = sensor.scan.width * column as f64 / sensor.columns as f64;
-        let fires = column as f64 * period;
-        let body = agent.body(world.place, world.traffic, start + fires + 0.5 * period);
-        let column_turn = about_z(PI - (sensor.scan.first + azimuth));
-        let body_from_sensor = match &mounted {
-            None => times(&tilt(body.slope), &column_turn),
-            Some(mounted) => times(&times(&tilt(body.slope), &mounted.body_from_sensor), &column_turn),
-        };
-        let place_from_sensor = times(&about_z(body.heading), &body_from_sensor);
-        // What nobody knows of the mounting stays in the points.
-        let told_from_sensor = match &mounted {
-            None => body_from_sensor,
-            Some(mounted) => times(&mounted.told_from_body, &body_from_sensor),
-        };
-        for (number, beam) in sensor.beams.iter().enumerate() {
-            if beam.every > 1 && column % beam.every != 0 {
+    for (column, returns) in columns.all.iter().zip(returns.chunks(sensor.beams.len())) {
+        for (found, beam) in returns.iter().zip(&sensor.beams) {
+            if found.range < 0.0 {
                 continue;
             }
-            let ray = rotate(&place_from_sensor, &beam.direction);
-            // The body's position holds for the middle of the column.
-            let aside = beam.fires - 0.5 * period;
-            let origin = [
-                body.position[0] + body.velocity[0] * aside,
-                body.position[1] + body.velocity[1] * aside,
-                body.position[2] + body.velocity[2] * aside + agent.info.sensor_height,
-            ];
-            let hash = mix(casting
-                .key
-                .wrapping_add(((column * per_column + number) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
-            let level = (ray[0] * ray[0] + ray[1] * ray[1]).sqrt();
-            let t = start + fires + beam.fires;
-            let limit = optics.farthest;
-            let met = instances.cast(azimuth + beam.azimuth, level, &origin, &ray, t, limit, hash);
-            let limit = met.map_or(limit, |(hit, _)| hit.t);
-            // The nearest counts, whatever is looked for first: what is likely to be near, so that less is left to search.
-            let flat = ray[2] > -FLAT * level;
-            let leaves = |limit| {
-                let thicket = thicket.as_ref()?;
-                thicket.cast(azimuth + beam.azimuth, level, &origin, &ray, limit, hash)
-            };
-            let early = if flat { leaves(limit) } else { None };
-            let met = early.map(|hit| (hit, None)).or(met);
-            let limit = met.map_or(limit, |(hit, _)| hit.t);
-            let ground = world.place.cast_ground(origin, ray, limit);
-            let met = ground.map(|hit| (hit, None)).or(met);
-            let late = if flat {
-                None
-            } else {
-                leaves(met.map_or(limit, |(hit, _)| hit.t))
-            };
-            let Some((hit, user)) = late.map(|hit| (hit, None)).or(met) else {
-                continue;
-            };
-            let Some((range, intensity)) = receive(&optics, &hit, hash) else {
-                continue;
-            };
             finished += 1;
-            let label = user.map_or(0, |user| user + 1);
+            let user = found.user();
             if let Some(user) = user {
                 points[user as usize] += 1;
             }
             if casting.clouds {
-                let d = rotate(&told_from_sensor, &beam.direction);
-                let time = to_start + (fires + beam.fires) * 1e9;
-                columns.push([d[0] * range, d[1] * range, d[2] * range + agent.info.sensor_height]);
-                columns.intensity.push(intensity);
-                columns.time.push(round(time) as i32);
-                columns.ring.push(beam.ring);
+                let d = rotate(&column.told_from_sensor, &beam.direction).map(|axis| axis * found.range);
+                let time = to_start + (column.fires + beam.fires) * 1e9;
+                kept.push([d[0], d[1], d[2] + agent.info.sensor_height]);
+                kept.intensity.push(found.intensity);
+                kept.time.push(round(time) as i32);
+                kept.ring.push(beam.ring);
                 if casting.labels {
-                    columns.labels.push(label);
+                    kept.labels.push(user.map_or(0, |user| user + 1));
                 }
             }
         }
     }
-    let (cloud, labels) = columns.finish();
+    let (cloud, labels) = kept.finish();
     Cast {
         cloud,
         points,
@@ -238,9 +305,9 @@ fn round(v: f64) -> f64 {
     (v + ROOM) - ROOM
 }
 
-impl Columns {
+impl Kept {
     fn with_capacity(points: usize) -> Self {
-        Columns {
+        Kept {
             x: Vec::with_capacity(points),
             y: Vec::with_capacity(points),
             z: Vec::with_capacity(points),
@@ -268,89 +335,72 @@ impl Columns {
     }
 }
 
-/// Range and intensity of what comes back; `None` if nothing is seen.
-#[inline]
-fn receive(optics: &Optics, hit: &Hit, hash: u64) -> Option<(f64, u8)> {
-    let ratio = optics.reference_range / hit.t;
-    let mut q = optics.strength * hit.rho * hit.cos * ratio * ratio;
-    if optics.extinction > 0.0 {
-        q *= libm::exp(-2.0 * optics.extinction * hit.t);
-    }
-    let q4 = q * q * q * q;
-    if unit_of(hash) * (q4 + 1.0) >= q4 * (1.0 - optics.unanswered) {
-        return None;
-    }
-    let scatter = (optics.noise_floor + optics.noise_slope / q.sqrt()).min(optics.noise_ceiling);
-    let range = hit.t + scatter * normal_of(mix(hash));
-    let range = round(range * optics.steps_per_metre) * optics.step;
-    if range < optics.nearest || range > optics.farthest {
-        return None;
-    }
-    // Calibrated for range: 100 stands for a white wall met squarely, more for retro-reflectors.
-    let shimmer = (hash & 0x3ff) as f64 * (0.06 / 1024.0);
-    Some((range, (100.0 * hit.rho * hit.cos * (0.97 + shimmer)).min(255.0) as u8))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Stream;
     use crate::{Options, Sensor};
 
-    /// What the tables leave out can be met by no ray.
+    /// What the tables leave out can be met by no ray: on sensors that tilt and sway, and on a vehicle that comes out of a
+    /// bend while its sensor turns.
     #[test]
     fn foliage_is_found_wherever_it_stands() {
-        let place = Scenery::new(crate::Scenario::Junction, 4);
-        let demand = crate::traffic::Demand {
-            place: &place,
-            seed: 4,
-            dense: false,
-            seconds: 1.0,
-        };
-        let traffic = Traffic::new(&demand).unwrap();
-        let sensors = ["pandar40p", "forward-scan", "spinning-32"].map(|name| Sensor::named(name).unwrap());
-        let mut met = 0;
-        for sensor in sensors {
-            let options = Options {
-                vehicle_sensors: vec![sensor.clone()],
-                roadside_sensors: vec![sensor.clone()],
-                ..Options::default()
+        let named = |name: &&str| Sensor::named(name).unwrap();
+        for (scenario, number, start, sensors) in [
+            (
+                crate::Scenario::Junction,
+                4,
+                0.35,
+                &["pandar40p", "forward-scan", "spinning-32"][..],
+            ),
+            (crate::Scenario::CarPark, 1, 0.7, &["ruby-plus-128"]),
+        ] {
+            let place = Scenery::new(scenario, number);
+            let demand = crate::traffic::Demand {
+                place: &place,
+                seed: number,
+                dense: false,
+                seconds: 3.0,
             };
-            for agent in Agent::all(&options, &place, &traffic).unwrap() {
-                let start = 0.35;
-                let middle = agent.body(&place, &traffic, start + 0.05);
-                let thicket = Thicket::new(&place.foliage, &agent, &middle);
-                let mut draws = Stream::new(1, "rays", agent.number);
-                for _ in 0..400 {
-                    let column = draws.below(sensor.columns);
-                    let beam = &sensor.beams[draws.below(sensor.beams.len())];
-                    let azimuth = sensor.scan.width * column as f64 / sensor.columns as f64;
-                    let t = start + 0.1 * column as f64 / sensor.columns as f64;
-                    let body = agent.body(&place, &traffic, t);
-                    let turn = about_z(PI - (sensor.scan.first + azimuth));
-                    let mount = turned(agent.mount.roll, agent.mount.pitch, agent.mount.yaw);
-                    let body_from_sensor = times(&times(&tilt(body.slope), &mount), &turn);
-                    let ray = rotate(&times(&about_z(body.heading), &body_from_sensor), &beam.direction);
-                    let [x, y, z] = body.position;
-                    let origin = [x, y, z + agent.info.sensor_height];
-                    let (level, chance) = ((ray[0] * ray[0] + ray[1] * ray[1]).sqrt(), draws.bits());
-                    let limit = 95.0;
-                    let found = thicket.cast(azimuth + beam.azimuth, level, &origin, &ray, limit, chance);
-                    let all = place
-                        .foliage
-                        .iter()
-                        .filter_map(|mass| mass.cast(&origin, &ray, limit, chance));
-                    let nearest = all.map(|hit| hit.t).fold(limit, f64::min);
-                    assert_eq!(
-                        found.map_or(limit, |hit| hit.t),
-                        nearest,
-                        "{} {column}",
-                        agent.info.name
-                    );
-                    met += usize::from(nearest < limit);
+            let traffic = Traffic::new(&demand).unwrap();
+            let world = World {
+                place: &place,
+                traffic: &traffic,
+            };
+            for sensor in sensors.iter().map(named) {
+                let options = Options {
+                    vehicle_sensors: vec![sensor.clone()],
+                    roadside_sensors: vec![sensor.clone()],
+                    ..Options::default()
+                };
+                for agent in Agent::all(&options, &place, &traffic).unwrap() {
+                    let met = compared(&Shot::new(&world, &agent, agent.number, start));
+                    assert!(met > 100, "only {met} rays of {} met foliage", agent.info.name);
                 }
             }
         }
-        assert!(met > 1000, "only {met} rays met foliage");
+    }
+
+    /// Casts some rays of a sweep against the tables and against all foliage; gives the number of those that met some.
+    fn compared(shot: &Shot) -> usize {
+        // Low foliage is looked for up to 100 m.
+        let limit = 95.0;
+        let columns = shot.columns(3);
+        let thicket = Thicket::new(shot, &columns.bins(shot));
+        let mut wedge = Wedge::new(&shot.agent.sensor);
+        let mut met = 0;
+        for number in (0..columns.wedges()).step_by(2) {
+            wedge.fire(shot, &columns, number);
+            thicket.cast(&columns, number, &mut wedge);
+            for (row, ray) in wedge.rays(&columns).step_by(13) {
+                let (origin, along, hash) = (columns.origin(row, ray), row.ray(ray), row.hash(ray));
+                let all = shot.world.place.foliage.iter();
+                let hits = all.filter_map(|mass| mass.cast(&origin, &along, limit, hash));
+                let nearest = hits.map(|hit| hit.t).fold(limit, f64::min);
+                let found = row.met(ray).map_or(limit, |hit| hit.t.min(limit));
+                assert_eq!(found, nearest, "{} {number}", shot.agent.info.name);
+                met += usize::from(nearest < limit);
+            }
+        }
+        met
     }
 }

@@ -2,127 +2,180 @@
 
 use std::f64::consts::{PI, TAU};
 
-use super::instances::{LEAD, Span, TURN, tilt_margin};
-use super::table::{Bounds, Table, TableOf};
+use super::table::{Extent, Table};
+use super::wedge::{Columns, LANES, Wedge};
+use super::{BINS, LEAD, Shot, Span, TURN};
 use crate::agents::{Agent, BodyState};
 use crate::place::Foliage;
-use crate::solid::Hit;
 
-const BINS: usize = 1600;
-
-/// The foliage of one sweep, by azimuth.
-pub(super) struct Thicket {
+/// The foliage of one sweep.
+pub(super) struct Thicket<'a> {
     /// What is in reach, nearest first.
-    near: Vec<Foliage>,
+    near: Vec<(&'a Foliage, Extent)>,
     table: Table,
-    bins_per_radian: f64,
 }
 
-impl Thicket {
-    /// What an agent can see; `sensor` is its body in the middle of the sweep.
-    pub fn new(all: &[Foliage], agent: &Agent, sensor: &BodyState) -> Self {
-        let span = Span::of(agent);
-        let bin = span.all / BINS as f64;
-        let mut found: Vec<(Bounds, [usize; 2], usize)> = Vec::new();
-        for (index, foliage) in all.iter().enumerate() {
-            let Some((bounds, azimuth, half)) = seen(foliage, agent, sensor, span) else {
-                continue;
-            };
-            for turn in [-TAU, 0.0, TAU] {
-                let low = (azimuth + turn - half + LEAD) / bin;
-                let high = (azimuth + turn + half + LEAD) / bin;
-                if high >= 0.0 && low < BINS as f64 {
-                    found.push((bounds, [low.max(0.0) as usize, (high as usize).min(BINS - 1)], index));
-                }
-            }
+impl<'a> Thicket<'a> {
+    /// What can be seen of a place in a sweep, for wedges with these bins of azimuth.
+    pub fn new(shot: &Shot<'a>, wedges: &[[i16; 2]]) -> Self {
+        let eye = Eye::new(shot);
+        let mut near: Vec<(&Foliage, Extent)> = Vec::new();
+        for foliage in &shot.world.place.foliage {
+            eye.see(foliage, |extent| near.push((foliage, extent)));
         }
         // Stable: at equal distance the order of the place decides.
-        found.sort_by(|a, b| a.0.near.total_cmp(&b.0.near));
-        let mut table = TableOf::new(BINS, found.iter().map(|(_, bins, _)| *bins));
-        for (index, (bounds, bins, _)) in found.iter().enumerate() {
-            table.add(*bins, *bounds, index as u32);
-        }
-        Thicket {
-            near: found.iter().map(|(_, _, index)| all[*index].clone()).collect(),
-            table: table.finish(),
-            bins_per_radian: 1.0 / bin,
-        }
+        near.sort_by(|a, b| a.1.near.total_cmp(&b.1.near));
+        let table = Table::new(wedges, near.iter().map(|(_, extent)| extent.bins));
+        Thicket { near, table }
     }
 
-    /// Where a ray returns from foliage before `limit`; `azimuth` is clockwise from the first column, `level` the ray's
-    /// length over ground.
-    #[inline]
-    pub fn cast(
-        &self,
-        azimuth: f64,
-        level: f64,
-        origin: &[f64; 3],
-        ray: &[f64; 3],
-        limit: f64,
-        chance: u64,
-    ) -> Option<Hit> {
-        let bin = ((azimuth + LEAD) * self.bins_per_radian) as i32 as usize;
-        let slope = (ray[2] / level) as f32;
-        let mut best = None;
-        self.table.each(bin, slope, limit, level, |index, limit| {
-            let hit = self.near[index as usize].cast(origin, ray, limit, chance)?;
-            best = Some(hit);
-            Some(hit.t)
-        });
-        best
+    /// Casts the rays of a wedge.
+    pub fn cast(&self, columns: &Columns, number: usize, wedge: &mut Wedge) {
+        for index in self.table.of(number) {
+            let (foliage, extent) = &self.near[index];
+            wedge.each(extent, |row, group| {
+                let origins = columns.origins(row, group);
+                let [enters, leaves] = foliage.crossing(&origins, row.rays(group), row.limits(group));
+                for k in 0..LANES {
+                    if enters[k] >= leaves[k] {
+                        continue;
+                    }
+                    let ray = group * LANES + k;
+                    let origin = [origins[0][k], origins[1][k], origins[2][k]];
+                    if let Some(hit) = foliage.within(&origin, &row.ray(ray), [enters[k], leaves[k]], row.hash(ray)) {
+                        row.meet(ray, hit, None);
+                    }
+                }
+            });
+        }
     }
 }
 
-/// Bounds, middle azimuth and half width of a mass; `None` if it is out of reach.
-fn seen(foliage: &Foliage, agent: &Agent, sensor: &BodyState, span: Span) -> Option<(Bounds, f64, f64)> {
-    let (x, y) = (
-        foliage.center[0] - sensor.position[0],
-        foliage.center[1] - sensor.position[1],
-    );
-    let (square, radius) = (x * x + y * y, foliage.radius());
-    let reach = span.farthest.min(foliage.reach()) + radius;
-    if square > reach * reach {
-        return None;
-    }
-    let distance = square.sqrt();
-    let [vx, vy, vz] = sensor.velocity;
-    // How far the sensor gets from the middle of its sweep, and a little for what else it does.
-    let moved = 0.5 * TURN * (vx.abs() + vy.abs()) * 1.2 + 0.05;
-    let close = distance < 2.0 * (radius + moved);
-    let turn = (sensor.heading - span.first + PI - libm::atan2(y, x)) / TAU;
-    let azimuth = (turn - turn.floor()) * TAU;
-    // Where it is while the sensor looks its way, to first order.
-    let until = ((azimuth - 0.5 * span.width) / span.width).clamp(-0.6, 0.6) * TURN;
-    let drift = (x * vy - y * vx) / square.max(1e-6) + sensor.turn_rate;
-    let shifted = drift * until;
-    // Near the first column it may be seen at either end of the sweep.
-    let ends = if azimuth.min(TAU - azimuth) < 0.35 {
-        drift.abs() * TURN
-    } else {
-        0.0
-    };
-    let (share, stray) = (radius / distance, moved / distance);
-    let half = match close {
-        true => PI,
-        // asin(s) <= 1.05 s up to one half.
-        false => {
-            let aside = 1.05 * share + stray * stray + 0.12 * stray;
-            aside + sensor.turn_rate.abs() * 0.002 + tilt_margin(agent, sensor) + ends
+/// The sensor in the course of a sweep.
+struct Eye<'a> {
+    agent: &'a Agent,
+    span: Span,
+    /// Its body from the start of the sweep to the end, every `STEP` seconds.
+    bodies: Vec<BodyState>,
+    /// Bounds of its speed over ground and up, m/s, and of its turn rate, rad/s.
+    speed: f64,
+    climb: f64,
+    turn: f64,
+}
+
+/// Time between two known bodies, s.
+const STEP: f64 = 0.01;
+
+impl<'a> Eye<'a> {
+    fn new(shot: &'a Shot) -> Self {
+        let steps = (TURN / STEP).round() as usize;
+        let bodies: Vec<BodyState> = (0..=steps)
+            .map(|k| shot.start + k as f64 * STEP)
+            .map(|t| shot.agent.body(shot.world.place, shot.world.traffic, t))
+            .collect();
+        let most = |rate: &dyn Fn(&BodyState) -> f64| bodies.iter().map(rate).fold(0.0, f64::max);
+        Eye {
+            speed: 1.2 * most(&|body| body.velocity[0].abs() + body.velocity[1].abs()),
+            climb: most(&|body| body.velocity[2].abs()),
+            turn: most(&|body| body.turn_rate.abs()),
+            agent: shot.agent,
+            span: shot.span,
+            bodies,
         }
-    };
-    let eye = sensor.position[2] + agent.info.sensor_height;
-    let rise = 0.5 * TURN * vz.abs() + 0.05;
-    let foot = foliage.center[2] - foliage.rise() - eye - rise;
-    let top = foliage.center[2] + foliage.rise() - eye + rise;
-    let (least, most) = ((distance - radius - moved).max(1e-3), distance + radius + moved);
-    let slope = |height: f64, toward: f64| (height / if height * toward > 0.0 { least } else { most }) as f32;
-    let up = foliage.center[2] - eye;
-    let slopes = foliage.slopes(distance, up, moved.max(rise));
-    let [low, high] = slopes.map_or([slope(foot, -1.0), slope(top, 1.0)], |slopes| slopes.map(|s| s as f32));
-    let bounds = Bounds {
-        near: ((distance - radius - moved).max(0.0) * 0.999_99) as f32,
-        low: low - 1e-5,
-        high: high + 1e-5,
-    };
-    Some((bounds, azimuth + shifted, half))
+    }
+
+    /// The body at a time of the sweep, moved on from the nearest known one.
+    fn body(&self, t: f64) -> BodyState {
+        let nearest = ((t / STEP).round() as usize).min(self.bodies.len() - 1);
+        let mut body = self.bodies[nearest];
+        let since = t - nearest as f64 * STEP;
+        for k in 0..3 {
+            body.position[k] += body.velocity[k] * since;
+        }
+        body.heading += body.turn_rate * since;
+        body
+    }
+
+    /// Square of the distance over ground of a mass from the sensor, m², and its azimuth clockwise from the first column.
+    fn direction(&self, foliage: &Foliage, body: &BodyState) -> (f64, f64) {
+        let x = foliage.center[0] - body.position[0];
+        let y = foliage.center[1] - body.position[1];
+        let azimuth = body.heading - self.span.first + PI - libm::atan2(y, x);
+        (x * x + y * y, azimuth)
+    }
+
+    /// Where a mass may be met: once or, near the first column, at either end of the sweep; nowhere if it is out of reach.
+    fn see(&self, foliage: &Foliage, mut add: impl FnMut(Extent)) {
+        let (span, middle) = (self.span, &self.bodies[self.bodies.len() / 2]);
+        let radius = foliage.radius();
+        let reach = span.farthest.min(foliage.reach()) + radius;
+        let (square, azimuth) = self.direction(foliage, middle);
+        if square > reach * reach {
+            return;
+        }
+        let distance = square.sqrt();
+        let moved = 0.5 * TURN * self.speed + 0.05;
+        if distance < 2.0 * (radius + moved) {
+            let [low, high] = self.slopes(foliage, middle, distance, [moved, 0.5 * TURN * self.climb + 0.05]);
+            add(Extent {
+                bins: [0, BINS as i16 - 1],
+                low,
+                high,
+                near: (distance - radius - moved).max(0.0) * 0.999_99,
+            });
+            return;
+        }
+        let azimuth = azimuth - TAU * (azimuth / TAU).floor();
+        for azimuth in [azimuth - TAU, azimuth, azimuth + TAU] {
+            if !(-0.7..span.width + 0.7).contains(&azimuth) {
+                continue;
+            }
+            // Where it is while the sensor looks its way, and how far off that may be: beams look ahead of their columns.
+            let body = self.body((azimuth / span.width).clamp(0.0, 1.0) * TURN);
+            let (square, then) = self.direction(foliage, &body);
+            let distance = square.sqrt();
+            let shift = then - azimuth - TAU * ((then - azimuth) / TAU).round();
+            let share = radius / distance;
+            let time = (1.05 * share + LEAD + shift.abs() + 0.05) / span.width * TURN + 1e-4;
+            let (moved, risen) = (self.speed * time + 0.04, self.climb * time + 0.05);
+            let [low, high] = self.slopes(foliage, &body, distance, [moved, risen]);
+            // asin(s) <= 1.05 s up to one half.
+            let aside = 1.05 * (share + moved / distance) + self.turn * (time + 0.5 * STEP) + 5e-4;
+            let half = aside + self.tilt_margin(&body, low.abs().max(high.abs()));
+            let bin = |azimuth: f64| (azimuth + LEAD) / span.bin;
+            let (from, to) = (bin(azimuth + shift - half), bin(azimuth + shift + half));
+            if to >= 0.0 && from < BINS as f64 {
+                add(Extent {
+                    bins: [from as i16, (to as i16).min(BINS as i16 - 1)],
+                    low,
+                    high,
+                    near: (distance - radius - moved).max(0.0) * 0.999_99,
+                });
+            }
+        }
+    }
+
+    /// How far the sensor's tilt moves the azimuths of rays of slopes up to one, rad.
+    fn tilt_margin(&self, body: &BodyState, steepest: f32) -> f64 {
+        let ([along, across], mount) = (body.slope, &self.agent.mount);
+        // A vehicle's changes in the course of a sweep.
+        let change = if self.agent.user.is_some() { 0.02 } else { 0.0 };
+        let tilt = along.abs() + across.abs() + mount.pitch.abs() + mount.roll.abs() + change;
+        tilt * (1.3 * (f64::from(steepest) + tilt) + 0.02)
+    }
+
+    /// Bounds of the slopes of rays that meet a mass from a distance over ground, m, where the sensor's place is known but
+    /// for some metres over ground and up.
+    fn slopes(&self, foliage: &Foliage, body: &BodyState, distance: f64, [moved, risen]: [f64; 2]) -> [f32; 2] {
+        let up = foliage.center[2] - body.position[2] - self.agent.info.sensor_height;
+        let radius = foliage.radius();
+        let (least, most) = ((distance - radius - moved).max(1e-3), distance + radius + moved);
+        let slope = |height: f64, toward: f64| height / if height * toward > 0.0 { least } else { most };
+        let corners = [
+            slope(up - foliage.rise() - risen, -1.0),
+            slope(up + foliage.rise() + risen, 1.0),
+        ];
+        let [low, high] = foliage.slopes(distance, up, moved.max(risen)).unwrap_or(corners);
+        [low as f32 - 1e-5, high as f32 + 1e-5]
+    }
 }

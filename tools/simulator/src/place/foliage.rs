@@ -94,34 +94,62 @@ impl Foliage {
         if self.rise() < LOW { LOW_REACH } else { HIGH_REACH }
     }
 
-    /// Where a ray returns before `limit`; `chance` is the ray's own hash.
-    #[inline]
-    pub fn cast(&self, origin: &[f64; 3], ray: &[f64; 3], limit: f64, chance: u64) -> Option<Hit> {
-        let [ia, ib, ic] = self.inverse.map(f64::from);
+    /// Where rays get into it and out of it, not before their origin and not behind `limits`: origins, rays and limits
+    /// by axis. Who misses it gets in no nearer than out.
+    #[inline(always)]
+    pub fn crossing<const N: usize>(
+        &self,
+        origins: &[[f64; N]; 3],
+        rays: [&[f64; N]; 3],
+        limits: &[f64; N],
+    ) -> [[f64; N]; 2] {
+        let (mut enters, mut leaves) = ([0.0; N], [0.0; N]);
+        let ([x, y, z], [dx, dy, dz]) = (origins, rays);
+        if self.block {
+            for k in 0..N {
+                let [from, step] = self.local::<true>(&[x[k], y[k], z[k]], &[dx[k], dy[k], dz[k]]);
+                (enters[k], leaves[k]) = cut(in_block(&from, &step), limits[k]);
+            }
+        } else {
+            for k in 0..N {
+                let [from, step] = self.local::<false>(&[x[k], y[k], z[k]], &[dx[k], dy[k], dz[k]]);
+                (enters[k], leaves[k]) = cut(in_ball(&from, &step), limits[k]);
+            }
+        }
+        [enters, leaves]
+    }
+
+    /// A ray in its frame, in which it reaches from -1 to 1.
+    #[inline(always)]
+    fn local<const BLOCK: bool>(&self, origin: &[f64; 3], ray: &[f64; 3]) -> [[f64; 3]; 2] {
+        let [ia, ib, ic] = self.inverse;
+        let (ia, ib, ic) = (f64::from(ia), f64::from(ib), f64::from(ic));
         let (x, y) = (origin[0] - self.center[0], origin[1] - self.center[1]);
         let (mut from, mut step) = ([x, y], [ray[0], ray[1]]);
         // Balls are round from above.
-        if self.block {
-            let [cos, sin] = self.cos_sin.map(f64::from);
+        if BLOCK {
+            let (cos, sin) = (f64::from(self.cos_sin[0]), f64::from(self.cos_sin[1]));
             from = [cos * x + sin * y, cos * y - sin * x];
             step = [cos * ray[0] + sin * ray[1], cos * ray[1] - sin * ray[0]];
         }
-        let from = [from[0] * ia, from[1] * ib, (origin[2] - self.center[2]) * ic];
-        let step = [step[0] * ia, step[1] * ib, ray[2] * ic];
-        let (enter, leave) = if self.block {
-            in_block(&from, &step)
-        } else {
-            in_ball(&from, &step)?
-        };
-        let (enter, leave) = (enter.max(0.0), leave.min(limit));
-        if enter >= leave {
-            return None;
-        }
+        [
+            [from[0] * ia, from[1] * ib, (origin[2] - self.center[2]) * ic],
+            [step[0] * ia, step[1] * ib, ray[2] * ic],
+        ]
+    }
+
+    /// Where a ray returns that gets in and out at two distances; `chance` is the ray's own hash.
+    #[inline]
+    pub fn within(&self, origin: &[f64; 3], ray: &[f64; 3], [enter, leave]: [f64; 2], chance: u64) -> Option<Hit> {
         // Nobody needs the lump or the logarithm of a ray that is through: x <= −ln(1 − x).
         let (draw, depth) = (unit_of(mix(chance ^ self.seed)), f64::from(self.depth));
         if draw * depth * THIN > leave - enter {
             return None;
         }
+        let [from, step] = match self.block {
+            true => self.local::<true>(origin, ray),
+            false => self.local::<false>(origin, ray),
+        };
         let lump = (0..3).fold(self.seed, |hash, k| {
             let cell = ((from[k] + step[k] * enter) * f64::from(self.half[k]) * LUMPS + 4096.0) as i32 as u64;
             hash.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(cell)
@@ -135,21 +163,43 @@ impl Foliage {
         let t = enter + back - depth * libm::log(1.0 - draw);
         (t < leave).then_some(Hit { t, cos: COS, rho: RHO })
     }
+
+    /// Where a ray returns before `limit`.
+    #[cfg(test)]
+    pub fn cast(&self, origin: &[f64; 3], ray: &[f64; 3], limit: f64, chance: u64) -> Option<Hit> {
+        let [enter, leave] = self.crossing(
+            &origin.map(|v| [v]),
+            ray.each_ref().map(|v| std::array::from_ref(v)),
+            &[limit],
+        );
+        (enter[0] < leave[0])
+            .then(|| self.within(origin, ray, [enter[0], leave[0]], chance))
+            .flatten()
+    }
 }
 
-#[inline]
-fn in_ball(from: &[f64; 3], step: &[f64; 3]) -> Option<(f64, f64)> {
+/// What is left of a way between the ray's origin and a limit.
+#[inline(always)]
+fn cut((enter, leave): (f64, f64), limit: f64) -> (f64, f64) {
+    (
+        if enter > 0.0 { enter } else { 0.0 },
+        if leave < limit { leave } else { limit },
+    )
+}
+
+/// Where a ray gets into the ball and out; if it misses it, out at -1.
+#[inline(always)]
+fn in_ball(from: &[f64; 3], step: &[f64; 3]) -> (f64, f64) {
     let a = step[0] * step[0] + step[1] * step[1] + step[2] * step[2];
     let b = from[0] * step[0] + from[1] * step[1] + from[2] * step[2];
     let c = from[0] * from[0] + from[1] * from[1] + from[2] * from[2] - 1.0;
     let discriminant = b * b - a * c;
-    (discriminant > 0.0).then(|| {
-        let (half, inverse) = (discriminant.sqrt(), 1.0 / a);
-        ((-b - half) * inverse, (-b + half) * inverse)
-    })
+    let (half, inverse) = (discriminant.sqrt(), 1.0 / a);
+    let leave = (-b + half) * inverse;
+    ((-b - half) * inverse, if discriminant > 0.0 { leave } else { -1.0 })
 }
 
-#[inline]
+#[inline(always)]
 fn in_block(from: &[f64; 3], step: &[f64; 3]) -> (f64, f64) {
     let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
     for k in 0..3 {

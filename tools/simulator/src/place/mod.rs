@@ -245,41 +245,70 @@ impl Scenery {
         (pose, self.terrain.height(x, y) + KERB)
     }
 
-    /// Where a ray meets the ground before `limit`.
+    /// Where rays meet the ground before their limits: origins, rays and limits by axis.
     #[inline]
-    pub fn cast_ground(&self, origin: [f64; 3], ray: [f64; 3], limit: f64) -> Option<Hit> {
-        let point = |t: f64| (origin[0] + ray[0] * t, origin[1] + ray[1] * t);
+    pub fn cast_ground<const N: usize>(
+        &self,
+        origins: &[[f64; N]; 3],
+        rays: [&[f64; N]; 3],
+        limits: &[f64; N],
+    ) -> [Option<Hit>; N] {
+        let point = |k: usize, t: f64| (origins[0][k] + rays[0][k] * t, origins[1][k] + rays[1][k] * t);
+        let met = |k: usize, t: f64, rho: f64| Hit {
+            t,
+            cos: -rays[2][k],
+            rho,
+        };
+        let mut hits = [None; N];
         if let Plan::Network(network) = &self.plan
             && !network.surface.has_kerbs()
         {
-            let t = self.terrain.cast(origin, ray, 0.0, [0.0, limit])?;
-            let (x, y) = point(t);
-            return Some(Hit {
-                t,
-                cos: -ray[2],
-                rho: network.surface.reflectivity(x, y),
-            });
+            let ground = self.terrain.cast(origins, rays, 0.0, [&[0.0; N], limits]);
+            for k in 0..N {
+                if !ground[k].is_nan() {
+                    let (x, y) = point(k, ground[k]);
+                    hits[k] = Some(met(k, ground[k], network.surface.reflectivity(x, y)));
+                }
+            }
+            return hits;
         }
-        let upper = self.terrain.cast(origin, ray, KERB, [0.0, limit])?;
-        let (x, y) = point(upper);
-        if self.raised(x, y) {
-            return Some(Hit {
-                t: upper,
-                cos: -ray[2],
-                rho: self.reflectivity(x, y, true),
-            });
+        let upper = self.terrain.cast(origins, rays, KERB, [&[0.0; N], limits]);
+        // Those that go on to the lower ground.
+        let mut beneath = [f64::NEG_INFINITY; N];
+        for k in 0..N {
+            if upper[k].is_nan() {
+                continue;
+            }
+            let (x, y) = point(k, upper[k]);
+            match self.raised(x, y) {
+                true => hits[k] = Some(met(k, upper[k], self.reflectivity(x, y, true))),
+                false => beneath[k] = limits[k],
+            }
         }
-        let lower = self.terrain.cast(origin, ray, 0.0, [upper, limit]);
-        let (x, y) = point(lower.unwrap_or(limit));
-        if !self.raised(x, y) {
-            return lower.map(|t| Hit {
-                t,
-                cos: -ray[2],
-                rho: self.reflectivity(x, y, false),
-            });
+        if beneath.iter().all(|limit| *limit < 0.0) {
+            return hits;
         }
-        // Between the two surfaces the ray went through a kerb's face.
-        let (mut before, mut behind) = (upper, lower.unwrap_or(limit));
+        let lower = self.terrain.cast(origins, rays, 0.0, [&upper, &beneath]);
+        for k in 0..N {
+            if beneath[k] < 0.0 {
+                continue;
+            }
+            let t = if lower[k].is_nan() { limits[k] } else { lower[k] };
+            let (x, y) = point(k, t);
+            hits[k] = if self.raised(x, y) {
+                let t = self.kerb([upper[k], t], |t| point(k, t));
+                Some(Hit { t, cos: 0.7, rho: 0.3 })
+            } else if lower[k].is_nan() {
+                None
+            } else {
+                Some(met(k, t, self.reflectivity(x, y, false)))
+            };
+        }
+        hits
+    }
+
+    /// Where a ray went through a kerb's face between the two surfaces.
+    fn kerb(&self, [mut before, mut behind]: [f64; 2], point: impl Fn(f64) -> (f64, f64)) -> f64 {
         for _ in 0..12 {
             let middle = 0.5 * (before + behind);
             let (x, y) = point(middle);
@@ -289,11 +318,7 @@ impl Scenery {
                 before = middle
             }
         }
-        Some(Hit {
-            t: behind,
-            cos: 0.7,
-            rho: 0.3,
-        })
+        behind
     }
 }
 

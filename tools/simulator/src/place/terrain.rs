@@ -103,12 +103,22 @@ impl Terrain {
 
     /// Height over the inclined plane, m.
     fn relief(&self, x: f64, y: f64) -> f64 {
+        let ([a, b, c, d], u, v) = self.corners(x, y);
+        let (low, high) = (a + (b - a) * u, c + (d - c) * u);
+        low + (high - low) * v
+    }
+
+    /// Heights in the corners of a point's cell, and its place in the cell.
+    #[inline(always)]
+    fn corners(&self, x: f64, y: f64) -> ([f64; 4], f64, f64) {
         let limit = self.half - 1e-6;
-        let (u, v) = (
-            (x.clamp(-limit, limit) + self.half) * self.per_metre,
-            (y.clamp(-limit, limit) + self.half) * self.per_metre,
-        );
-        self.in_cell(u as i32, v as i32, u, v)
+        let u = (x.clamp(-limit, limit) + self.half) * self.per_metre;
+        let v = (y.clamp(-limit, limit) + self.half) * self.per_metre;
+        let (i, j) = (u as i32, v as i32);
+        let corners = &self.heights[j as usize * NODES + i as usize..][..NODES + 2];
+        let [a, b, c, d] = [corners[0], corners[1], corners[NODES], corners[NODES + 1]];
+        let corners = [f64::from(a), f64::from(b), f64::from(c), f64::from(d)];
+        (corners, u - f64::from(i), v - f64::from(j))
     }
 
     #[inline(always)]
@@ -121,69 +131,122 @@ impl Terrain {
         low + (high - low) * v
     }
 
-    /// Where a ray first comes down to `lift` above the ground, at a parameter in [`from`, `limit`].
+    /// Where rays first come down to `lift` above the ground, at parameters in [`from`, `limit`]; NaN where they do not.
     #[inline]
-    pub fn cast(&self, mut origin: [f64; 3], mut ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
+    pub fn cast<const N: usize>(
+        &self,
+        origins: &[[f64; N]; 3],
+        rays: [&[f64; N]; 3],
+        lift: f64,
+        [from, limit]: [&[f64; N]; 2],
+    ) -> [f64; N] {
+        let ([x, y, z], [dx, dy, dz]) = (origins, rays);
         // Seen from the inclined plane rays stay rays, and keep their parameters.
-        let over = |v: &[f64; 3]| v[2] - (self.grade[0] * v[0] + self.grade[1] * v[1]);
-        (origin[2], ray[2]) = (over(&origin), over(&ray));
-        if ray[2] >= 0.0 || (self.highest + lift - origin[2]) / ray[2] > limit {
-            return None;
+        let (mut up, mut rise) = ([0.0; N], [0.0; N]);
+        for k in 0..N {
+            up[k] = z[k] - (self.grade[0] * x[k] + self.grade[1] * y[k]);
+            rise[k] = dz[k] - (self.grade[0] * dx[k] + self.grade[1] * dy[k]);
         }
-        if let Some(t) = self.plunge(&origin, &ray, lift) {
-            return (t <= limit).then(|| t.max(from));
+        // Where not all are of one kind, each is cast by the way of its own.
+        let (mut found, mut steep) = ([f64::NAN; N], [false; N]);
+        let mut down = [false; N];
+        let least = if self.hilly { 1.4 } else { 4.0 } * self.steepest;
+        for k in 0..N {
+            down[k] = rise[k] < 0.0 && (self.highest + lift - up[k]) / rise[k] <= limit[k];
+            steep[k] = down[k] && rise[k] * rise[k] > least * least * (dx[k] * dx[k] + dy[k] * dy[k]);
         }
-        let steep = 4.0 * self.steepest;
-        if ray[2] * ray[2] > steep * steep * (ray[0] * ray[0] + ray[1] * ray[1]) {
-            self.drop(origin, ray, lift, [from, limit])
-        } else {
-            self.walk(origin, ray, lift, [from, limit])
+        if steep.contains(&true) {
+            let rays = ([x, y, &up], [dx, dy, &rise]);
+            found = match self.hilly {
+                true => self.plunge(rays, lift, steep),
+                false => self.drop(rays, lift, from, steep),
+            };
         }
-    }
-
-    /// For rays steeper than hilly ground, which they meet once: Newton's steps. `None` for flatter rays, where steps do
-    /// not settle, and over ground without hills.
-    #[inline]
-    fn plunge(&self, origin: &[f64; 3], ray: &[f64; 3], lift: f64) -> Option<f64> {
-        let steep = 1.4 * self.steepest;
-        if !self.hilly || ray[2] * ray[2] < steep * steep * (ray[0] * ray[0] + ray[1] * ray[1]) {
-            return None;
-        }
-        let limit = self.half - 1e-6;
-        let mut t = (0.5 * (self.lowest + self.highest) + lift - origin[2]) / ray[2];
-        for _ in 0..8 {
-            let (x, y) = (origin[0] + ray[0] * t, origin[1] + ray[1] * t);
-            let u = (x.clamp(-limit, limit) + self.half) * self.per_metre;
-            let v = (y.clamp(-limit, limit) + self.half) * self.per_metre;
-            let (i, j) = (u as i32, v as i32);
-            let corners = &self.heights[j as usize * NODES + i as usize..][..NODES + 2];
-            let [a, b, c, d] = [corners[0], corners[1], corners[NODES], corners[NODES + 1]].map(f64::from);
-            let (u, v) = (u - f64::from(i), v - f64::from(j));
-            let (low, high) = (a + (b - a) * u, c + (d - c) * u);
-            let over = origin[2] + ray[2] * t - lift - (low + (high - low) * v);
-            let slope_u = (b - a) + ((d - c) - (b - a)) * v;
-            let fall = ray[2] - (slope_u * ray[0] + (high - low) * ray[1]) * self.per_metre;
-            t -= over / fall;
-            if over.abs() < 1e-5 {
-                return Some(t);
+        for k in 0..N {
+            if found[k].is_nan() && down[k] {
+                let (origin, ray) = ([x[k], y[k], up[k]], [dx[k], dy[k], rise[k]]);
+                found[k] = self.alone(origin, ray, lift, [from[k], limit[k]]);
+            } else {
+                found[k] = match found[k] <= limit[k] {
+                    true => found[k].max(from[k]),
+                    false => f64::NAN,
+                };
             }
         }
-        None
+        found
     }
 
-    /// For rays much steeper than the ground, which it meets once: the height over it shrinks to nothing in steps.
+    /// The same for a ray that is flat, or for which steps do not settle.
+    fn alone(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> f64 {
+        let steep = 4.0 * self.steepest;
+        if ray[2] * ray[2] <= steep * steep * (ray[0] * ray[0] + ray[1] * ray[1]) {
+            return self.walk(origin, ray, lift, [from, limit]).unwrap_or(f64::NAN);
+        }
+        let rays = ray.each_ref().map(std::array::from_ref);
+        let origin = origin.each_ref().map(std::array::from_ref);
+        let [t] = self.drop((origin, rays), lift, &[from], [true]);
+        if t <= limit { t.max(from) } else { f64::NAN }
+    }
+
+    /// For rays steeper than hilly ground, which they meet once: Newton's steps. NaN where they do not settle, and where
+    /// rays are not `wanted`.
     #[inline]
-    fn drop(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
-        let down = 1.0 / ray[2];
-        let mut t = ((0.5 * (self.lowest + self.highest) + lift - origin[2]) * down).max(from);
+    fn plunge<const N: usize>(&self, ([x, y, z], [dx, dy, dz]): Rays<N>, lift: f64, mut wanted: [bool; N]) -> [f64; N] {
+        let (mut t, mut found) = ([0.0; N], [f64::NAN; N]);
+        for k in 0..N {
+            t[k] = (0.5 * (self.lowest + self.highest) + lift - z[k]) / dz[k];
+        }
         for _ in 0..8 {
-            let over = origin[2] + ray[2] * t - lift - self.relief(origin[0] + ray[0] * t, origin[1] + ray[1] * t);
-            t -= over * down;
-            if over.abs() < 1e-5 {
+            let (mut over, mut fall) = ([0.0; N], [0.0; N]);
+            for k in 0..N {
+                let ([a, b, c, d], u, v) = self.corners(x[k] + dx[k] * t[k], y[k] + dy[k] * t[k]);
+                let (low, high) = (a + (b - a) * u, c + (d - c) * u);
+                over[k] = z[k] + dz[k] * t[k] - lift - (low + (high - low) * v);
+                let slope_u = (b - a) + ((d - c) - (b - a)) * v;
+                fall[k] = dz[k] - (slope_u * dx[k] + (high - low) * dy[k]) * self.per_metre;
+            }
+            for k in 0..N {
+                t[k] -= over[k] / fall[k];
+                if wanted[k] && over[k].abs() < 1e-5 {
+                    (found[k], wanted[k]) = (t[k], false);
+                }
+            }
+            if !wanted.contains(&true) {
                 break;
             }
         }
-        (t <= limit).then(|| t.max(from))
+        found
+    }
+
+    /// For rays much steeper than the ground, which they meet once: the height over it shrinks to nothing in steps. NaN
+    /// where rays are not `wanted`.
+    #[inline]
+    fn drop<const N: usize>(
+        &self,
+        ([x, y, z], [dx, dy, dz]): Rays<N>,
+        lift: f64,
+        from: &[f64; N],
+        mut wanted: [bool; N],
+    ) -> [f64; N] {
+        let (mut t, mut down, mut found) = ([0.0; N], [0.0; N], [f64::NAN; N]);
+        for k in 0..N {
+            down[k] = 1.0 / dz[k];
+            t[k] = ((0.5 * (self.lowest + self.highest) + lift - z[k]) * down[k]).max(from[k]);
+        }
+        for _ in 0..8 {
+            for k in 0..N {
+                let over = z[k] + dz[k] * t[k] - lift - self.relief(x[k] + dx[k] * t[k], y[k] + dy[k] * t[k]);
+                t[k] -= over * down[k];
+                if wanted[k] {
+                    found[k] = t[k];
+                    wanted[k] = over.abs() >= 1e-5;
+                }
+            }
+            if !wanted.contains(&true) {
+                break;
+            }
+        }
+        found
     }
 
     /// For flat rays: walks the cells where the ray is between the field's highest and lowest point.
@@ -280,6 +343,9 @@ impl Terrain {
     }
 }
 
+/// Rays by axis: origins and directions.
+type Rays<'a, const N: usize> = ([&'a [f64; N]; 3], [&'a [f64; N]; 3]);
+
 /// The zero between `a` (value `fa` > 0) and `b` (value `fb` ≤ 0) of a nearly straight function.
 #[inline]
 fn root(a: f64, fa: f64, b: f64, fb: f64, f: impl Fn(f64) -> f64) -> f64 {
@@ -326,9 +392,11 @@ mod tests {
                 terrain.grade[0] * cos + terrain.grade[1] * sin - draws.between(0.015, 0.5),
             ];
             let lift = draws.between(0.0, 0.2);
-            let Some(t) = terrain.cast(origin, ray, lift, [0.0, 200.0]) else {
+            let rays = ray.each_ref().map(|axis| std::array::from_ref(axis));
+            let [t] = terrain.cast(&origin.map(|axis| [axis]), rays, lift, [&[0.0], &[200.0]]);
+            if t.is_nan() {
                 continue;
-            };
+            }
             hits += 1;
             let [x, y, z] = [0, 1, 2].map(|i| origin[i] + ray[i] * t);
             assert!((z - lift - terrain.height(x, y)).abs() < 1e-5);
