@@ -4,10 +4,9 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use realo_nn::anchors::Anchors;
 use realo_nn::arch::Arch;
 use realo_nn::model::{Grid, Model};
-use realo_nn::targets::{Targets, assign};
+use realo_nn::targets::Targets;
 use realo_nn_candle::transformer::Agent;
 
 use super::decoys::Supply;
@@ -141,8 +140,7 @@ impl Recipe {
             };
             let placed = maps.iter().map(|map| map.on(&self.model, &model.grid));
             samples.push(placed.collect::<candle_core::Result<_>>()?);
-            let (objects, _) = party.objects(&frame, &model).objects_within(&model.grid);
-            targets.push(assign(&Anchors::of(&model), &objects));
+            targets.push(party.objects(&frame, &model).targets(&model));
         }
         Ok(Batch {
             input: Input::Maps(samples),

@@ -293,6 +293,8 @@ impl Change {
 pub(crate) struct Scene {
     columns: [Vec<f32>; 3],
     pub objects: Vec<Object>,
+    /// Objects of which too few points are kept: neither an answer that should be given nor background.
+    faint: Vec<Object>,
     pub ego_points: Vec<u32>,
 }
 
@@ -330,8 +332,7 @@ impl Scene {
         scene
     }
 
-    /// Adds the objects around an ego, of which the kept shares of its own and others' points are enough; the ego comes
-    /// first.
+    /// Adds the objects around an ego that the kept shares of its own and others' points show; the ego comes first.
     pub fn add_objects(&mut self, frame: &Frame, shares: &[(&AgentSweep, f64)], model: &Model) {
         let classes = classes_in(model, &frame.classes);
         for object in shares.iter().take(1).flat_map(|(ego, _)| &ego.objects) {
@@ -341,13 +342,13 @@ impl Scene {
             };
             let points: f64 = shares.iter().map(of).sum();
             let Some(class) = classes[object.class] else { continue };
+            let [x, y, z, length, width, height, yaw] = object.lwh;
+            let hwl = [x, y, z, height, width, length, yaw];
             if points >= LEAST_POINTS {
-                let [x, y, z, length, width, height, yaw] = object.lwh;
-                self.objects.push(Object {
-                    class,
-                    hwl: [x, y, z, height, width, length, yaw],
-                });
+                self.objects.push(Object { class, hwl });
                 self.ego_points.push(object.points);
+            } else if points > 0.0 {
+                self.faint.push(Object { class, hwl });
             }
         }
     }
@@ -398,7 +399,7 @@ impl Scene {
             [*x, *y, *z] = (matrix * Vector3::new(*x, *y, *z)).into();
             *z += lift;
         }
-        for Object { hwl, .. } in &mut self.objects {
+        for Object { hwl, .. } in self.objects.iter_mut().chain(&mut self.faint) {
             *hwl = change.hwl(*hwl);
         }
     }
@@ -419,18 +420,28 @@ impl Scene {
         let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
         let pillars = pillariser.run(&self.points());
         let pillars = PillarFrame::new(&model.grid, pillars, &model.pillars);
-        let anchors = Anchors::of(model);
-        let outside = |object: &&Object| !is_within(&model.grid, object);
-        let cut: Vec<Object> = self.objects.iter().filter(outside).copied().collect();
+        let targets = self.targets(model);
         let (objects, ego_points) = self.objects_within(&model.grid);
-        let mut targets = assign(&anchors, &objects);
-        ignore(&mut targets, &assign(&anchors, &cut));
         Sample {
             pillars,
             targets,
             objects,
             ego_points,
         }
+    }
+
+    /// What the heads of a network of a grid should answer.
+    pub fn targets(&self, model: &Model) -> Targets {
+        let anchors = Anchors::of(model);
+        let (within, mut uncounted): (Vec<Object>, Vec<Object>) = self
+            .objects
+            .iter()
+            .copied()
+            .partition(|object| is_within(&model.grid, object));
+        uncounted.extend(&self.faint);
+        let mut targets = assign(&anchors, &within);
+        ignore(&mut targets, &assign(&anchors, &uncounted));
+        targets
     }
 
     /// The objects whose centres lie on a grid, and the ego's own points on each.
@@ -445,10 +456,10 @@ fn is_within(grid: &Grid, object: &Object) -> bool {
     inside(object.hwl[0], grid.x) && inside(object.hwl[1], grid.y)
 }
 
-/// Background where there would be objects whose centres the grid loses does not count.
-fn ignore(targets: &mut Targets, lost: &Targets) {
-    for (label, lost) in targets.labels.iter_mut().zip(&lost.labels) {
-        if *label == 0 && *lost != 0 {
+/// Background does not count where other objects are: those whose centres the grid loses, and those that are hardly seen.
+fn ignore(targets: &mut Targets, others: &Targets) {
+    for (label, other) in targets.labels.iter_mut().zip(&others.labels) {
+        if *label == 0 && *other != 0 {
             *label = -1;
         }
     }
@@ -523,6 +534,37 @@ mod tests {
         };
         assert_eq!((object.class, &both.ego_points[..]), (0, &[4][..]));
         assert_eq!(both.columns[0].len(), 8);
+    }
+
+    #[test]
+    fn an_object_with_too_few_points_is_no_background() {
+        let labels = |scene: Scene| {
+            let mut counts = [0; 3];
+            let targets = scene.targets(&model());
+            targets
+                .labels
+                .iter()
+                .for_each(|label| counts[(label + 1) as usize] += 1);
+            counts
+        };
+        let [ignored, _, found] = labels(scene(vec![], &Augmentation::none(), 0));
+        assert!(ignored > 0 && found == 0, "{ignored} ignored, {found} found");
+        assert!(labels(scene(vec![1], &Augmentation::none(), 0))[2] > 0, "4 + 4 points");
+        let mut unseen = frame();
+        let known = unseen.agents.iter_mut().flat_map(|agent| &mut agent.objects);
+        known.for_each(|object| object.points = 0);
+        let cast = Cast {
+            ego: 0,
+            others: vec![1],
+        };
+        let empty = Scene::new(
+            &unseen,
+            &cast,
+            &model(),
+            &Augmentation::none(),
+            &mut Stream::new(1, "test", 0),
+        );
+        assert_eq!(labels(empty)[0], 0, "nobody has a point of it");
     }
 
     #[test]
