@@ -11,6 +11,7 @@ mod fusing;
 pub mod layers;
 pub mod network;
 pub mod optimizer;
+mod memory;
 mod quantize;
 mod random;
 pub mod tape;

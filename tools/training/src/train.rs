@@ -18,6 +18,7 @@ use crate::data::{
 };
 use crate::fusing::{beginning, learns_to_fuse, start};
 use crate::layers::Arithmetic;
+use crate::memory::keep_freed_pages;
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
 use crate::random::Stream;
@@ -128,6 +129,7 @@ pub struct Trained {
 /// [`TrainError`]; whatever it is, the last checkpoint is unharmed.
 pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> Result<Trained, TrainError> {
     check(options)?;
+    keep_freed_pages();
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(options.threads.unwrap_or(0))
         .build()
