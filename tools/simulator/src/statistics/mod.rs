@@ -59,6 +59,7 @@ pub struct Statistics {
     answered: [Share; 2],
     bodies: [Share; 2],
     windows: Vec<f64>,
+    metal: Vec<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -257,8 +258,8 @@ impl Statistics {
         }
     }
 
-    /// Rays that found nothing between two that met the same car's lower body, and how deep those go that met it
-    /// behind its windows.
+    /// Rays that found nothing between two that met the same car's lower body, and how deep in its box those end that
+    /// met this body and its windows.
     fn add_bodies(&mut self, parts: &Parts) {
         let Some(step) = column_step(&parts.rings) else { return };
         let car = |object: &&Box3| (3.0..5.2).contains(&object.length) && object.height < 2.4;
@@ -296,10 +297,9 @@ impl Statistics {
                 }
                 if bin == 0 {
                     let window = |seen: &&rings::Seen| on(seen) && (0.65..0.9).contains(&share(seen.index as usize));
-                    let met = ring.points.iter().filter(window);
-                    let depths =
-                        met.filter_map(|seen| depth(parts.observed, object, &parts.points[seen.index as usize]));
-                    self.windows.extend(depths);
+                    let into = |seen: &rings::Seen| depth(parts.observed, object, &parts.points[seen.index as usize]);
+                    self.metal.extend(ring.points.iter().filter(body).filter_map(into));
+                    self.windows.extend(ring.points.iter().filter(window).filter_map(into));
                 }
             }
         }
@@ -315,12 +315,6 @@ impl Statistics {
             row(name, digits, values.unwrap_or_default())
         };
         let of_near = |count: usize| 100.0 * count as f64 / self.within_50.max(1) as f64;
-        let mut windows = self.windows.clone();
-        windows.sort_by(f64::total_cmp);
-        let quartiles = [1, 2, 3]
-            .iter()
-            .filter_map(|k| windows.get(windows.len() * k / 4))
-            .copied();
         let tilts = self
             .squared_tilts
             .map(|sum| libm::atan((sum / sweeps).sqrt()).to_degrees());
@@ -371,9 +365,14 @@ impl Statistics {
             shares("unanswered on lower car bodies, to 25 m, %", 1, &self.bodies[..1]),
             shares("unanswered on lower car bodies, 25-60 m, %", 1, &self.bodies[1..]),
             row(
+                "returns of lower car bodies, depth into the box to 25 m, quartiles, m",
+                2,
+                quartiles(&self.metal),
+            ),
+            row(
                 "window returns, depth into the box to 25 m, quartiles, m",
                 2,
-                quartiles.collect(),
+                quartiles(&self.windows),
             ),
         ]
     }
@@ -392,6 +391,16 @@ impl Parts<'_> {
 
 fn in_region(point: &[f64; 3], x: f64, y: f64) -> bool {
     point[0].abs() < x && point[1].abs() < y
+}
+
+fn quartiles(values: &[f64]) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    [1, 2, 3]
+        .iter()
+        .filter_map(|k| sorted.get(sorted.len() * k / 4))
+        .copied()
+        .collect()
 }
 
 /// A point relative to the sensor, in the frame of a box's centre.
