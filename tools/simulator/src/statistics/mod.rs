@@ -9,6 +9,7 @@ mod ground;
 mod rings;
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::ops::Range;
 
 use realo_schemas::{Box3, PointCloud};
 
@@ -23,6 +24,13 @@ pub const ROADSIDE_SECTOR: f64 = 51.0 * PI / 180.0;
 
 /// Boxes are taken so much larger on each side, m: labels are not exact, and objects move within a sweep.
 const MARGIN: f64 = 0.3;
+/// Up to here cars are near, m.
+const NEAR: f64 = 25.0;
+/// Beyond it they are far, m.
+const MIDDLING: f64 = 60.0;
+/// Heights of a car's lower body and of its windows, as shares of the car's.
+const LOWER_BODY: Range<f64> = 0.2..0.5;
+const WINDOWS: Range<f64> = 0.65..0.9;
 /// Upper limits of the bins of height over ground, m.
 const HEIGHTS: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
 
@@ -39,6 +47,19 @@ pub struct Observed<'a> {
     pub objects: &'a [Box3],
     /// Elevations of the beams to thin the cloud to, rad: of its rings those nearest to them count. Empty: all count.
     pub beams: &'a [f64],
+}
+
+impl Observed<'_> {
+    /// Distance of an object from the sensor along the ground, m.
+    fn range(&self, object: &Box3) -> f64 {
+        let [x, y] = [0, 1].map(|k| object.center[k] - self.sensor[k]);
+        x.hypot(y)
+    }
+
+    /// Height of a point relative to the sensor in an object's box, as a share of the box's.
+    fn share(&self, object: &Box3, point: &[f64; 3]) -> f64 {
+        (point[2] + self.sensor[2] - object.center[2]) / object.height + 0.5
+    }
 }
 
 /// Figures of any number of sweeps.
@@ -59,7 +80,7 @@ pub struct Statistics {
     answered: [Share; 2],
     bodies: [Share; 2],
     windows: Vec<f64>,
-    metal: Vec<f64>,
+    metal: [Vec<f64>; 3],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -153,6 +174,7 @@ impl Statistics {
         self.add_rings(&parts);
         self.add_directions(&parts);
         self.add_bodies(&parts);
+        self.add_depths(&parts);
         for object in observed
             .objects
             .iter()
@@ -258,30 +280,25 @@ impl Statistics {
         }
     }
 
-    /// Rays that found nothing between two that met the same car's lower body, and how deep in its box those end that
-    /// met this body and its windows.
+    /// Rays that found nothing between two that met the same car's lower body.
     fn add_bodies(&mut self, parts: &Parts) {
         let Some(step) = column_step(&parts.rings) else { return };
-        let car = |object: &&Box3| (3.0..5.2).contains(&object.length) && object.height < 2.4;
         for (number, object) in parts
             .observed
             .objects
             .iter()
             .enumerate()
-            .filter(|(_, object)| car(object))
+            .filter(|(_, object)| is_car(object))
         {
-            let [x, y, z] = object.center;
-            let range = (x - parts.observed.sensor[0]).hypot(y - parts.observed.sensor[1]);
-            let bin = match range {
-                r if r < 25.0 => 0,
-                r if r < 60.0 => 1,
+            let bin = match parts.observed.range(object) {
+                r if r < NEAR => 0,
+                r if r < MIDDLING => 1,
                 _ => continue,
             };
-            let foot = z - object.height / 2.0 - parts.observed.sensor[2];
             for ring in &parts.rings {
-                let share = |i: usize| (parts.points[i][2] - foot) / object.height;
+                let share = |i: usize| parts.observed.share(object, &parts.points[i]);
                 let on = |seen: &&rings::Seen| parts.object[seen.index as usize] == Some(number);
-                let body = |seen: &&rings::Seen| on(seen) && (0.2..0.5).contains(&share(seen.index as usize));
+                let body = |seen: &&rings::Seen| on(seen) && LOWER_BODY.contains(&share(seen.index as usize));
                 let hits: Vec<f64> = ring.points.iter().filter(body).map(|seen| seen.azimuth).collect();
                 if let [first, .., last] = hits[..]
                     && last - first < 1.5
@@ -295,12 +312,28 @@ impl Statistics {
                     self.bodies[bin].all += ((last - first) / step).round() as usize + 1;
                     self.bodies[bin].some += gaps.map(|gap| (gap.round() as usize).saturating_sub(1)).sum::<usize>();
                 }
-                if bin == 0 {
-                    let window = |seen: &&rings::Seen| on(seen) && (0.65..0.9).contains(&share(seen.index as usize));
-                    let into = |seen: &rings::Seen| depth(parts.observed, object, &parts.points[seen.index as usize]);
-                    self.metal.extend(ring.points.iter().filter(body).filter_map(into));
-                    self.windows.extend(ring.points.iter().filter(window).filter_map(into));
-                }
+            }
+        }
+    }
+
+    /// How deep in the boxes of cars those rays end that met the lower body or a window.
+    fn add_depths(&mut self, parts: &Parts) {
+        for (point, number) in parts.points.iter().zip(&parts.object) {
+            let Some(object) = number
+                .map(|number| &parts.observed.objects[number])
+                .filter(|object| is_car(object))
+            else {
+                continue;
+            };
+            let Some(depth) = depth(parts.observed, object, point) else {
+                continue;
+            };
+            let (range, share) = (parts.observed.range(object), parts.observed.share(object, point));
+            if LOWER_BODY.contains(&share) {
+                let bin = usize::from(range >= NEAR) + usize::from(range >= MIDDLING);
+                self.metal[bin].push(depth);
+            } else if WINDOWS.contains(&share) && range < NEAR {
+                self.windows.push(depth);
             }
         }
     }
@@ -367,8 +400,10 @@ impl Statistics {
             row(
                 "returns of lower car bodies, depth into the box to 25 m, quartiles, m",
                 2,
-                quartiles(&self.metal),
+                quartiles(&self.metal[0]),
             ),
+            row("  25-60 m", 2, quartiles(&self.metal[1])),
+            row("  from 60 m", 2, quartiles(&self.metal[2])),
             row(
                 "window returns, depth into the box to 25 m, quartiles, m",
                 2,
@@ -391,6 +426,10 @@ impl Parts<'_> {
 
 fn in_region(point: &[f64; 3], x: f64, y: f64) -> bool {
     point[0].abs() < x && point[1].abs() < y
+}
+
+fn is_car(object: &Box3) -> bool {
+    (3.0..5.2).contains(&object.length) && object.height < 2.4
 }
 
 fn quartiles(values: &[f64]) -> Vec<f64> {
