@@ -8,7 +8,7 @@ use candle_core::{Tensor, Var};
 use realo_nn::arch::Arch;
 use realo_nn::layers::{FuseLayer, Fusion, Layer, Layers, Role, TensorSpec};
 use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
-use realo_nn::model::{Grid, Model};
+use realo_nn::model::{ClassAnchor, Grid, Model};
 use realo_nn::targets::Targets;
 use realo_nn::transformer::initial_delays;
 use realo_nn::weights::{self, Weights};
@@ -85,8 +85,18 @@ pub(crate) fn frozen(model: &Model, layers: &Layers) -> HashSet<String> {
 /// In which settings a model's maps are not those of another one's encoder, as `name: expected, found`; empty if they are. The
 /// range of the grid may differ.
 fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
+    let classes = |of: &Model| -> Vec<ClassAnchor> {
+        let alike = |class: &ClassAnchor| ClassAnchor {
+            matched: 0.0,
+            unmatched: 0.0,
+            ..class.clone()
+        };
+        of.classes.iter().map(alike).collect()
+    };
     // What does not change a map, nor what the heads read in it.
     let maps = |of: &Model| Model {
+        classes: classes(of),
+        matching: model.matching,
         name: String::new(),
         weights: None,
         arch: Arch::default(),

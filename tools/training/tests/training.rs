@@ -295,6 +295,15 @@ fn a_training_begins_with_the_weights_that_are_given() {
         losses
     };
     let learnt = losses(&first);
+    // What only says how objects are laid beside anchors is no reason to refuse weights.
+    let written = first.output.join("small.toml");
+    let text = fs::read_to_string(&written).unwrap();
+    let otherwise = format!(
+        "matching = \"turned\"\n{}",
+        text.replace("unmatched = 0.45", "unmatched = 0.4")
+    );
+    assert_eq!(otherwise.matches("unmatched = 0.4 ").count(), 2, "{text}");
+    fs::write(&written, otherwise).unwrap();
     let again = TrainOptions {
         output: folder.path("again"),
         from: Some(first.output.join("small.toml")),

@@ -9,9 +9,7 @@ use std::f64::consts::PI;
 
 use crate::agents::{Agent, since_epoch};
 use crate::place::Scenery;
-
 use crate::sensor::Optics;
-
 use crate::traffic::Traffic;
 use instances::Instances;
 use realo_schemas::{Nanos, PointCloud};
