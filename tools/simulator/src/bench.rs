@@ -73,6 +73,9 @@ pub fn bench(seconds: f64) -> Result<Bench, Error> {
     measure(places.as_flattened(), seconds)
 }
 
+/// Of a sensor the points of a round, and the times of all rounds, s.
+type Cast = (usize, Vec<f64>);
+
 fn measure(places: &[(Scenario, bool)], seconds: f64) -> Result<Bench, Error> {
     let seed = 1;
     let simulations = places.iter().map(|(scenario, dense)| {
@@ -85,8 +88,7 @@ fn measure(places: &[(Scenario, bool)], seconds: f64) -> Result<Bench, Error> {
         })
     });
     let simulations = simulations.collect::<Result<Vec<_>, _>>()?;
-    // For each sensor, the points of a round and the times of all rounds.
-    let mut found: Vec<Vec<(usize, Vec<f64>)>> = simulations
+    let mut found: Vec<Vec<Cast>> = simulations
         .iter()
         .map(|simulation| vec![(0, Vec::new()); simulation.agents().count()])
         .collect();
@@ -105,24 +107,23 @@ fn measure(places: &[(Scenario, bool)], seconds: f64) -> Result<Bench, Error> {
         }
     }
     let rounds = found[0][0].1.len();
-    let place =
-        |((scenario, dense), (simulation, found)): (&(Scenario, bool), (&Simulation, Vec<(usize, Vec<f64>)>))| {
-            let sensor = |(agent, (points, mut times)): (&crate::AgentInfo, (usize, Vec<f64>))| {
-                times.sort_by(f64::total_cmp);
-                SensorBench {
-                    agent: agent.name.to_string(),
-                    model: agent.sensor.clone(),
-                    points,
-                    least_seconds: times[0],
-                    median_seconds: times[times.len() / 2],
-                }
-            };
-            PlaceBench {
-                scenario: *scenario,
-                dense: *dense,
-                sensors: simulation.agents().zip(found).map(sensor).collect(),
+    let place = |((scenario, dense), (simulation, found)): (&(Scenario, bool), (&Simulation, Vec<Cast>))| {
+        let sensor = |(agent, (points, mut times)): (&crate::AgentInfo, Cast)| {
+            times.sort_by(f64::total_cmp);
+            SensorBench {
+                agent: agent.name.to_string(),
+                model: agent.sensor.clone(),
+                points,
+                least_seconds: times[0],
+                median_seconds: times[times.len() / 2],
             }
         };
+        PlaceBench {
+            scenario: *scenario,
+            dense: *dense,
+            sensors: simulation.agents().zip(found).map(sensor).collect(),
+        }
+    };
     Ok(Bench {
         seed,
         sweeps: SWEEPS.len(),

@@ -221,7 +221,8 @@ pub(crate) fn boxes(anchors: &Anchors, scores: &[f32], deltas: &[f32]) -> Vec<De
     suppress(candidates(anchors, scores, deltas, THRESHOLD, MOST_CANDIDATES).detections)
 }
 
-fn footprint(hwl: &Hwl<f64>) -> Footprint {
+/// The outline of a box on the ground plane.
+pub(crate) fn footprint(hwl: &Hwl<f64>) -> Footprint {
     Footprint::new([hwl[0], hwl[1]], hwl[5], hwl[4], hwl[6])
 }
 

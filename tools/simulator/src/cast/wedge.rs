@@ -126,11 +126,11 @@ impl Columns {
     #[inline(always)]
     pub fn origins(&self, row: &Row, group: usize) -> [Lanes; 3] {
         let mut origins = [[0.0; LANES]; 3];
-        for k in 0..3 {
+        for (k, axis) in origins.iter_mut().enumerate() {
             let position = self.lanes(&self.position[k], row.first, group);
             let velocity = self.lanes(&self.velocity[k], row.first, group);
-            for i in 0..LANES {
-                origins[k][i] = position[i] + velocity[i] * row.aside;
+            for (i, origin) in axis.iter_mut().enumerate() {
+                *origin = position[i] + velocity[i] * row.aside;
             }
         }
         for up in &mut origins[2] {

@@ -167,11 +167,7 @@ impl Foliage {
     /// Where a ray returns before `limit`.
     #[cfg(test)]
     pub fn cast(&self, origin: &[f64; 3], ray: &[f64; 3], limit: f64, chance: u64) -> Option<Hit> {
-        let [enter, leave] = self.crossing(
-            &origin.map(|v| [v]),
-            ray.each_ref().map(|v| std::array::from_ref(v)),
-            &[limit],
-        );
+        let [enter, leave] = self.crossing(&origin.map(|v| [v]), ray.each_ref().map(std::array::from_ref), &[limit]);
         (enter[0] < leave[0])
             .then(|| self.within(origin, ray, [enter[0], leave[0]], chance))
             .flatten()

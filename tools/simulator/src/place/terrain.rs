@@ -392,7 +392,7 @@ mod tests {
                 terrain.grade[0] * cos + terrain.grade[1] * sin - draws.between(0.015, 0.5),
             ];
             let lift = draws.between(0.0, 0.2);
-            let rays = ray.each_ref().map(|axis| std::array::from_ref(axis));
+            let rays = ray.each_ref().map(std::array::from_ref);
             let [t] = terrain.cast(&origin.map(|axis| [axis]), rays, lift, [&[0.0], &[200.0]]);
             if t.is_nan() {
                 continue;

@@ -8,6 +8,7 @@ use realo_schemas::geometry::{Footprint, iou_exceeds};
 
 use super::sample::Scene;
 use crate::random::Stream;
+use crate::validate::footprint;
 
 /// Scores from which a box without an object is a decoy: where graphs begin to count boxes.
 const LEAST_SCORE: f32 = 0.2;
@@ -62,10 +63,9 @@ impl Decoys {
 
     /// Takes what a network found in a scene where no object is.
     pub(crate) fn add(&mut self, scene: &Scene, found: &[Detection]) {
-        let outline = |hwl: &Hwl<f64>| Footprint::new([hwl[0], hwl[1]], hwl[5], hwl[4], hwl[6]);
-        let objects: Vec<Footprint> = scene.objects.iter().map(|object| outline(&object.hwl)).collect();
+        let objects: Vec<Footprint> = scene.objects.iter().map(|object| footprint(&object.hwl)).collect();
         for detection in found.iter().filter(|detection| detection.score >= LEAST_SCORE) {
-            let outline = outline(&detection.hwl.map(f64::from));
+            let outline = footprint(&detection.hwl.map(f64::from));
             if objects.iter().any(|object| iou_exceeds(object, &outline, OVERLAP)) {
                 continue;
             }

@@ -3,6 +3,8 @@
 use std::arch::x86_64::*;
 use std::cell::RefCell;
 
+use realo_nn::conv::Isa;
+
 use super::View;
 
 /// Numbers of a register.
@@ -27,19 +29,12 @@ thread_local! {
     static ROOM: RefCell<Room> = RefCell::default();
 }
 
-/// Whether the CPU has the instructions.
-pub fn is_available() -> bool {
-    is_x86_feature_detected!("avx512f")
-        && is_x86_feature_detected!("avx512bw")
-        && is_x86_feature_detected!("avx512bf16")
-}
-
 /// As [`super::multiply`], whose asserts hold; rows of `b` are contiguous, and rows or columns of `a`.
 ///
 /// # Panics
 /// If the CPU lacks the instructions.
 pub fn multiply(out: &mut [f32], out_row: usize, a: View, b: View, size: [usize; 3], add: bool) {
-    assert!(is_available(), "a CPU without products of bf16");
+    assert!(Isa::Avx512Bf16.is_available(), "a CPU without products of bf16");
     ROOM.with_borrow_mut(|room| {
         // SAFETY: the CPU has the instructions (asserted).
         unsafe { blocks(out, out_row, a, b, size, add, room) }

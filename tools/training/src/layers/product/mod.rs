@@ -7,6 +7,8 @@ mod bf16;
 use std::fmt;
 use std::str::FromStr;
 
+use realo_nn::conv::Isa;
+
 /// In which numbers products are computed; sums are f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arithmetic {
@@ -20,10 +22,7 @@ impl Arithmetic {
     /// Whether this CPU has it.
     pub fn is_available(self) -> bool {
         match self {
-            #[cfg(target_arch = "x86_64")]
-            Arithmetic::Bf16 => bf16::is_available(),
-            #[cfg(not(target_arch = "x86_64"))]
-            Arithmetic::Bf16 => false,
+            Arithmetic::Bf16 => Isa::Avx512Bf16.is_available(),
             Arithmetic::F32 => true,
         }
     }
