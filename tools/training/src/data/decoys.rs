@@ -63,7 +63,7 @@ impl Decoys {
 
     /// Takes what a network found in a scene where no object is.
     pub(crate) fn add(&mut self, scene: &Scene, found: &[Detection]) {
-        let objects: Vec<Footprint> = scene.objects.iter().map(|object| footprint(&object.hwl)).collect();
+        let objects: Vec<Footprint> = scene.seen().map(|object| footprint(&object.hwl)).collect();
         for detection in found.iter().filter(|detection| detection.score >= LEAST_SCORE) {
             let outline = footprint(&detection.hwl.map(f64::from));
             if objects.iter().any(|object| iou_exceeds(object, &outline, OVERLAP)) {
@@ -105,7 +105,7 @@ impl Decoys {
             let stands_there = scene
                 .iter()
                 .any(|[x, y, z]| z > ground + ABOVE_GROUND && near(x, y, MARGIN));
-            let belongs_to_an_object = scene.objects.iter().any(|object| {
+            let belongs_to_an_object = scene.seen().any(|object| {
                 let [x, y, .., width, length, _] = object.hwl.map(|number| number as f32);
                 near(x, y, 0.5 * length.hypot(width))
             });
@@ -235,6 +235,16 @@ mod tests {
             "{x} {y} {reach}"
         );
         assert!(decoys.0[0].points.iter().all(|point| (0.0..1.3).contains(&point[2])));
+    }
+
+    #[test]
+    fn an_object_with_too_few_points_to_count_is_no_decoy() {
+        let mut scene = scene(0.1);
+        let hwl = [20.0, 5.0, 0.8, 1.6, 2.0, 4.0, 0.0];
+        scene.faint.push(Object { class: 0, hwl });
+        let mut decoys = Decoys::default();
+        decoys.add(&scene, &[found(20.0, 5.0, 0.9)]);
+        assert!(decoys.is_empty());
     }
 
     #[test]

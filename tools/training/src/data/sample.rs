@@ -294,7 +294,7 @@ pub(crate) struct Scene {
     columns: [Vec<f32>; 3],
     pub objects: Vec<Object>,
     /// Objects of which too few points are kept: neither an answer that should be given nor background.
-    faint: Vec<Object>,
+    pub faint: Vec<Object>,
     pub ego_points: Vec<u32>,
 }
 
@@ -351,6 +351,11 @@ impl Scene {
                 self.faint.push(Object { class, hwl });
             }
         }
+    }
+
+    /// The objects of which there is at least one point, whether or not they count.
+    pub fn seen(&self) -> impl Iterator<Item = &Object> {
+        self.objects.iter().chain(&self.faint)
     }
 
     /// Adds what is kept of an agent's points.
