@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use nalgebra::Vector3;
+use realo_schemas::geometry::tilt_degrees;
 use realo_schemas::{Nanos, to_seconds};
 use serde::Serialize;
 
@@ -157,8 +157,8 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
 
 /// Poses that are looked at for their tilt.
 const LOOKED_AT: usize = 1000;
-/// Less tilt makes no difference, degrees: the noise of an attitude is less.
-const LEVEL: f64 = 0.25;
+/// Body frames that tilt less are level, degrees: the noise of an attitude is less.
+pub const LEVEL: f64 = 0.25;
 
 /// How far z of the agent's body lies from that of the map at most, in its first poses, degrees.
 fn most_tilt(log: &Log, agent: &str) -> Result<f64, LogError> {
@@ -168,8 +168,7 @@ fn most_tilt(log: &Log, agent: &str) -> Result<f64, LogError> {
         let Some(entry) = reader.next()? else { break };
         // What is no pose is counted when the log is played.
         if let Ok(state) = entry.pose() {
-            let up = state.map_from_body.rotation * Vector3::z();
-            most = most.max(up.xy().norm().atan2(up.z).to_degrees());
+            most = most.max(tilt_degrees(&state.map_from_body.rotation));
         }
     }
     Ok(most)

@@ -50,7 +50,7 @@ pub mod views;
 
 pub use boxes::BoxesInfo;
 pub use clocks::PeerClock;
-pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
+pub use describe::{Described, Description, LEVEL, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use info::{AgentInfo, AgentKind, Levelled, LogInfo, program};
 pub use log::{Entry, Log, LogReader};

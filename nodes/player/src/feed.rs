@@ -2,8 +2,9 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 use std::sync::{Arc, Mutex};
 
-use realo_logs::{Entry, Log, LogError, LogReader, Stream};
+use realo_logs::{Entry, LEVEL, Log, LogError, LogReader, Stream};
 use realo_operator::PortId;
+use realo_schemas::geometry::tilt_degrees;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds};
 
 use crate::truth::TruthJoin;
@@ -262,13 +263,13 @@ impl Feed {
 
     fn send_pose(&mut self, entry: &Entry) {
         match entry.pose() {
-            Ok(state) => self.send(
-                entry,
-                entry.seq(),
-                Kind::EgoState,
-                [ports::EGO_POSES, ports::POSES],
-                state,
-            ),
+            Ok(state) => {
+                if tilt_degrees(&state.map_from_body.rotation) > LEVEL {
+                    self.script.count("tilted_poses");
+                }
+                let ports = [ports::EGO_POSES, ports::POSES];
+                self.send(entry, entry.seq(), Kind::EgoState, ports, state);
+            }
             Err(_) => self.script.count("poses_unusable"),
         }
     }

@@ -529,6 +529,28 @@ fn poses_that_are_no_poses_are_counted() {
 }
 
 #[test]
+fn poses_that_are_not_level_are_counted_and_sent() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let mut log = LogWriter::create(&path, &info()).unwrap();
+    for tick in 0..10 {
+        let stamp = START + tick * 10 * MS;
+        // Of three agents, at each other tick, by 0.2 or 0.3 degrees.
+        let pitch = if tick % 2 == 0 { 0.2_f64 } else { 0.3 };
+        let mut tilted = state(1.0, PoseStatus::Recorded);
+        tilted.map_from_body.rotation *= nalgebra::UnitQuaternion::from_euler_angles(0.0, pitch.to_radians(), 0.0);
+        for (agent, _, _) in AGENTS {
+            log.pose(agent, stamp, stamp, &tilted).unwrap();
+            log.cloud(agent, stamp, stamp, &cloud(0)).unwrap();
+        }
+    }
+    log.finish().unwrap();
+    let (played, player) = play(config(&path));
+    assert_eq!(on(&played, "ego_poses").len(), 10);
+    assert_eq!(player.counters()["tilted_poses"], 15);
+}
+
+#[test]
 fn truth_has_its_views_and_what_the_own_side_labelled() {
     let view = |x: f64| View {
         frame_from_camera: nalgebra::Isometry3::translation(x, 0.0, 1.5),

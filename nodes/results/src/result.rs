@@ -372,6 +372,14 @@ impl RunResult {
                 self.runs
             ),
         );
+        let tilted = self.counter("tilted_poses");
+        note(
+            tilted > 0,
+            format!(
+                "{tilted} poses of the log are not level: networks look for the ground at z = 0; `realo info` says by how much agents \
+                 tilt, `realo import log` makes a level copy"
+            ),
+        );
         let skipped = self.frames.skipped;
         note(
             skipped > 0,

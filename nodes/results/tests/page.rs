@@ -96,6 +96,7 @@ fn the_page_explains_every_counter() {
         "unplaced",
         "log_truncated",
         "poses_unusable",
+        "tilted_poses",
     ] {
         assert!(found.contains(known), "{known} in {found:?}");
     }

@@ -15,6 +15,12 @@ pub fn yaw_of(rotation: &UnitQuaternion<f64>) -> f64 {
     libm::atan2(x.y, x.x)
 }
 
+/// How far a rotation turns the z axis away from itself, degrees.
+pub fn tilt_degrees(rotation: &UnitQuaternion<f64>) -> f64 {
+    let up = rotation * Vector3::z();
+    libm::atan2(libm::hypot(up.x, up.y), up.z).to_degrees()
+}
+
 /// The same heading in (-π, π].
 pub fn normalize_yaw(yaw: f64) -> f64 {
     let wrapped = yaw - TAU * (yaw / TAU).round();

@@ -8,7 +8,9 @@ mod region;
 mod rotated;
 mod view;
 
-pub use boxes::{bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, transform_box, yaw_of};
+pub use boxes::{
+    bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, tilt_degrees, transform_box, yaw_of,
+};
 pub use cloud::transform_cloud;
 pub use deskew::Motion;
 pub use motion::{PoseTrack, interpolate};

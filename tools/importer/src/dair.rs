@@ -16,12 +16,12 @@ use std::str::FromStr;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
-use realo_schemas::geometry::{View, transform_box};
+use realo_schemas::geometry::{View, tilt_degrees, transform_box};
 use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::level::{BELOW_A_SENSOR, Level, Plane, by_ground, by_pose, tilt_degrees};
+use crate::level::{BELOW_A_SENSOR, Level, Plane, by_ground, by_pose};
 use crate::{ImportError, PcdCloud, read_pcd};
 
 /// Name of the vehicle in the log.

@@ -65,12 +65,6 @@ pub fn by_ground(ground: &Plane) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(0.0, 0.0, height), heading.inverse() * level)
 }
 
-/// How far a rotation tilts z, degrees.
-pub fn tilt_degrees(rotation: &UnitQuaternion<f64>) -> f64 {
-    let up = rotation * Vector3::z();
-    libm::atan2(libm::hypot(up.x, up.y), up.z).to_degrees()
-}
-
 /// A plane z = `slope` · (x, y) + `offset`, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
@@ -176,6 +170,8 @@ fn too_few(found: usize) -> String {
 
 #[cfg(test)]
 mod tests {
+    use realo_schemas::geometry::tilt_degrees;
+
     use super::*;
 
     /// Ground with walls, a car roof and a hole, seen by a sensor at `height` in a frame that is tilted.

@@ -5,11 +5,11 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, Translation3};
 use realo_logs::{Entry, Levelled, Log, LogReader, LogWriter, Stream};
-use realo_schemas::geometry::{PoseTrack, View, transform_box};
+use realo_schemas::geometry::{PoseTrack, View, tilt_degrees, transform_box};
 use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud};
 
 use crate::ImportError;
-use crate::level::{Level, Plane, by_ground, by_pose, tilt_degrees};
+use crate::level::{Level, Plane, by_ground, by_pose};
 
 /// In a body frame that is not level, nor known to lie on the ground, the ground at the origin lies no higher, m.
 const HIGHEST_GROUND: f64 = 1.0;

@@ -55,6 +55,9 @@ pub struct Args {
     /// Greatest learning rate
     #[arg(long, default_value_t = 2e-3)]
     rate: f64,
+    /// Batch norms keep the statistics of the weights of --from, which are then the same for parts of the range and for the whole
+    #[arg(long, requires = "from")]
+    frozen_norms: bool,
     /// Probability that a step sees parts of the range, of the first two thirds of the steps: squares turned by any angle, at two
     /// fifths of the cost; of a V2X-ViT model half of the range
     #[arg(long, default_value_t = 0.75)]
@@ -117,6 +120,7 @@ impl Args {
             seed: self.seed,
             batch: self.batch,
             parts: self.parts,
+            frozen_norms: self.frozen_norms,
             checkpoint_minutes: self.checkpoint_minutes,
             validate_every: self.validate_every,
             optimizer: OptimizerSettings {

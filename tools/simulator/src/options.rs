@@ -217,6 +217,8 @@ pub struct Options {
     pub roadside_sensors: Vec<Arc<Sensor>>,
     /// Rain and fog.
     pub weather: Weather,
+    /// Whether road users on a grid too have the bodies that they have elsewhere: rounded, inside their boxes.
+    pub rounded_bodies: bool,
 }
 
 impl Default for Options {
@@ -242,6 +244,7 @@ impl Default for Options {
             vehicle_sensors: Vec::new(),
             roadside_sensors: Vec::new(),
             weather: Weather::default(),
+            rounded_bodies: false,
         }
     }
 }

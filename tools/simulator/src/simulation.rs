@@ -65,6 +65,7 @@ impl Simulation {
             seed: options.seed,
             dense: options.dense,
             seconds: options.seconds,
+            rounded_bodies: options.rounded_bodies,
         };
         let traffic = Traffic::new(&demand)?;
         let agents = Agent::all(&options, &place, &traffic)?;

@@ -46,6 +46,8 @@ pub struct TrainingPlan {
     pub batch: usize,
     /// Steps in all.
     pub steps: u64,
+    /// Whether batch norms keep their statistics.
+    pub frozen_norms: bool,
     /// Probability that a step sees parts of the range.
     pub parts: f64,
     /// How weights are moved; its rate does not count.
@@ -297,6 +299,7 @@ mod tests {
                 seed: 1,
                 batch: 2,
                 steps: 2000,
+                frozen_norms: false,
                 parts: 0.5,
                 optimizer: OptimizerSettings::default(),
                 augmentation: Augmentation::default(),

@@ -3,6 +3,7 @@
 
 use std::collections::HashSet;
 use std::path::Path;
+use std::sync::Arc;
 
 use candle_core::{Tensor, Var};
 use realo_nn::arch::Arch;
@@ -22,6 +23,7 @@ use crate::layers::{tensor, with_numbers};
 use crate::network::{Network, Parameter, Pass};
 use crate::random::Stream;
 use crate::train::option;
+use crate::widen::{as_wide_as, is_wider, widened};
 
 /// Layers whose results are added to a map: what they begin with is 0, so that a fusion begins as the ego's map.
 const ADDED: [&str; 4] = [".fn.a_linears.", ".to_out.0.", ".fn.net.3.", ".rte.emb.lin."];
@@ -31,12 +33,19 @@ pub(crate) fn learns_to_fuse(model: &Model) -> bool {
     matches!(model.arch, Arch::V2XViT(_))
 }
 
-/// The weights that a model begins with; `None` for random ones.
+/// The weights that a training begins with.
+pub(crate) struct Start {
+    pub weights: Arc<Weights>,
+    /// Name and digest of the model file that they come from.
+    pub identity: String,
+}
+
+/// The weights that a model begins with, of a narrower detector those of one that computes the same; `None` for random ones.
 ///
 /// # Errors
 /// [`TrainError`] if the model cannot be trained so, the file of one that learns to fuse is not given, not to be had, or makes
 /// other maps.
-pub(crate) fn start(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>, TrainError> {
+pub(crate) fn start(model: &Model, file: Option<&Path>, seed: u64) -> Result<Option<Start>, TrainError> {
     let refuse = |reason: &str| TrainError::Model {
         model: model.name.clone(),
         reason: reason.into(),
@@ -62,8 +71,19 @@ pub(crate) fn start(model: &Model, file: Option<&Path>) -> Result<Option<Loaded>
         };
     };
     let loaded = realo_nn::load(file, Kernels::auto(1))?;
-    match &other_maps(model, &loaded.model)[..] {
-        [] => Ok(Some(loaded)),
+    let Loaded {
+        model: of_file,
+        weights,
+        identity,
+        ..
+    } = loaded;
+    if !learns_to_fuse(model) && other_maps(model, &as_wide_as(model, &of_file)).is_empty() && is_wider(model, &of_file)
+    {
+        let weights = Arc::new(widened(model, &of_file, &weights, seed)?);
+        return Ok(Some(Start { weights, identity }));
+    }
+    match &other_maps(model, &of_file)[..] {
+        [] => Ok(Some(Start { weights, identity })),
         found => Err(TrainError::OtherMaps {
             model: model.name.clone(),
             from: file.into(),

@@ -17,6 +17,7 @@ mod random;
 pub mod tape;
 mod train;
 mod validate;
+mod widen;
 
 pub use checkpoint::{Checkpoint, TrainingPlan, write_weights};
 pub use curve::{Curve, Point};

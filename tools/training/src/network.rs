@@ -52,6 +52,8 @@ pub struct Network {
     places: HashMap<String, usize>,
     /// Of the products of convolutions, forward and backward.
     pub(crate) arithmetic: Arithmetic,
+    /// Whether batch norms take the running statistics in training too, which then stay.
+    pub(crate) frozen_norms: bool,
 }
 
 /// What the heads give for a batch, as maps with a border.
@@ -127,6 +129,7 @@ impl Network {
             parameters,
             places,
             arithmetic: Arithmetic::F32,
+            frozen_norms: false,
         })
     }
 
@@ -156,7 +159,7 @@ impl Network {
         Ok(())
     }
 
-    /// The forward pass. In training, batch norms use the batch's statistics.
+    /// The forward pass. In training, batch norms use the batch's statistics, unless they are frozen.
     ///
     /// # Errors
     /// Those of the layers.
@@ -164,7 +167,7 @@ impl Network {
         let mut run = Run {
             network: self,
             tape,
-            training,
+            by_batch: training && !self.frozen_norms,
             statistics: Vec::new(),
         };
         let layers = &self.layers;
@@ -211,7 +214,9 @@ impl Network {
         let heads = self.forward(&mut tape, batch, true)?;
         let (losses, of_scores, of_deltas) = losses(&heads, targets, settings)?;
         let results = vec![(heads.scores.id(), of_scores), (heads.deltas.id(), of_deltas)];
-        self.follow(&heads.statistics)?;
+        if !self.frozen_norms {
+            self.follow(&heads.statistics)?;
+        }
         drop((heads.scores, heads.deltas));
         let mut gradients = tape.backward(results)?;
         let gradients = self
@@ -295,13 +300,14 @@ impl Maps {
 struct Run<'a> {
     network: &'a Network,
     tape: &'a mut Tape,
-    training: bool,
+    /// Whether batch norms take the batch's statistics.
+    by_batch: bool,
     statistics: Vec<(String, Statistics)>,
 }
 
 impl Run<'_> {
     fn statistics(&mut self, norm: &str) -> candle_core::Result<Statistics> {
-        let statistics = if self.training {
+        let statistics = if self.by_batch {
             Statistics::batch()
         } else {
             let [mean, variance] = [Role::RunningMean, Role::RunningVariance].map(|part| {

@@ -57,6 +57,8 @@ pub struct TrainOptions {
     pub seed: u64,
     /// Samples of a step.
     pub batch: usize,
+    /// Whether batch norms take the statistics of the weights that are begun with, and leave them, in place of each batch's.
+    pub frozen_norms: bool,
     /// Probability that a step sees parts of the range, before the last third of the steps: squares, turned by any angle; of a model that learns to fuse half of
     /// the range along x.
     pub parts: f64,
@@ -166,6 +168,10 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     if let Some(arithmetic) = options.arithmetic.filter(|arithmetic| !arithmetic.is_available()) {
         let expected = "f32: this CPU has no instructions for products of bf16";
         return Err(option("arithmetic", expected, arithmetic));
+    }
+    if options.frozen_norms && options.from.is_none() {
+        let expected = "not without `from`: norms of random weights have no statistics yet";
+        return Err(option("frozen_norms", expected, true));
     }
     if options.validate_every == Some(0) {
         return Err(option("validate_every", "at least 1", 0));
@@ -308,13 +314,14 @@ impl<'a> Training<'a> {
                 reason,
             });
         }
-        let start = start(&model, options.from.as_deref())?;
+        let start = start(&model, options.from.as_deref(), options.seed)?;
         let source = Source::open(&options.data, learns_to_fuse(&model))?;
         let plan = TrainingPlan {
             model: model.clone(),
             seed: options.seed,
             batch: options.batch,
             steps: options.steps,
+            frozen_norms: options.frozen_norms,
             parts: options.parts,
             optimizer: options.optimizer,
             augmentation: options.augmentation.clone(),
@@ -326,6 +333,7 @@ impl<'a> Training<'a> {
         let weights = start.as_ref().map(|start| &*start.weights);
         let mut state = state(options, &model, weights, plan, &checkpoint)?;
         state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);
+        state.network.frozen_norms = options.frozen_norms;
         let maps = match learns_to_fuse(&model) {
             true => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
             false => None,

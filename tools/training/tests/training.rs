@@ -80,6 +80,7 @@ impl Folder {
             minutes: None,
             seed: 3,
             batch: 2,
+            frozen_norms: false,
             parts: 0.5,
             checkpoint_minutes: 0.0,
             validate_every: None,
@@ -102,6 +103,63 @@ fn bits(path: &Path) -> BTreeMap<String, Vec<u8>> {
     tensors
         .map(|(name, view)| (name.to_string(), view.data().to_vec()))
         .collect()
+}
+
+#[test]
+fn frozen_norms_keep_the_statistics_that_they_begin_with() {
+    let folder = Folder::new();
+    let first = folder.options("truck", "first");
+    train(&first, |_| ()).unwrap();
+    let after = |output: &str, frozen_norms: bool| {
+        let options = TrainOptions {
+            from: Some(folder.path("first/small.toml")),
+            frozen_norms,
+            ..folder.options("truck", output)
+        };
+        train(&options, |_| ()).unwrap();
+        let kept = bits(&folder.path("first/small.safetensors"));
+        let moved = bits(&folder.path(&format!("{output}/small.safetensors")));
+        let (statistics, others): (Vec<_>, Vec<_>) = moved
+            .into_iter()
+            .map(|(name, bits)| (name.contains("running_"), kept[&name] == bits))
+            .partition(|(is_statistics, _)| *is_statistics);
+        [statistics, others].map(|all| all.iter().filter(|(_, same)| *same).count() as f64 / all.len() as f64)
+    };
+    assert_eq!(after("frozen", true), [1.0, 0.0]);
+    assert_eq!(after("moving", false), [0.0, 0.0]);
+    let random = TrainOptions {
+        frozen_norms: true,
+        ..folder.options("truck", "random")
+    };
+    let refused = train(&random, |_| ()).unwrap_err().to_string();
+    assert!(refused.contains("frozen_norms"), "{refused}");
+}
+
+#[test]
+fn a_training_begins_with_the_weights_of_a_narrower_network() {
+    let folder = Folder::new();
+    train(&folder.options("truck", "narrow"), |_| ()).unwrap();
+    let from = Some(folder.path("narrow/small.toml"));
+    let wider = |name: &str, from_text: &str, to: &str| {
+        let model = folder.path(&format!("{name}.toml"));
+        let text = MODEL
+            .replace("CLASS", "truck")
+            .replace("name = \"small\"", &format!("name = \"{name}\""));
+        assert!(text.contains(from_text));
+        fs::write(&model, text.replace(from_text, to)).unwrap();
+        TrainOptions {
+            model,
+            from: from.clone(),
+            ..folder.options("truck", name)
+        }
+    };
+    let wide = wider("wide", "channels = [8, 16]", "channels = [12, 24]");
+    assert!(train(&wide, |_| ()).unwrap().complete);
+    let less = train(&wider("less", "channels = [8, 16]", "channels = [8, 12]"), |_| ()).unwrap_err();
+    assert!(
+        less.to_string().contains("channels: expected [8,12], found [8,16]"),
+        "{less}"
+    );
 }
 
 #[test]

@@ -70,6 +70,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             minutes: None,
             seed: 0,
             batch: BATCH,
+            frozen_norms: false,
             parts: 0.0,
             checkpoint_minutes: 60.0,
             validate_every: None,

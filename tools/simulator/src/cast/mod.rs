@@ -358,6 +358,7 @@ mod tests {
                 seed: number,
                 dense: false,
                 seconds: 3.0,
+                rounded_bodies: false,
             };
             let traffic = Traffic::new(&demand).unwrap();
             let world = World {

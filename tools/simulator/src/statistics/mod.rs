@@ -28,6 +28,14 @@ const MARGIN: f64 = 0.3;
 const NEAR: f64 = 25.0;
 /// Beyond it they are far, m.
 const MIDDLING: f64 = 60.0;
+/// Distances in which far cars are told apart, m.
+const FAR: [Range<f64>; 2] = [50.0..70.0, 70.0..100.0];
+/// Cars with fewer points are left out there.
+const LEAST_POINTS: usize = 5;
+/// What rises less is ground, m.
+const ABOVE_GROUND: f64 = 0.25;
+/// Around a far car, m.
+const AROUND: f64 = 8.0;
 /// Heights of a car's lower body and of its windows, as shares of the car's.
 const LOWER_BODY: Range<f64> = 0.2..0.5;
 const WINDOWS: Range<f64> = 0.65..0.9;
@@ -81,6 +89,14 @@ pub struct Statistics {
     bodies: [Share; 2],
     windows: Vec<f64>,
     metal: [Vec<f64>; 3],
+    far: [FarCars; 2],
+}
+
+/// Of each far car its points, and those of background around it.
+#[derive(Clone, Debug, Default)]
+struct FarCars {
+    own: Vec<f64>,
+    around: Vec<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -175,6 +191,7 @@ impl Statistics {
         self.add_directions(&parts);
         self.add_bodies(&parts);
         self.add_depths(&parts);
+        self.add_far_cars(&parts);
         for object in observed
             .objects
             .iter()
@@ -338,6 +355,28 @@ impl Statistics {
         }
     }
 
+    fn add_far_cars(&mut self, parts: &Parts) {
+        let sensor = parts.observed.sensor;
+        let background: Vec<usize> = parts.background(0.3, 3.5).collect();
+        for (number, object) in parts.observed.objects.iter().enumerate() {
+            let range = parts.observed.range(object);
+            let [x, y] = [0, 1].map(|k| object.center[k] - sensor[k]);
+            let ahead = libm::atan2(y, x).abs() < parts.observed.sector / 2.0;
+            let Some(bin) = FAR.iter().position(|far| far.contains(&range)) else {
+                continue;
+            };
+            // Boxes reach a little into the ground.
+            let on_it = |i: &usize| parts.object[*i] == Some(number) && parts.above[*i] > ABOVE_GROUND;
+            let own = (0..parts.points.len()).filter(on_it).count();
+            if !is_car(object) || !ahead || own < LEAST_POINTS {
+                continue;
+            }
+            let near = |i: &&usize| (parts.points[**i][0] - x).hypot(parts.points[**i][1] - y) < AROUND;
+            self.far[bin].own.push(own as f64);
+            self.far[bin].around.push(background.iter().filter(near).count() as f64);
+        }
+    }
+
     /// The figures, in the order of the table.
     pub fn rows(&self) -> Vec<Row> {
         let sweeps = self.sweeps.max(1) as f64;
@@ -408,6 +447,26 @@ impl Statistics {
                 "window returns, depth into the box to 25 m, quartiles, m",
                 2,
                 quartiles(&self.windows),
+            ),
+            row(
+                "own points of cars at 50-70 m, quartiles",
+                0,
+                quartiles(&self.far[0].own),
+            ),
+            row(
+                "  background 0.3-3.5 m high within 8 m of them, points, quartiles",
+                0,
+                quartiles(&self.far[0].around),
+            ),
+            row(
+                "own points of cars at 70-100 m, quartiles",
+                0,
+                quartiles(&self.far[1].own),
+            ),
+            row(
+                "  background 0.3-3.5 m high within 8 m of them, points, quartiles",
+                0,
+                quartiles(&self.far[1].around),
             ),
         ]
     }
@@ -584,5 +643,75 @@ mod tests {
         assert_eq!(rings.len(), 2);
         let all = sweep.cloud.ring.iter().filter(|ring| rings.contains(ring)).count();
         assert_eq!(thinned.len(), all);
+    }
+
+    #[test]
+    fn bodies_on_a_grid_fill_their_boxes_unless_rounded_ones_are_asked_for() {
+        let depth = |rounded_bodies: bool| {
+            let options = Options {
+                seed: 900,
+                seconds: 0.1,
+                agents: vec!["cav1".into()],
+                rounded_bodies,
+                ..Options::default()
+            };
+            let (sweep, _) = Simulation::new(&options).unwrap().sweep(0, 0);
+            let mut statistics = Statistics::default();
+            statistics.add(&Observed {
+                cloud: &sweep.cloud,
+                sensor: [0.0, 0.0, 1.9],
+                sector: VEHICLE_SECTOR,
+                objects: &sweep.truth,
+                beams: &[],
+            });
+            values(&statistics, "returns of lower car bodies")[1]
+        };
+        let [filled, rounded] = [false, true].map(depth);
+        assert!(filled < 0.05 && rounded > 0.1, "{filled} and {rounded} m");
+    }
+
+    /// A car at 60 m with ten points on it; low grass, a bush and a crown around it, and a bush further away.
+    #[test]
+    fn far_cars_tell_what_stands_around_them() {
+        let car = Box3 {
+            center: [60.0, 0.0, 0.8],
+            length: 4.4,
+            width: 1.9,
+            height: 1.6,
+            yaw: 0.3,
+            class: "Car".into(),
+            score: 1.0,
+            velocity: None,
+            track: None,
+            covariance: None,
+        };
+        let mut points: Vec<[f32; 3]> = Vec::new();
+        for step in 0..4000 {
+            points.push([(step % 80) as f32, (step / 80) as f32 - 25.0, 0.0]);
+        }
+        points.extend((0..10).map(|i| [59.0 + 0.1 * i as f32, 0.0, 0.9]));
+        points.extend((0..7).map(|i| [58.0, 4.0 + 0.1 * i as f32, 1.2]));
+        points.extend((0..5).map(|i| [61.0, 0.1 * i as f32, 2.8]));
+        points.extend((0..9).map(|i| [70.0, 3.0 + 0.1 * i as f32, 1.2]));
+        let column = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<f32>>();
+        let cloud = PointCloud {
+            x: column(0).into(),
+            y: column(1).into(),
+            z: column(2).into(),
+            intensity: vec![0; points.len()].into(),
+            time: vec![0; points.len()].into(),
+            ring: vec![0; points.len()].into(),
+        };
+        let mut statistics = Statistics::default();
+        statistics.add(&Observed {
+            cloud: &cloud,
+            sensor: [0.0, 0.0, 2.0],
+            sector: VEHICLE_SECTOR,
+            objects: &[car],
+            beams: &[],
+        });
+        assert_eq!(values(&statistics, "own points of cars at 50-70 m"), [10.0; 3]);
+        assert_eq!(values(&statistics, "within 8 m of them"), [12.0; 3]);
+        assert!(values(&statistics, "own points of cars at 70-100 m").is_empty());
     }
 }

@@ -81,6 +81,8 @@ pub(crate) struct Demand<'a> {
     pub dense: bool,
     /// Length of the log, s.
     pub seconds: f64,
+    /// Whether bodies are rounded on a grid too.
+    pub rounded_bodies: bool,
 }
 
 impl Traffic {
@@ -97,7 +99,7 @@ impl Traffic {
         Ok(Self::assemble(crowd, demand, until))
     }
 
-    /// Gives a body to everybody who meets nobody: on networks the rounded ones.
+    /// Gives a body to everybody who meets nobody: on networks the rounded ones, on a grid if they are asked for.
     pub(crate) fn assemble(mut crowd: Vec<Arrival>, demand: &Demand, until: f64) -> Self {
         crowd.retain(|(_, _, _, course)| !over_before(course, -0.5));
         let kept = without_overlaps(crowd, until);
@@ -108,7 +110,7 @@ impl Traffic {
                 cavs[cav] = index;
             }
             let draws = |name| Stream::new(demand.seed, name, index as u64);
-            let solid = match demand.place.is_network() {
+            let solid = match demand.place.is_network() || demand.rounded_bodies {
                 true => class.shape(size, &mut draws("shape")),
                 false => class.body(size, &mut draws("body")),
             };

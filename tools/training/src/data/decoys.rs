@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use realo_nn::anchors::Hwl;
 use realo_nn::decode::Detection;
 use realo_schemas::geometry::{Footprint, iou_exceeds};
 
+use super::outline::Outline;
 use super::sample::Scene;
 use crate::random::Stream;
 use crate::validate::footprint;
@@ -72,9 +72,10 @@ impl Decoys {
             let Some(ground) = ground(scene, [detection.hwl[0], detection.hwl[1]]) else {
                 continue;
             };
+            let outline = Outline::new(&detection.hwl.map(f64::from), MARGIN);
             let points: Vec<[f32; 3]> = scene
                 .iter()
-                .filter(|point| within(&detection.hwl, point))
+                .filter(|point| outline.holds(*point))
                 .map(|[x, y, z]| [x, y, z - ground])
                 .filter(|point| point[2] > 0.0)
                 .collect();
@@ -171,15 +172,6 @@ impl Supply {
 fn ground(scene: &Scene, [x, y]: [f32; 2]) -> Option<f32> {
     let near = scene.iter().filter(|point| (point[0] - x).hypot(point[1] - y) < 2.0);
     near.map(|point| point[2]).min_by(f32::total_cmp)
-}
-
-/// Whether a point lies in a box, which is a little larger than it says.
-fn within([x, y, z, height, width, length, yaw]: &Hwl<f32>, point: &[f32; 3]) -> bool {
-    let (dx, dy) = (point[0] - x, point[1] - y);
-    let (sin, cos) = yaw.sin_cos();
-    let (along, across) = (dx * cos + dy * sin, dy * cos - dx * sin);
-    let inside = |offset: f32, extent: f32| offset.abs() <= 0.5 * extent + MARGIN;
-    inside(along, *length) && inside(across, *width) && inside(point[2] - z, *height)
 }
 
 #[cfg(test)]

@@ -1,11 +1,15 @@
 //! Training data: frames of all agents, from simulator seeds or logs, and the samples that are drawn from them.
 
+mod cells;
+mod crowd;
 mod decoys;
 mod frame;
 mod frames;
 mod loader;
 mod logged;
 mod maps;
+mod outline;
+mod resize;
 mod sample;
 mod simulated;
 

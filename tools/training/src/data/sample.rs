@@ -8,7 +8,9 @@ use realo_nn::pillars::{Pillariser, Points};
 use realo_nn::targets::{Object, Targets, assign};
 use serde::{Deserialize, Serialize};
 
+use super::crowd::crowd;
 use super::frame::{AgentSweep, Frame, Return};
+use super::resize::resize;
 use crate::fusing::learns_to_fuse;
 use crate::layers::PillarFrame;
 use crate::random::Stream;
@@ -38,6 +40,10 @@ pub struct Augmentation {
     pub lift: f64,
     /// Least and greatest scale.
     pub scale: [f64; 2],
+    /// Least and greatest factor of each object's length, width and height, with its points; recorded sizes are others than ours.
+    pub resize: [f64; 2],
+    /// Probability that a far object has more background around it.
+    pub crowd: f64,
     /// Probability of mirroring left and right, and front and rear.
     pub mirror: f64,
     /// Probability that an agent's beams are dropped: three of four, every second, or any by chance.
@@ -62,8 +68,10 @@ impl Default for Augmentation {
             tilt: 1.5f64.to_radians(),
             lift: 0.3,
             scale: [0.95, 1.05],
+            resize: [0.94, 1.1],
+            crowd: 0.75,
             mirror: 0.5,
-            drop_beams: 0.3,
+            drop_beams: 0.5,
             drop: 0.3,
             keep: 0.5,
             decoys: 3,
@@ -80,6 +88,8 @@ impl Augmentation {
             tilt: 0.0,
             lift: 0.0,
             scale: [1.0, 1.0],
+            resize: [1.0, 1.0],
+            crowd: 0.0,
             mirror: 0.0,
             drop_beams: 0.0,
             drop: 0.0,
@@ -291,7 +301,8 @@ impl Change {
 /// A merged cloud with the objects in it, in the ego's body frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Scene {
-    columns: [Vec<f32>; 3],
+    /// x, y, z of its points, m.
+    pub columns: [Vec<f32>; 3],
     pub objects: Vec<Object>,
     /// Objects of which too few points are kept: neither an answer that should be given nor background.
     pub faint: Vec<Object>,
@@ -329,6 +340,8 @@ impl Scene {
             shares.push((agent, kept.of(agent)));
         }
         scene.add_objects(frame, &shares, model);
+        resize(&mut scene, how.resize, draws);
+        crowd(&mut scene, how.crowd, draws);
         scene
     }
 

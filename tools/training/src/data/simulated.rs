@@ -60,6 +60,8 @@ pub fn options(seed: u64) -> Options {
         seconds: SECONDS,
         vehicle_sensors: pair(&VEHICLE_SENSORS, [1.6, 2.4], [-1.0, 1.5]),
         roadside_sensors: pair(&ROADSIDE_SENSORS, [4.0, 8.0], [-1.0, 5.0]),
+        // What learns from bodies that fill their boxes puts boxes behind those of recorded cars.
+        rounded_bodies: true,
         ..Options::default()
     }
 }

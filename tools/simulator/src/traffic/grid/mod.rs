@@ -22,6 +22,7 @@ pub(super) fn crowd(demand: &Demand, roads: &Roads, until: f64) -> Vec<Arrival> 
         seed,
         dense,
         seconds,
+        ..
     } = *demand;
     let lights = Lights::new(roads.grid, seed);
     let network = network::Network::new(roads);

@@ -28,6 +28,7 @@ fn samples() -> &'static [Sample] {
                     seed,
                     dense,
                     seconds: SECONDS,
+                    rounded_bodies: false,
                 })
                 .unwrap();
                 all.push(Sample {
@@ -265,6 +266,7 @@ fn cavs_turn_round_and_stay_for_minutes() {
         seed: 5,
         dense: true,
         seconds: 150.0,
+        rounded_bodies: false,
     })
     .unwrap();
     for cav in traffic.cavs {

@@ -29,6 +29,7 @@ pub(super) fn crowd(demand: &Demand, network: &Network, until: f64) -> Result<Ve
         seed,
         dense,
         seconds,
+        ..
     } = *demand;
     let custom = &network.custom;
     let lanes = Lanes::new(network);

@@ -44,6 +44,7 @@ fn samples() -> &'static [Sample] {
                 seed,
                 dense,
                 seconds: SECONDS,
+                rounded_bodies: false,
             };
             let crowd = crowd(&demand, place.network(), SECONDS + 0.5).unwrap();
             let stands = |i: usize| matches!(crowd[i].3, Course::Fixed(_));
@@ -472,6 +473,7 @@ fn cavs_turn_round_and_stay_for_minutes() {
             seed: 5,
             dense: false,
             seconds: 80.0,
+            rounded_bodies: false,
         };
         let traffic = Traffic::new(&demand).unwrap();
         for cav in traffic.cavs {

@@ -1,0 +1,208 @@
+//! More background around far objects. Recorded cars beyond 50 m stand beside hedges and below the crowns of trees, among some ten times
+//! as many points as simulated ones, and what learned from these alone takes them for background.
+
+use std::collections::HashMap;
+
+use realo_nn::targets::Object;
+
+use super::cells::Cells;
+use super::outline::{Outline, Outlines};
+use super::sample::Scene;
+use crate::random::Stream;
+
+/// Objects further from the ego, m, are far.
+const FAR: f32 = 30.0;
+
+/// How far the middle of a piece lies from an object's, m.
+const ASIDE: [f64; 2] = [0.0, 7.0];
+
+/// How far a piece reaches from its middle, m.
+const REACH: f32 = 4.0;
+
+/// By how much a piece may have been nearer or further than where it comes to, m: points are as dense as a sensor makes them there.
+const ALIKE: f32 = 8.0;
+
+/// How high above the ground background is, m.
+const HEIGHTS: std::ops::Range<f32> = 0.3..6.0;
+
+/// What is left free around objects and above them, m.
+const GAP: f32 = 0.25;
+
+/// Pieces beside an object at most.
+const MOST: usize = 2;
+
+/// Side of the cells whose lowest points tell the ground, m.
+const CELL: f32 = 4.0;
+
+/// Puts background of other places, which is as far from the ego, around each far object with a probability, and as much anywhere else,
+/// so that it tells of no object. It may stand on a road, and in front of what is still seen behind it: foliage lets rays through.
+pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
+    if probability == 0.0 {
+        return;
+    }
+    let objects: Vec<Object> = scene.seen().copied().collect();
+    let outlines = outlines(&objects);
+    let background = Background::new(scene, &outlines);
+    for object in &objects {
+        let [x, y, z, height, ..] = object.hwl.map(|number| number as f32);
+        if x.hypot(y) < FAR || !draws.chance(probability) {
+            continue;
+        }
+        let ground = z - 0.5 * height;
+        for _ in 0..1 + draws.below(MOST) {
+            let far = draws.between(ASIDE[0], ASIDE[1]);
+            let mut direction = |distance: f64| {
+                let (sin, cos) = (draws.unit() * std::f64::consts::TAU).sin_cos();
+                [cos, sin].map(|part| (distance * part) as f32)
+            };
+            let [dx, dy] = direction(far);
+            let beside = [x + dx, y + dy];
+            let elsewhere = direction(f64::from(beside[0].hypot(beside[1])));
+            for place in [beside, elsewhere] {
+                for [x, y, up] in background.piece(place, draws) {
+                    let point = [x, y, ground + up];
+                    if outlines.at(point).is_none() {
+                        scene.push(point);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn outlines(objects: &[Object]) -> Outlines {
+    Outlines::new(objects.iter().map(|object| Outline::new(&object.hwl, GAP)).collect())
+}
+
+/// What stands beside objects, by how far it is.
+struct Background {
+    /// x, y, height above the ground below.
+    points: Vec<[f32; 3]>,
+    /// Numbers of the points, by their distance.
+    by_distance: Vec<(f32, u32)>,
+    cells: Cells,
+}
+
+impl Background {
+    fn new(scene: &Scene, outlines: &Outlines) -> Self {
+        let mut cells = Cells::new(CELL);
+        let mut lowest: HashMap<[i32; 2], f32> = HashMap::new();
+        for [x, y, z] in scene.iter() {
+            let least = lowest.entry(cells.cell([x, y])).or_insert(z);
+            *least = least.min(z);
+        }
+        let (mut points, mut by_distance) = (Vec::new(), Vec::new());
+        for [x, y, z] in scene.iter() {
+            let distance = x.hypot(y);
+            let up = z - lowest[&cells.cell([x, y])];
+            if distance < FAR - ALIKE || !HEIGHTS.contains(&up) || outlines.at([x, y, z]).is_some() {
+                continue;
+            }
+            let number = points.len() as u32;
+            cells.add(number, [x, y], 0.0);
+            by_distance.push((distance, number));
+            points.push([x, y, up]);
+        }
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Background {
+            points,
+            by_distance,
+            cells,
+        }
+    }
+
+    /// A piece that is as far from the ego as a place, turned about the ego and moved along the ray to this place.
+    fn piece(&self, [x, y]: [f32; 2], draws: &mut Stream) -> Vec<[f32; 3]> {
+        let distance = x.hypot(y);
+        let from = self.by_distance.partition_point(|(at, _)| *at < distance - ALIKE);
+        let until = self.by_distance.partition_point(|(at, _)| *at <= distance + ALIKE);
+        if from == until {
+            return Vec::new();
+        }
+        let (source, number) = self.by_distance[from + draws.below(until - from)];
+        let [from_x, from_y, _] = self.points[number as usize];
+        let (sin, cos) = (y.atan2(x) - from_y.atan2(from_x)).sin_cos();
+        let along = (distance - source) / distance;
+        let near = self.cells.near([from_x, from_y], REACH);
+        near.map(|number| self.points[number as usize])
+            .filter(|[px, py, _]| (px - from_x).hypot(py - from_y) < REACH)
+            .map(|[px, py, up]| [cos * px - sin * py + along * x, sin * px + cos * py + along * y, up])
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Flat ground, a hedge at (0, 60) and two cars, of which one is far.
+    fn scene() -> Scene {
+        let mut scene = Scene::default();
+        let car = |x: f64, y: f64| Object {
+            class: 0,
+            hwl: [x, y, 0.8, 1.6, 1.9, 4.5, 0.4],
+        };
+        scene.objects = vec![car(12.0, 3.0), car(58.0, 8.0)];
+        scene.ego_points = vec![9, 9];
+        for step in 0..160 {
+            let along = step as f32 - 80.0;
+            [-62.0, 0.0, 8.0, 62.0]
+                .iter()
+                .for_each(|y| scene.push([along, *y, 0.1]));
+        }
+        for step in 0..60 {
+            scene.push([0.1 * step as f32 - 3.0, 61.0, 0.4 + 0.02 * step as f32]);
+        }
+        scene
+    }
+
+    #[test]
+    fn pieces_come_beside_far_objects_and_as_often_elsewhere_and_leave_objects_free() {
+        let before = scene();
+        let count = before.iter().count();
+        let outlines = outlines(&before.objects);
+        let mut more = [Vec::new(), Vec::new()];
+        for number in 0..40 {
+            let mut crowded = scene();
+            crowd(&mut crowded, 1.0, &mut Stream::new(1, "crowd", number));
+            let points: Vec<[f32; 3]> = crowded.iter().collect();
+            assert_eq!(
+                points[..count],
+                before.iter().collect::<Vec<_>>(),
+                "nothing that was there moves"
+            );
+            for [x, y, z] in &points[count..] {
+                assert!(
+                    (0.3..1.7).contains(z) && outlines.at([*x, *y, *z]).is_none(),
+                    "({x}, {y}, {z})"
+                );
+                let distance = x.hypot(*y);
+                assert!((47.0..70.0).contains(&distance), "{distance} m, the car at 58.5");
+            }
+            let is_beside = |[x, y, _]: &&[f32; 3]| (x - 58.0).hypot(y - 8.0) < 12.0;
+            let beside = points[count..].iter().filter(is_beside).count();
+            more[0].push(beside);
+            more[1].push(points.len() - count - beside);
+        }
+        for more in more {
+            assert!(more.iter().filter(|more| **more > 20).count() > 25, "{more:?}");
+        }
+        let mut same = scene();
+        crowd(&mut same, 0.0, &mut Stream::new(1, "crowd", 0));
+        assert_eq!(same, before);
+    }
+
+    #[test]
+    fn where_there_is_no_background_none_is_added() {
+        let mut empty = scene();
+        let bare = |point: &[f32; 3]| point[2] < 0.3;
+        let ground: Vec<[f32; 3]> = empty.iter().filter(bare).collect();
+        let mut without = Scene {
+            objects: std::mem::take(&mut empty.objects),
+            ..Scene::default()
+        };
+        ground.iter().for_each(|point| without.push(*point));
+        crowd(&mut without, 1.0, &mut Stream::new(1, "crowd", 0));
+        assert_eq!(without.iter().count(), ground.len());
+    }
+}
