@@ -49,11 +49,14 @@ mod tests {
 
     /// A car on ground at a height of 0.5 m, with points on its corners and half way up, on the ground below it, and beside it.
     fn scene() -> Scene {
-        let mut scene = Scene::default();
-        scene.objects = vec![Object {
+        let car = Object {
             class: 0,
             hwl: [20.0, 4.0, 1.3, 1.6, 1.9, 4.5, 0.7],
-        }];
+        };
+        let mut scene = Scene {
+            objects: vec![car],
+            ..Scene::default()
+        };
         let outline = Outline::new(&scene.objects[0].hwl, 0.0);
         for corner in [[2.2, 0.9], [2.2, -0.9], [-2.2, -0.9], [-2.2, 0.9]] {
             let [x, y] = outline.place(corner);
