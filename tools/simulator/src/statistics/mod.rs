@@ -365,10 +365,13 @@ impl Statistics {
             let Some(bin) = FAR.iter().position(|far| far.contains(&range)) else {
                 continue;
             };
+            if !is_car(object) || !ahead {
+                continue;
+            }
             // Boxes reach a little into the ground.
             let on_it = |i: &usize| parts.object[*i] == Some(number) && parts.above[*i] > ABOVE_GROUND;
             let own = (0..parts.points.len()).filter(on_it).count();
-            if !is_car(object) || !ahead || own < LEAST_POINTS {
+            if own < LEAST_POINTS {
                 continue;
             }
             let near = |i: &&usize| (parts.points[**i][0] - x).hypot(parts.points[**i][1] - y) < AROUND;
