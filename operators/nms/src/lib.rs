@@ -3,15 +3,18 @@
 //! | port | type | content |
 //! |---|---|---|
 //! | in `boxes` | Boxes | detections in any order, one frame |
-//! | out `boxes` | Boxes | the same boxes without duplicates, best score first |
+//! | out `boxes` | Boxes | the boxes without duplicates, best score first |
 //!
 //! A box is dropped if a kept one of better score (at equal scores: of lower index) has an IoU above the threshold with
 //! it. Before that: invalid boxes (NaN, an extent that is not positive, a score outside [0, 1]) are rejected and counted,
-//! boxes outside the region and below the least score are dropped, and only the best `max_boxes` stay candidates.
+//! boxes outside the region and below the least score are dropped, and only the best `max_boxes` stay candidates. With `vote`,
+//! a kept box is then moved to the mean of itself and the candidates that overlap it: several views of an object, of one
+//! network's anchors or of several agents whose poses are a little off, err less than the best of them.
 
 mod grid;
 mod rtree;
 mod suppress;
+mod vote;
 
 use std::collections::BTreeMap;
 
@@ -21,6 +24,7 @@ use realo_schemas::{Box3, Boxes, Header, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
 pub use suppress::{Index, Ties, order, suppress};
+use vote::vote;
 
 /// Settings of [`Nms`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,6 +42,8 @@ pub struct Config {
     pub index: Index,
     /// Which of several boxes of one score goes first.
     pub ties: Ties,
+    /// IoU above which candidates have a say in where a kept box lies and how large it is; 1: none has.
+    pub vote: f64,
     /// `[x min, x max, y min, y max]`, m, in the boxes' frame: boxes whose bottom corners do not all lie in it are
     /// dropped before suppression. Empty: no region.
     pub region: Vec<f64>,
@@ -52,6 +58,7 @@ impl Default for Config {
             per_class: false,
             index: Index::Grid,
             ties: Ties::First,
+            vote: 1.0,
             region: Vec::new(),
         }
     }
@@ -62,6 +69,8 @@ impl Default for Config {
 pub struct Outcome {
     /// Indices of the kept boxes, best score first.
     pub kept: Vec<u32>,
+    /// The kept boxes, after the vote.
+    pub boxes: Vec<Box3>,
     /// Boxes with NaN, without extent, or with a score outside [0, 1].
     pub invalid: u64,
     /// Boxes outside the region.
@@ -100,6 +109,14 @@ pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome 
         suppress(&footprints, &order, config.threshold, config.index)
     };
     outcome.suppressed = (order.len() - kept.len()) as u64;
+    let object = |i: u32| (&boxes[candidates[i as usize] as usize], &footprints[i as usize]);
+    outcome.boxes = match config.vote < 1.0 {
+        true => kept
+            .iter()
+            .map(|i| vote(object(*i), order.iter().map(|i| object(*i)), config.vote))
+            .collect(),
+        false => kept.iter().map(|i| object(*i).0.clone()).collect(),
+    };
     outcome.kept = kept.into_iter().map(|i| candidates[i as usize]).collect();
     outcome
 }
@@ -176,6 +193,10 @@ impl Describe for Nms {
             about: "which of several boxes of one score goes first: the first or the last",
         },
         Argument {
+            name: "vote",
+            about: "IoU above which boxes of a class have a say, each by its score, in centre, extents and heading of one that is kept; 1 = none has",
+        },
+        Argument {
             name: "region",
             about: "[x min, x max, y min, y max] in m: boxes not all inside are dropped before; [] = none",
         },
@@ -185,7 +206,7 @@ impl Describe for Nms {
     const OUTPUTS: &'static [Port] = &[Port::new(
         "boxes",
         &[PayloadType::Boxes],
-        "the same boxes without duplicates, best score first",
+        "the boxes without duplicates, best score first",
     )];
 }
 
@@ -197,6 +218,9 @@ impl Operator for Nms {
                 config.threshold
             )
             .into());
+        }
+        if !(0.0..=1.0).contains(&config.vote) {
+            return Err(format!("argument `vote`: an IoU lies in [0, 1], found {}", config.vote).into());
         }
         if config.min_score.is_nan() {
             return Err("argument `min_score`: expected a number, found NaN".into());
@@ -216,8 +240,7 @@ impl Operator for Nms {
         out.count("low_score_boxes", outcome.low_score);
         out.count("over_limit_boxes", outcome.over_limit);
         out.count("suppressed_boxes", outcome.suppressed);
-        let kept = outcome.kept.iter().map(|i| boxes[*i as usize].clone()).collect();
-        out.send(PortId(0), Message::new(header, Boxes(kept)));
+        out.send(PortId(0), Message::new(header, Boxes(outcome.boxes)));
         Ok(())
     }
 }
@@ -271,6 +294,30 @@ mod tests {
         let (kept, out) = run(Config::default(), boxes.clone());
         assert_eq!(kept, [boxes[2].clone(), boxes[1].clone(), boxes[3].clone()]);
         assert_eq!(out.counted("suppressed_boxes"), 1);
+    }
+
+    #[test]
+    fn what_is_suppressed_has_a_say_where_it_is_asked() {
+        let boxes = vec![car(0.4, 0.0, 0.3), car(0.0, 0.0, 0.9), car(30.0, 0.0, 0.6)];
+        let voting = |vote| {
+            let config = Config {
+                vote,
+                ..Config::default()
+            };
+            run(config, boxes.clone()).0
+        };
+        assert_eq!(voting(1.0), [boxes[1].clone(), boxes[2].clone()]);
+        let [first, second] = &voting(0.3)[..] else {
+            panic!("two boxes")
+        };
+        assert!((first.center[0] - 0.1).abs() < 1e-6 && first.score == 0.9, "{first:?}");
+        assert_eq!(*second, boxes[2]);
+        let unlike = Config {
+            vote: 1.5,
+            ..Config::default()
+        };
+        let error = Nms::new(unlike).err().unwrap().to_string();
+        assert!(error.contains("`vote`") && error.contains("1.5"), "{error}");
     }
 
     #[test]

@@ -108,11 +108,11 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
             (Bare, 2.0),
         ],
         VergeKind::Kerb => &[
-            (Hedge, 3.0),
+            (Hedge, 4.5),
             (Bicycles, 3.0),
             (Furniture, 3.0),
             (Fence, 0.5),
-            (Bare, 1.5),
+            (Bare, 1.0),
         ],
     }
 }
@@ -120,16 +120,35 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
 /// How much grows behind the first row, weeds, shrubs and trees on 100 m² of free ground, by the kind of the verge.
 fn growth(kind: VergeKind) -> [f64; 3] {
     match kind {
-        VergeKind::Garden => [36.0, 17.0, 3.6],
-        VergeKind::Street => [50.0, 30.0, 4.0],
+        VergeKind::Garden => [50.0, 20.0, 3.6],
+        VergeKind::Street => [60.0, 33.0, 4.0],
         VergeKind::Median => [0.0, 0.0, 0.0],
-        VergeKind::Park => [28.0, 11.5, 3.2],
-        VergeKind::Field => [11.0, 3.5, 1.2],
-        VergeKind::Embankment => [5.0, 3.5, 1.0],
-        VergeKind::CarPark => [20.0, 15.0, 1.8],
+        VergeKind::Park => [40.0, 13.5, 3.2],
+        VergeKind::Field => [16.0, 4.5, 1.2],
+        VergeKind::Embankment => [6.0, 4.0, 1.0],
+        VergeKind::CarPark => [30.0, 19.0, 1.8],
         VergeKind::Kerb => [0.0, 0.0, 0.0],
     }
 }
+
+/// How often a verge has a row of trees over whatever lines it, by its kind.
+fn tree_lined(kind: VergeKind) -> f64 {
+    match kind {
+        VergeKind::Garden => 0.55,
+        VergeKind::Street => 0.3,
+        VergeKind::Park => 0.7,
+        VergeKind::Field => 0.65,
+        VergeKind::Embankment => 0.5,
+        VergeKind::Median => 0.5,
+        VergeKind::CarPark => 0.5,
+        VergeKind::Kerb => 0.75,
+    }
+}
+
+/// Rows of trees begin so far from where roads meet, m.
+const ROWS_FROM: f64 = 35.0;
+/// and so far from a roadside unit in the middle of its view, m.
+const UNROWED: f64 = 60.0;
 
 /// What is higher is a tree, m.
 const TREE: f64 = 3.0;
@@ -146,6 +165,8 @@ pub(super) struct Ground<'a> {
     pub height: &'a dyn Fn(f64, f64) -> f64,
     /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
     pub watched: &'a dyn Fn(f64, f64) -> f64,
+    /// Distance of a point from where roads meet, m.
+    pub node: &'a dyn Fn(f64, f64) -> f64,
 }
 
 /// What stands on the verges of a place.
@@ -167,6 +188,7 @@ pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter
         site.paved = verge.kind == VergeKind::Kerb;
         site.line(verge, &mut draws);
         site.grow(verge, &mut draws);
+        site.row(verge, &mut Stream::new(number, "rows", index as u64));
     }
     Clutter {
         fixtures: site.fixtures,
@@ -441,6 +463,39 @@ impl Site<'_> {
             put(self, along, draws);
             along += gap * draws.between(0.6, 1.4);
         }
+    }
+
+    /// A row of trees whose crowns hang over what lines the verge, over what is parked before it and the outer lane, with
+    /// shrubs below.
+    fn row(&mut self, verge: &Verge, draws: &mut Stream) {
+        if !draws.chance(tree_lined(verge.kind)) {
+            return;
+        }
+        let (under, height) = (draws.between(1.2, 2.4), draws.between(4.5, 9.0));
+        let (across, below) = match verge.kind {
+            VergeKind::Median => (0.0, 0.2),
+            VergeKind::Kerb => (0.5 * verge.depth(), 0.35),
+            _ => (draws.between(0.5, 1.6).min(0.5 * verge.depth()), 0.5),
+        };
+        let gap = draws.between(3.5, 7.0);
+        self.spots(
+            [0.0, verge.length()],
+            gap,
+            |site, along, draws| {
+                let pose = turned(verge.pose(along, across), draws);
+                let (far, watched) = ((site.ground.node)(pose.x, pose.y), (site.ground.watched)(pose.x, pose.y));
+                if far < ROWS_FROM || watched < UNROWED || draws.chance(0.1) {
+                    return;
+                }
+                let under = under * draws.between(0.8, 1.2);
+                site.stand(pose, 0.3, things::tree(under, height * draws.between(0.8, 1.2), draws));
+                if draws.chance(below) {
+                    let pose = verge.pose(along + gap * draws.between(0.2, 0.8), across);
+                    site.stand(pose, 0.2, things::bush(draws.between(0.4, 1.2), draws));
+                }
+            },
+            draws,
+        );
     }
 
     /// What grows behind the first row, over all of the free ground.

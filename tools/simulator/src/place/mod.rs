@@ -131,6 +131,7 @@ impl Scenery {
             open: &|x, y| place.open_ground(x, y),
             height: &|x, y| place.walk_height(x, y),
             watched: &|x, y| place.watched(x, y),
+            node: &|x, y| place.node(x, y),
         };
         let clutter = clutter::clutter(&place.verges, &ground, number);
         place.fixtures.extend(clutter.fixtures);
@@ -189,6 +190,15 @@ impl Scenery {
             Plan::Grid(_) => f64::INFINITY,
             Plan::Network(network) => network.watched(x, y),
         }
+    }
+
+    /// Distance of a point from where roads of a network meet, m.
+    fn node(&self, x: f64, y: f64) -> f64 {
+        let Plan::Network(network) = &self.plan else {
+            return f64::INFINITY;
+        };
+        let far = network.nodes.iter().map(|node| libm::hypot(node.at[0] - x, node.at[1] - y));
+        far.fold(f64::INFINITY, f64::min)
     }
 
     /// Height of the roads' surface, m.

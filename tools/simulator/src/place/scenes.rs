@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::network::{Bays, Builder, Control, Custom, Merge, Network, Node, Section};
+use super::network::{Bays, Builder, Control, Custom, Merge, Network, Node, SIDES, Section};
 use super::surface::Surface;
 use super::verge::VergeKind;
 use crate::Scenario;
@@ -50,6 +50,9 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
         merges,
         mut islands,
     } = draft;
+    if kerbs {
+        park_along(&mut builder, &mut Stream::new(number, "kerbside", 0));
+    }
     builder.settle();
     let roadside = roadside.map(|place| place.pose(&builder));
     for node in &builder.nodes {
@@ -78,6 +81,19 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
         },
         grade: [slope * cos, slope * sin],
         cell,
+    }
+}
+
+/// Gives streets bays along the kerbs where they have none.
+fn park_along(builder: &mut Builder, draws: &mut Stream) {
+    for road in &mut builder.roads {
+        let section = &mut road.section;
+        for side in 0..SIDES.len() {
+            let is_street = section.pavement[side] > 0.0 && section.lanes[1] > 0;
+            if is_street && section.bays[side].is_none() && draws.chance(0.6) {
+                section.bays[side] = Some(Bays::PARALLEL);
+            }
+        }
     }
 }
 
