@@ -5,7 +5,10 @@ mod common;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{folder, realo, realo_ok, run_virtual, simulated, text};
+use common::{counts, folder, json, realo, realo_ok, run_virtual, simulated, text};
+use realo_logs::{Log, LogWriter, Stream};
+use realo_schemas::geometry::transform_box;
+use realo_schemas::{Boxes, EgoState, Pose};
 use serde_json::Value;
 
 fn log(seed: &str) -> PathBuf {
@@ -65,6 +68,132 @@ fn a_recording_scores_as_its_run_did() {
     };
     assert!(0 < start && start < whole, "part of the log: {objects:?}");
     assert_eq!(repeat, 2 * whole, "{objects:?}");
+}
+
+/// A copy of a log without points whose bodies nod by up to 2° and lean by 1°: what is level lies no more along their axes.
+fn nodding(from: &Path, to: &Path) {
+    let turn = |axis: usize, angle: f64| {
+        let mut quaternion = [0.0, 0.0, 0.0, (angle / 2.0).cos()];
+        quaternion[axis] = (angle / 2.0).sin();
+        let pose = Pose::from_parts([0.0; 3], quaternion);
+        pose.expect("a rotation").map_from_frame
+    };
+    let log = Log::open(from).expect("the log can be read");
+    let mut copy = LogWriter::create(to, log.info()).expect("the log can be made");
+    let names: Vec<&str> = log.info().agents.iter().map(|agent| agent.name.as_str()).collect();
+    let streams = [
+        Stream::Pose,
+        Stream::PoseTruth,
+        Stream::Sweeps,
+        Stream::Detections,
+        Stream::DetectionsInfo,
+        Stream::GroundTruth,
+        Stream::GroundTruthInfo,
+    ];
+    let wanted: Vec<(&str, Stream)> = names
+        .iter()
+        .flat_map(|name| streams.map(|stream| (*name, stream)))
+        .collect();
+    let mut reader = log.read_all(&wanted).expect("all is there");
+    let mut waiting = std::collections::BTreeMap::new();
+    while let Some(entry) = reader.next().expect("the log can be read") {
+        let (agent, stamp, ready) = (&*entry.agent, entry.stamp(), entry.ready());
+        let level_from_body = turn(1, 0.035 * (3e-9 * (stamp % 1_000_000_000_000) as f64).sin()) * turn(0, 0.017);
+        let written = match entry.stream {
+            Stream::Pose | Stream::PoseTruth => {
+                let state = entry.pose().expect("a pose");
+                let state = EgoState {
+                    map_from_body: state.map_from_body * level_from_body,
+                    ..state
+                };
+                match entry.stream {
+                    Stream::Pose => copy.pose(agent, stamp, ready, &state),
+                    _ => copy.pose_truth(agent, stamp, ready, &state),
+                }
+            }
+            Stream::Sweeps => copy.sweep(agent, stamp, ready),
+            Stream::Detections | Stream::GroundTruth => {
+                waiting.insert(entry.agent.clone(), entry.boxes().expect("boxes"));
+                Ok(())
+            }
+            _ => {
+                let mut boxes: Boxes = waiting
+                    .remove(&entry.agent)
+                    .expect("an array goes before its companion");
+                let info = entry.info(&mut boxes).expect("a companion");
+                let body_from_level = level_from_body.inverse();
+                let boxes = boxes.0.iter().map(|object| transform_box(&body_from_level, object));
+                let boxes = Boxes(boxes.collect());
+                match entry.stream {
+                    Stream::DetectionsInfo => copy.detections(agent, stamp, ready, &boxes),
+                    _ => copy.truth(agent, stamp, ready, &boxes.0, info.points.as_deref(), info.key),
+                }
+            }
+        };
+        written.expect("the log can be written");
+    }
+    copy.finish().expect("the log can be finished");
+}
+
+#[test]
+fn a_log_that_tilts_scores_as_its_level_copy() {
+    let straight = log("911");
+    let dir = folder("evaluate_nodding");
+    let [tilted, level] = ["tilted", "level"].map(|name| dir.join(name).with_extension("mcap"));
+    nodding(&straight, &tilted);
+    let said = realo_ok(["info".as_ref(), tilted.as_os_str()]);
+    assert!(
+        said.contains("TILTS by up to 2.") && said.contains("levelled while played"),
+        "{said}"
+    );
+    realo_ok(["import", "log"].iter().map(|word| word.as_ref()).chain([
+        tilted.as_os_str(),
+        "-o".as_ref(),
+        level.as_os_str(),
+    ]));
+    for (name, args) in [
+        ("virtual", &[][..]),
+        ("repeat", &["--set", "player.repeat=2"]),
+        ("offline", &["--offline"]),
+    ] {
+        let args = [&["--recorded-detections"][..], args].concat();
+        let [(of_tilted, found), (of_level, expected), (of_straight, _)] = [&tilted, &level, &straight].map(|log| {
+            let out = format!(
+                "evaluate_nodding_{name}_{}",
+                log.file_stem().unwrap_or_default().display()
+            );
+            let result = run_virtual(&out, "late_fusion", log, &args);
+            let scored = Path::new(env!("CARGO_TARGET_TMPDIR")).join(&out);
+            (result, common::boxes(&scored))
+        });
+        // Offline the true poses are played, and level what was detected; the copy was levelled by the poses as believed.
+        if name != "offline" {
+            assert!(found == expected, "{name}: the same boxes in every frame");
+            for key in ["accuracy", "accuracy_seen"] {
+                assert_eq!(of_tilted[key], of_level[key], "{name}: {key}");
+            }
+        }
+        let of = |result: &Value| counts(result, "vehicle", "0.5");
+        assert!(of(&of_straight).0 > 50, "{name}: {:?}", of(&of_straight));
+        assert_eq!(of(&of_tilted), of(&of_level), "{name}");
+        assert_eq!(
+            of(&of_tilted),
+            of(&of_straight),
+            "{name}: as if nothing had ever tilted"
+        );
+        let notes = of_tilted["notes"].to_string();
+        assert!(
+            notes.contains("levelled while played") && notes.contains("cav1, which tilts by up to 2."),
+            "{notes}"
+        );
+        assert!(!of_level["notes"].to_string().contains("tilt"), "{of_level}");
+    }
+    // Scored after the fact, the truth is levelled alike.
+    let recording = recording("evaluate_nodding_virtual_tilted", &tilted);
+    let again = evaluate(&tilted, &recording).into_iter().chain(["--json".into()]);
+    let table: Value = serde_json::from_str(&realo_ok(again)).expect("JSON");
+    let run = json(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("evaluate_nodding_virtual_tilted/result.json"));
+    assert_eq!(table["runs"][0]["result"]["accuracy"], run["accuracy"]);
 }
 
 #[test]

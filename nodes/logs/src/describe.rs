@@ -2,14 +2,12 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use realo_schemas::geometry::tilt_degrees;
 use realo_schemas::{Nanos, to_seconds};
 use serde::Serialize;
 
+use crate::level::{LEVEL, tilts};
 use crate::log::{join, nanos, times};
-use crate::{
-    ChannelInfo, Levelled, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, Stream, SweepsInfo, Truncation,
-};
+use crate::{ChannelInfo, Levelled, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, SweepsInfo, Truncation};
 
 /// What `realo info` says of a log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -33,7 +31,7 @@ pub struct Description {
     pub sweeps: BTreeMap<String, SweepsInfo>,
     /// How each agent's body frame was levelled, where the log tells.
     pub levelled: BTreeMap<String, Levelled>,
-    /// How far the body frames of the others tilt by their first poses at most, degrees.
+    /// How far the body frames of the others tilt by their poses at most, degrees.
     pub tilted: BTreeMap<String, f64>,
     /// Scored frames per agent, in a finished log.
     pub scored_frames: Option<BTreeMap<String, usize>>,
@@ -132,13 +130,6 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
             sweeps.insert(agent.name.clone(), info);
         }
     }
-    let levelled = log.levelled()?;
-    let mut tilted = BTreeMap::new();
-    for agent in &log.info().agents {
-        if !levelled.contains_key(&agent.name) && log.has(&agent.name, Stream::Pose) {
-            tilted.insert(agent.name.clone(), most_tilt(log, &agent.name)?);
-        }
-    }
     Ok(Description {
         path: log.path().into(),
         bytes: length(log.path())?,
@@ -148,30 +139,11 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
         duration_s: span.map_or(0.0, |(first, last)| to_seconds(last - first)),
         topics: with_rates(log.topics(), |topic| log.times(topic))?,
         sweeps,
-        levelled,
-        tilted,
+        levelled: log.levelled()?,
+        tilted: tilts(log)?,
         scored_frames: log.key_frames().map(count),
         truncated: log.truncation().cloned(),
     })
-}
-
-/// Poses that are looked at for their tilt.
-const LOOKED_AT: usize = 1000;
-/// Body frames that tilt less are level, degrees: the noise of an attitude is less.
-pub const LEVEL: f64 = 0.25;
-
-/// How far z of the agent's body lies from that of the map at most, in its first poses, degrees.
-fn most_tilt(log: &Log, agent: &str) -> Result<f64, LogError> {
-    let mut reader = log.read_all(&[(agent, Stream::Pose)])?;
-    let mut most = 0_f64;
-    for _ in 0..LOOKED_AT {
-        let Some(entry) = reader.next()? else { break };
-        // What is no pose is counted when the log is played.
-        if let Ok(state) = entry.pose() {
-            most = most.max(tilt_degrees(&state.map_from_body.rotation));
-        }
-    }
-    Ok(most)
 }
 
 fn describe_recording(file: &McapFile) -> Result<RecordingDescription, LogError> {
@@ -249,6 +221,16 @@ fn write_time(f: &mut fmt::Formatter, first: Option<Nanos>, duration_s: f64) -> 
     writeln!(f, "  time      {duration_s:.3} s from {first:.3} s")
 }
 
+impl Description {
+    /// What becomes of body frames that tilt.
+    fn mended(&self) -> &'static str {
+        match self.info.precomputed {
+            None => "levelled while played; `realo import log` makes a level copy",
+            Some(_) => "its packets keep it so; level the log that they were made from by `realo import log`",
+        }
+    }
+}
+
 impl fmt::Display for Description {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write_head(f, &self.path, self.bytes, self.truncated.as_ref())?;
@@ -268,7 +250,7 @@ impl fmt::Display for Description {
             write!(f, "    {:<12} {:<9} {}", agent.name, agent.kind.as_str(), agent.sensor)?;
             let level = self.levelled.get(&agent.name).map(ToString::to_string);
             let tilt = self.tilted.get(&agent.name).filter(|tilt| **tilt > LEVEL);
-            let tilt = tilt.map(|tilt| format!("TILTS by up to {tilt:.2}°: `realo import log` makes a level copy"));
+            let tilt = tilt.map(|tilt| format!("TILTS by up to {tilt:.2}°: {}", self.mended()));
             match level.or(tilt) {
                 Some(text) if !agent.sensor.is_empty() => writeln!(f, "; {text}")?,
                 Some(text) => writeln!(f, "{text}")?,

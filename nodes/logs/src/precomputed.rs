@@ -9,6 +9,7 @@ use realo_schemas::Nanos;
 use serde::{Deserialize, Serialize};
 
 use crate::info::{END_RECORD, LOG_RECORD};
+use crate::level::{LEVEL, tilts};
 use crate::log::parse_topic;
 use crate::log_writer::{open, partial};
 use crate::packets::{self, SentPacket};
@@ -120,7 +121,7 @@ impl<'a> LogCopy<'a> {
     /// `precomputed` names are copied, but for those of `anew`, whose new ones [`LogCopy::add`] takes.
     ///
     /// # Errors
-    /// A file that cannot be made; the log's own path.
+    /// A file that cannot be made; the log's own path; body frames that tilt, which packets of level ones do not fit.
     pub fn begin(log: &'a Log, target: &Path, precomputed: &Precomputed, anew: &[String]) -> Result<Self, LogError> {
         let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
         if same(log.path(), target) {
@@ -129,6 +130,7 @@ impl<'a> LogCopy<'a> {
                 "it is the log that is read; choose another file",
             ));
         }
+        need_level(log, target)?;
         let partial = partial(target);
         let file = File::create(&partial).map_err(LogError::io(&partial, "create"))?;
         let mut info = log.info().clone();
@@ -228,6 +230,20 @@ impl<'a> LogCopy<'a> {
         mcap.finish().map_err(|failure| failure.of(&self.partial))?;
         fs::rename(&self.partial, &self.target).map_err(LogError::io(&self.target, "rename the finished log to"))
     }
+}
+
+/// Frames that tilt are levelled while played, but stay as they are in the copy, beside packets in level frames.
+fn need_level(log: &Log, target: &Path) -> Result<(), LogError> {
+    let Some((agent, tilt)) = tilts(log)?.into_iter().find(|(_, tilt)| *tilt > LEVEL) else {
+        return Ok(());
+    };
+    let reason = format!(
+        "`{}`, {}: expected poses that are level within {LEVEL}°, found {tilt:.2}°: level it by `realo import log`, then \
+         precompute",
+        log.path().display(),
+        Stream::Pose.topic(&agent)
+    );
+    Err(LogError::input(target, reason))
 }
 
 impl Drop for LogCopy<'_> {

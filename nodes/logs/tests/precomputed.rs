@@ -7,8 +7,8 @@ use std::fs;
 use std::path::Path;
 
 use common::{MS, START};
-use realo_logs::{LaneStage, Log, LogCopy, LogError, McapFile, Precomputed, SentPacket, Stream};
-use realo_schemas::{Kind, Nanos};
+use realo_logs::{LaneStage, Levelled, Log, LogCopy, LogError, LogWriter, McapFile, Precomputed, SentPacket, Stream};
+use realo_schemas::{Kind, Nanos, PoseStatus};
 
 fn precomputed(agents: &[&str]) -> Precomputed {
     let arguments = BTreeMap::from([("model".to_string(), "lite-1".to_string())]);
@@ -111,6 +111,31 @@ fn a_copy_that_is_not_finished_leaves_nothing() {
     assert!(matches!(same, Err(LogError::Input { .. })));
     drop(LogCopy::begin(&log, &dir.path().join("b.mcap"), &precomputed(&[]), &[]).unwrap());
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn packets_are_added_to_level_frames_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let (raw, out) = (dir.path().join("raw.mcap"), dir.path().join("out.mcap"));
+    let begun = |levelled: Option<&str>| {
+        let mut log = LogWriter::create(&raw, &common::info()).unwrap();
+        let mut state = common::state(0.0, PoseStatus::Recorded);
+        state.map_from_body.rotation *= nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.02, 0.0);
+        log.pose("rsu1", START, START, &state).unwrap();
+        let told = |by: &str| Levelled {
+            by: by.into(),
+            degrees: [0.0, 0.0],
+        };
+        log.levelled(levelled.map(|by| ("rsu1".to_string(), told(by))).into_iter().collect());
+        log.finish().unwrap();
+        let log = Log::open(&raw).unwrap();
+        LogCopy::begin(&log, &out, &precomputed(&[]), &[]).map(|_| ())
+    };
+    let error = begun(None).unwrap_err().to_string();
+    for part in ["raw.mcap", "/rsu1/pose", "0.25°", "found 1.0", "realo import log"] {
+        assert!(error.contains(part), "no `{part}` in: {error}");
+    }
+    begun(Some("none")).unwrap();
 }
 
 #[test]

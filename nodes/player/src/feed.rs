@@ -1,11 +1,13 @@
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::sync::{Arc, Mutex};
 
-use realo_logs::{Entry, LEVEL, Log, LogError, LogReader, Stream};
+use realo_logs::{Attitudes, Entry, LEVEL, Log, LogError, LogReader, Stream, level_state, levelled_while_played};
 use realo_operator::PortId;
 use realo_schemas::geometry::tilt_degrees;
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds};
+use realo_schemas::{
+    Boxes, EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
+};
 
 use crate::truth::TruthJoin;
 use crate::{PlannedRun, ports};
@@ -56,11 +58,22 @@ pub struct Feed {
     period: Nanos,
     reader: LogReader,
     truth: TruthJoin,
+    /// Agents whose body frames are made level.
+    levels: BTreeMap<Name, Level>,
+    /// Agents whose frames were levelled otherwise when the log was made: along the ground, where poses need not be level.
+    along_ground: BTreeSet<Name>,
     sweeps: BTreeMap<Name, BTreeMap<Nanos, u64>>,
     unjoined: BTreeMap<Name, (Entry, Boxes)>,
     queue: BinaryHeap<Reverse<Queued>>,
     ended: bool,
     released_to: Nanos,
+}
+
+/// How an agent's body frames are made level.
+struct Level {
+    attitudes: Attitudes,
+    /// Counts its sweeps, and says by how much its body tilts.
+    counter: String,
 }
 
 struct Queued {
@@ -117,10 +130,41 @@ impl Script {
         }
     }
 
+    /// The agents whose sensors are played.
+    fn played(&self) -> impl Iterator<Item = &str> {
+        self.cast.agents().take(if self.alone { 1 } else { usize::MAX })
+    }
+
+    /// What makes the frames of those level that tilt.
+    fn levels(&self) -> Result<BTreeMap<Name, Level>, LogError> {
+        let tilts = levelled_while_played(&self.log)?;
+        let mut levels = BTreeMap::new();
+        for agent in self.played() {
+            if let Some(tilt) = tilts.get(agent) {
+                let level = Level {
+                    attitudes: Attitudes::read(&self.log, agent, self.pose_stream(agent))?,
+                    counter: format!("levelled_{agent}_by_{tilt:.2}"),
+                };
+                levels.insert(agent.into(), level);
+            }
+        }
+        Ok(levels)
+    }
+
+    fn along_ground(&self) -> Result<BTreeSet<Name>, LogError> {
+        let levelled = self.log.levelled()?.into_iter();
+        let ground = levelled.filter(|(_, levelled)| levelled.by == "ground");
+        Ok(ground.map(|(agent, _)| agent.as_str().into()).collect())
+    }
+
+    fn truth(&self, agents: &[Name], levels: &BTreeMap<Name, Level>) -> Result<TruthJoin, LogError> {
+        let level = levels.get(&agents[0]).map(|level| level.attitudes.truth.clone());
+        TruthJoin::new(&self.log, agents, self.from, self.until, level)
+    }
+
     fn open(&self) -> Result<LogReader, LogError> {
         let mut wanted = Vec::new();
-        let played = if self.alone { 1 } else { usize::MAX };
-        for agent in self.cast.agents().take(played) {
+        for agent in self.played() {
             wanted.push((agent, self.pose_stream(agent)));
             wanted.push((agent, self.sweep_stream(agent)));
             if self.is_precomputed(agent) {
@@ -147,9 +191,12 @@ impl Feed {
         let (first, last) = script.log.span().unwrap_or_default();
         let played = script.until.min(last) - script.from.max(first);
         let period = played.max(0) + PAUSE + LEAD_IN;
+        let levels = script.levels()?;
         Ok(Feed {
             reader: script.open()?,
-            truth: TruthJoin::new(&script.log, &agents, script.from, script.until)?,
+            truth: script.truth(&agents, &levels)?,
+            along_ground: script.along_ground()?,
+            levels,
             period: script
                 .slot
                 .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
@@ -204,7 +251,7 @@ impl Feed {
         self.ended = false;
         self.sweeps.clear();
         self.reader = self.script.open()?;
-        self.truth = TruthJoin::new(&self.script.log, &self.agents, self.script.from, self.script.until)?;
+        self.truth = self.script.truth(&self.agents, &self.levels)?;
         self.released_to = Nanos::MIN;
         Ok(())
     }
@@ -264,14 +311,31 @@ impl Feed {
     fn send_pose(&mut self, entry: &Entry) {
         match entry.pose() {
             Ok(state) => {
-                if tilt_degrees(&state.map_from_body.rotation) > LEVEL {
-                    self.script.count("tilted_poses");
-                }
+                let state = self.level_pose(entry, state);
                 let ports = [ports::EGO_POSES, ports::POSES];
                 self.send(entry, entry.seq(), Kind::EgoState, ports, state);
             }
             Err(_) => self.script.count("poses_unusable"),
         }
+    }
+
+    fn level_pose(&self, entry: &Entry, state: EgoState) -> EgoState {
+        if self.levels.contains_key(&entry.agent) {
+            return level_state(state);
+        }
+        let tilts = tilt_degrees(&state.map_from_body.rotation) > LEVEL;
+        if tilts && !self.along_ground.contains(&entry.agent) {
+            self.script.count("tilted_poses");
+        }
+        state
+    }
+
+    fn level_cloud(&self, entry: &Entry, cloud: PointCloud) -> PointCloud {
+        let Some(level) = self.levels.get(&entry.agent) else {
+            return cloud;
+        };
+        self.script.count(&level.counter);
+        level.attitudes.sweeps.cloud(entry.stamp(), cloud)
     }
 
     fn send_sweep(&mut self, entry: &Entry, cloud: PointCloud) -> Result<(), LogError> {
@@ -292,6 +356,7 @@ impl Feed {
         while known.len() > 64 {
             known.pop_first();
         }
+        let cloud = self.level_cloud(entry, cloud);
         self.send(
             entry,
             entry.seq(),
@@ -338,7 +403,10 @@ impl Feed {
         Ok(())
     }
 
-    fn send_detections(&mut self, entry: &Entry, boxes: Boxes) {
+    fn send_detections(&mut self, entry: &Entry, mut boxes: Boxes) {
+        if let Some(level) = self.levels.get(&entry.agent) {
+            level.attitudes.sweeps.boxes(entry.stamp(), &mut boxes.0);
+        }
         let seq = self
             .sweeps
             .get(&entry.agent)

@@ -13,7 +13,8 @@
 //!
 //! Messages leave in order of their time on the log's line; at equal times poses go first, then clouds, recorded
 //! detections, packets, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
-//! up to the cut and counted as `log_truncated`.
+//! up to the cut and counted as `log_truncated`. Body frames that tilt are levelled by their poses
+//! (`docs/log-format.md`, "Level frames"); those that are level pass as they are.
 
 mod ahead;
 mod feed;

@@ -1,6 +1,7 @@
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
-use realo_logs::{BoxesInfo, Log, LogError, LogReader, Stream};
+use realo_logs::{Attitude, BoxesInfo, Log, LogError, LogReader, Stream};
 use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels};
 
@@ -20,6 +21,8 @@ pub struct TruthJoin {
     views: BTreeMap<Stream, (Nanos, Vec<View>)>,
     /// What is known of the ego's sweeps, by stamp.
     ego: BTreeMap<Nanos, OfEgo>,
+    /// What makes the ego's frames level, where they are not.
+    level: Option<Arc<Attitude>>,
     /// Which of the ego's streams complete a sweep.
     complete: [bool; 2],
     others: BTreeMap<Name, VecDeque<Counts>>,
@@ -39,8 +42,15 @@ struct Counts {
 }
 
 impl TruthJoin {
-    /// `agents`: the ego, then its collaborators. Sweeps lie at log times in `[from, until)`.
-    pub fn new(log: &Log, agents: &[Name], from: Nanos, until: Nanos) -> Result<Self, LogError> {
+    /// `agents`: the ego, then its collaborators. Sweeps lie at log times in `[from, until)`. `level` makes what is around the
+    /// ego level.
+    pub fn new(
+        log: &Log,
+        agents: &[Name],
+        from: Nanos,
+        until: Nanos,
+        level: Option<Arc<Attitude>>,
+    ) -> Result<Self, LogError> {
         let has_truth = |agent: &&Name| log.has(agent, Stream::GroundTruth);
         let mut wanted = Vec::new();
         for agent in agents.iter().filter(has_truth) {
@@ -80,6 +90,7 @@ impl TruthJoin {
             boxes: BTreeMap::new(),
             views: BTreeMap::new(),
             ego: BTreeMap::new(),
+            level,
             complete,
             others,
             read_to: Nanos::MIN,
@@ -141,6 +152,7 @@ impl TruthJoin {
         let mut boxes = self.boxes.remove(&(entry.agent.clone(), array)).unwrap_or_default();
         let info = entry.info(&mut boxes)?;
         if array == Stream::OwnLabels {
+            self.level(stamp, &mut boxes);
             self.ego.entry(stamp).or_default().own = Some(OwnLabels {
                 boxes: boxes.0,
                 points: info.points.unwrap_or_default(),
@@ -155,6 +167,7 @@ impl TruthJoin {
                 by_track: by_track(&boxes.0, &info),
             }),
             None => {
+                self.level(stamp, &mut boxes);
                 let views = self.views_at(Stream::GroundTruthViews, stamp);
                 self.ego.entry(stamp).or_default().truth = Some((boxes, info, views));
             }
@@ -165,7 +178,17 @@ impl TruthJoin {
     /// The views of a stamp, none where the log has none.
     fn views_at(&mut self, stream: Stream, stamp: Nanos) -> Vec<View> {
         let found = self.views.remove(&stream).filter(|(at, _)| *at == stamp);
-        found.map(|(_, views)| views).unwrap_or_default()
+        let mut views = found.map(|(_, views)| views).unwrap_or_default();
+        if let Some(level) = &self.level {
+            level.views(stamp, &mut views);
+        }
+        views
+    }
+
+    fn level(&self, stamp: Nanos, boxes: &mut Boxes) {
+        if let Some(level) = &self.level {
+            level.boxes(stamp, &mut boxes.0);
+        }
     }
 
     fn forget(&mut self, stamp: Nanos) {

@@ -1,13 +1,14 @@
 //! What the player makes of a log of three agents.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter};
+use realo_logs::{AgentInfo, AgentKind, Levelled, Log, LogInfo, LogWriter, Precomputed};
 use realo_operator::{Describe, Error, Source};
 use realo_player::{Config, Coop, Detections, Player, PoseSource, TimeLine, next_pass, plan};
-use realo_schemas::geometry::View;
+use realo_schemas::geometry::{View, tilt_degrees};
 use realo_schemas::{
     Box3, Boxes, EgoState, GroundTruth, Kind, Message, Nanos, OwnLabels, Payload, PointCloud, PoseStatus,
 };
@@ -528,26 +529,123 @@ fn poses_that_are_no_poses_are_counted() {
     assert_eq!(player.counters()["poses_unusable"], 3);
 }
 
-#[test]
-fn poses_that_are_not_level_are_counted_and_sent() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("a.mcap");
-    let mut log = LogWriter::create(&path, &info()).unwrap();
+/// A log of bodies that pitch by so many degrees at odd ticks, cav1 alone, and by 0.2 at even ones, all three.
+fn nodding(path: &Path, degrees: f64, more: impl FnOnce(&mut LogWriter), info: &LogInfo) {
+    let mut log = LogWriter::create(path, info).unwrap();
     for tick in 0..10 {
         let stamp = START + tick * 10 * MS;
-        // Of three agents, at each other tick, by 0.2 or 0.3 degrees.
-        let pitch = if tick % 2 == 0 { 0.2_f64 } else { 0.3 };
-        let mut tilted = state(1.0, PoseStatus::Recorded);
-        tilted.map_from_body.rotation *= nalgebra::UnitQuaternion::from_euler_angles(0.0, pitch.to_radians(), 0.0);
         for (agent, _, _) in AGENTS {
+            let pitch = if tick % 2 == 1 && agent == "cav1" { degrees } else { 0.2 };
+            let mut tilted = state(1.0, PoseStatus::Recorded);
+            tilted.map_from_body.rotation *= UnitQuaternion::from_euler_angles(0.0, pitch.to_radians(), 0.0);
             log.pose(agent, stamp, stamp, &tilted).unwrap();
-            log.cloud(agent, stamp, stamp, &cloud(0)).unwrap();
+            log.cloud(agent, stamp, stamp, &cloud(3)).unwrap();
+            log.detections(agent, stamp, stamp, &Boxes(vec![object(9)])).unwrap();
+            log.truth(agent, stamp, stamp, &[object(9)], None, true).unwrap();
         }
     }
+    more(&mut log);
     log.finish().unwrap();
+}
+
+/// The greatest tilt of the poses on a port, degrees.
+fn tilt_on(played: &Played, port: &str) -> f64 {
+    let tilt = |message: &&Message| match &message.payload {
+        Payload::EgoState(state) => tilt_degrees(&state.map_from_body.rotation),
+        other => panic!("{other:?}"),
+    };
+    on(played, port).iter().map(tilt).fold(0.0, f64::max)
+}
+
+fn first_x_and_z(message: &Message) -> [f64; 2] {
+    match &message.payload {
+        Payload::PointCloud(cloud) => [cloud.x[0], cloud.z[0]].map(f64::from),
+        Payload::Boxes(boxes) => [boxes.0[0].center[0], boxes.0[0].center[2]],
+        Payload::GroundTruth(truth) => [truth.boxes[0].center[0], truth.boxes[0].center[2]],
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn who_tilts_is_levelled_and_who_is_level_passes_bit_for_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    nodding(&path, 3.0, |_| (), &info());
+    for (offline, repeat) in [(false, 1), (true, 1), (false, 3)] {
+        let (played, player) = play(Config {
+            offline,
+            repeat,
+            ..config(&path)
+        });
+        let counters = BTreeMap::from([("levelled_cav1_by_3.00".to_string(), 10 * u64::from(repeat))]);
+        assert_eq!(player.counters(), counters);
+        assert!(tilt_on(&played, "ego_poses") < 1e-9);
+        assert!((tilt_on(&played, "poses") - 0.2).abs() < 1e-9);
+        for (port, [x, z]) in [
+            ("ego_clouds", [1.0, 1.0]),
+            ("ego_recorded", [9.0, 0.8]),
+            ("truth", [9.0, 0.8]),
+        ] {
+            for (tick, message) in on(&played, port).into_iter().enumerate() {
+                let pitch = if tick % 2 == 1 { 3.0_f64 } else { 0.2 };
+                let (sin, cos) = pitch.to_radians().sin_cos();
+                let [found_x, found_z] = first_x_and_z(message);
+                let off = (found_x - (cos * x + sin * z)).hypot(found_z - (cos * z - sin * x));
+                assert!(off < 1e-6, "{off} m, {port}, tick {tick}, pass of {repeat}");
+            }
+        }
+        let is_as_recorded = |message: &&Message| match &message.payload {
+            Payload::PointCloud(found) => *found == cloud(3),
+            Payload::Boxes(found) => *found == Boxes(vec![object(9)]),
+            _ => false,
+        };
+        assert!(on(&played, "clouds").iter().all(is_as_recorded));
+        assert!(on(&played, "recorded").iter().all(is_as_recorded));
+    }
+}
+
+#[test]
+fn a_log_whose_tilts_are_noise_is_played_as_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    nodding(&path, 0.24, |_| (), &info());
     let (played, player) = play(config(&path));
-    assert_eq!(on(&played, "ego_poses").len(), 10);
-    assert_eq!(player.counters()["tilted_poses"], 15);
+    assert_eq!(player.counters(), BTreeMap::new());
+    assert!((tilt_on(&played, "ego_poses") - 0.24).abs() < 1e-9);
+    assert!(on(&played, "ego_clouds").iter().all(|m| first_x_and_z(m) == [1.0, 1.0]));
+}
+
+#[test]
+fn what_the_log_says_of_its_frames_holds() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    for (by, tilted) in [("ground", None), ("none", Some(5))] {
+        let degrees = [0.0, 0.0];
+        let levelled = BTreeMap::from([("cav1".to_string(), Levelled { by: by.into(), degrees })]);
+        nodding(&path, 3.0, |log| log.levelled(levelled), &info());
+        let (played, player) = play(config(&path));
+        assert_eq!(player.counters().get("tilted_poses").copied(), tilted, "{by}");
+        assert!((tilt_on(&played, "ego_poses") - 3.0).abs() < 1e-9);
+        assert!(on(&played, "truth").iter().all(|m| first_x_and_z(m) == [9.0, 0.8]));
+    }
+}
+
+#[test]
+fn beside_packets_all_is_played_as_it_is_and_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let mut info = info();
+    info.precomputed = Some(Precomputed {
+        graph: "late_fusion".into(),
+        agents: vec!["cav2".into()],
+        compute: "measured".into(),
+        lane: Vec::new(),
+    });
+    nodding(&path, 3.0, |_| (), &info);
+    let (played, player) = play(config(&path));
+    assert_eq!(player.counters(), BTreeMap::from([("tilted_poses".to_string(), 5)]));
+    assert!((tilt_on(&played, "ego_poses") - 3.0).abs() < 1e-9);
+    assert!(on(&played, "ego_clouds").iter().all(|m| first_x_and_z(m) == [1.0, 1.0]));
 }
 
 #[test]

@@ -350,6 +350,21 @@ impl RunResult {
         Some(format!("{which}: what lies before the cut was played"))
     }
 
+    /// Which agents the player levelled, and by how much their bodies tilt in any log.
+    fn note_of_levelled_agents(&self) -> Option<String> {
+        let counters = self.nodes.values().flat_map(|node| node.counters.keys());
+        let mut agents: BTreeMap<&str, f64> = BTreeMap::new();
+        for (agent, tilt) in counters.filter_map(|counter| levelled(counter)) {
+            let most = agents.entry(agent).or_default();
+            *most = most.max(tilt);
+        }
+        let said: Vec<String> = agents
+            .iter()
+            .map(|(agent, most)| format!("{agent}, which tilts by up to {most:.2}°"))
+            .collect();
+        (!said.is_empty()).then(|| format!("levelled while played, by the poses of the log: {}", said.join("; ")))
+    }
+
     fn own_notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         let mut note = |condition: bool, text: String| {
@@ -372,12 +387,14 @@ impl RunResult {
                 self.runs
             ),
         );
+        let levelled = self.note_of_levelled_agents();
+        note(levelled.is_some(), levelled.unwrap_or_default());
         let tilted = self.counter("tilted_poses");
         note(
             tilted > 0,
             format!(
-                "{tilted} poses of the log are not level: networks look for the ground at z = 0; `realo info` says by how much agents \
-                 tilt, `realo import log` makes a level copy"
+                "{tilted} poses are not level and were played as they are, beside precomputed packets or since the log says that it \
+                 is not to be levelled: networks look for the ground at z = 0; `realo info` says by how much agents tilt"
             ),
         );
         let skipped = self.frames.skipped;
@@ -441,9 +458,33 @@ impl RunResult {
     }
 }
 
+/// Agent and degrees of the player's counter of sweeps that it levelled, `levelled_AGENT_by_DEGREES`.
+fn levelled(counter: &str) -> Option<(&str, f64)> {
+    let (agent, degrees) = counter.strip_prefix("levelled_")?.rsplit_once("_by_")?;
+    Some((agent, degrees.parse().ok()?))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn agents_that_were_levelled_are_named_with_their_greatest_tilt() {
+        let mut result = RunResult::new(Settings::default());
+        let counters = [
+            "levelled_a_by_b_by_0.40",
+            "levelled_a_by_b_by_2.26",
+            "levelled_mast_by_0.53",
+        ];
+        let player = NodeSummary {
+            counters: counters.map(|counter| (counter.to_string(), 20)).into(),
+            ..NodeSummary::default()
+        };
+        result.nodes.insert("player".into(), player);
+        result.conclude(&Samples::default());
+        let said = "levelled while played, by the poses of the log: a_by_b, which tilts by up to 2.26°; mast, which tilts by up to 0.53°";
+        assert_eq!(result.notes, [said]);
+    }
 
     fn run_over(log: &str) -> RunResult {
         let mut result = RunResult::new(Settings::default());

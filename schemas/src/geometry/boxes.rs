@@ -21,6 +21,12 @@ pub fn tilt_degrees(rotation: &UnitQuaternion<f64>) -> f64 {
     libm::atan2(libm::hypot(up.x, up.y), up.z).to_degrees()
 }
 
+/// Level from body, where the body's rotation in a map with z up is known: z turned up, x in its heading.
+pub fn level_from_body(map_from_body: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_of(map_from_body));
+    heading.inverse() * map_from_body
+}
+
 /// The same heading in (-π, π].
 pub fn normalize_yaw(yaw: f64) -> f64 {
     let wrapped = yaw - TAU * (yaw / TAU).round();

@@ -1,5 +1,7 @@
 //! The motion of an agent during one sweep.
 
+use nalgebra::Isometry3;
+
 use crate::Nanos;
 use crate::geometry::cloud::Affine;
 use crate::geometry::{PoseTrack, relative};
@@ -7,7 +9,7 @@ use crate::geometry::{PoseTrack, relative};
 /// Longest stretch of a sweep over which the motion is taken as straight, ns.
 const STEP: Nanos = 1_000_000;
 
-/// The body frame at the sweep's stamp, seen from the body frame during the sweep.
+/// One frame, seen from the body frame during a sweep: the body frame at its stamp, or another.
 ///
 /// Knots every millisecond at most; between two of them points are moved by both and weighted, which is within 0.1 mm
 /// at 100 m of a pose for each point.
@@ -22,23 +24,31 @@ impl Motion {
     /// The motion from `first` to `last`, offsets from the stamp in ns; `None` unless the track knows the poses then.
     pub fn new(track: &PoseTrack, stamp: Nanos, first: Nanos, last: Nanos) -> Option<Self> {
         let map_from_body = track.at(stamp)?;
-        let span = last - first;
-        let steps = span.div_euclid(STEP) + 1;
-        let knot = |time: &Nanos| {
-            Some(Affine::new(&relative(
-                &map_from_body,
-                &track.at(stamp.checked_add(*time)?)?,
-            )))
+        let stamp_from_body = |time: Nanos| {
+            let then = track.at(stamp.checked_add(time)?)?;
+            Some(relative(&map_from_body, &then))
         };
         // The ends first: a span that the track does not cover costs nothing.
-        knot(&first).and(knot(&last))?;
-        let times: Vec<Nanos> = (0..=steps).map(|i| first + span * i / steps).collect();
-        let knots = times.iter().map(knot).collect::<Option<_>>()?;
-        Some(Motion { times, knots })
+        stamp_from_body(first).and(stamp_from_body(last))?;
+        let times = knots(first, last);
+        let known: Option<Vec<_>> = times.iter().map(|time| stamp_from_body(*time)).collect();
+        Some(Self::of(times, &known?))
     }
 
-    /// Points `[x, y, z]` that were measured `time` ns from the stamp, in the body frame at the stamp; columns of one
-    /// length, and times from `first` to `last` of [`Motion::new`].
+    /// The motion by a frame's place from `first` to `last`, offsets from the stamp in ns.
+    pub fn by(first: Nanos, last: Nanos, frame_from_body: impl Fn(Nanos) -> Isometry3<f64>) -> Self {
+        let times = knots(first, last);
+        let known: Vec<_> = times.iter().map(|time| frame_from_body(*time)).collect();
+        Self::of(times, &known)
+    }
+
+    fn of(times: Vec<Nanos>, known: &[Isometry3<f64>]) -> Self {
+        let knots = known.iter().map(Affine::new).collect();
+        Motion { times, knots }
+    }
+
+    /// Points `[x, y, z]` that were measured `time` ns from the stamp, in the one frame; columns of one length, and times
+    /// from `first` to `last`.
     pub fn at_stamp(&self, [x, y, z]: [&[f32]; 3], time: &[i32]) -> [Vec<f32>; 3] {
         let mut moved = [vec![0.0; time.len()], vec![0.0; time.len()], vec![0.0; time.len()]];
         let mut start = 0;
@@ -81,6 +91,13 @@ impl Motion {
             .clamp(1, self.times.len() - 1)
             - 1
     }
+}
+
+/// Times of the knots of a sweep from `first` to `last`.
+fn knots(first: Nanos, last: Nanos) -> Vec<Nanos> {
+    let span = last - first;
+    let steps = span.div_euclid(STEP) + 1;
+    (0..=steps).map(|i| first + span * i / steps).collect()
 }
 
 /// One coordinate between two knots.

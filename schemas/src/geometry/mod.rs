@@ -9,7 +9,8 @@ mod rotated;
 mod view;
 
 pub use boxes::{
-    bottom_corners, footprint_contains, is_valid, normalize_yaw, relative, tilt_degrees, transform_box, yaw_of,
+    bottom_corners, footprint_contains, is_valid, level_from_body, normalize_yaw, relative, tilt_degrees,
+    transform_box, yaw_of,
 };
 pub use cloud::transform_cloud;
 pub use deskew::Motion;

@@ -76,6 +76,16 @@ impl PoseTrack {
         (reach <= self.max_gap).then(|| interpolate(a, b, to_seconds(stamp - t0) / to_seconds(t1 - t0)))
     }
 
+    /// The recorded pose whose stamp is nearest, the earlier of two.
+    pub fn nearest(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
+        let after = self.poses.partition_point(|(t, _)| *t < stamp);
+        let neighbours = self
+            .poses
+            .range(after.saturating_sub(1)..self.poses.len().min(after + 1));
+        let nearest = neighbours.min_by_key(|(t, _)| (stamp.saturating_sub(*t)).saturating_abs());
+        nearest.map(|(_, pose)| *pose)
+    }
+
     /// Velocity in `map` (m/s) and angular rate in the frame (rad/s) around `stamp`, from neighbouring poses.
     pub fn motion_at(&self, stamp: Nanos) -> Option<(nalgebra::Vector3<f64>, nalgebra::Vector3<f64>)> {
         let after = self

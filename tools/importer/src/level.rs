@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
-use realo_schemas::geometry::yaw_of;
+use realo_schemas::geometry::{level_from_body, yaw_of};
 use serde::{Deserialize, Serialize};
 
 /// By what a body frame is levelled.
@@ -51,8 +51,7 @@ impl fmt::Display for Level {
 /// Body from sensor, where the sensor's rotation in a map with z up is known: the body's z is up, its x has the sensor's
 /// heading, and its origin lies `height` below the sensor.
 pub fn by_pose(map_from_sensor: &UnitQuaternion<f64>, height: f64) -> Isometry3<f64> {
-    let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_of(map_from_sensor));
-    Isometry3::from_parts(Translation3::new(0.0, 0.0, height), heading.inverse() * map_from_sensor)
+    Isometry3::from_parts(Translation3::new(0.0, 0.0, height), level_from_body(map_from_sensor))
 }
 
 /// Body from sensor by the ground: z = 0 is the plane, z points away from it, and x has the sensor's heading.

@@ -3,19 +3,16 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{Isometry3, Point3, Translation3};
-use realo_logs::{Entry, Levelled, Log, LogReader, LogWriter, Stream};
-use realo_schemas::geometry::{PoseTrack, View, tilt_degrees, transform_box};
+use nalgebra::{Isometry3, Translation3};
+use realo_logs::{Attitude, Attitudes, Entry, Levelled, Log, LogReader, LogWriter, Stream, level_state};
+use realo_schemas::geometry::{View, tilt_degrees, transform_box, transform_cloud};
 use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud};
 
 use crate::ImportError;
-use crate::level::{Level, Plane, by_ground, by_pose};
+use crate::level::{Level, Plane, by_ground};
 
 /// In a body frame that is not level, nor known to lie on the ground, the ground at the origin lies no higher, m.
 const HIGHEST_GROUND: f64 = 1.0;
-
-/// Poses further apart say nothing of what lies between.
-const MAX_GAP: Nanos = 1_000_000_000;
 
 /// Copies a log with level body frames.
 ///
@@ -42,15 +39,16 @@ pub fn relevel(from: &Path, to: &Path, level: Level) -> Result<BTreeMap<String, 
     for agent in &log.info().agents {
         agents.insert(Name::from(&*agent.name), Leveller::of(&log, &agent.name, level)?);
     }
+    let lacking = |stream| {
+        let lacks = |agent: &&Name| !log.has(agent, stream);
+        agents.keys().filter(lacks).cloned().collect()
+    };
     let mut copy = Copy {
         reader: reader(&log)?,
         writer: LogWriter::create_atomic(to, log.info())?,
         boxes: BTreeMap::new(),
-        bare: agents
-            .keys()
-            .filter(|agent| !log.has(agent, Stream::Points))
-            .cloned()
-            .collect(),
+        bare: lacking(Stream::Points),
+        without_info: lacking(Stream::DetectionsInfo),
         agents,
     };
     while let Some(entry) = copy.reader.next()? {
@@ -89,11 +87,7 @@ struct Leveller {
 }
 
 enum By {
-    /// Poses as believed, and true ones.
-    Pose {
-        believed: PoseTrack,
-        exact: PoseTrack,
-    },
+    Pose(Attitudes),
     /// By the stamp of the sweep: level from body.
     Ground(BTreeMap<Nanos, Isometry3<f64>>),
     Nothing,
@@ -105,12 +99,7 @@ impl Leveller {
             Level::None => By::Nothing,
             Level::Pose => {
                 log.need(agent, Stream::Pose)?;
-                let believed = track(log, agent, Stream::Pose)?;
-                let exact = match log.has(agent, Stream::PoseTruth) {
-                    true => track(log, agent, Stream::PoseTruth)?,
-                    false => believed.clone(),
-                };
-                By::Pose { believed, exact }
+                By::Pose(Attitudes::read(log, agent, Stream::Pose)?)
             }
             Level::Ground => {
                 log.need(agent, Stream::Points)?;
@@ -124,15 +113,14 @@ impl Leveller {
     fn at(&self, stamp: Nanos, exact: bool) -> Result<Isometry3<f64>, String> {
         match &self.by {
             By::Nothing => Ok(Isometry3::identity()),
-            By::Pose { believed, exact: known } => {
-                let pose = if exact { known } else { believed }.at(stamp);
-                let pose = pose.ok_or_else(|| {
+            By::Pose(attitudes) => {
+                let attitude = if exact { &attitudes.truth } else { &attitudes.sweeps };
+                attitude.at(stamp).ok_or_else(|| {
                     format!(
                         "no pose within {} s of {stamp} ns: expected poses from before the first sweep to behind the last",
-                        MAX_GAP / 1_000_000_000
+                        Attitude::MAX_GAP / 1_000_000_000
                     )
-                })?;
-                Ok(by_pose(&pose.rotation, 0.0))
+                })
             }
             By::Ground(sweeps) => sweeps
                 .get(&stamp)
@@ -141,41 +129,29 @@ impl Leveller {
         }
     }
 
-    fn cloud(&mut self, stamp: Nanos, mut cloud: PointCloud) -> Result<PointCloud, String> {
+    fn cloud(&mut self, stamp: Nanos, cloud: PointCloud) -> Result<PointCloud, String> {
         let whole = self.at(stamp, false)?;
         let tilt = tilt_degrees(&whole.rotation);
         let [least, most] = self.degrees.unwrap_or([tilt; 2]);
         self.degrees = Some([least.min(tilt), most.max(tilt)]);
-        let n = cloud.len();
-        let [mut x, mut y, mut z] = [(); 3].map(|()| Vec::with_capacity(n));
-        let mut known = (0, whole);
-        for i in 0..n {
-            let time = cloud.time[i];
-            if known.0 != time && matches!(self.by, By::Pose { .. }) {
-                // Points that reach behind the last pose turn with the sweep.
-                known = (time, self.at(stamp + Nanos::from(time), false).unwrap_or(whole));
-            }
-            let point = known.1 * Point3::new(cloud.x[i], cloud.y[i], cloud.z[i]).cast::<f64>();
-            x.push(point.x as f32);
-            y.push(point.y as f32);
-            z.push(point.z as f32);
-        }
-        (cloud.x, cloud.y, cloud.z) = (x.into(), y.into(), z.into());
-        Ok(cloud)
+        Ok(match &self.by {
+            By::Pose(attitudes) => attitudes.sweeps.cloud(stamp, cloud),
+            By::Ground(_) => transform_cloud(&whole, &cloud),
+            By::Nothing => cloud,
+        })
     }
 
     /// The pose of the level frame.
     fn state(&self, state: EgoState) -> EgoState {
-        let lowered = match &self.by {
-            By::Nothing => return state,
-            By::Pose { .. } => 0.0,
-            By::Ground(sweeps) => sweeps.values().next().map_or(0.0, |level| level.translation.z),
-        };
-        let pose = state.map_from_body;
-        let turn = by_pose(&pose.rotation, 0.0).inverse();
-        EgoState {
-            map_from_body: pose * turn * Translation3::new(0.0, 0.0, -lowered),
-            ..state
+        match &self.by {
+            By::Nothing => state,
+            By::Pose(_) => level_state(state),
+            By::Ground(sweeps) => {
+                let lowered = sweeps.values().next().map_or(0.0, |level| level.translation.z);
+                let mut level = level_state(state);
+                level.map_from_body *= Translation3::new(0.0, 0.0, -lowered);
+                level
+            }
         }
     }
 
@@ -185,18 +161,6 @@ impl Leveller {
             degrees: self.degrees.unwrap_or_default(),
         }
     }
-}
-
-fn track(log: &Log, agent: &str, stream: Stream) -> Result<PoseTrack, ImportError> {
-    let mut track = PoseTrack::new(Nanos::MAX, MAX_GAP);
-    let mut reader = log.read_all(&[(agent, stream)])?;
-    while let Some(entry) = reader.next()? {
-        // The player counts poses that are none; they level nothing.
-        if let Ok(state) = entry.pose() {
-            track.insert(entry.stamp(), state.map_from_body);
-        }
-    }
-    Ok(track)
 }
 
 /// Level from body for each sweep: its own tilt, and the median height of all.
@@ -221,6 +185,13 @@ fn of(log: &Log, entry: &Entry, reason: String) -> ImportError {
     ImportError::content(log.path(), format!("{topic}, stamp {} ns: {reason}", entry.stamp()))
 }
 
+fn level_boxes(level: &Isometry3<f64>, boxes: &mut Boxes) {
+    boxes
+        .0
+        .iter_mut()
+        .for_each(|object| *object = transform_box(level, object));
+}
+
 /// The copy in the making.
 struct Copy {
     reader: LogReader,
@@ -230,6 +201,8 @@ struct Copy {
     boxes: BTreeMap<(Name, Stream), Boxes>,
     /// Agents without points.
     bare: Vec<Name>,
+    /// Agents whose detections have no companion.
+    without_info: Vec<Name>,
 }
 
 impl Copy {
@@ -253,6 +226,11 @@ impl Copy {
                 let state = leveller.state(entry.pose()?);
                 self.writer.pose_truth(agent, stamp, ready, &state)?;
             }
+            Stream::Detections if self.without_info.contains(&entry.agent) => {
+                let mut boxes = entry.boxes()?;
+                level_boxes(&leveller.at(stamp, false).map_err(bad)?, &mut boxes);
+                self.writer.detections(agent, stamp, ready, &boxes)?;
+            }
             Stream::Detections | Stream::GroundTruth | Stream::OwnLabels => {
                 self.boxes.insert((entry.agent.clone(), entry.stream), entry.boxes()?);
             }
@@ -264,11 +242,7 @@ impl Copy {
                 };
                 let mut boxes = self.boxes.remove(&(entry.agent.clone(), array)).unwrap_or_default();
                 let info = entry.info(&mut boxes)?;
-                let level = leveller.at(stamp, exact).map_err(bad)?;
-                boxes
-                    .0
-                    .iter_mut()
-                    .for_each(|object| *object = transform_box(&level, object));
+                level_boxes(&leveller.at(stamp, exact).map_err(bad)?, &mut boxes);
                 let points = info.points.as_deref();
                 match array {
                     Stream::Detections => self.writer.detections(agent, stamp, ready, &boxes)?,

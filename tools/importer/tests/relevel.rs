@@ -1,12 +1,15 @@
 //! A log whose body frames pitch and roll becomes one whose body frames are level, and nothing else changes.
 
+use std::fs::File;
 use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use realo_importer::{Level, relevel};
-use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, Stream, describe};
+use realo_logs::{AgentInfo, AgentKind, Lane, Log, LogInfo, LogWriter, McapFile, McapWriter, Schema, Stream, describe};
+use realo_operator::Source;
+use realo_player::{Config, Player, PoseSource};
 use realo_schemas::geometry::{View, transform_box, yaw_of};
-use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{Box3, Boxes, EgoState, Message, Nanos, Payload, PointCloud, PoseStatus};
 
 const START: Nanos = 1_700_000_000_000_000_000;
 const MS: Nanos = 1_000_000;
@@ -83,6 +86,11 @@ fn agents() -> Vec<AgentInfo> {
 
 /// With attitude the poses tell the tilt; without, the points alone, and the frame lies 1.2 m over the ground.
 fn make(path: &Path, attitude: bool) {
+    make_with(path, attitude, None);
+}
+
+/// With an error, rad, the recorded poses roll by so much too far, and there are true ones.
+fn make_with(path: &Path, attitude: bool, error: Option<f64>) {
     let mut log = LogWriter::create(path, &LogInfo::new("a test", agents())).unwrap();
     let lift = if attitude { 0.0 } else { 1.2 };
     let body_from_level = |t: f64| tilt(t).inverse() * Translation3::new(0.0, 0.0, -lift);
@@ -92,7 +100,14 @@ fn make(path: &Path, attitude: bool) {
             true => level_pose(t) * body_from_level(t).inverse(),
             false => level_pose(t) * Translation3::new(0.0, 0.0, lift),
         };
-        log.pose("car", stamp, stamp, &state(recorded)).unwrap();
+        match error {
+            None => log.pose("car", stamp, stamp, &state(recorded)).unwrap(),
+            Some(error) => {
+                let believed = recorded * UnitQuaternion::from_euler_angles(error, 0.0, 0.0);
+                log.pose("car", stamp, stamp, &state(believed)).unwrap();
+                log.pose_truth("car", stamp, stamp, &state(recorded)).unwrap();
+            }
+        }
         if tick % 10 != 0 || tick == 50 {
             continue;
         }
@@ -204,7 +219,7 @@ fn the_recorded_pose_levels_each_point_at_its_own_time() {
     assert!(shown.contains("LiDAR; levelled by pose, by 0.97° to"), "{shown}");
     let shown = describe(&raw).unwrap().to_string();
     assert!(
-        shown.contains("LiDAR; TILTS by up to 2.2") && shown.contains("realo import log"),
+        shown.contains("LiDAR; TILTS by up to 2.2") && shown.contains("levelled while played; `realo import log`"),
         "{shown}"
     );
     // What is level stays as it is.
@@ -215,6 +230,124 @@ fn the_recorded_pose_levels_each_point_at_its_own_time() {
         points < 1e-3 && boxes < 1e-3 && poses < 1e-9,
         "{points} m, {boxes}, {poses}"
     );
+}
+
+type Played = Vec<(Nanos, usize, Message)>;
+
+fn play(config: Config) -> Played {
+    let mut player = Player::new(config).unwrap();
+    let mut played = Vec::new();
+    while let Some((time, port, message)) = player.next().unwrap() {
+        played.push((time, port.0, message));
+    }
+    played
+}
+
+fn config(log: &Path) -> Config {
+    Config {
+        log: log.into(),
+        ..Config::default()
+    }
+}
+
+/// A copy without the messages of a topic.
+fn without(topic: &str, from: &Path, to: &Path) {
+    let file = McapFile::open(from).unwrap();
+    let mut mcap = McapWriter::new(File::create(to).unwrap(), "x", "realo", &file.metadata()["realo"]).unwrap();
+    let stays = file.channels().iter().filter(|(_, channel)| channel.topic != topic);
+    let channels: std::collections::BTreeMap<_, _> = stays
+        .map(|(id, channel)| {
+            let schema = Schema::named(&channel.schema).unwrap();
+            (*id, mcap.channel(&channel.topic, schema, Lane::of(&channel.schema)))
+        })
+        .collect();
+    let mut messages = file.messages(channels.keys().copied().collect(), 0..u64::MAX).unwrap();
+    while let Some(raw) = messages.next().unwrap() {
+        let to = channels[&raw.channel];
+        mcap.copy(to, raw.sequence, raw.log_time, raw.publish_time, raw.data())
+            .unwrap();
+    }
+    mcap.finish().unwrap();
+}
+
+#[test]
+fn a_log_that_tilts_is_played_as_its_level_copy() {
+    let dir = tempfile::tempdir().unwrap();
+    let [plain, erring, bare] = ["plain", "erring", "bare"].map(|name| dir.path().join(name).with_extension("mcap"));
+    make(&plain, true);
+    make_with(&erring, true, Some(0.01));
+    without("/car/detections_info", &plain, &bare);
+    for (raw, offline, repeat) in [
+        (&plain, false, 1),
+        (&plain, false, 3),
+        (&plain, true, 2),
+        (&erring, false, 1),
+        (&bare, false, 1),
+    ] {
+        let level = dir.path().join("level.mcap");
+        relevel(raw, &level, Level::Pose).unwrap();
+        let [found, expected] = [raw, &level].map(|log| {
+            play(Config {
+                offline,
+                repeat,
+                ..config(log)
+            })
+        });
+        assert_eq!(found.len(), (60 + 3 * 5) * repeat as usize);
+        for (found, expected) in found.iter().zip(&expected) {
+            assert_eq!(
+                (found.0, found.1, &found.2.header),
+                (expected.0, expected.1, &expected.2.header)
+            );
+            // Numbers as written are numbers as read.
+            assert!(found.2.payload == expected.2.payload, "{:?} of {raw:?}", found.2.header);
+        }
+    }
+}
+
+#[test]
+fn the_pose_that_is_played_levels_what_is_played_with_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let raw = dir.path().join("raw.mcap");
+    make_with(&raw, true, Some(0.03));
+    let exact = [(true, PoseSource::Recorded), (false, PoseSource::True)];
+    for (offline, pose) in exact {
+        let played = play(Config {
+            offline,
+            pose,
+            ..config(&raw)
+        });
+        for (_, _, message) in played {
+            let t = 1e-9 * (message.header.stamp - START) as f64;
+            match message.payload {
+                Payload::PointCloud(cloud) => {
+                    for (i, (point, _)) in points().into_iter().enumerate() {
+                        let found = Point3::new(cloud.x[i], cloud.y[i], cloud.z[i]).cast::<f64>();
+                        assert!((found - Point3::from(point)).norm() < 1e-3, "{found} for {point:?}");
+                    }
+                }
+                Payload::EgoState(found) => {
+                    assert!((found.map_from_body.inverse() * level_pose(t)).rotation.angle() < 1e-9);
+                }
+                Payload::Boxes(boxes) => assert!(is_object(&boxes.0[0])),
+                Payload::GroundTruth(truth) => {
+                    let own = truth.own.unwrap();
+                    assert!(is_object(&truth.boxes[0]) && is_object(&own.boxes[0]));
+                    for seen in [&truth.views[0], &own.views[0]] {
+                        let off = seen.frame_from_camera.inverse() * view().frame_from_camera;
+                        assert!(off.rotation.angle() < 1e-3 && off.translation.vector.norm() < 1e-3);
+                    }
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+}
+
+/// Boxes were upright in the tilted frame.
+fn is_object(found: &Box3) -> bool {
+    let off = Vector3::from(found.center) - Vector3::from(object().center);
+    off.norm() < 1e-3 && (found.yaw - object().yaw).abs() < 1e-3
 }
 
 #[test]

@@ -1,5 +1,5 @@
 use nalgebra::{Isometry3, Point3};
-use realo_logs::{Entry, Log, LogError, Stream};
+use realo_logs::{Attitude, Entry, Log, LogError, Stream, levelled_while_played};
 use realo_schemas::geometry::{Motion, PoseTrack, relative};
 use realo_schemas::{GroundTruth, Nanos, PointCloud};
 
@@ -30,6 +30,14 @@ pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<PoseTr
     Ok(track)
 }
 
+/// What makes an agent's frames level as the player does; `None` where they stay as they are.
+pub fn attitude(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<Option<Attitude>, LogError> {
+    match levelled_while_played(log)?.contains_key(agent) {
+        true => poses(log, agent, stamp, exact).map(|track| Some(Attitude::of(track))),
+        false => Ok(None),
+    }
+}
+
 /// Whether an agent has a sweep of this stamp, with points or without.
 pub fn has_sweep(log: &Log, agent: &str, stamp: Nanos) -> Result<bool, LogError> {
     let Some(stream) = [Stream::Sweeps, Stream::Points]
@@ -41,7 +49,8 @@ pub fn has_sweep(log: &Log, agent: &str, stamp: Nanos) -> Result<bool, LogError>
     Ok(at(log, agent, stream, stamp)?.is_some())
 }
 
-/// What the log says is there at an agent's sweep, with the agent's own points; nothing where it does not say.
+/// What the log says is there at an agent's sweep, level as it was played, with the agent's own points; nothing where it does
+/// not say.
 pub fn truth(log: &Log, agent: &str, stamp: Nanos) -> Result<GroundTruth, LogError> {
     let mut truth = GroundTruth {
         agents: vec![agent.into()],
@@ -57,6 +66,9 @@ pub fn truth(log: &Log, agent: &str, stamp: Nanos) -> Result<GroundTruth, LogErr
     if let Some((boxes, info)) = boxes.zip(info) {
         let mut found = boxes.boxes()?;
         let info = info.info(&mut found)?;
+        if let Some(attitude) = attitude(log, agent, stamp, true)? {
+            attitude.boxes(stamp, &mut found.0);
+        }
         (truth.boxes, truth.key) = (found.0, info.key);
         truth.points = info.points.unwrap_or_default();
     }

@@ -108,9 +108,17 @@ fn ego_pose(chosen: &Chosen, exact: bool) -> Result<Isometry3<f64>, RenderError>
         return Ok(pose.map_from_frame);
     }
     let track = clouds::poses(&chosen.log, &chosen.ego, chosen.stamp, exact)?;
-    track
+    let pose = track
         .at(chosen.stamp)
-        .ok_or_else(|| other_log(chosen, "it has no pose of the ego"))
+        .ok_or_else(|| other_log(chosen, "it has no pose of the ego"))?;
+    let level_from_body = level_from_body(chosen, &chosen.ego, exact)?;
+    Ok(pose * level_from_body.inverse())
+}
+
+/// How an agent's body lies in the level frame in which it was played, at the ego's stamp.
+fn level_from_body(chosen: &Chosen, name: &str, exact: bool) -> Result<Isometry3<f64>, RenderError> {
+    let attitude = clouds::attitude(&chosen.log, name, chosen.stamp, exact)?;
+    Ok(attitude.map_or_else(Isometry3::identity, |attitude| attitude.near(chosen.stamp)))
 }
 
 /// Refuses a log that does not have the ego's sweep, or has it with other objects than were recorded.
@@ -147,8 +155,10 @@ fn agent(
     log.need_agent(name)?;
     let track = clouds::poses(log, name, chosen.stamp, exact)?;
     let is_ego = name == chosen.ego;
+    // Points are drawn from the log, as its body lies.
+    let map_from_ego_body = map_from_ego * level_from_body(chosen, &chosen.ego, exact)?;
     let at = |stamp: Nanos| match is_ego && stamp == chosen.stamp {
-        true => Some(*map_from_ego),
+        true => Some(map_from_ego_body),
         false => track.at(stamp),
     };
     let sweep = clouds::nearest(log, name, chosen.stamp)?;

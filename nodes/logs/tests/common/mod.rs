@@ -47,7 +47,7 @@ pub fn cloud(points: usize, seed: u32) -> PointCloud {
 }
 
 pub fn state(seconds: f64, status: PoseStatus) -> EgoState {
-    let rotation = UnitQuaternion::from_euler_angles(0.01, -0.02, 0.3 * seconds);
+    let rotation = UnitQuaternion::from_euler_angles(0.001, -0.002, 0.3 * seconds);
     let pose = Isometry3::from_parts(Translation3::new(1e5 + 10.0 * seconds, -2.0, 0.3), rotation);
     EgoState {
         map_from_body: pose,
