@@ -108,13 +108,17 @@ pub const AUTO: &str = "auto";
 /// A file that cannot be read or does not fit, kernels that do not exist or that this processor lacks.
 pub fn load(model_file: &Path, kernels: Kernels) -> Result<Loaded, LoadError> {
     let options = kernels.options()?;
-    let (model, texts) = Model::read_with_texts(model_file)?;
+    let (model, files) = Model::read_with_files(model_file)?;
     let path = model.weights_beside(model_file);
     let bytes = read_bounded(&path, MOST_BYTES).map_err(|error| WeightsError::Read {
         path: path.clone(),
         error,
     })?;
-    let identity = format!("{}-{}", model.name, digest(texts.iter().chain([&bytes])));
+    let identity = format!(
+        "{}-{}",
+        model.name,
+        digest(files.iter().map(|(_, text)| text).chain([&bytes]))
+    );
 
     let mut known = lock(&KNOWN);
     let shared = match known.model(&identity, &options) {

@@ -283,7 +283,7 @@ impl Model {
     /// # Errors
     /// [`ModelError::Read`], [`ModelError::Syntax`], and [`ModelError::File`] with what [`Model::validate`] finds.
     pub fn read(path: &Path) -> Result<Model, ModelError> {
-        Ok(Model::read_with_texts(path)?.0)
+        Ok(Model::read_with_files(path)?.0)
     }
 
     /// A model of texts that are built in: what the first says, and the second where the first says nothing.
@@ -302,14 +302,17 @@ impl Model {
         Model::checked(table.try_into().map_err(syntax)?, path)
     }
 
-    /// Reads and checks a model file; beside the model the bytes of the file and of those that it extends.
-    pub(crate) fn read_with_texts(path: &Path) -> Result<(Model, Vec<Vec<u8>>), ModelError> {
+    /// Reads and checks a model file; beside the model the file and those that it extends, each with its bytes.
+    ///
+    /// # Errors
+    /// [`ModelError`].
+    pub fn read_with_files(path: &Path) -> Result<(Model, Vec<ModelFile>), ModelError> {
         let text = read_text(path)?;
         // Errors of a file that extends none tell the place in it.
         let Some(mut table) = extending(&text) else {
-            return Ok((Model::parse(&text, path)?, vec![text]));
+            return Ok((Model::parse(&text, path)?, vec![(path.into(), text)]));
         };
-        let mut texts = vec![text];
+        let mut files = vec![(path.to_path_buf(), text)];
         let mut file = path.to_path_buf();
         while let Some(base) = table.remove("extends") {
             let wrong = |reason: String| ModelError::Extends {
@@ -319,7 +322,7 @@ impl Model {
             let base = base
                 .as_str()
                 .ok_or_else(|| wrong(format!("expected the name of a model file, found {base}")))?;
-            if texts.len() > MOST_EXTENDED {
+            if files.len() > MOST_EXTENDED {
                 return Err(wrong(format!("more than {MOST_EXTENDED} files in a row")));
             }
             file = file.with_file_name(base);
@@ -328,14 +331,14 @@ impl Model {
                 path: file.clone(),
                 error: Box::new(error),
             })?;
-            texts.push(text);
+            files.push((file.clone(), text));
             table = over(below, table);
         }
         let model = table.try_into().map_err(|error| ModelError::Syntax {
             path: path.into(),
             error: Box::new(error),
         })?;
-        Model::checked(model, path).map(|model| (model, texts))
+        Model::checked(model, path).map(|model| (model, files))
     }
 
     /// Reads and checks the bytes of a model file; `path` is for errors.
@@ -641,6 +644,9 @@ fn read_text(path: &Path) -> Result<Vec<u8>, ModelError> {
     })
 }
 
+/// A model file, or one that it extends, and its bytes.
+pub type ModelFile = (PathBuf, Vec<u8>);
+
 /// The table of a model file that extends another.
 fn extending(text: &[u8]) -> Option<toml::Table> {
     let table: toml::Table = toml::from_slice(text).ok()?;
@@ -723,8 +729,10 @@ mod tests {
         assert_eq!(expected.weights_beside(&middle), dir.path().join("lite.safetensors"));
         expected.arch = Arch::FCooper(Default::default());
         expected.pillars.points = 16;
-        let (model, texts) = Model::read_with_texts(&top).unwrap();
-        assert_eq!((model, texts.len()), (expected, 3));
+        let (model, files) = Model::read_with_files(&top).unwrap();
+        let names: Vec<_> = files.iter().filter_map(|(file, _)| file.file_name()).collect();
+        assert_eq!(model, expected);
+        assert_eq!(names, ["top.toml", "middle.toml", "base.toml"]);
 
         let error = |text: &str| Model::read(&file("bad.toml", text)).unwrap_err().to_string();
         let cycle = error("extends = \"bad.toml\"");

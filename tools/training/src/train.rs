@@ -371,22 +371,17 @@ impl<'a> Training<'a> {
         Ok(training)
     }
 
-    /// The model file beside its weights, so that the folder can be given to `realo run --model`.
+    /// The model file, and those that it extends, beside its weights, so that the folder can be given to `realo run --model`.
     fn copy_model(&self) -> Result<(), TrainError> {
-        let path = &self.options.model;
-        let read = |path: &Path| {
-            std::fs::read(path).map_err(|error| TrainError::Read {
-                path: path.into(),
-                error,
-            })
-        };
-        let text = read(path)?;
-        let beside = self.options.output.join(path.file_name().unwrap_or_default());
-        // A training that goes on may have been given its own copy.
-        if read(&beside).is_ok_and(|there| there == text) {
-            return Ok(());
+        let (_, files) = Model::read_with_files(&self.options.model)?;
+        for (path, text) in files {
+            let beside = self.options.output.join(path.file_name().unwrap_or_default());
+            // A training that goes on may have been given its own copy.
+            if !std::fs::read(&beside).is_ok_and(|there| there == text) {
+                write_whole(&beside, &text)?;
+            }
         }
-        write_whole(&beside, &text)
+        Ok(())
     }
 
     /// Every class of the model needs an object.

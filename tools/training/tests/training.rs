@@ -414,7 +414,8 @@ fn a_fusion_learns_and_its_encoder_stays() {
     for (name, numbers) in &encoder {
         assert_eq!(trained[name] == *numbers, !heads(name), "{name}");
     }
-    let model = Model::read(&options.model).unwrap();
+    // What the model file extends lies beside it.
+    let model = Model::read(&options.output.join("fusing.toml")).unwrap();
     Weights::read(&options.output.join("fusing.safetensors"), &model).unwrap();
 }
 

@@ -483,7 +483,10 @@ impl Site<'_> {
             gap,
             |site, along, draws| {
                 let pose = turned(verge.pose(along, across), draws);
-                let (far, watched) = ((site.ground.node)(pose.x, pose.y), (site.ground.watched)(pose.x, pose.y));
+                let (far, watched) = (
+                    (site.ground.node)(pose.x, pose.y),
+                    (site.ground.watched)(pose.x, pose.y),
+                );
                 if far < ROWS_FROM || watched < UNROWED || draws.chance(0.1) {
                     return;
                 }

@@ -197,7 +197,10 @@ impl Scenery {
         let Plan::Network(network) = &self.plan else {
             return f64::INFINITY;
         };
-        let far = network.nodes.iter().map(|node| libm::hypot(node.at[0] - x, node.at[1] - y));
+        let far = network
+            .nodes
+            .iter()
+            .map(|node| libm::hypot(node.at[0] - x, node.at[1] - y));
         far.fold(f64::INFINITY, f64::min)
     }
 

@@ -1,5 +1,5 @@
-//! More background around far objects. Recorded cars beyond 50 m stand beside hedges and below the crowns of trees, among some ten times
-//! as many points as simulated ones, and what learned from these alone takes them for background.
+//! More background around far objects. Recorded cars beyond 50 m stand beside hedges and below the crowns of trees, among several times as
+//! many points as simulated ones, and what learned from these alone takes them for background.
 
 use std::collections::HashMap;
 
@@ -37,15 +37,16 @@ const CELL: f32 = 4.0;
 /// Puts background of other places, which is as far from the ego, around each far object with a probability, and as much anywhere else,
 /// so that it tells of no object. It may stand on a road, and in front of what is still seen behind it: foliage lets rays through.
 pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
-    if probability == 0.0 {
+    let is_far = |object: &Object| object.hwl[0].hypot(object.hwl[1]) >= FAR.into();
+    let objects: Vec<Object> = scene.seen().copied().collect();
+    if probability == 0.0 || !objects.iter().any(is_far) {
         return;
     }
-    let objects: Vec<Object> = scene.seen().copied().collect();
     let outlines = outlines(&objects);
     let background = Background::new(scene, &outlines);
     for object in &objects {
         let [x, y, z, height, ..] = object.hwl.map(|number| number as f32);
-        if x.hypot(y) < FAR || !draws.chance(probability) {
+        if !is_far(object) || !draws.chance(probability) {
             continue;
         }
         let ground = z - 0.5 * height;
