@@ -48,11 +48,26 @@ pub fn levelled_while_played(log: &Log) -> Result<BTreeMap<String, f64>, LogErro
     Ok(tilts)
 }
 
+/// Refuses a log that tilts, for what reads a log as it is and has to agree with what is played.
+///
+/// # Errors
+/// A log that cannot be read, or whose frames are levelled while it is played.
+pub fn need_level(log: &Log) -> Result<(), LogError> {
+    let Some((agent, tilt)) = tilts(log)?.into_iter().find(|(_, tilt)| *tilt > LEVEL) else {
+        return Ok(());
+    };
+    let reason = format!(
+        "poses of `{agent}`: expected ones that are level within {LEVEL}°, found {tilt:.2}°: level the log by `realo import log` first"
+    );
+    Err(LogError::input(log.path(), reason))
+}
+
 /// The pose of the level frame: the heading and the place of the body's.
 pub fn level_state(state: EgoState) -> EgoState {
     let body_from_level = level_from_body(&state.map_from_body.rotation).inverse();
     EgoState {
         map_from_body: state.map_from_body * body_from_level,
+        angular_rate: state.angular_rate.map(|rate| body_from_level.inverse() * rate),
         ..state
     }
 }
@@ -80,20 +95,17 @@ impl Attitude {
         Ok(Attitude(track))
     }
 
-    /// By the poses of a track.
-    pub fn of(poses: PoseTrack) -> Self {
-        Attitude(poses)
-    }
-
-    /// Level from body at a time; `None` where no poses are near.
+    /// Level from body at a time; `None` where no poses are near, and behind the last: how a body nodded says little of how it
+    /// will.
     pub fn at(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
-        self.0.at(stamp).map(|pose| level(&pose))
+        let known = stamp <= self.0.newest()?;
+        self.0.at(stamp).filter(|_| known).map(|pose| level(&pose))
     }
 
     /// Level from body at a time; where no poses are near, by the nearest that there is.
     pub fn near(&self, stamp: Nanos) -> Isometry3<f64> {
-        let pose = self.0.at(stamp).or_else(|| self.0.nearest(stamp));
-        pose.map_or_else(Isometry3::identity, |pose| level(&pose))
+        let nearest = || self.0.nearest(stamp).map(|pose| level(&pose));
+        self.at(stamp).or_else(nearest).unwrap_or_default()
     }
 
     /// A sweep with each point in the level frame of its own time. Points that reach beyond the poses turn with the sweep.
@@ -223,7 +235,9 @@ mod tests {
         assert_eq!(attitude.at(-MS), None);
         assert_eq!(attitude.near(-MS), level(&pose(0)));
         assert_eq!(attitude.at(5_000 * MS), None);
-        assert_eq!(attitude.near(5_000 * MS), level(&pose(300 * MS)));
+        for behind in [350, 5_000] {
+            assert_eq!(attitude.near(behind * MS), level(&pose(300 * MS)));
+        }
         assert_eq!(attitude.near(100 * MS), level(&pose(100 * MS)));
         let empty = Attitude(PoseTrack::new(Nanos::MAX, Attitude::MAX_GAP));
         assert_eq!(empty.near(0), Isometry3::identity());

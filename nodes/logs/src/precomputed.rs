@@ -9,7 +9,7 @@ use realo_schemas::Nanos;
 use serde::{Deserialize, Serialize};
 
 use crate::info::{END_RECORD, LOG_RECORD};
-use crate::level::{LEVEL, tilts};
+use crate::level::need_level;
 use crate::log::parse_topic;
 use crate::log_writer::{open, partial};
 use crate::packets::{self, SentPacket};
@@ -130,7 +130,8 @@ impl<'a> LogCopy<'a> {
                 "it is the log that is read; choose another file",
             ));
         }
-        need_level(log, target)?;
+        // What is played beside the packets stays as it is in the log, and packets lie in level frames.
+        need_level(log)?;
         let partial = partial(target);
         let file = File::create(&partial).map_err(LogError::io(&partial, "create"))?;
         let mut info = log.info().clone();
@@ -230,20 +231,6 @@ impl<'a> LogCopy<'a> {
         mcap.finish().map_err(|failure| failure.of(&self.partial))?;
         fs::rename(&self.partial, &self.target).map_err(LogError::io(&self.target, "rename the finished log to"))
     }
-}
-
-/// Frames that tilt are levelled while played, but stay as they are in the copy, beside packets in level frames.
-fn need_level(log: &Log, target: &Path) -> Result<(), LogError> {
-    let Some((agent, tilt)) = tilts(log)?.into_iter().find(|(_, tilt)| *tilt > LEVEL) else {
-        return Ok(());
-    };
-    let reason = format!(
-        "`{}`, {}: expected poses that are level within {LEVEL}°, found {tilt:.2}°: level it by `realo import log`, then \
-         precompute",
-        log.path().display(),
-        Stream::Pose.topic(&agent)
-    );
-    Err(LogError::input(target, reason))
 }
 
 impl Drop for LogCopy<'_> {

@@ -394,7 +394,7 @@ impl RunResult {
             tilted > 0,
             format!(
                 "{tilted} poses are not level and were played as they are, beside precomputed packets or since the log says that it \
-                 is not to be levelled: networks look for the ground at z = 0; `realo info` says by how much agents tilt"
+                 is not to be levelled: networks look for the ground at z = 0"
             ),
         );
         let skipped = self.frames.skipped;
@@ -461,7 +461,8 @@ impl RunResult {
 /// Agent and degrees of the player's counter of sweeps that it levelled, `levelled_AGENT_by_DEGREES`.
 fn levelled(counter: &str) -> Option<(&str, f64)> {
     let (agent, degrees) = counter.strip_prefix("levelled_")?.rsplit_once("_by_")?;
-    Some((agent, degrees.parse().ok()?))
+    let degrees: f64 = degrees.parse().ok()?;
+    degrees.is_finite().then_some((agent, degrees))
 }
 
 #[cfg(test)]

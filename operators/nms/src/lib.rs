@@ -194,7 +194,7 @@ impl Describe for Nms {
         },
         Argument {
             name: "vote",
-            about: "IoU above which boxes of a class have a say, each by its score, in centre, extents and heading of one that is kept; 1 = none has",
+            about: "IoU, at least `threshold`, above which boxes of a class have a say, each by its score, in where a kept one lies; 1 = none has",
         },
         Argument {
             name: "region",
@@ -219,8 +219,11 @@ impl Operator for Nms {
             )
             .into());
         }
-        if !(0.0..=1.0).contains(&config.vote) {
-            return Err(format!("argument `vote`: an IoU lies in [0, 1], found {}", config.vote).into());
+        if !(config.threshold..=1.0).contains(&config.vote) {
+            let [least, found] = [config.threshold, config.vote];
+            return Err(
+                format!("argument `vote`: expected an IoU from `threshold`, {least}, to 1, found {found}").into(),
+            );
         }
         if config.min_score.is_nan() {
             return Err("argument `min_score`: expected a number, found NaN".into());

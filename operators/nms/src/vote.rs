@@ -1,7 +1,7 @@
 use std::f64::consts::{FRAC_PI_4, PI};
 
 use realo_schemas::Box3;
-use realo_schemas::geometry::{Footprint, iou_exceeds};
+use realo_schemas::geometry::{Footprint, iou_exceeds, is_valid, normalize_yaw};
 
 /// What candidates make of a kept box (box voting, Gidaris and Komodakis 2015): the mean of its centre, extents and heading and those of
 /// all candidates of its class that overlap it by an IoU above `threshold`, each by its score. Score, class and all else stay its own.
@@ -37,14 +37,20 @@ pub(crate) fn vote<'a>(
     }
     // Without scores nobody has a say.
     let [x, y, z, length, width, height, turn] = sum.map(|sum| if weights > 0.0 { sum / weights } else { 0.0 });
-    Box3 {
+    let voted = Box3 {
         center: [own.center[0] + x, own.center[1] + y, own.center[2] + z],
         length: own.length + length,
         width: own.width + width,
         height: own.height + height,
-        yaw: own.yaw + turn,
+        yaw: if turn == 0.0 {
+            own.yaw
+        } else {
+            normalize_yaw(own.yaw + turn)
+        },
         ..own.clone()
-    }
+    };
+    // Heights may be as far apart as numbers go.
+    if is_valid(&voted) { voted } else { own.clone() }
 }
 
 #[cfg(test)]
@@ -97,6 +103,11 @@ mod tests {
         let others = [car(3.0, 0.1, 0.8), car(0.2, 0.1 + FRAC_PI_4 + 0.01, 0.8), van];
         assert_eq!(voted(&own, &others), own);
         assert_eq!(voted(&own, &[]), own);
+        let [high, deep] = [1.7e308, -1.7e308].map(|z| Box3 {
+            center: [0.0, 0.0, z],
+            ..own.clone()
+        });
+        assert_eq!(voted(&high, &[deep]), high);
         let unsure = car(0.0, 0.1, 0.0);
         assert_eq!(voted(&unsure, &[]), unsure);
     }

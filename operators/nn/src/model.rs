@@ -305,7 +305,7 @@ impl Model {
     /// Reads and checks a model file; beside the model the file and those that it extends, each with its bytes.
     ///
     /// # Errors
-    /// [`ModelError`].
+    /// As [`Model::read`], and [`ModelError::Extends`].
     pub fn read_with_files(path: &Path) -> Result<(Model, Vec<ModelFile>), ModelError> {
         let text = read_text(path)?;
         // Errors of a file that extends none tell the place in it.
@@ -324,6 +324,11 @@ impl Model {
                 .ok_or_else(|| wrong(format!("expected the name of a model file, found {base}")))?;
             if files.len() > MOST_EXTENDED {
                 return Err(wrong(format!("more than {MOST_EXTENDED} files in a row")));
+            }
+            if Path::new(base).file_name() != Some(base.as_ref()) {
+                return Err(wrong(format!(
+                    "expected the name of a model file beside it, found `{base}`"
+                )));
             }
             file = file.with_file_name(base);
             let text = read_text(&file)?;
@@ -742,6 +747,7 @@ mod tests {
         );
         assert!(error("extends = 3").contains("`extends`: expected the name of a model file, found 3"));
         assert!(error("extends = \"none.toml\"").contains("none.toml"));
+        assert!(error("extends = \"../base.toml\"").contains("beside it, found `../base.toml`"));
         assert!(error("extends = \"base.toml\"\nwidth = 3").contains("unknown field `width`"));
         assert!(error("extends = \"base.toml\"\nweights = \"../x\"").contains("weights: expected lower-case"));
         assert!(

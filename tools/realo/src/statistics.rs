@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail};
-use realo_logs::{AgentKind, Log, Stream};
+use realo_logs::{AgentKind, Attitudes, Log, Stream, levelled_while_played};
 use realo_schemas::{Box3, Nanos, PointCloud};
 use realo_simulator::Sensor;
 use realo_simulator::statistics::{Observed, ROADSIDE_SECTOR, Row, Statistics, VEHICLE_SECTOR};
@@ -54,7 +54,8 @@ fn add(agents: &mut BTreeMap<String, Statistics>, path: &Path, beams: &[f64]) ->
 }
 
 /// Points and labels of each sweep of an agent. Labels are the ground truth that the agent has points on, where the log
-/// counts them; else the recorded detections, which in imported data are the labels of the agent's own side.
+/// counts them; else the recorded detections, which in imported data are the labels of the agent's own side. All is level, as it
+/// is played.
 fn each_sweep(log: &Log, agent: &str, mut visit: impl FnMut(&PointCloud, &[Box3])) -> Result<()> {
     let streams = [
         Stream::Points,
@@ -67,16 +68,31 @@ fn each_sweep(log: &Log, agent: &str, mut visit: impl FnMut(&PointCloud, &[Box3]
         .filter(|stream| log.has(agent, *stream))
         .map(|stream| (agent, stream))
         .collect();
+    let tilts = levelled_while_played(log)?.contains_key(agent);
+    let level = tilts.then(|| Attitudes::read(log, agent, Stream::Pose)).transpose()?;
     let mut reader = log.read_all(&wanted)?;
     let mut sweep = Sweep::default();
     while let Some(entry) = reader.next()? {
-        if entry.stamp() != sweep.stamp {
+        let stamp = entry.stamp();
+        if stamp != sweep.stamp {
             sweep.finish(&mut visit);
-            sweep.stamp = entry.stamp();
+            sweep.stamp = stamp;
         }
         match entry.stream {
-            Stream::Points => sweep.cloud = Some(entry.cloud()?),
-            Stream::GroundTruth => sweep.truth = Some(entry.boxes()?),
+            Stream::Points => {
+                let cloud = entry.cloud()?;
+                sweep.cloud = Some(match &level {
+                    Some(level) => level.sweeps.cloud(stamp, cloud),
+                    None => cloud,
+                });
+            }
+            Stream::GroundTruth => {
+                let mut boxes = entry.boxes()?;
+                if let Some(level) = &level {
+                    level.truth.boxes(stamp, &mut boxes.0);
+                }
+                sweep.truth = Some(boxes);
+            }
             Stream::GroundTruthInfo => {
                 if let Some(truth) = &mut sweep.truth {
                     let info = entry.info(truth)?;
@@ -87,7 +103,12 @@ fn each_sweep(log: &Log, agent: &str, mut visit: impl FnMut(&PointCloud, &[Box3]
                     });
                 }
             }
-            _ => sweep.detections = entry.boxes()?.0,
+            _ => {
+                sweep.detections = entry.boxes()?.0;
+                if let Some(level) = &level {
+                    level.sweeps.boxes(stamp, &mut sweep.detections);
+                }
+            }
         }
     }
     sweep.finish(&mut visit);

@@ -10,10 +10,7 @@ const POSES: Nanos = 1_000_000_000;
 
 /// The poses of an agent around a stamp: exact ones if wanted and there, else what it believed.
 pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<PoseTrack, LogError> {
-    let stream = match exact && log.has(agent, Stream::PoseTruth) {
-        true => Stream::PoseTruth,
-        false => Stream::Pose,
-    };
+    let stream = pose_stream(log, agent, exact);
     let mut track = PoseTrack::new(4 * POSES, POSES);
     if !log.has(agent, stream) {
         return Ok(track);
@@ -31,10 +28,18 @@ pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<PoseTr
 }
 
 /// What makes an agent's frames level as the player does; `None` where they stay as they are.
-pub fn attitude(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<Option<Attitude>, LogError> {
+pub fn attitude(log: &Log, agent: &str, exact: bool) -> Result<Option<Attitude>, LogError> {
     match levelled_while_played(log)?.contains_key(agent) {
-        true => poses(log, agent, stamp, exact).map(|track| Some(Attitude::of(track))),
+        true => Attitude::read(log, agent, pose_stream(log, agent, exact)).map(Some),
         false => Ok(None),
+    }
+}
+
+/// Exact poses if wanted and there, else those that the agent believed.
+fn pose_stream(log: &Log, agent: &str, exact: bool) -> Stream {
+    match exact && log.has(agent, Stream::PoseTruth) {
+        true => Stream::PoseTruth,
+        false => Stream::Pose,
     }
 }
 
@@ -66,7 +71,7 @@ pub fn truth(log: &Log, agent: &str, stamp: Nanos) -> Result<GroundTruth, LogErr
     if let Some((boxes, info)) = boxes.zip(info) {
         let mut found = boxes.boxes()?;
         let info = info.info(&mut found)?;
-        if let Some(attitude) = attitude(log, agent, stamp, true)? {
+        if let Some(attitude) = attitude(log, agent, true)? {
             attitude.boxes(stamp, &mut found.0);
         }
         (truth.boxes, truth.key) = (found.0, info.key);

@@ -68,10 +68,13 @@ impl Scene {
     pub fn of(chosen: Chosen) -> Result<Self, RenderError> {
         check_log(&chosen)?;
         let exact = chosen.result.settings.mode == "offline";
-        let map_from_ego = ego_pose(&chosen, exact)?;
+        let level_from_body = level_from_body(&chosen, exact)?;
+        let map_from_ego = ego_pose(&chosen, exact, &level_from_body)?;
+        // Points are drawn from the log, as its bodies lie.
+        let map_from_body = map_from_ego * level_from_body;
         let mut agents = Vec::new();
         for name in &chosen.agents {
-            agents.extend(agent(&chosen, name, exact, &map_from_ego)?);
+            agents.extend(agent(&chosen, name, exact, [&map_from_ego, &map_from_body])?);
         }
         let start = chosen.log.span().map_or(chosen.stamp, |(first, _)| first);
         let settings = &chosen.result.settings;
@@ -103,7 +106,7 @@ fn how(mode: &str, link: &str) -> String {
 }
 
 /// Where the run placed the ego; else where the log does.
-fn ego_pose(chosen: &Chosen, exact: bool) -> Result<Isometry3<f64>, RenderError> {
+fn ego_pose(chosen: &Chosen, exact: bool, level_from_body: &Isometry3<f64>) -> Result<Isometry3<f64>, RenderError> {
     if let Some(pose) = chosen.header.pose.as_ref().filter(|_| chosen.processed) {
         return Ok(pose.map_from_frame);
     }
@@ -111,13 +114,12 @@ fn ego_pose(chosen: &Chosen, exact: bool) -> Result<Isometry3<f64>, RenderError>
     let pose = track
         .at(chosen.stamp)
         .ok_or_else(|| other_log(chosen, "it has no pose of the ego"))?;
-    let level_from_body = level_from_body(chosen, &chosen.ego, exact)?;
     Ok(pose * level_from_body.inverse())
 }
 
-/// How an agent's body lies in the level frame in which it was played, at the ego's stamp.
-fn level_from_body(chosen: &Chosen, name: &str, exact: bool) -> Result<Isometry3<f64>, RenderError> {
-    let attitude = clouds::attitude(&chosen.log, name, chosen.stamp, exact)?;
+/// How the ego's body lies in the level frame in which it was played, at its stamp.
+fn level_from_body(chosen: &Chosen, exact: bool) -> Result<Isometry3<f64>, RenderError> {
+    let attitude = clouds::attitude(&chosen.log, &chosen.ego, exact)?;
     Ok(attitude.map_or_else(Isometry3::identity, |attitude| attitude.near(chosen.stamp)))
 }
 
@@ -149,16 +151,14 @@ fn agent(
     chosen: &Chosen,
     name: &str,
     exact: bool,
-    map_from_ego: &Isometry3<f64>,
+    [map_from_ego, map_from_ego_body]: [&Isometry3<f64>; 2],
 ) -> Result<Option<Agent>, RenderError> {
     let log = &chosen.log;
     log.need_agent(name)?;
     let track = clouds::poses(log, name, chosen.stamp, exact)?;
     let is_ego = name == chosen.ego;
-    // Points are drawn from the log, as its body lies.
-    let map_from_ego_body = map_from_ego * level_from_body(chosen, &chosen.ego, exact)?;
     let at = |stamp: Nanos| match is_ego && stamp == chosen.stamp {
-        true => Some(map_from_ego_body),
+        true => Some(*map_from_ego_body),
         false => track.at(stamp),
     };
     let sweep = clouds::nearest(log, name, chosen.stamp)?;

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use realo_nn::loss;
-use realo_nn::model::{Frame, Model};
+use realo_nn::model::{Frame, Model, ModelFile};
 use realo_nn::weights::Weights;
 
 use crate::TrainError;
@@ -305,7 +305,7 @@ pub(crate) fn check_frames_suit(model: &Model) -> Result<(), TrainError> {
 
 impl<'a> Training<'a> {
     fn new(options: &'a TrainOptions) -> Result<Self, TrainError> {
-        let model = Model::read(&options.model)?;
+        let (model, files) = Model::read_with_files(&options.model)?;
         check_frames_suit(&model)?;
         if model.name == "checkpoint" {
             let reason = "its weights would take the checkpoint's place: rename it".into();
@@ -367,13 +367,12 @@ impl<'a> Training<'a> {
             _lock: lock,
         };
         training.check_classes()?;
-        training.copy_model()?;
+        training.copy_model(files)?;
         Ok(training)
     }
 
     /// The model file, and those that it extends, beside its weights, so that the folder can be given to `realo run --model`.
-    fn copy_model(&self) -> Result<(), TrainError> {
-        let (_, files) = Model::read_with_files(&self.options.model)?;
+    fn copy_model(&self, files: Vec<ModelFile>) -> Result<(), TrainError> {
         for (path, text) in files {
             let beside = self.options.output.join(path.file_name().unwrap_or_default());
             // A training that goes on may have been given its own copy.

@@ -1,5 +1,5 @@
-//! More background around far objects. Recorded cars beyond 50 m stand beside hedges and below the crowns of trees, among several times as
-//! many points as simulated ones, and what learned from these alone takes them for background.
+//! More background around far objects. Recorded cars beyond 50 m stand beside hedges and below the crowns of trees, among more
+//! points than simulated ones, and what learned from these alone takes them for background.
 
 use std::collections::HashMap;
 

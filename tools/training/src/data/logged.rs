@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Isometry3;
-use realo_logs::{AgentKind, Log, Stream};
+use realo_logs::{AgentKind, Log, Stream, need_level};
 use realo_schemas::geometry::{PoseTrack, transform_box};
 use realo_schemas::{Box3, Boxes, Nanos, PointCloud, from_seconds};
 use realo_scoring::Protocol;
@@ -94,6 +94,7 @@ struct Labels {
 impl Reading {
     fn open(path: &Path) -> Result<Self, TrainError> {
         let log = Log::open(path)?;
+        need_level(&log)?;
         let protocol = Protocol::load(&log.info().protocol).map_err(|error| TrainError::Protocol {
             path: path.into(),
             error,
