@@ -194,6 +194,18 @@ fn a_log_that_tilts_scores_as_its_level_copy() {
     let table: Value = serde_json::from_str(&realo_ok(again)).expect("JSON");
     let run = json(&Path::new(env!("CARGO_TARGET_TMPDIR")).join("evaluate_nodding_virtual_tilted/result.json"));
     assert_eq!(table["runs"][0]["result"]["accuracy"], run["accuracy"]);
+    // So it is where it is drawn: a picture of another log would be refused.
+    let run = Path::new(env!("CARGO_TARGET_TMPDIR")).join("evaluate_nodding_virtual_tilted");
+    let picture = dir.join("frame.svg");
+    realo_ok([
+        "render".as_ref(),
+        run.as_os_str(),
+        "--log".as_ref(),
+        tilted.as_os_str(),
+        "-o".as_ref(),
+        picture.as_os_str(),
+    ]);
+    assert!(fs::read_to_string(&picture).expect("a picture").contains("<svg"));
 }
 
 #[test]
