@@ -67,11 +67,18 @@ pub struct Levelled {
     pub degrees: [f64; 2],
 }
 
+impl Levelled {
+    /// [`Levelled::by`] of frames that lie along the ground.
+    pub const BY_GROUND: &str = "ground";
+    /// [`Levelled::by`] of frames that are as the sensor is mounted.
+    pub const BY_NOTHING: &str = "none";
+}
+
 impl fmt::Display for Levelled {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let [least, most] = self.degrees;
         match self.by.as_str() {
-            "none" => f.write_str("not levelled"),
+            Self::BY_NOTHING => f.write_str("not levelled"),
             by => write!(f, "levelled by {by}, by {least:.2}° to {most:.2}°"),
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3};
-use realo_schemas::geometry::{Motion, PoseTrack, View, level_from_body, tilt_degrees, transform_box};
+use realo_schemas::geometry::{Motion, PoseTrack, View, level_from_body, tilt_degrees, transform_boxes};
 use realo_schemas::{Box3, EgoState, Nanos, PointCloud};
 
 use crate::{Log, LogError, Stream};
@@ -40,9 +40,14 @@ pub fn tilts(log: &Log) -> Result<BTreeMap<String, f64>, LogError> {
 /// # Errors
 /// A log that cannot be read.
 pub fn levelled_while_played(log: &Log) -> Result<BTreeMap<String, f64>, LogError> {
-    if log.info().precomputed.is_some() {
-        return Ok(BTreeMap::new());
+    match log.info().precomputed {
+        Some(_) => Ok(BTreeMap::new()),
+        None => tilted(log),
     }
+}
+
+/// The agents whose frames are not level, and how far these tilt at most, degrees.
+fn tilted(log: &Log) -> Result<BTreeMap<String, f64>, LogError> {
     let mut tilts = tilts(log)?;
     tilts.retain(|_, tilt| *tilt > LEVEL);
     Ok(tilts)
@@ -53,7 +58,7 @@ pub fn levelled_while_played(log: &Log) -> Result<BTreeMap<String, f64>, LogErro
 /// # Errors
 /// A log that cannot be read, or whose frames are levelled while it is played.
 pub fn need_level(log: &Log) -> Result<(), LogError> {
-    let Some((agent, tilt)) = tilts(log)?.into_iter().find(|(_, tilt)| *tilt > LEVEL) else {
+    let Some((agent, tilt)) = tilted(log)?.pop_first() else {
         return Ok(());
     };
     let reason = format!(
@@ -124,10 +129,7 @@ impl Attitude {
 
     /// Brings boxes of a stamp to the level frame.
     pub fn boxes(&self, stamp: Nanos, boxes: &mut [Box3]) {
-        let level = self.near(stamp);
-        boxes
-            .iter_mut()
-            .for_each(|object| *object = transform_box(&level, object));
+        transform_boxes(&self.near(stamp), boxes);
     }
 
     /// Brings views of a stamp to the level frame.

@@ -2,7 +2,9 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::sync::{Arc, Mutex};
 
-use realo_logs::{Attitudes, Entry, LEVEL, Log, LogError, LogReader, Stream, level_state, levelled_while_played};
+use realo_logs::{
+    Attitudes, Entry, LEVEL, Levelled, Log, LogError, LogReader, Stream, level_state, levelled_while_played,
+};
 use realo_operator::PortId;
 use realo_schemas::geometry::tilt_degrees;
 use realo_schemas::{
@@ -59,7 +61,7 @@ pub struct Feed {
     reader: LogReader,
     truth: TruthJoin,
     /// Agents whose body frames are made level.
-    levels: BTreeMap<Name, Level>,
+    levels: BTreeMap<Name, Levelling>,
     /// Agents whose frames were levelled otherwise when the log was made: along the ground, where poses need not be level.
     along_ground: BTreeSet<Name>,
     sweeps: BTreeMap<Name, BTreeMap<Nanos, u64>>,
@@ -70,7 +72,7 @@ pub struct Feed {
 }
 
 /// How an agent's body frames are made level.
-struct Level {
+struct Levelling {
     attitudes: Attitudes,
     /// Counts its sweeps, and says by how much its body tilts.
     counter: String,
@@ -136,12 +138,12 @@ impl Script {
     }
 
     /// What makes the frames of those level that tilt.
-    fn levels(&self) -> Result<BTreeMap<Name, Level>, LogError> {
+    fn levels(&self) -> Result<BTreeMap<Name, Levelling>, LogError> {
         let tilts = levelled_while_played(&self.log)?;
         let mut levels = BTreeMap::new();
         for agent in self.played() {
             if let Some(tilt) = tilts.get(agent) {
-                let level = Level {
+                let level = Levelling {
                     attitudes: Attitudes::read(&self.log, agent, self.pose_stream(agent))?,
                     counter: format!("levelled_{agent}_by_{tilt:.2}"),
                 };
@@ -153,11 +155,11 @@ impl Script {
 
     fn along_ground(&self) -> Result<BTreeSet<Name>, LogError> {
         let levelled = self.log.levelled()?.into_iter();
-        let ground = levelled.filter(|(_, levelled)| levelled.by == "ground");
+        let ground = levelled.filter(|(_, levelled)| levelled.by == Levelled::BY_GROUND);
         Ok(ground.map(|(agent, _)| agent.as_str().into()).collect())
     }
 
-    fn truth(&self, agents: &[Name], levels: &BTreeMap<Name, Level>) -> Result<TruthJoin, LogError> {
+    fn truth(&self, agents: &[Name], levels: &BTreeMap<Name, Levelling>) -> Result<TruthJoin, LogError> {
         let level = levels.get(&agents[0]).map(|level| level.attitudes.truth.clone());
         TruthJoin::new(&self.log, agents, self.from, self.until, level)
     }

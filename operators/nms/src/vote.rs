@@ -15,8 +15,12 @@ pub(crate) fn vote<'a>(
     let (own, footprint) = kept;
     let (mut sum, mut weights) = ([0.0; 7], 0.0);
     for (other, candidate) in candidates {
+        // Most are far away, which their hulls tell.
+        if !iou_exceeds(footprint, candidate, threshold) || other.class != own.class {
+            continue;
+        }
         let turn = (other.yaw - own.yaw) - PI * ((other.yaw - own.yaw) / PI).round();
-        if other.class != own.class || turn.abs() > FRAC_PI_4 || !iou_exceeds(footprint, candidate, threshold) {
+        if turn.abs() > FRAC_PI_4 {
             continue;
         }
         // Relative to the kept box, so that what all agree on stays as it is.

@@ -33,6 +33,13 @@ pub fn normalize_yaw(yaw: f64) -> f64 {
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }
 
+/// Brings boxes to another frame, each as [`transform_box`] does.
+pub fn transform_boxes(to_from_from: &Isometry3<f64>, boxes: &mut [Box3]) {
+    for object in boxes {
+        *object = transform_box(to_from_from, object);
+    }
+}
+
 /// A box brought to another frame. Boxes stay gravity-aligned: tilt moves the centre and turns the heading only.
 pub fn transform_box(to_from_from: &Isometry3<f64>, object: &Box3) -> Box3 {
     let center = to_from_from * Point3::from(object.center);

@@ -10,7 +10,7 @@ mod view;
 
 pub use boxes::{
     bottom_corners, footprint_contains, is_valid, level_from_body, normalize_yaw, relative, tilt_degrees,
-    transform_box, yaw_of,
+    transform_box, transform_boxes, yaw_of,
 };
 pub use cloud::transform_cloud;
 pub use deskew::Motion;

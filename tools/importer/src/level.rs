@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
+use realo_logs::Levelled;
 use realo_schemas::geometry::{level_from_body, yaw_of};
 use serde::{Deserialize, Serialize};
 
@@ -25,8 +26,8 @@ impl Level {
     pub fn as_str(self) -> &'static str {
         match self {
             Level::Pose => "pose",
-            Level::Ground => "ground",
-            Level::None => "none",
+            Level::Ground => Levelled::BY_GROUND,
+            Level::None => Levelled::BY_NOTHING,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3};
 use realo_logs::{Attitude, Attitudes, Entry, Levelled, Log, LogReader, LogWriter, Stream, level_state};
-use realo_schemas::geometry::{View, tilt_degrees, transform_box, transform_cloud};
+use realo_schemas::geometry::{View, tilt_degrees, transform_boxes, transform_cloud};
 use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud};
 
 use crate::ImportError;
@@ -185,13 +185,6 @@ fn of(log: &Log, entry: &Entry, reason: String) -> ImportError {
     ImportError::content(log.path(), format!("{topic}, stamp {} ns: {reason}", entry.stamp()))
 }
 
-fn level_boxes(level: &Isometry3<f64>, boxes: &mut Boxes) {
-    boxes
-        .0
-        .iter_mut()
-        .for_each(|object| *object = transform_box(level, object));
-}
-
 /// The copy in the making.
 struct Copy {
     reader: LogReader,
@@ -228,7 +221,7 @@ impl Copy {
             }
             Stream::Detections if self.without_info.contains(&entry.agent) => {
                 let mut boxes = entry.boxes()?;
-                level_boxes(&leveller.at(stamp, false).map_err(bad)?, &mut boxes);
+                transform_boxes(&leveller.at(stamp, false).map_err(bad)?, &mut boxes.0);
                 self.writer.detections(agent, stamp, ready, &boxes)?;
             }
             Stream::Detections | Stream::GroundTruth | Stream::OwnLabels => {
@@ -242,7 +235,7 @@ impl Copy {
                 };
                 let mut boxes = self.boxes.remove(&(entry.agent.clone(), array)).unwrap_or_default();
                 let info = entry.info(&mut boxes)?;
-                level_boxes(&leveller.at(stamp, exact).map_err(bad)?, &mut boxes);
+                transform_boxes(&leveller.at(stamp, exact).map_err(bad)?, &mut boxes.0);
                 let points = info.points.as_deref();
                 match array {
                     Stream::Detections => self.writer.detections(agent, stamp, ready, &boxes)?,

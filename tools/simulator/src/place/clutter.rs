@@ -166,7 +166,7 @@ pub(super) struct Ground<'a> {
     /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
     pub watched: &'a dyn Fn(f64, f64) -> f64,
     /// Distance of a point from where roads meet, m.
-    pub node: &'a dyn Fn(f64, f64) -> f64,
+    pub node_distance: &'a dyn Fn(f64, f64) -> f64,
 }
 
 /// What stands on the verges of a place.
@@ -484,7 +484,7 @@ impl Site<'_> {
             |site, along, draws| {
                 let pose = turned(verge.pose(along, across), draws);
                 let (far, watched) = (
-                    (site.ground.node)(pose.x, pose.y),
+                    (site.ground.node_distance)(pose.x, pose.y),
                     (site.ground.watched)(pose.x, pose.y),
                 );
                 if far < ROWS_FROM || watched < UNROWED || draws.chance(0.1) {

@@ -131,7 +131,7 @@ impl Scenery {
             open: &|x, y| place.open_ground(x, y),
             height: &|x, y| place.walk_height(x, y),
             watched: &|x, y| place.watched(x, y),
-            node: &|x, y| place.node(x, y),
+            node_distance: &|x, y| place.node_distance(x, y),
         };
         let clutter = clutter::clutter(&place.verges, &ground, number);
         place.fixtures.extend(clutter.fixtures);
@@ -193,7 +193,7 @@ impl Scenery {
     }
 
     /// Distance of a point from where roads of a network meet, m.
-    fn node(&self, x: f64, y: f64) -> f64 {
+    fn node_distance(&self, x: f64, y: f64) -> f64 {
         let Plan::Network(network) = &self.plan else {
             return f64::INFINITY;
         };
