@@ -108,11 +108,11 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
             (Bare, 2.0),
         ],
         VergeKind::Kerb => &[
-            (Hedge, 4.5),
+            (Hedge, 6.0),
             (Bicycles, 3.0),
             (Furniture, 3.0),
-            (Fence, 0.5),
-            (Bare, 1.0),
+            (Fence, 0.3),
+            (Bare, 0.3),
         ],
     }
 }
@@ -120,13 +120,13 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
 /// How much grows behind the first row, weeds, shrubs and trees on 100 m² of free ground, by the kind of the verge.
 fn growth(kind: VergeKind) -> [f64; 3] {
     match kind {
-        VergeKind::Garden => [50.0, 20.0, 3.6],
-        VergeKind::Street => [60.0, 33.0, 4.0],
+        VergeKind::Garden => [55.0, 20.0, 3.6],
+        VergeKind::Street => [70.0, 33.0, 4.0],
         VergeKind::Median => [0.0, 0.0, 0.0],
-        VergeKind::Park => [40.0, 13.5, 3.2],
-        VergeKind::Field => [16.0, 4.5, 1.2],
-        VergeKind::Embankment => [6.0, 4.0, 1.0],
-        VergeKind::CarPark => [30.0, 19.0, 1.8],
+        VergeKind::Park => [46.0, 14.5, 3.2],
+        VergeKind::Field => [24.0, 5.5, 1.2],
+        VergeKind::Embankment => [14.0, 5.0, 1.0],
+        VergeKind::CarPark => [40.0, 19.0, 1.8],
         VergeKind::Kerb => [0.0, 0.0, 0.0],
     }
 }
@@ -196,6 +196,31 @@ pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter
     }
 }
 
+/// How trees stand in a row.
+struct Trees {
+    /// Where their crowns begin, m.
+    under: f64,
+    /// How high they are, m.
+    height: f64,
+    /// From one to the next, m.
+    gap: f64,
+    /// How often there is a shrub between two of them.
+    shrubs: f64,
+}
+
+impl Trees {
+    /// Trees alike, each figure of them drawn from a range.
+    fn drawn(under: [f64; 2], height: [f64; 2], gap: [f64; 2], shrubs: f64, draws: &mut Stream) -> Self {
+        let [under, height, gap] = [under, height, gap].map(|[from, to]| draws.between(from, to));
+        Trees {
+            under,
+            height,
+            gap,
+            shrubs,
+        }
+    }
+}
+
 struct Site<'a> {
     ground: &'a Ground<'a>,
     /// Whether things may stand on what is paved.
@@ -254,10 +279,10 @@ impl Site<'_> {
             let end = (along + length).min(verge.length());
             let middle = verge.pose(0.5 * (along + end), 0.0);
             let tended = (self.ground.watched)(middle.x, middle.y) < TENDED;
-            if !(tended && draws.chance(0.5)) {
+            if !(tended && draws.chance(0.75)) {
                 self.stretch(verge, lining, [along, end], draws);
             }
-            along = end + draws.between(0.8, 3.5);
+            along = end + draws.between(0.6, 2.0);
         }
     }
 
@@ -326,21 +351,8 @@ impl Site<'_> {
                 );
             }
             Lining::Trees => {
-                let (under, height) = (draws.between(1.5, 3.0), draws.between(4.0, 9.0));
-                self.spots(
-                    [from, to],
-                    draws.between(4.0, 8.0),
-                    |site, along, draws| {
-                        let pose = turned(verge.pose(along, across + 0.4), draws);
-                        let under = under * draws.between(0.8, 1.2);
-                        site.stand(pose, 0.3, things::tree(under, height * draws.between(0.8, 1.2), draws));
-                        if draws.chance(0.3) {
-                            let pose = verge.pose(along + draws.between(0.8, 2.5), across + draws.between(0.0, 0.8));
-                            site.stand(pose, 0.2, things::bush(draws.between(0.4, 1.3), draws));
-                        }
-                    },
-                    draws,
-                );
+                let trees = Trees::drawn([1.5, 3.0], [4.0, 9.0], [4.0, 8.0], 0.3, draws);
+                self.trees(&trees, verge, across + 0.4, [from, to], |_, _| true, draws);
             }
             Lining::Grass => {
                 self.pieces(
@@ -355,7 +367,7 @@ impl Site<'_> {
                 );
             }
             Lining::Furniture => {
-                let gap = draws.between(2.0, 7.0);
+                let gap = draws.between(1.8, 4.0);
                 self.spots(
                     [from, to],
                     gap,
@@ -416,19 +428,28 @@ impl Site<'_> {
     }
 
     fn hedge(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
-        let (height, width) = (draws.between(0.4, 1.7), draws.between(0.5, 1.4));
+        let tallest = if verge.kind == VergeKind::Kerb { 1.0 } else { 1.4 };
+        let height = draws.between(0.4, tallest);
+        let width = draws.between(0.5, 1.4);
         let (width, middle_across) = match verge.kind {
             VergeKind::Median => (width.min(2.0 * verge.depth()), 0.0),
             VergeKind::Kerb => (width.min(verge.depth()), across),
             _ => (width, across + width / 2.0),
         };
         let depth = draws.between(0.05, 0.3);
+        // Most have gaps, and are so seen in pieces.
+        let broken = if draws.chance(0.8) { 0.7 } else { 0.0 };
         self.pieces(
             stretch,
             3.0,
             |site, middle, length, draws| {
                 let height = height * draws.between(0.88, 1.1);
-                let parts = things::hedge(length, width, height, depth, draws);
+                let gap = if draws.chance(broken) {
+                    draws.between(0.25, 0.5)
+                } else {
+                    0.0
+                };
+                let parts = things::hedge(length * (1.0 - gap), width, height, depth, draws);
                 site.stand(verge.pose(middle, middle_across), 0.1, parts);
             },
             draws,
@@ -471,30 +492,43 @@ impl Site<'_> {
         if !draws.chance(tree_lined(verge.kind)) {
             return;
         }
-        let (under, height) = (draws.between(1.2, 2.4), draws.between(4.5, 9.0));
-        let (across, below) = match verge.kind {
+        let (across, shrubs) = match verge.kind {
             VergeKind::Median => (0.0, 0.2),
             VergeKind::Kerb => (0.5 * verge.depth(), 0.35),
             _ => (draws.between(0.5, 1.6).min(0.5 * verge.depth()), 0.5),
         };
-        let gap = draws.between(3.5, 7.0);
+        let trees = Trees::drawn([1.2, 2.4], [4.5, 9.0], [3.5, 7.0], shrubs, draws);
+        let rowed = |ground: &Ground, Pose2 { x, y, .. }: Pose2| {
+            (ground.node_distance)(x, y) >= ROWS_FROM && (ground.watched)(x, y) >= UNROWED
+        };
+        self.trees(&trees, verge, across, [0.0, verge.length()], rowed, draws);
+    }
+
+    /// Trees along a stretch, and shrubs between them, where they may be.
+    fn trees(
+        &mut self,
+        trees: &Trees,
+        verge: &Verge,
+        across: f64,
+        stretch: [f64; 2],
+        may: impl Fn(&Ground, Pose2) -> bool,
+        draws: &mut Stream,
+    ) {
         self.spots(
-            [0.0, verge.length()],
-            gap,
+            stretch,
+            trees.gap,
             |site, along, draws| {
-                let pose = turned(verge.pose(along, across), draws);
-                let (far, watched) = (
-                    (site.ground.node_distance)(pose.x, pose.y),
-                    (site.ground.watched)(pose.x, pose.y),
-                );
-                if far < ROWS_FROM || watched < UNROWED || draws.chance(0.1) {
-                    return;
-                }
-                let under = under * draws.between(0.8, 1.2);
-                site.stand(pose, 0.3, things::tree(under, height * draws.between(0.8, 1.2), draws));
-                if draws.chance(below) {
-                    let pose = verge.pose(along + gap * draws.between(0.2, 0.8), across);
-                    site.stand(pose, 0.2, things::bush(draws.between(0.4, 1.2), draws));
+                let mut put = |along: f64, clear: f64, thing: Thing, draws: &mut Stream| {
+                    let pose = turned(verge.pose(along, across), draws);
+                    if may(site.ground, pose) {
+                        site.stand(pose, clear, thing);
+                    }
+                };
+                let [under, height] = [trees.under, trees.height].map(|middle| middle * draws.between(0.8, 1.2));
+                put(along, 0.3, things::tree(under, height, draws), draws);
+                if draws.chance(trees.shrubs) {
+                    let along = along + trees.gap * draws.between(0.2, 0.8);
+                    put(along, 0.2, things::bush(draws.between(0.4, 1.3), draws), draws);
                 }
             },
             draws,
@@ -516,7 +550,7 @@ impl Site<'_> {
                 let pose = turned(pose, draws);
                 // Small ones are many.
                 let share = draws.unit() * draws.unit();
-                if kind < 2 && (self.ground.watched)(pose.x, pose.y) < TENDED && draws.chance(0.9) {
+                if kind < 2 && (self.ground.watched)(pose.x, pose.y) < TENDED && draws.chance(0.91) {
                     continue;
                 }
                 let thing: Thing = match kind {
