@@ -5,7 +5,7 @@ use super::things::{self, Thing};
 use super::{Fixture, Verge, VergeKind};
 use crate::path::Pose2;
 use crate::random::Stream;
-use crate::solid::Solid;
+use crate::solid::{Part, Solid};
 
 /// What a stretch of a verge is lined with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -296,45 +296,17 @@ impl Site<'_> {
             Lining::Hedge => self.hedge(verge, across, [from, to], draws),
             Lining::WalledHedge => {
                 let height = draws.between(0.4, 0.7);
-                self.pieces(
-                    [from, to],
-                    4.0,
-                    |site, middle, length, _| {
-                        site.stand(verge.pose(middle, across), 0.1, things::wall(length, 0.24, height));
-                    },
-                    draws,
-                );
+                self.build(verge, across, [from, to], |length| things::wall(length, 0.24, height));
                 self.hedge(verge, across + draws.between(0.5, 1.0), [from, to], draws);
             }
             Lining::Wall => {
                 let height = draws.between(0.35, 1.1);
-                self.pieces(
-                    [from, to],
-                    4.0,
-                    |site, middle, length, _| {
-                        site.stand(verge.pose(middle, across), 0.1, things::wall(length, 0.24, height));
-                    },
-                    draws,
-                );
+                self.build(verge, across, [from, to], |length| things::wall(length, 0.24, height));
             }
-            Lining::Rail => self.pieces(
-                [from, to],
-                4.0,
-                |site, middle, length, _| {
-                    site.stand(verge.pose(middle, across), 0.1, things::rail(length));
-                },
-                draws,
-            ),
+            Lining::Rail => self.build(verge, across, [from, to], things::rail),
             Lining::Fence => {
                 let (height, pass) = (draws.between(0.8, 2.0), draws.between(0.6, 0.9));
-                self.pieces(
-                    [from, to],
-                    4.0,
-                    |site, middle, length, _| {
-                        site.stand(verge.pose(middle, across), 0.1, things::fence(length, height, pass));
-                    },
-                    draws,
-                );
+                self.build(verge, across, [from, to], |length| things::fence(length, height, pass));
             }
             Lining::Shrubs => {
                 let (height, gap) = (draws.between(0.5, 2.0), draws.between(0.8, 3.5));
@@ -355,16 +327,11 @@ impl Site<'_> {
                 self.trees(&trees, verge, across + 0.4, [from, to], |_, _| true, draws);
             }
             Lining::Grass => {
-                self.pieces(
-                    [from, to],
-                    3.0,
-                    |site, middle, length, draws| {
-                        let width = draws.between(0.8, 2.5).min(verge.depth());
-                        let pose = verge.pose(middle, across + 0.5 * width);
-                        site.stand(pose, 0.1, things::grass(length, width, draws.between(0.2, 0.6), draws));
-                    },
-                    draws,
-                );
+                for [middle, length] in pieces([from, to], 3.0) {
+                    let width = draws.between(0.8, 2.5).min(verge.depth());
+                    let pose = verge.pose(middle, across + 0.5 * width);
+                    self.stand(pose, 0.1, things::grass(length, width, draws.between(0.2, 0.6), draws));
+                }
             }
             Lining::Furniture => {
                 let gap = draws.between(1.8, 4.0);
@@ -439,35 +406,22 @@ impl Site<'_> {
         let depth = draws.between(0.05, 0.3);
         // Most have gaps, and are so seen in pieces.
         let broken = if draws.chance(0.8) { 0.7 } else { 0.0 };
-        self.pieces(
-            stretch,
-            3.0,
-            |site, middle, length, draws| {
-                let height = height * draws.between(0.88, 1.1);
-                let gap = if draws.chance(broken) {
-                    draws.between(0.25, 0.5)
-                } else {
-                    0.0
-                };
-                let parts = things::hedge(length * (1.0 - gap), width, height, depth, draws);
-                site.stand(verge.pose(middle, middle_across), 0.1, parts);
-            },
-            draws,
-        );
+        for [middle, length] in pieces(stretch, 3.0) {
+            let height = height * draws.between(0.88, 1.1);
+            let gap = if draws.chance(broken) {
+                draws.between(0.25, 0.5)
+            } else {
+                0.0
+            };
+            let hedge = things::hedge(length * (1.0 - gap), width, height, depth, draws);
+            self.stand(verge.pose(middle, middle_across), 0.1, hedge);
+        }
     }
 
-    /// Cuts a stretch into pieces of about `size`: middle and length of each.
-    fn pieces(
-        &mut self,
-        [from, to]: [f64; 2],
-        size: f64,
-        mut put: impl FnMut(&mut Self, f64, f64, &mut Stream),
-        draws: &mut Stream,
-    ) {
-        let count = ((to - from) / size).ceil().max(1.0);
-        let length = (to - from) / count;
-        for k in 0..count as usize {
-            put(self, from + (k as f64 + 0.5) * length, length, draws);
+    /// Builds a wall, rail or fence along a stretch, in pieces that follow its bend.
+    fn build(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], piece: impl Fn(f64) -> Vec<Part>) {
+        for [middle, length] in pieces(stretch, 4.0) {
+            self.stand(verge.pose(middle, across), 0.1, piece(length));
         }
     }
 
@@ -563,6 +517,13 @@ impl Site<'_> {
             }
         }
     }
+}
+
+/// Cuts a stretch into pieces of about `size`: middle and length of each, m.
+fn pieces([from, to]: [f64; 2], size: f64) -> impl Iterator<Item = [f64; 2]> {
+    let count = ((to - from) / size).ceil().max(1.0);
+    let length = (to - from) / count;
+    (0..count as usize).map(move |k| [from + (k as f64 + 0.5) * length, length])
 }
 
 fn turned(pose: Pose2, draws: &mut Stream) -> Pose2 {
