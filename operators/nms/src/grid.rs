@@ -2,7 +2,7 @@ use realo_schemas::geometry::{Footprint, iou_exceeds};
 
 const NONE: u32 = u32::MAX;
 
-/// The kept footprints by the cell of their centre; cells are so large that overlapping hulls lie in neighbouring ones.
+/// Footprints by the cell of their centre; cells are so large that overlapping hulls lie in neighbouring ones.
 struct Grid<'a> {
     footprints: &'a [Footprint],
     least: [f64; 2],
@@ -11,8 +11,8 @@ struct Grid<'a> {
     rows: usize,
     /// Newest footprint of each cell; a border of empty cells surrounds the others.
     heads: Vec<u32>,
-    /// Indices of the kept footprints, each with the place here of the one kept before it in its cell.
-    kept: Vec<(u32, u32)>,
+    /// Indices of the inserted footprints, each with the place here of the one inserted before it in its cell.
+    inserted: Vec<(u32, u32)>,
 }
 
 impl<'a> Grid<'a> {
@@ -53,7 +53,7 @@ impl<'a> Grid<'a> {
             columns,
             rows,
             heads,
-            kept: Vec::with_capacity(order.len()),
+            inserted: Vec::with_capacity(order.len()),
         }
     }
 
@@ -64,30 +64,31 @@ impl<'a> Grid<'a> {
         (row + 1) * (self.columns + 2) + column + 1
     }
 
-    fn overlaps_any(&self, cell: usize, object: &Footprint, threshold: f64) -> bool {
-        let row = self.columns + 2;
-        let overlaps_one_of = |cell: usize| {
-            let mut at = self.heads[cell];
-            while at != NONE {
-                let (kept, before) = self.kept[at as usize];
-                if iou_exceeds(&self.footprints[kept as usize], object, threshold) {
-                    return true;
-                }
-                at = before;
-            }
-            false
-        };
-        // Its own cell first, where an overlap is most likely.
-        overlaps_one_of(cell)
-            || [cell - 1, cell + 1].into_iter().any(overlaps_one_of)
-            || (cell - row - 1..=cell - row + 1).any(overlaps_one_of)
-            || (cell + row - 1..=cell + row + 1).any(overlaps_one_of)
+    /// The inserted footprints in a cell, where an overlap is most likely, and in the eight around it.
+    fn around(&self, cell: usize) -> impl Iterator<Item = u32> {
+        let (above, below) = (cell - self.columns - 2, cell + self.columns + 2);
+        let cells = [
+            cell,
+            cell - 1,
+            cell + 1,
+            above - 1,
+            above,
+            above + 1,
+            below - 1,
+            below,
+            below + 1,
+        ];
+        cells.into_iter().flat_map(|cell| {
+            let entry = |at: u32| self.inserted.get(at as usize);
+            let entries = std::iter::successors(entry(self.heads[cell]), move |(_, before)| entry(*before));
+            entries.map(|(index, _)| *index)
+        })
     }
 
     fn insert(&mut self, cell: usize, index: u32) {
         let head = &mut self.heads[cell];
-        let before = std::mem::replace(head, self.kept.len() as u32);
-        self.kept.push((index, before));
+        let before = std::mem::replace(head, self.inserted.len() as u32);
+        self.inserted.push((index, before));
     }
 }
 
@@ -97,12 +98,31 @@ pub(crate) fn suppress(footprints: &[Footprint], order: &[u32], threshold: f64) 
     for &candidate in order {
         let object = &footprints[candidate as usize];
         let cell = grid.cell(object);
-        if !grid.overlaps_any(cell, object, threshold) {
+        let exceeds = |kept: u32| iou_exceeds(&footprints[kept as usize], object, threshold);
+        if !grid.around(cell).any(exceeds) {
             grid.insert(cell, candidate);
             kept.push(candidate);
         }
     }
     kept
+}
+
+/// Which of some footprints may overlap one of them.
+pub(crate) struct Neighbours<'a>(Grid<'a>);
+
+impl<'a> Neighbours<'a> {
+    pub fn new(footprints: &'a [Footprint], order: &[u32]) -> Self {
+        let mut grid = Grid::new(footprints, order);
+        for index in order {
+            grid.insert(grid.cell(&footprints[*index as usize]), *index);
+        }
+        Neighbours(grid)
+    }
+
+    /// Those whose hulls may meet that of footprint `index`, itself among them.
+    pub fn of(&self, index: u32) -> impl Iterator<Item = u32> {
+        self.0.around(self.0.cell(&self.0.footprints[index as usize]))
+    }
 }
 
 #[cfg(test)]

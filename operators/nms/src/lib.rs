@@ -18,6 +18,7 @@ mod vote;
 
 use std::collections::BTreeMap;
 
+use grid::Neighbours;
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::{Footprint, Region, is_valid};
 use realo_schemas::{Box3, Boxes, Header, Message, PayloadType};
@@ -111,10 +112,11 @@ pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome 
     outcome.suppressed = (order.len() - kept.len()) as u64;
     let object = |i: u32| (&boxes[candidates[i as usize] as usize], &footprints[i as usize]);
     outcome.boxes = match config.vote < 1.0 {
-        true => kept
-            .iter()
-            .map(|i| vote(object(*i), order.iter().map(|i| object(*i)), config.vote))
-            .collect(),
+        true => {
+            let neighbours = Neighbours::new(&footprints, &order);
+            let voted = |i: &u32| vote(object(*i), neighbours.of(*i).map(object), config.vote);
+            kept.iter().map(voted).collect()
+        }
         false => kept.iter().map(|i| object(*i).0.clone()).collect(),
     };
     outcome.kept = kept.into_iter().map(|i| candidates[i as usize]).collect();

@@ -144,6 +144,24 @@ mod tests {
 
     proptest! {
         #[test]
+        fn who_overlaps_a_box_is_among_its_neighbours(scene in any_scene()) {
+            let order = order(&scene.scores, Ties::First);
+            let neighbours = grid::Neighbours::new(&scene.footprints, &order);
+            for index in 0..scene.footprints.len() {
+                let mut near: Vec<u32> = neighbours.of(index as u32).collect();
+                near.sort_unstable();
+                prop_assert!(near.windows(2).all(|pair| pair[0] < pair[1]), "each is named once");
+                prop_assert!(near.contains(&(index as u32)));
+                for (other, footprint) in scene.footprints.iter().enumerate() {
+                    let overlaps = iou_exceeds(&scene.footprints[index], footprint, 0.0);
+                    prop_assert!(!overlaps || near.contains(&(other as u32)), "{other} of {index}");
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
         fn orders_by_score_then_index(scores in prop::collection::vec(prop_oneof![-2.0..2.0f32, Just(0.0), Just(-0.0), Just(0.5)], 0..50)) {
             let mut expected: Vec<u32> = (0..scores.len() as u32).collect();
             expected.sort_by(|a, b| scores[*b as usize].total_cmp(&scores[*a as usize]));
