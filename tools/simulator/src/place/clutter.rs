@@ -117,17 +117,29 @@ fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
     }
 }
 
-/// How much grows behind the first row, weeds, shrubs and trees on 100 m² of free ground, by the kind of the verge.
-fn growth(kind: VergeKind) -> [f64; 3] {
+/// What there is behind the first row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Growth {
+    /// With a stone here and there.
+    Weed,
+    Shrub,
+    LowWall,
+    Tree,
+}
+
+const GROWTH: [Growth; 4] = [Growth::Weed, Growth::Shrub, Growth::LowWall, Growth::Tree];
+
+/// How much of each there is on 100 m² of free ground, by the kind of the verge.
+fn growth(kind: VergeKind) -> [f64; 4] {
     match kind {
-        VergeKind::Garden => [55.0, 20.0, 3.6],
-        VergeKind::Street => [70.0, 33.0, 4.0],
-        VergeKind::Median => [0.0, 0.0, 0.0],
-        VergeKind::Park => [46.0, 14.5, 3.2],
-        VergeKind::Field => [24.0, 5.5, 1.2],
-        VergeKind::Embankment => [14.0, 5.0, 1.0],
-        VergeKind::CarPark => [40.0, 19.0, 1.8],
-        VergeKind::Kerb => [0.0, 0.0, 0.0],
+        VergeKind::Garden => [50.0, 20.0, 5.0, 3.6],
+        VergeKind::Street => [60.0, 33.0, 7.0, 4.0],
+        VergeKind::Median => [0.0; 4],
+        VergeKind::Park => [42.0, 14.5, 6.0, 3.2],
+        VergeKind::Field => [22.0, 5.5, 6.0, 1.2],
+        VergeKind::Embankment => [14.0, 5.0, 3.0, 1.0],
+        VergeKind::CarPark => [38.0, 19.0, 1.5, 1.8],
+        VergeKind::Kerb => [0.0; 4],
     }
 }
 
@@ -150,6 +162,12 @@ const ROWS_FROM: f64 = 35.0;
 /// and so far from a roadside unit in the middle of its view, m.
 const UNROWED: f64 = 60.0;
 
+/// Around nodes there are beds, steps and terraces, by so many low walls on 100 m² up to here, m,
+const LOW_WALLS: f64 = 9.0;
+const AROUND_NODES: f64 = 40.0;
+/// where what is paved is not farther away, m.
+const BEDS: f64 = 14.0;
+
 /// What is higher is a tree, m.
 const TREE: f64 = 3.0;
 /// Roadside units stand where they see: so near to them there are no trees in the middle of their view, m,
@@ -165,8 +183,16 @@ pub(super) struct Ground<'a> {
     pub height: &'a dyn Fn(f64, f64) -> f64,
     /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
     pub watched: &'a dyn Fn(f64, f64) -> f64,
+    /// Where roads meet.
+    pub nodes: &'a [[f64; 2]],
+}
+
+impl Ground<'_> {
     /// Distance of a point from where roads meet, m.
-    pub node_distance: &'a dyn Fn(f64, f64) -> f64,
+    fn node_distance(&self, Pose2 { x, y, .. }: Pose2) -> f64 {
+        let far = self.nodes.iter().map(|node| libm::hypot(node[0] - x, node[1] - y));
+        far.fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// What stands on the verges of a place.
@@ -189,6 +215,10 @@ pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter
         site.line(verge, &mut draws);
         site.grow(verge, &mut draws);
         site.row(verge, &mut Stream::new(number, "rows", index as u64));
+    }
+    site.paved = false;
+    for (index, node) in ground.nodes.iter().enumerate() {
+        site.beds(*node, &mut Stream::new(number, "beds", index as u64));
     }
     Clutter {
         fixtures: site.fixtures,
@@ -425,6 +455,29 @@ impl Site<'_> {
         }
     }
 
+    /// Edges of beds, steps and terraces on the free ground around a node.
+    fn beds(&mut self, [x, y]: [f64; 2], draws: &mut Stream) {
+        let area = std::f64::consts::PI * AROUND_NODES * AROUND_NODES;
+        for _ in 0..(LOW_WALLS * area / 100.0) as usize {
+            let heading = draws.between(0.0, std::f64::consts::TAU);
+            let pose = Pose2 { x, y, heading }.at(AROUND_NODES * draws.unit().sqrt(), 0.0);
+            let tended = (self.ground.watched)(pose.x, pose.y) < TENDED;
+            if !(tended && draws.chance(0.95)) && (self.ground.open)(pose.x, pose.y) < BEDS {
+                self.low_wall(turned(pose, draws), draws);
+            }
+        }
+    }
+
+    /// The edge of a bed, a step or a terrace, where it does not reach what is paved.
+    fn low_wall(&mut self, pose: Pose2, draws: &mut Stream) {
+        let length = 2.0 + 6.0 * draws.unit() * draws.unit();
+        let wall = things::wall(length, 0.24, draws.between(0.4, 0.85));
+        let ends = [-0.5, 0.5].map(|share| pose.at(share * length, 0.0));
+        if ends.iter().all(|end| (self.ground.open)(end.x, end.y) > 0.1) {
+            self.stand(pose, 0.1, wall);
+        }
+    }
+
     /// Goes along a stretch in uneven steps of about `gap`.
     fn spots(
         &mut self,
@@ -452,8 +505,8 @@ impl Site<'_> {
             _ => (draws.between(0.5, 1.6).min(0.5 * verge.depth()), 0.5),
         };
         let trees = Trees::drawn([1.2, 2.4], [4.5, 9.0], [3.5, 7.0], shrubs, draws);
-        let rowed = |ground: &Ground, Pose2 { x, y, .. }: Pose2| {
-            (ground.node_distance)(x, y) >= ROWS_FROM && (ground.watched)(x, y) >= UNROWED
+        let rowed = |ground: &Ground, pose: Pose2| {
+            ground.node_distance(pose) >= ROWS_FROM && (ground.watched)(pose.x, pose.y) >= UNROWED
         };
         self.trees(&trees, verge, across, [0.0, verge.length()], rowed, draws);
     }
@@ -497,21 +550,26 @@ impl Site<'_> {
             return;
         }
         let area = deep * verge.length() / 100.0;
-        for (kind, density) in growth(verge.kind).into_iter().enumerate() {
+        for (what, density) in GROWTH.into_iter().zip(growth(verge.kind)) {
             let count = (area * density * draws.between(0.5, 1.5)) as usize;
             for _ in 0..count {
                 let pose = verge.pose(draws.between(0.0, verge.length()), FIRST_ROW + deep * draws.unit());
                 let pose = turned(pose, draws);
                 // Small ones are many.
                 let share = draws.unit() * draws.unit();
-                if kind < 2 && (self.ground.watched)(pose.x, pose.y) < TENDED && draws.chance(0.91) {
+                let tended = what != Growth::Tree && (self.ground.watched)(pose.x, pose.y) < TENDED;
+                if tended && draws.chance(0.94) {
                     continue;
                 }
-                let thing: Thing = match kind {
-                    0 if draws.chance(0.5) => things::stone(0.4 + 0.6 * share, draws),
-                    0 => things::bush(0.35 + 0.6 * share, draws),
-                    1 => things::bush(draws.between(0.6, 2.4), draws),
-                    _ => things::tree(draws.between(1.5, 3.0), draws.between(3.5, 12.0), draws),
+                let thing: Thing = match what {
+                    Growth::Weed if draws.chance(0.5) => things::stone(0.4 + 0.6 * share, draws),
+                    Growth::Weed => things::bush(0.35 + 0.6 * share, draws),
+                    Growth::Shrub => things::bush(draws.between(0.6, 2.4), draws),
+                    Growth::LowWall => {
+                        self.low_wall(pose, draws);
+                        continue;
+                    }
+                    Growth::Tree => things::tree(draws.between(1.5, 3.0), draws.between(3.5, 12.0), draws),
                 };
                 self.stand(pose, 0.5, thing);
             }

@@ -131,7 +131,7 @@ impl Scenery {
             open: &|x, y| place.open_ground(x, y),
             height: &|x, y| place.walk_height(x, y),
             watched: &|x, y| place.watched(x, y),
-            node_distance: &|x, y| place.node_distance(x, y),
+            nodes: &place.nodes(),
         };
         let clutter = clutter::clutter(&place.verges, &ground, number);
         place.fixtures.extend(clutter.fixtures);
@@ -192,16 +192,12 @@ impl Scenery {
         }
     }
 
-    /// Distance of a point from where roads of a network meet, m.
-    fn node_distance(&self, x: f64, y: f64) -> f64 {
-        let Plan::Network(network) = &self.plan else {
-            return f64::INFINITY;
-        };
-        let far = network
-            .nodes
-            .iter()
-            .map(|node| libm::hypot(node.at[0] - x, node.at[1] - y));
-        far.fold(f64::INFINITY, f64::min)
+    /// Where roads of a network meet.
+    fn nodes(&self) -> Vec<[f64; 2]> {
+        match &self.plan {
+            Plan::Grid(_) => Vec::new(),
+            Plan::Network(network) => network.nodes.iter().map(|node| node.at).collect(),
+        }
     }
 
     /// Height of the roads' surface, m.

@@ -8,9 +8,10 @@ const ROWS: usize = (2.0 * REGION[1] / CELL) as usize;
 /// Points that make a cluster.
 const LEAST: usize = 4;
 
-/// A cluster's size: length and width along its own axes, top above ground, m.
+/// A cluster's middle in the plane, and its size: length and width along its own axes, top above ground, m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cluster {
+    pub middle: [f64; 2],
     pub length: f64,
     pub width: f64,
     pub top: f64,
@@ -67,6 +68,7 @@ fn measure(points: &[[f64; 3]]) -> Cluster {
     };
     let (a, b) = (span([cos, sin]), span([-sin, cos]));
     Cluster {
+        middle: mean,
         length: a.max(b),
         width: a.min(b),
         top: points.iter().map(|p| p[2]).fold(f64::MIN, f64::max),
@@ -91,5 +93,6 @@ mod tests {
         let (post, line) = (found[0], found[1]);
         assert!((line.length - 3.9 * 2f64.sqrt()).abs() < 1e-6 && line.width < 1e-6 && line.top == 0.5);
         assert!(post.length < 0.3 && post.top == 2.0);
+        assert!((line.middle[0] - 11.95).abs() < 1e-9 && (post.middle[1] + 5.075).abs() < 1e-9);
     }
 }

@@ -32,6 +32,10 @@ const MIDDLING: f64 = 60.0;
 const FAR: [Range<f64>; 2] = [50.0..70.0, 70.0..100.0];
 /// Cars with fewer points are left out there.
 const LEAST_POINTS: usize = 5;
+/// Strips are lower, m,
+const STRIP_TOP: f64 = 0.9;
+/// and counted apart from here on, m.
+const STRIPS_FROM: f64 = 30.0;
 /// What rises less is ground, m.
 const ABOVE_GROUND: f64 = 0.25;
 /// Around a far car, m.
@@ -106,6 +110,7 @@ struct Clusters {
     lowest: usize,
     vehicle_like: usize,
     car_like: usize,
+    strips: [usize; 2],
 }
 
 /// Some of all.
@@ -226,6 +231,9 @@ impl Statistics {
             counts.vehicle_like += usize::from((0.5..2.5).contains(&top) && (1.0..8.0).contains(&length));
             let car = (1.0..2.2).contains(&top) && (1.5..6.0).contains(&length) && cluster.width < 3.0;
             counts.car_like += usize::from(car);
+            let [x, y] = [0, 1].map(|k| cluster.middle[k] - sensor[k]);
+            let strip = top < STRIP_TOP && length >= 2.0 && cluster.width < 1.0;
+            counts.strips[usize::from(x.hypot(y) >= STRIPS_FROM)] += usize::from(strip);
         }
     }
 
@@ -399,6 +407,7 @@ impl Statistics {
             lowest,
             vehicle_like,
             car_like,
+            strips,
         } = self.clusters;
         vec![
             row("sweeps", 0, vec![self.sweeps as f64]),
@@ -410,6 +419,11 @@ impl Statistics {
                 "  car-like: top 1-2.2 m, 1.5-6 m long, under 3 m wide",
                 1,
                 vec![each(car_like)],
+            ),
+            row(
+                "  low strips: top under 0.9 m, over 2 m long, under 1 m wide, to 30 m / beyond",
+                1,
+                strips.map(each).to_vec(),
             ),
             shares(
                 "background off its ring by over 0.1 m, at 0.3-1/1-2/2-3 m, %",
@@ -673,6 +687,59 @@ mod tests {
         assert!(filled < 0.05 && rounded > 0.1, "{filled} and {rounded} m");
     }
 
+    /// Points in a row, from the first in steps along x and y.
+    fn line(count: usize, [x, y, z]: [f32; 3], [dx, dy]: [f32; 2]) -> Vec<[f32; 3]> {
+        (0..count)
+            .map(|i| i as f32)
+            .map(|i| [x + dx * i, y + dy * i, z])
+            .collect()
+    }
+
+    /// Of points over flat ground, seen from 2 m over it.
+    fn over_flat_ground<const N: usize>(things: [Vec<[f32; 3]>; N], objects: &[Box3]) -> Statistics {
+        let ground = (0..4000).map(|step| [(step % 80) as f32, (step / 80) as f32 - 25.0, 0.0]);
+        let points: Vec<[f32; 3]> = ground.chain(things.into_iter().flatten()).collect();
+        let column = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<f32>>();
+        let cloud = PointCloud {
+            x: column(0).into(),
+            y: column(1).into(),
+            z: column(2).into(),
+            intensity: vec![0; points.len()].into(),
+            time: vec![0; points.len()].into(),
+            ring: vec![0; points.len()].into(),
+        };
+        let mut statistics = Statistics::default();
+        statistics.add(&Observed {
+            cloud: &cloud,
+            sensor: [0.0, 0.0, 2.0],
+            sector: VEHICLE_SECTOR,
+            objects,
+            beams: &[],
+        });
+        statistics
+    }
+
+    #[test]
+    fn strips_are_low_long_and_thin() {
+        let statistics = over_flat_ground(
+            [
+                // One near, two far.
+                line(12, [15.0, 5.0, 0.6], [0.1, 0.2]),
+                line(12, [50.0, 5.0, 0.6], [0.1, 0.2]),
+                line(30, [60.0, -5.0, 0.8], [0.1, 0.0]),
+                // Too high, too short, too wide.
+                line(12, [50.0, -10.0, 1.2], [0.0, 0.2]),
+                line(9, [50.0, -15.0, 0.6], [0.0, 0.2]),
+                [0.0, 0.3, 0.6, 0.9, 1.2]
+                    .map(|dx| line(12, [40.0 + dx, 12.0, 0.6], [0.0, 0.2]))
+                    .concat(),
+            ],
+            &[],
+        );
+        assert_eq!(values(&statistics, "low strips"), [1.0, 2.0]);
+        assert_eq!(values(&statistics, "background clusters"), [6.0]);
+    }
+
     /// A car at 60 m with ten points on it; low grass, a bush and a crown around it, and a bush further away.
     #[test]
     fn far_cars_tell_what_stands_around_them() {
@@ -688,31 +755,15 @@ mod tests {
             track: None,
             covariance: None,
         };
-        let mut points: Vec<[f32; 3]> = Vec::new();
-        for step in 0..4000 {
-            points.push([(step % 80) as f32, (step / 80) as f32 - 25.0, 0.0]);
-        }
-        points.extend((0..10).map(|i| [59.0 + 0.1 * i as f32, 0.0, 0.9]));
-        points.extend((0..7).map(|i| [58.0, 4.0 + 0.1 * i as f32, 1.2]));
-        points.extend((0..5).map(|i| [61.0, 0.1 * i as f32, 2.8]));
-        points.extend((0..9).map(|i| [70.0, 3.0 + 0.1 * i as f32, 1.2]));
-        let column = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<f32>>();
-        let cloud = PointCloud {
-            x: column(0).into(),
-            y: column(1).into(),
-            z: column(2).into(),
-            intensity: vec![0; points.len()].into(),
-            time: vec![0; points.len()].into(),
-            ring: vec![0; points.len()].into(),
-        };
-        let mut statistics = Statistics::default();
-        statistics.add(&Observed {
-            cloud: &cloud,
-            sensor: [0.0, 0.0, 2.0],
-            sector: VEHICLE_SECTOR,
-            objects: &[car],
-            beams: &[],
-        });
+        let statistics = over_flat_ground(
+            [
+                line(10, [59.0, 0.0, 0.9], [0.1, 0.0]),
+                line(7, [58.0, 4.0, 1.2], [0.0, 0.1]),
+                line(5, [61.0, 0.0, 2.8], [0.0, 0.1]),
+                line(9, [70.0, 3.0, 1.2], [0.0, 0.1]),
+            ],
+            &[car],
+        );
         assert_eq!(values(&statistics, "own points of cars at 50-70 m"), [10.0; 3]);
         assert_eq!(values(&statistics, "within 8 m of them"), [12.0; 3]);
         assert!(values(&statistics, "own points of cars at 70-100 m").is_empty());
