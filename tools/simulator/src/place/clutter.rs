@@ -338,90 +338,97 @@ impl Site<'_> {
                 let (height, pass) = (draws.between(0.8, 2.0), draws.between(0.6, 0.9));
                 self.build(verge, across, [from, to], |length| things::fence(length, height, pass));
             }
-            Lining::Shrubs => {
-                let (height, gap) = (draws.between(0.5, 2.0), draws.between(0.8, 3.5));
-                self.spots(
-                    [from, to],
-                    gap,
-                    |site, along, draws| {
-                        let aside = across + draws.between(0.0, 1.5).min(0.5 * verge.depth());
-                        let height = height * draws.between(0.5, 1.2);
-                        let pose = turned(verge.pose(along, aside), draws);
-                        site.stand(pose, 0.2, things::bush(height, draws));
-                    },
-                    draws,
-                );
-            }
+            Lining::Shrubs => self.shrubs(verge, across, [from, to], draws),
             Lining::Trees => {
                 let trees = Trees::drawn([1.5, 3.0], [4.0, 9.0], [4.0, 8.0], 0.3, draws);
                 self.trees(&trees, verge, across + 0.4, [from, to], |_, _| true, draws);
             }
-            Lining::Grass => {
-                for [middle, length] in pieces([from, to], 3.0) {
-                    let width = draws.between(0.8, 2.5).min(verge.depth());
-                    let pose = verge.pose(middle, across + 0.5 * width);
-                    self.stand(pose, 0.1, things::grass(length, width, draws.between(0.2, 0.6), draws));
-                }
-            }
-            Lining::Furniture => {
-                let gap = draws.between(1.8, 4.0);
-                self.spots(
-                    [from, to],
-                    gap,
-                    |site, along, draws| {
-                        let thing = match draws.below(6) {
-                            0 | 1 => things::bollard(draws),
-                            2 => things::sign(draws),
-                            3 => things::lamp(draws),
-                            4 => things::bin(draws),
-                            _ => things::cabinet(draws),
-                        };
-                        site.stand(verge.pose(along, across), 0.0, thing);
-                    },
-                    draws,
-                );
-            }
-            Lining::Bicycles if verge.kind == VergeKind::Kerb => {
-                self.spots(
-                    [from, to],
-                    2.2,
-                    |site, along, draws| {
-                        let pose = verge.pose(along, across);
-                        let heading = pose.heading + std::f64::consts::FRAC_PI_2;
-                        site.stand(Pose2 { heading, ..pose }, 0.0, things::bicycles(1, draws));
-                    },
-                    draws,
-                );
-            }
-            Lining::Bicycles => {
-                self.spots(
-                    [from, to],
-                    4.2,
-                    |site, along, draws| {
-                        let count = 2 + draws.below(5);
-                        site.stand(verge.pose(along, across + 0.6), 0.0, things::bicycles(count, draws));
-                    },
-                    draws,
-                );
-            }
+            Lining::Grass => self.grass(verge, across, [from, to], draws),
+            Lining::Furniture => self.furniture(verge, across, [from, to], draws),
+            Lining::Bicycles => self.bicycles(verge, across, [from, to], draws),
             Lining::Shelter => {
                 self.stand(verge.pose(0.5 * (from + to), across + 0.6), 0.0, things::shelter(draws));
             }
-            Lining::Works => {
-                let gap = draws.between(1.2, 3.0);
-                let cones = draws.chance(0.5);
-                self.spots(
-                    [from, to.min(from + 15.0)],
-                    gap,
-                    |site, along, draws| {
-                        let thing = if cones { things::cone() } else { things::barrier(draws) };
-                        site.stand(verge.pose(along, across + draws.between(-0.2, 0.2)), 0.0, thing);
-                    },
-                    draws,
-                );
-            }
+            Lining::Works => self.works(verge, across, [from, to.min(from + 15.0)], draws),
             Lining::Bare => {}
         }
+    }
+
+    fn shrubs(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
+        let (height, gap) = (draws.between(0.5, 2.0), draws.between(0.8, 3.5));
+        self.spots(
+            stretch,
+            gap,
+            |site, along, draws| {
+                let aside = across + draws.between(0.0, 1.5).min(0.5 * verge.depth());
+                let height = height * draws.between(0.5, 1.2);
+                let pose = turned(verge.pose(along, aside), draws);
+                site.stand(pose, 0.2, things::bush(height, draws));
+            },
+            draws,
+        );
+    }
+
+    fn grass(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
+        for [middle, length] in pieces(stretch, 3.0) {
+            let width = draws.between(0.8, 2.5).min(verge.depth());
+            let pose = verge.pose(middle, across + 0.5 * width);
+            self.stand(pose, 0.1, things::grass(length, width, draws.between(0.2, 0.6), draws));
+        }
+    }
+
+    fn furniture(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
+        let gap = draws.between(1.8, 4.0);
+        self.spots(
+            stretch,
+            gap,
+            |site, along, draws| {
+                let thing = match draws.below(6) {
+                    0 | 1 => things::bollard(draws),
+                    2 => things::sign(draws),
+                    3 => things::lamp(draws),
+                    4 => things::bin(draws),
+                    _ => things::cabinet(draws),
+                };
+                site.stand(verge.pose(along, across), 0.0, thing);
+            },
+            draws,
+        );
+    }
+
+    /// Behind a kerb one by one across the strip, elsewhere in stands along the verge.
+    fn bicycles(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
+        let at_kerb = verge.kind == VergeKind::Kerb;
+        self.spots(
+            stretch,
+            if at_kerb { 2.2 } else { 4.2 },
+            |site, along, draws| {
+                let (pose, count) = match at_kerb {
+                    true => {
+                        let pose = verge.pose(along, across);
+                        let heading = pose.heading + std::f64::consts::FRAC_PI_2;
+                        (Pose2 { heading, ..pose }, 1)
+                    }
+                    false => (verge.pose(along, across + 0.6), 2 + draws.below(5)),
+                };
+                site.stand(pose, 0.0, things::bicycles(count, draws));
+            },
+            draws,
+        );
+    }
+
+    fn works(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
+        let gap = draws.between(1.2, 3.0);
+        let cones = draws.chance(0.5);
+        self.spots(
+            stretch,
+            gap,
+            |site, along, draws| {
+                let thing = if cones { things::cone() } else { things::barrier(draws) };
+                site.stand(verge.pose(along, across + draws.between(-0.2, 0.2)), 0.0, thing);
+            },
+            draws,
+        );
     }
 
     fn hedge(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
