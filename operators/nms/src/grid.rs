@@ -11,7 +11,7 @@ struct Grid<'a> {
     rows: usize,
     /// Newest footprint of each cell; a border of empty cells surrounds the others.
     heads: Vec<u32>,
-    /// Indices of the inserted footprints, each with the place here of the one inserted before it in its cell.
+    /// What was inserted, each with the place here of the one inserted before it in its cell.
     inserted: Vec<(u32, u32)>,
 }
 
@@ -79,6 +79,7 @@ impl<'a> Grid<'a> {
             below + 1,
         ];
         cells.into_iter().flat_map(|cell| {
+            // There is none at `NONE`.
             let entry = |at: u32| self.inserted.get(at as usize);
             let entries = std::iter::successors(entry(self.heads[cell]), move |(_, before)| entry(*before));
             entries.map(|(index, _)| *index)
@@ -108,20 +109,29 @@ pub(crate) fn suppress(footprints: &[Footprint], order: &[u32], threshold: f64) 
 }
 
 /// Which of some footprints may overlap one of them.
-pub(crate) struct Neighbours<'a>(Grid<'a>);
+pub(crate) struct Neighbours<'a> {
+    order: &'a [u32],
+    /// Of the footprints' ranks in the order.
+    grid: Grid<'a>,
+}
 
 impl<'a> Neighbours<'a> {
-    pub fn new(footprints: &'a [Footprint], order: &[u32]) -> Self {
+    pub fn new(footprints: &'a [Footprint], order: &'a [u32]) -> Self {
         let mut grid = Grid::new(footprints, order);
-        for index in order {
-            grid.insert(grid.cell(&footprints[*index as usize]), *index);
+        for (index, rank) in order.iter().zip(0..) {
+            grid.insert(grid.cell(&footprints[*index as usize]), rank);
         }
-        Neighbours(grid)
+        Neighbours { order, grid }
     }
 
-    /// Those whose hulls may meet that of footprint `index`, itself among them.
-    pub fn of(&self, index: u32) -> impl Iterator<Item = u32> {
-        self.0.around(self.0.cell(&self.0.footprints[index as usize]))
+    /// Those whose hulls may meet that of footprint `index`, itself among them, in the order.
+    pub fn of(&self, index: u32) -> Vec<u32> {
+        let mut ranks: Vec<u32> = self
+            .grid
+            .around(self.grid.cell(&self.grid.footprints[index as usize]))
+            .collect();
+        ranks.sort_unstable();
+        ranks.into_iter().map(|rank| self.order[rank as usize]).collect()
     }
 }
 

@@ -114,7 +114,7 @@ pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome 
     outcome.boxes = match config.vote < 1.0 {
         true => {
             let neighbours = Neighbours::new(&footprints, &order);
-            let voted = |i: &u32| vote(object(*i), neighbours.of(*i).map(object), config.vote);
+            let voted = |i: &u32| vote(object(*i), neighbours.of(*i).into_iter().map(object), config.vote);
             kept.iter().map(voted).collect()
         }
         false => kept.iter().map(|i| object(*i).0.clone()).collect(),

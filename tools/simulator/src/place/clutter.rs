@@ -127,20 +127,23 @@ enum Growth {
     Tree,
 }
 
-const GROWTH: [Growth; 4] = [Growth::Weed, Growth::Shrub, Growth::LowWall, Growth::Tree];
-
 /// How much of each there is on 100 m² of free ground, by the kind of the verge.
-fn growth(kind: VergeKind) -> [f64; 4] {
-    match kind {
+fn growth(kind: VergeKind) -> [(Growth, f64); 4] {
+    let [weeds, shrubs, low_walls, trees] = match kind {
         VergeKind::Garden => [50.0, 20.0, 5.0, 3.6],
         VergeKind::Street => [60.0, 33.0, 7.0, 4.0],
-        VergeKind::Median => [0.0; 4],
         VergeKind::Park => [42.0, 14.5, 6.0, 3.2],
         VergeKind::Field => [22.0, 5.5, 6.0, 1.2],
         VergeKind::Embankment => [14.0, 5.0, 3.0, 1.0],
         VergeKind::CarPark => [38.0, 19.0, 1.5, 1.8],
-        VergeKind::Kerb => [0.0; 4],
-    }
+        VergeKind::Median | VergeKind::Kerb => [0.0; 4],
+    };
+    [
+        (Growth::Weed, weeds),
+        (Growth::Shrub, shrubs),
+        (Growth::LowWall, low_walls),
+        (Growth::Tree, trees),
+    ]
 }
 
 /// How often a verge has a row of trees over whatever lines it, by its kind.
@@ -162,10 +165,11 @@ const ROWS_FROM: f64 = 35.0;
 /// and so far from a roadside unit in the middle of its view, m.
 const UNROWED: f64 = 60.0;
 
-/// Around nodes there are beds, steps and terraces, by so many low walls on 100 m² up to here, m,
-const LOW_WALLS: f64 = 9.0;
+/// Around each node there are beds, steps and terraces up to here, m,
 const AROUND_NODES: f64 = 40.0;
-/// where what is paved is not farther away, m.
+/// so many of their low walls on 100 m²,
+const LOW_WALLS: f64 = 9.0;
+/// where a pavement, a road or a house is not farther away, m.
 const BEDS: f64 = 14.0;
 
 /// What is higher is a tree, m.
@@ -179,6 +183,8 @@ const TENDED: f64 = 100.0;
 pub(super) struct Ground<'a> {
     /// Distance of a point from all that is paved, m.
     pub open: &'a dyn Fn(f64, f64) -> f64,
+    /// Distance of a point from the carriageways, m.
+    pub off_road: &'a dyn Fn(f64, f64) -> f64,
     /// Height, m.
     pub height: &'a dyn Fn(f64, f64) -> f64,
     /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
@@ -203,27 +209,30 @@ pub(super) struct Clutter {
 
 /// Everything that stands on the verges of a place.
 pub(super) fn clutter(verges: &[Verge], ground: &Ground, number: u64) -> Clutter {
-    let mut site = Site {
-        ground,
-        paved: false,
+    let mut clutter = Clutter {
         fixtures: Vec::new(),
         foliage: Vec::new(),
     };
     for (index, verge) in verges.iter().enumerate() {
+        let mut site = Site {
+            ground,
+            paved: matches!(verge.kind, VergeKind::Kerb | VergeKind::Median),
+            clutter: &mut clutter,
+        };
         let mut draws = Stream::new(number, "clutter", index as u64);
-        site.paved = verge.kind == VergeKind::Kerb;
         site.line(verge, &mut draws);
         site.grow(verge, &mut draws);
         site.row(verge, &mut Stream::new(number, "rows", index as u64));
     }
-    site.paved = false;
     for (index, node) in ground.nodes.iter().enumerate() {
+        let mut site = Site {
+            ground,
+            paved: false,
+            clutter: &mut clutter,
+        };
         site.beds(*node, &mut Stream::new(number, "beds", index as u64));
     }
-    Clutter {
-        fixtures: site.fixtures,
-        foliage: site.foliage,
-    }
+    clutter
 }
 
 /// How trees stand in a row.
@@ -253,10 +262,9 @@ impl Trees {
 
 struct Site<'a> {
     ground: &'a Ground<'a>,
-    /// Whether things may stand on what is paved.
+    /// Whether things may stand on what is paved, and on what it surrounds.
     paved: bool,
-    fixtures: Vec<Fixture>,
-    foliage: Vec<Foliage>,
+    clutter: &'a mut Clutter,
 }
 
 impl Site<'_> {
@@ -279,12 +287,12 @@ impl Site<'_> {
         };
         for mass in &masses {
             let z = height(if mass.block { mass.half[0] } else { 0.0 });
-            self.foliage.push(Foliage::stand(mass, pose, z));
+            self.clutter.foliage.push(Foliage::stand(mass, pose, z));
         }
         if !parts.is_empty() {
             let solid = Solid::new(parts);
-            let z = height(solid.high[0].max(-solid.low[0]).min(3.0));
-            self.fixtures.push(Fixture { pose, z, solid });
+            let z = height(solid.high[0].max(-solid.low[0]).min(4.0));
+            self.clutter.fixtures.push(Fixture { pose, z, solid });
         }
     }
 
@@ -396,7 +404,7 @@ impl Site<'_> {
         );
     }
 
-    /// Behind a kerb one by one across the strip, elsewhere in stands along the verge.
+    /// Behind a kerb lengthwise, one behind the other, elsewhere in stands square to the verge.
     fn bicycles(&mut self, verge: &Verge, across: f64, stretch: [f64; 2], draws: &mut Stream) {
         let at_kerb = verge.kind == VergeKind::Kerb;
         self.spots(
@@ -475,13 +483,17 @@ impl Site<'_> {
         }
     }
 
-    /// The edge of a bed, a step or a terrace, where it does not reach what is paved.
+    /// The edge of a bed, a step or a terrace, where nobody drives or walks.
     fn low_wall(&mut self, pose: Pose2, draws: &mut Stream) {
+        const CLEAR: f64 = 0.6;
         let length = 2.0 + 6.0 * draws.unit() * draws.unit();
         let wall = things::wall(length, 0.24, draws.between(0.4, 0.85));
-        let ends = [-0.5, 0.5].map(|share| pose.at(share * length, 0.0));
-        if ends.iter().all(|end| (self.ground.open)(end.x, end.y) > 0.1) {
-            self.stand(pose, 0.1, wall);
+        let free = |share: f64| {
+            let Pose2 { x, y, .. } = pose.at(share * length, 0.0);
+            (self.ground.open)(x, y) > CLEAR && (self.ground.off_road)(x, y) > CLEAR
+        };
+        if [-0.5, -0.25, 0.0, 0.25, 0.5].into_iter().all(free) {
+            self.stand(pose, CLEAR, wall);
         }
     }
 
@@ -557,7 +569,7 @@ impl Site<'_> {
             return;
         }
         let area = deep * verge.length() / 100.0;
-        for (what, density) in GROWTH.into_iter().zip(growth(verge.kind)) {
+        for (what, density) in growth(verge.kind) {
             let count = (area * density * draws.between(0.5, 1.5)) as usize;
             for _ in 0..count {
                 let pose = verge.pose(draws.between(0.0, verge.length()), FIRST_ROW + deep * draws.unit());
@@ -595,5 +607,61 @@ fn turned(pose: Pose2, draws: &mut Stream) -> Pose2 {
     Pose2 {
         heading: pose.heading + draws.between(0.0, std::f64::consts::TAU),
         ..pose
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::path::Path;
+
+    /// Ground along a road of 10 m, with pavements of 2 m on both sides; behind them it is open.
+    fn along_a_road(verges: &[Verge], nodes: &[[f64; 2]]) -> Clutter {
+        let ground = Ground {
+            open: &|_, y| y.abs() - 7.0,
+            off_road: &|_, y| y.abs() - 5.0,
+            height: &|_, _| 0.0,
+            watched: &|_, _| f64::INFINITY,
+            nodes,
+        };
+        clutter(verges, &ground, 7)
+    }
+
+    #[test]
+    fn low_walls_around_a_node_leave_road_and_pavement_free() {
+        let walls = along_a_road(&[], &[[0.0, 0.0]]).fixtures;
+        assert!(walls.len() > 50, "{} walls", walls.len());
+        for wall in walls {
+            let (pose, [length, width, _]) = wall.footprint();
+            let height = wall.solid.high[2];
+            assert!((2.0..=8.0).contains(&length) && height < 0.9, "{length} by {height}");
+            for (u, v) in [(0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)] {
+                let corner = pose.at(u * length, v * width);
+                assert!(corner.y.abs() > 7.4, "reaches {corner:?}");
+                assert!(
+                    libm::hypot(corner.x, corner.y) < AROUND_NODES + 4.1,
+                    "far off: {corner:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn on_medians_things_stand_between_lanes_and_elsewhere_not() {
+        let middle = |kind| {
+            let mut line = Path::from(-100.0, 0.0, 0.0);
+            line.line(200.0);
+            let clutter = along_a_road(&[Verge::new(kind, line, 2.0)], &[]);
+            clutter.fixtures.len() + clutter.foliage.len()
+        };
+        assert!(middle(VergeKind::Median) > 20);
+        assert_eq!(middle(VergeKind::Park), 0);
+    }
+
+    #[test]
+    fn pieces_fill_their_stretch() {
+        let cut: Vec<[f64; 2]> = pieces([2.0, 12.0], 4.0).collect();
+        assert_eq!(cut.len(), 3);
+        assert!((cut[0][0] - cut[0][1] / 2.0 - 2.0).abs() < 1e-9 && (cut[2][0] + cut[2][1] / 2.0 - 12.0).abs() < 1e-9);
     }
 }

@@ -129,6 +129,7 @@ impl Scenery {
         };
         let ground = clutter::Ground {
             open: &|x, y| place.open_ground(x, y),
+            off_road: &|x, y| place.off_road(x, y),
             height: &|x, y| place.walk_height(x, y),
             watched: &|x, y| place.watched(x, y),
             nodes: &place.nodes(),
@@ -181,6 +182,14 @@ impl Scenery {
                 });
                 houses.fold(network.surface.open_ground(x, y), f64::min)
             }
+        }
+    }
+
+    /// Distance of a point from the carriageways of a network, m.
+    fn off_road(&self, x: f64, y: f64) -> f64 {
+        match &self.plan {
+            Plan::Grid(_) => f64::INFINITY,
+            Plan::Network(network) => network.surface.off_road(x, y),
         }
     }
 

@@ -220,7 +220,7 @@ pub(super) fn cabinet(draws: &mut Stream) -> Vec<Part> {
 pub(super) fn bicycles(count: usize, draws: &mut Stream) -> Vec<Part> {
     let mut parts = Vec::new();
     for k in 0..count.min(6) {
-        let x = (k as f64 - 0.5 * count as f64) * 0.6 + draws.between(-0.1, 0.1);
+        let x = (k as f64 - 0.5 * (count as f64 - 1.0)) * 0.6 + draws.between(-0.1, 0.1);
         let frame = |low: [f64; 3], high: [f64; 3], pass| sieve(low, high, 0.15, pass);
         parts.push(frame([x - 0.03, -0.85, 0.02], [x + 0.03, -0.2, 0.68], 0.75));
         parts.push(frame([x - 0.03, 0.2, 0.02], [x + 0.03, 0.85, 0.68], 0.75));

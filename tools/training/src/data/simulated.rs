@@ -45,6 +45,7 @@ pub fn options(seed: u64) -> Options {
         None => Scenario::PLACES[(turn % ON_GRID) as usize],
     };
     let on_grid = matches!(scenario, Scenario::Intersection | Scenario::Corridor);
+    let third_time = turn >= Scenario::PLACES.len() as u64 + ON_GRID;
     let mut draws = Stream::new(seed, "sensors", 0);
     let mut pair = |names: &[&str], heights, pitches| match on_grid {
         true => Vec::new(),
@@ -62,7 +63,7 @@ pub fn options(seed: u64) -> Options {
         vehicle_sensors: pair(&VEHICLE_SENSORS, [1.6, 2.4], [-1.0, 1.5]),
         roadside_sensors: pair(&ROADSIDE_SENSORS, [4.0, 8.0], [-1.0, 5.0]),
         // What learns only from bodies that fill their boxes puts boxes behind those of recorded cars.
-        rounded_bodies: turn >= Scenario::PLACES.len() as u64 + ON_GRID,
+        rounded_bodies: !on_grid || third_time,
         ..Options::default()
     }
 }
@@ -230,7 +231,12 @@ mod tests {
         );
         let on_grid = all.iter().filter(|o| o.vehicle_sensors.is_empty());
         assert_eq!(on_grid.clone().count(), 300, "seeds of the places on a grid");
-        assert_eq!(on_grid.filter(|o| o.rounded_bodies).count(), 100);
+        let rounded: Vec<Scenario> = on_grid.filter(|o| o.rounded_bodies).map(|o| o.scenario).collect();
+        assert_eq!(rounded.len(), 100);
+        assert_eq!(
+            BTreeSet::from_iter(rounded),
+            Scenario::PLACES[..2].iter().copied().collect()
+        );
     }
 
     #[test]
