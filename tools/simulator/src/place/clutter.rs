@@ -181,7 +181,7 @@ const TENDED: f64 = 100.0;
 
 /// The ground on which clutter stands.
 pub(super) struct Ground<'a> {
-    /// Distance of a point from all that is paved, m.
+    /// Distance of a point from all that is paved and from the houses, m.
     pub open: &'a dyn Fn(f64, f64) -> f64,
     /// Distance of a point from the carriageways, m.
     pub off_road: &'a dyn Fn(f64, f64) -> f64,
@@ -198,6 +198,11 @@ impl Ground<'_> {
     fn node_distance(&self, Pose2 { x, y, .. }: Pose2) -> f64 {
         let far = self.nodes.iter().map(|node| libm::hypot(node[0] - x, node[1] - y));
         far.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Whether a roadside unit looks over here, so that less grows.
+    fn tended(&self, Pose2 { x, y, .. }: Pose2) -> bool {
+        (self.watched)(x, y) < TENDED
     }
 }
 
@@ -315,8 +320,7 @@ impl Site<'_> {
                 _ => draws.between(5.0, 20.0),
             };
             let end = (along + length).min(verge.length());
-            let middle = verge.pose(0.5 * (along + end), 0.0);
-            let tended = (self.ground.watched)(middle.x, middle.y) < TENDED;
+            let tended = self.ground.tended(verge.pose(0.5 * (along + end), 0.0));
             if !(tended && draws.chance(0.75)) {
                 self.stretch(verge, lining, [along, end], draws);
             }
@@ -476,7 +480,7 @@ impl Site<'_> {
         for _ in 0..(LOW_WALLS * area / 100.0) as usize {
             let heading = draws.between(0.0, std::f64::consts::TAU);
             let pose = Pose2 { x, y, heading }.at(AROUND_NODES * draws.unit().sqrt(), 0.0);
-            let tended = (self.ground.watched)(pose.x, pose.y) < TENDED;
+            let tended = self.ground.tended(pose);
             if !(tended && draws.chance(0.95)) && (self.ground.open)(pose.x, pose.y) < BEDS {
                 self.low_wall(turned(pose, draws), draws);
             }
@@ -493,7 +497,7 @@ impl Site<'_> {
             (self.ground.open)(x, y) > CLEAR && (self.ground.off_road)(x, y) > CLEAR
         };
         if [-0.5, -0.25, 0.0, 0.25, 0.5].into_iter().all(free) {
-            self.stand(pose, CLEAR, wall);
+            self.stand(pose, 0.0, wall);
         }
     }
 
@@ -576,7 +580,7 @@ impl Site<'_> {
                 let pose = turned(pose, draws);
                 // Small ones are many.
                 let share = draws.unit() * draws.unit();
-                let tended = what != Growth::Tree && (self.ground.watched)(pose.x, pose.y) < TENDED;
+                let tended = what != Growth::Tree && self.ground.tended(pose);
                 if tended && draws.chance(0.94) {
                     continue;
                 }

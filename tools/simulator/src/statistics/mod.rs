@@ -32,10 +32,8 @@ const MIDDLING: f64 = 60.0;
 const FAR: [Range<f64>; 2] = [50.0..70.0, 70.0..100.0];
 /// Cars with fewer points are left out there.
 const LEAST_POINTS: usize = 5;
-/// Strips are lower, m,
-const STRIP_TOP: f64 = 0.9;
-/// and counted apart from here on, m.
-const STRIPS_FROM: f64 = 30.0;
+/// Low strips are far from here on, m.
+const STRIPS_FAR: f64 = 30.0;
 /// What rises less is ground, m.
 const ABOVE_GROUND: f64 = 0.25;
 /// Around a far car, m.
@@ -232,8 +230,8 @@ impl Statistics {
             let car = (1.0..2.2).contains(&top) && (1.5..6.0).contains(&length) && cluster.width < 3.0;
             counts.car_like += usize::from(car);
             let [x, y] = [0, 1].map(|k| cluster.middle[k] - sensor[k]);
-            let strip = top < STRIP_TOP && length >= 2.0 && cluster.width < 1.0;
-            counts.strips[usize::from(x.hypot(y) >= STRIPS_FROM)] += usize::from(strip);
+            let strip = top < 0.9 && length >= 2.0 && cluster.width < 1.0;
+            counts.strips[usize::from(x.hypot(y) >= STRIPS_FAR)] += usize::from(strip);
         }
     }
 
