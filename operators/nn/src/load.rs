@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use crate::conv::{Isa, Pool, UnknownIsa};
 use crate::model::{Model, ModelError, Precision, UnknownPrecision};
 use crate::network::{Core, Network, NetworkError, NetworkOptions};
-use crate::weights::{MOST_BYTES, Weights, WeightsError};
+use crate::weights::{self, Weights, WeightsError};
 
 /// A model with its weights and its network.
 pub struct Loaded {
@@ -109,22 +109,15 @@ pub const AUTO: &str = "auto";
 pub fn load(model_file: &Path, kernels: Kernels) -> Result<Loaded, LoadError> {
     let options = kernels.options()?;
     let (model, files) = Model::read_with_files(model_file)?;
-    let path = model.weights_beside(model_file);
-    let bytes = read_bounded(&path, MOST_BYTES).map_err(|error| WeightsError::Read {
-        path: path.clone(),
-        error,
-    })?;
-    let identity = format!(
-        "{}-{}",
-        model.name,
-        digest(files.iter().map(|(_, text)| text).chain([&bytes]))
-    );
+    let parts = weights::read_files(&model.weights_beside(model_file))?;
+    let bytes = files.iter().chain(&parts).map(|(_, bytes)| bytes);
+    let identity = format!("{}-{}", model.name, digest(bytes));
 
     let mut known = lock(&KNOWN);
     let shared = match known.model(&identity, &options) {
         Some(shared) => shared,
         None => {
-            let weights = Weights::parse(&bytes, &model, &path)?;
+            let weights = Weights::parse(&parts, &model)?;
             let core = Core::new(&model, &weights, &options).map_err(|error| LoadError::Network {
                 path: model_file.into(),
                 error,

@@ -24,6 +24,9 @@ pub struct Model {
     /// Stem of the file of weights where it is another model's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<String>,
+    /// Stem of the file that holds what the file of weights lacks, as that of the detector behind whose encoder a fusion learned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub encoder: Option<String>,
     /// Frame of the points and the anchors as the network knows them.
     pub frame: Frame,
     /// For `frame = "lidar"`: how far above the ground the LiDAR stood in training, m. Graphs need it, to bring points from
@@ -383,10 +386,13 @@ impl Model {
         self.lidar_height.unwrap_or(0.0)
     }
 
-    /// The file of weights that lies beside a model file.
-    pub fn weights_beside(&self, model_file: &Path) -> PathBuf {
-        let stem = self.weights.as_ref().unwrap_or(&self.name);
-        model_file.with_file_name(format!("{stem}.safetensors"))
+    /// The files of weights that lie beside a model file: the model's own, and what holds the tensors that it lacks.
+    pub fn weights_beside(&self, model_file: &Path) -> Vec<PathBuf> {
+        let own = self.weights.as_ref().unwrap_or(&self.name);
+        let stems = [Some(own), self.encoder.as_ref()].into_iter().flatten();
+        stems
+            .map(|stem| model_file.with_file_name(format!("{stem}.safetensors")))
+            .collect()
     }
 
     /// Anchors at a cell of the output map: (class, rotation).
@@ -446,7 +452,12 @@ impl Model {
 
     fn check_names(&self, problems: &mut Problems) {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
-        for (key, name) in [("name", Some(&self.name)), ("weights", self.weights.as_ref())] {
+        let names = [
+            ("name", Some(&self.name)),
+            ("weights", self.weights.as_ref()),
+            ("encoder", self.encoder.as_ref()),
+        ];
+        for (key, name) in names {
             let fits = name.is_none_or(|name| !name.is_empty() && name.chars().all(plain));
             problems.require(fits, || {
                 format!(
@@ -649,7 +660,7 @@ fn read_text(path: &Path) -> Result<Vec<u8>, ModelError> {
     })
 }
 
-/// A model file, or one that it extends, and its bytes.
+/// A model file, one that it extends or one of its weights, and its bytes.
 pub type ModelFile = (PathBuf, Vec<u8>);
 
 /// The table of a model file that extends another.
@@ -703,7 +714,7 @@ mod tests {
     #[test]
     fn finds_the_weights_beside_the_model_file() {
         let path = lite().weights_beside(Path::new("models/lite.toml"));
-        assert_eq!(path, Path::new("models/lite.safetensors"));
+        assert_eq!(path, [Path::new("models/lite.safetensors")]);
     }
 
     #[test]
@@ -731,7 +742,15 @@ mod tests {
             compression: 0,
         });
         assert_eq!(Model::read(&middle).unwrap(), expected);
-        assert_eq!(expected.weights_beside(&middle), dir.path().join("lite.safetensors"));
+        assert_eq!(expected.weights_beside(&middle), [dir.path().join("lite.safetensors")]);
+        let beside = Model {
+            encoder: Some("other".into()),
+            ..expected.clone()
+        };
+        assert_eq!(
+            beside.weights_beside(&middle),
+            ["lite", "other"].map(|stem| dir.path().join(format!("{stem}.safetensors")))
+        );
         expected.arch = Arch::FCooper(Default::default());
         expected.pillars.points = 16;
         let (model, files) = Model::read_with_files(&top).unwrap();
@@ -750,6 +769,7 @@ mod tests {
         assert!(error("extends = \"../base.toml\"").contains("beside it, found `../base.toml`"));
         assert!(error("extends = \"base.toml\"\nwidth = 3").contains("unknown field `width`"));
         assert!(error("extends = \"base.toml\"\nweights = \"../x\"").contains("weights: expected lower-case"));
+        assert!(error("extends = \"base.toml\"\nencoder = \"\"").contains("encoder: expected lower-case"));
         assert!(
             error("extends = \"base.toml\"\n[arch]\nkind = \"attfuse\"\ncompression = 7")
                 .contains("divisor of the map's 64")

@@ -482,7 +482,7 @@ impl Network {
     ///
     /// # Errors
     /// [`NetworkError::Weights`], and those of [`Network::new`].
-    pub fn load(model: &Model, weights: &Path, options: NetworkOptions) -> Result<Network, NetworkError> {
+    pub fn load(model: &Model, weights: &[impl AsRef<Path>], options: NetworkOptions) -> Result<Network, NetworkError> {
         model.validate()?;
         Network::new(model, &Weights::read(weights, model)?, options)
     }

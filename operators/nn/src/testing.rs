@@ -80,7 +80,7 @@ pub fn random_tensors(model: &Model, seed: u64) -> HashMap<String, Tensor> {
 pub fn write(folder: &Path, model: &Model, seed: u64) {
     let path = folder.join(format!("{}.toml", model.name));
     std::fs::write(&path, toml::to_string(model).unwrap()).unwrap();
-    std::fs::write(model.weights_beside(&path), file_of(model, seed)).unwrap();
+    std::fs::write(&model.weights_beside(&path)[0], file_of(model, seed)).unwrap();
 }
 
 /// A file of the weights of a seed.

@@ -7,7 +7,7 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::layers::{Layers, Role, TensorSpec, norm_key};
 use crate::load::{ReadError, read_bounded};
-use crate::model::Model;
+use crate::model::{Model, ModelFile};
 
 /// Added to the variance by every batch norm.
 pub const BATCH_NORM_EPS: f32 = 1e-3;
@@ -60,11 +60,11 @@ pub enum WeightsError {
         /// What is wrong with it.
         error: safetensors::SafeTensorError,
     },
-    /// The weights of a file.
-    #[error("{}: {error}", path.display())]
+    /// The weights of a model's files.
+    #[error("{}: {error}", joined(paths))]
     File {
-        /// The file of weights.
-        path: PathBuf,
+        /// The files of weights.
+        paths: Vec<PathBuf>,
         /// What is wrong with them.
         error: Box<WeightsError>,
     },
@@ -82,49 +82,30 @@ pub enum WeightsError {
 }
 
 impl Weights {
-    /// Reads the weights of a model.
+    /// Reads the weights of a model from its files: each tensor from the first that has it.
     ///
     /// # Errors
     /// [`WeightsError::Read`], [`WeightsError::Syntax`], and [`WeightsError::File`] with that of [`Weights::new`], where a
     /// tensor that is not F32 is a problem too.
-    pub fn read(path: &Path, model: &Model) -> Result<Weights, WeightsError> {
-        let bytes = read_bounded(path, MOST_BYTES).map_err(|error| WeightsError::Read {
-            path: path.into(),
-            error,
-        })?;
-        Weights::parse(&bytes, model, path)
+    pub fn read(paths: &[impl AsRef<Path>], model: &Model) -> Result<Weights, WeightsError> {
+        Weights::parse(&read_files(paths)?, model)
     }
 
-    /// Reads the weights of a model from the bytes of a file; `path` is for errors.
+    /// Reads the weights of a model from the bytes of its files.
     ///
     /// # Errors
     /// As [`Weights::read`], but for reading.
-    pub fn parse(bytes: &[u8], model: &Model, path: &Path) -> Result<Weights, WeightsError> {
-        let file = SafeTensors::deserialize(bytes).map_err(|error| WeightsError::Syntax {
-            path: path.into(),
-            error,
-        })?;
+    pub fn parse(files: &[ModelFile], model: &Model) -> Result<Weights, WeightsError> {
         let (mut tensors, mut problems) = (HashMap::new(), Vec::new());
-        // In an order that is the same every time, for the problems.
-        let mut views: Vec<_> = file.iter().filter(|(key, _)| !is_counter(key)).collect();
-        views.sort_by_key(|(key, _)| *key);
-        for (key, view) in views {
-            let shape = view.shape().to_vec();
-            let data = match view.dtype() {
-                Dtype::F32 => {
-                    let numbers = view.data().as_chunks::<4>().0.iter().copied();
-                    Some(numbers.map(f32::from_le_bytes).collect())
-                }
-                // Only its type is reported.
-                other => {
-                    problems.push(format!("`{key}`: expected F32, found {other:?}"));
-                    None
-                }
-            };
-            tensors.insert(key.to_string(), (shape, data));
+        for (path, bytes) in files {
+            let file = SafeTensors::deserialize(bytes).map_err(|error| WeightsError::Syntax {
+                path: path.clone(),
+                error,
+            })?;
+            add_tensors(&file, &mut tensors, &mut problems);
         }
         Weights::checked(&Layers::of(model), &model.name, tensors, problems).map_err(|error| WeightsError::File {
-            path: path.into(),
+            paths: files.iter().map(|(path, _)| path.clone()).collect(),
             error: Box::new(error),
         })
     }
@@ -144,7 +125,7 @@ impl Weights {
     pub(crate) fn checked(
         layers: &Layers,
         name: &str,
-        mut tensors: HashMap<String, (Vec<usize>, Option<Vec<f32>>)>,
+        mut tensors: Found,
         mut problems: Vec<String>,
     ) -> Result<Weights, WeightsError> {
         tensors.retain(|key, _| !is_counter(key));
@@ -199,6 +180,48 @@ impl Weights {
             })
             .collect()
     }
+}
+
+/// Shapes and numbers by key, `None` in place of numbers of another type than F32.
+type Found = HashMap<String, (Vec<usize>, Option<Vec<f32>>)>;
+
+/// Adds the tensors of a file that are not there yet.
+fn add_tensors(file: &SafeTensors, tensors: &mut Found, problems: &mut Vec<String>) {
+    let is_new = |key: &str| !is_counter(key) && !tensors.contains_key(key);
+    // In an order that is the same every time, for the problems.
+    let mut views: Vec<_> = file.iter().filter(|(key, _)| is_new(key)).collect();
+    views.sort_by_key(|(key, _)| *key);
+    for (key, view) in views {
+        let data = match view.dtype() {
+            Dtype::F32 => {
+                let numbers = view.data().as_chunks::<4>().0.iter().copied();
+                Some(numbers.map(f32::from_le_bytes).collect())
+            }
+            // Only its type is reported.
+            other => {
+                problems.push(format!("`{key}`: expected F32, found {other:?}"));
+                None
+            }
+        };
+        tensors.insert(key.to_string(), (view.shape().to_vec(), data));
+    }
+}
+
+/// Files of weights with their bytes.
+pub(crate) fn read_files(paths: &[impl AsRef<Path>]) -> Result<Vec<ModelFile>, WeightsError> {
+    let read = |path: &Path| match read_bounded(path, MOST_BYTES) {
+        Ok(bytes) => Ok((path.to_path_buf(), bytes)),
+        Err(error) => Err(WeightsError::Read {
+            path: path.into(),
+            error,
+        }),
+    };
+    paths.iter().map(|path| read(path.as_ref())).collect()
+}
+
+fn joined(paths: &[PathBuf]) -> String {
+    let paths: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
+    paths.join(" with ")
 }
 
 /// What keeps a tensor from being the one that a layer expects; its numbers are `None` if they are of another type.
@@ -271,7 +294,7 @@ mod tests {
     fn reads_files_strictly() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("lite.safetensors");
-        let error = |path: &Path| Weights::read(path, &lite()).unwrap_err().to_string();
+        let error = |path: &Path| Weights::read(&[path], &lite()).unwrap_err().to_string();
         assert!(error(&path).contains("lite.safetensors"));
         std::fs::write(&path, b"no tensors").unwrap();
         assert!(error(&path).contains("lite.safetensors"));
@@ -294,7 +317,7 @@ mod tests {
             safetensors::serialize_to_file(views.chain([counter]), None, &path).unwrap();
         };
         write("backbone.blocks.0.2.num_batches_tracked", Dtype::F32);
-        let weights = Weights::read(&path, &lite()).unwrap();
+        let weights = Weights::read(&[&path], &lite()).unwrap();
         assert_eq!(weights.tensor("cls_head.bias"), tensors["cls_head.bias"].data);
         write("backbone.blocks.0.2.other", Dtype::I32);
         let error = error(&path);

@@ -7,7 +7,7 @@ use std::path::Path;
 use damage::{Draw, most_held};
 use realo_nn::conv::Isa;
 use realo_nn::layers::Layers;
-use realo_nn::model::Model;
+use realo_nn::model::{Model, ModelFile};
 use realo_nn::network::{Network, NetworkOptions};
 use realo_nn::weights::Weights;
 use safetensors::Dtype;
@@ -162,10 +162,15 @@ fn build(model: &Model, weights: &Weights) {
     Network::new(model, weights, options).expect("a network of a model and weights that were accepted");
 }
 
+/// A file of weights.
+fn of(stem: &str, bytes: &[u8]) -> [ModelFile; 1] {
+    [(format!("{stem}.safetensors").into(), bytes.to_vec())]
+}
+
 #[test]
 fn damaged_files_are_refused_or_make_a_network() {
     let (model, good) = (model(), weights_of(&model()));
-    let fitting = Weights::parse(&good, &model, Path::new("small.safetensors")).unwrap();
+    let fitting = Weights::parse(&of("small", &good), &model).unwrap();
     build(&model, &fitting);
 
     let mut draws = Draw::new(0x5eed);
@@ -182,7 +187,7 @@ fn damaged_files_are_refused_or_make_a_network() {
                     layers.numbers()
                 );
                 // Weights of another model do not fit it, those of this one do.
-                match watched(case, || Weights::parse(&good, &changed, Path::new("small.safetensors"))) {
+                match watched(case, || Weights::parse(&of("small", &good), &changed)) {
                     Ok(weights) => watched(case, || build(&changed, &weights)),
                     Err(error) => assert!(error.to_string().starts_with("small.safetensors: "), "{error}"),
                 }
@@ -218,7 +223,7 @@ fn damaged_files_are_refused_or_make_a_network() {
                 .concat()
             }
         };
-        match watched(case, || Weights::parse(&bytes, &model, Path::new("small.safetensors"))) {
+        match watched(case, || Weights::parse(&of("small", &bytes), &model)) {
             Ok(weights) => {
                 seen.accepted += 1;
                 build(&model, &weights);
@@ -257,11 +262,11 @@ fn files_made_to_ask_for_much_are_refused() {
         "{}".into(),
     ];
     for header in headers {
-        let error = Weights::parse(&weights(&header, 16), &model, Path::new("w.safetensors")).unwrap_err();
+        let error = Weights::parse(&of("w", &weights(&header, 16)), &model).unwrap_err();
         assert!(error.to_string().starts_with("w.safetensors: "), "{error}");
     }
     for length in [0u64, 1 << 40, u64::MAX] {
-        assert!(Weights::parse(&length.to_le_bytes(), &model, Path::new("w.safetensors")).is_err());
+        assert!(Weights::parse(&of("w", &length.to_le_bytes()), &model).is_err());
     }
     let deep = format!("name = {}", "[".repeat(200_000));
     assert!(Model::parse(deep.as_bytes(), Path::new("m.toml")).is_err());

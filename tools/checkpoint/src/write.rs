@@ -67,7 +67,7 @@ pub fn write(
     let name = output.file_stem().and_then(|stem| stem.to_str());
     let name = name.filter(|_| output.extension().is_some_and(|ending| ending == "safetensors"));
     let name = name.ok_or_else(|| WriteError::Name(output.into()))?;
-    let asked_for = |file: &&Path| same(&converted.model.weights_beside(file), output);
+    let asked_for = |file: &&Path| same(&converted.model.weights_beside(file)[0], output);
     let kept = model_file.filter(asked_for);
     let model = kept.map_or_else(|| output.with_extension("toml"), Path::to_path_buf);
 
@@ -105,6 +105,7 @@ fn text(converted: &Converted, name: &str, output: &Path) -> Result<String, Writ
     let model = Model {
         name: name.into(),
         weights: None,
+        encoder: None,
         ..converted.model.clone()
     };
     model.validate().map_err(|error| WriteError::Model {

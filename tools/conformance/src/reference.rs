@@ -158,6 +158,7 @@ pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model
     let model = Model {
         name: "vector".into(),
         weights: None,
+        encoder: None,
         frame: Frame::Lidar,
         lidar_height: None,
         precision: Precision::F32,

@@ -1,7 +1,7 @@
 //! The state of a training: one file, replaced as a whole.
 
 use std::collections::{BTreeSet, HashMap};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use realo_nn::layers::{Layers, TensorSpec};
 use realo_nn::model::Model;
@@ -12,6 +12,7 @@ use serde_json::Value;
 use crate::TrainError;
 use crate::curve::{Curve, Point};
 use crate::data::{Augmentation, Decoys, Supply, write_whole};
+use crate::fusing::frozen;
 use crate::layers::with_numbers;
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
@@ -241,19 +242,26 @@ impl Checkpoint {
     }
 }
 
-/// Writes a network as the file of weights that inference reads.
+/// Writes a network as the files of weights that inference reads; of two, the second gets what training leaves as it is.
 ///
 /// # Errors
 /// [`TrainError::Write`].
-pub fn write_weights(network: &Network, path: &Path) -> Result<(), TrainError> {
-    let mut tensors = Tensors::default();
+pub fn write_weights(network: &Network, files: &[PathBuf]) -> Result<(), TrainError> {
+    let frozen = frozen(network.model(), network.layers());
+    let mut parts: Vec<Tensors> = files.iter().map(|_| Tensors::default()).collect();
     for parameter in network.parameters() {
+        let part = if frozen.contains(&parameter.name) {
+            files.len() - 1
+        } else {
+            0
+        };
         with_numbers(&parameter.value, |values| {
-            tensors.add_f32(parameter.name.clone(), parameter.value.dims(), values);
+            parts[part].add_f32(parameter.name.clone(), parameter.value.dims(), values);
             Ok(())
         })?;
     }
-    write_whole(path, &tensors.serialize(HashMap::new()))
+    let mut parts = parts.iter().zip(files);
+    parts.try_for_each(|(tensors, path)| write_whole(path, &tensors.serialize(HashMap::new())))
 }
 
 #[derive(Default)]

@@ -119,6 +119,7 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
         matching: model.matching,
         name: String::new(),
         weights: None,
+        encoder: None,
         arch: Arch::default(),
         precision: model.precision,
         score_threshold: model.score_threshold,

@@ -1,7 +1,6 @@
 //! The trainable PointPillars detector of a model.
 
 use std::collections::HashMap;
-use std::path::Path;
 use std::sync::Arc;
 
 use candle_core::{Tensor, TensorId};
@@ -13,7 +12,6 @@ use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
 use realo_nn::model::Model;
 use realo_nn::targets::Targets;
 use realo_nn::transformer::initial_delays;
-use realo_nn::weights::{Weights, WeightsError};
 
 use crate::fusing::frozen;
 use crate::layers::{
@@ -97,16 +95,6 @@ impl Network {
         }
         let mut values = values.into_iter();
         Self::with(model, |_| values.next().expect("a value for each tensor"))
-    }
-
-    /// A network with the weights of a file.
-    ///
-    /// # Errors
-    /// [`WeightsError`] if they do not fit the model.
-    pub fn read(model: &Model, path: &Path) -> Result<Self, WeightsError> {
-        let weights = Weights::read(path, model)?;
-        let network = Self::with(model, |spec| weights.tensor(&spec.key).to_vec());
-        Ok(network.expect("the shapes of weights that fit the model"))
     }
 
     /// A network of given numbers for each tensor, asked for in the order of the weights.

@@ -546,12 +546,17 @@ impl<'a> Training<'a> {
             });
         }
         state.write(&self.checkpoint)?;
-        let weights = output(&format!("{}.safetensors", self.model.name));
+        let weights = weights(&self.model, &self.options.output);
         write_weights(&state.network, &weights)?;
         write_whole(&output("curve.csv"), state.curve.to_csv().as_bytes())?;
         write_whole(&output("curve.svg"), state.curve.to_svg().as_bytes())?;
-        Ok(weights)
+        Ok(weights.into_iter().next().expect("a model has weights"))
     }
+}
+
+/// The files of weights that a model in a folder asks for.
+fn weights(model: &Model, folder: &Path) -> Vec<PathBuf> {
+    model.weights_beside(&folder.join(&model.name))
 }
 
 /// The frames of a few validation seeds.
@@ -589,8 +594,7 @@ fn state(
             "a training is there already; resume it or choose another folder".into(),
         )),
         (false, false) => {
-            let weights = path.with_file_name(format!("{}.safetensors", model.name));
-            if weights.exists() {
+            if let Some(weights) = weights(model, &options.output).iter().find(|file| file.exists()) {
                 let weights = weights.display();
                 return Err(refuse(format!(
                     "there is none, but there are weights, {weights}, that a training would overwrite; choose another folder"

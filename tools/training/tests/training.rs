@@ -200,7 +200,7 @@ fn a_killed_training_goes_on_to_the_same_bits() {
             .contains("<polyline")
     );
     let model = Model::read(&parts.model).unwrap();
-    Weights::read(&parts.output.join("small.safetensors"), &model).unwrap();
+    Weights::read(&[parts.output.join("small.safetensors")], &model).unwrap();
 }
 
 #[test]
@@ -416,7 +416,38 @@ fn a_fusion_learns_and_its_encoder_stays() {
     }
     // What the model file extends lies beside it.
     let model = Model::read(&options.output.join("fusing.toml")).unwrap();
-    Weights::read(&options.output.join("fusing.safetensors"), &model).unwrap();
+    Weights::read(&[options.output.join("fusing.safetensors")], &model).unwrap();
+}
+
+#[test]
+fn an_encoder_of_another_file_is_not_written_twice() {
+    let folder = Folder::new();
+    let whole = fusing(&folder);
+    train(&whole, |_| ()).unwrap();
+    let apart = TrainOptions {
+        output: folder.path("apart"),
+        ..whole.clone()
+    };
+    fs::write(&whole.model, FUSING.replace("[arch]", "encoder = \"small\"\n[arch]")).unwrap();
+    train(&apart, |_| ()).unwrap();
+    let [of_whole, own, encoder] = [
+        whole.output.join("fusing.safetensors"),
+        apart.output.join("fusing.safetensors"),
+        apart.output.join("small.safetensors"),
+    ]
+    .map(|path| bits(&path));
+    assert!(own.keys().all(|name| !encoder.contains_key(name)) && own.contains_key("cls_head.weight"));
+    assert!(of_whole == own.into_iter().chain(encoder).collect());
+
+    let loaded = |output: &Path| realo_nn::load(&output.join("fusing.toml"), realo_nn::Kernels::auto(1)).unwrap();
+    let same = |key: &(String, Vec<usize>)| {
+        loaded(&whole.output).weights.tensor(&key.0) == loaded(&apart.output).weights.tensor(&key.0)
+    };
+    let keys = realo_nn::weights::expected(&Model::read(&apart.output.join("fusing.toml")).unwrap());
+    assert!(keys.iter().all(same));
+    fs::remove_file(apart.output.join("small.safetensors")).unwrap();
+    let error = realo_nn::load(&apart.output.join("fusing.toml"), realo_nn::Kernels::auto(1));
+    assert!(error.err().unwrap().to_string().contains("small.safetensors: "));
 }
 
 #[test]

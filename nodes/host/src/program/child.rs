@@ -435,7 +435,7 @@ mod tests {
 
     #[test]
     fn a_program_that_exits_is_quoted_from_the_end_of_what_it_said() {
-        let script = "yes error | head -n 9000 >&2; echo 'the last word' >&2; exit 4";
+        let script = "head -c 9000 /dev/zero | tr '\\0' . >&2; echo 'the last word' >&2; exit 4";
         let error = start(script, Duration::from_secs(60));
         assert!(
             error.contains("exit status: 4") && error.contains("the last word"),

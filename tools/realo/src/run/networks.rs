@@ -51,7 +51,7 @@ impl Networks {
                 bail!("{}: no such model file; --model FILE names another one", path.display());
             }
             let weights = Model::read(path)?.weights_beside(path);
-            if !weights.exists() {
+            if let Some(weights) = weights.iter().find(|weights| !weights.exists()) {
                 bail!(
                     "{}: this model has no weights, {} is not there: `realo checkpoint convert` makes them of a PyTorch checkpoint, \
                      `realo train` trains detectors and V2X-ViT's fusion; --model FILE, or --set NODE.model=FILE, names a model that has some",

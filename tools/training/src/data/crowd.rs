@@ -1,5 +1,6 @@
-//! More background around far objects. Recorded cars beyond 50 m stand beside hedges and below the crowns of trees, among more
-//! points than simulated ones, and what learned from these alone takes them for background.
+//! More background around far objects, or none. Cars that vehicles recorded beyond 50 m stand beside hedges and below the crowns of
+//! trees, among more points than simulated ones, and what learned from these alone takes them for background; those that a
+//! roadside unit recorded across a wide junction stand among fewer.
 
 use std::collections::HashMap;
 
@@ -31,13 +32,16 @@ const GAP: f32 = 0.25;
 /// Pieces beside an object at most.
 const MOST: usize = 2;
 
+/// How far from the middle of an object there is nothing once its surroundings are cleared, m, and from which height above ground to which.
+const CLEARED: f32 = 8.0;
+const CLEARED_HEIGHTS: std::ops::Range<f32> = 0.3..3.5;
+
 /// Side of the cells whose lowest points tell the ground, m.
 const CELL: f32 = 4.0;
 
 /// Puts background of other places, which is as far from the ego, around each far object with a probability, and as much anywhere else,
 /// so that it tells of no object. It may stand on a road, and in front of what is still seen behind it: foliage lets rays through.
 pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
-    let is_far = |object: &Object| object.hwl[0].hypot(object.hwl[1]) >= FAR.into();
     let objects: Vec<Object> = scene.seen().copied().collect();
     if probability == 0.0 || !objects.iter().any(is_far) {
         return;
@@ -71,6 +75,65 @@ pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
     }
 }
 
+/// Takes, with a probability, the background around all far objects away, and as much anywhere else, so that what is missing tells of no
+/// object.
+pub(crate) fn clear(scene: &mut Scene, probability: f64, draws: &mut Stream) {
+    if !draws.chance(probability) {
+        return;
+    }
+    let objects: Vec<Object> = scene.seen().copied().collect();
+    let mut places = Vec::new();
+    for object in objects.iter().filter(|object| is_far(object)) {
+        let [x, y] = [object.hwl[0], object.hwl[1]];
+        let (sin, cos) = (draws.unit() * std::f64::consts::TAU).sin_cos();
+        places.extend([[x, y], [x.hypot(y) * cos, x.hypot(y) * sin]]);
+    }
+    let mut cleared = Cells::new(CELL);
+    let places: Vec<[f32; 2]> = places.iter().map(|place| place.map(|at| at as f32)).collect();
+    for (number, place) in places.iter().enumerate() {
+        cleared.add(number as u32, *place, CLEARED);
+    }
+    let (outlines, lowest) = (outlines(&objects), Lowest::of(scene));
+    let stays = |point: [f32; 3]| {
+        let [x, y, z] = point;
+        let is_within = |number: &u32| {
+            let [px, py] = places[*number as usize];
+            (px - x).hypot(py - y) < CLEARED
+        };
+        !cleared.at([x, y]).iter().any(is_within)
+            || !CLEARED_HEIGHTS.contains(&(z - lowest.at([x, y])))
+            || outlines.at(point).is_some()
+    };
+    scene.retain(stays);
+}
+
+fn is_far(object: &Object) -> bool {
+    object.hwl[0].hypot(object.hwl[1]) >= FAR.into()
+}
+
+/// The lowest point of each cell, which tells the ground.
+struct Lowest {
+    cells: Cells,
+    lowest: HashMap<[i32; 2], f32>,
+}
+
+impl Lowest {
+    fn of(scene: &Scene) -> Self {
+        let cells = Cells::new(CELL);
+        let mut lowest: HashMap<[i32; 2], f32> = HashMap::new();
+        for [x, y, z] in scene.iter() {
+            let least = lowest.entry(cells.cell([x, y])).or_insert(z);
+            *least = least.min(z);
+        }
+        Lowest { cells, lowest }
+    }
+
+    /// That of the cell of one of the points.
+    fn at(&self, place: [f32; 2]) -> f32 {
+        self.lowest[&self.cells.cell(place)]
+    }
+}
+
 fn outlines(objects: &[Object]) -> Outlines {
     Outlines::new(objects.iter().map(|object| Outline::new(&object.hwl, GAP)).collect())
 }
@@ -87,15 +150,11 @@ struct Background {
 impl Background {
     fn new(scene: &Scene, outlines: &Outlines) -> Self {
         let mut cells = Cells::new(CELL);
-        let mut lowest: HashMap<[i32; 2], f32> = HashMap::new();
-        for [x, y, z] in scene.iter() {
-            let least = lowest.entry(cells.cell([x, y])).or_insert(z);
-            *least = least.min(z);
-        }
+        let lowest = Lowest::of(scene);
         let (mut points, mut by_distance) = (Vec::new(), Vec::new());
         for [x, y, z] in scene.iter() {
             let distance = x.hypot(y);
-            let up = z - lowest[&cells.cell([x, y])];
+            let up = z - lowest.at([x, y]);
             if distance < FAR - ALIKE || !HEIGHTS.contains(&up) || outlines.at([x, y, z]).is_some() {
                 continue;
             }
@@ -190,6 +249,36 @@ mod tests {
         }
         let mut same = scene();
         crowd(&mut same, 0.0, &mut Stream::new(1, "crowd", 0));
+        assert_eq!(same, before);
+    }
+
+    #[test]
+    fn background_goes_around_far_objects_and_elsewhere_and_nothing_else_does() {
+        let mut before = scene();
+        // On the far car, beside it below 0.3 m, well above it, and beside the near one.
+        for point in [[58.0, 8.0, 1.0], [58.0, 12.0, 0.2], [58.0, 12.0, 4.5], [12.0, 6.0, 1.0]] {
+            before.push(point);
+        }
+        (0..50).for_each(|step| before.push([56.0 + 0.1 * step as f32, 12.0, 1.0]));
+        let points: Vec<[f32; 3]> = before.iter().collect();
+        let hedge = |point: &[f32; 3]| point[1] == 61.0 && point[2] > 0.4;
+        let mut thinner = 0;
+        for number in 0..40 {
+            let mut cleared = before.clone();
+            clear(&mut cleared, 1.0, &mut Stream::new(1, "clear", number));
+            let left: Vec<[f32; 3]> = cleared.iter().collect();
+            let gone = |point: &&[f32; 3]| !left.contains(point);
+            let beside = |point: &[f32; 3]| point[1] == 12.0 && point[2] == 1.0;
+            assert_eq!(points.iter().filter(|p| beside(p)).filter(gone).count(), 50);
+            assert!(points.iter().filter(|p| !beside(p) && !hedge(p)).all(|p| !gone(&p)));
+            thinner += usize::from(points.iter().filter(|p| hedge(p)).any(|p| gone(&p)));
+        }
+        assert!(
+            (1..15).contains(&thinner),
+            "the hedge lost something in {thinner} of 40"
+        );
+        let mut same = before.clone();
+        clear(&mut same, 0.0, &mut Stream::new(1, "clear", 0));
         assert_eq!(same, before);
     }
 

@@ -13,7 +13,7 @@ use super::simulated;
 use crate::TrainError;
 
 /// Rises with every change of how frames are made of sweeps.
-const RECIPE: u32 = 5;
+const RECIPE: u32 = 6;
 
 /// What decides, beside the seed, what is in a simulated frame.
 pub(crate) fn world() -> String {

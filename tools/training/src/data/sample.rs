@@ -8,7 +8,7 @@ use realo_nn::pillars::{Pillariser, Points};
 use realo_nn::targets::{Object, Targets, assign};
 use serde::{Deserialize, Serialize};
 
-use super::crowd::crowd;
+use super::crowd::{clear, crowd};
 use super::frame::{AgentSweep, Frame, Return};
 use super::resize::resize;
 use crate::fusing::learns_to_fuse;
@@ -38,12 +38,17 @@ pub struct Augmentation {
     pub tilt: f64,
     /// Greatest rise and fall, m.
     pub lift: f64,
+    /// Probability that what is seen is neither tilted nor lifted: frames are levelled before they reach a network, and from afar
+    /// their heights alone tell vans from cars.
+    pub level: f64,
     /// Least and greatest scale.
     pub scale: [f64; 2],
     /// Least and greatest factor of each object's length, width and height, with its points; recorded sizes are others than ours.
     pub resize: [f64; 2],
-    /// Probability that a far object has more background around it.
+    /// Probability that a far object has more background around it, if the ego is a vehicle.
     pub crowd: f64,
+    /// Probability that far objects have none around them, if the ego is a roadside unit.
+    pub clear: f64,
     /// Probability of mirroring left and right, and front and rear.
     pub mirror: f64,
     /// Probability that an agent's beams are dropped: three of four, every second, or any by chance.
@@ -61,15 +66,17 @@ pub struct Augmentation {
 impl Default for Augmentation {
     fn default() -> Self {
         Augmentation {
-            roadside_ego: 0.2,
+            roadside_ego: 0.33,
             alone: 0.5,
             everybody: 0.3,
             rotation: 20f64.to_radians(),
             tilt: 1.5f64.to_radians(),
             lift: 0.3,
+            level: 0.5,
             scale: [0.95, 1.05],
             resize: [0.94, 1.1],
             crowd: 0.75,
+            clear: 0.5,
             mirror: 0.5,
             drop_beams: 0.5,
             drop: 0.3,
@@ -87,9 +94,11 @@ impl Augmentation {
             rotation: 0.0,
             tilt: 0.0,
             lift: 0.0,
+            level: 1.0,
             scale: [1.0, 1.0],
             resize: [1.0, 1.0],
             crowd: 0.0,
+            clear: 0.0,
             mirror: 0.0,
             drop_beams: 0.0,
             drop: 0.0,
@@ -111,6 +120,7 @@ impl Augmentation {
     /// For a fusion: the others' poses err, and most egos have company.
     pub fn of_fusion() -> Self {
         Augmentation {
+            roadside_ego: 0.2,
             alone: 0.1,
             everybody: 0.6,
             pose_noise: Augmentation::default().pose_noise,
@@ -262,13 +272,18 @@ impl Change {
         let mirror = [(); 2].map(|()| if draws.chance(how.mirror) { -1.0 } else { 1.0 });
         let turn = draws.between(-rotation, rotation);
         let scale = draws.between(how.scale[0], how.scale[1]);
-        let [roll, pitch] = [(); 2].map(|()| draws.between(-how.tilt, how.tilt));
+        let [tilt, lift] = if draws.chance(how.level) {
+            [0.0; 2]
+        } else {
+            [how.tilt, how.lift]
+        };
+        let [roll, pitch] = [(); 2].map(|()| draws.between(-tilt, tilt));
         let tilted = UnitQuaternion::from_euler_angles(roll, pitch, 0.0);
         let turned = tilted * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
         let mirrored = Matrix3::from_diagonal(&Vector3::new(mirror[0], mirror[1], 1.0));
         Change {
             matrix: scale * turned.to_rotation_matrix().matrix() * mirrored,
-            lift: draws.between(-how.lift, how.lift),
+            lift: draws.between(-lift, lift),
             mirror,
             turn,
             scale,
@@ -341,7 +356,10 @@ impl Scene {
         }
         scene.add_objects(frame, &shares, model);
         resize(&mut scene, how.resize, draws);
-        crowd(&mut scene, how.crowd, draws);
+        match ego.roadside {
+            true => clear(&mut scene, how.clear, draws),
+            false => crowd(&mut scene, how.crowd, draws),
+        }
         scene
     }
 
@@ -401,6 +419,12 @@ impl Scene {
         for (column, value) in self.columns.iter_mut().zip(point) {
             column.push(value);
         }
+    }
+
+    /// Keeps the points of which this is true.
+    pub fn retain(&mut self, stays: impl Fn([f32; 3]) -> bool) {
+        let left: Vec<[f32; 3]> = self.iter().filter(|point| stays(*point)).collect();
+        self.columns = std::array::from_fn(|axis| left.iter().map(|point| point[axis]).collect());
     }
 
     /// Its points, m.

@@ -33,7 +33,7 @@ const VEHICLE_SENSORS: [&str; 6] = [
     "os1-128",
     "ruby-plus-128",
 ];
-const ROADSIDE_SENSORS: [&str; 4] = ["forward-scan", "os1-64", "os1-128", "ruby-plus-128"];
+const ROADSIDE_SENSORS: [&str; 5] = ["forward-scan", "forward-scan", "os1-64", "os1-128", "ruby-plus-128"];
 
 /// What a training seed simulates: all combinations of place and traffic, a third dense, a fifth with sweeps that do not
 /// start together; on a grid with the sensors of these places and, each third time, rounded bodies, elsewhere with drawn
