@@ -375,6 +375,12 @@ impl Layers {
         each.fold(0, usize::saturating_add)
     }
 
+    /// The tensors that lead from points to the maps that a fusion reads.
+    pub fn encoder(&self) -> impl Iterator<Item = TensorSpec> {
+        let steps = self.between(&[], &[self.restored]);
+        steps.into_iter().flat_map(|step| step.layer.tensors())
+    }
+
     /// The steps that lead from the given maps to the wanted ones, in an order in which they can be computed: of those
     /// that could be next, the one listed last, so that a map is read while it is in the caches.
     ///

@@ -1,6 +1,6 @@
 //! The typed model file: everything about a network that is not a weight.
 //!
-//! A model is `<name>.toml` beside `<name>.safetensors` (see [`crate::weights`]). With `extends = "other.toml"` it says only
+//! A model is `<name>.toml` beside `<name>.safetensors`, or beside what `weights` and `encoder` name (see [`crate::weights`]). With `extends = "other.toml"` it says only
 //! what differs from the model of another file, key by key; `arch` as a whole.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,7 +24,8 @@ pub struct Model {
     /// Stem of the file of weights where it is another model's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<String>,
-    /// Stem of the file that holds what the file of weights lacks, as that of the detector behind whose encoder a fusion learned.
+    /// Stem of another file, of which the encoder's tensors are taken that the file of weights lacks: that of the detector behind whose
+    /// encoder a fusion learned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<String>,
     /// Frame of the points and the anchors as the network knows them.
@@ -386,7 +387,7 @@ impl Model {
         self.lidar_height.unwrap_or(0.0)
     }
 
-    /// The files of weights that lie beside a model file: the model's own, and what holds the tensors that it lacks.
+    /// The files of weights that lie beside a model file: the model's own, and what holds its encoder.
     pub fn weights_beside(&self, model_file: &Path) -> Vec<PathBuf> {
         let own = self.weights.as_ref().unwrap_or(&self.name);
         let stems = [Some(own), self.encoder.as_ref()].into_iter().flatten();
@@ -466,6 +467,10 @@ impl Model {
                 )
             });
         }
+        let own = self.weights.as_ref().unwrap_or(&self.name);
+        problems.require(self.encoder.as_ref() != Some(own), || {
+            format!("encoder: expected another file than the model's own weights, found `{own}`")
+        });
         for (index, class) in self.classes.iter().enumerate() {
             problems.require(!class.name.is_empty(), || format!("classes[{index}] has no name"));
             let first = self.classes.iter().position(|other| other.name == class.name);
@@ -770,6 +775,7 @@ mod tests {
         assert!(error("extends = \"base.toml\"\nwidth = 3").contains("unknown field `width`"));
         assert!(error("extends = \"base.toml\"\nweights = \"../x\"").contains("weights: expected lower-case"));
         assert!(error("extends = \"base.toml\"\nencoder = \"\"").contains("encoder: expected lower-case"));
+        assert!(error("extends = \"base.toml\"\nencoder = \"lite\"").contains("encoder: expected another file"));
         assert!(
             error("extends = \"base.toml\"\n[arch]\nkind = \"attfuse\"\ncompression = 7")
                 .contains("divisor of the map's 64")

@@ -1,6 +1,6 @@
 //! A network's weights: a safetensors file with the keys and shapes of V2X-Real's state dict.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
@@ -42,8 +42,8 @@ pub struct Tensor {
 pub enum WeightsError {
     /// The file cannot be read.
     #[error(
-        "{}: {error}; weights lie beside their model file, under the model's `name`: `realo checkpoint convert` makes them of \
-         a PyTorch checkpoint, `realo train` trains detectors and V2X-ViT's fusion",
+        "{}: {error}; weights lie beside their model file, under the model's `name` or as its `weights` and `encoder` say: \
+         `realo checkpoint convert` makes them of a PyTorch checkpoint, `realo train` trains detectors and V2X-ViT's fusion",
         path.display()
     )]
     Read {
@@ -53,7 +53,7 @@ pub enum WeightsError {
         error: ReadError,
     },
     /// It is not a safetensors file.
-    #[error("{}: {error}", path.display())]
+    #[error("{}: expected a safetensors file: {error}; take the weights that belong to the model file, or train it anew", path.display())]
     Syntax {
         /// The file of weights.
         path: PathBuf,
@@ -82,7 +82,7 @@ pub enum WeightsError {
 }
 
 impl Weights {
-    /// Reads the weights of a model from its files: each tensor from the first that has it.
+    /// Reads the weights of a model from its files: of all but the first the encoder's tensors that are lacking.
     ///
     /// # Errors
     /// [`WeightsError::Read`], [`WeightsError::Syntax`], and [`WeightsError::File`] with that of [`Weights::new`], where a
@@ -97,14 +97,17 @@ impl Weights {
     /// As [`Weights::read`], but for reading.
     pub fn parse(files: &[ModelFile], model: &Model) -> Result<Weights, WeightsError> {
         let (mut tensors, mut problems) = (HashMap::new(), Vec::new());
-        for (path, bytes) in files {
+        let layers = Layers::of(model);
+        let encoder: HashSet<String> = layers.encoder().map(|tensor| tensor.key).collect();
+        for (index, (path, bytes)) in files.iter().enumerate() {
             let file = SafeTensors::deserialize(bytes).map_err(|error| WeightsError::Syntax {
                 path: path.clone(),
                 error,
             })?;
-            add_tensors(&file, &mut tensors, &mut problems);
+            let of_file = |key: &str| index == 0 || encoder.contains(key);
+            add_tensors(&file, of_file, &mut tensors, &mut problems);
         }
-        Weights::checked(&Layers::of(model), &model.name, tensors, problems).map_err(|error| WeightsError::File {
+        Weights::checked(&layers, &model.name, tensors, problems).map_err(|error| WeightsError::File {
             paths: files.iter().map(|(path, _)| path.clone()).collect(),
             error: Box::new(error),
         })
@@ -185,9 +188,9 @@ impl Weights {
 /// Shapes and numbers by key, `None` in place of numbers of another type than F32.
 type Found = HashMap<String, (Vec<usize>, Option<Vec<f32>>)>;
 
-/// Adds the tensors of a file that are not there yet.
-fn add_tensors(file: &SafeTensors, tensors: &mut Found, problems: &mut Vec<String>) {
-    let is_new = |key: &str| !is_counter(key) && !tensors.contains_key(key);
+/// Adds the tensors of a file that are wanted and not there yet.
+fn add_tensors(file: &SafeTensors, wanted: impl Fn(&str) -> bool, tensors: &mut Found, problems: &mut Vec<String>) {
+    let is_new = |key: &str| wanted(key) && !is_counter(key) && !tensors.contains_key(key);
     // In an order that is the same every time, for the problems.
     let mut views: Vec<_> = file.iter().filter(|(key, _)| is_new(key)).collect();
     views.sort_by_key(|(key, _)| *key);
@@ -288,6 +291,58 @@ mod tests {
         let found = problems(random_tensors(&wide, 1));
         assert_eq!(found.len(), 6, "{found:?}");
         assert!(found.iter().all(|line| line.contains("expected shape")), "{found:?}");
+    }
+
+    /// The bytes of a file of tensors, all numbers of which are one.
+    fn file(tensors: impl Iterator<Item = TensorSpec>, dtype: Dtype, number: f32) -> Vec<u8> {
+        let tensors: Vec<(TensorSpec, Vec<u8>)> = tensors
+            .map(|spec| {
+                let bytes = (0..spec.count()).flat_map(|_| number.to_le_bytes()).collect();
+                (spec, bytes)
+            })
+            .collect();
+        let view = |(spec, bytes): &'_ (TensorSpec, Vec<u8>)| {
+            TensorView::new(dtype, spec.shape.clone(), bytes)
+                .map(|view| (spec.key.clone(), view))
+                .unwrap()
+        };
+        safetensors::serialize(tensors.iter().map(view), None).unwrap()
+    }
+
+    #[test]
+    fn another_file_has_the_encoder_and_nothing_else() {
+        let (model, layers) = (lite(), Layers::of(&lite()));
+        let heads = || layers.tensors().filter(|tensor| tensor.key.contains("_head"));
+        let own = |dtype| ("own.safetensors".into(), file(heads(), dtype, 1.0));
+        let other = |bytes| ("other.safetensors".into(), bytes);
+        let whole = file(layers.tensors(), Dtype::F32, 2.0);
+        let weights = Weights::parse(&[own(Dtype::F32), other(whole.clone())], &model).unwrap();
+        for tensor in layers.tensors() {
+            let expected = if tensor.key.contains("_head") { 1.0 } else { 2.0 };
+            assert!(
+                weights.tensor(&tensor.key).iter().all(|number| *number == expected),
+                "{}",
+                tensor.key
+            );
+        }
+        let error = |files: &[ModelFile]| Weights::parse(files, &model).unwrap_err().to_string();
+        let without_heads = file(layers.encoder(), Dtype::F32, 1.0);
+        let lacking = error(&[("own.safetensors".into(), without_heads), other(whole.clone())]);
+        assert!(
+            lacking.starts_with("own.safetensors with other.safetensors: "),
+            "{lacking}"
+        );
+        assert!(
+            lacking.contains("`cls_head.weight`") && lacking.contains("is missing"),
+            "{lacking}"
+        );
+        let hidden = error(&[own(Dtype::I32), other(whole)]);
+        assert!(hidden.contains("`cls_head.bias`: expected F32, found I32"), "{hidden}");
+        let syntax = error(&[own(Dtype::F32), other(b"no tensors".to_vec())]);
+        assert!(
+            syntax.starts_with("other.safetensors: expected a safetensors file"),
+            "{syntax}"
+        );
     }
 
     #[test]

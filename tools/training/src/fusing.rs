@@ -60,6 +60,11 @@ pub(crate) fn start(model: &Model, file: Option<&Path>, seed: u64) -> Result<Opt
             "its `arch.compression` is not 0, and compressors are not trained here",
         ));
     }
+    if model.encoder.is_some() && !learns_to_fuse(model) {
+        return Err(refuse(
+            "it takes its `encoder` from another file, but all of it would be trained: leave `encoder` out",
+        ));
+    }
     let Some(file) = file else {
         return match learns_to_fuse(model) {
             false => Ok(None),
@@ -94,12 +99,10 @@ pub(crate) fn start(model: &Model, file: Option<&Path>, seed: u64) -> Result<Opt
 
 /// Keys of what training leaves as it is.
 pub(crate) fn frozen(model: &Model, layers: &Layers) -> HashSet<String> {
-    let steps = match learns_to_fuse(model) {
-        true => layers.between(&[], &[layers.restored]),
-        false => Vec::new(),
-    };
-    let tensors = steps.into_iter().flat_map(|step| step.layer.tensors());
-    tensors.map(|spec| spec.key).collect()
+    match learns_to_fuse(model) {
+        true => layers.encoder().map(|spec| spec.key).collect(),
+        false => HashSet::new(),
+    }
 }
 
 /// In which settings a model's maps are not those of another one's encoder, as `name: expected, found`; empty if they are. The

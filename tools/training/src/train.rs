@@ -43,7 +43,7 @@ pub struct TrainOptions {
     /// The model file with weights to begin with; of a model that learns to fuse, those of the encoder, which stay, and of
     /// the heads.
     pub from: Option<PathBuf>,
-    /// Folder of the results: `checkpoint.safetensors`, `<model>.safetensors`, `curve.csv`, `curve.svg`.
+    /// Folder of the results: `checkpoint.safetensors`, the model's files of weights, `curve.csv`, `curve.svg`.
     pub output: PathBuf,
     /// Whether to go on from the checkpoint that is there.
     pub resume: bool,
@@ -307,8 +307,9 @@ impl<'a> Training<'a> {
     fn new(options: &'a TrainOptions) -> Result<Self, TrainError> {
         let (model, files) = Model::read_with_files(&options.model)?;
         check_frames_suit(&model)?;
-        if model.name == "checkpoint" {
-            let reason = "its weights would take the checkpoint's place: rename it".into();
+        let checkpoint = options.output.join("checkpoint.safetensors");
+        if weights(&model, &options.output).contains(&checkpoint) {
+            let reason = "its `name`, `weights` or `encoder` is `checkpoint`, whose place its weights would take: name them otherwise".into();
             return Err(TrainError::Model {
                 model: model.name,
                 reason,
@@ -329,7 +330,6 @@ impl<'a> Training<'a> {
             from: start.as_ref().map(|start| start.identity.clone()),
         };
         let lock = lock(&options.output)?;
-        let checkpoint = options.output.join("checkpoint.safetensors");
         let weights = start.as_ref().map(|start| &*start.weights);
         let mut state = state(options, &model, weights, plan, &checkpoint)?;
         state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);

@@ -445,6 +445,13 @@ fn an_encoder_of_another_file_is_not_written_twice() {
     };
     let keys = realo_nn::weights::expected(&Model::read(&apart.output.join("fusing.toml")).unwrap());
     assert!(keys.iter().all(same));
+    fs::write(
+        &whole.model,
+        FUSING.replace("[arch]", "encoder = \"checkpoint\"\n[arch]"),
+    )
+    .unwrap();
+    let refused = train(&apart, |_| ()).unwrap_err().to_string();
+    assert!(refused.contains("`encoder` is `checkpoint`"), "{refused}");
     fs::remove_file(apart.output.join("small.safetensors")).unwrap();
     let error = realo_nn::load(&apart.output.join("fusing.toml"), realo_nn::Kernels::auto(1));
     assert!(error.err().unwrap().to_string().contains("small.safetensors: "));
