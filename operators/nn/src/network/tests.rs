@@ -251,7 +251,7 @@ const EXPECTED: [u64; 7] = [
     0x8ff7_e778_5bef_e09e,
     0x2694_8fb5_46ac_ee6d,
     0xedbc_f96c_3512_9eba,
-    0x8c61_7159_1826_bcb7,
+    0x8c62_7159_1826_bcb7,
     0x10d7_2ad5_59ff_b07b,
     0xc330_e8de_ebe4_6aae,
 ];
