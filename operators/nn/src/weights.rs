@@ -301,12 +301,11 @@ mod tests {
                 (spec, bytes)
             })
             .collect();
-        let view = |(spec, bytes): &'_ (TensorSpec, Vec<u8>)| {
-            TensorView::new(dtype, spec.shape.clone(), bytes)
-                .map(|view| (spec.key.clone(), view))
-                .unwrap()
-        };
-        safetensors::serialize(tensors.iter().map(view), None).unwrap()
+        let views = tensors.iter().map(|(spec, bytes)| {
+            let view = TensorView::new(dtype, spec.shape.clone(), bytes).unwrap();
+            (spec.key.clone(), view)
+        });
+        safetensors::serialize(views, None).unwrap()
     }
 
     #[test]
