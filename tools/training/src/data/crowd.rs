@@ -259,9 +259,9 @@ mod tests {
         for point in [[58.0, 8.0, 1.0], [58.0, 12.0, 0.2], [58.0, 12.0, 4.5], [12.0, 6.0, 1.0]] {
             before.push(point);
         }
-        (0..50).for_each(|step| before.push([56.0 + 0.1 * step as f32, 12.0, 1.0]));
+        (0..50).for_each(|step| before.push([56.0 + 0.07 * step as f32, 12.0, 1.0]));
         let points: Vec<[f32; 3]> = before.iter().collect();
-        let hedge = |point: &[f32; 3]| point[1] == 61.0 && point[2] > 0.4;
+        let hedge = |point: &[f32; 3]| point[1] == 61.0;
         let mut thinner = 0;
         for number in 0..40 {
             let mut cleared = before.clone();
