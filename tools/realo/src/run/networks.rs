@@ -53,7 +53,7 @@ impl Networks {
             let weights = Model::read(path)?.weights_beside(path);
             if let Some(weights) = weights.iter().find(|weights| !weights.exists()) {
                 bail!(
-                    "{}: this model has no weights, {}, which its `name`, `weights` or `encoder` names, is not there: \
+                    "{}: this model has no weights, {} is not there, the file that its `name`, `weights` or `encoder` names: \
                      `realo checkpoint convert` makes them of a PyTorch checkpoint, `realo train` trains detectors and V2X-ViT's fusion; --model FILE, or --set NODE.model=FILE, names a model that has some",
                     path.display(),
                     weights.display()
