@@ -1,7 +1,7 @@
 //! The typed model file: everything about a network that is not a weight.
 //!
-//! A model is `<name>.toml` beside `<name>.safetensors`, or beside what `weights` and `encoder` name (see [`crate::weights`]). With `extends = "other.toml"` it says only
-//! what differs from the model of another file, key by key; `arch` as a whole.
+//! A model is `<name>.toml` beside `<name>.safetensors`, or beside what `weights` and `encoder` name (see
+//! [`crate::weights`]). With `extends = "other.toml"` it says only what differs from the model of another file, key by key; `arch` as a whole.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -387,10 +387,14 @@ impl Model {
         self.lidar_height.unwrap_or(0.0)
     }
 
+    /// Stem of the model's own file of weights.
+    pub fn own_weights(&self) -> &str {
+        self.weights.as_ref().unwrap_or(&self.name)
+    }
+
     /// The files of weights that lie beside a model file: the model's own, and what holds its encoder.
     pub fn weights_beside(&self, model_file: &Path) -> Vec<PathBuf> {
-        let own = self.weights.as_ref().unwrap_or(&self.name);
-        let stems = [Some(own), self.encoder.as_ref()].into_iter().flatten();
+        let stems = std::iter::once(self.own_weights()).chain(self.encoder.as_deref());
         stems
             .map(|stem| model_file.with_file_name(format!("{stem}.safetensors")))
             .collect()
@@ -467,8 +471,8 @@ impl Model {
                 )
             });
         }
-        let own = self.weights.as_ref().unwrap_or(&self.name);
-        problems.require(self.encoder.as_ref() != Some(own), || {
+        let own = self.own_weights();
+        problems.require(self.encoder.as_deref() != Some(own), || {
             format!("encoder: expected another file than the model's own weights, found `{own}`")
         });
         for (index, class) in self.classes.iter().enumerate() {

@@ -13,7 +13,7 @@ use crate::model::{Model, ModelFile};
 pub const BATCH_NORM_EPS: f32 = 1e-3;
 
 /// A file of weights has at most so many bytes; the largest network of the reference has 61 MB.
-pub(crate) const MOST_BYTES: u64 = 1 << 31;
+const MOST_BYTES: u64 = 1 << 31;
 
 /// Keys and shapes of a model's tensors, in the order of the state dict. Convolutions are `[out, in, k, k]`, transposed
 /// ones `[in, out, k, k]`, linear layers `[out, in]`.

@@ -82,7 +82,7 @@ pub fn quantize(
     let written = QuantizedModel {
         extends: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         name,
-        weights: model.weights.as_ref().unwrap_or(&model.name).clone(),
+        weights: model.own_weights().into(),
         precision: Precision::Int8,
         activations: quantized.activations,
     };

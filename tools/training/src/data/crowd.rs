@@ -56,13 +56,9 @@ pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
         let ground = z - 0.5 * height;
         for _ in 0..1 + draws.below(MOST) {
             let far = draws.between(ASIDE[0], ASIDE[1]);
-            let mut direction = |distance: f64| {
-                let (sin, cos) = (draws.unit() * std::f64::consts::TAU).sin_cos();
-                [cos, sin].map(|part| (distance * part) as f32)
-            };
-            let [dx, dy] = direction(far);
+            let [dx, dy] = anywhere(far, draws);
             let beside = [x + dx, y + dy];
-            let elsewhere = direction(f64::from(beside[0].hypot(beside[1])));
+            let elsewhere = anywhere(f64::from(beside[0].hypot(beside[1])), draws);
             for place in [beside, elsewhere] {
                 for [x, y, up] in background.piece(place, draws) {
                     let point = [x, y, ground + up];
@@ -85,11 +81,9 @@ pub(crate) fn clear(scene: &mut Scene, probability: f64, draws: &mut Stream) {
     let mut places = Vec::new();
     for object in objects.iter().filter(|object| is_far(object)) {
         let [x, y] = [object.hwl[0], object.hwl[1]];
-        let (sin, cos) = (draws.unit() * std::f64::consts::TAU).sin_cos();
-        places.extend([[x, y], [x.hypot(y) * cos, x.hypot(y) * sin]]);
+        places.extend([[x as f32, y as f32], anywhere(x.hypot(y), draws)]);
     }
     let mut cleared = Cells::new(CELL);
-    let places: Vec<[f32; 2]> = places.iter().map(|place| place.map(|at| at as f32)).collect();
     for (number, place) in places.iter().enumerate() {
         cleared.add(number as u32, *place, CLEARED);
     }
@@ -105,6 +99,12 @@ pub(crate) fn clear(scene: &mut Scene, probability: f64, draws: &mut Stream) {
             || outlines.at(point).is_some()
     };
     scene.retain(stays);
+}
+
+/// A place so far, m, in any direction.
+fn anywhere(distance: f64, draws: &mut Stream) -> [f32; 2] {
+    let (sin, cos) = (draws.unit() * std::f64::consts::TAU).sin_cos();
+    [cos, sin].map(|part| (distance * part) as f32)
 }
 
 fn is_far(object: &Object) -> bool {
