@@ -71,7 +71,7 @@ pub enum WeightsError {
     /// The tensors are not those of the model.
     #[error(
         "weights do not fit model `{model}`: {}; take the weights that belong to this model file, or train it anew",
-        problems.join("; ")
+        first_of(problems, NAMED).join("; ")
     )]
     Mismatch {
         /// The model's name.
@@ -222,6 +222,16 @@ pub(crate) fn read_files(paths: &[impl AsRef<Path>]) -> Result<Vec<ModelFile>, W
     paths.iter().map(|path| read(path.as_ref())).collect()
 }
 
+/// Differences that [`WeightsError::Mismatch`] names; the weights of another network have hundreds.
+const NAMED: usize = 8;
+
+/// The first lines, at most `most`, and how many more there are.
+pub fn first_of(lines: &[String], most: usize) -> Vec<String> {
+    let more = lines.len().saturating_sub(most);
+    let rest = (more > 0).then(|| format!("… and {more} more"));
+    lines.iter().take(most).cloned().chain(rest).collect()
+}
+
 fn joined(paths: &[PathBuf]) -> String {
     let paths: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
     paths.join(" with ")
@@ -282,6 +292,14 @@ mod tests {
             "`cls_head.gain` is not part of the model",
         ];
         assert_eq!(problems(tensors), expected);
+    }
+
+    #[test]
+    fn names_the_first_of_many_differences() {
+        let error = Weights::new(&lite(), HashMap::new()).unwrap_err().to_string();
+        assert_eq!(error.matches(" is missing; ").count(), NAMED, "{error}");
+        let more = expected(&lite()).len() - NAMED;
+        assert!(error.contains(&format!("; … and {more} more; take ")), "{error}");
     }
 
     #[test]

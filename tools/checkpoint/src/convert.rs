@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use realo_nn::arch::compression_of;
 use realo_nn::full;
 use realo_nn::model::Model;
-use realo_nn::weights::{Tensor, Weights, WeightsError, expected, is_counter};
+use realo_nn::weights::{Tensor, Weights, WeightsError, expected, first_of, is_counter};
 
 use crate::checkpoint::{Checkpoint, ReadError};
 use crate::shown;
@@ -48,10 +48,7 @@ pub enum ConvertError {
 const LISTED: usize = 40;
 
 fn listed(problems: &[String]) -> String {
-    let mut lines: Vec<String> = problems.iter().take(LISTED).map(|line| format!("  {line}")).collect();
-    if problems.len() > LISTED {
-        lines.push(format!("  … and {} more", problems.len() - LISTED));
-    }
+    let lines: Vec<String> = first_of(problems, LISTED).iter().map(|line| format!("  {line}")).collect();
     lines.join("\n")
 }
 
