@@ -17,7 +17,7 @@ pub const LEVEL: f64 = 0.25;
 ///
 /// # Errors
 /// A log that cannot be read.
-pub fn tilts(log: &Log) -> Result<BTreeMap<String, f64>, LogError> {
+pub(crate) fn tilts(log: &Log) -> Result<BTreeMap<String, f64>, LogError> {
     let told = log.levelled()?;
     let agents = log.info().agents.iter().map(|agent| agent.name.as_str());
     let streams = agents.flat_map(|agent| [Stream::Pose, Stream::PoseTruth].map(|stream| (agent, stream)));

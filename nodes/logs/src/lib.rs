@@ -54,7 +54,7 @@ pub use clocks::PeerClock;
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use info::{AgentInfo, AgentKind, Levelled, LogInfo, program};
-pub use level::{Attitude, Attitudes, LEVEL, level_state, levelled_while_played, need_level, tilts};
+pub use level::{Attitude, Attitudes, LEVEL, level_state, levelled_while_played, need_level};
 pub use log::{Entry, Log, LogReader};
 pub use log_writer::LogWriter;
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};

@@ -57,7 +57,7 @@ fn reports_once_at_the_end() {
     assert_eq!(of, (REPORT, Kind::Report, "cav1", 0, "evaluation"));
     let report: EvaluationReport = from_report(&report).unwrap();
     let counts = report.scores.accuracy.sorted.counts["vehicle"]["0.5"];
-    assert_eq!((counts.hits, counts.misses, counts.total), (1, 0, 2));
+    assert_eq!((counts.true_positives, counts.false_positives, counts.total), (1, 0, 2));
     assert_eq!(out.counted("boxes_without_truth"), 1);
 }
 

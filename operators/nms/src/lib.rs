@@ -2,7 +2,7 @@
 //!
 //! | port | type | content |
 //! |---|---|---|
-//! | in `boxes` | Boxes | detections in any order, one frame |
+//! | in `proposals` | Boxes | detections in any order, one frame |
 //! | out `boxes` | Boxes | the boxes without duplicates, best score first |
 //!
 //! A box is dropped if a kept one of better score (at equal scores: of lower index) has an IoU above the threshold with
@@ -43,7 +43,8 @@ pub struct Config {
     pub index: Index,
     /// Which of several boxes of one score goes first.
     pub ties: Ties,
-    /// IoU above which candidates have a say in where a kept box lies and how large it is; 1: none has.
+    /// IoU above which candidates of a kept box's class have a say in where it lies and how large it is, at least
+    /// `threshold`; 1: none has.
     pub vote: f64,
     /// `[x min, x max, y min, y max]`, m, in the boxes' frame: boxes whose bottom corners do not all lie in it are
     /// dropped before suppression. Empty: no region.

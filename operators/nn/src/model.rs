@@ -476,10 +476,15 @@ impl Model {
             format!("encoder: expected another file than the model's own weights, found `{own}`")
         });
         for (index, class) in self.classes.iter().enumerate() {
-            problems.require(!class.name.is_empty(), || format!("classes[{index}] has no name"));
+            problems.require(!class.name.is_empty(), || {
+                format!("classes[{index}].name: expected a name, found none")
+            });
             let first = self.classes.iter().position(|other| other.name == class.name);
             problems.require(first == Some(index), || {
-                format!("class `{}` is listed twice", class.name)
+                format!(
+                    "classes[{index}].name: expected one that no other class has, found `{}` again",
+                    class.name
+                )
             });
         }
     }
@@ -497,8 +502,8 @@ impl Model {
     }
 
     fn check_anchors(&self, problems: &mut Problems) {
-        problems.within("number of classes", self.classes.len(), 1, 64);
-        problems.within("number of rotations", self.rotations.len(), 1, 16);
+        problems.within("classes (how many)", self.classes.len(), 1, 64);
+        problems.within("rotations (how many)", self.rotations.len(), 1, 16);
         problems.require(self.rotations.iter().all(|yaw| yaw.is_finite()), || {
             format!("rotations: expected finite angles, found {:?}", self.rotations)
         });
@@ -511,7 +516,7 @@ impl Model {
                 format!("class `{}`: expected positive extents, found {extent:?}", class.name)
             });
             problems.require(class.z.is_finite(), || {
-                format!("class `{}`: z is {}", class.name, class.z)
+                format!("class `{}`: expected a finite z, m, found {}", class.name, class.z)
             });
             let (unmatched, matched) = (class.unmatched, class.matched);
             problems.require(0.0 <= unmatched && unmatched <= matched && matched <= 1.0, || {
@@ -549,12 +554,12 @@ impl Model {
                 format!("grid.{axis}: expected a whole number of cells of {cell} m, found {count}")
             });
             problems.require(count <= MOST_CELLS as f64, || {
-                format!("grid.{axis}: {count} cells are more than {MOST_CELLS}")
+                format!("grid.{axis}: expected at most {MOST_CELLS} cells of {cell} m, found {count}")
             });
         }
         let cells = ((x[1] - x[0]) / cell) * ((y[1] - y[0]) / cell);
         problems.require(cells <= MOST_CELLS as f64, || {
-            format!("grid: {cells:.0} cells are more than {MOST_CELLS}")
+            format!("grid: expected at most {MOST_CELLS} cells of {cell} m, found {cells:.0}")
         });
         problems.0.len() == before
     }
@@ -592,7 +597,7 @@ impl Model {
             up_strides,
             up_channels,
         } = &self.backbone;
-        problems.within("number of backbone blocks", layers.len(), 1, 8);
+        problems.within("backbone.layers (how many)", layers.len(), 1, 8);
         for (key, list) in [
             ("strides", strides),
             ("channels", channels),
@@ -612,7 +617,7 @@ impl Model {
         problems.each_within("backbone.channels", channels, 1, MOST_CHANNELS);
         problems.each_within("backbone.up_strides", up_strides, 1, 16);
         problems.each_within("backbone.up_channels", up_channels, 1, MOST_CHANNELS);
-        problems.within("number of shrink layers", self.shrink.len(), 0, 8);
+        problems.within("shrink (how many)", self.shrink.len(), 0, 8);
         for (index, shrink) in self.shrink.iter().enumerate() {
             problems.within(&format!("shrink[{index}].channels"), shrink.channels, 1, MOST_CHANNELS);
             problems.require([1, 3].contains(&shrink.kernel), || {
@@ -791,8 +796,11 @@ mod tests {
         type Change = fn(&mut Model);
         let cases: [(Change, &str); 14] = [
             (|m| m.name = "../lite".into(), "name: expected lower-case"),
-            (|m| m.classes.clear(), "number of classes: expected 1 to 64, found 0"),
-            (|m| m.classes[1].name = "truck".into(), "class `truck` is listed twice"),
+            (|m| m.classes.clear(), "classes (how many): expected 1 to 64, found 0"),
+            (
+                |m| m.classes[1].name = "truck".into(),
+                "classes[1].name: expected one that no other class has, found `truck` again",
+            ),
             (
                 |m| m.classes[0].width = f64::NAN,
                 "class `vehicle`: expected positive extents",
@@ -803,7 +811,7 @@ mod tests {
             ),
             (|m| m.score_threshold = f32::NAN, "score_threshold"),
             (|m| m.grid.cell = 0.3, "grid.x: expected a whole number of cells"),
-            (|m| m.grid.cell = 1e-300, "cells are more than"),
+            (|m| m.grid.cell = 1e-300, "cells of"),
             (|m| m.grid.x = [5.0, -5.0], "grid.x: expected a range"),
             (|m| m.pillars.points = 0, "pillars.points: expected 1 to 65536, found 0"),
             (

@@ -1,3 +1,4 @@
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -186,13 +187,7 @@ impl Protocol {
                     class.name
                 ));
             }
-            let own = class.raw.iter().map(|raw| {
-                if self.ignore_case {
-                    raw.to_lowercase()
-                } else {
-                    raw.clone()
-                }
-            });
+            let own = class.raw.iter().map(|raw| self.folded(raw).into_owned());
             for name in own.chain([format!("super-class {}", class.name)]) {
                 if !names.insert(name.clone()) {
                     return Err(format!(
@@ -225,15 +220,18 @@ impl Protocol {
         Ok(())
     }
 
+    /// A raw name as names are compared.
+    fn folded<'a>(&self, raw: &'a str) -> Cow<'a, str> {
+        match self.ignore_case {
+            true => raw.to_lowercase().into(),
+            false => raw.into(),
+        }
+    }
+
     /// Number of the super-class that a name belongs to; `None` if the name does not count.
     pub fn class_of(&self, raw: &str) -> Option<u8> {
-        let same = |known: &String| {
-            if self.ignore_case {
-                known.eq_ignore_ascii_case(raw)
-            } else {
-                known == raw
-            }
-        };
+        let wanted = self.folded(raw);
+        let same = |known: &String| self.folded(known) == wanted;
         let found = self.classes.iter().position(|class| class.raw.iter().any(same));
         let found = found.or_else(|| self.classes.iter().position(|class| class.name == raw.to_lowercase()));
         found.map(|index| index as u8)
@@ -291,6 +289,9 @@ mod tests {
             assert_eq!(protocol.class_of(name), Some(0), "{name}");
         }
         assert_eq!(protocol.class_of("Cyclist"), None);
+        let mut more = protocol;
+        more.classes[0].raw.push("Überlandbus".into());
+        assert_eq!(more.class_of("ÜBERLANDBUS"), Some(0));
     }
 
     #[test]
@@ -310,7 +311,7 @@ mod tests {
             };
             assert_eq!(load(name), expected);
         }
-        // What is left out is as it was before there were such keys, in results too.
+        // What is left out of a protocol is left out of results.
         let plain = serde_json::to_value(load("default")).unwrap();
         for key in ["labels", "outside_views", "ego"] {
             assert!(plain.get(key).is_none(), "{key}");

@@ -59,10 +59,10 @@ pub struct Accuracy {
 pub struct Counts {
     /// Detections that found an object.
     #[serde(rename = "true")]
-    pub hits: u64,
+    pub true_positives: u64,
     /// Detections that found none.
     #[serde(rename = "false")]
-    pub misses: u64,
+    pub false_positives: u64,
     /// Objects.
     pub total: u64,
 }
@@ -93,7 +93,7 @@ pub struct PointsBin {
     pub to: Option<u64>,
     /// Objects that were found.
     #[serde(rename = "true")]
-    pub hits: u64,
+    pub true_positives: u64,
     /// Objects.
     pub total: u64,
     /// Found share of the objects; `None` without any.
@@ -183,10 +183,10 @@ fn orders(
         };
         let mean_ap = protocol.ious.iter().map(|iou| mean(Protocol::iou_key(*iou))).collect();
         let counts = table(protocol, sequences, |sequence| {
-            let hits = sequence.hit_count();
+            let true_positives = sequence.hit_count();
             Counts {
-                hits,
-                misses: sequence.entries.len() as u64 - hits,
+                true_positives,
+                false_positives: sequence.entries.len() as u64 - true_positives,
                 total: total(sequence),
             }
         });
@@ -203,13 +203,9 @@ fn range_bins(protocol: &Protocol, sequence: &Sequence) -> Vec<RangeBin> {
     bins.map(|(i, (from, bin))| RangeBin {
         from: *from,
         to: protocol.range_edges.get(i + 1).copied(),
-        counts: Counts {
-            hits: bin.hits,
-            misses: bin.misses,
-            total: bin.total,
-        },
-        precision: share(bin.hits, bin.hits + bin.misses),
-        recall: share(bin.hits, bin.total),
+        counts: *bin,
+        precision: share(bin.true_positives, bin.true_positives + bin.false_positives),
+        recall: share(bin.true_positives, bin.total),
     })
     .collect()
 }
@@ -219,9 +215,9 @@ fn points_bins(protocol: &Protocol, sequence: &Sequence) -> Vec<PointsBin> {
     bins.map(|(i, (from, bin))| PointsBin {
         from: *from,
         to: protocol.point_edges.get(i + 1).copied(),
-        hits: bin.hits,
+        true_positives: bin.true_positives,
         total: bin.total,
-        recall: share(bin.hits, bin.total),
+        recall: share(bin.true_positives, bin.total),
     })
     .collect()
 }
@@ -304,8 +300,8 @@ fn frame_counts(frame: &Frame, protocol: &Protocol) -> Table<Counts> {
             let count = |wanted: fn(&Outcome) -> bool| outcomes.iter().filter(|outcome| wanted(outcome)).count() as u64;
             let counts = |truth: &&usize| Scope::All.counts(frame, **truth, protocol);
             Counts {
-                hits: count(|outcome| matches!(outcome, Outcome::True(_))),
-                misses: count(|outcome| matches!(outcome, Outcome::False)),
+                true_positives: count(|outcome| matches!(outcome, Outcome::True(_))),
+                false_positives: count(|outcome| matches!(outcome, Outcome::False)),
                 total: overlaps.truths.iter().filter(counts).count() as u64,
             }
         };

@@ -1,5 +1,5 @@
 use crate::matching::Overlaps;
-use crate::{Evaluation, Outcome, Protocol, Scene, Scope, average_precision};
+use crate::{Counts, Evaluation, Outcome, Protocol, Scene, Scope, average_precision};
 
 /// The order in which detections enter a precision-recall curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,14 +19,6 @@ pub(crate) struct Entry {
     pub hit: bool,
 }
 
-/// True, false and total of one bin.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Bin {
-    pub hits: u64,
-    pub misses: u64,
-    pub total: u64,
-}
-
 /// All detections of one class at one IoU, in the order of `Order::V2xReal`, and the objects to find.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sequence {
@@ -36,9 +28,9 @@ pub(crate) struct Sequence {
     /// Objects in frames for which boxes came.
     pub processed_total: u64,
     /// By range: an object and what found it at the object's place, a false detection at its own.
-    pub bins: Vec<Bin>,
+    pub bins: Vec<Counts>,
     /// By the ego's own points on an object, where they are known; a false detection is in none.
-    pub bins_by_points: Vec<Bin>,
+    pub bins_by_points: Vec<Counts>,
 }
 
 impl Sequence {
@@ -81,8 +73,8 @@ pub(crate) fn sequences(evaluation: &Evaluation, scope: Scope) -> Vec<Vec<Sequen
     let (protocol, logs) = (&evaluation.protocol, logs(evaluation));
     let empty = Sequence {
         totals: vec![0; logs.len()],
-        bins: vec![Bin::default(); protocol.range_edges.len()],
-        bins_by_points: vec![Bin::default(); protocol.point_edges.len()],
+        bins: vec![Counts::default(); protocol.range_edges.len()],
+        bins_by_points: vec![Counts::default(); protocol.point_edges.len()],
         ..Sequence::default()
     };
     let mut sequences = vec![vec![empty; protocol.ious.len()]; protocol.classes.len()];
@@ -117,12 +109,15 @@ fn add_scene(sequences: &mut [Vec<Sequence>], scene: &Scene, log: usize, protoco
                     match outcome {
                         Outcome::Ignored => continue,
                         Outcome::True(truth) => {
-                            sequence.bins[protocol.range_bin(frame.truths[truth].outline.center_m())].hits += 1;
+                            sequence.bins[protocol.range_bin(frame.truths[truth].outline.center_m())].true_positives +=
+                                1;
                             if let Some(bin) = point_bin(truth) {
-                                sequence.bins_by_points[bin].hits += 1;
+                                sequence.bins_by_points[bin].true_positives += 1;
                             }
                         }
-                        Outcome::False => sequence.bins[protocol.range_bin(detection.outline.center_m())].misses += 1,
+                        Outcome::False => {
+                            sequence.bins[protocol.range_bin(detection.outline.center_m())].false_positives += 1
+                        }
                     }
                     let hit = matches!(outcome, Outcome::True(_));
                     sequence.entries.push(Entry {

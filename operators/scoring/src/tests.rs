@@ -81,7 +81,7 @@ fn run(protocol: &str, messages: Vec<Fed>) -> EvaluationReport {
 fn counts(scores: &Scores, class: &str, iou: &str) -> (u64, u64, u64) {
     let counts = scores.accuracy.sorted.counts[class][iou];
     assert_eq!(scores.accuracy.v2x_real.counts[class][iou], counts);
-    (counts.hits, counts.misses, counts.total)
+    (counts.true_positives, counts.false_positives, counts.total)
 }
 
 #[test]
@@ -271,7 +271,7 @@ fn objects_with_few_points_do_not_count_and_unseen_ones_are_ignored_in_seen() {
     assert_eq!(counts(&scores, "vehicle", "0.5"), (2, 1, 3));
     assert_eq!(scores.dropped_truths.few_points, 2);
     let seen = scores.accuracy_seen.sorted.counts["vehicle"]["0.5"];
-    assert_eq!((seen.hits, seen.misses, seen.total), (1, 1, 1));
+    assert_eq!((seen.true_positives, seen.false_positives, seen.total), (1, 1, 1));
     assert_eq!(scores.accuracy_seen.sorted.ap["vehicle"]["0.5"], Some(1.0));
 }
 
@@ -400,7 +400,7 @@ fn points_bins_count_what_the_ego_has_on_an_object() {
     let scores = run("default", vec![with_truth(0, all), with_boxes(0, detections)]).scores;
     let bins = scores.by_points["vehicle"]["0.5"].iter();
     let values: Vec<_> = bins
-        .map(|bin| (bin.from, bin.to, bin.hits, bin.total, bin.recall))
+        .map(|bin| (bin.from, bin.to, bin.true_positives, bin.total, bin.recall))
         .collect();
     assert_eq!(
         values,
@@ -565,7 +565,7 @@ fn frame_scores_add_up() {
             .map(|frame| pick(&frame.counts["vehicle"]["0.5"]))
             .sum::<u64>()
     };
-    let sums = (sum(|c| c.hits), sum(|c| c.misses), sum(|c| c.total));
+    let sums = (sum(|c| c.true_positives), sum(|c| c.false_positives), sum(|c| c.total));
     assert_eq!(sums, counts(&scores, "vehicle", "0.5"));
     assert_eq!((frames[3].seq, frames[3].stamp, &*frames[3].ego), (3, 1300, "cav1"));
 }
@@ -635,7 +635,7 @@ fn only_what_could_be_labelled_is_scored() {
             .map(|ignored| (ignored.detections, ignored.objects));
         assert_eq!(in_no_view, ignored, "{labels:?} {outside:?}");
         let frames = &frame_scores(&report.evaluation)[0].counts["vehicle"]["0.5"];
-        assert_eq!((frames.hits, frames.misses, frames.total), expected);
+        assert_eq!((frames.true_positives, frames.false_positives, frames.total), expected);
         // A file gives the same back.
         let text = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<EvaluationReport>(&text).unwrap(), report);
@@ -697,7 +697,7 @@ fn own_labels_count_by_the_egos_own_points() {
     assert_eq!(scores.dropped_truths.few_points, 1);
     let seen = scores.accuracy_seen.sorted.counts["vehicle"]["0.5"];
     assert_eq!(
-        (seen.hits, seen.misses, seen.total),
+        (seen.true_positives, seen.false_positives, seen.total),
         (1, 0, 1),
         "a frame that only own labels score"
     );

@@ -48,7 +48,10 @@ pub enum ConvertError {
 const LISTED: usize = 40;
 
 fn listed(problems: &[String]) -> String {
-    let lines: Vec<String> = first_of(problems, LISTED).iter().map(|line| format!("  {line}")).collect();
+    let lines: Vec<String> = first_of(problems, LISTED)
+        .iter()
+        .map(|line| format!("  {line}"))
+        .collect();
     lines.join("\n")
 }
 

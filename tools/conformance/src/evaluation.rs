@@ -119,7 +119,7 @@ fn check_scores(frames: Vec<Frame>, expected: &Expected, t: f64) -> Result<(), S
                 .ok_or_else(|| format!("{what}: no mean of this IoU"))?;
             equal(
                 &format!("{what} [true, false, total]"),
-                &[found.hits, found.misses, found.total],
+                &[found.true_positives, found.false_positives, found.total],
                 &[expected.tp, expected.fp, expected.gt],
             )?;
             same_value(

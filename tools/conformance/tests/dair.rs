@@ -233,7 +233,10 @@ fn counts(evaluation: &Evaluation, pairs: &[Pair]) -> BTreeMap<String, (u64, u64
     frames
         .map(|(frame, pair)| {
             let counts = frame.counts["vehicle"]["0.5"];
-            (pair.name.clone(), (counts.total, counts.hits, counts.misses))
+            (
+                pair.name.clone(),
+                (counts.total, counts.true_positives, counts.false_positives),
+            )
         })
         .collect()
 }

@@ -539,7 +539,15 @@ fn read_frames<T: SideInfo>(dir: &Path, side: &str) -> Result<BTreeMap<PathBuf, 
             )
         })?;
         let stamp = micros.checked_mul(1000).filter(|stamp| *stamp >= 0);
-        let stamp = stamp.ok_or_else(|| ImportError::content(&path, format!("pointcloud_timestamp: {micros} µs")))?;
+        let stamp = stamp.ok_or_else(|| {
+            ImportError::content(
+                &path,
+                format!(
+                    "pointcloud_timestamp: expected 0 to {} microseconds, found {micros}",
+                    i64::MAX / 1000
+                ),
+            )
+        })?;
         frames.insert(Path::new(side).join(cloud), Frame { stamp, ..frame });
     }
     Ok(frames)

@@ -51,12 +51,12 @@ impl fmt::Display for Level {
 
 /// Body from sensor, where the sensor's rotation in a map with z up is known: the body's z is up, its x has the sensor's
 /// heading, and its origin lies `height` below the sensor.
-pub fn by_pose(map_from_sensor: &UnitQuaternion<f64>, height: f64) -> Isometry3<f64> {
+pub(crate) fn by_pose(map_from_sensor: &UnitQuaternion<f64>, height: f64) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::new(0.0, 0.0, height), level_from_body(map_from_sensor))
 }
 
 /// Body from sensor by the ground: z = 0 is the plane, z points away from it, and x has the sensor's heading.
-pub fn by_ground(ground: &Plane) -> Isometry3<f64> {
+pub(crate) fn by_ground(ground: &Plane) -> Isometry3<f64> {
     let up = ground.normal();
     // The least rotation leaves the heading on the plane as it is to second order; what it turns is turned back.
     let level = UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_default();

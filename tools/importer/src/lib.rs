@@ -11,6 +11,6 @@ mod relevel;
 
 pub use dair::{DairOptions, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, lidar_height};
 pub use error::ImportError;
-pub use level::{Level, Plane, by_ground, by_pose};
+pub use level::{Level, Plane};
 pub use pcd::{PcdCloud, parse_pcd, read_pcd};
 pub use relevel::relevel;

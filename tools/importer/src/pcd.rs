@@ -70,7 +70,8 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
     }
     let point_size: usize = sizes.iter().sum();
     let total = points.checked_mul(point_size).filter(|total| *total < 1 << 31);
-    let total = total.ok_or_else(|| format!("{points} points of {point_size} bytes are too many"))?;
+    let total =
+        total.ok_or_else(|| format!("POINTS: expected less than 2 GiB, found {points} of {point_size} bytes"))?;
     let data = words("DATA")?;
     let compressed = match data.first().copied() {
         Some("binary_compressed") => true,

@@ -1,7 +1,7 @@
 //! A log whose body frames are not level, made level.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3};
 use realo_logs::{Attitude, Attitudes, Entry, Levelled, Log, LogReader, LogWriter, Stream, level_state};
@@ -43,7 +43,8 @@ pub fn relevel(from: &Path, to: &Path, level: Level) -> Result<BTreeMap<String, 
         let lacks = |agent: &&Name| !log.has(agent, stream);
         agents.keys().filter(lacks).cloned().collect()
     };
-    let mut copy = Copy {
+    let mut copy = LevelCopy {
+        from: from.into(),
         reader: reader(&log)?,
         writer: LogWriter::create_atomic(to, log.info())?,
         boxes: BTreeMap::new(),
@@ -170,7 +171,7 @@ fn grounds(log: &Log, agent: &str) -> Result<BTreeMap<Nanos, Isometry3<f64>>, Im
     while let Some(entry) = reader.next()? {
         let cloud = entry.cloud()?;
         let points = (0..cloud.len()).map(|i| [cloud.x[i], cloud.y[i], cloud.z[i]].map(f64::from));
-        let plane = Plane::of_ground(points, HIGHEST_GROUND).map_err(|reason| of(log, &entry, reason))?;
+        let plane = Plane::of_ground(points, HIGHEST_GROUND).map_err(|reason| at_entry(log.path(), &entry, reason))?;
         found.insert(entry.stamp(), by_ground(&plane));
     }
     let mut heights: Vec<f64> = found.values().map(|level| level.translation.z).collect();
@@ -180,13 +181,15 @@ fn grounds(log: &Log, agent: &str) -> Result<BTreeMap<Nanos, Isometry3<f64>>, Im
     Ok(found)
 }
 
-fn of(log: &Log, entry: &Entry, reason: String) -> ImportError {
+fn at_entry(log: &Path, entry: &Entry, reason: String) -> ImportError {
     let topic = entry.stream.topic(&entry.agent);
-    ImportError::content(log.path(), format!("{topic}, stamp {} ns: {reason}", entry.stamp()))
+    ImportError::content(log, format!("{topic}, stamp {} ns: {reason}", entry.stamp()))
 }
 
 /// The copy in the making.
-struct Copy {
+struct LevelCopy {
+    /// The log that is read.
+    from: PathBuf,
     reader: LogReader,
     writer: LogWriter,
     agents: BTreeMap<Name, Leveller>,
@@ -198,10 +201,10 @@ struct Copy {
     without_info: Vec<Name>,
 }
 
-impl Copy {
+impl LevelCopy {
     fn take(&mut self, entry: &Entry) -> Result<(), ImportError> {
         let (agent, stamp, ready) = (&*entry.agent, entry.stamp(), entry.ready());
-        let bad = |reason: String| ImportError::content(Path::new(&entry.stream.topic(agent)), reason);
+        let bad = |reason| at_entry(&self.from, entry, reason);
         let Some(leveller) = self.agents.get_mut(&entry.agent) else {
             return Ok(());
         };

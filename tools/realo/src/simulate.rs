@@ -26,7 +26,7 @@ pub struct Args {
     /// Fixes roads and buildings [default: from the seed]
     #[arg(long)]
     place: Option<u64>,
-    /// Sweeps start together (locked) or at least 15 ms apart (spread)
+    /// Sweeps start together (locked) or, of four agents, at least 15 ms apart (spread)
     #[arg(long, value_enum, default_value = "locked")]
     phase: PhaseArg,
     /// Fixes traffic and noise; 0–799 train, 800–899 validate, 900–999 test
@@ -78,7 +78,7 @@ pub struct Args {
     #[arg(short = 'o', long = "output", required_unless_present = "statistics")]
     output: Option<PathBuf>,
     /// Simulates nothing: prints what the clouds of logs are like, real or simulated
-    #[arg(long, num_args = 1.., value_name = "LOG")]
+    #[arg(long, num_args = 1.., value_name = "LOG", conflicts_with_all = ["seed", "seconds", "output", "vehicles", "roadside"])]
     statistics: Vec<PathBuf>,
     /// With --statistics: counts of each cloud only the rings nearest to the beams of this sensor
     #[arg(long, value_name = "SENSOR", requires = "statistics")]

@@ -213,7 +213,12 @@ fn count_classes(rows: &Rows) -> Vec<String> {
 }
 
 fn recall(rows: &mut Rows, iou: &str) {
-    let both = |c: &Counts| values([share(c.hits, c.total), share(c.hits, c.hits + c.misses)]);
+    let both = |c: &Counts| {
+        values([
+            share(c.true_positives, c.total),
+            share(c.true_positives, c.true_positives + c.false_positives),
+        ])
+    };
     for class in count_classes(rows) {
         rows.add(class.clone(), |run| counts(run, &class, iou).map(both));
         let bins = |run: &Run| -> Option<Vec<RangeBin>> {
@@ -256,7 +261,7 @@ fn recall_by_points(rows: &mut Rows, class: &str, iou: &str) {
         rows.add(label, |run| {
             let bins = bins(run)?;
             let bin = bins.iter().find(|bin| (bin.from, bin.to) == (from, to))?;
-            (bin.total > 0).then(|| share(bin.hits, bin.total))
+            (bin.total > 0).then(|| share(bin.true_positives, bin.total))
         });
     }
 }
@@ -264,8 +269,10 @@ fn recall_by_points(rows: &mut Rows, class: &str, iou: &str) {
 fn detections(rows: &mut Rows, iou: &str) {
     for class in count_classes(rows) {
         rows.add(class.clone(), |run| {
-            let Counts { hits, misses, total } = counts(run, &class, iou)?;
-            Some(values([hits, misses, total].map(|n| count(*n))))
+            let found = counts(run, &class, iou)?;
+            Some(values(
+                [found.true_positives, found.false_positives, found.total].map(count),
+            ))
         });
     }
     if rows.runs.iter().any(|run| run.result.in_no_view.is_some()) {

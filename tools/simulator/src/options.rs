@@ -170,7 +170,7 @@ pub enum Phase {
     /// All sweeps start within 1 ms, as GPS-locked sensors do.
     #[default]
     Locked,
-    /// Each agent's sweep starts at least 15 ms from every other's.
+    /// The sweeps of the first four agents start at least 15 ms apart; those of more agents anywhere in the period.
     Spread,
 }
 

@@ -175,7 +175,7 @@ fn frames_table(evaluation: &Evaluation) -> String {
                 let counts = &counts[iou];
                 table.push_str(&format!(
                     "  {:>10} / {:>5} / {:>13}",
-                    counts.hits, counts.misses, counts.total
+                    counts.true_positives, counts.false_positives, counts.total
                 ));
             }
             table.push('\n');

@@ -162,22 +162,28 @@ fn tree_lined(kind: VergeKind) -> f64 {
 
 /// Rows of trees begin so far from where roads meet, m.
 const ROWS_FROM: f64 = 35.0;
-/// and so far from a roadside unit in the middle of its view, m.
+/// Rows of trees in the middle of a roadside unit's view begin so far from it, m.
 const UNROWED: f64 = 60.0;
 
-/// Around each node there are beds, steps and terraces up to here, m,
+/// Beds, steps and terraces lie so near to where roads meet, m.
 const AROUND_NODES: f64 = 40.0;
-/// so many of their low walls on 100 m²,
+/// Low walls of beds around a node on 100 m².
 const LOW_WALLS: f64 = 9.0;
-/// where a pavement, a road or a house is not farther away, m.
+/// From a bed to the next pavement, road or house it is at most so far, m.
 const BEDS: f64 = 14.0;
 
 /// What is higher is a tree, m.
 const TREE: f64 = 3.0;
-/// Roadside units stand where they see: so near to them there are no trees in the middle of their view, m,
+/// There are no trees in the middle of a roadside unit's view so near to it, m: these stand where they see.
 pub(super) const TREELESS: f64 = 50.0;
-/// and so near less grows than elsewhere.
+/// In the middle of a roadside unit's view, so near to it, m, some of what grows elsewhere is missing: [`BARE_ROW`] and so on.
 const TENDED: f64 = 100.0;
+/// Share of the first row that is missing there; these shares are fitted to the clusters that a recorded roadside unit has.
+const BARE_ROW: f64 = 0.75;
+/// Share of the beds' low walls that is missing there.
+const BARE_BEDS: f64 = 0.95;
+/// Share of what grows behind the first row, but for trees, that is missing there.
+const BARE_BEHIND: f64 = 0.94;
 
 /// The ground on which clutter stands.
 pub(super) struct Ground<'a> {
@@ -321,7 +327,7 @@ impl Site<'_> {
             };
             let end = (along + length).min(verge.length());
             let tended = self.ground.tended(verge.pose(0.5 * (along + end), 0.0));
-            if !(tended && draws.chance(0.75)) {
+            if !(tended && draws.chance(BARE_ROW)) {
                 self.stretch(verge, lining, [along, end], draws);
             }
             along = end + draws.between(0.6, 2.0);
@@ -481,7 +487,7 @@ impl Site<'_> {
             let heading = draws.between(0.0, std::f64::consts::TAU);
             let pose = Pose2 { x, y, heading }.at(AROUND_NODES * draws.unit().sqrt(), 0.0);
             let tended = self.ground.tended(pose);
-            if !(tended && draws.chance(0.95)) && (self.ground.open)(pose.x, pose.y) < BEDS {
+            if !(tended && draws.chance(BARE_BEDS)) && (self.ground.open)(pose.x, pose.y) < BEDS {
                 self.low_wall(turned(pose, draws), draws);
             }
         }
@@ -581,7 +587,7 @@ impl Site<'_> {
                 // Small ones are many.
                 let share = draws.unit() * draws.unit();
                 let tended = what != Growth::Tree && self.ground.tended(pose);
-                if tended && draws.chance(0.94) {
+                if tended && draws.chance(BARE_BEHIND) {
                     continue;
                 }
                 let thing: Thing = match what {

@@ -12,7 +12,7 @@ mod terrain;
 mod things;
 mod verge;
 
-pub(crate) use network::{Arm, CROSSING_HALF, Control, Custom, Network, Node, SIDES, Strip};
+pub(crate) use network::{Arm, CROSSING_HALF, Control, Network, Node, SIDES, Strip, TrafficMix};
 pub(crate) use roads::{BAY, BAYS, CYCLE_LANE, Grid, KERB, LANE, PAVEMENT, REACH, Roads};
 
 use crate::Scenario;
@@ -42,8 +42,6 @@ pub(crate) struct Scenery {
     pub foliage: Vec<Foliage>,
     /// The edges of free ground beside the roads.
     pub verges: Vec<Verge>,
-    /// Where houses stand that keep the ground from being free, and their extents along and across, m.
-    houses: Vec<(Pose2, [f64; 2])>,
     /// Direction of the main road in `map`, rad.
     pub heading: f64,
 }
@@ -92,7 +90,6 @@ impl Scenery {
             terrain,
             fixtures,
             foliage: Vec::new(),
-            houses: Vec::new(),
             heading: Self::heading(number),
         }
     }
@@ -115,29 +112,27 @@ impl Scenery {
             long.sum::<f64>() + crowns.height(x, y)
         });
         let verges = Verge::of_network(&network);
-        let (fixtures, houses) = houses::build(&network, &verges, &terrain, number);
-        let mut place = Scenery {
+        let (mut fixtures, houses) = houses::build(&network, &verges, &terrain, number);
+        let nodes: Vec<[f64; 2]> = network.nodes.iter().map(|node| node.at).collect();
+        let ground = clutter::Ground {
+            open: &|x, y| open_ground(&network, &houses, x, y),
+            off_road: &|x, y| network.surface.off_road(x, y),
+            height: &|x, y| terrain.height(x, y) + step_up(network.surface.inside_kerb(x, y)),
+            watched: &|x, y| network.watched(x, y),
+            nodes: &nodes,
+        };
+        let clutter = clutter::clutter(&verges, &ground, number);
+        fixtures.extend(clutter.fixtures);
+        Scenery {
             scenario,
             number,
             verges,
             plan: Plan::Network(Box::new(network)),
             terrain,
             fixtures,
-            foliage: Vec::new(),
-            houses,
+            foliage: clutter.foliage,
             heading: Self::heading(number),
-        };
-        let ground = clutter::Ground {
-            open: &|x, y| place.open_ground(x, y),
-            off_road: &|x, y| place.off_road(x, y),
-            height: &|x, y| place.walk_height(x, y),
-            watched: &|x, y| place.watched(x, y),
-            nodes: &place.nodes(),
-        };
-        let clutter = clutter::clutter(&place.verges, &ground, number);
-        place.fixtures.extend(clutter.fixtures);
-        place.foliage = clutter.foliage;
-        place
+        }
     }
 
     /// Whether the roads lie at any angle; there is clutter along them, and bodies are rounded.
@@ -164,48 +159,6 @@ impl Scenery {
         match &self.plan {
             Plan::Network(network) => network,
             Plan::Grid(_) => panic!("{} is on a grid", self.scenario.name()),
-        }
-    }
-
-    /// Distance of a point from everything that is paved and, on a network, from the houses, negative upon them, m; good
-    /// to a metre, and never more than 30 m. Where it is great, shrubs and trees may grow.
-    pub fn open_ground(&self, x: f64, y: f64) -> f64 {
-        match &self.plan {
-            Plan::Grid(roads) => roads.open_ground(x, y),
-            Plan::Network(network) => {
-                let houses = self.houses.iter().map(|(pose, size)| {
-                    let (sin, cos) = libm::sincos(pose.heading);
-                    let (dx, dy) = (x - pose.x, y - pose.y);
-                    let along = (dx * cos + dy * sin).abs() - 0.5 * size[0];
-                    let across = (dy * cos - dx * sin).abs() - 0.5 * size[1];
-                    along.max(across)
-                });
-                houses.fold(network.surface.open_ground(x, y), f64::min)
-            }
-        }
-    }
-
-    /// Distance of a point from the carriageways of a network, m.
-    fn off_road(&self, x: f64, y: f64) -> f64 {
-        match &self.plan {
-            Plan::Grid(_) => f64::INFINITY,
-            Plan::Network(network) => network.surface.off_road(x, y),
-        }
-    }
-
-    /// Distance from a roadside unit of a network to a point in the middle of its view, m; infinite outside.
-    fn watched(&self, x: f64, y: f64) -> f64 {
-        match &self.plan {
-            Plan::Grid(_) => f64::INFINITY,
-            Plan::Network(network) => network.watched(x, y),
-        }
-    }
-
-    /// Where roads of a network meet.
-    fn nodes(&self) -> Vec<[f64; 2]> {
-        match &self.plan {
-            Plan::Grid(_) => Vec::new(),
-            Plan::Network(network) => network.nodes.iter().map(|node| node.at).collect(),
         }
     }
 
@@ -338,6 +291,19 @@ impl Scenery {
         }
         behind
     }
+}
+
+/// Distance of a point from everything that is paved and from houses, by their extents along and across, negative upon them,
+/// m; good to a metre, and never more than 30 m. Where it is great, shrubs and trees may grow.
+fn open_ground(network: &Network, houses: &[(Pose2, [f64; 2])], x: f64, y: f64) -> f64 {
+    let off = houses.iter().map(|(pose, size)| {
+        let (sin, cos) = libm::sincos(pose.heading);
+        let (dx, dy) = (x - pose.x, y - pose.y);
+        let along = (dx * cos + dy * sin).abs() - 0.5 * size[0];
+        let across = (dy * cos - dx * sin).abs() - 0.5 * size[1];
+        along.max(across)
+    });
+    off.fold(network.surface.open_ground(x, y), f64::min)
 }
 
 /// How high the ground stands under a walker, m: kerbs are lowered over half a metre.

@@ -253,6 +253,8 @@ pub(crate) struct Arm {
 
 /// Half the width of a pedestrian crossing along the road, m.
 pub(crate) const CROSSING_HALF: f64 = 1.5;
+/// Arms whose headings differ by more face each other: who comes in by one goes straight on by the other, rad.
+pub(super) const OPPOSITE: f64 = 2.4;
 
 /// Where roads meet.
 #[derive(Clone, Debug)]
@@ -282,9 +284,9 @@ impl Node {
     }
 }
 
-/// What a place's traffic is made of, each for usual and dense traffic.
+/// What a place's traffic is made of; pairs of which nothing else is said are for usual and for dense traffic.
 #[derive(Clone, Debug)]
-pub(crate) struct Custom {
+pub(crate) struct TrafficMix {
     /// Mean distance from one vehicle to the next in a lane, m.
     pub gap: [f64; 2],
     /// Walkers at the begin.
@@ -328,7 +330,7 @@ pub(crate) struct Network {
     pub roads: Vec<Road>,
     pub nodes: Vec<Node>,
     pub merges: Vec<Merge>,
-    pub custom: Custom,
+    pub mix: TrafficMix,
     /// Whether there are kerbs.
     pub kerbs: bool,
     /// Lines along the middles of raised strips between carriageways, and half the strips' widths, m.
@@ -443,7 +445,7 @@ impl Builder {
         }
         let half = |arm: &Arm| self.roads[arm.road].section.half();
         let own = &node.arms[a];
-        let opposite = |other: &Arm| angle_within(other.heading - own.heading).abs() > 2.4;
+        let opposite = |other: &Arm| angle_within(other.heading - own.heading).abs() > OPPOSITE;
         match node.arms.len() {
             _ if node.arms.iter().any(opposite) => 0.0,
             1 | 2 => -half(own),

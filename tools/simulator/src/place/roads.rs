@@ -129,11 +129,6 @@ impl Roads {
         super::step_up(self.inside_kerb(x, y))
     }
 
-    /// Distance of a point from roads and pavements, negative upon them, at most 30 m.
-    pub fn open_ground(&self, x: f64, y: f64) -> f64 {
-        (self.inside_kerb(x, y) - PAVEMENT).min(30.0)
-    }
-
     /// Whether a point lies on a crossing.
     #[cfg(test)]
     pub fn on_crossing(&self, x: f64, y: f64, margin: f64) -> bool {

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::network::{Bays, Builder, Control, Custom, Merge, Network, Node, SIDES, Section};
+use super::network::{Bays, Builder, Control, Merge, Network, Node, OPPOSITE, SIDES, Section, TrafficMix};
 use super::surface::Surface;
 use super::verge::VergeKind;
 use crate::Scenario;
@@ -42,7 +42,7 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
     };
     let Draft {
         mut builder,
-        custom,
+        mix,
         kerbs,
         roadside,
         grade,
@@ -73,7 +73,7 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
             roads,
             nodes,
             merges,
-            custom,
+            mix,
             kerbs,
             islands,
             roadside,
@@ -157,7 +157,7 @@ fn corner(builder: &Builder, node: &Node, arm: usize, behind: f64) -> Pose2 {
             heading: own,
         };
     }
-    if between > 2.4 {
+    if between > OPPOSITE {
         return node.place(arm, 2.0, half(arm));
     }
     let (sin, cos) = libm::sincos(between);
@@ -175,7 +175,7 @@ fn corner(builder: &Builder, node: &Node, arm: usize, behind: f64) -> Pose2 {
 
 struct Draft {
     builder: Builder,
-    custom: Custom,
+    mix: TrafficMix,
     kerbs: bool,
     roadside: [Stand; 2],
     /// Least and greatest slope of the place.
@@ -186,7 +186,7 @@ struct Draft {
 }
 
 impl Draft {
-    fn new(builder: Builder, custom: Custom) -> Self {
+    fn new(builder: Builder, mix: TrafficMix) -> Self {
         let second = builder.nodes.len().saturating_sub(1).min(1);
         let roadside = [
             Stand::Corner { node: 0, arm: 0 },
@@ -194,7 +194,7 @@ impl Draft {
         ];
         Draft {
             builder,
-            custom,
+            mix,
             kerbs: true,
             roadside,
             grade: [0.002, 0.022],
@@ -205,8 +205,8 @@ impl Draft {
     }
 }
 
-fn custom() -> Custom {
-    Custom {
+fn usual_mix() -> TrafficMix {
+    TrafficMix {
         gap: [62.0, 28.0],
         walkers: [16, 46],
         groups: 0.15,
@@ -291,7 +291,7 @@ fn junction(draws: &mut Stream) -> Draft {
         let line = outwards([0.0; 2], heading, draws.between(50.0, 120.0), angle, REACH);
         builder.road(line, section, [Some(node), None], main, k % 2);
     }
-    Draft::new(builder, custom())
+    Draft::new(builder, usual_mix())
 }
 
 /// A road that ends at another.
@@ -318,7 +318,7 @@ fn tee(draws: &mut Stream) -> Draft {
         let line = outwards([0.0; 2], heading, draws.between(50.0, 120.0), angle, REACH);
         builder.road(line, section, [Some(node), None], main, usize::from(!main));
     }
-    Draft::new(builder, custom())
+    Draft::new(builder, usual_mix())
 }
 
 /// Three or four roads that meet in a ring.
@@ -341,8 +341,8 @@ fn roundabout(draws: &mut Stream) -> Draft {
         line.line(left);
         builder.road(line, section, [Some(node), None], true, 0);
     }
-    let mut draft = Draft::new(builder, custom());
-    draft.custom.near = 70.0;
+    let mut draft = Draft::new(builder, usual_mix());
+    draft.mix.near = 70.0;
     draft
 }
 
@@ -398,8 +398,8 @@ fn curve(draws: &mut Stream) -> Draft {
         );
         builder.road(line, entry, [Some(nodes[k]), None], false, 1);
     }
-    let mut draft = Draft::new(builder, custom());
-    draft.custom.near = 70.0;
+    let mut draft = Draft::new(builder, usual_mix());
+    draft.mix.near = 70.0;
     draft
 }
 
@@ -451,15 +451,15 @@ fn residential(draws: &mut Stream) -> Draft {
             builder.road(line, section, [Some(nodes[k]), None], false, 1);
         }
     }
-    let mut draft = Draft::new(builder, custom());
-    draft.custom.gap = [85.0, 45.0];
-    draft.custom.walkers = [14, 30];
-    draft.custom.prams = 0.12;
-    draft.custom.tricycles = [0.04, 0.06];
-    draft.custom.parked = [0.5, 0.8];
-    draft.custom.long = 0.02;
-    draft.custom.riders = 0.25;
-    draft.custom.near = 75.0;
+    let mut draft = Draft::new(builder, usual_mix());
+    draft.mix.gap = [85.0, 45.0];
+    draft.mix.walkers = [14, 30];
+    draft.mix.prams = 0.12;
+    draft.mix.tricycles = [0.04, 0.06];
+    draft.mix.parked = [0.5, 0.8];
+    draft.mix.long = 0.02;
+    draft.mix.riders = 0.25;
+    draft.mix.near = 75.0;
     draft
 }
 
@@ -551,7 +551,7 @@ fn motorway(draws: &mut Stream) -> Draft {
     };
     Draft {
         builder,
-        custom: Custom {
+        mix: TrafficMix {
             gap: [85.0, 42.0],
             walkers: [0, 0],
             vans: [0.14, 0.14],
@@ -559,7 +559,7 @@ fn motorway(draws: &mut Stream) -> Draft {
             trailers: 0.75,
             riders: 0.03,
             near: 110.0,
-            ..custom()
+            ..usual_mix()
         },
         kerbs: false,
         roadside: [
@@ -673,7 +673,7 @@ fn car_park(draws: &mut Stream) -> Draft {
         let line = outwards(meet, heading, draws.between(90.0, 160.0), angle, REACH - 45.0);
         builder.road(line, section, [Some(street_node), None], true, 0);
     }
-    let mut draft = Draft::new(builder, custom());
+    let mut draft = Draft::new(builder, usual_mix());
     draft.roadside = [
         Stand::Corner { node: entry, arm: 0 },
         Stand::Corner {
@@ -681,11 +681,11 @@ fn car_park(draws: &mut Stream) -> Draft {
             arm: 0,
         },
     ];
-    draft.custom.gap = [42.0, 25.0];
-    draft.custom.parked = [0.5, 0.85];
-    draft.custom.between = 0.12;
-    draft.custom.long = 0.03;
-    draft.custom.near = 75.0;
+    draft.mix.gap = [42.0, 25.0];
+    draft.mix.parked = [0.5, 0.85];
+    draft.mix.between = 0.12;
+    draft.mix.long = 0.03;
+    draft.mix.near = 75.0;
     draft.grade = [0.003, 0.014];
     draft.islands = islands;
     draft
@@ -719,11 +719,11 @@ fn avenue(draws: &mut Stream) -> Draft {
         let line = outwards([0.0; 2], heading, draws.between(80.0, 160.0), angle, REACH);
         builder.road(line, section, [Some(node), None], main, k % 2);
     }
-    let mut draft = Draft::new(builder, custom());
-    draft.custom.gap = [70.0, 34.0];
-    draft.custom.walkers = [20, 52];
+    let mut draft = Draft::new(builder, usual_mix());
+    draft.mix.gap = [70.0, 34.0];
+    draft.mix.walkers = [20, 52];
     draft.grade = [0.002, 0.015];
-    draft.custom.near = 75.0;
+    draft.mix.near = 75.0;
     draft
 }
 
@@ -748,15 +748,15 @@ fn rural(draws: &mut Stream) -> Draft {
         let line = outwards([0.0; 2], heading, draws.between(60.0, 110.0), angle, REACH);
         builder.road(line, section, [Some(node), None], main, usize::from(!main));
     }
-    let mut draft = Draft::new(builder, custom());
+    let mut draft = Draft::new(builder, usual_mix());
     draft.kerbs = false;
-    draft.custom.gap = [75.0, 30.0];
-    draft.custom.walkers = [0, 0];
-    draft.custom.long = 0.14;
-    draft.custom.riders = 0.12;
-    draft.custom.tricycles = [0.0, 0.04];
+    draft.mix.gap = [75.0, 30.0];
+    draft.mix.walkers = [0, 0];
+    draft.mix.long = 0.14;
+    draft.mix.riders = 0.12;
+    draft.mix.tricycles = [0.0, 0.04];
     draft.grade = [0.012, 0.03];
-    draft.custom.near = 75.0;
+    draft.mix.near = 75.0;
     draft
 }
 
@@ -796,19 +796,19 @@ fn market(draws: &mut Stream) -> Draft {
     let angle = sign(draws) * degrees(draws, 10.0, 25.0);
     let line = outwards(ends[0], heading, draws.between(70.0, 130.0), angle, REACH - 40.0);
     builder.road(line, section, [Some(nodes[0]), None], false, 1);
-    let mut draft = Draft::new(builder, custom());
-    draft.custom.gap = [60.0, 34.0];
-    draft.custom.walkers = [46, 84];
-    draft.custom.groups = 0.25;
-    draft.custom.standing = [5, 9];
-    draft.custom.prams = 0.08;
-    draft.custom.between = 0.15;
-    draft.custom.tricycles = [0.08, 0.08];
-    draft.custom.parked = [0.4, 0.7];
-    draft.custom.vans = [0.45, 0.2];
-    draft.custom.long = 0.03;
-    draft.custom.riders = 0.2;
+    let mut draft = Draft::new(builder, usual_mix());
+    draft.mix.gap = [60.0, 34.0];
+    draft.mix.walkers = [46, 84];
+    draft.mix.groups = 0.25;
+    draft.mix.standing = [5, 9];
+    draft.mix.prams = 0.08;
+    draft.mix.between = 0.15;
+    draft.mix.tricycles = [0.08, 0.08];
+    draft.mix.parked = [0.4, 0.7];
+    draft.mix.vans = [0.45, 0.2];
+    draft.mix.long = 0.03;
+    draft.mix.riders = 0.2;
     draft.grade = [0.002, 0.018];
-    draft.custom.near = 75.0;
+    draft.mix.near = 75.0;
     draft
 }

@@ -3,7 +3,7 @@
 //! The signed distance from the kerbs lies in the nodes of a grid and is bilinear between them: kerbs are where it is
 //! zero, which for straight ones is exact. Paint is kept as strips, listed for each cell that they touch.
 
-use super::network::{CROSSING_HALF, Control, Node, Road};
+use super::network::{CROSSING_HALF, Control, Node, OPPOSITE, Road};
 use crate::path::{Path, angle_within};
 use crate::random::{mix, unit_of};
 
@@ -501,7 +501,7 @@ fn strands(roads: &[Road], nodes: &[Node]) -> Vec<Vec<usize>> {
     for node in nodes {
         for (k, a) in node.arms.iter().enumerate() {
             for b in &node.arms[..k] {
-                if angle_within(a.heading - b.heading).abs() > 2.4 {
+                if angle_within(a.heading - b.heading).abs() > OPPOSITE {
                     let (keep, drop) = (strand[a.road], strand[b.road]);
                     strand.iter_mut().filter(|s| **s == drop).for_each(|s| *s = keep);
                 }
@@ -588,7 +588,6 @@ fn strips(roads: &[Road], nodes: &[Node]) -> Vec<Paint> {
         let section = &road.section;
         let span = road.span();
         let strips = section.strips();
-        let half = section.half();
         for strip in strips.iter().filter(|strip| strip.index.is_some()) {
             let outward = if strip.forward { -1.0 } else { 1.0 };
             let lanes = section.lanes[usize::from(!strip.forward)];
@@ -611,7 +610,7 @@ fn strips(roads: &[Road], nodes: &[Node]) -> Vec<Paint> {
             let dashes = if section.lanes[0] > 1 { SOLID } else { DASHED };
             line_along(&mut all, &road.line, span, section.middle(), LINE, dashes);
         }
-        bay_lines(&mut all, road, half);
+        bay_lines(&mut all, road);
     }
     for node in nodes {
         for (k, arm) in node.arms.iter().enumerate() {
@@ -643,12 +642,11 @@ fn strips(roads: &[Road], nodes: &[Node]) -> Vec<Paint> {
 }
 
 /// Lines between bays at an angle.
-fn bay_lines(all: &mut Vec<Paint>, road: &Road, half: f64) {
+fn bay_lines(all: &mut Vec<Paint>, road: &Road) {
     for (pose, angle) in road.stands() {
         if angle == 0.0 {
             continue;
         }
-        let _ = half;
         let depth = 2.4;
         for side in [-1.0, 1.0] {
             let from = pose.at(-depth, side * 1.27);

@@ -387,10 +387,6 @@ fn band_beams(check: &Checker, bands: &[Band]) -> Result<Vec<Beam>, SensorError>
 /// Beams of a table in CSV. Its first line names the columns: `elevation_deg`, and if they are there
 /// `azimuth_offset_deg` (clockwise) and `firing_offset_us`; others are passed over. Rows stand in the order of
 /// firing; where all fire at once, elevations rise or fall.
-pub(super) fn table_beams_of(path: &str, text: &str) -> Result<Vec<Beam>, SensorError> {
-    table_beams(&Checker { path }, text)
-}
-
 fn table_beams(check: &Checker, text: &str) -> Result<Vec<Beam>, SensorError> {
     let mut lines = text.lines().filter(|line| !line.trim().is_empty());
     let names: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();

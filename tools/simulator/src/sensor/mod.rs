@@ -125,64 +125,37 @@ pub(crate) struct Optics {
 /// Share of the rays that give nothing, of the sensors of the first places.
 const DROPOUT: f64 = 0.004;
 
-/// The reach at 10 % (200 m) and the noise are modelling choices: public text gives neither for this unit.
-const RUBY_PLUS: Optics = Optics {
-    strength: 1.732_050_807_568_877_2 / 0.1,
-    reference_range: 200.0,
-    nearest: 0.4,
-    farthest: 250.0,
-    step: 0.005,
-    steps_per_metre: 200.0,
-    noise_floor: 0.008,
-    noise_slope: 0.012,
-    noise_ceiling: 0.06,
-    unanswered: DROPOUT,
-    extinction: 0.0,
-};
-
-/// Data sheet: 120 m at 80 %, 1σ from 0.015 m (strong) to 0.1 m (weak), steps of 12 mm.
-const OS1: Optics = Optics {
-    strength: 1.732_050_807_568_877_2 / 0.8,
-    reference_range: 120.0,
-    nearest: 0.8,
-    farthest: 150.0,
-    step: 0.012,
-    steps_per_metre: 1.0 / 0.012,
-    noise_floor: 0.01,
-    noise_slope: 0.03,
-    noise_ceiling: 0.1,
-    unanswered: DROPOUT,
-    extinction: 0.0,
-};
-
 impl Sensor {
     /// 128 beams of a RoboSense Ruby Plus, 1,800 columns.
     pub(crate) fn ruby_plus() -> Arc<Sensor> {
         static SENSOR: OnceLock<Arc<Sensor>> = OnceLock::new();
-        let table = include_str!("../../sensors/robosense_ruby_plus_128.csv");
-        let sensor = SENSOR.get_or_init(|| Sensor::from_table("robosense-ruby-plus-128", 1800, table, RUBY_PLUS));
-        sensor.clone()
+        SENSOR.get_or_init(|| Sensor::of_first_places("ruby-plus-128")).clone()
     }
 
     /// 128 beams of an Ouster OS1-128, 1,024 columns.
     pub(crate) fn os1_128() -> Arc<Sensor> {
         static SENSOR: OnceLock<Arc<Sensor>> = OnceLock::new();
-        let table = include_str!("../../sensors/ouster_os1_128.csv");
-        let sensor = SENSOR.get_or_init(|| Sensor::from_table("ouster-os1-128", 1024, table, OS1));
-        sensor.clone()
+        SENSOR.get_or_init(|| Sensor::of_first_places("os1-128")).clone()
     }
 
     /// 64 beams of a first-generation Ouster OS1-64, 1,024 columns.
     pub(crate) fn os1_64() -> Arc<Sensor> {
         static SENSOR: OnceLock<Arc<Sensor>> = OnceLock::new();
-        let table = include_str!("../../sensors/ouster_os1_64_gen1.csv");
-        let sensor = SENSOR.get_or_init(|| Sensor::from_table("ouster-os1-64", 1024, table, OS1));
-        sensor.clone()
+        SENSOR.get_or_init(|| Sensor::of_first_places("os1-64")).clone()
     }
 
-    fn from_table(model: &str, columns: usize, table: &str, optics: Optics) -> Arc<Sensor> {
-        let beams = file::table_beams_of(model, table).expect("an embedded beam table is one");
-        Arc::new(Sensor::of(model.into(), columns, beams, optics))
+    /// A built-in sensor as agents have it where none is named: mounted by their kind, level, and with hardly a ray that
+    /// gives nothing.
+    fn of_first_places(name: &str) -> Arc<Sensor> {
+        let sensor = Sensor::named(name).expect("a built-in sensor");
+        Arc::new(Sensor {
+            mount: None,
+            optics: Optics {
+                unanswered: DROPOUT,
+                ..sensor.optics
+            },
+            ..Sensor::clone(&sensor)
+        })
     }
 
     /// A spinning sensor that is not mounted yet.

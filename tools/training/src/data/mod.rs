@@ -24,4 +24,3 @@ pub use logged::LoggedFrames;
 pub(crate) use maps::{MapEncoder, Party, Project};
 pub use sample::{Augmentation, Cast, Sample};
 pub(crate) use sample::{Scene, near};
-pub use simulated::options as simulation_of_seed;

@@ -8,7 +8,7 @@ use super::lanes::{Kind, Lane, Lanes};
 use super::signals::Signals;
 use crate::bodies::Class;
 use crate::path::{Motion, Path, Pose2, TICK};
-use crate::place::{Control, Custom, Network};
+use crate::place::{Control, Network, TrafficMix};
 use crate::random::Stream;
 use crate::traffic::Driven;
 
@@ -41,7 +41,7 @@ pub(super) struct FlowPlan<'a> {
     /// Lights by node.
     pub signals: &'a [Option<Signals>],
     pub walked: &'a [Walked],
-    pub custom: &'a Custom,
+    pub mix: &'a TrafficMix,
     pub dense: bool,
     pub seed: u64,
     pub until: f64,
@@ -203,7 +203,7 @@ impl<'a> Flow<'a> {
 
     /// Mean distance from one vehicle to the next, m.
     fn gap(&self, lane: usize) -> f64 {
-        let gap = self.plan.custom.gap[usize::from(self.plan.dense)];
+        let gap = self.plan.mix.gap[usize::from(self.plan.dense)];
         match self.lane(lane).kind {
             Kind::Cycle => 2.4 * gap,
             // Entries are less busy than what they lead to.
@@ -283,7 +283,7 @@ impl<'a> Flow<'a> {
         if lane.kind == Kind::Cycle {
             return if draw < 0.6 { Class::Bicycle } else { Class::Scooter };
         }
-        let custom = self.plan.custom;
+        let mix = self.plan.mix;
         let mixed = lane
             .road
             .is_some_and(|road| self.plan.network.roads[road].section.cycle == 0.0);
@@ -291,15 +291,15 @@ impl<'a> Flow<'a> {
             true => share,
             false => 0.0,
         };
-        let trailers = share(Class::Articulated, custom.trailers);
-        let riders = if mixed && lane.outer { custom.riders } else { 0.0 };
+        let trailers = share(Class::Articulated, mix.trailers);
+        let riders = if mixed && lane.outer { mix.riders } else { 0.0 };
         let shares = [
-            (Class::Van, custom.vans[1]),
-            (Class::Articulated, custom.long * 0.6 * trailers),
-            (Class::Truck, share(Class::Truck, custom.long * 0.6 * (1.0 - trailers))),
-            (Class::Bus, share(Class::Bus, custom.long * 0.4)),
+            (Class::Van, mix.vans[1]),
+            (Class::Articulated, mix.long * 0.6 * trailers),
+            (Class::Truck, share(Class::Truck, mix.long * 0.6 * (1.0 - trailers))),
+            (Class::Bus, share(Class::Bus, mix.long * 0.4)),
             (Class::Motorcycle, 0.03),
-            (Class::Tricycle, if lane.outer { custom.tricycles[1] } else { 0.0 }),
+            (Class::Tricycle, if lane.outer { mix.tricycles[1] } else { 0.0 }),
             (Class::Bicycle, riders * 0.7),
             (Class::Scooter, riders * 0.3),
         ];

@@ -31,7 +31,7 @@ pub(super) fn crowd(demand: &Demand, network: &Network, until: f64) -> Result<Ve
         seconds,
         ..
     } = *demand;
-    let custom = &network.custom;
+    let mix = &network.mix;
     let lanes = Lanes::new(network);
     let signals = flow::signals(network, seed);
     let things: Vec<Footprint> = place.fixtures.iter().map(|fixture| fixture.footprint()).collect();
@@ -49,7 +49,7 @@ pub(super) fn crowd(demand: &Demand, network: &Network, until: f64) -> Result<Ve
         lanes: &lanes,
         signals: &signals,
         walked: &walked,
-        custom,
+        mix,
         dense,
         seed,
         until,
@@ -118,7 +118,7 @@ fn best_pair(
     /// What it is worth if all others stand askew to a car.
     const ASKEW: f64 = 0.5;
     let (rsu, _) = place.roadside(false);
-    let near = network.custom.near;
+    let near = network.mix.near;
     let times: Vec<f64> = (0..=20).map(|k| horizon * f64::from(k) / 20.0).collect();
     let track = |vehicle: &Driven| -> Option<Vec<Pose2>> {
         let motion = &vehicle.motion;
@@ -235,15 +235,15 @@ fn stand(all: Vec<Standing>) -> impl Iterator<Item = Arrival> {
 
 /// Cars, vans and tricycles in the bays.
 fn parked(network: &Network, things: &[Footprint], seed: u64, dense: bool) -> Vec<Standing> {
-    let custom = &network.custom;
-    let share = custom.parked[usize::from(dense)];
+    let mix = &network.mix;
+    let share = mix.parked[usize::from(dense)];
     let mut all = Vec::new();
     for (index, road) in network.roads.iter().enumerate() {
         let mut draws = Stream::new(seed, "parked", index as u64);
         for (pose, angle) in road.stands() {
             let class = match draws.unit() {
-                u if u < custom.vans[0] => Class::Van,
-                u if u < custom.vans[0] + custom.tricycles[0] => Class::Tricycle,
+                u if u < mix.vans[0] => Class::Van,
+                u if u < mix.vans[0] + mix.tricycles[0] => Class::Tricycle,
                 _ => Class::Car,
             };
             let size = class.labelled_size(&mut draws);
@@ -287,7 +287,7 @@ fn between(network: &Network, parked: &[Standing], seed: u64) -> Vec<Standing> {
         let mut draws = Stream::new(seed, "between", index as u64);
         for pair in road.stands().windows(2) {
             let [(a, angle), (b, _)] = [pair[0], pair[1]];
-            let (here, child) = (draws.chance(network.custom.between), draws.chance(0.25));
+            let (here, child) = (draws.chance(network.mix.between), draws.chance(0.25));
             let (ahead, aside, turned) = (draws.unit(), draws.between(-0.1, 0.1), draws.chance(0.5));
             let class = if child { Class::Child } else { Class::Pedestrian };
             let size = class.labelled_size(&mut draws);

@@ -46,12 +46,12 @@ pub(super) fn walk(ways: &Ways) -> (Vec<Walker>, Vec<Walked>) {
         walked: Vec::new(),
         places: vec![Vec::new(); ((ways.until + WARM_UP) / LOOK).ceil() as usize + 2],
     };
-    let custom = &ways.network.custom;
-    let count = custom.walkers[usize::from(ways.dense)];
+    let mix = &ways.network.mix;
+    let count = mix.walkers[usize::from(ways.dense)];
     if count == 0 || crowd.starts.is_empty() {
         return (Vec::new(), Vec::new());
     }
-    for index in 0..custom.standing[usize::from(ways.dense)] as u64 {
+    for index in 0..mix.standing[usize::from(ways.dense)] as u64 {
         crowd.gather(&mut Stream::new(ways.seed, "standing", index));
     }
     admit_all(ways.seed, count, ways.until, |draws, t| crowd.admit(draws, t));
@@ -202,8 +202,8 @@ impl Crowd<'_> {
     /// Finds a way for some more that keeps clear of all before, or gives up after some tries; tells how many they are.
     fn admit(&mut self, draws: &mut Stream, t: f64) -> usize {
         const TRIES: usize = 12;
-        let custom = &self.ways.network.custom;
-        let mut party = Party::draw(draws, custom.groups, custom.prams);
+        let mix = &self.ways.network.mix;
+        let mut party = Party::draw(draws, mix.groups, mix.prams);
         let count = party.members.len();
         for attempt in 0..TRIES {
             let abreast = count > 1 && attempt < TRIES / 2;

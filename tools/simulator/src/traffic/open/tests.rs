@@ -393,7 +393,7 @@ fn cavs_come_by_two_lanes_and_stay_near_each_other() {
     for sample in samples() {
         let [a, b] = sample.traffic.cavs.map(|i| &sample.traffic.users[i]);
         let (rsu, _) = sample.place.roadside(false);
-        let near = sample.place.network().custom.near + 5.0;
+        let near = sample.place.network().mix.near + 5.0;
         let within =
             |p: Pose2, q: Pose2, reach: f64| (p.x - q.x) * (p.x - q.x) + (p.y - q.y) * (p.y - q.y) < reach * reach;
         let together = (0..=20)
