@@ -106,6 +106,14 @@ pub enum LogError {
     /// Logs that cannot be one.
     #[error("the logs cannot be merged: {0}")]
     Merge(String),
+    /// A log that is read and does not do for what is wanted.
+    #[error("`{}`: {reason}", .path.display())]
+    Unfit {
+        /// The file.
+        path: PathBuf,
+        /// Expected and found.
+        reason: String,
+    },
     /// Something that cannot be put into a log.
     #[error("cannot write to `{}`: {reason}", .path.display())]
     Input {

@@ -68,6 +68,8 @@ pub struct Levelled {
 }
 
 impl Levelled {
+    /// [`Levelled::by`] of frames that are level by their poses.
+    pub const BY_POSE: &str = "pose";
     /// [`Levelled::by`] of frames that lie along the ground.
     pub const BY_GROUND: &str = "ground";
     /// [`Levelled::by`] of frames that are as the sensor is mounted.

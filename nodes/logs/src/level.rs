@@ -64,7 +64,10 @@ pub fn need_level(log: &Log) -> Result<(), LogError> {
     let reason = format!(
         "poses of `{agent}`: expected ones that are level within {LEVEL}°, found {tilt:.2}°: level the log by `realo import log` first"
     );
-    Err(LogError::input(log.path(), reason))
+    Err(LogError::Unfit {
+        path: log.path().into(),
+        reason,
+    })
 }
 
 /// The pose of the level frame: the heading and the place of the body's.

@@ -145,11 +145,23 @@ impl Log {
         let Some(text) = self.at_the_end(LEVELLED) else {
             return Ok(BTreeMap::new());
         };
-        serde_json::from_str(text).map_err(|error| LogError::Metadata {
+        let wrong = |reason: String| LogError::Metadata {
             path: self.path().into(),
             field: LEVELLED,
-            reason: error.to_string(),
-        })
+            reason,
+        };
+        let all: BTreeMap<String, Levelled> = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
+        let known = [Levelled::BY_POSE, Levelled::BY_GROUND, Levelled::BY_NOTHING];
+        match all.iter().find(|(_, levelled)| !known.contains(&&*levelled.by)) {
+            None => Ok(all),
+            Some((agent, levelled)) => {
+                let known = known.join(", ");
+                Err(wrong(format!(
+                    "{agent}: `by`: expected one of {known}, found `{}`",
+                    levelled.by
+                )))
+            }
+        }
     }
 
     /// A value of the closing record.

@@ -51,9 +51,9 @@ impl LogWriter {
     /// # Errors
     /// As [`LogWriter::create`].
     pub fn create_atomic(path: impl AsRef<Path>, info: &LogInfo) -> Result<Self, LogError> {
-        let target = path.as_ref();
-        let mut writer = Self::create(partial(target), info)?;
-        writer.target = Some(target.into());
+        let target = replaceable(path.as_ref())?;
+        let mut writer = Self::create(partial(&target), info)?;
+        writer.target = Some(target);
         Ok(writer)
     }
 
@@ -374,6 +374,21 @@ impl Drop for LogWriter {
 /// The writer is there until `finish` takes it together with the whole log writer.
 pub(crate) fn open(mcap: &mut Option<McapWriter>) -> &mut McapWriter {
     mcap.as_mut().expect("finish consumes the log writer")
+}
+
+/// The file that a finished log becomes: what `path` leads to, if it is a link. Nothing but a file may be replaced.
+pub(crate) fn replaceable(path: &Path) -> Result<PathBuf, LogError> {
+    let target = match fs::symlink_metadata(path) {
+        Ok(there) if there.is_symlink() => fs::canonicalize(path).map_err(LogError::io(path, "follow the link"))?,
+        _ => path.into(),
+    };
+    let found = match fs::metadata(&target) {
+        Ok(there) if there.is_dir() => "a folder",
+        Ok(there) if !there.is_file() => "a device or the like",
+        _ => return Ok(target),
+    };
+    let reason = format!("expected a file, or nothing yet, at this place, found {found}; choose another path");
+    Err(LogError::input(path, reason))
 }
 
 /// Where a file is written that appears when it is finished.

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::info::{END_RECORD, LOG_RECORD};
 use crate::level::need_level;
 use crate::log::parse_topic;
-use crate::log_writer::{open, partial};
+use crate::log_writer::{open, partial, replaceable};
 use crate::packets::{self, SentPacket};
 use crate::{ChannelId, Lane, Log, LogError, McapWriter, Messages, RawMessage, Schema, Stream};
 
@@ -132,7 +132,8 @@ impl<'a> LogCopy<'a> {
         }
         // What is played beside the packets stays as it is in the log, and packets lie in level frames.
         need_level(log)?;
-        let partial = partial(target);
+        let target = replaceable(target)?;
+        let partial = partial(&target);
         let file = File::create(&partial).map_err(LogError::io(&partial, "create"))?;
         let mut info = log.info().clone();
         info.precomputed = Some(precomputed.clone());
@@ -145,7 +146,7 @@ impl<'a> LogCopy<'a> {
             strange: Vec::new(),
             messages: log.file().messages(BTreeSet::new(), 0..0)?,
             ahead: None,
-            target: target.into(),
+            target,
             partial,
         };
         let stays = |topic: &str| match parse_topic(topic) {

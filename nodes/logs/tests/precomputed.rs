@@ -136,6 +136,11 @@ fn packets_are_added_to_level_frames_alone() {
         assert!(error.contains(part), "no `{part}` in: {error}");
     }
     begun(Some("none")).unwrap();
+    let error = begun(Some("moon")).unwrap_err().to_string();
+    assert!(
+        error.contains("expected one of pose, ground, none, found `moon`"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -239,6 +239,30 @@ fn an_unfinished_writer_leaves_a_readable_log_and_an_atomic_one_nothing() {
 }
 
 #[test]
+fn a_finished_log_replaces_files_only_and_follows_links() {
+    let dir = tempfile::tempdir().unwrap();
+    let begin = |path: &Path| LogWriter::create_atomic(path, &common::info());
+    let refused = |path: &Path| begin(path).map(|_| ()).unwrap_err().to_string();
+    let folder = refused(dir.path());
+    assert!(folder.contains("found a folder; choose another path"), "{folder}");
+    let device = refused(Path::new("/dev/null"));
+    assert!(
+        device.contains("/dev/null") && device.contains("found a device"),
+        "{device}"
+    );
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+
+    let [target, link] = ["target.mcap", "link.mcap"].map(|name| dir.path().join(name));
+    fs::write(&target, "what was there").unwrap();
+    std::os::unix::fs::symlink(&target, &link).unwrap();
+    let mut writer = begin(&link).unwrap();
+    common::fill(&mut writer).unwrap();
+    writer.finish().unwrap();
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert!(Log::open(&target).unwrap().truncation().is_none());
+}
+
+#[test]
 fn bytes_do_not_depend_on_timing() {
     let dir = tempfile::tempdir().unwrap();
     let [a, b] = ["a", "b"].map(|name| {

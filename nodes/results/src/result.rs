@@ -397,6 +397,14 @@ impl RunResult {
                  is not to be levelled: networks look for the ground at z = 0"
             ),
         );
+        let unusable = self.counter("poses_unusable");
+        note(
+            unusable > 0,
+            format!(
+                "{unusable} poses of the log were left out: expected finite numbers and a quaternion that is not zero; `realo import log` \
+                 names the first"
+            ),
+        );
         let skipped = self.frames.skipped;
         note(
             skipped > 0,

@@ -334,8 +334,9 @@ impl Model {
                     "expected the name of a model file beside it, found `{base}`"
                 )));
             }
-            file = file.with_file_name(base);
-            let text = read_text(&file)?;
+            let next = file.with_file_name(base);
+            let text = read_text(&next).map_err(|error| wrong(error.to_string()))?;
+            file = next;
             let below = toml::from_slice(&text).map_err(|error| ModelError::Syntax {
                 path: file.clone(),
                 error: Box::new(error),

@@ -12,11 +12,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
-use realo_schemas::geometry::{View, tilt_degrees, transform_box};
+use realo_schemas::geometry::{View, is_valid, tilt_degrees, transform_box};
 use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -53,26 +52,13 @@ const ROADSIDE_SWEEP: Nanos = 96_000_000;
 ///
 /// Either way it is the sweep's stamp, by which the dataset's authors paired the sides; what differs is when the sweep
 /// is ready: a sweep's duration later, or at once.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RoadsideStamp {
     /// The start of the sweep, as on the vehicle.
     #[default]
     Start,
     /// Its end.
     End,
-}
-
-impl FromStr for RoadsideStamp {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "start" => Ok(RoadsideStamp::Start),
-            "end" => Ok(RoadsideStamp::End),
-            _ => Err(format!("expected `start` or `end`, found `{text}`")),
-        }
-    }
 }
 
 /// How DAIR is imported.
@@ -336,13 +322,14 @@ impl Import {
     /// Labels of one side, in its body frame.
     fn side_labels(&mut self, path: &Path, body_from_lidar: &Isometry3<f64>) -> Result<Boxes, ImportError> {
         let mut boxes = Vec::new();
-        for label in read_json::<Vec<SideLabel>>(path)? {
-            if !label.size.is_real() {
+        for (index, label) in read_json::<Vec<SideLabel>>(path)?.into_iter().enumerate() {
+            if label.size.is_placeholder() {
                 self.summary.placeholders_dropped += 1;
                 continue;
             }
             let Location { x, y, z } = label.location;
             let in_lidar = label.size.to_box([x, y, z], label.rotation, &label.class);
+            let in_lidar = label_box(in_lidar).map_err(|found| not_a_label(path, index, &found))?;
             boxes.push(transform_box(body_from_lidar, &in_lidar));
         }
         Ok(Boxes(boxes))
@@ -353,8 +340,8 @@ impl Import {
     fn truth(&mut self, path: &Path, map_from_body: &Isometry3<f64>) -> Result<Vec<Box3>, ImportError> {
         let body_from_map = map_from_body.inverse();
         let mut boxes = Vec::new();
-        for label in read_json::<Vec<WorldLabel>>(path)? {
-            if !label.size.is_real() {
+        for (index, label) in read_json::<Vec<WorldLabel>>(path)?.into_iter().enumerate() {
+            if label.size.is_placeholder() {
                 self.summary.placeholders_dropped += 1;
                 continue;
             }
@@ -367,10 +354,49 @@ impl Import {
             let rear = corners[2] + corners[3] + corners[6] + corners[7];
             let heading = front - rear;
             let yaw = nalgebra::RealField::atan2(heading.y, heading.x);
-            boxes.push(label.size.to_box(center.into(), yaw, &label.class));
+            let in_body = label.size.to_box(center.into(), yaw, &label.class);
+            boxes.push(label_box(in_body).map_err(|found| not_a_label(path, index, &found))?);
         }
         Ok(boxes)
     }
+}
+
+/// Labels lie no farther from their agent, m.
+const LABELLED: f64 = 1000.0;
+/// No labelled thing is longer, wider or higher, m.
+const LONGEST: f64 = 100.0;
+
+/// More than a heading in radians or degrees needs.
+const MOST_TURN: f64 = 1000.0;
+
+/// A label in a frame of its agent; itself if there can be no such one.
+fn label_box(label: Box3) -> Result<Box3, Box<Box3>> {
+    let near = label.center.iter().all(|metres| metres.abs() <= LABELLED);
+    let small = [label.length, label.width, label.height]
+        .iter()
+        .all(|metres| *metres <= LONGEST);
+    match is_valid(&label) && near && small && label.yaw.abs() <= MOST_TURN {
+        true => Ok(label),
+        false => Err(label.into()),
+    }
+}
+
+fn not_a_label(path: &Path, index: usize, found: &Box3) -> ImportError {
+    let Box3 {
+        center,
+        length,
+        width,
+        height,
+        yaw,
+        class,
+        ..
+    } = found;
+    let reason = format!(
+        "label {index} (`{class}`): expected a box within {LABELLED} m of its agent and at most {LONGEST} m long, found centre {center:?} there, \
+         extents {:?} m and heading {yaw}",
+        [length, width, height]
+    );
+    ImportError::content(path, reason)
 }
 
 fn state(map_from_body: Isometry3<f64>) -> EgoState {
@@ -417,12 +443,52 @@ fn offset(time: f64, stamp: Nanos) -> Result<i32, String> {
 
 type Parts = (Matrix3<f64>, Vector3<f64>);
 
-fn compose(world_from_a: &Transform, a_from_b: &Transform) -> Parts {
-    let ((r1, t1), (r2, t2)) = (world_from_a.parts(), a_from_b.parts());
+fn compose((r1, t1): &Parts, (r2, t2): &Parts) -> Parts {
     (r1 * r2, r1 * t2 + t1)
 }
 
-/// The nearest rotation (the files' are orthonormal to 2e-7 only) and the translation.
+/// How far from the identity the product of a rotation and its transpose may be; the files' are orthonormal to 2e-7.
+const ORTHONORMAL: f64 = 0.01;
+/// No place lies farther from the origin of the world, m: twice around the Earth.
+const WORLD: f64 = 8e7;
+/// No LiDAR is mounted at a greater tilt, degrees.
+const MOST_TILT: f64 = 45.0;
+
+/// A calibration from a file.
+fn calibration(path: &Path, transform: &Transform) -> Result<Parts, ImportError> {
+    let (rotation, translation) = transform.parts();
+    let off = (rotation * rotation.transpose() - Matrix3::identity()).abs().max();
+    // A NaN is not near either.
+    if !(off <= ORTHONORMAL && rotation.determinant() > 0.0) {
+        let reason = format!(
+            "rotation: expected an orthonormal matrix with determinant 1, found {:?} with determinant {:.3}",
+            transform.rotation,
+            rotation.determinant()
+        );
+        return Err(ImportError::content(path, reason));
+    }
+    if !translation.iter().all(|metres| metres.abs() <= WORLD) {
+        let reason = format!(
+            "translation: expected metres within ±{WORLD:e}, found {:?}",
+            transform.translation
+        );
+        return Err(ImportError::content(path, reason));
+    }
+    Ok((rotation, translation))
+}
+
+/// Map from a LiDAR, by the calibration that tells how it lies in the world.
+fn pose_of_lidar(path: &Path, parts: &Parts) -> Result<Isometry3<f64>, ImportError> {
+    let map_from_lidar = isometry(parts);
+    let tilt = tilt_degrees(&map_from_lidar.rotation);
+    if tilt > MOST_TILT {
+        let reason = format!("rotation: expected a LiDAR that tilts by at most {MOST_TILT}°, found {tilt:.1}°");
+        return Err(ImportError::content(path, reason));
+    }
+    Ok(map_from_lidar)
+}
+
+/// The nearest rotation, and the translation.
 fn isometry((rotation, translation): &Parts) -> Isometry3<f64> {
     let rotation = UnitQuaternion::from_matrix(rotation);
     Isometry3::from_parts(Translation3::from(*translation), rotation)
@@ -430,15 +496,16 @@ fn isometry((rotation, translation): &Parts) -> Isometry3<f64> {
 
 /// Map from the vehicle's LiDAR.
 fn vehicle_pose(side: &Path, frame: &Frame) -> Result<Isometry3<f64>, ImportError> {
-    let novatel_from_lidar: LidarToNovatel = read_json(&side.join(&frame.calibrations[0]))?;
-    let world_from_novatel: Transform = read_json(&side.join(&frame.calibrations[1]))?;
-    Ok(isometry(&compose(&world_from_novatel, &novatel_from_lidar.transform)))
+    let [mounting, place] = [0, 1].map(|index| side.join(&frame.calibrations[index]));
+    let novatel_from_lidar = calibration(&mounting, &read_json::<LidarToNovatel>(&mounting)?.transform)?;
+    let world_from_novatel = calibration(&place, &read_json(&place)?)?;
+    pose_of_lidar(&place, &compose(&world_from_novatel, &novatel_from_lidar))
 }
 
 /// Map from the roadside unit's LiDAR, the offset added in the world.
 fn roadside_pose(side: &Path, frame: &Frame, [dx, dy]: [f64; 2]) -> Result<Isometry3<f64>, ImportError> {
-    let world_from_lidar: Transform = read_json(&side.join(&frame.calibrations[0]))?;
-    let mut map_from_lidar = isometry(&world_from_lidar.parts());
+    let path = side.join(&frame.calibrations[0]);
+    let mut map_from_lidar = pose_of_lidar(&path, &calibration(&path, &read_json(&path)?)?)?;
     map_from_lidar.translation.vector += Vector3::new(dx, dy, 0.0);
     Ok(map_from_lidar)
 }
@@ -449,11 +516,12 @@ fn view(side: &Path, frame: &Frame, to_from_lidar: &Isometry3<f64>) -> Result<Op
     let Some([extrinsic, intrinsic]) = &frame.camera else {
         return Ok(None);
     };
-    let camera_from_lidar: Transform = read_json(&side.join(extrinsic))?;
+    let path = side.join(extrinsic);
+    let camera_from_lidar = isometry(&calibration(&path, &read_json(&path)?)?);
     let path = side.join(intrinsic);
     let Intrinsic { k, width, height } = read_json(&path)?;
     let view = View {
-        frame_from_camera: to_from_lidar * isometry(&camera_from_lidar.parts()).inverse(),
+        frame_from_camera: to_from_lidar * camera_from_lidar.inverse(),
         focal: [k[0], k[4]],
         center: [k[2], k[5]],
         size: [width.unwrap_or(IMAGE[0]), height.unwrap_or(IMAGE[1])],
@@ -704,8 +772,9 @@ struct Size {
 }
 
 impl Size {
-    fn is_real(&self) -> bool {
-        [self.l, self.w, self.h].iter().all(|v| v.is_finite() && *v > 0.0)
+    /// Of an object that was labelled in the image only.
+    fn is_placeholder(&self) -> bool {
+        [self.l, self.w, self.h].iter().any(|metres| *metres <= 0.0)
     }
 
     fn to_box(&self, center: [f64; 3], yaw: f64, class: &str) -> Box3 {

@@ -1,16 +1,13 @@
 //! Level frames: which way is up, and where the ground lies below a sensor.
 
 use std::fmt;
-use std::str::FromStr;
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use realo_logs::Levelled;
 use realo_schemas::geometry::{level_from_body, yaw_of};
-use serde::{Deserialize, Serialize};
 
 /// By what a body frame is levelled.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Level {
     /// By the recorded pose: z is that of the map; the height over ground is known from elsewhere.
     #[default]
@@ -25,21 +22,10 @@ impl Level {
     /// `pose`, `ground` or `none`.
     pub fn as_str(self) -> &'static str {
         match self {
-            Level::Pose => "pose",
+            Level::Pose => Levelled::BY_POSE,
             Level::Ground => Levelled::BY_GROUND,
             Level::None => Levelled::BY_NOTHING,
         }
-    }
-}
-
-impl FromStr for Level {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let found = [Level::Pose, Level::Ground, Level::None]
-            .into_iter()
-            .find(|level| level.as_str() == text);
-        found.ok_or_else(|| format!("expected `pose`, `ground` or `none`, found `{text}`"))
     }
 }
 
@@ -228,17 +214,5 @@ mod tests {
             let origin = body_from_sensor * nalgebra::Point3::origin();
             assert_eq!([origin.x, origin.y, origin.z], [0.0, 0.0, 2.0]);
         }
-    }
-
-    #[test]
-    fn names_are_read_back_or_refused() {
-        for level in [Level::Pose, Level::Ground, Level::None] {
-            assert_eq!(level.to_string().parse(), Ok(level));
-        }
-        let error = "gravity".parse::<Level>().unwrap_err();
-        assert!(
-            error.contains("`pose`, `ground` or `none`") && error.contains("gravity"),
-            "{error}"
-        );
     }
 }

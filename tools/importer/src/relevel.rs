@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3};
-use realo_logs::{Attitude, Attitudes, Entry, Levelled, Log, LogReader, LogWriter, Stream, level_state};
+use realo_logs::{Attitude, Attitudes, Entry, LEVEL, Levelled, Log, LogReader, LogWriter, Stream, level_state};
 use realo_schemas::geometry::{View, tilt_degrees, transform_boxes, transform_cloud};
 use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud};
 
@@ -55,10 +55,18 @@ pub fn relevel(from: &Path, to: &Path, level: Level) -> Result<BTreeMap<String, 
     while let Some(entry) = copy.reader.next()? {
         copy.take(&entry)?;
     }
+    let mut before = log.levelled()?;
     let levelled: BTreeMap<String, Levelled> = copy
         .agents
         .iter()
-        .map(|(agent, leveller)| (agent.to_string(), leveller.told(level)))
+        .map(|(agent, leveller)| {
+            let told = leveller.told(level);
+            // What was level by an earlier making stays so in words too.
+            let before = before
+                .remove(&**agent)
+                .filter(|_| told.degrees[1] <= LEVEL && level != Level::Ground);
+            (agent.to_string(), before.unwrap_or(told))
+        })
         .collect();
     copy.writer.levelled(levelled.clone());
     copy.writer.clocks(log.clocks()?);

@@ -9,6 +9,7 @@ use realo_importer::{DairOptions, ImportError, Level, ROADSIDE, RoadsideStamp, V
 use realo_logs::{AgentKind, Log, Stream};
 use realo_schemas::geometry::{View, yaw_of};
 use realo_schemas::{Box3, Boxes, Nanos};
+use serde_json::json;
 
 fn sample() -> Option<PathBuf> {
     skipped::shared("data/dair")
@@ -585,6 +586,68 @@ fn names_the_file_that_is_missing_or_damaged_and_leaves_no_log() {
         error.contains("pointcloud_timestamp") && error.contains("yesterday"),
         "{error}"
     );
+    fs::write(&info, text).unwrap();
+
+    let place = "vehicle-side/calib/novatel_to_world/015404.json";
+    let mounting = "vehicle-side/calib/lidar_to_novatel/015404.json";
+    let roadside = "infrastructure-side/calib/virtuallidar_to_world/000049.json";
+    let camera = "infrastructure-side/calib/virtuallidar_to_camera/000049.json";
+    let own = "vehicle-side/label/lidar/015404.json";
+    let together = "cooperative/label_world/015404.json";
+    let zeros = json!([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]);
+    let mirrored = json!([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]);
+    let upside_down = json!([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]);
+    let twice = json!([[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]]);
+    let far = json!([[1e300], [0.0], [0.0]]);
+    let corner = json!([1e300, 0.0, 0.0]);
+    for (file, field, value, named) in [
+        (
+            place,
+            "/rotation",
+            &mirrored,
+            "rotation: expected an orthonormal matrix",
+        ),
+        (place, "/rotation", &zeros, "rotation: expected an orthonormal matrix"),
+        (place, "/rotation", &twice, "rotation: expected an orthonormal matrix"),
+        (
+            place,
+            "/rotation",
+            &upside_down,
+            "rotation: expected a LiDAR that tilts by at most",
+        ),
+        (place, "/translation", &far, "translation: expected metres"),
+        (
+            mounting,
+            "/transform/rotation",
+            &zeros,
+            "rotation: expected an orthonormal matrix",
+        ),
+        (
+            roadside,
+            "/rotation",
+            &mirrored,
+            "rotation: expected an orthonormal matrix",
+        ),
+        (camera, "/rotation", &zeros, "rotation: expected an orthonormal matrix"),
+        (own, "/0/rotation", &json!("inf"), "label 0 ("),
+        (own, "/0/rotation", &json!(1e300), "label 0 ("),
+        (own, "/0/3d_location/x", &json!("1e300"), "label 0 ("),
+        (own, "/0/3d_dimensions/l", &json!(1e300), "label 0 ("),
+        (together, "/0/world_8_points/0", &corner, "label 0 ("),
+    ] {
+        let path = data.join(file);
+        let kept = fs::read(&path).unwrap();
+        let mut damaged: serde_json::Value = serde_json::from_slice(&kept).unwrap();
+        *damaged.pointer_mut(field).unwrap() = value.clone();
+        fs::write(&path, damaged.to_string()).unwrap();
+        let error = import().to_string();
+        assert!(
+            error.contains(file) && error.contains(named),
+            "{file}, {field}: {error}"
+        );
+        fs::write(&path, kept).unwrap();
+    }
     assert!(!out.exists());
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    dair(&data, &out, DairOptions::default()).unwrap();
 }

@@ -224,7 +224,9 @@ fn the_recorded_pose_levels_each_point_at_its_own_time() {
     );
     // What is level stays as it is.
     let again = dir.path().join("again.mcap");
-    relevel(&level, &again, Level::Pose).unwrap();
+    assert_eq!(relevel(&level, &again, Level::Pose).unwrap(), levelled);
+    let as_it_is = dir.path().join("as_it_is.mcap");
+    assert_eq!(relevel(&level, &as_it_is, Level::None).unwrap(), levelled);
     let [points, boxes, poses] = worst(&again);
     assert!(
         points < 1e-3 && boxes < 1e-3 && poses < 1e-9,

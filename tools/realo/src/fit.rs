@@ -27,7 +27,7 @@ pub fn protocol_fits(protocol: &Protocol, log: &Log, ego: &str) -> Result<()> {
             in_words(asked),
             in_words(found),
             fitting.map_or("the log has none; choose another --protocol".into(), |fitting| format!(
-                "choose --ego {fitting}, or another --protocol"
+                "run it with --ego {fitting}, or choose another --protocol"
             ))
         );
     }
@@ -38,7 +38,7 @@ pub fn protocol_fits(protocol: &Protocol, log: &Log, ego: &str) -> Result<()> {
             "protocol `{name}` scores what the ego's own side labelled (`labels: own`), and {path} has no topic {}: {}",
             Stream::OwnLabels.topic(ego),
             having.map_or("choose a protocol with `labels: all`".into(), |having| format!(
-                "choose --ego {having}"
+                "run it with --ego {having}"
             ))
         );
     }

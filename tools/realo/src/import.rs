@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Subcommand, ValueEnum};
 use eyre::Result;
 use realo_importer::DairOptions;
+use realo_logs::Log;
 
 use crate::Outcome;
 
@@ -70,6 +71,7 @@ impl Level {
 
 /// Writes the log and says what was taken and what was left out.
 pub fn main(args: &Args) -> Result<Outcome> {
+    let mut outcome = Outcome::Complete;
     let output = match &args.source {
         Source::Dair {
             dir,
@@ -89,9 +91,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         Source::Log { log, output, level } => {
             realo_importer::relevel(log, output, level.of_importer())?;
+            if let Some(cut) = Log::open(log)?.truncation() {
+                eprintln!("realo: {}: {cut}", log.display());
+                outcome = Outcome::Partial;
+            }
             output
         }
     };
     println!("{}", realo_logs::describe(output)?);
-    Ok(Outcome::Complete)
+    Ok(outcome)
 }

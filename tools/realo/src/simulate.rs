@@ -143,8 +143,7 @@ fn sensors(names: &[String]) -> Result<Vec<Arc<Sensor>>> {
 /// Writes the log; nothing is left at its place unless it is complete.
 pub fn main(args: &Args) -> Result<Outcome> {
     let Some(output) = args.output.as_ref().filter(|_| args.statistics.is_empty()) else {
-        statistics::print(&args.statistics, args.like.as_deref())?;
-        return Ok(Outcome::Complete);
+        return statistics::print(&args.statistics, args.like.as_deref());
     };
     write(&args.options()?, output)?;
     println!("{}", realo_logs::describe(output)?);

@@ -1,7 +1,7 @@
 //! `realo simulate --statistics`: what clouds are like, real or simulated, in the figures of `docs/world.md`.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use eyre::{Result, WrapErr, bail};
 use realo_logs::{AgentKind, Attitudes, Log, Stream, levelled_while_played};
@@ -9,38 +9,53 @@ use realo_schemas::{Box3, Nanos, PointCloud};
 use realo_simulator::Sensor;
 use realo_simulator::statistics::{Observed, ROADSIDE_SECTOR, Row, Statistics, VEHICLE_SECTOR};
 
+use crate::Outcome;
+
 /// Prints the figures of every agent over all logs; `like` thins spinning sensors to the beams of another.
-pub fn print(logs: &[PathBuf], like: Option<&str>) -> Result<()> {
+pub fn print(logs: &[PathBuf], like: Option<&str>) -> Result<Outcome> {
     let beams = match like {
         Some(name) => Sensor::named(name)?.elevations(),
         None => Vec::new(),
     };
-    let mut agents = BTreeMap::new();
+    let (mut agents, mut outcome) = (BTreeMap::new(), Outcome::Complete);
     for path in logs {
-        add(&mut agents, path, &beams).wrap_err_with(|| format!("{}", path.display()))?;
+        let log = Log::open(path)?;
+        add(&mut agents, &log, &beams).wrap_err_with(|| format!("{}", path.display()))?;
+        if let Some(cut) = log.truncation() {
+            eprintln!("realo: {}: {cut}", path.display());
+            outcome = Outcome::Partial;
+        }
     }
     if agents.is_empty() {
         bail!("no agent of these logs has points; simulate without --no-clouds");
     }
     println!("{}", table(&agents));
-    Ok(())
+    for (agent, statistics) in &agents {
+        if let whole @ 1.. = statistics.whole_sweeps() {
+            eprintln!("realo: {whole} sweeps of {agent} do not lie on rings: --like leaves nothing of them out");
+        }
+    }
+    Ok(outcome)
 }
 
-fn add(agents: &mut BTreeMap<String, Statistics>, path: &Path, beams: &[f64]) -> Result<()> {
-    let log = Log::open(path)?;
+fn add(agents: &mut BTreeMap<String, Statistics>, log: &Log, beams: &[f64]) -> Result<()> {
     for agent in &log.info().agents {
         if !log.has(&agent.name, Stream::Points) {
             continue;
         }
         let Some(sensor) = agent.sensor_position else {
-            bail!("agent `{}`: the log does not say where its sensor is", agent.name);
+            bail!(
+                "agent `{}`: expected its `sensor_position`, where its LiDAR sits in the body frame, [x, y, z] in m, found none; \
+                 add it where the log is made",
+                agent.name
+            );
         };
         let sector = match agent.kind {
             AgentKind::Vehicle => VEHICLE_SECTOR,
             AgentKind::Roadside => ROADSIDE_SECTOR,
         };
         let statistics = agents.entry(agent.name.clone()).or_default();
-        each_sweep(&log, &agent.name, |cloud, objects| {
+        each_sweep(log, &agent.name, |cloud, objects| {
             statistics.add(&Observed {
                 cloud,
                 sensor,

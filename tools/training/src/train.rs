@@ -147,9 +147,12 @@ pub(crate) fn option(field: &'static str, expected: &'static str, found: impl st
     }
 }
 
+/// A batch of more samples fits no memory.
+const MOST_SAMPLES: usize = 256;
+
 fn check(options: &TrainOptions) -> Result<(), TrainError> {
-    if options.batch == 0 {
-        return Err(option("batch", "at least 1", 0));
+    if !(1..=MOST_SAMPLES).contains(&options.batch) {
+        return Err(option("batch", "1 to 256", options.batch));
     }
     if options.steps == 0 {
         return Err(option("steps", "at least 1", 0));

@@ -18,7 +18,7 @@ pub enum Isa {
 
 /// No set of instructions has this name.
 #[derive(Debug, thiserror::Error)]
-#[error("expected one of {}, found `{name}`", Isa::ALL.map(|isa| isa.to_string()).join(", "), name = .0)]
+#[error("expected auto or one of {}, found `{name}`", Isa::ALL.map(|isa| isa.to_string()).join(", "), name = .0)]
 pub struct UnknownIsa(String);
 
 impl Isa {

@@ -14,6 +14,8 @@ const ASIDE: f64 = 6.0;
 /// A sensor's beams and columns at most.
 const MOST_BEAMS: usize = 512;
 const MOST_COLUMNS: usize = 4096;
+/// Narrower fields are no sensor's, degrees.
+const NARROWEST: f64 = 10.0;
 
 /// A sensor that cannot be.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -259,8 +261,15 @@ impl Sensor {
             &format!("1 to {MOST_COLUMNS}"),
             columns,
         )?;
+        let last = beams.iter().map(|beam| beam.fires).fold(0.0, f64::max);
+        check.need(
+            last * columns as f64 <= 0.1,
+            "firing_offset_us",
+            &format!("times within a column's {:.1} µs", 1e5 / columns as f64),
+            format!("{:.1} µs", last * 1e6),
+        )?;
         if let Some(field) = described.field_deg {
-            check.within("field_deg", field, [1.0, 180.0])?;
+            check.within("field_deg", field, [NARROWEST, 180.0])?;
         }
         check.within("unanswered", described.unanswered, [0.0, 0.9])?;
         let mut sensor = Sensor::of(
@@ -388,6 +397,7 @@ fn band_beams(check: &Checker, bands: &[Band]) -> Result<Vec<Beam>, SensorError>
 /// `azimuth_offset_deg` (clockwise) and `firing_offset_us`; others are passed over. Rows stand in the order of
 /// firing; where all fire at once, elevations rise or fall.
 fn table_beams(check: &Checker, text: &str) -> Result<Vec<Beam>, SensorError> {
+    let text = text.trim_start_matches('\u{feff}');
     let mut lines = text.lines().filter(|line| !line.trim().is_empty());
     let names: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();
     let at = |name: &str| names.iter().position(|column| *column == name);
@@ -490,7 +500,17 @@ mod tests {
         let table = GOOD.replace("[[bands]]\nfrom_deg = -15.0\nto_deg = 15.0\nstep_deg = 2.0\n", "");
         let table = table.replace("columns = 1800", "columns = 1800\ntable = \"t.csv\"");
         let header = "beam,elevation_deg\n";
-        let cases: [(String, &str, &str); 14] = [
+        let cases: [(String, &str, &str); 16] = [
+            (
+                GOOD.replace("columns = 1800", "columns = 1800\nfield_deg = 1.0"),
+                "",
+                "field_deg",
+            ),
+            (
+                table.clone(),
+                "elevation_deg,firing_offset_us\n0.0,0.0\n1.0,60.0\n",
+                "firing_offset_us",
+            ),
             (GOOD.replace("height_m = 1.9", "height_m = -0.5"), "", "mount.height_m"),
             (GOOD.replace("height_m = 1.9", "height_m = nan"), "", "mount.height_m"),
             (GOOD.replace("columns = 1800", "columns = 0"), "", "columns"),

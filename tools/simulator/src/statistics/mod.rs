@@ -8,6 +8,7 @@ mod clusters;
 mod ground;
 mod rings;
 
+use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::Range;
 
@@ -76,6 +77,7 @@ impl Observed<'_> {
 #[derive(Clone, Debug, Default)]
 pub struct Statistics {
     sweeps: usize,
+    whole_sweeps: usize,
     points: usize,
     clusters: Clusters,
     off_ring: [Share; 3],
@@ -164,9 +166,15 @@ struct Parts<'a> {
 }
 
 impl Statistics {
+    /// Sweeps whose beams cannot be told, so that all of their points count whatever beams were asked for.
+    pub fn whole_sweeps(&self) -> usize {
+        self.whole_sweeps
+    }
+
     /// Adds a sweep.
     pub fn add(&mut self, observed: &Observed) {
         let thinned = thin(observed);
+        self.whole_sweeps += usize::from(thinned.is_none() && !observed.beams.is_empty());
         let observed = Observed {
             cloud: thinned.as_ref().unwrap_or(observed.cloud),
             ..*observed
@@ -555,7 +563,7 @@ fn depth(observed: &Observed, object: &Box3, point: &[f64; 3]) -> Option<f64> {
     (enter <= leave).then_some((1.0 - enter) * length)
 }
 
-/// The cloud with only those of its rings that lie nearest to beams; `None` if all are to count.
+/// The cloud with only those of its rings that lie nearest to beams; `None` if all are to count, or if it has no rings.
 fn thin(observed: &Observed) -> Option<PointCloud> {
     let cloud = observed.cloud;
     if observed.beams.is_empty() {
@@ -564,12 +572,21 @@ fn thin(observed: &Observed) -> Option<PointCloud> {
     let points: Vec<[f64; 3]> = (0..cloud.len())
         .map(|i| [0, 1, 2].map(|k| f64::from([cloud.x[i], cloud.y[i], cloud.z[i]][k]) - observed.sensor[k]))
         .collect();
-    let mut rings = rings(cloud, &points);
+    // Where beams are not numbered, each sector has rings of its own.
+    let mut sectors: BTreeMap<usize, Vec<Ring>> = BTreeMap::new();
+    for ring in rings(cloud, &points) {
+        sectors.entry(ring.sector).or_default().push(ring);
+    }
+    if sectors.is_empty() {
+        return None;
+    }
     let mut kept: Vec<usize> = Vec::new();
-    for beam in observed.beams {
-        let off = |ring: &Ring| (ring.elevation - beam).abs();
-        if let Some(best) = (0..rings.len()).min_by(|a, b| off(&rings[*a]).total_cmp(&off(&rings[*b]))) {
-            kept.extend(rings.swap_remove(best).points.iter().map(|seen| seen.index as usize));
+    for rings in sectors.values_mut() {
+        for beam in observed.beams {
+            let off = |ring: &Ring| (ring.elevation - beam).abs();
+            if let Some(best) = (0..rings.len()).min_by(|a, b| off(&rings[*a]).total_cmp(&off(&rings[*b]))) {
+                kept.extend(rings.swap_remove(best).points.iter().map(|seen| seen.index as usize));
+            }
         }
     }
     kept.sort_unstable();
@@ -664,6 +681,45 @@ mod tests {
         assert_eq!(rings, [nearest(-10.0).unwrap(), nearest(0.0).unwrap()]);
         let all = sweep.cloud.ring.iter().filter(|ring| rings.contains(ring)).count();
         assert_eq!(thinned.len(), all);
+    }
+
+    #[test]
+    fn thinning_by_all_beams_keeps_a_cloud_whose_beams_have_no_numbers() {
+        let options = Options {
+            seed: 900,
+            seconds: 0.1,
+            agents: vec!["cav1".into()],
+            ..Options::default()
+        };
+        let (sweep, _) = Simulation::new(&options).unwrap().sweep(0, 0);
+        let bare = PointCloud {
+            ring: vec![0u16; sweep.cloud.len()].into(),
+            ..sweep.cloud.clone()
+        };
+        let beams = Sensor::ruby_plus().elevations();
+        let mut observed = Observed {
+            cloud: &bare,
+            sensor: [0.0, 0.0, 1.9],
+            sector: VEHICLE_SECTOR,
+            objects: &[],
+            beams: &beams,
+        };
+        let kept = thin(&observed).unwrap().len();
+        assert!(kept > bare.len() * 9 / 10, "{kept} of {}", bare.len());
+        let few = [-10.0, 0.0].map(f64::to_radians);
+        observed.beams = &few;
+        assert!(thin(&observed).unwrap().len() < bare.len() / 20);
+
+        // On one level there are no beams to tell.
+        let flat = PointCloud {
+            z: vec![1.9f32; bare.len()].into(),
+            ..bare.clone()
+        };
+        observed.cloud = &flat;
+        let mut statistics = Statistics::default();
+        statistics.add(&observed);
+        assert_eq!(statistics.whole_sweeps(), 1);
+        assert_eq!(values(&statistics, "points a sweep"), [bare.len() as f64]);
     }
 
     #[test]
