@@ -49,10 +49,10 @@ pub enum LoadError {
     },
     /// The kernels.
     #[error("argument `isa`: {0}")]
-    Isa(#[from] UnknownIsa),
+    Isa(UnknownIsa),
     /// The number type.
     #[error("argument `precision`: {0}")]
-    Precision(#[from] UnknownPrecision),
+    Precision(UnknownPrecision),
     /// More threads than any machine has.
     #[error("argument `threads`: expected at most {MOST_THREADS}, found {0}")]
     Threads(usize),
@@ -87,10 +87,10 @@ impl Kernels<'_> {
         }
         let mut options = NetworkOptions::default();
         if self.isa != AUTO {
-            options.isa = self.isa.parse::<Isa>()?;
+            options.isa = self.isa.parse::<Isa>().map_err(LoadError::Isa)?;
         }
         if self.precision != AUTO {
-            options.precision = Some(self.precision.parse::<Precision>()?);
+            options.precision = Some(self.precision.parse::<Precision>().map_err(LoadError::Precision)?);
         }
         if self.threads > 0 {
             options.threads = self.threads;
@@ -331,7 +331,7 @@ mod tests {
             load(&file, kernels).err().expect("refused").to_string()
         };
         assert!(
-            error("sse9", 1).contains("argument `isa`: expected one of"),
+            error("sse9", 1).contains("argument `isa`: expected auto or one of"),
             "{}",
             error("sse9", 1)
         );

@@ -165,13 +165,15 @@ impl Checkpoint {
     }
 
     fn parse(bytes: &[u8], model: &Model) -> Result<Self, String> {
-        let (_, about) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
+        let (_, about) = SafeTensors::read_metadata(bytes)
+            .map_err(|error| format!("expected the state of a training in safetensors, found none: {error}"))?;
         let about = about.metadata().clone().unwrap_or_default();
-        let field = |key: &str| about.get(key).ok_or(format!("it has no `{key}`"));
-        let plan: TrainingPlan = serde_json::from_str(field("plan")?).map_err(|error| error.to_string())?;
-        let steps = field("steps")?
-            .parse()
-            .map_err(|_| "`steps` is no number".to_string())?;
+        let field = |key: &str| about.get(key).ok_or(format!("expected metadata `{key}`, found none"));
+        let plan: TrainingPlan = serde_json::from_str(field("plan")?).map_err(|error| format!("`plan`: {error}"))?;
+        let told = field("steps")?;
+        let steps = told.parse().ok().filter(|steps| *steps <= plan.steps);
+        let steps =
+            steps.ok_or_else(|| format!("`steps`: expected 0 to {} of the plan, found `{told}`", plan.steps))?;
         let file = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
         let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
             let view = file
@@ -184,13 +186,12 @@ impl Checkpoint {
                     view.shape()
                 ));
             }
-            Ok(view
-                .data()
-                .as_chunks::<4>()
-                .0
-                .iter()
-                .map(|bytes| f32::from_le_bytes(*bytes))
-                .collect())
+            let numbers = view.data().as_chunks::<4>().0.iter();
+            let numbers: Vec<f32> = numbers.map(|bytes| f32::from_le_bytes(*bytes)).collect();
+            match numbers.iter().all(|number| number.is_finite()) {
+                true => Ok(numbers),
+                false => Err(format!("expected finite numbers in `{name}`, found others")),
+            }
         };
         let mut values = HashMap::new();
         for spec in Layers::of(model).tensors() {
@@ -297,7 +298,7 @@ mod tests {
             1000,
             Decoys::from_numbers(&[0.0, 0.5, 1.0, 2.0, 0.4, 0.0, 0.5, 1.1, 2.0, 0.5]),
         );
-        let state = Checkpoint {
+        let mut state = Checkpoint {
             optimizer: AdamW::new(&network),
             network,
             curve: Curve::default(),
@@ -319,6 +320,21 @@ mod tests {
         let path = folder.path().join("checkpoint.safetensors");
         state.write(&path).unwrap();
         let read = Checkpoint::read(&path, &model).unwrap();
-        assert_eq!((read.supply, read.plan), (state.supply, state.plan));
+        assert_eq!((read.supply, &read.plan), (state.supply.clone(), &state.plan));
+
+        let refused = |state: &Checkpoint| {
+            state.write(&path).unwrap();
+            Checkpoint::read(&path, &model).map(|_| ()).unwrap_err().to_string()
+        };
+        state.optimizer.steps = 2001;
+        let error = refused(&state);
+        assert!(
+            error.contains("`steps`: expected 0 to 2000 of the plan, found `2001`"),
+            "{error}"
+        );
+        state.optimizer.steps = 7;
+        state.optimizer.first[0][0] = f32::NAN;
+        let error = refused(&state);
+        assert!(error.contains("expected finite numbers in `adam.first."), "{error}");
     }
 }
