@@ -132,38 +132,12 @@ const GLASS: f64 = 0.1;
 /// Share of the rays that pass a car's windows; the rest meets tint, frames and dirt.
 const SEEN_THROUGH: f64 = 0.65;
 
-fn solid(shape: Shape, rho: f64) -> Part {
-    Part { shape, rho, pass: 0.0 }
-}
-
 fn glass(shape: Shape) -> Part {
     Part {
         shape,
         rho: GLASS,
         pass: SEEN_THROUGH,
     }
-}
-
-fn block(low: [f64; 3], high: [f64; 3]) -> Shape {
-    Shape::Block { low, high }
-}
-
-/// Pairs of wheels at `axles`, flush with the sides.
-fn wheels(axles: &[f64], radius: f64, half_width: f64, tread: f64) -> Vec<Part> {
-    let sides = [(-half_width, -half_width + tread), (half_width - tread, half_width)];
-    let at = |x: f64, (low, high)| {
-        solid(
-            Shape::Wheel {
-                x,
-                z: radius,
-                radius,
-                low,
-                high,
-            },
-            TYRE,
-        )
-    };
-    axles.iter().flat_map(|x| sides.map(|side| at(*x, side))).collect()
 }
 
 fn car([length, width, height]: [f64; 3], paint: f64) -> Solid {
@@ -185,13 +159,13 @@ fn car([length, width, height]: [f64; 3], paint: f64) -> Solid {
     ];
     let roof = w - 0.17;
     let mut parts = vec![
-        solid(prism(&hull, w, w), paint),
+        Part::solid(prism(&hull, w, w), paint),
         glass(prism(&cabin, w - 0.03, roof)),
-        solid(block([-0.64 * l, -roof, 0.95 * h], [0.06 * l, roof, h]), paint),
-        solid(block([-0.52 * l, -roof, 0.4 * h], [-0.36 * l, roof, 0.8 * h]), 0.2),
-        solid(block([0.0, -roof, 0.4 * h], [0.12 * l, roof, 0.8 * h]), 0.2),
+        Part::block([-0.64 * l, -roof, 0.95 * h], [0.06 * l, roof, h], paint),
+        Part::block([-0.52 * l, -roof, 0.4 * h], [-0.36 * l, roof, 0.8 * h], 0.2),
+        Part::block([0.0, -roof, 0.4 * h], [0.12 * l, roof, 0.8 * h], 0.2),
     ];
-    parts.extend(wheels(&[-0.6 * l, 0.62 * l], 0.32, w, 0.2));
+    parts.extend(Part::wheels(&[-0.6 * l, 0.62 * l], 0.32, w, 0.2, TYRE));
     Solid::new(parts)
 }
 
@@ -206,16 +180,16 @@ fn van([length, width, height]: [f64; 3], paint: f64) -> Solid {
         [0.12 * l, 0.96 * h],
     ];
     let mut parts = vec![
-        solid(prism(&hull, w, w), paint),
-        solid(
+        Part::solid(prism(&hull, w, w), paint),
+        Part::solid(
             prism(&[[-l, belt], [0.1 * l, belt], [0.1 * l, h], [-l, h]], w, w - 0.06),
             paint,
         ),
         glass(prism(&cabin, w - 0.02, w - 0.12)),
-        solid(block([0.1 * l, -w + 0.12, 0.95 * h], [0.36 * l, w - 0.12, h]), paint),
-        solid(block([0.14 * l, -w + 0.2, 0.4 * h], [0.26 * l, w - 0.2, 0.8 * h]), 0.2),
+        Part::block([0.1 * l, -w + 0.12, 0.95 * h], [0.36 * l, w - 0.12, h], paint),
+        Part::block([0.14 * l, -w + 0.2, 0.4 * h], [0.26 * l, w - 0.2, 0.8 * h], 0.2),
     ];
-    parts.extend(wheels(&[-0.58 * l, 0.6 * l], 0.34, w, 0.22));
+    parts.extend(Part::wheels(&[-0.58 * l, 0.6 * l], 0.34, w, 0.22, TYRE));
     Solid::new(parts)
 }
 
@@ -224,20 +198,17 @@ fn truck([length, width, height]: [f64; 3], paint: f64) -> Solid {
     let cab = l - 2.0;
     let cab_top = (0.88 * h).min(2.8);
     let mut parts = vec![
-        solid(block([cab, -w, 0.45], [l, w, 1.35]), paint),
-        glass(block(
+        Part::block([cab, -w, 0.45], [l, w, 1.35], paint),
+        glass(Shape::block(
             [cab + 0.25, -w + 0.02, 1.35],
             [l - 0.05, w - 0.02, 0.8 * cab_top],
         )),
-        solid(block([cab, -w + 0.02, 1.35], [cab + 0.25, w - 0.02, cab_top]), paint),
-        solid(
-            block([cab, -w + 0.02, 0.8 * cab_top], [l - 0.1, w - 0.02, cab_top]),
-            paint,
-        ),
-        solid(block([-l, -w, 1.05], [cab - 0.35, w, h]), 0.6),
-        solid(block([-l + 0.2, -0.45, 0.6], [cab, 0.45, 1.05]), 0.15),
+        Part::block([cab, -w + 0.02, 1.35], [cab + 0.25, w - 0.02, cab_top], paint),
+        Part::block([cab, -w + 0.02, 0.8 * cab_top], [l - 0.1, w - 0.02, cab_top], paint),
+        Part::block([-l, -w, 1.05], [cab - 0.35, w, h], 0.6),
+        Part::block([-l + 0.2, -0.45, 0.6], [cab, 0.45, 1.05], 0.15),
     ];
-    parts.extend(wheels(&[-0.62 * l, l - 1.15], 0.48, w, 0.3));
+    parts.extend(Part::wheels(&[-0.62 * l, l - 1.15], 0.48, w, 0.3, TYRE));
     Solid::new(parts)
 }
 
@@ -245,27 +216,30 @@ fn bus([length, width, height]: [f64; 3], paint: f64) -> Solid {
     let (l, h, w) = (length / 2.0, height, width / 2.0);
     let (sill, lintel) = (0.38 * h, 0.76 * h);
     let mut parts = vec![
-        solid(block([-l, -w, 0.3], [l, w, sill]), paint),
-        glass(block([-l + 0.02, -w + 0.02, sill], [l - 0.02, w - 0.02, lintel])),
-        solid(block([-l, -w, lintel], [l, w, h]), paint),
+        Part::block([-l, -w, 0.3], [l, w, sill], paint),
+        glass(Shape::block([-l + 0.02, -w + 0.02, sill], [l - 0.02, w - 0.02, lintel])),
+        Part::block([-l, -w, lintel], [l, w, h], paint),
     ];
     for pillar in [-0.995, -0.6, -0.2, 0.2, 0.6, 0.97] {
-        parts.push(solid(
-            block([pillar * l, -w, sill], [pillar * l + 0.12, w, lintel]),
+        parts.push(Part::block(
+            [pillar * l, -w, sill],
+            [pillar * l + 0.12, w, lintel],
             paint,
         ));
     }
     for seat in [-0.75, -0.4, 0.05, 0.4] {
-        parts.push(solid(
-            block([seat * l, -w + 0.15, sill], [seat * l + 0.15, -0.3, sill + 0.55]),
+        parts.push(Part::block(
+            [seat * l, -w + 0.15, sill],
+            [seat * l + 0.15, -0.3, sill + 0.55],
             0.25,
         ));
-        parts.push(solid(
-            block([seat * l, 0.3, sill], [seat * l + 0.15, w - 0.15, sill + 0.55]),
+        parts.push(Part::block(
+            [seat * l, 0.3, sill],
+            [seat * l + 0.15, w - 0.15, sill + 0.55],
             0.25,
         ));
     }
-    parts.extend(wheels(&[-0.5 * l, 0.55 * l], 0.48, w, 0.3));
+    parts.extend(Part::wheels(&[-0.5 * l, 0.55 * l], 0.48, w, 0.3, TYRE));
     Solid::new(parts)
 }
 
@@ -275,7 +249,7 @@ pub(crate) fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -
     let radius: f64 = if frame > 0.05 { 0.26 } else { 0.34 };
     let tread = frame.max(0.03);
     let wheel = |x: f64| {
-        solid(
+        Part::solid(
             Shape::Wheel {
                 x,
                 z: radius,
@@ -288,7 +262,7 @@ pub(crate) fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -
     };
     let (hip, shoulder) = (0.5 * h, 0.84 * h);
     let leg = |y: f64| {
-        solid(
+        Part::solid(
             Shape::Post {
                 x: 0.0,
                 y,
@@ -304,25 +278,27 @@ pub(crate) fn rider([length, width, height]: [f64; 3], paint: f64, frame: f64) -
     Solid::new(vec![
         wheel(-l + radius),
         wheel(l - radius),
-        solid(
-            block([-l + radius, -frame, 0.3], [l - radius, frame, 0.46 * h]),
+        Part::block(
+            [-l + radius, -frame, 0.3],
+            [l - radius, frame, 0.46 * h],
             0.3 * paint + 0.05,
         ),
-        solid(block([0.42 * l, -w, bar], [0.42 * l + 0.06, w, bar + 0.06]), 0.2),
+        Part::block([0.42 * l, -w, bar], [0.42 * l + 0.06, w, bar + 0.06], 0.2),
         leg(-0.13),
         leg(0.13),
-        solid(
+        Part::solid(
             Shape::Ball {
                 center: [-0.02, 0.0, (hip + shoulder) / 2.0],
                 radii: [0.2, 0.22, 0.24 * h],
             },
             0.15 + 0.5 * paint,
         ),
-        solid(
-            block([0.0, -w + 0.08, 0.7 * h], [0.44 * l, w - 0.08, 0.7 * h + 0.1]),
+        Part::block(
+            [0.0, -w + 0.08, 0.7 * h],
+            [0.44 * l, w - 0.08, 0.7 * h + 0.1],
             0.15 + 0.5 * paint,
         ),
-        solid(
+        Part::solid(
             Shape::Ball {
                 center: [0.08, 0.0, h - 0.13],
                 radii: [0.11, 0.1, 0.13],
@@ -343,7 +319,7 @@ pub(crate) fn figure([length, width, height]: [f64; 3], cloth: f64, x: f64) -> V
     let leg = 0.045 * h;
     let arm = 0.03 * h;
     let limb = |y: f64, radius: f64, low: f64, high: f64, swing: f64| {
-        solid(
+        Part::solid(
             Shape::Post {
                 x,
                 y,
@@ -361,14 +337,14 @@ pub(crate) fn figure([length, width, height]: [f64; 3], cloth: f64, x: f64) -> V
         limb(0.3 * w, leg, 0.0, hip, -(l - leg)),
         limb(-w + arm, arm, 0.45 * h, shoulder, -(l - arm) * 0.7),
         limb(w - arm, arm, 0.45 * h, shoulder, (l - arm) * 0.7),
-        solid(
+        Part::solid(
             Shape::Ball {
                 center: [x, 0.0, 0.66 * h],
                 radii: [0.075 * h, w - 1.6 * arm, 0.21 * h],
             },
             cloth,
         ),
-        solid(
+        Part::solid(
             Shape::Ball {
                 center: [x + 0.02, 0.0, h - 0.085 * h],
                 radii: [head, 0.9 * head, 0.085 * h],

@@ -31,7 +31,7 @@ impl Look {
     }
 
     fn metal(&self, shape: Shape) -> Part {
-        solid(shape, self.paint)
+        Part::solid(shape, self.paint)
     }
 
     fn window(&self, shape: Shape) -> Part {
@@ -41,14 +41,6 @@ impl Look {
             pass: self.pass,
         }
     }
-}
-
-fn solid(shape: Shape, rho: f64) -> Part {
-    Part { shape, rho, pass: 0.0 }
-}
-
-fn block(low: [f64; 3], high: [f64; 3]) -> Shape {
-    Shape::Block { low, high }
 }
 
 /// A prism whose upright edges are cut: corners of the plan lose `cut` m along both sides.
@@ -72,26 +64,11 @@ fn rounded_block([x0, x1]: [f64; 2], half_width: f64, [z0, z1]: [f64; 2], cut: f
     rounded(&[[x0, z0], [x1, z0], [x1, z1], [x0, z1]], half_width, half_width, cut)
 }
 
-fn wheels(axles: &[f64], radius: f64, half_width: f64, tread: f64) -> Vec<Part> {
-    let sides = [(-half_width, -half_width + tread), (half_width - tread, half_width)];
-    let at = |x: f64, (low, high)| {
-        let shape = Shape::Wheel {
-            x,
-            z: radius,
-            radius,
-            low,
-            high,
-        };
-        solid(shape, TYRE)
-    };
-    axles.iter().flat_map(|x| sides.map(|side| at(*x, side))).collect()
-}
-
 /// Mirrors that reach from the body to the sides of the box.
 fn mirrors(x: f64, [from, to]: [f64; 2], [z0, z1]: [f64; 2]) -> [Part; 2] {
     [-1.0, 1.0].map(|side: f64| {
         let (a, b) = (side * from, side * to);
-        solid(block([x - 0.08, a.min(b), z0], [x + 0.08, a.max(b), z1]), 0.2)
+        Part::block([x - 0.08, a.min(b), z0], [x + 0.08, a.max(b), z1], 0.2)
     })
 }
 
@@ -172,7 +149,7 @@ fn car([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) -> So
         [-0.02 * l, h],
         [(rear + 0.3) * l, h],
     ];
-    let seat = |x: f64| solid(block([x * l, -roof, 0.4 * h], [(x + 0.13) * l, roof, 0.84 * h]), 0.2);
+    let seat = |x: f64| Part::block([x * l, -roof, 0.4 * h], [(x + 0.13) * l, roof, 0.84 * h], 0.2);
     let mut parts = vec![
         look.metal(rounded(&hull, w, w - 0.03, cut)),
         look.window(rounded(&cabin, w - 0.03, roof, 0.1)),
@@ -181,7 +158,7 @@ fn car([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) -> So
         seat(-0.05),
     ];
     parts.extend(mirrors(0.3 * l, [w - 0.05, side], [belt, belt + 0.16]));
-    parts.extend(wheels(&[-0.6 * l, 0.62 * l], 0.31, w - 0.01, 0.2));
+    parts.extend(Part::wheels(&[-0.6 * l, 0.62 * l], 0.31, w - 0.01, 0.2, TYRE));
     Solid::new(parts)
 }
 
@@ -222,14 +199,15 @@ fn van([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) -> So
         look.metal(rounded(&hull, w, w - 0.02, 0.25)),
         rear,
         look.window(rounded(&cabin, w - 0.02, upper, 0.1)),
-        look.metal(block([-0.95 * l, -upper, 0.95 * h], [0.4 * l, upper, h])),
-        solid(
-            block([0.16 * l, -upper + 0.1, 0.4 * h], [0.28 * l, upper - 0.1, 0.82 * h]),
+        look.metal(Shape::block([-0.95 * l, -upper, 0.95 * h], [0.4 * l, upper, h])),
+        Part::block(
+            [0.16 * l, -upper + 0.1, 0.4 * h],
+            [0.28 * l, upper - 0.1, 0.82 * h],
             0.2,
         ),
     ];
     parts.extend(mirrors(0.55 * l, [w - 0.05, side], [belt, belt + 0.3]));
-    parts.extend(wheels(&[-0.58 * l, 0.6 * l], 0.34, w - 0.01, 0.22));
+    parts.extend(Part::wheels(&[-0.58 * l, 0.6 * l], 0.34, w - 0.01, 0.22, TYRE));
     Solid::new(parts)
 }
 
@@ -263,10 +241,10 @@ fn truck([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) -> 
         )),
         look.metal(rounded_block([cab, cab + 0.3], w - 0.05, [1.4, cab_top], 0.05)),
         look.metal(rounded_block([cab, l - 0.15], w - 0.05, [0.8 * cab_top, cab_top], 0.25)),
-        solid(body, draws.between(0.1, 0.7)),
+        Part::solid(body, draws.between(0.1, 0.7)),
         // The tallest point, whatever the load: a spoiler or the load's bow.
-        solid(block([cab - gap - 0.1, -0.3 * w, floor], [cab - gap, 0.3 * w, h]), 0.3),
-        solid(block([-l + 0.2, -0.45, 0.6], [cab, 0.45, floor]), 0.15),
+        Part::block([cab - gap - 0.1, -0.3 * w, floor], [cab - gap, 0.3 * w, h], 0.3),
+        Part::block([-l + 0.2, -0.45, 0.6], [cab, 0.45, floor], 0.15),
     ];
     parts.extend(mirrors(l - 0.35, [w - 0.1, side], [1.6, 2.2]));
     let axles: &[f64] = if long {
@@ -275,7 +253,7 @@ fn truck([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) -> 
         &[-0.62, 0.75]
     };
     let axles: Vec<f64> = axles.iter().map(|share| share * l).collect();
-    parts.extend(wheels(&axles, 0.48, w - 0.02, 0.3));
+    parts.extend(Part::wheels(&axles, 0.48, w - 0.02, 0.3, TYRE));
     Solid::new(parts)
 }
 
@@ -290,17 +268,14 @@ fn bus([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) -> So
         look.metal(rounded_block([-l, l], w, [lintel, 0.94 * h], 0.25)),
         look.metal(rounded_block([-l + 0.3, l - 0.3], w - 0.2, [0.94 * h, h], 0.25)),
         // Seats and whoever sits on them.
-        solid(
-            block([-0.9 * l, -w + 0.3, sill], [0.8 * l, -w + 0.75, sill + 0.5]),
-            0.25,
-        ),
-        solid(block([-0.9 * l, w - 0.75, sill], [0.7 * l, w - 0.3, sill + 0.5]), 0.25),
+        Part::block([-0.9 * l, -w + 0.3, sill], [0.8 * l, -w + 0.75, sill + 0.5], 0.25),
+        Part::block([-0.9 * l, w - 0.75, sill], [0.7 * l, w - 0.3, sill + 0.5], 0.25),
     ];
     for pillar in [-0.95, -0.6, -0.2, 0.2, 0.6, 0.9] {
-        parts.push(look.metal(block([pillar * l, -w, sill], [pillar * l + 0.12, w, lintel])));
+        parts.push(look.metal(Shape::block([pillar * l, -w, sill], [pillar * l + 0.12, w, lintel])));
     }
     parts.extend(mirrors(l - 0.2, [w - 0.1, side], [0.55 * h, 0.7 * h]));
-    parts.extend(wheels(&[-0.5 * l, 0.55 * l], 0.48, w - 0.02, 0.3));
+    parts.extend(Part::wheels(&[-0.5 * l, 0.55 * l], 0.48, w - 0.02, 0.3, TYRE));
     Solid::new(parts)
 }
 
@@ -311,15 +286,15 @@ fn tricycle([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) 
     let (l, w, h) = (length / 2.0 - 0.04, width / 2.0 - 0.05, height);
     let boards = FLOOR + draws.between(0.2, 0.5);
     let cloth = 0.15 + 0.5 * draws.between(0.05, 0.8);
-    let ball = |center: [f64; 3], radii: [f64; 3]| solid(Shape::Ball { center, radii }, cloth);
+    let ball = |center: [f64; 3], radii: [f64; 3]| Part::solid(Shape::Ball { center, radii }, cloth);
     let mut parts = vec![
         look.metal(rounded_block([-l, -0.05 * l], w, [FLOOR - 0.06, boards], 0.03)),
-        look.metal(block([-0.1 * l, -0.16, 0.3], [0.75 * l, 0.16, FLOOR])),
+        look.metal(Shape::block([-0.1 * l, -0.16, 0.3], [0.75 * l, 0.16, FLOOR])),
         // Seat, steering column with its shield, handlebar.
-        solid(block([-0.02 * l, -0.24, FLOOR], [0.28 * l, 0.24, 0.45 * h]), 0.1),
-        look.metal(block([0.66 * l, -0.28, 0.35], [0.72 * l, 0.28, 0.58 * h])),
-        solid(block([0.58 * l, -0.4, 0.6 * h], [0.62 * l, 0.4, 0.64 * h]), 0.2),
-        solid(
+        Part::block([-0.02 * l, -0.24, FLOOR], [0.28 * l, 0.24, 0.45 * h], 0.1),
+        look.metal(Shape::block([0.66 * l, -0.28, 0.35], [0.72 * l, 0.28, 0.58 * h])),
+        Part::block([0.58 * l, -0.4, 0.6 * h], [0.62 * l, 0.4, 0.64 * h], 0.2),
+        Part::solid(
             Shape::Wheel {
                 x: l - WHEEL,
                 z: WHEEL,
@@ -330,17 +305,17 @@ fn tricycle([length, width, height]: [f64; 3], look: &Look, draws: &mut Stream) 
             TYRE,
         ),
         // The rider: thighs, trunk, arms, head.
-        solid(block([0.12 * l, -0.2, 0.42 * h], [0.46 * l, 0.2, 0.52 * h]), cloth),
+        Part::block([0.12 * l, -0.2, 0.42 * h], [0.46 * l, 0.2, 0.52 * h], cloth),
         ball([0.14 * l, 0.0, 0.66 * h], [0.2, 0.23, 0.2 * h]),
-        solid(block([0.14 * l, -0.3, 0.64 * h], [0.58 * l, 0.3, 0.7 * h]), cloth),
+        Part::block([0.14 * l, -0.3, 0.64 * h], [0.58 * l, 0.3, 0.7 * h], cloth),
         ball([0.18 * l, 0.0, h - 0.13], [0.11, 0.1, 0.13]),
     ];
     if draws.chance(0.6) {
         let top = (boards + draws.between(0.05, 0.6)).min(0.95 * h);
         let load = rounded_block([-0.92 * l, -0.12 * l], 0.9 * w, [boards - 0.1, top], 0.1);
-        parts.push(solid(load, draws.between(0.1, 0.6)));
+        parts.push(Part::solid(load, draws.between(0.1, 0.6)));
     }
-    parts.extend(wheels(&[-0.55 * l], WHEEL, w, 0.12));
+    parts.extend(Part::wheels(&[-0.55 * l], WHEEL, w, 0.12, TYRE));
     Solid::new(parts)
 }
 
@@ -353,18 +328,18 @@ fn pram([length, width, height]: [f64; 3], look: &Look) -> Solid {
     let middle = front - 0.42;
     let mut parts = figure([DEPTH, 0.9 * width, height], 0.15 + 0.5 * look.paint, behind);
     parts.extend([
-        look.metal(block([middle - 0.36, -0.8 * w, 0.5], [middle + 0.36, 0.8 * w, 0.78])),
+        look.metal(Shape::block(
+            [middle - 0.36, -0.8 * w, 0.5],
+            [middle + 0.36, 0.8 * w, 0.78],
+        )),
         look.metal(Shape::Ball {
             center: [middle - 0.14, 0.0, 0.78],
             radii: [0.26, 0.8 * w, 0.28],
         }),
-        solid(block([middle - 0.3, -0.7 * w, 0.2], [middle + 0.3, 0.7 * w, 0.26]), 0.2),
-        solid(
-            block([behind + 0.12, -0.7 * w, 0.95], [middle - 0.3, 0.7 * w, 0.99]),
-            0.2,
-        ),
+        Part::block([middle - 0.3, -0.7 * w, 0.2], [middle + 0.3, 0.7 * w, 0.26], 0.2),
+        Part::block([behind + 0.12, -0.7 * w, 0.95], [middle - 0.3, 0.7 * w, 0.99], 0.2),
     ]);
-    parts.extend(wheels(&[middle - 0.28, middle + 0.28], WHEEL, w, 0.05));
+    parts.extend(Part::wheels(&[middle - 0.28, middle + 0.28], WHEEL, w, 0.05, TYRE));
     Solid::new(parts)
 }
 

@@ -22,6 +22,46 @@ pub(crate) struct Part {
     pub pass: f64,
 }
 
+impl Part {
+    /// A piece from which every ray that meets it returns.
+    pub fn solid(shape: Shape, rho: f64) -> Part {
+        Part { shape, rho, pass: 0.0 }
+    }
+
+    pub fn block(low: [f64; 3], high: [f64; 3], rho: f64) -> Part {
+        Part::solid(Shape::block(low, high), rho)
+    }
+
+    /// An upright round post.
+    pub fn post([x, y]: [f64; 2], radius: f64, [low, high]: [f64; 2], rho: f64) -> Part {
+        let shape = Shape::Post {
+            x,
+            y,
+            radius,
+            low,
+            high,
+            swing: 0.0,
+        };
+        Part::solid(shape, rho)
+    }
+
+    /// Pairs of wheels at `axles`, flush with the sides; `tread` is their width, m.
+    pub fn wheels(axles: &[f64], radius: f64, half_width: f64, tread: f64, rho: f64) -> Vec<Part> {
+        let sides = [[-half_width, -half_width + tread], [half_width - tread, half_width]];
+        let wheel = |x: f64, [low, high]: [f64; 2]| {
+            let shape = Shape::Wheel {
+                x,
+                z: radius,
+                radius,
+                low,
+                high,
+            };
+            Part::solid(shape, rho)
+        };
+        axles.iter().flat_map(|x| sides.map(|side| wheel(*x, side))).collect()
+    }
+}
+
 #[derive(Clone, Debug)]
 pub(crate) enum Shape {
     Block {
@@ -217,6 +257,10 @@ fn slab(low: &[f64; 3], high: &[f64; 3], origin: &[f64; 3], inverse: &[f64; 3]) 
 }
 
 impl Shape {
+    pub fn block(low: [f64; 3], high: [f64; 3]) -> Shape {
+        Shape::Block { low, high }
+    }
+
     /// The corners of the box around the shape.
     fn bounds(&self) -> ([f64; 3], [f64; 3]) {
         match self {

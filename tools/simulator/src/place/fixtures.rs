@@ -1,5 +1,6 @@
 //! Buildings, trees, poles and signs along the roads.
 
+use super::things::{street_sign, street_tree};
 use super::{Fixture, Grid, PAVEMENT, REACH, Roads, Terrain};
 use crate::path::Pose2;
 use crate::random::Stream;
@@ -103,7 +104,7 @@ impl Site<'_> {
                 Shape::Facade { low, high }
             };
             let across = verge.side * (line + setback + thick / 2.0);
-            self.add(verge.arm, middle, across, turn, vec![Part { shape, rho, pass: 0.0 }]);
+            self.add(verge.arm, middle, across, turn, vec![Part::solid(shape, rho)]);
             if garden {
                 for share in [0.2, 0.5, 0.8] {
                     let deep = verge.side * (line + draws.between(3.0, 10.0));
@@ -123,79 +124,27 @@ impl Site<'_> {
             match draws.unit() {
                 u if u < 0.45 => self.tree(verge.arm, along, across, draws),
                 u if u < 0.8 => {
-                    let lamp = post(0.09, 0.0, draws.between(6.5, 8.5), 0.4);
+                    let lamp = Part::post([0.0, 0.0], 0.09, [0.0, draws.between(6.5, 8.5)], 0.4);
                     self.add(verge.arm, along, across, 0.0, vec![lamp]);
                 }
-                _ => self.sign(verge.arm, along, across, draws),
+                _ => self.add(verge.arm, along, across, 0.0, street_sign(draws)),
             }
             along += draws.between(8.0, 15.0);
         }
     }
 
     fn tree(&mut self, arm: usize, along: f64, across: f64, draws: &mut Stream) {
-        let radius = draws.between(1.3, 2.3);
-        let foot = draws.between(3.7, 4.3);
-        let up = draws.between(1.2, 2.2);
-        let crown = Shape::Crown {
-            center: [0.0, 0.0, foot + up],
-            radii: [radius, radius, up],
-            depth: 0.9,
-        };
-        let trunk = post(draws.between(0.1, 0.24), 0.0, foot + 0.5, 0.25);
-        self.add(
-            arm,
-            along,
-            across,
-            0.0,
-            vec![
-                trunk,
-                Part {
-                    shape: crown,
-                    rho: 0.45,
-                    pass: 0.0,
-                },
-            ],
-        );
-    }
-
-    fn sign(&mut self, arm: usize, along: f64, across: f64, draws: &mut Stream) {
-        let half = draws.between(0.25, 0.4);
-        let low = [-0.02, -half, 2.2];
-        let plate = Shape::Block {
-            low,
-            high: [0.02, half, 2.2 + 2.0 * half],
-        };
-        self.add(
-            arm,
-            along,
-            across,
-            0.0,
-            vec![
-                post(0.04, 0.0, 2.3, 0.4),
-                Part {
-                    shape: plate,
-                    rho: 2.5,
-                    pass: 0.0,
-                },
-            ],
-        );
+        let tree = street_tree([1.3, 2.3], [3.7, 4.3], [1.2, 2.2], draws);
+        self.add(arm, along, across, 0.0, tree);
     }
 
     /// The signal post beside an arm's stop line, and the one over the crossing's other end.
     fn signals(&mut self, arm: usize) {
         let axis = arm % 2;
-        let head = Shape::Block {
-            low: [-0.15, -0.18, 2.4],
-            high: [0.15, 0.18, 3.3],
-        };
         for side in [-1.0, 1.0] {
             let parts = vec![
-                post(0.07, 0.0, 3.4, 0.4),
-                Part {
-                    shape: head.clone(),
-                    rho: 0.1,
-                    pass: 0.0,
-                },
+                Part::post([0.0, 0.0], 0.07, [0.0, 3.4], 0.4),
+                Part::block([-0.15, -0.18, 2.4], [0.15, 0.18, 3.3], 0.1),
             ];
             let along = self.roads.stop(axis) + 0.4;
             self.add(arm, along, side * (self.roads.half[axis] + 0.6), 0.0, parts);
@@ -210,31 +159,6 @@ impl Site<'_> {
             high: [6.0, half, height],
         };
         let along = REACH + draws.between(32.0, 45.0);
-        self.add(
-            arm,
-            along,
-            0.0,
-            0.0,
-            vec![Part {
-                shape: facade,
-                rho: draws.between(0.2, 0.5),
-                pass: 0.0,
-            }],
-        );
-    }
-}
-
-fn post(radius: f64, low: f64, high: f64, rho: f64) -> Part {
-    Part {
-        shape: Shape::Post {
-            x: 0.0,
-            y: 0.0,
-            radius,
-            low,
-            high,
-            swing: 0.0,
-        },
-        rho,
-        pass: 0.0,
+        self.add(arm, along, 0.0, 0.0, vec![Part::solid(facade, draws.between(0.2, 0.5))]);
     }
 }

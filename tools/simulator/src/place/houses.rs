@@ -2,6 +2,7 @@
 
 use super::network::{Control, Network};
 use super::terrain::Terrain;
+use super::things::{street_sign, street_tree};
 use super::verge::{Verge, VergeKind};
 use super::{Fixture, SIDES};
 use crate::path::Pose2;
@@ -114,7 +115,7 @@ impl Site<'_> {
                 high: [0.5 * front, 0.5 * depth, height],
             };
             self.built.push((pose, [front, depth]));
-            self.add(pose, vec![Part { shape, rho, pass: 0.0 }]);
+            self.add(pose, vec![Part::solid(shape, rho)]);
         }
     }
 
@@ -162,48 +163,16 @@ impl Site<'_> {
                 if kind < trees && self.network.watched(pose.x, pose.y) < super::clutter::TREELESS {
                     // A roadside unit looks over here.
                 } else if kind < trees {
-                    self.tree(pose, draws);
+                    self.add(pose, street_tree([1.3, 2.6], [3.6, 4.6], [1.2, 2.6], draws));
                 } else if kind < lamps {
-                    let lamp = post(0.09, draws.between(5.5, 8.5), 0.4);
+                    let lamp = Part::post([0.0, 0.0], 0.09, [0.0, draws.between(5.5, 8.5)], 0.4);
                     self.add(pose, vec![lamp]);
                 } else {
-                    self.sign(pose, draws);
+                    self.add(pose, street_sign(draws));
                 }
             }
             along += draws.between(apart[0], apart[1]);
         }
-    }
-
-    fn tree(&mut self, pose: Pose2, draws: &mut Stream) {
-        let radius = draws.between(1.3, 2.6);
-        let foot = draws.between(3.6, 4.6);
-        let up = draws.between(1.2, 2.6);
-        let crown = Shape::Crown {
-            center: [0.0, 0.0, foot + up],
-            radii: [radius, radius, up],
-            depth: 0.9,
-        };
-        let trunk = post(draws.between(0.1, 0.24), foot + 0.5, 0.25);
-        let crown = Part {
-            shape: crown,
-            rho: 0.45,
-            pass: 0.0,
-        };
-        self.add(pose, vec![trunk, crown]);
-    }
-
-    fn sign(&mut self, pose: Pose2, draws: &mut Stream) {
-        let half = draws.between(0.25, 0.4);
-        let plate = Shape::Block {
-            low: [-0.02, -half, 2.2],
-            high: [0.02, half, 2.2 + 2.0 * half],
-        };
-        let plate = Part {
-            shape: plate,
-            rho: 2.5,
-            pass: 0.0,
-        };
-        self.add(pose, vec![post(0.04, 2.3, 0.4), plate]);
     }
 
     /// Posts beside the arms of nodes: signals where there are some, else signs.
@@ -221,33 +190,11 @@ impl Site<'_> {
                     if off < 0.3 || !signals && side < 0.0 || !network.kerbs {
                         continue;
                     }
-                    let head = Shape::Block {
-                        low: [-0.12, -0.18, 2.4],
-                        high: [0.12, 0.18, top - 0.1],
-                    };
-                    let head = Part {
-                        shape: head,
-                        rho: if signals { 0.1 } else { 2.5 },
-                        pass: 0.0,
-                    };
-                    self.add(pose, vec![post(radius, top, 0.4), head]);
+                    let rho = if signals { 0.1 } else { 2.5 };
+                    let head = Part::block([-0.12, -0.18, 2.4], [0.12, 0.18, top - 0.1], rho);
+                    self.add(pose, vec![Part::post([0.0, 0.0], radius, [0.0, top], 0.4), head]);
                 }
             }
         }
-    }
-}
-
-fn post(radius: f64, high: f64, rho: f64) -> Part {
-    Part {
-        shape: Shape::Post {
-            x: 0.0,
-            y: 0.0,
-            radius,
-            low: 0.0,
-            high,
-            swing: 0.0,
-        },
-        rho,
-        pass: 0.0,
     }
 }

@@ -9,14 +9,6 @@ const CONCRETE: f64 = 0.35;
 const METAL: f64 = 0.4;
 const SHEET: f64 = 2.5;
 
-pub(super) fn solid(shape: Shape, rho: f64) -> Part {
-    Part { shape, rho, pass: 0.0 }
-}
-
-fn block(low: [f64; 3], high: [f64; 3], rho: f64) -> Part {
-    solid(Shape::Block { low, high }, rho)
-}
-
 /// A block of which a share of the rays meets nothing.
 fn sieve(low: [f64; 3], high: [f64; 3], rho: f64, pass: f64) -> Part {
     Part {
@@ -24,18 +16,6 @@ fn sieve(low: [f64; 3], high: [f64; 3], rho: f64, pass: f64) -> Part {
         rho,
         pass,
     }
-}
-
-fn pole(x: f64, y: f64, radius: f64, [low, high]: [f64; 2], rho: f64) -> Part {
-    let shape = Shape::Post {
-        x,
-        y,
-        radius,
-        low,
-        high,
-        swing: 0.0,
-    };
-    solid(shape, rho)
 }
 
 /// How deep a ray gets into wood and stone, m.
@@ -145,15 +125,15 @@ pub(super) fn grass(length: f64, width: f64, height: f64, draws: &mut Stream) ->
 
 pub(super) fn wall(length: f64, width: f64, height: f64) -> Vec<Part> {
     let (l, w) = (length / 2.0, width / 2.0);
-    vec![block([-l, -w, 0.0], [l, w, height], CONCRETE)]
+    vec![Part::block([-l, -w, 0.0], [l, w, height], CONCRETE)]
 }
 
 /// A guard rail: a beam on posts.
 pub(super) fn rail(length: f64) -> Vec<Part> {
     let l = length / 2.0;
-    let mut parts = vec![block([-l, -0.04, 0.43], [l, 0.04, 0.75], METAL)];
+    let mut parts = vec![Part::block([-l, -0.04, 0.43], [l, 0.04, 0.75], METAL)];
     for x in [-0.5 * l, 0.5 * l] {
-        parts.push(block([x - 0.05, 0.05, 0.0], [x + 0.05, 0.15, 0.7], METAL));
+        parts.push(Part::block([x - 0.05, 0.05, 0.0], [x + 0.05, 0.15, 0.7], METAL));
     }
     parts
 }
@@ -163,16 +143,35 @@ pub(super) fn fence(length: f64, height: f64, pass: f64) -> Vec<Part> {
     let l = length / 2.0;
     vec![
         sieve([-l, -0.02, 0.05], [l, 0.02, height], METAL, pass),
-        block([-l, -0.03, height - 0.05], [l, 0.03, height], METAL),
-        pole(-l, 0.0, 0.04, [0.0, height], METAL),
-        pole(0.0, 0.0, 0.04, [0.0, height], METAL),
+        Part::block([-l, -0.03, height - 0.05], [l, 0.03, height], METAL),
+        Part::post([-l, 0.0], 0.04, [0.0, height], METAL),
+        Part::post([0.0, 0.0], 0.04, [0.0, height], METAL),
     ]
 }
 
+/// A tree beside a street: its crown, a body that rays do not enter far, on a trunk; ranges of the crown's radius, of its foot's
+/// height and of half its height, m.
+pub(super) fn street_tree(radius: [f64; 2], foot: [f64; 2], up: [f64; 2], draws: &mut Stream) -> Vec<Part> {
+    let [radius, foot, up] = [radius, foot, up].map(|[least, most]| draws.between(least, most));
+    let crown = Shape::Crown {
+        center: [0.0, 0.0, foot + up],
+        radii: [radius, radius, up],
+        depth: 0.9,
+    };
+    let trunk = Part::post([0.0, 0.0], draws.between(0.1, 0.24), [0.0, foot + 0.5], 0.25);
+    vec![trunk, Part::solid(crown, 0.45)]
+}
+
+/// A square plate on a post that faces those who come.
+pub(super) fn street_sign(draws: &mut Stream) -> Vec<Part> {
+    let half = draws.between(0.25, 0.4);
+    let plate = Part::block([-0.02, -half, 2.2], [0.02, half, 2.2 + 2.0 * half], SHEET);
+    vec![Part::post([0.0, 0.0], 0.04, [0.0, 2.3], METAL), plate]
+}
+
 pub(super) fn bollard(draws: &mut Stream) -> Vec<Part> {
-    vec![pole(
-        0.0,
-        0.0,
+    vec![Part::post(
+        [0.0, 0.0],
         draws.between(0.05, 0.15),
         [0.0, draws.between(0.6, 1.1)],
         0.4,
@@ -182,8 +181,8 @@ pub(super) fn bollard(draws: &mut Stream) -> Vec<Part> {
 pub(super) fn lamp(draws: &mut Stream) -> Vec<Part> {
     let height = draws.between(6.0, 10.0);
     vec![
-        pole(0.0, 0.0, draws.between(0.06, 0.11), [0.0, height], METAL),
-        block([-0.1, -1.8, height - 0.15], [0.1, 0.0, height], METAL),
+        Part::post([0.0, 0.0], draws.between(0.06, 0.11), [0.0, height], METAL),
+        Part::block([-0.1, -1.8, height - 0.15], [0.1, 0.0, height], METAL),
     ]
 }
 
@@ -192,8 +191,8 @@ pub(super) fn sign(draws: &mut Stream) -> Vec<Part> {
     let half = draws.between(0.25, 0.5);
     let low = draws.between(1.6, 2.4);
     vec![
-        pole(0.0, 0.0, 0.04, [0.0, low + half], METAL),
-        block([-0.02, -half, low], [0.02, half, low + 2.0 * half], SHEET),
+        Part::post([0.0, 0.0], 0.04, [0.0, low + half], METAL),
+        Part::block([-0.02, -half, low], [0.02, half, low + 2.0 * half], SHEET),
     ]
 }
 
@@ -203,7 +202,7 @@ pub(super) fn bin(draws: &mut Stream) -> Vec<Part> {
         draws.between(0.25, 0.4),
         draws.between(0.8, 1.3),
     );
-    vec![block([-l, -w, 0.08], [l, w, h], draws.between(0.1, 0.5))]
+    vec![Part::block([-l, -w, 0.08], [l, w, h], draws.between(0.1, 0.5))]
 }
 
 /// A box of a utility: electricity, signals, post.
@@ -213,7 +212,7 @@ pub(super) fn cabinet(draws: &mut Stream) -> Vec<Part> {
         draws.between(0.2, 0.45),
         draws.between(0.9, 1.7),
     );
-    vec![block([-l, -w, 0.0], [l, w, h], 0.4)]
+    vec![Part::block([-l, -w, 0.0], [l, w, h], 0.4)]
 }
 
 /// Bicycles side by side, square to the road.
@@ -225,7 +224,7 @@ pub(super) fn bicycles(count: usize, draws: &mut Stream) -> Vec<Part> {
         parts.push(frame([x - 0.03, -0.85, 0.02], [x + 0.03, -0.2, 0.68], 0.75));
         parts.push(frame([x - 0.03, 0.2, 0.02], [x + 0.03, 0.85, 0.68], 0.75));
         parts.push(frame([x - 0.04, -0.4, 0.35], [x + 0.04, 0.45, 0.85], 0.55));
-        parts.push(block([x - 0.25, 0.4, 0.95], [x + 0.25, 0.48, 1.02], 0.2));
+        parts.push(Part::block([x - 0.25, 0.4, 0.95], [x + 0.25, 0.48, 1.02], 0.2));
     }
     parts
 }
@@ -237,22 +236,22 @@ pub(super) fn shelter(draws: &mut Stream) -> Vec<Part> {
     vec![
         glass([-l, 0.7, 0.3], [l, 0.74, h]),
         glass([-l, -0.5, 0.3], [-l + 0.04, 0.7, 2.0]),
-        block([l - 0.15, -0.4, 0.2], [l, 0.7, 2.1], 0.4),
-        block([-l - 0.1, -0.8, h], [l + 0.1, 0.8, h + 0.12], 0.3),
-        block([-0.7 * l, 0.25, 0.4], [0.4 * l, 0.6, 0.46], 0.3),
-        pole(-l, 0.7, 0.05, [0.0, h], METAL),
-        pole(l, 0.7, 0.05, [0.0, h], METAL),
-        pole(0.0, 0.7, 0.05, [0.0, h], METAL),
+        Part::block([l - 0.15, -0.4, 0.2], [l, 0.7, 2.1], 0.4),
+        Part::block([-l - 0.1, -0.8, h], [l + 0.1, 0.8, h + 0.12], 0.3),
+        Part::block([-0.7 * l, 0.25, 0.4], [0.4 * l, 0.6, 0.46], 0.3),
+        Part::post([-l, 0.7], 0.05, [0.0, h], METAL),
+        Part::post([l, 0.7], 0.05, [0.0, h], METAL),
+        Part::post([0.0, 0.7], 0.05, [0.0, h], METAL),
     ]
 }
 
 /// A construction cone: rings that narrow upwards, of which one reflects.
 pub(super) fn cone() -> Vec<Part> {
     vec![
-        block([-0.2, -0.2, 0.0], [0.2, 0.2, 0.04], 0.1),
-        pole(0.0, 0.0, 0.13, [0.04, 0.3], 0.35),
-        pole(0.0, 0.0, 0.09, [0.3, 0.5], SHEET),
-        pole(0.0, 0.0, 0.05, [0.5, 0.75], 0.35),
+        Part::block([-0.2, -0.2, 0.0], [0.2, 0.2, 0.04], 0.1),
+        Part::post([0.0, 0.0], 0.13, [0.04, 0.3], 0.35),
+        Part::post([0.0, 0.0], 0.09, [0.3, 0.5], SHEET),
+        Part::post([0.0, 0.0], 0.05, [0.5, 0.75], 0.35),
     ]
 }
 
@@ -260,15 +259,15 @@ pub(super) fn cone() -> Vec<Part> {
 pub(super) fn barrier(draws: &mut Stream) -> Vec<Part> {
     if draws.chance(0.5) {
         return vec![
-            block([-0.95, -0.25, 0.0], [0.95, 0.25, 0.35], 0.5),
-            block([-0.95, -0.12, 0.35], [0.95, 0.12, 0.85], 0.5),
+            Part::block([-0.95, -0.25, 0.0], [0.95, 0.25, 0.35], 0.5),
+            Part::block([-0.95, -0.12, 0.35], [0.95, 0.12, 0.85], 0.5),
         ];
     }
     vec![
-        block([-1.0, -0.02, 0.8], [1.0, 0.02, 1.0], SHEET),
-        block([-1.0, -0.02, 0.35], [1.0, 0.02, 0.5], 0.5),
-        block([-0.95, -0.3, 0.0], [-0.85, 0.3, 0.1], 0.1),
-        block([0.85, -0.3, 0.0], [0.95, 0.3, 0.1], 0.1),
+        Part::block([-1.0, -0.02, 0.8], [1.0, 0.02, 1.0], SHEET),
+        Part::block([-1.0, -0.02, 0.35], [1.0, 0.02, 0.5], 0.5),
+        Part::block([-0.95, -0.3, 0.0], [-0.85, 0.3, 0.1], 0.1),
+        Part::block([0.85, -0.3, 0.0], [0.95, 0.3, 0.1], 0.1),
     ]
 }
 
