@@ -447,21 +447,23 @@ fn compose((r1, t1): &Parts, (r2, t2): &Parts) -> Parts {
     (r1 * r2, r1 * t2 + t1)
 }
 
-/// How far from the identity the product of a rotation and its transpose may be; the files' are orthonormal to 2e-7.
+/// How far from the identity the product of a LiDAR's rotation and its transpose may be; the files' are orthonormal to 2e-7.
 const ORTHONORMAL: f64 = 0.01;
+/// The same of a camera's: the rotations to roadside cameras are skewed, with a determinant of 0.81.
+const SKEWED: f64 = 0.5;
 /// No place lies farther from the origin of the world, m: twice around the Earth.
 const WORLD: f64 = 8e7;
 /// No LiDAR is mounted at a greater tilt, degrees.
 const MOST_TILT: f64 = 45.0;
 
-/// A calibration from a file.
-fn calibration(path: &Path, transform: &Transform) -> Result<Parts, ImportError> {
+/// A calibration from a file, whose rotation is one but for so much.
+fn calibration(path: &Path, transform: &Transform, skew: f64) -> Result<Parts, ImportError> {
     let (rotation, translation) = transform.parts();
     let off = (rotation * rotation.transpose() - Matrix3::identity()).abs().max();
     // A NaN is not near either.
-    if !(off <= ORTHONORMAL && rotation.determinant() > 0.0) {
+    if !(off <= skew && rotation.determinant() > 0.0) {
         let reason = format!(
-            "rotation: expected an orthonormal matrix with determinant 1, found {:?} with determinant {:.3}",
+            "rotation: expected an orthonormal matrix (within {skew}) with a positive determinant, found {:?} with determinant {:.3}",
             transform.rotation,
             rotation.determinant()
         );
@@ -497,15 +499,19 @@ fn isometry((rotation, translation): &Parts) -> Isometry3<f64> {
 /// Map from the vehicle's LiDAR.
 fn vehicle_pose(side: &Path, frame: &Frame) -> Result<Isometry3<f64>, ImportError> {
     let [mounting, place] = [0, 1].map(|index| side.join(&frame.calibrations[index]));
-    let novatel_from_lidar = calibration(&mounting, &read_json::<LidarToNovatel>(&mounting)?.transform)?;
-    let world_from_novatel = calibration(&place, &read_json(&place)?)?;
+    let novatel_from_lidar = calibration(
+        &mounting,
+        &read_json::<LidarToNovatel>(&mounting)?.transform,
+        ORTHONORMAL,
+    )?;
+    let world_from_novatel = calibration(&place, &read_json(&place)?, ORTHONORMAL)?;
     pose_of_lidar(&place, &compose(&world_from_novatel, &novatel_from_lidar))
 }
 
 /// Map from the roadside unit's LiDAR, the offset added in the world.
 fn roadside_pose(side: &Path, frame: &Frame, [dx, dy]: [f64; 2]) -> Result<Isometry3<f64>, ImportError> {
     let path = side.join(&frame.calibrations[0]);
-    let mut map_from_lidar = pose_of_lidar(&path, &calibration(&path, &read_json(&path)?)?)?;
+    let mut map_from_lidar = pose_of_lidar(&path, &calibration(&path, &read_json(&path)?, ORTHONORMAL)?)?;
     map_from_lidar.translation.vector += Vector3::new(dx, dy, 0.0);
     Ok(map_from_lidar)
 }
@@ -517,7 +523,7 @@ fn view(side: &Path, frame: &Frame, to_from_lidar: &Isometry3<f64>) -> Result<Op
         return Ok(None);
     };
     let path = side.join(extrinsic);
-    let camera_from_lidar = isometry(&calibration(&path, &read_json(&path)?)?);
+    let camera_from_lidar = isometry(&calibration(&path, &read_json(&path)?, SKEWED)?);
     let path = side.join(intrinsic);
     let Intrinsic { k, width, height } = read_json(&path)?;
     let view = View {
