@@ -800,7 +800,7 @@ mod tests {
             (|m| m.classes.clear(), "classes (how many): expected 1 to 64, found 0"),
             (
                 |m| m.classes[1].name = "truck".into(),
-                "classes[1].name: expected one that no other class has, found `truck` again",
+                "classes[2].name: expected one that no other class has, found `truck` again",
             ),
             (
                 |m| m.classes[0].width = f64::NAN,
