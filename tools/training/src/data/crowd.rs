@@ -2,11 +2,9 @@
 //! trees, among more points than simulated ones, and what learned from these alone takes them for background; those that a
 //! roadside unit recorded across a wide junction stand among fewer.
 
-use std::collections::HashMap;
-
 use realo_nn::targets::Object;
 
-use super::cells::Cells;
+use super::cells::{CellMap, Cells};
 use super::outline::{Outline, Outlines};
 use super::sample::Scene;
 use crate::random::Stream;
@@ -114,13 +112,13 @@ fn is_far(object: &Object) -> bool {
 /// The lowest point of each cell, which tells the ground.
 struct Lowest {
     cells: Cells,
-    lowest: HashMap<[i32; 2], f32>,
+    lowest: CellMap<f32>,
 }
 
 impl Lowest {
     fn of(scene: &Scene) -> Self {
         let cells = Cells::new(CELL);
-        let mut lowest: HashMap<[i32; 2], f32> = HashMap::new();
+        let mut lowest: CellMap<f32> = CellMap::default();
         for [x, y, z] in scene.iter() {
             let least = lowest.entry(cells.cell([x, y])).or_insert(z);
             *least = least.min(z);
@@ -154,8 +152,11 @@ impl Background {
         let (mut points, mut by_distance) = (Vec::new(), Vec::new());
         for [x, y, z] in scene.iter() {
             let distance = x.hypot(y);
+            if distance < FAR - ALIKE {
+                continue;
+            }
             let up = z - lowest.at([x, y]);
-            if distance < FAR - ALIKE || !HEIGHTS.contains(&up) || outlines.at([x, y, z]).is_some() {
+            if !HEIGHTS.contains(&up) || outlines.at([x, y, z]).is_some() {
                 continue;
             }
             let number = points.len() as u32;

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use realo_nn::weights::BATCH_NORM_EPS;
 
-use super::bias::sums;
+use super::bias::{let_through, sums};
 use super::map::{MapShape, buffer, numbers, tensor, with_numbers};
 
 /// Mean and variance of each channel.
@@ -204,7 +204,7 @@ fn gradients(
             let (plain, weighted) = (&mut plain[..c], &mut weighted[..c]);
             let (x, out, grad, mean) = (&x[..c], &out[..c], &grad[..c], &mean[..c]);
             for i in 0..c {
-                let g = if out[i] > 0.0 { grad[i] } else { 0.0 };
+                let g = let_through(out[i], grad[i]);
                 plain[i] += g;
                 weighted[i] += g * (x[i] - mean[i]);
             }
@@ -235,7 +235,7 @@ fn gradients(
             let (x, out, grad) = (&x[..c], &out[..c], &grad[..c]);
             let (scale, slope, offset) = (&scale[..c], &slope[..c], &offset[..c]);
             for i in 0..c {
-                let g = if out[i] > 0.0 { grad[i] } else { 0.0 };
+                let g = let_through(out[i], grad[i]);
                 dx[i] = scale[i] * g + slope[i] * x[i] + offset[i];
             }
         }
