@@ -812,7 +812,7 @@ mod tests {
             ),
             (|m| m.score_threshold = f32::NAN, "score_threshold"),
             (|m| m.grid.cell = 0.3, "grid.x: expected a whole number of cells"),
-            (|m| m.grid.cell = 1e-300, "cells of"),
+            (|m| m.grid.cell = 1e-300, "grid.x: expected at most "),
             (|m| m.grid.x = [5.0, -5.0], "grid.x: expected a range"),
             (|m| m.pillars.points = 0, "pillars.points: expected 1 to 65536, found 0"),
             (

@@ -392,8 +392,8 @@ fn not_a_label(path: &Path, index: usize, found: &Box3) -> ImportError {
         ..
     } = found;
     let reason = format!(
-        "label {index} (`{class}`): expected a box within {LABELLED} m of its agent and at most {LONGEST} m long, found centre {center:?} there, \
-         extents {:?} m and heading {yaw}",
+        "label {index} (`{class}`): expected a box within {LABELLED} m of its agent, at most {LONGEST} m long, with a heading within \
+         ±{MOST_TURN}, found centre {center:?} there, extents {:?} m and heading {yaw}",
         [length, width, height]
     );
     ImportError::content(path, reason)

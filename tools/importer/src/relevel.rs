@@ -62,9 +62,11 @@ pub fn relevel(from: &Path, to: &Path, level: Level) -> Result<BTreeMap<String, 
         .map(|(agent, leveller)| {
             let told = leveller.told(level);
             // What was level by an earlier making stays so in words too.
-            let before = before
-                .remove(&**agent)
-                .filter(|_| told.degrees[1] <= LEVEL && level != Level::Ground);
+            let before = before.remove(&**agent).filter(|before| match level {
+                Level::None => true,
+                Level::Pose => before.by != Levelled::BY_NOTHING && told.degrees[1] <= LEVEL,
+                Level::Ground => false,
+            });
             (agent.to_string(), before.unwrap_or(told))
         })
         .collect();

@@ -147,11 +147,9 @@ pub(crate) fn option(field: &'static str, expected: &'static str, found: impl st
     }
 }
 
-/// A batch of more samples fits no memory.
-const MOST_SAMPLES: usize = 256;
-
 fn check(options: &TrainOptions) -> Result<(), TrainError> {
-    if !(1..=MOST_SAMPLES).contains(&options.batch) {
+    // A batch of more samples fits no memory.
+    if !(1..=256).contains(&options.batch) {
         return Err(option("batch", "1 to 256", options.batch));
     }
     if options.steps == 0 {

@@ -162,11 +162,17 @@ pub(super) fn street_tree(radius: [f64; 2], foot: [f64; 2], up: [f64; 2], draws:
     vec![trunk, Part::solid(crown, 0.45)]
 }
 
-/// A square plate on a post that faces those who come.
+/// A square plate, whose lower edge is at `low`, on a post that is `high`, m.
+fn plate(half: f64, low: f64, high: f64) -> Vec<Part> {
+    vec![
+        Part::post([0.0, 0.0], 0.04, [0.0, high], METAL),
+        Part::block([-0.02, -half, low], [0.02, half, low + 2.0 * half], SHEET),
+    ]
+}
+
+/// A plate on a post that faces those who come.
 pub(super) fn street_sign(draws: &mut Stream) -> Vec<Part> {
-    let half = draws.between(0.25, 0.4);
-    let plate = Part::block([-0.02, -half, 2.2], [0.02, half, 2.2 + 2.0 * half], SHEET);
-    vec![Part::post([0.0, 0.0], 0.04, [0.0, 2.3], METAL), plate]
+    plate(draws.between(0.25, 0.4), 2.2, 2.3)
 }
 
 pub(super) fn bollard(draws: &mut Stream) -> Vec<Part> {
@@ -190,10 +196,7 @@ pub(super) fn lamp(draws: &mut Stream) -> Vec<Part> {
 pub(super) fn sign(draws: &mut Stream) -> Vec<Part> {
     let half = draws.between(0.25, 0.5);
     let low = draws.between(1.6, 2.4);
-    vec![
-        Part::post([0.0, 0.0], 0.04, [0.0, low + half], METAL),
-        Part::block([-0.02, -half, low], [0.02, half, low + 2.0 * half], SHEET),
-    ]
+    plate(half, low, low + half)
 }
 
 pub(super) fn bin(draws: &mut Stream) -> Vec<Part> {

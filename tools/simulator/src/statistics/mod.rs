@@ -606,7 +606,7 @@ fn thin(observed: &Observed) -> Option<PointCloud> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Options, Sensor, Simulation};
+    use crate::{Options, Sensor, Simulation, Sweep};
 
     fn values(statistics: &Statistics, name: &str) -> Vec<f64> {
         let rows = statistics.rows();
@@ -614,20 +614,30 @@ mod tests {
         row.unwrap_or_else(|| panic!("no row {name}")).values.clone()
     }
 
-    /// A street of walls, whose beams' numbers are known: they are found from the elevations alone as well.
-    #[test]
-    fn figures_do_not_depend_on_numbered_beams() {
+    /// An agent's first sweep on a grid.
+    fn first_sweep(agent: &str) -> Sweep {
         let options = Options {
             seed: 900,
             seconds: 0.2,
-            agents: vec!["rsu1".into()],
+            agents: vec![agent.into()],
             ..Options::default()
         };
-        let (sweep, _) = Simulation::new(&options).unwrap().sweep(0, 0);
-        let bare = PointCloud {
-            ring: vec![0u16; sweep.cloud.len()].into(),
-            ..sweep.cloud.clone()
-        };
+        Simulation::new(&options).unwrap().sweep(0, 0).0
+    }
+
+    /// A cloud whose beams have no numbers.
+    fn unnumbered(cloud: &PointCloud) -> PointCloud {
+        PointCloud {
+            ring: vec![0u16; cloud.len()].into(),
+            ..cloud.clone()
+        }
+    }
+
+    /// A street of walls, whose beams' numbers are known: they are found from the elevations alone as well.
+    #[test]
+    fn figures_do_not_depend_on_numbered_beams() {
+        let sweep = first_sweep("rsu1");
+        let bare = unnumbered(&sweep.cloud);
         let figures = [&sweep.cloud, &bare].map(|cloud| {
             let mut statistics = Statistics::default();
             statistics.add(&Observed {
@@ -657,13 +667,7 @@ mod tests {
 
     #[test]
     fn thinning_keeps_the_nearest_beams() {
-        let options = Options {
-            seed: 900,
-            seconds: 0.1,
-            agents: vec!["cav1".into()],
-            ..Options::default()
-        };
-        let (sweep, _) = Simulation::new(&options).unwrap().sweep(0, 0);
+        let sweep = first_sweep("cav1");
         let observed = Observed {
             cloud: &sweep.cloud,
             sensor: [0.0, 0.0, 1.9],
@@ -685,17 +689,8 @@ mod tests {
 
     #[test]
     fn thinning_by_all_beams_keeps_a_cloud_whose_beams_have_no_numbers() {
-        let options = Options {
-            seed: 900,
-            seconds: 0.1,
-            agents: vec!["cav1".into()],
-            ..Options::default()
-        };
-        let (sweep, _) = Simulation::new(&options).unwrap().sweep(0, 0);
-        let bare = PointCloud {
-            ring: vec![0u16; sweep.cloud.len()].into(),
-            ..sweep.cloud.clone()
-        };
+        let sweep = first_sweep("cav1");
+        let bare = unnumbered(&sweep.cloud);
         let beams = Sensor::ruby_plus().elevations();
         let mut observed = Observed {
             cloud: &bare,
