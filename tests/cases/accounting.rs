@@ -1,0 +1,1 @@
+//! What is dropped is said in the notes.

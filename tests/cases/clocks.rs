@@ -1,0 +1,1 @@
+//! Agents whose stamps and poses do not fit together.

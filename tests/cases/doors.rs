@@ -1,0 +1,1 @@
+//! Output paths, keys, weights and open ports.

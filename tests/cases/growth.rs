@@ -1,0 +1,1 @@
+//! Long recordings, many agents, batches of logs.

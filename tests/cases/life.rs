@@ -1,0 +1,1 @@
+//! Runs that are ended from outside, and machines that are too small.

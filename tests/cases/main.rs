@@ -1,0 +1,15 @@
+//! Inputs and machines that people met elsewhere: each gives the right value, or an error that says what to do.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod accounting;
+mod clocks;
+mod doors;
+mod growth;
+mod life;
+mod plugins;
+mod scene;
+mod tables;
+mod values;
+mod writers;

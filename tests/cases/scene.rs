@@ -1,0 +1,1 @@
+//! A small scene whose answer is known, and logs that differ from it.

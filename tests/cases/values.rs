@@ -1,0 +1,1 @@
+//! Values of a log that do not fit their types.

@@ -1,0 +1,1 @@
+//! Writers, importers and converters.
