@@ -4,6 +4,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
+use common::machine::decided;
 use common::{folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
 use serde_json::Value;
 
@@ -89,6 +90,10 @@ fn a_checkpoint_runs_in_the_graph_of_its_network() {
 
 #[test]
 fn v2xvit_runs_on_dora() {
+    decided(v2xvit_on_dora);
+}
+
+fn v2xvit_on_dora() {
     let (file, _) = converted(&folder("checkpoints_realtime_model"), "v2xvit", "small-v2xvit");
     let out = folder("checkpoints_realtime");
     realo_ok([

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use common::machine::decided;
 use common::{Peer, boxes, end, folder, free_port, graph, json, realo, realo_ok, root, simulated, text};
 use serde_json::Value;
 
@@ -143,6 +144,10 @@ fn processed(out: &Path) -> u64 {
 
 #[test]
 fn a_graph_on_two_daemons_gives_what_it_gives_on_one() {
+    decided(two_daemons);
+}
+
+fn two_daemons() {
     let home = folder("daemons");
     let args = "--seed 903 --seconds 3 --phase spread --key-hz 10 --agents cav1,rsu1";
     let log = simulated("daemons", &args.split(' ').collect::<Vec<_>>());

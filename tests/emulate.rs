@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use linkemu::{ADDRESSES, Link, Machines};
 
+use common::machine::decided;
 use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
 use serde_json::Value;
 
@@ -124,6 +125,10 @@ fn assert_the_delay_shows(result: &Value, delay_ms: f64) {
 
 #[test]
 fn graphs_meet_on_two_emulated_machines() {
+    decided(meet_between_namespaces);
+}
+
+fn meet_between_namespaces() {
     let _alone = alone();
     let id = std::process::id();
     let names = format!("realo{id}car,realo{id}unit");
@@ -140,6 +145,10 @@ fn graphs_meet_on_two_emulated_machines() {
 
 #[test]
 fn graphs_meet_over_a_relay_on_loopback() {
+    decided(meet_over_a_relay);
+}
+
+fn meet_over_a_relay() {
     let _alone = alone();
     let port = free_port().to_string();
     let mut emulated = Emulated::start(&["--loopback", "--delay", "30", "--port", &port]);
@@ -240,6 +249,10 @@ fn a_name_that_is_taken_or_none_is_told_and_what_is_there_stays() {
 
 #[test]
 fn a_clock_that_is_set_meanwhile_moves_no_latency() {
+    decided(set_a_clock_meanwhile);
+}
+
+fn set_a_clock_meanwhile() {
     let _alone = alone();
     let link = Link::default();
     assert!(link.set("delay", 40.0));
@@ -322,6 +335,10 @@ fn assert_boxes_cross(found: &Value, cases: usize) {
 
 #[test]
 fn boxes_cross_beside_clouds_between_namespaces() {
+    decided(cross_between_namespaces);
+}
+
+fn cross_between_namespaces() {
     let _alone = alone();
     let Some(found) = bench(&["radio", "--seconds", "2", "--only", "1 % loss, bbr"]) else {
         return;
@@ -337,6 +354,10 @@ fn boxes_cross_beside_clouds_between_namespaces() {
 
 #[test]
 fn boxes_cross_beside_clouds_over_a_relay() {
+    decided(cross_over_a_relay);
+}
+
+fn cross_over_a_relay() {
     let _alone = alone();
     let found = bench(&["radio", "--loopback", "--seconds", "2", "--only", "no loss, clouds"]);
     let found = found.expect("it needs no namespaces");
@@ -352,7 +373,7 @@ fn boxes_cross_beside_clouds_over_a_relay() {
     assert!(said.contains("no case is named so; there are: no loss; "), "{said}");
 }
 
-/// The one row of a bench of faults, of which nothing is broken but what a busy machine breaks.
+/// The one row of a bench of faults; `None` where it cannot be had.
 fn row_of(name: &str) -> Option<Value> {
     let (found, ends_well, said) = judged(&["faults", "--only", name, "--seconds", "20"])?;
     let rows = found["rows"].as_array().expect("rows");
@@ -370,7 +391,7 @@ fn row_of(name: &str) -> Option<Value> {
         );
     }
     let frames = |at: usize| row["frames"][at].as_u64().expect("a count");
-    assert!(frames(1) == 200 && frames(0) > 100, "{row}");
+    assert!(frames(1) == 200 && frames(0) >= 190, "{row}");
     assert_eq!(row["unaccounted"], 0, "{row}");
     assert!(row["memory_mb"].as_f64() > Some(0.0), "{row}");
     assert!(found["alone"][0].as_f64() > Some(0.5), "{found}");
@@ -383,6 +404,10 @@ fn count(number: &Value) -> u64 {
 
 #[test]
 fn the_ego_goes_on_while_the_link_is_cut() {
+    decided(cut_the_link);
+}
+
+fn cut_the_link() {
     let _alone = alone();
     let Some(row) = row_of("cut for 5 s") else { return };
     assert!(
@@ -393,6 +418,10 @@ fn the_ego_goes_on_while_the_link_is_cut() {
 
 #[test]
 fn graphs_go_on_when_the_clock_of_their_machine_is_set() {
+    decided(set_the_clocks);
+}
+
+fn set_the_clocks() {
     let _alone = alone();
     // Of graphs that followed it the vehicle would find a clock that is off, or stand still for an hour.
     for name in [
@@ -408,6 +437,10 @@ fn graphs_go_on_when_the_clock_of_their_machine_is_set() {
 
 #[test]
 fn a_peer_that_comes_back_with_another_clock_is_placed_anew() {
+    decided(come_back_with_another_clock);
+}
+
+fn come_back_with_another_clock() {
     let _alone = alone();
     let name = "roadside unit killed, back after 2 s with its clock 200 ms ahead";
     let Some(row) = row_of(name) else { return };

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use common::machine::decided;
 use common::{folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
 use realo::registry;
 use realo_graph::{FlatGraph, Graph, audit, validate};
@@ -474,6 +475,10 @@ fn the_shipped_v2xvit_sees_more_with_others_than_the_detector_alone_whoever_proj
 
 #[test]
 fn features_cross_on_dora_and_their_steps_are_timed() {
+    decided(features_on_dora);
+}
+
+fn features_on_dora() {
     let (log, out) = (shared(), folder("elements_realtime"));
     let (log, dir) = (log.to_string_lossy().into_owned(), out.to_string_lossy().into_owned());
     let attfuse = graph("attfuse");

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use build::fusion_nearest;
+use common::machine::decided;
 use common::{counts, folder, json, realo, realo_ok, root, simulated, text};
 use serde_json::Value;
 
@@ -123,6 +124,10 @@ fn a_rust_fusion_of_its_own_runs_beside_shipped_operators() {
 
 #[test]
 fn a_rust_fusion_gives_the_same_boxes_on_dora() {
+    decided(rust_fusion_on_dora);
+}
+
+fn rust_fusion_on_dora() {
     fusion_nearest();
     let graph = example("fusion_nearest/late_nearest.yml");
     let expected = run("plugin_dora_virtual", &graph, &VIRTUAL);
@@ -338,6 +343,10 @@ fn a_python_fusion_runs_beside_shipped_operators_in_virtual_time() {
 
 #[test]
 fn a_python_fusion_gives_the_same_boxes_on_dora() {
+    decided(python_fusion_on_dora);
+}
+
+fn python_fusion_on_dora() {
     let Some(bin) = python::bin() else {
         return;
     };

@@ -5,6 +5,7 @@ mod common;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use common::machine::decided;
 use common::{folder, graph, json, realo, realo_ok, simulated, text};
 use serde_json::Value;
 
@@ -191,6 +192,10 @@ fn agents_are_added_one_by_one_and_runs_of_all_egos_are_pooled() {
 
 #[test]
 fn a_realtime_run_plays_what_was_precomputed() {
+    decided(precomputed_on_dora);
+}
+
+fn precomputed_on_dora() {
     let dir = folder("precompute_realtime");
     let (profile, with) = (dir.join("none.toml"), dir.join("log.mcap"));
     fs::write(&profile, "\"others.nms\" = 0\n").expect("the profile can be written");

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
+use common::machine::decided;
 use common::{
     Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual, simulated, text,
 };
@@ -44,6 +45,10 @@ fn assert_books_add_up(result: &Value) {
 
 #[test]
 fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
+    decided(late_fusion_over_zenoh);
+}
+
+fn late_fusion_over_zenoh() {
     let _alone = alone();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_vehicle"), folder("radio_roadside"));
@@ -158,17 +163,29 @@ fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], banks:
 
 #[test]
 fn early_fusion_over_zenoh_finds_what_a_perfect_link_finds() {
+    decided(early_fusion_over_zenoh);
+}
+
+fn early_fusion_over_zenoh() {
     assert_same_boxes("early_fusion", "receiver", &["sender.step_m=0.01"], &["fusion"]);
 }
 
 #[test]
 fn attfuse_over_zenoh_finds_what_a_perfect_link_finds() {
+    decided(attfuse_over_zenoh);
+}
+
+fn attfuse_over_zenoh() {
     let sender = ["encoder.confidence=true", "sender.budget_bytes=60000"];
     assert_same_boxes("attfuse", "sender", &sender, &["fusion"]);
 }
 
 #[test]
 fn hybrid_fusion_over_zenoh_finds_what_a_perfect_link_finds() {
+    decided(hybrid_fusion_over_zenoh);
+}
+
+fn hybrid_fusion_over_zenoh() {
     assert_same_boxes(
         "hybrid_fusion",
         "receiver",
@@ -179,6 +196,10 @@ fn hybrid_fusion_over_zenoh_finds_what_a_perfect_link_finds() {
 
 #[test]
 fn an_agent_alone_finds_what_it_finds_without_others() {
+    decided(an_agent_alone);
+}
+
+fn an_agent_alone() {
     let _alone = alone();
     let (log, near) = (log(), folder("radio_alone"));
     run_virtual(
@@ -202,6 +223,10 @@ fn an_agent_alone_finds_what_it_finds_without_others() {
 
 #[test]
 fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
+    decided(kill_a_peer);
+}
+
+fn kill_a_peer() {
     let _alone = alone();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_killed"), folder("radio_killed_roadside"));
@@ -230,6 +255,10 @@ fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
 
 #[test]
 fn an_agent_that_joins_while_others_send_loses_nothing_of_what_comes() {
+    decided(join_while_others_send);
+}
+
+fn join_while_others_send() {
     let _alone = alone();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_joins"), folder("radio_joins_roadside"));
@@ -244,6 +273,10 @@ fn an_agent_that_joins_while_others_send_loses_nothing_of_what_comes() {
 
 #[test]
 fn a_roadside_unit_shares_maps_in_the_frame_of_who_fuses_them() {
+    decided(share_maps);
+}
+
+fn share_maps() {
     let _alone = alone();
     let (log, port) = (clouds(), free_port());
     let (near, far) = (folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
@@ -321,6 +354,10 @@ fn moved(said: &str) -> f64 {
 
 #[test]
 fn what_agents_recorded_is_one_log_again_though_a_clock_is_off() {
+    decided(merge_recordings);
+}
+
+fn merge_recordings() {
     let _alone = alone();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_merge_vehicle"), folder("radio_merge_roadside"));

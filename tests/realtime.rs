@@ -9,6 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use common::machine::decided;
 use common::{folder, graph, json, realo_ok, run_virtual, simulated, text};
 use realo_schemas::Nanos;
 use realo_schemas::report::Fated;
@@ -90,6 +91,10 @@ fn undisturbed(run: impl Fn() -> Value) -> Value {
 
 #[test]
 fn realtime_without_delays_gives_the_boxes_of_virtual_time() {
+    decided(realtime_as_virtual);
+}
+
+fn realtime_as_virtual() {
     let _alone = alone();
     let log = spread();
     let expected = run_virtual(
@@ -229,6 +234,10 @@ const RECORDED: [(&str, &str); 3] = [
 
 #[test]
 fn realised_age_is_that_of_an_independent_calculation() {
+    decided(realised_age);
+}
+
+fn realised_age() {
     let _alone = alone();
     let out = folder("age");
     let file = variant(&folder("age_graph"), "late_fusion", &RECORDED);
@@ -265,6 +274,10 @@ fn realised_age_is_that_of_an_independent_calculation() {
 
 #[test]
 fn a_measured_profile_gives_the_latency_of_each_stage_in_virtual_time() {
+    decided(measured_profile);
+}
+
+fn measured_profile() {
     let _alone = alone();
     let log = simulated(
         "measured",
@@ -318,6 +331,10 @@ fn tampered(dir: &Path, report: &Path, what: &str) -> PathBuf {
 
 #[test]
 fn what_the_transport_does_to_messages_is_seen_and_counted() {
+    decided(tampered_transport);
+}
+
+fn tampered_transport() {
     let _alone = alone();
     let dir = folder("tampered");
     let report = dir.join("tampered.json");
@@ -344,6 +361,10 @@ fn what_the_transport_does_to_messages_is_seen_and_counted() {
 
 #[test]
 fn repeated_messages_change_no_box() {
+    decided(repeated_messages);
+}
+
+fn repeated_messages() {
     let _alone = alone();
     let dir = folder("repeated");
     let log = spread();

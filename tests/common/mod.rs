@@ -1,6 +1,8 @@
 //! What the end-to-end tests share: the binary, small logs made once, results read back.
 #![allow(dead_code)]
 
+pub mod machine;
+
 use std::fs::{self, File};
 use std::net::TcpListener;
 use std::os::unix::process::CommandExt;

@@ -22,10 +22,19 @@ pub fn shared(below: &str) -> Option<PathBuf> {
 
 /// Says that the running test is left out, and what it needs.
 pub fn skip(needs: &str) {
+    say(needs);
+}
+
+/// Says that the running test could not be decided on this machine, and why.
+pub fn undecided(why: &str) {
+    say(&format!("not decided here: {why}"));
+}
+
+fn say(words: &str) {
     let program = program();
     let thread = std::thread::current();
     let test = thread.name().filter(|name| *name != "main").unwrap_or("a test");
-    let line = format!("{program}: {test}: {needs}");
+    let line = format!("{program}: {test}: {words}");
     // `eprintln!` would be captured.
     let _ = writeln!(io::stderr(), "SKIPPED {line}");
     if let Err(error) = record(&list(), &line) {
