@@ -26,6 +26,18 @@ pub enum LogError {
         /// What the system said.
         reason: String,
     },
+    /// A file of somebody else at the place of what is to be written.
+    #[error(
+        "refuse to overwrite `{}`: it is {found}; expected a log or a recording that realo wrote, or nothing. Choose another \
+         path, or remove it first",
+        .path.display()
+    )]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        found: &'static str,
+    },
     /// Not an MCAP file.
     #[error("`{}` is not an MCAP file: {reason}", .path.display())]
     NotMcap {

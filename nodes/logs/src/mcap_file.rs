@@ -18,7 +18,7 @@ use crate::records::{
 };
 use crate::{Lane, LogError};
 
-const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
+pub(crate) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 const RECORD_HEAD: u64 = HEAD as u64;
 /// Footer and magic.
 const TAIL: usize = FOOTER + MAGIC.len();

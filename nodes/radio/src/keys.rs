@@ -17,7 +17,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs::{self, OpenOptions};
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use ed25519_dalek::{SigningKey, VerifyingKey};
@@ -142,13 +142,26 @@ impl Own {
         options.write(true).create_new(true);
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let written = options
-            .open(path)
-            .and_then(|mut file| file.write_all(text.expect("two texts").as_bytes()));
-        written.map_err(|error| KeyError::File {
-            path: path.into(),
-            error,
-            mend: "a key that is there stays: name another folder, or move it away",
+        let refused = |mend| {
+            move |error| KeyError::File {
+                path: path.into(),
+                error,
+                mend,
+            }
+        };
+        let mut file = options.open(path).map_err(|error| match error.kind() {
+            ErrorKind::AlreadyExists => {
+                refused("a key that is there stays: name another folder, or move it away")(error)
+            }
+            _ => refused("name a folder that is there and may be written to")(error),
+        })?;
+        // A part of a key would keep the next one from being made.
+        let written = file
+            .write_all(text.expect("two texts").as_bytes())
+            .and_then(|()| file.sync_all());
+        written.map_err(|error| {
+            let _ = fs::remove_file(path);
+            refused("nothing was left there: make room, or name another folder")(error)
         })
     }
 

@@ -13,7 +13,7 @@
 
 use std::path::PathBuf;
 
-use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, PeerClock};
+use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, PeerClock, refuse_foreign};
 use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink};
 use realo_schemas::report::{self, Peer, from_report};
 use realo_schemas::{GroundTruth, Header, Message, Nanos, Payload, PayloadType};
@@ -125,6 +125,7 @@ impl Sink for LogRecorder {
             std::fs::create_dir_all(folder)
                 .map_err(|error| format!("argument `path`: {}: {error}", folder.display()))?;
         }
+        refuse_foreign(&config.path)?;
         Ok(LogRecorder {
             log: Some(LogWriter::create(&config.path, &info)?),
             agent: config.agent,

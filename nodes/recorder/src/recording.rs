@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use realo_logs::cdr::CdrWriter;
 use realo_logs::{
-    BoxesInfo, ChannelId, Lane, LogError, McapFile, McapWriter, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
-    views,
+    BoxesInfo, ChannelId, Lane, LogError, McapWriter, Owner, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
+    refuse_foreign, views,
 };
 use realo_operator::Books;
 use realo_schemas::geometry::View;
@@ -36,8 +36,9 @@ impl Recording {
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             fs::create_dir_all(folder).map_err(io("make the folder of"))?;
         }
-        if McapFile::open(path).is_ok_and(|file| !file.metadata().contains_key(RECORDING_RECORD)) {
-            let reason = "it is no recording, and would be lost; choose another `path`";
+        refuse_foreign(path)?;
+        if Owner::of(path).map_err(io("look at"))? == Owner::Log {
+            let reason = "it is a log, and would be lost; choose another `path`";
             return Err(LogError::Io {
                 path: path.into(),
                 action: "record into",

@@ -28,6 +28,10 @@ pub struct Model {
     /// encoder a fusion learned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<String>,
+    /// SHA-256 of files of weights by their stems, in hexadecimal digits; weights that are named here are checked when they
+    /// are loaded.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub sha256: BTreeMap<String, String>,
     /// Frame of the points and the anchors as the network knows them.
     pub frame: Frame,
     /// For `frame = "lidar"`: how far above the ground the LiDAR stood in training, m. Graphs need it, to bring points from

@@ -4,6 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
+use sha2::{Digest, Sha256};
 
 use crate::layers::{Layers, Role, TensorSpec, norm_key};
 use crate::load::{ReadError, read_bounded};
@@ -60,6 +61,20 @@ pub enum WeightsError {
         /// What is wrong with it.
         error: safetensors::SafeTensorError,
     },
+    /// The file has other bytes than the model file says.
+    #[error(
+        "{}: expected SHA-256 {expected}, as the model file says under `sha256`, found {found}: the file is damaged, or belongs to \
+         another model file; take the weights that belong to this one, or remove that line if the weights are yours",
+        path.display()
+    )]
+    Checksum {
+        /// The file of weights.
+        path: PathBuf,
+        /// What the model file says.
+        expected: String,
+        /// What the file has.
+        found: String,
+    },
     /// The weights of a model's files.
     #[error("{}: {error}", joined(paths))]
     File {
@@ -81,6 +96,27 @@ pub enum WeightsError {
     },
 }
 
+/// SHA-256 of bytes, in hexadecimal digits.
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn check_sum(path: &Path, bytes: &[u8], model: &Model) -> Result<(), WeightsError> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let Some(expected) = model.sha256.get(&*stem) else {
+        return Ok(());
+    };
+    let found = sha256(bytes);
+    match found == *expected {
+        true => Ok(()),
+        false => Err(WeightsError::Checksum {
+            path: path.into(),
+            expected: expected.clone(),
+            found,
+        }),
+    }
+}
+
 impl Weights {
     /// Reads the weights of a model from its files: of all but the first the encoder's tensors that are lacking.
     ///
@@ -94,12 +130,13 @@ impl Weights {
     /// Reads the weights of a model from the bytes of its files.
     ///
     /// # Errors
-    /// As [`Weights::read`], but for reading.
+    /// As [`Weights::read`], but for reading; [`WeightsError::Checksum`].
     pub fn parse(files: &[ModelFile], model: &Model) -> Result<Weights, WeightsError> {
         let (mut tensors, mut problems) = (HashMap::new(), Vec::new());
         let layers = Layers::of(model);
         let encoder: HashSet<String> = layers.encoder().map(|tensor| tensor.key).collect();
         for (index, (path, bytes)) in files.iter().enumerate() {
+            check_sum(path, bytes, model)?;
             let file = SafeTensors::deserialize(bytes).map_err(|error| WeightsError::Syntax {
                 path: path.clone(),
                 error,
@@ -272,6 +309,36 @@ mod tests {
             Err(WeightsError::Mismatch { problems, .. }) => problems,
             other => panic!("expected a mismatch, found {other:?}"),
         }
+    }
+
+    #[test]
+    fn a_flipped_bit_is_found_by_the_sum_of_the_model_file() {
+        let model = lite();
+        let tensors = expected(&model).into_iter().map(|(key, shape)| {
+            let bytes = vec![0; 4 * shape.iter().product::<usize>()];
+            (key, shape, bytes)
+        });
+        let tensors: Vec<_> = tensors.collect();
+        let views = tensors.iter().map(|(key, shape, bytes)| {
+            let view = TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap();
+            (key.as_str(), view)
+        });
+        let mut bytes = safetensors::serialize(views, None).unwrap();
+        let summed = Model {
+            sha256: [("lite".into(), sha256(&bytes))].into(),
+            ..model
+        };
+        let parse = |bytes: &[u8]| Weights::parse(&[("models/lite.safetensors".into(), bytes.to_vec())], &summed);
+        parse(&bytes).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 4;
+        let said = parse(&bytes).unwrap_err().to_string();
+        assert!(
+            said.contains("models/lite.safetensors: expected SHA-256") && said.contains("damaged"),
+            "{said}"
+        );
+        let other = [("models/other.safetensors".into(), bytes)];
+        Weights::parse(&other, &summed).expect("weights that the model file does not name");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use realo_nn::model::{Model, ModelError};
-use realo_nn::weights::expected;
+use realo_nn::weights::{expected, sha256};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
@@ -75,11 +75,11 @@ pub fn write(
     if let Some(there) = new.into_iter().flatten().find(|path| !force && path.exists()) {
         return Err(WriteError::Exists(there.into()));
     }
+    let (bytes, tensors) = serialized(converted);
     let text = match kept {
-        None => Some(text(converted, name, output)?),
+        None => Some(text(converted, name, output, &bytes)?),
         Some(_) => None,
     };
-    let (bytes, tensors) = serialized(converted);
     write_whole(output, &bytes)?;
     if let Some(text) = &text {
         write_whole(&model, text.as_bytes())?;
@@ -101,11 +101,12 @@ fn same(a: &Path, b: &Path) -> bool {
     a.file_name() == b.file_name() && folder(a).is_some() && folder(a) == folder(b)
 }
 
-fn text(converted: &Converted, name: &str, output: &Path) -> Result<String, WriteError> {
+fn text(converted: &Converted, name: &str, output: &Path, weights: &[u8]) -> Result<String, WriteError> {
     let model = Model {
         name: name.into(),
         weights: None,
         encoder: None,
+        sha256: [(name.into(), sha256(weights))].into(),
         ..converted.model.clone()
     };
     model.validate().map_err(|error| WriteError::Model {

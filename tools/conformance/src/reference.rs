@@ -159,6 +159,7 @@ pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model
         name: "vector".into(),
         weights: None,
         encoder: None,
+        sha256: Default::default(),
         frame: Frame::Lidar,
         lidar_height: None,
         precision: Precision::F32,

@@ -8,6 +8,7 @@ use realo_importer::DairOptions;
 use realo_logs::Log;
 
 use crate::Outcome;
+use crate::output::{Force, Output};
 
 /// Imports a data set
 #[derive(clap::Args)]
@@ -25,6 +26,9 @@ enum Source {
         /// The log to write
         #[arg(short = 'o', long = "output")]
         output: PathBuf,
+        #[allow(missing_docs, reason = "clap would print it")]
+        #[command(flatten)]
+        force: Force,
         /// Whether the roadside stamp is the start or the end of its sweep: the data set does not say
         #[arg(long, value_enum, default_value = "start")]
         roadside_stamp: Stamp,
@@ -40,6 +44,9 @@ enum Source {
         /// The log to write
         #[arg(short = 'o', long = "output")]
         output: PathBuf,
+        #[allow(missing_docs, reason = "clap would print it")]
+        #[command(flatten)]
+        force: Force,
         /// By what: the recorded poses, or, where they have no roll and pitch, a plane through the ground around the sensor
         #[arg(long, value_enum, default_value = "pose")]
         level: Level,
@@ -76,9 +83,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Source::Dair {
             dir,
             output,
+            force,
             roadside_stamp,
             level,
         } => {
+            force.check(output, Output::Log)?;
             let options = DairOptions {
                 roadside_stamp: match roadside_stamp {
                     Stamp::Start => realo_importer::RoadsideStamp::Start,
@@ -89,7 +98,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
             println!("{}", realo_importer::dair(dir, output, options)?);
             output
         }
-        Source::Log { log, output, level } => {
+        Source::Log {
+            log,
+            output,
+            force,
+            level,
+        } => {
+            force.check(output, Output::Log)?;
             realo_importer::relevel(log, output, level.of_importer())?;
             if let Some(cut) = Log::open(log)?.truncation() {
                 eprintln!("realo: {}: {cut}", log.display());

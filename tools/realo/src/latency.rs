@@ -26,6 +26,7 @@ use realo_schemas::report::Phase;
 use realo_schemas::{Kind, Name, Nanos, to_millis};
 use serde::Serialize;
 
+use crate::output::{Force, Output};
 use crate::{Outcome, demo, precompute, run};
 
 /// Between two messages, unless the one before takes longer.
@@ -72,6 +73,9 @@ pub struct Args {
     /// Where the trace goes
     #[arg(short, long, default_value = "channel.csv")]
     output: PathBuf,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    force: Force,
     /// Prints JSON
     #[arg(long)]
     json: bool,
@@ -92,6 +96,7 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<Outcome> {
     match (&args.peer, &args.log) {
         (Some(peer), Some(log)) => {
+            args.force.check(&args.output, Output::Trace)?;
             let is_new = open_for_trace(&args.output)?;
             let measured = measure(args, peer, log);
             if measured.is_err() && is_new {

@@ -18,6 +18,7 @@ mod keys;
 mod latency;
 pub mod merge;
 pub mod operators;
+mod output;
 pub mod precompute;
 mod quantize;
 mod registry;

@@ -7,6 +7,7 @@ use realo_logs::{Log, Merge};
 use realo_schemas::{Nanos, to_millis};
 
 use crate::Outcome;
+use crate::output::{Force, Output};
 
 /// Joins the logs that several agents recorded of one drive, by the clock of the first
 #[derive(clap::Args)]
@@ -17,6 +18,9 @@ pub struct Args {
     /// Where the merged log goes
     #[arg(short, long)]
     output: PathBuf,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    force: Force,
     /// What an agent's clock is ahead of the first log's, ms [default: what the agents' radios found]
     #[arg(long, value_name = "AGENT=MS", value_parser = clock)]
     clock: Vec<(String, Nanos)>,
@@ -34,6 +38,7 @@ fn clock(text: &str) -> Result<(String, Nanos), String> {
 
 /// Merges, and says what was moved; of a log that was cut what is left is merged, and the command ends with 3.
 pub fn main(args: &Args) -> Result<Outcome> {
+    args.force.check(&args.output, Output::Log)?;
     let logs: Vec<Log> = args.logs.iter().map(Log::open).collect::<Result<_, _>>()?;
     let first = &logs[0];
     let agents = || args.clock.iter().map(|(agent, _)| agent);

@@ -10,6 +10,7 @@ use realo_host::{Stages, virtual_time};
 use realo_logs::{Log, LogCopy, Precomputed, SentPacket};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, Payload};
 
+use crate::output::{Force, Output};
 use crate::run::{self, Lane};
 use crate::{Outcome, demo, registry};
 
@@ -29,6 +30,9 @@ pub struct Args {
     /// Where the copy of the log goes that has the messages
     #[arg(short, long)]
     pub output: PathBuf,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    pub force: Force,
     /// How long stages take: a TOML file of stage = ns [default: as measured, one agent at a time on this machine]
     #[arg(long)]
     pub compute: Option<PathBuf>,
@@ -39,6 +43,7 @@ pub struct Args {
 
 /// Computes, and writes the copy.
 pub fn main(args: &Args) -> Result<Outcome> {
+    args.force.check(&args.output, Output::Log)?;
     if args.log.ends_with(demo::FILE) && !args.log.exists() {
         demo::make(&args.log)?;
     }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use eyre::Result;
 use realo_render::{Format, Request, Scene};
 
+use crate::output::{Force, Output};
 use crate::{Outcome, demo};
 
 /// Draws a frame of a run from above: truth, boxes, each agent's points, and what only cooperation saw
@@ -24,11 +25,18 @@ pub struct Args {
     /// The picture to write: .svg or .png
     #[arg(short = 'o', long = "output")]
     output: PathBuf,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    force: Force,
 }
 
 /// Writes the picture and says what it shows.
 pub fn main(args: &Args) -> Result<Outcome> {
-    Format::of(&args.output)?;
+    let kind = match Format::of(&args.output)? {
+        Format::Svg => Output::Svg,
+        Format::Png => Output::Png,
+    };
+    args.force.check(&args.output, kind)?;
     let chosen = realo_render::choose(&Request {
         run: args.run.clone(),
         frame: args.frame,

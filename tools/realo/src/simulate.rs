@@ -12,6 +12,7 @@ use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
 use realo_schemas::Nanos;
 use realo_simulator::{Options, Phase, PoseSample, Scenario, Sensor, Simulation, Sweep, Weather, fleet};
 
+use crate::output::{Force, Output};
 use crate::{Outcome, statistics};
 
 /// Simulates a place, its traffic and the agents that record it
@@ -77,6 +78,9 @@ pub struct Args {
     /// The log to write
     #[arg(short = 'o', long = "output", required_unless_present = "statistics")]
     output: Option<PathBuf>,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    force: Force,
     /// Simulates nothing: prints what the clouds of logs are like, real or simulated
     #[arg(long, num_args = 1.., value_name = "LOG", conflicts_with_all = ["seed", "seconds", "output", "vehicles", "roadside"])]
     statistics: Vec<PathBuf>,
@@ -145,6 +149,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let Some(output) = args.output.as_ref().filter(|_| args.statistics.is_empty()) else {
         return statistics::print(&args.statistics, args.like.as_deref());
     };
+    args.force.check(output, Output::Log)?;
     write(&args.options()?, output)?;
     println!("{}", realo_logs::describe(output)?);
     Ok(Outcome::Complete)

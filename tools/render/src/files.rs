@@ -39,8 +39,13 @@ pub fn write(file: &Path, drawing: &Drawing) -> Result<(), RenderError> {
         Format::Svg => svg(drawing).into_bytes(),
         Format::Png => png(drawing),
     };
-    std::fs::write(file, bytes).map_err(|reason| RenderError::Write {
-        file: file.into(),
-        reason,
+    let partial = file.with_added_extension("partial");
+    let written = std::fs::write(&partial, bytes).and_then(|()| std::fs::rename(&partial, file));
+    written.map_err(|reason| {
+        let _ = std::fs::remove_file(&partial);
+        RenderError::Write {
+            file: file.into(),
+            reason,
+        }
     })
 }

@@ -123,6 +123,7 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
         name: String::new(),
         weights: None,
         encoder: None,
+        sha256: Default::default(),
         arch: Arch::default(),
         precision: model.precision,
         score_threshold: model.score_threshold,

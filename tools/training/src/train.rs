@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use realo_nn::loss;
 use realo_nn::model::{Frame, Model, ModelFile};
-use realo_nn::weights::Weights;
+use realo_nn::weights::{Weights, sha256};
 
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
@@ -375,6 +375,8 @@ impl<'a> Training<'a> {
     /// The model file, and those that it extends, beside its weights, so that the folder can be given to `realo run --model`.
     fn copy_model(&self, files: Vec<ModelFile>) -> Result<(), TrainError> {
         for (path, text) in files {
+            // Sums are those of the weights that it began with.
+            let text = without_sums(&text);
             let beside = self.options.output.join(path.file_name().unwrap_or_default());
             // A training that goes on may have been given its own copy.
             if !std::fs::read(&beside).is_ok_and(|there| there == text) {
@@ -382,6 +384,26 @@ impl<'a> Training<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Adds the sums of the finished weights to the copy of the model file.
+    fn write_sums(&self) -> Result<(), TrainError> {
+        let file = self
+            .options
+            .output
+            .join(self.options.model.file_name().unwrap_or_default());
+        let unreadable = |path: &Path| {
+            let path = path.to_path_buf();
+            move |error| TrainError::Write { path, error }
+        };
+        let mut text = without_sums(&std::fs::read(&file).map_err(unreadable(&file))?);
+        text.extend(b"\n[sha256]   # of the files of weights, which are checked when they are loaded\n");
+        for path in weights(&self.model, &self.options.output) {
+            let sum = sha256(&std::fs::read(&path).map_err(unreadable(&path))?);
+            let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+            text.extend(format!("{stem} = \"{sum}\"\n").into_bytes());
+        }
+        write_whole(&file, &text)
     }
 
     /// Every class of the model needs an object.
@@ -465,6 +487,9 @@ impl<'a> Training<'a> {
         let _ = loader.join();
         let weights = self.save(&self.state)?;
         let steps = self.state.optimizer.steps;
+        if steps >= self.options.steps {
+            self.write_sums()?;
+        }
         drop(self.filling);
         Ok(Trained {
             steps,
@@ -555,6 +580,19 @@ impl<'a> Training<'a> {
     }
 }
 
+/// A model file without its table `sha256`, with all else as it was written.
+fn without_sums(text: &[u8]) -> Vec<u8> {
+    let mut is_sums = false;
+    let lines = text.split_inclusive(|byte| *byte == b'\n').filter(|line| {
+        let line = line.trim_ascii();
+        if line.starts_with(b"[") {
+            is_sums = line.starts_with(b"[sha256]");
+        }
+        !is_sums
+    });
+    lines.flatten().copied().collect()
+}
+
 /// The files of weights that a model in a folder asks for.
 fn weights(model: &Model, folder: &Path) -> Vec<PathBuf> {
     model.weights_beside(&folder.join(&model.name))
@@ -637,5 +675,18 @@ impl Pace {
         let share = 1.0 / f64::from(self.steps);
         self.seconds += share * (seconds - self.seconds);
         self.waiting += share * (waiting - self.waiting);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_are_taken_out_of_a_model_file_and_nothing_else() {
+        let text = "name = \"a\"\n[sha256] # of files\na = \"00\"\n\n[arch]\nkind = \"fcooper\"";
+        let left = "name = \"a\"\n[arch]\nkind = \"fcooper\"";
+        assert_eq!(without_sums(text.as_bytes()), left.as_bytes());
+        assert_eq!(without_sums(left.as_bytes()), left.as_bytes());
     }
 }

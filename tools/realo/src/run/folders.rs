@@ -56,6 +56,10 @@ impl Folders {
     /// # Errors
     /// Files of those names that no run of realo wrote; a folder that cannot be written to.
     pub fn claim(&mut self, folder: &Path, recordings: &[PathBuf]) -> Result<()> {
+        // What is put aside goes when the run succeeds.
+        recordings
+            .iter()
+            .try_for_each(|file| realo_logs::refuse_foreign(file))?;
         let mut files: BTreeSet<PathBuf> = recordings.iter().cloned().collect();
         if !self.claimed.iter().any(|claimed| claimed == folder) {
             self.make(folder)?;

@@ -1,0 +1,144 @@
+//! Who wrote a file, so that nothing is replaced that is not realo's.
+
+use std::fs::File;
+use std::io::{self, ErrorKind, Read};
+use std::path::Path;
+
+use crate::info::LOG_RECORD;
+use crate::mcap_file::MAGIC;
+use crate::{LogError, RECORDING_RECORD};
+
+/// Opcode and length of an MCAP record.
+const HEAD: usize = 9;
+const HEADER: u8 = 0x01;
+const METADATA: u8 = 0x0c;
+/// The metadata record of realo lies within so many bytes of a file that realo wrote.
+const HEAD_OF_FILE: u64 = 1 << 20;
+
+/// What is at a path, by its first records; a file that was cut is known all the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Owner {
+    /// No file, or one without a byte.
+    Nobody,
+    /// A log that realo wrote.
+    Log,
+    /// A recording of a run.
+    Recording,
+    /// An MCAP file of another program.
+    OtherMcap,
+    /// Anything else.
+    Other,
+}
+
+impl Owner {
+    /// Reads the first records of a file.
+    ///
+    /// # Errors
+    /// A file that is there and cannot be read.
+    pub fn of(path: &Path) -> io::Result<Owner> {
+        let file = match File::open(path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Owner::Nobody),
+            Err(error) => return Err(error),
+        };
+        let mut head = Vec::new();
+        file.take(HEAD_OF_FILE).read_to_end(&mut head)?;
+        Ok(of_head(&head))
+    }
+}
+
+fn of_head(head: &[u8]) -> Owner {
+    if head.is_empty() {
+        return Owner::Nobody;
+    }
+    let Some(mut rest) = head.strip_prefix(&MAGIC) else {
+        return Owner::Other;
+    };
+    while let Some((opcode, body, behind)) = record(rest) {
+        match opcode {
+            HEADER => {}
+            METADATA if is_named(body, LOG_RECORD) => return Owner::Log,
+            METADATA if is_named(body, RECORDING_RECORD) => return Owner::Recording,
+            METADATA => {}
+            _ => break,
+        }
+        rest = behind;
+    }
+    Owner::OtherMcap
+}
+
+fn record(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+    let (head, rest) = bytes.split_at_checked(HEAD)?;
+    let length = u64::from_le_bytes(head[1..].try_into().ok()?);
+    let (body, behind) = rest.split_at_checked(usize::try_from(length).ok()?)?;
+    Some((head[0], body, behind))
+}
+
+fn is_named(metadata: &[u8], name: &str) -> bool {
+    let length = (name.len() as u32).to_le_bytes();
+    metadata
+        .strip_prefix(&length)
+        .is_some_and(|rest| rest.starts_with(name.as_bytes()))
+}
+
+/// Refuses to write a log or a recording over a file that realo did not write.
+///
+/// # Errors
+/// [`LogError::Foreign`]; a file that cannot be read.
+pub fn refuse_foreign(path: &Path) -> Result<(), LogError> {
+    let found = match Owner::of(path).map_err(LogError::io(path, "look at"))? {
+        Owner::Nobody | Owner::Log | Owner::Recording => return Ok(()),
+        Owner::OtherMcap => "an MCAP file of another program",
+        Owner::Other => "a file that is not an MCAP file",
+    };
+    Err(LogError::Foreign {
+        path: path.into(),
+        found,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{AgentInfo, AgentKind, LogInfo, LogWriter};
+
+    #[test]
+    fn only_what_realo_wrote_may_be_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            path
+        };
+        assert_eq!(Owner::of(&folder.path().join("none")).unwrap(), Owner::Nobody);
+        assert_eq!(Owner::of(&at("empty", b"")).unwrap(), Owner::Nobody);
+        let log = folder.path().join("log.mcap");
+        let agent = AgentInfo {
+            name: "cav1".into(),
+            kind: AgentKind::Vehicle,
+            footprint: None,
+            sensor: String::new(),
+            sensor_position: None,
+        };
+        LogWriter::create(&log, &LogInfo::new("a test", vec![agent]))
+            .unwrap()
+            .finish()
+            .unwrap();
+        assert_eq!(Owner::of(&log).unwrap(), Owner::Log);
+        let bytes = std::fs::read(&log).unwrap();
+        assert_eq!(Owner::of(&at("cut", &bytes[..bytes.len() / 2])).unwrap(), Owner::Log);
+        refuse_foreign(&log).unwrap();
+        for (name, head, expected) in [
+            ("text", &b"my notes"[..], "not an MCAP file"),
+            ("magic", &MAGIC, "of another program"),
+            (
+                "huge",
+                &[&MAGIC[..], &[METADATA], &u64::MAX.to_le_bytes()].concat(),
+                "of another program",
+            ),
+        ] {
+            let said = refuse_foreign(&at(name, head)).unwrap_err().to_string();
+            assert!(said.contains(expected) && said.contains(name), "{said}");
+        }
+    }
+}
