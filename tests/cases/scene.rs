@@ -189,15 +189,15 @@ fn cloud_of(objects: &[Box3]) -> PointCloud {
         }
     }
     points.extend((0..300).map(|k| [(k % 20 * 4 - 40) as f32, (k / 20 * 5 - 37) as f32, 0.0]));
-    let axis = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<f32>>().into();
+    let axis = |axis: usize| points.iter().map(|point| point[axis]).collect::<Vec<f32>>();
     let n = points.len();
     PointCloud::new(
         axis(0),
         axis(1),
         axis(2),
-        vec![60_u8; n].into(),
-        vec![0_i32; n].into(),
-        vec![0_u16; n].into(),
+        vec![60_u8; n],
+        vec![0_i32; n],
+        vec![0_u16; n],
     )
     .expect("columns of one length")
 }
