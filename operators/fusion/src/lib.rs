@@ -6,11 +6,13 @@
 
 mod maps;
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use nalgebra::Isometry3;
 use realo_operator::{Error, Lane, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::relative;
 use realo_schemas::report::Fate;
-use realo_schemas::{Header, Message, Payload, PayloadType, Selection, UnexpectedPayload};
+use realo_schemas::{EgoState, Header, Message, Name, Nanos, Payload, PayloadType, Selection, UnexpectedPayload};
 
 pub use maps::{Maps, PlacedMap};
 
@@ -35,10 +37,12 @@ pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
     ]
 }
 
-/// Keeps the ego's part of a set until its selection comes.
+/// Keeps the ego's part of a set until its selection comes, and where agents said that they are.
 #[derive(Debug, Default)]
 pub struct Pairing {
     ego: Option<Message>,
+    /// The newest state of each agent: its stamp and position in `map`, m.
+    positions: BTreeMap<Name, (Nanos, [f64; 2])>,
 }
 
 /// The ego and those that take part in one fusion.
@@ -71,7 +75,8 @@ impl Pairing {
         self.ego = Some(message);
     }
 
-    /// Takes the selection that completes the set; at most `max_collaborators` of it take part, the first by name.
+    /// Takes the selection that completes the set; at most `max_collaborators` of it take part, those nearest to the ego. Of
+    /// equally far ones, and where it is unknown how far they are, the first by name.
     ///
     /// # Errors
     /// A selection for another message than the ego's, or an ego of another payload.
@@ -95,8 +100,37 @@ impl Pairing {
             collaborators: Vec::new(),
             left_out: Vec::new(),
         };
-        set.place(entries, max_collaborators.unwrap_or(usize::MAX));
+        set.place(entries);
+        if let Some(limit) = max_collaborators {
+            set.keep_nearest(limit, |header| self.position(header));
+        }
         Ok(set)
+    }
+
+    /// Takes an agent's state, which says where those are whose data were brought to the ego's frame before they were sent.
+    ///
+    /// # Errors
+    /// Another payload.
+    pub fn state(&mut self, message: Message) -> Result<(), Error> {
+        let (header, state) = message.into_parts::<EgoState>().map_err(unexpected)?;
+        let place = state.map_from_body.translation;
+        let newest = self.positions.get(&header.agent).map(|(stamp, _)| *stamp);
+        if newest.is_none_or(|newest| header.stamp >= newest) {
+            self.positions.insert(header.agent, (header.stamp, [place.x, place.y]));
+        }
+        Ok(())
+    }
+
+    /// Where the sender of a message is in `map`: as its pose says, unless that is the pose of another agent's frame.
+    fn position(&self, header: &Header) -> Option<[f64; 2]> {
+        let own_frame = header.frame.strip_suffix("/body") == Some(&*header.agent);
+        match header.pose.as_ref().filter(|_| own_frame) {
+            Some(pose) => {
+                let place = pose.map_from_frame.translation;
+                Some([place.x, place.y])
+            }
+            None => self.positions.get(&header.agent).map(|(_, position)| *position),
+        }
     }
 }
 
@@ -124,7 +158,7 @@ impl<T> Set<T>
 where
     (Header, T): TryFrom<Message, Error = UnexpectedPayload>,
 {
-    fn place(&mut self, mut entries: Vec<Message>, limit: usize) {
+    fn place(&mut self, mut entries: Vec<Message>) {
         entries.sort_by(|a, b| a.header.agent.cmp(&b.header.agent));
         let map_from_ego = self.header.pose.as_ref().map(|pose| pose.map_from_frame);
         for entry in entries {
@@ -136,10 +170,6 @@ where
                 self.left_out.push((named, Fate::Rejected));
                 continue;
             };
-            if self.collaborators.len() == limit {
-                self.left_out.push((named, Fate::OverLimit));
-                continue;
-            }
             self.collaborators.push(Collaborator {
                 header,
                 payload,
@@ -150,6 +180,28 @@ where
 }
 
 impl<T> Set<T> {
+    /// Leaves out whoever is farther from the ego than `limit` others.
+    fn keep_nearest(&mut self, limit: usize, position: impl Fn(&Header) -> Option<[f64; 2]>) {
+        if self.collaborators.len() <= limit {
+            return;
+        }
+        let ego = self.header.pose.as_ref().map(|pose| pose.map_from_frame.translation);
+        let distance = |collaborator: &Collaborator<T>| {
+            let (ego, [x, y]) = ego.zip(position(&collaborator.header))?;
+            Some((x - ego.x).hypot(y - ego.y))
+        };
+        let distances = self.collaborators.iter().map(|one| distance(one).unwrap_or(f64::INFINITY));
+        let mut nearest: Vec<(f64, usize)> = distances.zip(0..).collect();
+        nearest.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let kept: BTreeSet<usize> = nearest.iter().take(limit).map(|(_, place)| *place).collect();
+        for (place, collaborator) in std::mem::take(&mut self.collaborators).into_iter().enumerate() {
+            match kept.contains(&place) {
+                true => self.collaborators.push(collaborator),
+                false => self.left_out.push((collaborator.header, Fate::OverLimit)),
+            }
+        }
+    }
+
     /// Sends what was fused of the set, and says what became of each collaborator's message.
     pub fn send(self, fused: impl Into<Payload>, out: &mut Outputs) {
         for collaborator in &self.collaborators {
@@ -237,19 +289,76 @@ mod tests {
         assert!(again.is_err(), "the ego's message is used up");
     }
 
+    fn left(set: &Set<Boxes>) -> Vec<(&str, Fate)> {
+        let left = set.left_out.iter();
+        left.map(|(header, fate)| (&*header.agent, *fate)).collect()
+    }
+
     #[test]
-    fn collaborators_stand_by_name_and_the_first_fill_the_limit() {
+    fn collaborators_stand_by_name_and_the_first_of_equally_far_ones_fill_the_limit() {
         let entries = || ["rsu1", "cav3", "cav2"].map(|agent| boxes(agent, 5.0)).to_vec();
         assert_eq!(agents(&paired(entries(), None)), ["cav2", "cav3", "rsu1"]);
         let set = paired(entries(), Some(2));
         assert_eq!(agents(&set), ["cav2", "cav3"]);
-        let left: Vec<_> = set
-            .left_out
-            .iter()
-            .map(|(header, fate)| (&*header.agent, *fate))
-            .collect();
-        assert_eq!(left, [("rsu1", Fate::OverLimit)]);
+        assert_eq!(left(&set), [("rsu1", Fate::OverLimit)]);
         assert_eq!(agents(&paired(entries(), Some(3))).len(), 3);
+        assert_eq!(agents(&paired(entries(), Some(0))).len(), 0);
+    }
+
+    #[test]
+    fn the_nearest_fill_the_limit_whatever_their_names_and_order() {
+        let at = [("cav2", 90.0), ("cav3", -8.0), ("cav4", 30.0), ("cav5", -31.0), ("rsu1", 2.0)];
+        let mut entries = at.map(|(agent, x)| boxes(agent, x)).to_vec();
+        for turn in 0..entries.len() {
+            entries.rotate_left(1);
+            for (limit, expected) in [
+                (1, &["rsu1"][..]),
+                (2, &["cav3", "rsu1"]),
+                (3, &["cav3", "cav4", "rsu1"]),
+                (4, &["cav3", "cav4", "cav5", "rsu1"]),
+            ] {
+                let set = paired(entries.clone(), Some(limit));
+                assert_eq!(agents(&set), expected, "limit {limit}, turn {turn}");
+                assert_eq!(left(&set).len(), at.len() - limit);
+                assert!(left(&set).iter().all(|(_, fate)| *fate == Fate::OverLimit));
+            }
+        }
+    }
+
+    #[test]
+    fn senders_that_project_are_where_their_states_say() {
+        let projected = |agent: &str| {
+            let mut message = boxes(agent, 0.0);
+            message.header.frame = ego(7).header.frame;
+            message
+        };
+        let state = |agent: &str, stamp: Nanos, x: f64| {
+            let mut header = header(agent, 0);
+            (header.kind, header.stamp) = (Kind::EgoState, stamp);
+            let state = EgoState {
+                map_from_body: pose(x, 0.0),
+                covariance: None,
+                velocity: None,
+                angular_rate: None,
+                status: PoseStatus::Truth,
+            };
+            Message::new(header, state)
+        };
+        let mut pairing = Pairing::default();
+        let mut chosen = |states: &[(&str, Nanos, f64)]| -> Vec<String> {
+            for (agent, stamp, x) in states {
+                pairing.state(state(agent, *stamp, *x)).unwrap();
+            }
+            pairing.ego(ego(7));
+            let entries = ["cav2", "cav3", "cav4", "rsu1"].map(projected).to_vec();
+            let set = pairing.selection::<Boxes>(selection(7, &ego(7), entries), Some(2)).unwrap();
+            agents(&set).iter().map(|agent| agent.to_string()).collect()
+        };
+        assert_eq!(chosen(&[]), ["cav2", "cav3"], "nobody knows how far they are");
+        assert_eq!(chosen(&[("rsu1", 10, 60.0)]), ["cav2", "rsu1"], "who is known goes first");
+        let all = [("cav2", 20, 50.0), ("cav3", 20, 70.0), ("cav4", 20, -7.0)];
+        assert_eq!(chosen(&all), ["cav2", "cav4"]);
+        assert_eq!(chosen(&[("cav2", 10, 0.0), ("rsu1", 30, 1.0)]), ["cav4", "rsu1"], "an older state says nothing");
     }
 
     #[test]

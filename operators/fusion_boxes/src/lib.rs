@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 pub struct Config {
     /// Whether the ego's own boxes take part; without them the collaborators speak alone, in the ego's frame.
     pub ego_boxes: bool,
-    /// Collaborators that a fusion takes, the first by agent name; `None`: all.
+    /// Collaborators that a fusion takes, the nearest to the ego; `None`: all.
     pub max_collaborators: Option<usize>,
     /// Least score of a box, the ego's own included.
     pub min_score: f32,
@@ -66,7 +66,7 @@ impl Describe for FusionBoxes {
         },
         Argument {
             name: "max_collaborators",
-            about: "collaborators that a fusion takes, the first by agent name; null = all",
+            about: "collaborators that a fusion takes, the nearest to the ego; null = all",
         },
         Argument {
             name: "min_score",

@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 pub struct Config {
     /// The model file; its weights lie beside it.
     pub model: PathBuf,
-    /// Collaborators that a fusion takes, the first by agent name; `None`: as many as the model takes.
+    /// Collaborators that a fusion takes, the nearest to the ego; `None`: as many as the model takes.
     pub max_collaborators: Option<usize>,
     /// Agents that are roadside units, by name, separated by commas; all others are vehicles. V2X-ViT tells them apart.
     pub roadside: String,
@@ -79,7 +79,7 @@ impl Describe for FusionFeatures {
         },
         Argument {
             name: "max_collaborators",
-            about: "collaborators that a fusion takes, the first by agent name; null = as many as the model takes",
+            about: "collaborators that a fusion takes, the nearest to the ego; null = as many as the model takes",
         },
         Argument {
             name: "roadside",

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Collaborators that a fusion takes, the first by agent name; `None`: all.
+    /// Collaborators that a fusion takes, the nearest to the ego; `None`: all.
     pub max_collaborators: Option<usize>,
     /// Whether collaborators' points stay where they are: they were brought to the ego's frame where they were sent
     /// (clouds in another frame are rejected), and what the ego moved since is not removed.
@@ -82,7 +82,7 @@ impl Describe for FusionPoints {
     const ARGUMENTS: &'static [Argument] = &[
         Argument {
             name: "max_collaborators",
-            about: "collaborators that a fusion takes, the first by agent name; null = all",
+            about: "collaborators that a fusion takes, the nearest to the ego; null = all",
         },
         Argument {
             name: "as_sent",
