@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import realo_geometry as geometry
 
-_HEADER = "run agent kind frame to: string; seq hop: uint64; stamp ready: int64; clock_rate pose pose_covariance: [double]"
+_HEADER = "run agent kind frame to: string; seq hop: uint64; stamp ready: int64; clock_rate pose pose_covariance position: [double]"
 _HEADER += "; trace_node: [string]; clock_origins trace_input trace_start trace_done trace_ready: [int64]"
 _BOXES = "x y z length width height yaw: [double]; class: [string]; score: [float]; track: [uint64]"
 _BOXES += "; velocity: [vector3]; covariance: [vector9]"

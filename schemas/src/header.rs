@@ -188,6 +188,8 @@ pub struct Header {
     pub frame: Name,
     /// Where the frame lies in `map` at `stamp`, once it is known.
     pub pose: Option<Pose>,
+    /// Where the agent itself was in `map` at `stamp`, m, where `frame` is another agent's: its data were brought there.
+    pub position: Option<[f64; 3]>,
     /// The agent that a link delivered the message to.
     pub to: Option<Name>,
     /// The stages that it came through, oldest first.
@@ -208,9 +210,19 @@ impl Header {
             ready,
             frame: body_frame(agent),
             pose: None,
+            position: None,
             to: None,
             trace: Vec::new(),
         }
+    }
+
+    /// Where the agent that measured was in `map` at the stamp, m; `None` if nothing says so.
+    pub fn sender_position(&self) -> Option<[f64; 3]> {
+        let of_own_frame = || {
+            let pose = self.pose.as_ref().filter(|_| self.frame == body_frame(&self.agent))?;
+            Some(pose.map_from_frame.translation.vector.into())
+        };
+        self.position.or_else(of_own_frame)
     }
 
     /// Time from the measurement to `now`.

@@ -146,6 +146,7 @@ fn header_columns(header: &Header, payload: PayloadType, row: &mut Builder) {
     };
     row.list_f64("pose", pose);
     row.list_f64("pose_covariance", covariance);
+    row.list_f64("position", header.position.map(|p| p.to_vec()).unwrap_or_default());
     row.text("to", header.to.as_deref().unwrap_or_default());
     row.list_text("trace_node", header.trace.iter().map(|entry| &*entry.node));
     let times = |get: fn(&TraceEntry) -> i64| header.trace.iter().map(get).collect();
@@ -186,6 +187,7 @@ fn read_header(row: &Row) -> Result<Header, WireError> {
         ready: row.value::<Int64Array>("ready")?.value(row.index()),
         frame: row.text("frame")?.into(),
         pose: read_pose(row, "pose", "pose_covariance")?,
+        position: read_position(row)?,
         to: (!to.is_empty()).then(|| to.into()),
         trace: read_trace(row)?,
     })
@@ -203,6 +205,17 @@ fn read_pose(row: &Row, field: &str, covariance_field: &str) -> Result<Option<Po
         other => Err(WireError::content(
             field,
             format!("a pose has 7 numbers, found {}", other.len()),
+        )),
+    }
+}
+
+fn read_position(row: &Row) -> Result<Option<[f64; 3]>, WireError> {
+    match &row.list_f64("position")?[..] {
+        [] => Ok(None),
+        [x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) => Ok(Some([*x, *y, *z])),
+        other => Err(WireError::content(
+            "position",
+            format!("a position has 3 finite numbers, found {other:?}"),
         )),
     }
 }

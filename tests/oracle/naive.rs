@@ -195,9 +195,16 @@ fn fuse<'w>(world: &World, asked: &[Asked<'w>]) -> (Vec<At<'w>>, u64) {
 /// What one fusion did with what was selected for it: what it used, what was beyond its limit, what it could not take.
 fn fusion(world: &World, set: &At, asked_at: Nanos, entries: &[At]) -> (Fusion, Vec<Id>, Vec<Id>) {
     let posed = |at: &At| at.said.spot.is_some() && set.said.spot.is_some();
-    let (placed, mut rejected): (Vec<At>, Vec<At>) = entries.iter().partition(|entry| posed(entry));
+    let (mut placed, mut rejected): (Vec<At>, Vec<At>) = entries.iter().partition(|entry| posed(entry));
+    let distance = |at: &At| {
+        let ([x, y], [ego_x, ego_y]) = [at, set].map(|at| at.said.spot.expect("it was placed").at).into();
+        (x - ego_x).hypot(y - ego_y)
+    };
     let limit = world.max_collaborators.unwrap_or(usize::MAX).min(placed.len());
-    let (chosen, over_limit) = placed.split_at(limit);
+    let by_name = |at: &At| at.agent();
+    placed.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then(by_name(a).cmp(by_name(b))));
+    let (chosen, over_limit) = placed.split_at_mut(limit);
+    chosen.sort_by(|a, b| by_name(a).cmp(by_name(b)));
     // What stays as it was sent must have been sent in the ego's frame.
     let (taken, elsewhere): (Vec<At>, Vec<At>) = chosen.iter().partition(|at| !world.as_sent || at.by.is_some());
     rejected.extend(elsewhere);

@@ -6,13 +6,13 @@
 
 mod maps;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use nalgebra::Isometry3;
 use realo_operator::{Error, Lane, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::relative;
 use realo_schemas::report::Fate;
-use realo_schemas::{EgoState, Header, Message, Name, Nanos, Payload, PayloadType, Selection, UnexpectedPayload};
+use realo_schemas::{Header, Message, Payload, PayloadType, Selection, UnexpectedPayload};
 
 pub use maps::{Maps, PlacedMap};
 
@@ -37,12 +37,10 @@ pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
     ]
 }
 
-/// Keeps the ego's part of a set until its selection comes, and where agents said that they are.
+/// Keeps the ego's part of a set until its selection comes.
 #[derive(Debug, Default)]
 pub struct Pairing {
     ego: Option<Message>,
-    /// The newest state of each agent: its stamp and position in `map`, m.
-    positions: BTreeMap<Name, (Nanos, [f64; 2])>,
 }
 
 /// The ego and those that take part in one fusion.
@@ -102,35 +100,9 @@ impl Pairing {
         };
         set.place(entries);
         if let Some(limit) = max_collaborators {
-            set.keep_nearest(limit, |header| self.position(header));
+            set.keep_nearest(limit);
         }
         Ok(set)
-    }
-
-    /// Takes an agent's state, which says where those are whose data were brought to the ego's frame before they were sent.
-    ///
-    /// # Errors
-    /// Another payload.
-    pub fn state(&mut self, message: Message) -> Result<(), Error> {
-        let (header, state) = message.into_parts::<EgoState>().map_err(unexpected)?;
-        let place = state.map_from_body.translation;
-        let newest = self.positions.get(&header.agent).map(|(stamp, _)| *stamp);
-        if newest.is_none_or(|newest| header.stamp >= newest) {
-            self.positions.insert(header.agent, (header.stamp, [place.x, place.y]));
-        }
-        Ok(())
-    }
-
-    /// Where the sender of a message is in `map`: as its pose says, unless that is the pose of another agent's frame.
-    fn position(&self, header: &Header) -> Option<[f64; 2]> {
-        let own_frame = header.frame.strip_suffix("/body") == Some(&*header.agent);
-        match header.pose.as_ref().filter(|_| own_frame) {
-            Some(pose) => {
-                let place = pose.map_from_frame.translation;
-                Some([place.x, place.y])
-            }
-            None => self.positions.get(&header.agent).map(|(_, position)| *position),
-        }
     }
 }
 
@@ -181,13 +153,13 @@ where
 
 impl<T> Set<T> {
     /// Leaves out whoever is farther from the ego than `limit` others.
-    fn keep_nearest(&mut self, limit: usize, position: impl Fn(&Header) -> Option<[f64; 2]>) {
+    fn keep_nearest(&mut self, limit: usize) {
         if self.collaborators.len() <= limit {
             return;
         }
         let ego = self.header.pose.as_ref().map(|pose| pose.map_from_frame.translation);
         let distance = |collaborator: &Collaborator<T>| {
-            let (ego, [x, y]) = ego.zip(position(&collaborator.header))?;
+            let (ego, [x, y, _]) = ego.zip(collaborator.header.sender_position())?;
             Some((x - ego.x).hypot(y - ego.y))
         };
         let distances = self.collaborators.iter().map(|one| distance(one).unwrap_or(f64::INFINITY));
@@ -326,39 +298,22 @@ mod tests {
     }
 
     #[test]
-    fn senders_that_project_are_where_their_states_say() {
-        let projected = |agent: &str| {
+    fn senders_that_project_are_where_their_messages_say() {
+        let projected = |(agent, x): (&str, Option<f64>)| {
             let mut message = boxes(agent, 0.0);
             message.header.frame = ego(7).header.frame;
+            message.header.position = x.map(|x| pose(x, 0.0).translation.vector.into());
             message
         };
-        let state = |agent: &str, stamp: Nanos, x: f64| {
-            let mut header = header(agent, 0);
-            (header.kind, header.stamp) = (Kind::EgoState, stamp);
-            let state = EgoState {
-                map_from_body: pose(x, 0.0),
-                covariance: None,
-                velocity: None,
-                angular_rate: None,
-                status: PoseStatus::Truth,
-            };
-            Message::new(header, state)
-        };
-        let mut pairing = Pairing::default();
-        let mut chosen = |states: &[(&str, Nanos, f64)]| -> Vec<String> {
-            for (agent, stamp, x) in states {
-                pairing.state(state(agent, *stamp, *x)).unwrap();
-            }
-            pairing.ego(ego(7));
-            let entries = ["cav2", "cav3", "cav4", "rsu1"].map(projected).to_vec();
-            let set = pairing.selection::<Boxes>(selection(7, &ego(7), entries), Some(2)).unwrap();
+        let chosen = |at: [Option<f64>; 4]| -> Vec<String> {
+            let entries = ["cav2", "cav3", "cav4", "rsu1"].into_iter().zip(at).map(projected);
+            let set = paired(entries.collect(), Some(2));
             agents(&set).iter().map(|agent| agent.to_string()).collect()
         };
-        assert_eq!(chosen(&[]), ["cav2", "cav3"], "nobody knows how far they are");
-        assert_eq!(chosen(&[("rsu1", 10, 60.0)]), ["cav2", "rsu1"], "who is known goes first");
-        let all = [("cav2", 20, 50.0), ("cav3", 20, 70.0), ("cav4", 20, -7.0)];
-        assert_eq!(chosen(&all), ["cav2", "cav4"]);
-        assert_eq!(chosen(&[("cav2", 10, 0.0), ("rsu1", 30, 1.0)]), ["cav4", "rsu1"], "an older state says nothing");
+        assert_eq!(chosen([None; 4]), ["cav2", "cav3"], "nobody says how far it is");
+        assert_eq!(chosen([None, None, None, Some(60.0)]), ["cav2", "rsu1"], "who is known goes first");
+        assert_eq!(chosen([50.0, 70.0, -7.0, 60.0].map(Some)), ["cav2", "cav4"]);
+        assert_eq!(chosen([50.0, 70.0, -7.0, 6.0].map(Some)), ["cav4", "rsu1"]);
     }
 
     #[test]

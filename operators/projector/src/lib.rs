@@ -196,6 +196,7 @@ fn projected(header: Header, cloud: &PointCloud, Known { header: ego, state, .. 
     let header = Header {
         frame: ego.frame.clone(),
         pose: Some(Pose::exact(state.map_from_body)),
+        position: Some(pose.map_from_frame.translation.vector.into()),
         ..header
     };
     Ok(Message::new(header, transform_cloud(&ego_from_sender, cloud)))
@@ -248,8 +249,10 @@ mod tests {
                 .unwrap();
             let fates = out.take_fates();
             let (_, message) = out.take_sent().remove(0);
-            let (_, cloud): (Header, PointCloud) = message.into_parts().unwrap();
+            let (header, cloud): (Header, PointCloud) = message.into_parts().unwrap();
+            let message_position = header.sender_position();
             assert_eq!(cloud.x[0], expected, "ego `{ego}`");
+            assert_eq!(message_position, Some([0.0; 3]), "the sender's own place stays known");
             let gone = fates.iter().find(|fated| fated.fate == Fate::Superseded).unwrap();
             assert_eq!(gone.message.from, superseded);
         }

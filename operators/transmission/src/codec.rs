@@ -70,6 +70,7 @@ impl Content {
             agent,
             frame,
             pose,
+            position,
         } = self.envelope;
         same("agent", &packet.agent, &agent)?;
         same("kind", &packet.kind, &kind)?;
@@ -83,6 +84,7 @@ impl Content {
                 agent,
                 frame,
                 pose,
+                position,
                 ..packet
             },
             payload: self.payload,

@@ -162,6 +162,7 @@ impl Operator for TransmissionEncoder {
         // The pose crosses in the bytes only, so that a receiver cannot come to know it in another way.
         let header = Header {
             pose: None,
+            position: None,
             ..message.header
         };
         out.send(PACKETS, Message::new(header, packet));

@@ -2,7 +2,7 @@
 
 use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose};
 
-use crate::bytes::{Reader, put_covariance6, put_pose, put_text};
+use crate::bytes::{Reader, put_covariance6, put_f64s, put_pose, put_text};
 use crate::cpm;
 use crate::error::{DecodeError, EncodeError};
 
@@ -11,6 +11,7 @@ const VERSION: u8 = 2;
 const POSE: u8 = 1;
 const COVARIANCE: u8 = 2;
 const FRAME: u8 = 4;
+const POSITION: u8 = 8;
 
 /// The part of a header that the sender says.
 pub(crate) struct Envelope {
@@ -20,6 +21,7 @@ pub(crate) struct Envelope {
     pub agent: Name,
     pub frame: Name,
     pub pose: Option<Pose>,
+    pub position: Option<[f64; 3]>,
 }
 
 fn body_frame(agent: &str) -> String {
@@ -55,7 +57,12 @@ pub(crate) fn write(out: &mut Vec<u8>, header: &Header) -> Result<(), EncodeErro
     let flag = |set: bool, flag: u8| if set { flag } else { 0 };
     out.extend(MAGIC);
     out.extend([VERSION, code]);
-    out.push(flag(header.pose.is_some(), POSE) | flag(covariance.is_some(), COVARIANCE) | flag(other_frame, FRAME));
+    out.push(
+        flag(header.pose.is_some(), POSE)
+            | flag(covariance.is_some(), COVARIANCE)
+            | flag(other_frame, FRAME)
+            | flag(header.position.is_some(), POSITION),
+    );
     out.extend(header.seq.to_le_bytes());
     out.extend(header.stamp.to_le_bytes());
     put_text(out, &header.agent, "length of agent")?;
@@ -67,6 +74,9 @@ pub(crate) fn write(out: &mut Vec<u8>, header: &Header) -> Result<(), EncodeErro
     }
     if let Some(covariance) = covariance {
         put_covariance6(out, covariance, "covariance of the pose")?;
+    }
+    if let Some(position) = &header.position {
+        put_f64s(out, position, "position of the sender")?;
     }
     Ok(())
 }
@@ -116,7 +126,7 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
         .into_iter()
         .find(|kind| code_of(*kind) == Some(code))
         .ok_or_else(unknown)?;
-    let flags = bytes.flags(POSE | COVARIANCE | FRAME, "flags of the envelope")?;
+    let flags = bytes.flags(POSE | COVARIANCE | FRAME | POSITION, "flags of the envelope")?;
     if flags & POSE == 0 && flags & COVARIANCE != 0 {
         let found = "a covariance without a pose".into();
         return Err(DecodeError::Value {
@@ -145,6 +155,10 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
             covariance,
         })
     };
+    let position = match flags & POSITION {
+        0 => None,
+        _ => Some(bytes.f64s::<3>("position of the sender")?),
+    };
     Ok(Envelope {
         kind,
         seq,
@@ -152,6 +166,7 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
         agent,
         frame,
         pose,
+        position,
     })
 }
 

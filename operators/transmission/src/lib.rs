@@ -42,6 +42,7 @@
 //! | text | frame (flag 4) |
 //! | 56 | pose of the frame in `map` at the stamp (flag 1) |
 //! | 84 | triangle of its 6×6 covariance (flag 2) |
+//! | 24 | position of the sender in `map` at the stamp, m, where the frame is not its own (flag 8) |
 //!
 //! Boxes: count (u16), number of classes (u8), a text per class; then per box flags (u8: 1 velocity, 2 track as u32,
 //! 4 track as u64, 8 covariance), class (u8), centre x y z, length width height, yaw, score (f32 each), velocity x y z

@@ -348,6 +348,7 @@ fn holds(bytes: &[u8]) {
         agent,
         frame,
         pose,
+        position,
     } = content.envelope;
     let message = Message {
         header: Header {
@@ -357,6 +358,7 @@ fn holds(bytes: &[u8]) {
             agent,
             frame,
             pose,
+            position,
             ..header
         },
         payload: content.payload,
