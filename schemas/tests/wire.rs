@@ -286,7 +286,12 @@ fn every_field_is_held_to_its_content() {
         (Boxes, "pose", numbers(&[0.0; 6]), "7 numbers, found 6"),
         (Boxes, "pose", numbers(&[0.0; 7]), "not a finite pose"),
         (Boxes, "pose_covariance", numbers(&[0.0; 35]), "36 numbers, found 35"),
-        (Boxes, "position", numbers(&[0.0; 2]), "3 finite numbers, found [0.0, 0.0]"),
+        (
+            Boxes,
+            "position",
+            numbers(&[0.0; 2]),
+            "3 finite numbers, found [0.0, 0.0]",
+        ),
         (Boxes, "position", numbers(&[f64::NAN; 3]), "3 finite numbers"),
         (Boxes, "trace_input", times(&[]), "0 times for 1 nodes"),
         (Boxes, "trace_start", times(&[1, 2]), "2 times for 1 nodes"),

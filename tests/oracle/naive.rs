@@ -201,10 +201,9 @@ fn fusion(world: &World, set: &At, asked_at: Nanos, entries: &[At]) -> (Fusion, 
         (x - ego_x).hypot(y - ego_y)
     };
     let limit = world.max_collaborators.unwrap_or(usize::MAX).min(placed.len());
-    let by_name = |at: &At| at.agent();
-    placed.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then(by_name(a).cmp(by_name(b))));
+    placed.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then(a.agent().cmp(b.agent())));
     let (chosen, over_limit) = placed.split_at_mut(limit);
-    chosen.sort_by(|a, b| by_name(a).cmp(by_name(b)));
+    chosen.sort_by(|a, b| a.agent().cmp(b.agent()));
     // What stays as it was sent must have been sent in the ego's frame.
     let (taken, elsewhere): (Vec<At>, Vec<At>) = chosen.iter().partition(|at| !world.as_sent || at.by.is_some());
     rejected.extend(elsewhere);

@@ -44,6 +44,8 @@ pub struct Told {
     pub log: String,
     /// What was run.
     pub settings: Settings,
+    /// A hash of all that decides the run, by which whoever prepares it again knows it; no result has it.
+    pub fingerprint: String,
 }
 
 impl Config {
@@ -130,7 +132,7 @@ impl Sink for Results {
             return Err("argument `out`: expected a folder, found nothing".into());
         }
         claim(&config.out)?;
-        let Told { log, settings } = config.told()?;
+        let Told { log, settings, .. } = config.told()?;
         let (log, log_path) = name_and_path(log);
         Ok(Results {
             log,

@@ -162,7 +162,10 @@ impl<T> Set<T> {
             let (ego, [x, y, _]) = ego.zip(collaborator.header.sender_position())?;
             Some((x - ego.x).hypot(y - ego.y))
         };
-        let distances = self.collaborators.iter().map(|one| distance(one).unwrap_or(f64::INFINITY));
+        let distances = self
+            .collaborators
+            .iter()
+            .map(|one| distance(one).unwrap_or(f64::INFINITY));
         let mut nearest: Vec<(f64, usize)> = distances.zip(0..).collect();
         nearest.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let kept: BTreeSet<usize> = nearest.iter().take(limit).map(|(_, place)| *place).collect();
@@ -279,7 +282,13 @@ mod tests {
 
     #[test]
     fn the_nearest_fill_the_limit_whatever_their_names_and_order() {
-        let at = [("cav2", 90.0), ("cav3", -8.0), ("cav4", 30.0), ("cav5", -31.0), ("rsu1", 2.0)];
+        let at = [
+            ("cav2", 90.0),
+            ("cav3", -8.0),
+            ("cav4", 30.0),
+            ("cav5", -31.0),
+            ("rsu1", 2.0),
+        ];
         let mut entries = at.map(|(agent, x)| boxes(agent, x)).to_vec();
         for turn in 0..entries.len() {
             entries.rotate_left(1);
@@ -311,7 +320,11 @@ mod tests {
             agents(&set).iter().map(|agent| agent.to_string()).collect()
         };
         assert_eq!(chosen([None; 4]), ["cav2", "cav3"], "nobody says how far it is");
-        assert_eq!(chosen([None, None, None, Some(60.0)]), ["cav2", "rsu1"], "who is known goes first");
+        assert_eq!(
+            chosen([None, None, None, Some(60.0)]),
+            ["cav2", "rsu1"],
+            "who is known goes first"
+        );
         assert_eq!(chosen([50.0, 70.0, -7.0, 60.0].map(Some)), ["cav2", "cav4"]);
         assert_eq!(chosen([50.0, 70.0, -7.0, 6.0].map(Some)), ["cav4", "rsu1"]);
     }

@@ -159,6 +159,7 @@ pub(crate) fn lane_args(graph: &Path, log: &Path, ego: &str, agents: &[String], 
         protocol: None,
         choices: choices.clone(),
         out: None,
+        resume: false,
         json: false,
     }
 }

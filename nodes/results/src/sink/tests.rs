@@ -151,6 +151,7 @@ fn sink(out: &Path) -> Results {
             graph: "late_fusion".into(),
             ..Settings::default()
         },
+        ..Told::default()
     };
     let path = out.join("told.json");
     std::fs::write(&path, serde_json::to_string(&told).unwrap()).unwrap();

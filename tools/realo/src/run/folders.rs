@@ -79,9 +79,10 @@ impl Folders {
         Ok(())
     }
 
-    /// The runs have succeeded: what they wrote stays, what was there before goes.
+    /// The runs have ended: what those that succeeded wrote stays, what was there before goes.
     pub fn keep_new(&mut self) {
-        for folder in self.claimed.drain(..) {
+        let succeeded = |folder: &mut PathBuf| folder.join(RESULT_FILE).exists();
+        for folder in self.claimed.extract_if(.., succeeded) {
             let _ = fs::remove_dir_all(folder.join(ASIDE));
         }
     }
@@ -94,6 +95,11 @@ impl Folders {
         self.made.extend(missing.into_iter().rev());
         fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))
     }
+}
+
+/// Puts back what a run that was killed put aside in a folder.
+pub(super) fn recover(folder: &Path) {
+    put_back(folder);
 }
 
 /// Puts an earlier run's files back, unless a run has come to its end there since; whether it did.

@@ -1,5 +1,6 @@
 //! `realo run`: prepares graphs, has them run, and checks that the runs are complete.
 
+mod batch;
 mod compute;
 mod dora;
 mod folders;
@@ -9,7 +10,9 @@ mod nodes;
 mod prepare;
 mod realtime;
 mod replay;
+mod resume;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
@@ -19,6 +22,7 @@ use realo_operator::{Decided, Role};
 use realo_results::Run;
 
 use crate::{Outcome, registry};
+use batch::Batch;
 use folders::Folders;
 use networks::Networks;
 use prepare::Cell;
@@ -67,6 +71,9 @@ pub struct Args {
     /// Where results go [default: out/GRAPH]
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// Go on with a batch that ended early: complete runs of the same graph, settings, model and log are taken as they are
+    #[arg(long)]
+    pub resume: bool,
     /// Print JSON instead of the table
     #[arg(long)]
     pub json: bool,
@@ -259,38 +266,25 @@ pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
 pub fn main(args: &Args) -> Result<Outcome> {
     let mode = args.driver()?;
     let names = names(&args.graphs)?;
-    let cells: Vec<Vec<Cell>> = args
+    let mut batches: Vec<Batch> = args
         .graphs
         .iter()
         .zip(&names)
-        .map(|(graph, name)| prepare::cells(args, mode, graph, name))
+        .map(|(graph, name)| prepare::batch(args, mode, graph, name))
         .collect::<Result<_>>()?;
-    if args.choices.project.is_some() && !cells.iter().flatten().any(Cell::can_project) {
+    if args.choices.project.is_some() && !batches.iter().flat_map(Batch::cells).any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
     let mut folders = Folders::default();
-    for (name, cells) in names.iter().zip(&cells) {
+    for (name, batch) in names.iter().zip(&mut batches) {
         folders.lock(&dir_of(args, name))?;
-        for cell in cells {
-            folders.claim(&cell.out, &cell.recordings())?;
-            cell.tell()?;
-        }
+        batch.claim(&mut folders, args.resume)?;
     }
-    let mut truncated = false;
     let mut runs: Vec<(String, Run)> = Vec::new();
-    for (name, cells) in names.iter().zip(&cells) {
-        match mode {
-            Mode::Virtual => replay::all(cells)?,
-            Mode::Realtime => cells
-                .iter()
-                .try_for_each(|cell| realtime::run(cell, args.rate.unwrap_or(1.0)))?,
-        }
-        let done: Vec<Run> = cells
-            .iter()
-            .map(|cell| realo_results::read_run(&cell.out))
-            .collect::<Result<_, _>>()?;
-        truncated |= cells.iter().any(|cell| cell.truncated);
-        let pooled = realo_report::pool(&done)?;
+    for (name, batch) in names.iter().zip(&mut batches) {
+        let done = batch.run(mode, args.rate.unwrap_or(1.0))?;
+        let mut pooled = realo_report::pool(&done)?;
+        pooled.result.notes.splice(0..0, batch.note());
         let dir = dir_of(args, name);
         realo_report::write_run(&dir, &pooled)?;
         if mode == Mode::Realtime {
@@ -308,7 +302,14 @@ pub fn main(args: &Args) -> Result<Outcome> {
             .iter()
             .for_each(|name| println!("results in {}", dir_of(args, name).display()));
     }
-    Ok(if truncated { Outcome::Partial } else { Outcome::Complete })
+    let failed: BTreeSet<String> = batches.iter().flat_map(Batch::reasons).collect();
+    failed
+        .iter()
+        .for_each(|reason| eprintln!("realo: not played: {reason}"));
+    Ok(match batches.iter().any(Batch::is_partial) {
+        true => Outcome::Partial,
+        false => Outcome::Complete,
+    })
 }
 
 /// Where a graph's results go.

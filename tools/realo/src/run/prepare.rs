@@ -11,13 +11,14 @@ use realo_operator::Decided;
 use realo_results::{Settings, Told as ToldFile};
 use realo_scoring::Protocol;
 
+use super::batch::{Batch, Unplayable};
 use super::lane::{self, SendingLane};
 use super::networks::Networks;
 use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
     set_model, takers, values,
 };
-use super::{Args, Mode, compute, dir_of};
+use super::{Args, Mode, compute, dir_of, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry};
 
@@ -55,6 +56,11 @@ impl Cell {
         files.filter(|file| file.parent() == Some(&self.out)).collect()
     }
 
+    /// What the run is known by when it is prepared again.
+    pub fn fingerprint(&self) -> &str {
+        &self.told.fingerprint
+    }
+
     /// Writes what the result tells of the run to where the graph has it.
     pub fn tell(&self) -> Result<()> {
         let path = self.out.join(TOLD);
@@ -74,8 +80,11 @@ const OWNED: &[(Decided, &str)] = &[
     (Decided::Told, "--link, --seed and the like"),
 ];
 
-/// The runs of one graph.
-pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cell>> {
+/// The runs of one graph. A log that cannot be played does not keep the others from it.
+///
+/// # Errors
+/// Options that no run can follow; logs of which none can be played.
+pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> {
     let set = settings(args)?;
     let graph = base_graph(args, &set, path)?;
     if mode == Mode::Realtime {
@@ -87,13 +96,16 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
     let mut cells = Vec::new();
     let mut networks = Networks::default();
     let mut names = Vec::new();
+    let mut unplayable = Unplayable::default();
     for log_path in &logs {
         let stem = log_path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         if names.contains(&stem) {
             bail!("two logs are named `{stem}`: rename one, so that their results can be told apart");
         }
         names.push(stem.clone());
-        let log = Log::open(log_path)?;
+        let Some(log) = unplayable.check(&stem, Log::open(log_path)) else {
+            continue;
+        };
         if let Some(cut) = log.truncation() {
             eprintln!("realo: {}: {cut}", log_path.display());
         }
@@ -107,7 +119,10 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
             );
         }
         let ego = args.ego.as_deref().unwrap_or(&own);
-        let plan = realo_player::plan(&log, ego, coop, &args.agents)?;
+        let plan = realo_player::plan(&log, ego, coop, &args.agents);
+        let Some(plan) = unplayable.check(&stem, plan) else {
+            continue;
+        };
         for planned in plan.runs {
             let ego = planned.ego.clone();
             if planned.collaborators.is_empty() {
@@ -125,10 +140,14 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 out: &out,
             };
             let (graph, mut settings) = told.to(&graph, &set)?;
-            fitting_protocols(&graph, &log, &ego)?;
             let words = networks.check(&graph)?;
             (settings.isa, settings.model) = (words.kernels, words.models);
-            let played = lane::precomputed(&graph, &log, &planned, args.offline, &mut networks)?;
+            let run = format!("{name}, {stem}, {ego}");
+            let played = fitting_protocols(&graph, &log, &ego)
+                .and_then(|()| lane::precomputed(&graph, &log, &planned, args.offline, &mut networks));
+            let Some(played) = unplayable.check(&run, played) else {
+                continue;
+            };
             let graph = match played {
                 Some((played, words)) => {
                     settings.precomputed = words;
@@ -142,8 +161,10 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 // In virtual time nothing is started before all are built.
                 super::check_nodes(&graph).map_err(|error| eyre!("{} cannot run:\n  {error}", path.display()))?;
             }
+            let decided = [serde_json::to_string(&settings)?, format!("{compute:?}")];
+            let fingerprint = resume::fingerprint(&graph, log_path, &out, &decided)?;
             cells.push(Cell {
-                name: format!("{name}, {stem}, {ego}"),
+                name: run,
                 graph,
                 seconds: log
                     .span()
@@ -153,12 +174,13 @@ pub fn cells(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Vec<Cel
                 told: ToldFile {
                     log: log_path.to_string_lossy().into_owned(),
                     settings,
+                    fingerprint,
                 },
                 out,
             });
         }
     }
-    Ok(cells)
+    Batch::new(cells, unplayable)
 }
 
 /// Refuses protocols that cannot score the ego of the log.
@@ -201,7 +223,7 @@ pub struct Lane {
 /// The lane that sends to the one ego of the one log of the options.
 ///
 /// # Errors
-/// As [`cells`]; a graph in which nobody sends what is made of sweeps.
+/// As [`batch`]; a graph in which nobody sends what is made of sweeps.
 pub fn lane(args: &Args) -> Result<Lane> {
     let set = settings(args)?;
     let path = &args.graphs[0];

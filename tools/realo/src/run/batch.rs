@@ -1,0 +1,214 @@
+//! The runs of a graph over its logs and egos: which are there already, which failed, and what the others came to.
+
+use std::collections::BTreeSet;
+
+use eyre::{Report, Result, bail};
+use realo_results::Run;
+
+use super::folders::Folders;
+use super::prepare::Cell;
+use super::{Mode, realtime, replay, resume};
+
+/// A log, or a run over it, that failed.
+#[derive(Debug)]
+pub struct Failed {
+    /// The log, or graph, log and ego.
+    pub name: String,
+    /// Why.
+    pub reason: Report,
+}
+
+/// The logs that cannot be played, while others can.
+#[derive(Debug, Default)]
+pub struct Unplayable(Vec<Failed>);
+
+impl Unplayable {
+    /// What was asked of a log; `None`, and kept, where the log does not give it.
+    pub fn check<T, E: Into<Report>>(&mut self, name: &str, result: Result<T, E>) -> Option<T> {
+        let name = name.to_string();
+        let failed = |reason: E| {
+            self.0.push(Failed {
+                name,
+                reason: reason.into(),
+            })
+        };
+        result.map_err(failed).ok()
+    }
+}
+
+/// The runs of one graph.
+pub struct Batch {
+    cells: Vec<Cell>,
+    /// Numbers of the cells that an earlier batch brought to their end.
+    taken: BTreeSet<usize>,
+    failed: Vec<Failed>,
+}
+
+impl Batch {
+    /// The runs that were prepared, and the logs of which none could be.
+    ///
+    /// # Errors
+    /// If no log can be played: what is the matter with each.
+    pub fn new(cells: Vec<Cell>, Unplayable(failed): Unplayable) -> Result<Self> {
+        if cells.is_empty() {
+            return Err(all_failed(failed));
+        }
+        Ok(Batch {
+            cells,
+            taken: BTreeSet::new(),
+            failed,
+        })
+    }
+
+    /// All runs, those that are there already too.
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// Claims the folders of the runs; with `resume` those stay as they are in which the same run has come to its end.
+    ///
+    /// # Errors
+    /// As [`Folders::claim`].
+    pub fn claim(&mut self, folders: &mut Folders, resume: bool) -> Result<()> {
+        let mut changed = Vec::new();
+        for (number, cell) in self.cells.iter().enumerate() {
+            if resume {
+                match resume::earlier(cell) {
+                    resume::Earlier::Same => {
+                        self.taken.insert(number);
+                        continue;
+                    }
+                    resume::Earlier::Other => changed.push(cell.name.as_str()),
+                    resume::Earlier::None => {}
+                }
+            }
+            folders.claim(&cell.out, &cell.recordings())?;
+            cell.tell()?;
+        }
+        if resume {
+            let (all, taken) = (self.cells.len(), self.taken.len());
+            eprintln!(
+                "realo: {taken} of {all} runs are complete and taken as they are, {} run now",
+                all - taken
+            );
+        }
+        if !changed.is_empty() {
+            eprintln!(
+                "realo: run again, because the graph, its settings, its files or the log have changed since: {}",
+                changed.join("; ")
+            );
+        }
+        Ok(())
+    }
+
+    /// Has the runs run that are not there yet, and reads what all came to. One that fails does not keep the others from
+    /// running.
+    ///
+    /// # Errors
+    /// If every run failed; results that cannot be read.
+    pub fn run(&mut self, mode: Mode, rate: f64) -> Result<Vec<Run>> {
+        let open: Vec<usize> = (0..self.cells.len())
+            .filter(|number| !self.taken.contains(number))
+            .collect();
+        let cells: Vec<&Cell> = open.iter().map(|number| &self.cells[*number]).collect();
+        let ended: Vec<Result<()>> = match mode {
+            Mode::Virtual => replay::all(&cells),
+            Mode::Realtime => cells.iter().map(|cell| realtime::run(cell, rate)).collect(),
+        };
+        let mut failed = BTreeSet::new();
+        for (number, ended) in open.into_iter().zip(ended) {
+            if let Err(reason) = ended {
+                let name = self.cells[number].name.clone();
+                self.failed.push(Failed { name, reason });
+                failed.insert(number);
+            }
+        }
+        if failed.len() == self.cells.len() {
+            return Err(all_failed(std::mem::take(&mut self.failed)));
+        }
+        let done = (0..self.cells.len()).filter(|number| !failed.contains(number));
+        let done = done.map(|number| realo_results::read_run(&self.cells[number].out));
+        Ok(done.collect::<Result<_, _>>()?)
+    }
+
+    /// Whether something is missing from what the runs came to, because of a log.
+    pub fn is_partial(&self) -> bool {
+        !self.failed.is_empty() || self.cells.iter().any(|cell| cell.truncated)
+    }
+
+    /// What was not played, for who reads the results; nothing where all was.
+    pub fn note(&self) -> Option<String> {
+        let names: Vec<&str> = self.failed.iter().map(|failed| failed.name.as_str()).collect();
+        (!names.is_empty()).then(|| {
+            format!(
+                "{} could not be played and {} not in these numbers: {}",
+                count(names.len(), "run or log", "runs or logs"),
+                if names.len() == 1 { "is" } else { "are" },
+                names.join("; ")
+            )
+        })
+    }
+
+    /// The same with the reasons, a line for each.
+    pub fn reasons(&self) -> Vec<String> {
+        self.failed.iter().map(in_words).collect()
+    }
+}
+
+fn count(number: usize, one: &str, several: &str) -> String {
+    format!("{number} {}", if number == 1 { one } else { several })
+}
+
+fn in_words(failed: &Failed) -> String {
+    let reason = format!("{:#}", failed.reason);
+    match reason.contains(&failed.name) {
+        true => reason,
+        false => format!("{}: {reason}", failed.name),
+    }
+}
+
+/// The error of runs of which none succeeded; of one run its own.
+fn all_failed(mut failed: Vec<Failed>) -> Report {
+    if failed.len() == 1 {
+        return failed.remove(0).reason;
+    }
+    let all = failed.len();
+    // What is wrong with all of them is said once.
+    let reasons: BTreeSet<String> = failed.iter().map(|failed| format!("{:#}", failed.reason)).collect();
+    let lines: Vec<String> = match reasons.len() {
+        1 => reasons.into_iter().collect(),
+        _ => failed.iter().map(in_words).collect(),
+    };
+    let error: Result<()> = (|| bail!("all {all} runs failed:\n  {}", lines.join("\n  ")))();
+    error.expect_err("it was made an error")
+}
+
+#[cfg(test)]
+mod tests {
+    use eyre::eyre;
+
+    use super::*;
+
+    #[test]
+    fn what_is_wrong_with_all_is_said_once_and_of_one_run_as_it_is() {
+        let failed = |name: &str, reason: &str| Failed {
+            name: name.into(),
+            reason: eyre!("{reason}"),
+        };
+        let said = |failed: Vec<Failed>| all_failed(failed).to_string();
+        assert_eq!(said(vec![failed("a", "a: junk")]), "a: junk");
+        let same = said(vec![failed("a", "no ego"), failed("b", "no ego")]);
+        assert_eq!(same, "all 2 runs failed:\n  no ego");
+        let each = said(vec![failed("a", "a: junk"), failed("b", "cut")]);
+        assert_eq!(each, "all 2 runs failed:\n  a: junk\n  b: cut");
+    }
+
+    #[test]
+    fn a_log_that_gives_nothing_is_kept_with_its_reason() {
+        let mut unplayable = Unplayable::default();
+        assert_eq!(unplayable.check("a", Ok::<_, Report>(3)), Some(3));
+        assert_eq!(unplayable.check("b", Err::<u8, _>(eyre!("junk"))), None);
+        let error = Batch::new(Vec::new(), unplayable).err().expect("nothing is left");
+        assert_eq!(error.to_string(), "junk");
+    }
+}
