@@ -233,5 +233,7 @@ pub fn bytes(world: &World, at: &At) -> usize {
         }
         Strategy::Early | Strategy::Projected => 5 + 13 * count,
     };
-    envelope(at) + pose + content
+    // Who projects says where it is itself.
+    let position = if at.by.is_some() { 24 } else { 0 };
+    envelope(at) + pose + position + content
 }

@@ -25,7 +25,9 @@ use realo_schemas::{Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
 pub use log::{LogConfig, LogRecorder};
-pub use read::{read_boxes, read_detections, read_reports, read_truth};
+pub use read::{
+    BoxesOf, ReportsOf, TruthOf, boxes_of, read_boxes, read_detections, read_reports, read_truth, reports_of, truth_of,
+};
 pub use recording::FATES;
 use recording::Recording;
 

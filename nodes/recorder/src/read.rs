@@ -2,7 +2,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use realo_logs::cdr::CdrReader;
-use realo_logs::{BoxesInfo, LogError, McapFile, RECORDING_RECORD, RawMessage, Schema, boxes, views};
+use realo_logs::{BoxesInfo, LogError, McapFile, Messages, RECORDING_RECORD, RawMessage, Schema, boxes, views};
 use realo_schemas::geometry::View;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, OwnLabels, Pose};
 use serde_json::Value;
@@ -14,7 +14,7 @@ use serde_json::Value;
 /// # Errors
 /// A file that cannot be read or is no recording; messages that cannot be read.
 pub fn read_boxes(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
-    read_all_boxes(recording.as_ref(), "/boxes")
+    boxes_of(recording)?.collect()
 }
 
 /// What each agent detected alone, as [`read_boxes`].
@@ -22,13 +22,7 @@ pub fn read_boxes(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError>
 /// # Errors
 /// As [`read_boxes`].
 pub fn read_detections(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
-    read_all_boxes(recording.as_ref(), "/detections")
-}
-
-fn read_all_boxes(recording: &Path, ending: &str) -> Result<Vec<Message>, LogError> {
-    let messages = read_with_companions(recording, ending, Kind::Boxes)?;
-    let message = |(header, boxes, _): WithCompanion| Message::new(header, boxes);
-    Ok(messages.into_iter().map(message).collect())
+    BoxesOf::open(recording.as_ref(), "/detections")?.collect()
 }
 
 /// The recorded ground truth, as [`read_boxes`]; without the ego's footprint.
@@ -36,88 +30,270 @@ fn read_all_boxes(recording: &Path, ending: &str) -> Result<Vec<Message>, LogErr
 /// # Errors
 /// As [`read_boxes`].
 pub fn read_truth(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogError> {
-    let recording = recording.as_ref();
-    let messages = read_with_companions(recording, "/ground_truth", Kind::Truth)?;
-    let mut views = read_views(recording, "/ground_truth_views")?;
-    let mut own_views = read_views(recording, "/own_labels_views")?;
-    let mut own = BTreeMap::new();
-    for (header, boxes, info) in read_with_companions(recording, "/own_labels", Kind::Truth)? {
-        let at = (header.agent.clone(), header.stamp);
-        let labels = OwnLabels {
-            boxes: boxes.0,
-            points: info.points.unwrap_or_default(),
-            key: info.key,
-            views: own_views.remove(&at).unwrap_or_default(),
-        };
-        own.insert(at, labels);
-    }
-    let message = |(header, boxes, info): WithCompanion| {
-        let at = (header.agent.clone(), header.stamp);
-        let truth = GroundTruth {
-            boxes: boxes.0,
-            agents: info.agents,
-            points: info.points.unwrap_or_default(),
-            ego_footprint: None,
-            key: info.key,
-            views: views.remove(&at).unwrap_or_default(),
-            own: own.remove(&at),
-        };
-        Message::new(header, truth)
-    };
-    Ok(messages.into_iter().map(message).collect())
+    truth_of(recording)?.collect()
 }
 
-/// Views by agent and stamp.
-fn read_views(recording: &Path, ending: &str) -> Result<BTreeMap<(Name, Nanos), Vec<View>>, LogError> {
-    let file = open(recording)?;
-    let topics = topics(&file, |topic| topic.ends_with(ending));
-    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
-    let mut found = BTreeMap::new();
-    while let Some(raw) = messages.next()? {
-        let topic = &topics[&raw.channel];
-        let agent: Name = topic.split('/').nth(1).unwrap_or_default().into();
-        let (stamp, views) = views::decode(raw.data()).map_err(|reason| LogError::Content {
-            topic: topic.clone(),
-            log_time: raw.log_time as Nanos,
-            reason,
-        })?;
-        found.insert((agent, stamp), views);
+/// The reports of a recording, in order: topic, agent where one reported, and document. The last of a finished run are
+/// its `books`.
+///
+/// # Errors
+/// As [`read_boxes`].
+pub fn read_reports(recording: impl AsRef<Path>) -> Result<Vec<Value>, LogError> {
+    reports_of(recording)?.collect()
+}
+
+/// As [`read_boxes`], one message after the other, in constant memory.
+///
+/// # Errors
+/// A file that cannot be read or is no recording.
+pub fn boxes_of(recording: impl AsRef<Path>) -> Result<BoxesOf, LogError> {
+    BoxesOf::open(recording.as_ref(), "/boxes")
+}
+
+/// As [`read_truth`], one message after the other, in constant memory.
+///
+/// # Errors
+/// A file that cannot be read or is no recording.
+pub fn truth_of(recording: impl AsRef<Path>) -> Result<TruthOf, LogError> {
+    let endings = [TRUTH, OWN, TRUTH_VIEWS, OWN_VIEWS];
+    Ok(TruthOf {
+        messages: Selected::open(recording.as_ref(), |topic| {
+            endings.iter().any(|ending| named(topic).ends_with(ending))
+        })?,
+        pairs: Pairs::default(),
+        growing: BTreeMap::new(),
+        ended: false,
+    })
+}
+
+/// As [`read_reports`], one document after the other, in constant memory.
+///
+/// # Errors
+/// A file that cannot be read or is no recording.
+pub fn reports_of(recording: impl AsRef<Path>) -> Result<ReportsOf, LogError> {
+    let messages = Selected::open(recording.as_ref(), |topic| topic == "/reports")?;
+    Ok(ReportsOf { messages })
+}
+
+const TRUTH: &str = "/ground_truth";
+const OWN: &str = "/own_labels";
+const TRUTH_VIEWS: &str = "/ground_truth_views";
+const OWN_VIEWS: &str = "/own_labels_views";
+const COMPANION: &str = "_info";
+
+/// The topic of boxes without what marks their companion.
+fn named(topic: &str) -> &str {
+    topic.strip_suffix(COMPANION).unwrap_or(topic)
+}
+
+/// Messages of some topics.
+struct Selected {
+    topics: BTreeMap<u16, String>,
+    messages: Messages,
+}
+
+impl Selected {
+    fn open(recording: &Path, wanted: impl Fn(&str) -> bool) -> Result<Self, LogError> {
+        let file = open(recording)?;
+        let topics = topics(&file, wanted);
+        let messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
+        Ok(Selected { topics, messages })
     }
-    Ok(found)
+
+    /// The next message and its topic.
+    fn next(&mut self) -> Result<Option<(String, RawMessage)>, LogError> {
+        let next = self.messages.next()?;
+        Ok(next.map(|raw| (self.topics[&raw.channel].clone(), raw)))
+    }
+}
+
+fn agent_of(topic: &str) -> Name {
+    topic.split('/').nth(1).unwrap_or_default().into()
+}
+
+fn bad_content<'a>(topic: &'a str, raw: &'a RawMessage) -> impl Fn(String) -> LogError + 'a {
+    |reason| LogError::Content {
+        topic: topic.into(),
+        log_time: raw.log_time as Nanos,
+        reason,
+    }
 }
 
 type WithCompanion = (Header, Boxes, BoxesInfo);
 
-fn read_with_companions(recording: &Path, ending: &str, kind: Kind) -> Result<Vec<WithCompanion>, LogError> {
-    let file = open(recording)?;
-    let mut parts: BTreeMap<Name, RawMessage> = BTreeMap::new();
-    let mut found = Vec::new();
-    let topics = topics(&file, |topic| {
-        topic.strip_suffix("_info").unwrap_or(topic).ends_with(ending)
-    });
-    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
-    while let Some(raw) = messages.next()? {
-        let topic = &topics[&raw.channel];
-        let agent: Name = topic.split('/').nth(1).unwrap_or_default().into();
-        if !topic.ends_with("_info") {
-            parts.insert(agent, raw);
-            continue;
+/// Boxes that wait for their companions, the newest of each topic.
+#[derive(Default)]
+struct Pairs(BTreeMap<String, RawMessage>);
+
+impl Pairs {
+    /// Takes a message of boxes or a companion; gives both once they are there.
+    fn take(&mut self, topic: &str, raw: RawMessage, kind: Kind) -> Result<Option<WithCompanion>, LogError> {
+        if !topic.ends_with(COMPANION) {
+            self.0.insert(topic.into(), raw);
+            return Ok(None);
         }
-        let Some(array) = parts
-            .remove(&agent)
-            .filter(|array| array.publish_time == raw.publish_time)
-        else {
-            continue;
+        let array = self.0.remove(named(topic));
+        let Some(array) = array.filter(|array| array.publish_time == raw.publish_time) else {
+            return Ok(None);
         };
-        found.push(
-            read_pair(&agent, kind, &array, &raw).map_err(|reason| LogError::Content {
-                topic: topic.clone(),
-                log_time: raw.log_time as Nanos,
-                reason,
-            })?,
-        );
+        let pair = read_pair(&agent_of(topic), kind, &array, &raw);
+        pair.map(Some).map_err(bad_content(topic, &raw))
     }
-    Ok(found)
+}
+
+/// The boxes of a recording.
+pub struct BoxesOf {
+    messages: Selected,
+    pairs: Pairs,
+}
+
+impl BoxesOf {
+    fn open(recording: &Path, ending: &str) -> Result<Self, LogError> {
+        Ok(BoxesOf {
+            messages: Selected::open(recording, |topic| named(topic).ends_with(ending))?,
+            pairs: Pairs::default(),
+        })
+    }
+
+    fn read(&mut self) -> Result<Option<Message>, LogError> {
+        while let Some((topic, raw)) = self.messages.next()? {
+            if let Some((header, boxes, _)) = self.pairs.take(&topic, raw, Kind::Boxes)? {
+                return Ok(Some(Message::new(header, boxes)));
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl Iterator for BoxesOf {
+    type Item = Result<Message, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.read().transpose()
+    }
+}
+
+/// The ground truth of a recording. A message is given once the next one of its agent begins, for what belongs to it
+/// follows it in the file.
+pub struct TruthOf {
+    messages: Selected,
+    pairs: Pairs,
+    /// By agent.
+    growing: BTreeMap<Name, (Header, GroundTruth)>,
+    ended: bool,
+}
+
+impl TruthOf {
+    fn read(&mut self) -> Result<Option<Message>, LogError> {
+        while !self.ended {
+            let Some((topic, raw)) = self.messages.next()? else {
+                self.ended = true;
+                break;
+            };
+            let agent = agent_of(&topic);
+            if topic.ends_with(TRUTH_VIEWS) || topic.ends_with(OWN_VIEWS) {
+                let (stamp, views) = views::decode(raw.data()).map_err(bad_content(&topic, &raw))?;
+                self.add_views(&agent, stamp, views, topic.ends_with(OWN_VIEWS));
+                continue;
+            }
+            let Some(pair) = self.pairs.take(&topic, raw, Kind::Truth)? else {
+                continue;
+            };
+            match named(&topic).ends_with(OWN) {
+                true => self.add_own(&agent, pair),
+                false => {
+                    if let Some((header, truth)) = self.growing.insert(agent, truth(pair)) {
+                        return Ok(Some(Message::new(header, truth)));
+                    }
+                }
+            }
+        }
+        let last = self.growing.pop_first();
+        Ok(last.map(|(_, (header, truth))| Message::new(header, truth)))
+    }
+
+    fn at(&mut self, agent: &Name, stamp: Nanos) -> Option<&mut GroundTruth> {
+        let growing = self.growing.get_mut(agent).filter(|(header, _)| header.stamp == stamp);
+        growing.map(|(_, truth)| truth)
+    }
+
+    fn add_views(&mut self, agent: &Name, stamp: Nanos, views: Vec<View>, own: bool) {
+        match self.at(agent, stamp) {
+            Some(truth) if own => {
+                if let Some(own) = &mut truth.own {
+                    own.views = views;
+                }
+            }
+            Some(truth) => truth.views = views,
+            None => {}
+        }
+    }
+
+    fn add_own(&mut self, agent: &Name, (header, boxes, info): WithCompanion) {
+        if let Some(truth) = self.at(agent, header.stamp) {
+            truth.own = Some(OwnLabels {
+                boxes: boxes.0,
+                points: info.points.unwrap_or_default(),
+                key: info.key,
+                views: Vec::new(),
+            });
+        }
+    }
+
+    /// Messages that are held, of boxes or of truth.
+    #[cfg(test)]
+    pub(crate) fn held(&self) -> usize {
+        self.pairs.0.len() + self.growing.len()
+    }
+}
+
+impl Iterator for TruthOf {
+    type Item = Result<Message, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.read().transpose()
+    }
+}
+
+fn truth((header, boxes, info): WithCompanion) -> (Header, GroundTruth) {
+    let truth = GroundTruth {
+        boxes: boxes.0,
+        agents: info.agents,
+        points: info.points.unwrap_or_default(),
+        ego_footprint: None,
+        key: info.key,
+        views: Vec::new(),
+        own: None,
+    };
+    (header, truth)
+}
+
+/// The reports of a recording.
+pub struct ReportsOf {
+    messages: Selected,
+}
+
+impl ReportsOf {
+    fn read(&mut self) -> Result<Option<Value>, LogError> {
+        let Some((topic, raw)) = self.messages.next()? else {
+            return Ok(None);
+        };
+        let bad = bad_content(&topic, &raw);
+        let text = CdrReader::new(raw.data())
+            .and_then(|mut input| input.string())
+            .map_err(&bad)?;
+        serde_json::from_str(text)
+            .map(Some)
+            .map_err(|error| bad(error.to_string()))
+    }
+}
+
+impl Iterator for ReportsOf {
+    type Item = Result<Value, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.read().transpose()
+    }
 }
 
 fn read_pair(agent: &Name, kind: Kind, array: &RawMessage, companion: &RawMessage) -> Result<WithCompanion, String> {
@@ -135,30 +311,6 @@ fn read_pair(agent: &Name, kind: Kind, array: &RawMessage, companion: &RawMessag
     header.frame = frame.into();
     header.pose = info.map_from_frame.map(Pose::exact);
     Ok((header, boxes, info))
-}
-
-/// The reports of a recording, in order: topic, agent where one reported, and document. The last of a finished run are
-/// its `books`.
-///
-/// # Errors
-/// As [`read_boxes`].
-pub fn read_reports(recording: impl AsRef<Path>) -> Result<Vec<Value>, LogError> {
-    let file = open(recording.as_ref())?;
-    let topics = topics(&file, |topic| topic == "/reports");
-    let mut messages = file.messages(topics.keys().copied().collect(), 0..u64::MAX)?;
-    let mut found = Vec::new();
-    while let Some(raw) = messages.next()? {
-        let bad = |reason: String| LogError::Content {
-            topic: "/reports".into(),
-            log_time: raw.log_time as Nanos,
-            reason,
-        };
-        let text = CdrReader::new(raw.data())
-            .and_then(|mut input| input.string())
-            .map_err(bad)?;
-        found.push(serde_json::from_str(text).map_err(|error| bad(error.to_string()))?);
-    }
-    Ok(found)
 }
 
 fn open(path: &Path) -> Result<McapFile, LogError> {
@@ -197,4 +349,68 @@ fn topics(file: &McapFile, wanted: impl Fn(&str) -> bool) -> BTreeMap<u16, Strin
         .iter()
         .filter(|(_, channel)| of_ours(&channel.schema) && wanted(&channel.topic));
     channels.map(|(id, channel)| (*id, channel.topic.clone())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_schemas::Box3;
+
+    use super::*;
+    use crate::recording::Recording;
+
+    fn object(x: f64) -> Box3 {
+        Box3 {
+            center: [x, 0.0, 0.8],
+            length: 4.0,
+            width: 2.0,
+            height: 1.6,
+            yaw: 0.0,
+            velocity: None,
+            class: "Car".into(),
+            score: 1.0,
+            track: None,
+            covariance: None,
+        }
+    }
+
+    #[test]
+    fn truth_of_any_length_is_read_with_one_message_in_hand() {
+        const SWEEPS: u64 = 500;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let truth = |seq: u64| GroundTruth {
+            boxes: vec![object(seq as f64)],
+            agents: vec!["cav1".into()],
+            points: vec![7],
+            key: seq % 10 == 0,
+            own: Some(OwnLabels {
+                boxes: vec![object(-1.0)],
+                points: vec![3],
+                key: true,
+                views: Vec::new(),
+            }),
+            ..GroundTruth::default()
+        };
+        let mut recording = Recording::create(&path).unwrap();
+        for seq in 0..SWEEPS {
+            let at = 1_000_000_000 + 100_000_000 * seq as Nanos;
+            let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Truth, seq, at, at + 5);
+            recording.truth(&header, &truth(seq)).unwrap();
+            recording.boxes("boxes", &header, &Boxes(vec![object(1.0)])).unwrap();
+        }
+        recording.finish(&realo_operator::Books::default()).unwrap();
+        let mut reader = truth_of(&path).unwrap();
+        for seq in 0..SWEEPS {
+            let message = reader.next().unwrap().unwrap();
+            assert_eq!(message.header.seq, seq);
+            assert_eq!(message.into_parts::<GroundTruth>().unwrap().1, truth(seq));
+            assert!(reader.held() <= 3, "{} messages at sweep {seq}", reader.held());
+        }
+        assert!(reader.next().is_none());
+        let mut reader = boxes_of(&path).unwrap();
+        while let Some(message) = reader.next() {
+            message.unwrap();
+            assert_eq!(reader.pairs.0.len(), 0);
+        }
+    }
 }

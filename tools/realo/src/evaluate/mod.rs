@@ -10,7 +10,7 @@ use realo_operator::Source;
 use realo_player::{Coop, Player};
 use realo_results::{Run, Settings};
 use realo_schemas::{Boxes, GroundTruth, Kind};
-use realo_scoring::{Evaluation, Protocol, frame_scores};
+use realo_scoring::{Collector, Evaluation, Protocol, frame_scores};
 
 use crate::Outcome;
 use crate::fit::protocol_fits;
@@ -44,40 +44,40 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<Outcome> {
     let log = Log::open(log_path(args)?)?;
     let protocol = Protocol::load(args.protocol.as_deref().unwrap_or(&log.info().protocol))?;
-    let recorded = realo_recorder::read_boxes(&args.detections)?;
     let recording = McapFile::open(&args.detections)?;
-    let shown = args.detections.display();
-    let Some(first) = recorded.first() else {
-        match recording.truncation() {
-            Some(cut) => bail!("{shown}: {cut}: no final boxes are left in this recording; run again"),
-            None => {
-                bail!("{shown}: no final boxes in this recording: was it of a graph with a recorder on its last boxes?")
-            }
-        }
-    };
-    let ego = first.header.agent.to_string();
-    protocol_fits(&protocol, &log, &ego)?;
-    let mut played = recorded_truth(args)?;
+    let recorded = Recorded::look(args, &recording)?;
+    protocol_fits(&protocol, &log, &recorded.ego)?;
     let agents = match args.agents.is_empty() {
-        true => played[0].1.agents.iter().map(|agent| agent.to_string()).collect(),
+        true => recorded.agents.clone(),
         false => args.agents.clone(),
     };
-    if recording.truncation().is_some() {
+    let again = || logged(&log, &recorded.ego, &agents);
+    let mut sweeps = Sweeps::new(again, realo_player::sweeps_per_pass(&log, &recorded.ego))?;
+    // Of a sweep the collector keeps what scores need, in whole numbers; nothing else is kept.
+    let mut collector = Collector::new(protocol);
+    let mut scored = 0;
+    for message in realo_recorder::truth_of(&args.detections)? {
+        let played = message?.into_parts::<GroundTruth>()?;
         // Truth reaches further than the boxes that came of its sweeps: that those are missing says nothing.
-        let last = recorded.iter().map(|message| message.header.seq).max();
-        played.retain(|(header, _)| Some(header.seq) <= last);
+        if recorded.last.is_some_and(|last| played.0.seq > last) {
+            continue;
+        }
+        let (header, truth) = sweeps.find(&played).map_err(|misfit| not_of_log(args, &log, misfit))?;
+        collector.add_truth(&header, &truth)?;
+        scored += 1;
     }
-    let logged = truths(&log, &ego, &agents)?;
-    let notes = notes_of_cuts(&log, &recording, played.len(), &ego, logged.len());
-    let per_pass = realo_player::sweeps_per_pass(&log, &ego);
-    let truths = Sweeps::new(logged, per_pass)
-        .played(&played)
-        .map_err(|misfit| not_of_log(args, &log, misfit))?;
-    let boxes = recorded
-        .into_iter()
-        .map(|message| message.into_parts::<Boxes>())
-        .collect::<Result<Vec<_>, _>>()?;
-    let mut evaluation = realo_scoring::evaluate(truths, boxes, &protocol)?;
+    for message in realo_recorder::boxes_of(&args.detections)? {
+        let (header, boxes) = message?.into_parts::<Boxes>()?;
+        collector.add_boxes(&header, boxes)?;
+    }
+    let in_log = if recording.truncation().is_some() {
+        sweeps.count()?
+    } else {
+        0
+    };
+    let notes = notes_of_cuts(&log, &recording, scored, &recorded.ego, in_log);
+    let mut evaluation = collector.finish();
+    let ego = recorded.ego;
     for scene in &mut evaluation.scenes {
         scene.name = log
             .path()
@@ -184,18 +184,50 @@ fn frames_table(evaluation: &Evaluation) -> String {
     table
 }
 
-/// The truth in the recording: which sweeps were played, and who took part.
-fn recorded_truth(args: &Args) -> Result<Vec<Sweep>> {
-    let truth = realo_recorder::read_truth(&args.detections)?;
-    if truth.is_empty() {
-        bail!(
-            "{}: no ground truth in this recording, expected one for each sweep that was played: wire `player/truth` to \
-             the recorder's input `truth`",
-            args.detections.display()
-        );
+/// What a recording is of, by its first messages.
+struct Recorded {
+    ego: String,
+    /// Who took part.
+    agents: Vec<String>,
+    /// Of a recording that was cut the last sweep of which boxes are there.
+    last: Option<u64>,
+}
+
+impl Recorded {
+    /// Looks at what stands first in a recording; of one that was cut, at all boxes.
+    fn look(args: &Args, recording: &McapFile) -> Result<Self> {
+        let shown = args.detections.display();
+        let mut boxes = realo_recorder::boxes_of(&args.detections)?;
+        let Some(first) = boxes.next().transpose()? else {
+            match recording.truncation() {
+                Some(cut) => bail!("{shown}: {cut}: no final boxes are left in this recording; run again"),
+                None => {
+                    bail!(
+                        "{shown}: no final boxes in this recording: was it of a graph with a recorder on its last boxes?"
+                    )
+                }
+            }
+        };
+        let mut last = None;
+        if recording.truncation().is_some() {
+            last = Some(first.header.seq);
+            for message in boxes {
+                last = last.max(Some(message?.header.seq));
+            }
+        }
+        let Some(truth) = realo_recorder::truth_of(&args.detections)?.next().transpose()? else {
+            bail!(
+                "{shown}: no ground truth in this recording, expected one for each sweep that was played: wire \
+                 `player/truth` to the recorder's input `truth`"
+            );
+        };
+        let (_, truth) = truth.into_parts::<GroundTruth>()?;
+        Ok(Recorded {
+            ego: first.header.agent.to_string(),
+            agents: truth.agents.iter().map(|agent| agent.to_string()).collect(),
+            last,
+        })
     }
-    let parts = truth.into_iter().map(|message| message.into_parts::<GroundTruth>());
-    Ok(parts.collect::<Result<_, _>>()?)
 }
 
 fn not_of_log(args: &Args, log: &Log, misfit: Misfit) -> eyre::Report {
@@ -209,8 +241,8 @@ fn not_of_log(args: &Args, log: &Log, misfit: Misfit) -> eyre::Report {
     misfit.reason.wrap_err(what)
 }
 
-/// What the player tells the evaluator of a run of these agents.
-fn truths(log: &Log, ego: &str, agents: &[String]) -> Result<Vec<Sweep>> {
+/// What the player says of the sweeps of a run of these agents, one after the other.
+fn logged(log: &Log, ego: &str, agents: &[String]) -> Result<impl FnMut() -> Result<Option<Sweep>> + use<>> {
     let config = realo_player::Config {
         log: log.path().into(),
         ego: ego.into(),
@@ -220,11 +252,12 @@ fn truths(log: &Log, ego: &str, agents: &[String]) -> Result<Vec<Sweep>> {
         ..realo_player::Config::default()
     };
     let mut player = Player::new(config).map_err(|error| eyre!(error))?;
-    let mut truths = Vec::new();
-    while let Some((_, _, message)) = Source::next(&mut player).map_err(|error| eyre!(error))? {
-        if message.header.kind == Kind::Truth {
-            truths.push(message.into_parts::<GroundTruth>()?);
+    Ok(move || {
+        while let Some((_, _, message)) = Source::next(&mut player).map_err(|error| eyre!(error))? {
+            if message.header.kind == Kind::Truth {
+                return Ok(Some(message.into_parts::<GroundTruth>()?));
+            }
         }
-    }
-    Ok(truths)
+        Ok(None)
+    })
 }

@@ -1,6 +1,6 @@
 //! Which sweeps of a log a recording is of.
 
-use std::collections::BTreeMap;
+use std::collections::VecDeque;
 
 use eyre::{Result, ensure, eyre};
 use realo_schemas::{GroundTruth, Header, Nanos};
@@ -9,46 +9,120 @@ use realo_scoring::same_truth;
 /// Truth of a sweep.
 pub type Sweep = (Header, GroundTruth);
 
-/// A log's truth by sweep, and how the player numbers it in later passes.
-pub struct Sweeps {
-    by_seq: BTreeMap<u64, Sweep>,
+/// So many sweeps of the log are kept for recorded ones that come out of order.
+const KEPT: usize = 64;
+
+/// A log's truth by sweep, read along with a recording, and how the player numbers it in later passes.
+pub struct Sweeps<O, N> {
+    /// Reads the log from its beginning.
+    open: O,
+    next: N,
+    /// The newest sweeps that were read.
+    kept: VecDeque<Sweep>,
+    /// Sweeps that were read since the beginning.
+    read: usize,
+    at_end: bool,
     per_pass: u64,
     /// Log time between two passes, once a recording has shown it.
     period: Option<Nanos>,
+    fitted: usize,
 }
 
-impl Sweeps {
-    /// `per_pass`: by how much a sweep's number rises from pass to pass.
-    pub fn new(truths: Vec<Sweep>, per_pass: u64) -> Self {
-        let by_seq = truths.into_iter().map(|sweep| (sweep.0.seq, sweep)).collect();
-        Sweeps {
-            by_seq,
+impl<O, N> Sweeps<O, N>
+where
+    O: Fn() -> Result<N>,
+    N: FnMut() -> Result<Option<Sweep>>,
+{
+    /// `open` reads the log from its beginning, sweeps in order of their numbers; `per_pass`: by how much a sweep's number
+    /// rises from pass to pass.
+    ///
+    /// # Errors
+    /// A log that cannot be read.
+    pub fn new(open: O, per_pass: u64) -> Result<Self> {
+        Ok(Sweeps {
+            next: open()?,
+            open,
+            kept: VecDeque::new(),
+            read: 0,
+            at_end: false,
             per_pass: per_pass.max(1),
             period: None,
-        }
+            fitted: 0,
+        })
     }
 
-    /// The log's truth of the sweeps that were recorded, numbered and stamped as they were played.
+    /// The log's truth of a sweep that was recorded, numbered and stamped as it was played.
     ///
     /// # Errors
     /// A recorded sweep that the log does not have, or has at another time or with other objects.
-    pub fn played(mut self, recorded: &[Sweep]) -> Result<Vec<Sweep>, Misfit> {
-        let mut found = Vec::with_capacity(recorded.len());
-        for sweep in recorded {
-            found.push(self.find(sweep).map_err(|reason| Misfit {
-                fitted: found.len(),
-                beyond: self.by_seq.keys().next_back().is_none_or(|last| sweep.0.seq > *last),
+    pub fn find(&mut self, sweep: &Sweep) -> Result<Sweep, Misfit> {
+        match self.fitting(sweep) {
+            Ok(found) => {
+                self.fitted += 1;
+                Ok(found)
+            }
+            Err(reason) => Err(Misfit {
+                fitted: self.fitted,
+                beyond: self.last().is_ok_and(|last| last.is_none_or(|last| sweep.0.seq > last)),
                 reason,
-            })?);
+            }),
         }
-        Ok(found)
     }
 
-    fn find(&mut self, (header, recorded): &Sweep) -> Result<Sweep> {
+    /// The sweeps of the log.
+    ///
+    /// # Errors
+    /// A log that cannot be read.
+    pub fn count(&mut self) -> Result<usize> {
+        while self.advance()? {}
+        Ok(self.read)
+    }
+
+    /// Number of the last sweep of the log; `None` without any.
+    fn last(&mut self) -> Result<Option<u64>> {
+        self.count()?;
+        Ok(self.kept.back().map(|(header, _)| header.seq))
+    }
+
+    /// Reads a sweep; whether there was one.
+    fn advance(&mut self) -> Result<bool> {
+        let next = if self.at_end { None } else { (self.next)()? };
+        let Some(sweep) = next else {
+            self.at_end = true;
+            return Ok(false);
+        };
+        if self.kept.len() == KEPT {
+            self.kept.pop_front();
+        }
+        self.kept.push_back(sweep);
+        self.read += 1;
+        Ok(true)
+    }
+
+    /// The log's sweep of a number. What lies before those that are kept is read again, once for each pass over a log.
+    fn logged(&mut self, seq: u64) -> Result<Option<&Sweep>> {
+        let is_past = self.kept.front().is_some_and(|(header, _)| seq < header.seq);
+        if is_past && self.read > self.kept.len() {
+            self.next = (self.open)()?;
+            self.kept.clear();
+            (self.read, self.at_end) = (0, false);
+        }
+        while self.kept.back().is_none_or(|(header, _)| header.seq < seq) {
+            if !self.advance()? {
+                break;
+            }
+        }
+        Ok(self.kept.iter().find(|(header, _)| header.seq == seq))
+    }
+
+    fn fitting(&mut self, (header, recorded): &Sweep) -> Result<Sweep> {
         let (pass, seq) = (header.seq / self.per_pass, header.seq % self.per_pass);
-        let (logged, truth) = self.by_seq.get(&seq).ok_or_else(|| self.unknown(header))?;
+        let period = self.period;
+        let Some((logged, truth)) = self.logged(seq)? else {
+            return Err(self.unknown(header)?);
+        };
         let shift = header.stamp - logged.stamp;
-        let fits = match (pass, self.period) {
+        let fits = match (pass, period) {
             (0, _) => shift == 0,
             (_, Some(period)) => shift == period * pass as Nanos,
             (_, None) => shift > 0 && shift % pass as Nanos == 0,
@@ -62,22 +136,23 @@ impl Sweeps {
             logged.stamp,
             later(pass)
         );
+        same_truth(recorded, truth)
+            .map_err(|reason| eyre!("the truth of sweep {} of {}: {reason}", header.seq, header.agent))?;
+        let found = (header.clone(), truth.clone());
         if pass > 0 {
             self.period = Some(shift / pass as Nanos);
         }
-        same_truth(recorded, truth)
-            .map_err(|reason| eyre!("the truth of sweep {} of {}: {reason}", header.seq, header.agent))?;
-        Ok((header.clone(), truth.clone()))
+        Ok(found)
     }
 
-    fn unknown(&self, header: &Header) -> eyre::Report {
-        eyre!(
+    fn unknown(&mut self, header: &Header) -> Result<eyre::Report> {
+        Ok(eyre!(
             "sweep {} of {}, stamp {} ns, is in the recording but not in the log, which has {} sweeps of that agent",
             header.seq,
             header.agent,
             header.stamp,
-            self.by_seq.len()
-        )
+            self.count()?
+        ))
     }
 }
 
@@ -135,13 +210,23 @@ mod tests {
         (header, truth)
     }
 
-    fn log() -> Sweeps {
+    /// Finds recorded sweeps in a log of these.
+    fn played(logged: &[Sweep], per_pass: u64, recorded: &[Sweep]) -> Result<Vec<Sweep>, Misfit> {
+        let open = || {
+            let mut left = logged.to_vec().into_iter();
+            Ok(move || Ok(left.next()))
+        };
+        let mut sweeps = Sweeps::new(open, per_pass).unwrap();
+        recorded.iter().map(|sweep| sweeps.find(sweep)).collect()
+    }
+
+    fn log() -> Vec<Sweep> {
         let sweeps = (0..PER_PASS).map(|seq| sweep(seq, 100 * seq as Nanos, seq as f64));
-        Sweeps::new(sweeps.collect(), PER_PASS)
+        sweeps.collect()
     }
 
     fn numbers(recorded: &[Sweep]) -> Result<Vec<(u64, Nanos, f64)>, Misfit> {
-        let played = log().played(recorded)?;
+        let played = played(&log(), PER_PASS, recorded)?;
         let number = |(header, truth): &Sweep| (header.seq, header.stamp, truth.boxes[0].center[0]);
         Ok(played.iter().map(number).collect())
     }
@@ -191,15 +276,36 @@ mod tests {
 
     #[test]
     fn a_sweep_that_the_log_lacks_is_named() {
-        let short = Sweeps::new(vec![sweep(0, 0, 0.0)], PER_PASS);
-        let misfit = short.played(&[sweep(0, 0, 0.0), sweep(2, 200, 2.0)]).unwrap_err();
+        let short = [sweep(0, 0, 0.0)];
+        let misfit = played(&short, PER_PASS, &[sweep(0, 0, 0.0), sweep(2, 200, 2.0)]).unwrap_err();
         let error = misfit.reason.to_string();
         assert!(
             error.contains("sweep 2 of cav1") && error.contains("not in the log"),
             "{error}"
         );
         assert_eq!((misfit.fitted, misfit.beyond), (1, true));
-        let misfit = log().played(&[sweep(3, 301, 3.0)]).unwrap_err();
+        let misfit = played(&log(), PER_PASS, &[sweep(3, 301, 3.0)]).unwrap_err();
         assert_eq!((misfit.fitted, misfit.beyond), (0, false));
+    }
+
+    #[test]
+    fn a_log_of_any_length_is_read_along_with_a_few_sweeps_in_hand() {
+        const LONG: u64 = 5_000;
+        let opened = std::cell::Cell::new(0);
+        let open = || {
+            opened.set(opened.get() + 1);
+            let mut left = (0..LONG).map(|seq| sweep(seq, 100 * seq as Nanos, 1.0));
+            Ok(move || Ok(left.next()))
+        };
+        let mut sweeps = Sweeps::new(open, LONG).unwrap();
+        // Two passes, in each of which neighbours change places.
+        for number in 0..2 * LONG {
+            let (pass, seq) = (number / LONG, (number % LONG) ^ 1);
+            let stamp = 100 * seq as Nanos + 700_000 * pass as Nanos;
+            let found = sweeps.find(&sweep(pass * LONG + seq, stamp, 1.0)).unwrap();
+            assert_eq!(found.0.seq, pass * LONG + seq);
+            assert!(sweeps.kept.len() <= KEPT);
+        }
+        assert_eq!((opened.get(), sweeps.count().unwrap()), (2, LONG as usize));
     }
 }

@@ -66,7 +66,8 @@ pub fn fingerprint(graph: &FlatGraph, log: &Path, out: &Path, decided: &[String]
                 add("the log");
                 continue;
             }
-            match content(&folder.join(value)) {
+            // What lies among the results comes of the run.
+            match content(&folder.join(value)).filter(|_| !value.starts_with(&out_text)) {
                 Some(content) => add(&content),
                 None => add(&value.replace(&out_text, "the results")),
             }
@@ -140,6 +141,20 @@ mod tests {
             print(&graph("/a/b", "perfect"), folder.path(), "/a/b"),
             "an argument"
         );
+        let inside = graph(&folder.path().to_string_lossy(), "perfect");
+        let within = |graph: &FlatGraph| {
+            let out = folder.path().join("out");
+            let mut graph = graph.clone();
+            let recording = out.join("recording.mcap");
+            graph
+                .set("score.recorder", "path", &recording.to_string_lossy())
+                .unwrap();
+            print(&graph, folder.path(), &out.to_string_lossy())
+        };
+        let empty = within(&inside);
+        std::fs::create_dir(at("out")).unwrap();
+        std::fs::write(at("out/recording.mcap"), "boxes").unwrap();
+        assert_eq!(empty, within(&inside), "what a run leaves does not decide it");
         std::fs::write(at("profile.toml"), "b").unwrap();
         let second = print(&graph("/a/b", &profile), folder.path(), "/a/b");
         assert_ne!(first, second, "a file that an argument names");
