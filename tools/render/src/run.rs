@@ -1,14 +1,15 @@
-use std::collections::BTreeMap;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use realo_logs::Log;
-use realo_recorder::{read_boxes, read_truth};
+use realo_logs::{Log, LogError};
+use realo_recorder::{boxes_of, truth_of};
 use realo_results::{Run, RunResult, read_run, run_folder};
 use realo_schemas::report::Crossing;
-use realo_schemas::{Boxes, GroundTruth, Header, Nanos};
+use realo_schemas::{Boxes, GroundTruth, Header, Message, Nanos};
 use realo_scoring::{Collector, Evaluation, Frame, Protocol};
 
-use crate::fused::{Fused, fused};
+use crate::fused::{fused, fused_sweeps};
 use crate::{Judged, RenderError};
 
 const RECORDING: &str = "recording.mcap";
@@ -141,15 +142,34 @@ fn below(folder: &Path) -> Vec<PathBuf> {
     entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect()
 }
 
-/// A run of one log and ego, as it was recorded.
+/// A run of one log and ego, as it was recorded: which sweeps it has. What is in them is read when it is looked at.
 struct Cell {
     result: RunResult,
     log: Log,
     protocol: Protocol,
     ego: String,
-    boxes: BTreeMap<u64, (Header, Boxes)>,
-    truth: BTreeMap<u64, (Header, GroundTruth)>,
-    fused: BTreeMap<u64, Fused>,
+    recording: PathBuf,
+    /// Sweeps with truth, and whether they are scored.
+    truth: BTreeMap<u64, bool>,
+    /// Sweeps with boxes.
+    boxes: BTreeSet<u64>,
+    /// Sweeps for which something was fused.
+    fused: BTreeSet<u64>,
+}
+
+/// What was recorded of a sweep.
+#[derive(Default)]
+struct Sweep {
+    truth: Option<(Header, GroundTruth)>,
+    boxes: Option<(Header, Boxes)>,
+}
+
+/// The candidate that shows most so far.
+struct Best {
+    seq: u64,
+    sweep: Sweep,
+    frame: Frame,
+    judged: Judged,
 }
 
 impl Cell {
@@ -159,19 +179,15 @@ impl Cell {
             return Err(RenderError::NoRecording { file: recording });
         }
         let log = open_log(&run, request)?;
-        let by_seq = |header: &Header| header.seq;
-        let mut boxes = BTreeMap::new();
-        for message in read_boxes(&recording)? {
-            let part = message.into_parts::<Boxes>()?;
-            boxes.insert(by_seq(&part.0), part);
+        let mut boxes = BTreeSet::new();
+        for message in boxes_of(&recording)? {
+            boxes.insert(message?.header.seq);
         }
         let ego = run.result.settings.ego.clone();
         let mut truth = BTreeMap::new();
-        for message in read_truth(&recording)? {
-            let mut part = message.into_parts::<GroundTruth>()?;
-            // A recording leaves the footprint out; detections in it are the ego itself.
-            part.1.ego_footprint = log.info().agent(&ego).and_then(|agent| agent.footprint);
-            truth.insert(by_seq(&part.0), part);
+        for message in truth_of(&recording)? {
+            let (header, content) = message?.into_parts::<GroundTruth>()?;
+            truth.insert(header.seq, content.key);
         }
         let protocol = match run.samples.evaluation {
             Some(Evaluation { protocol, .. }) => protocol,
@@ -181,8 +197,9 @@ impl Cell {
             result: run.result,
             log,
             protocol,
-            fused: fused(&recording, &ego)?,
+            fused: fused_sweeps(&recording, &ego)?,
             ego,
+            recording,
             boxes,
             truth,
         })
@@ -205,42 +222,95 @@ impl Cell {
     }
 
     fn sweeps(&self) -> impl Iterator<Item = u64> {
-        let alone = self.boxes.keys().filter(|seq| !self.truth.contains_key(seq));
-        let mut sweeps: Vec<u64> = self.truth.keys().chain(alone).copied().collect();
+        let mut sweeps: Vec<u64> = self.truth.keys().chain(&self.boxes).copied().collect();
         sweeps.sort_unstable();
+        sweeps.dedup();
         sweeps.into_iter()
     }
 
     fn keys(&self) -> impl Iterator<Item = u64> {
-        self.truth
-            .iter()
-            .filter(|(_, (_, truth))| truth.key)
-            .map(|(seq, _)| *seq)
+        self.truth.iter().filter(|(_, key)| **key).map(|(seq, _)| *seq)
     }
 
     /// The sweep of this number, or the key frame (without any: the sweep) that shows most.
     fn choose(self, seq: Option<u64>) -> Result<Option<Chosen>, RenderError> {
-        let candidates: Vec<u64> = match seq {
+        let candidates: BTreeSet<u64> = match seq {
             Some(seq) => self.sweeps().filter(|known| *known == seq).collect(),
             None if self.keys().next().is_some() => self.keys().collect(),
             None => self.sweeps().collect(),
         };
-        let iou = self.protocol.ious[0];
-        let mut best: Option<(u64, Frame, Judged)> = None;
-        for seq in candidates {
-            let frame = self.frame(seq)?;
-            let cooperated = self.fused.get(&seq).is_some_and(|fused| !fused.is_empty());
-            let judged = Judged::of(&frame, &self.protocol, iou, cooperated);
-            let gain = |judged: &Judged| (judged.added(), judged.hits());
-            if best.as_ref().is_none_or(|(_, _, best)| gain(&judged) > gain(best)) {
-                best = Some((seq, frame, judged));
+        let mut best: Option<Best> = None;
+        // Of equal ones the first: they may come in another order.
+        let gain = |judged: &Judged, seq: u64| (judged.added(), judged.hits(), Reverse(seq));
+        self.each(&candidates, |seq, sweep| {
+            let frame = self.frame(&sweep)?;
+            let judged = Judged::of(&frame, &self.protocol, self.protocol.ious[0], self.fused.contains(&seq));
+            if best
+                .as_ref()
+                .is_none_or(|best| gain(&judged, seq) > gain(&best.judged, best.seq))
+            {
+                best = Some(Best {
+                    seq,
+                    sweep,
+                    frame,
+                    judged,
+                });
             }
-        }
-        Ok(best.map(|(seq, frame, judged)| self.chosen(seq, iou, frame, judged)))
+            Ok(())
+        })?;
+        best.map(|best| self.chosen(best)).transpose()
     }
 
-    fn chosen(mut self, seq: u64, iou: f64, frame: Frame, judged: Judged) -> Chosen {
-        let (truth, boxes) = (self.truth.remove(&seq), self.boxes.remove(&seq));
+    /// Gives each of these sweeps once, as soon as all that was recorded of it is read; the most that waits for its other
+    /// half is what the graph had in work at a time.
+    fn each(
+        &self,
+        wanted: &BTreeSet<u64>,
+        mut give: impl FnMut(u64, Sweep) -> Result<(), RenderError>,
+    ) -> Result<(), RenderError> {
+        let footprint = self.log.info().agent(&self.ego).and_then(|agent| agent.footprint);
+        let ready = |message: &Result<Message, LogError>| message.as_ref().map_or(Nanos::MIN, |one| one.header.ready);
+        let (mut truth, mut boxes) = (
+            truth_of(&self.recording)?.peekable(),
+            boxes_of(&self.recording)?.peekable(),
+        );
+        let mut waiting: BTreeMap<u64, Sweep> = BTreeMap::new();
+        loop {
+            let truth_first = match (truth.peek(), boxes.peek()) {
+                (None, None) => return Ok(()),
+                (Some(truth), Some(boxes)) => ready(truth) <= ready(boxes),
+                (truth, _) => truth.is_some(),
+            };
+            let next = if truth_first { truth.next() } else { boxes.next() };
+            let Some(message) = next.transpose()? else { continue };
+            let seq = message.header.seq;
+            if !wanted.contains(&seq) {
+                continue;
+            }
+            let sweep = waiting.entry(seq).or_default();
+            if truth_first {
+                let mut part = message.into_parts::<GroundTruth>()?;
+                // A recording leaves the footprint out; detections in it are the ego itself.
+                part.1.ego_footprint = footprint;
+                sweep.truth = Some(part);
+            } else {
+                sweep.boxes = Some(message.into_parts::<Boxes>()?);
+            }
+            let complete = sweep.truth.is_some() == self.truth.contains_key(&seq)
+                && sweep.boxes.is_some() == self.boxes.contains(&seq);
+            if complete {
+                give(seq, waiting.remove(&seq).unwrap_or_default())?;
+            }
+        }
+    }
+
+    fn chosen(self, best: Best) -> Result<Chosen, RenderError> {
+        let Best {
+            seq,
+            sweep: Sweep { truth, boxes },
+            frame,
+            judged,
+        } = best;
         let key = truth.as_ref().is_some_and(|(_, truth)| truth.key);
         let has_truth = key || truth.as_ref().is_some_and(|(_, truth)| !truth.boxes.is_empty());
         let mut agents: Vec<String> = match &truth {
@@ -253,13 +323,14 @@ impl Cell {
         let (of_truth, truth) = truth.unzip();
         let header = boxes.map(|(header, _)| header).or(of_truth);
         let header = header.expect("a chosen sweep has boxes or truth");
-        Chosen {
+        Ok(Chosen {
+            fused: fused(&self.recording, &self.ego, seq)?,
+            iou: self.protocol.ious[0],
             result: self.result,
             log: self.log,
             ego: self.ego,
             agents,
             protocol: self.protocol,
-            iou,
             seq,
             stamp: header.stamp,
             key,
@@ -267,16 +338,14 @@ impl Cell {
             has_truth,
             header,
             truth,
-            fused: self.fused.remove(&seq).unwrap_or_default(),
             judged,
-        }
+        })
     }
 
     /// A sweep as the evaluator sees it, as if it were scored.
-    fn frame(&self, seq: u64) -> Result<Frame, RenderError> {
+    fn frame(&self, sweep: &Sweep) -> Result<Frame, RenderError> {
         let mut collector = Collector::new(self.protocol.clone());
-        let boxes = self.boxes.get(&seq);
-        match (self.truth.get(&seq), boxes) {
+        match (&sweep.truth, &sweep.boxes) {
             (Some((header, truth)), _) => {
                 let mut truth = truth.clone();
                 truth.key = true;
@@ -294,7 +363,7 @@ impl Cell {
             }
             (None, None) => {}
         }
-        if let Some((header, boxes)) = boxes {
+        if let Some((header, boxes)) = &sweep.boxes {
             collector.add_boxes(header, boxes.clone())?;
         }
         let scenes = collector.finish().scenes;
