@@ -243,3 +243,61 @@ fn of_more_collaborators_than_a_model_takes_the_nearest_are_fused() {
         );
     }
 }
+
+#[test]
+fn what_nobody_can_fuse_is_not_computed_and_scores_stay_the_same() {
+    let log = common::simulated(
+        "growth-many",
+        &[
+            "--seed",
+            "11",
+            "--agents",
+            "6",
+            "--seconds",
+            "1",
+            "--scenario",
+            "avenue",
+        ],
+    );
+    let run = |name: &str, more: &[&str]| {
+        let args = [
+            &[
+                "--mode",
+                "virtual",
+                "--ego",
+                "cav1",
+                "--set",
+                "fusion.fusion.max_collaborators=1",
+            ],
+            more,
+        ]
+        .concat();
+        common::run_virtual(&format!("growth-far-{name}"), "attfuse", &log, &args)
+    };
+    let (less, all) = (run("less", &[]), run("all", &["--set", "player.fused_at_most=null"]));
+    for same in ["accuracy", "accuracy_seen", "frames", "age_ms"] {
+        assert_eq!(less[same], all[same], "{same}");
+    }
+    let said = |result: &Value, words: &str| notes(result).contains(words);
+    assert!(
+        said(&less, "not computed") && !said(&all, "not computed"),
+        "{}",
+        notes(&less)
+    );
+    assert!(said(&all, "beyond the collaborators"), "{}", notes(&all));
+    let sum = |result: &Value, term: &str| -> u64 {
+        let links = result["links"].as_object().expect("links");
+        let features = links.values().filter_map(|kinds| kinds["features"][term].as_u64());
+        features.sum()
+    };
+    assert_eq!(sum(&less, "used"), sum(&all, "used"));
+    let counters = less["nodes"]["player"]["counters"].as_object().expect("counters");
+    let left_out: u64 = counters
+        .iter()
+        .filter(|(name, _)| name.starts_with("too_far_"))
+        .filter_map(|(_, n)| n.as_u64())
+        .sum();
+    assert!(left_out > 0, "{counters:?}");
+    assert!(sum(&all, "sent") - sum(&less, "sent") <= left_out);
+    assert!(sum(&all, "over_limit") > sum(&less, "over_limit"));
+}

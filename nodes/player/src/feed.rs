@@ -11,6 +11,7 @@ use realo_schemas::{
     Boxes, EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
 };
 
+use crate::nearest::Nearest;
 use crate::truth::TruthJoin;
 use crate::{PlannedRun, ports};
 
@@ -18,6 +19,8 @@ use crate::{PlannedRun, ports};
 const LATENCY: Nanos = 500_000_000;
 /// Poses from so long before the first sweep are sent too, so that it has some.
 const LEAD_IN: Nanos = 500_000_000;
+/// What is left out of an agent is counted under this and its name.
+const TOO_FAR: &str = "too_far_";
 /// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
 const PAUSE: Nanos = 1_000_000_000;
 
@@ -38,6 +41,8 @@ pub struct Script {
     pub precomputed: bool,
     /// Whether only the ego's streams are played.
     pub alone: bool,
+    /// Collaborators that the fusion of the graph takes, where sweeps that it cannot take are left out.
+    pub fused_at_most: Option<usize>,
     pub repeat: u32,
     /// Log times from (inclusive) and until (exclusive) which sweeps are played.
     pub from: Nanos,
@@ -60,6 +65,8 @@ pub struct Feed {
     period: Nanos,
     reader: LogReader,
     truth: TruthJoin,
+    /// Says which sweeps are left out.
+    nearest: Option<Nearest>,
     /// Agents whose body frames are made level.
     levels: BTreeMap<Name, Levelling>,
     /// Agents whose frames were levelled otherwise when the log was made: along the ground, where poses need not be level.
@@ -153,6 +160,15 @@ impl Script {
         Ok(levels)
     }
 
+    fn nearest(&self, agents: &[Name]) -> Result<Option<Nearest>, LogError> {
+        match self.fused_at_most {
+            Some(limit) if limit + 1 < agents.len() && !self.alone => {
+                Nearest::read(&self.log, agents, limit, self.offline, |agent| self.pose_stream(agent))
+            }
+            _ => Ok(None),
+        }
+    }
+
     fn along_ground(&self) -> Result<BTreeSet<Name>, LogError> {
         let levelled = self.log.levelled()?.into_iter();
         let ground = levelled.filter(|(_, levelled)| levelled.by == Levelled::BY_GROUND);
@@ -198,6 +214,7 @@ impl Feed {
             reader: script.open()?,
             truth: script.truth(&agents, &levels)?,
             along_ground: script.along_ground()?,
+            nearest: script.nearest(&agents)?,
             levels,
             period: script
                 .slot
@@ -354,6 +371,13 @@ impl Feed {
                 ),
             });
         }
+        let rank = self.agents.iter().position(|agent| *agent == entry.agent).unwrap_or(0);
+        if let Some(nearest) = &self.nearest
+            && nearest.is_too_far(rank, entry.stamp(), entry.ready())
+        {
+            self.script.count(&format!("{TOO_FAR}{}", entry.agent));
+            return Ok(());
+        }
         known.insert(entry.stamp(), entry.seq());
         while known.len() > 64 {
             known.pop_first();
@@ -416,8 +440,15 @@ impl Feed {
             .copied();
         match seq {
             Some(seq) => self.send(entry, seq, Kind::Boxes, [ports::EGO_RECORDED, ports::RECORDED], boxes),
+            None if self.is_left_out(entry) => {}
             None => self.script.count("detections_without_sweep"),
         }
+    }
+
+    /// Whether the sweep of a message is left out.
+    fn is_left_out(&self, entry: &Entry) -> bool {
+        let nearest = self.nearest.as_ref();
+        nearest.is_some_and(|nearest| nearest.is_too_far(self.rank(entry), entry.stamp(), entry.ready()))
     }
 
     fn send(&mut self, entry: &Entry, seq: u64, kind: Kind, ports: [PortId; 2], payload: impl Into<Payload>) {

@@ -18,6 +18,7 @@
 
 mod ahead;
 mod feed;
+mod nearest;
 mod plan;
 mod truth;
 
@@ -137,6 +138,9 @@ pub struct Config {
     pub detections: Detections,
     /// Whether the collaborators' messages are played that the log has precomputed.
     pub precomputed: bool,
+    /// Collaborators that the fusion of the graph takes, for sweeps to be left out that it cannot take because so many others
+    /// are nearer; only where every message arrives at once. `None`: all sweeps are played.
+    pub fused_at_most: Option<usize>,
     /// Seconds of log time per second, in a realtime run.
     pub rate: f64,
     /// Passes over the log.
@@ -164,6 +168,7 @@ impl Default for Config {
             points: true,
             detections: Detections::Optional,
             precomputed: false,
+            fused_at_most: None,
             rate: 1.0,
             repeat: 1,
             start: 0.0,
@@ -321,6 +326,10 @@ impl Describe for Player {
             about: "whether the log's packets of the collaborators are played, and their sweeps without points",
         },
         Argument {
+            name: "fused_at_most",
+            about: "leaves out sweeps of collaborators than which so many are nearer; null: none; in virtual time over perfect links",
+        },
+        Argument {
             name: "rate",
             about: "seconds of log time per second, in a realtime run",
         },
@@ -474,6 +483,7 @@ fn feed(config: &Config, counters: &Counters) -> Result<(Feed, PlannedRun), Erro
         points: config.points,
         detections: config.detections != Detections::Off,
         precomputed: config.precomputed,
+        fused_at_most: config.fused_at_most,
         alone: !config.agent.is_empty(),
         repeat: config.repeat,
         from,

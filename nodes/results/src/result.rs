@@ -14,6 +14,8 @@ pub const RESULT: &str = "realo/result";
 
 /// The player's counter of runs over a cut log.
 const LOG_CUT: &str = "log_truncated";
+/// What the player left out of an agent, before its name.
+const TOO_FAR: &str = "too_far_";
 /// So many cut logs are named; the field `logs_cut` has all.
 const CUT_NAMED: usize = 5;
 
@@ -365,6 +367,41 @@ impl RunResult {
         (!said.is_empty()).then(|| format!("levelled while played, by the poses of the log: {}", said.join("; ")))
     }
 
+    /// Whose sweeps the player left out, since no fusion could take what is made of them.
+    fn note_of_far_agents(&self) -> Option<String> {
+        let mut agents: BTreeMap<&str, u64> = BTreeMap::new();
+        for (counter, n) in self.nodes.values().flat_map(|node| &node.counters) {
+            if let Some(agent) = counter.strip_prefix(TOO_FAR) {
+                *agents.entry(agent).or_default() += n;
+            }
+        }
+        let said: Vec<String> = agents
+            .iter()
+            .map(|(agent, n)| format!("{agent} ({n} sweeps)"))
+            .collect();
+        (!said.is_empty()).then(|| {
+            format!(
+                "not computed, and in no books, because as many others as the fusion takes were nearer to the ego: {}; the                  player's `fused_at_most=null` computes them",
+                said.join(", ")
+            )
+        })
+    }
+
+    /// Whose messages came to a fusion that had taken all that it takes.
+    fn note_of_limit(&self) -> Option<String> {
+        let over = self.channels().filter_map(|(link, _, books)| {
+            let over = books.accounted?.fates.over_limit;
+            (over > 0).then(|| format!("{link} ({over} of {})", books.sent))
+        });
+        let said: Vec<String> = over.collect();
+        (!said.is_empty()).then(|| {
+            format!(
+                "beyond the collaborators that the fusion takes (`max_collaborators`, or the agents of its model), which are the                  nearest to the ego: {}",
+                said.join(", ")
+            )
+        })
+    }
+
     fn own_notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         let mut note = |condition: bool, text: String| {
@@ -389,6 +426,10 @@ impl RunResult {
         );
         let levelled = self.note_of_levelled_agents();
         note(levelled.is_some(), levelled.unwrap_or_default());
+        let far = self.note_of_far_agents();
+        note(far.is_some(), far.unwrap_or_default());
+        let beyond = self.note_of_limit();
+        note(beyond.is_some(), beyond.unwrap_or_default());
         let tilted = self.counter("tilted_poses");
         note(
             tilted > 0,

@@ -5,6 +5,7 @@ mod compute;
 mod dora;
 mod folders;
 mod lane;
+mod limit;
 mod networks;
 mod nodes;
 mod prepare;

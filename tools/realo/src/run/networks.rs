@@ -81,6 +81,16 @@ impl Networks {
         Ok(known.map(|(_, known)| known.loaded.identity.clone()))
     }
 
+    /// Agents that the model of a node takes, the ego among them; `None` without a network that fuses.
+    ///
+    /// # Errors
+    /// A model or weights that cannot be had.
+    pub fn agents(&mut self, node: &FlatNode) -> Result<Option<usize>> {
+        let known = self.of_node(node)?;
+        let arch = known.map(|(_, known)| &known.loaded.model.arch);
+        Ok(arch.filter(|arch| arch.fuses()).map(|arch| arch.agents()))
+    }
+
     fn of_node(&mut self, node: &FlatNode) -> Result<Option<(PathBuf, &Known)>> {
         let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
         let Some(path) = value(Decided::Model).map(PathBuf::from) else {

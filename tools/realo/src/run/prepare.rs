@@ -18,7 +18,7 @@ use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
     set_model, takers, values,
 };
-use super::{Args, Mode, compute, dir_of, resume};
+use super::{Args, Mode, compute, dir_of, limit, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry};
 
@@ -155,6 +155,10 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
                 }
                 None => graph,
             };
+            let mut graph = graph;
+            if mode == Mode::Virtual && args.compute.is_none() && settings.precomputed.is_empty() {
+                limit::leave_out_too_far(&mut graph, args.offline, &mut networks)?;
+            }
             spare(&graph, &logs)?;
             check(&graph)?;
             if mode == Mode::Realtime {
