@@ -247,31 +247,11 @@ fn of_more_collaborators_than_a_model_takes_the_nearest_are_fused() {
 #[test]
 fn what_nobody_can_fuse_is_not_computed_and_scores_stay_the_same() {
     let log = common::simulated(
-        "growth-many",
-        &[
-            "--seed",
-            "11",
-            "--agents",
-            "6",
-            "--seconds",
-            "1",
-            "--scenario",
-            "avenue",
-        ],
+        "growth-several",
+        &["--seed", "911", "--vehicles", "3", "--roadside", "1", "--seconds", "1"],
     );
     let run = |name: &str, more: &[&str]| {
-        let args = [
-            &[
-                "--mode",
-                "virtual",
-                "--ego",
-                "cav1",
-                "--set",
-                "fusion.fusion.max_collaborators=1",
-            ],
-            more,
-        ]
-        .concat();
+        let args = [&["--ego", "cav1", "--set", "fusion.fusion.max_collaborators=1"], more].concat();
         common::run_virtual(&format!("growth-far-{name}"), "attfuse", &log, &args)
     };
     let (less, all) = (run("less", &[]), run("all", &["--set", "player.fused_at_most=null"]));
