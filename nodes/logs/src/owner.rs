@@ -41,6 +41,10 @@ impl Owner {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Owner::Nobody),
             Err(error) => return Err(error),
         };
+        // What is written to a device or a pipe takes nobody's place.
+        if !file.metadata()?.is_file() {
+            return Ok(Owner::Nobody);
+        }
         let mut head = Vec::new();
         file.take(HEAD_OF_FILE).read_to_end(&mut head)?;
         Ok(of_head(&head))
@@ -67,10 +71,12 @@ fn of_head(head: &[u8]) -> Owner {
     Owner::OtherMcap
 }
 
+/// The opcode of a record, what is left of its body, and what follows.
 fn record(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     let (head, rest) = bytes.split_at_checked(HEAD)?;
     let length = u64::from_le_bytes(head[1..].try_into().ok()?);
-    let (body, behind) = rest.split_at_checked(usize::try_from(length).ok()?)?;
+    let length = usize::try_from(length).unwrap_or(usize::MAX);
+    let (body, behind) = rest.split_at(length.min(rest.len()));
     Some((head[0], body, behind))
 }
 

@@ -382,7 +382,7 @@ mod tests {
             boxes: vec![object(seq as f64)],
             agents: vec!["cav1".into()],
             points: vec![7],
-            key: seq % 10 == 0,
+            key: seq.is_multiple_of(10),
             own: Some(OwnLabels {
                 boxes: vec![object(-1.0)],
                 points: vec![3],

@@ -213,7 +213,7 @@ mod tests {
     /// Finds recorded sweeps in a log of these.
     fn played(logged: &[Sweep], per_pass: u64, recorded: &[Sweep]) -> Result<Vec<Sweep>, Misfit> {
         let open = || {
-            let mut left = logged.to_vec().into_iter();
+            let mut left = logged.iter().cloned();
             Ok(move || Ok(left.next()))
         };
         let mut sweeps = Sweeps::new(open, per_pass).unwrap();

@@ -197,7 +197,7 @@ mod tests {
             fs::write(folder.join(name), text).unwrap();
         }
         for name in [RECORDING, LOG] {
-            fs::write(folder.join(name), "earlier").unwrap();
+            fs::write(folder.join(name), recorded("earlier")).unwrap();
         }
         fs::create_dir_all(folder.join("channels")).unwrap();
         fs::write(folder.join(TRACE), trace("earlier")).unwrap();
@@ -206,6 +206,17 @@ mod tests {
     /// What the sensors of an agent gave, which runs of its graph record.
     const LOG: &str = "cav1.mcap";
     const TRACE: &str = "channels/rsu1.csv";
+
+    /// What begins as a recording does.
+    fn recorded(text: &str) -> Vec<u8> {
+        let name = realo_logs::RECORDING_RECORD.as_bytes();
+        let mut bytes = b"\x89MCAP0\r\n\x0c".to_vec();
+        bytes.extend((4 + name.len() as u64).to_le_bytes());
+        bytes.extend((name.len() as u32).to_le_bytes());
+        bytes.extend(name);
+        bytes.extend(text.as_bytes());
+        bytes
+    }
 
     fn trace(rows: &str) -> String {
         format!("{}\n{rows}", Phase::COLUMNS)
@@ -250,7 +261,7 @@ mod tests {
                 false => drop(folders),
             }
             for file in [RECORDING, LOG, TOLD] {
-                assert_eq!(fs::read_to_string(folder.join(file)).unwrap(), "earlier");
+                assert!(fs::read(folder.join(file)).unwrap().ends_with(b"earlier"), "{file}");
             }
             assert_eq!(fs::read_to_string(folder.join(TRACE)).unwrap(), trace("earlier"));
             for failed in ["recording.failed.mcap", "cav1.failed.mcap"].map(|name| folder.join(name)) {
