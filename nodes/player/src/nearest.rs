@@ -7,13 +7,10 @@ use realo_schemas::{Name, Nanos};
 
 /// Positions are kept so far apart, ns.
 const STEP: Nanos = 40_000_000;
-/// Around a sweep of the ego positions are looked at so long before and after, ns: messages are older than the ego's sweep.
-const BEFORE: Nanos = 600_000_000;
-const AFTER: Nanos = 200_000_000;
-/// Poses of that time that must be known of whoever counts as nearer.
-const LEAST_POSES: usize = 6;
-/// What positions between those that are kept may differ by, m.
-const SLACK: f64 = 4.0;
+/// Positions are known between two that are no farther apart than this, ns.
+const GAP: Nanos = 300_000_000;
+/// What a position may differ by from the one that a message has, m.
+const SLACK: f64 = 1.0;
 /// A message is taken for certain up to this age, ns; a bank's window is not shorter.
 const AGE: Nanos = 300_000_000;
 /// A message is not taken at a greater age, ns; a bank's window is not longer.
@@ -70,7 +67,7 @@ impl Nearest {
     /// as many as a fusion takes.
     pub fn is_too_far(&self, rank: usize, stamp: Nanos, ready: Nanos) -> bool {
         let mut asked = self.asking(stamp, ready).peekable();
-        rank > 0 && asked.peek().is_some() && asked.all(|query| self.enough_are_nearer(rank, query))
+        rank > 0 && asked.peek().is_some() && asked.all(|query| self.enough_are_nearer(rank, stamp, query))
     }
 
     /// The ego's sweeps that could take a sweep of another agent.
@@ -82,46 +79,41 @@ impl Nearest {
         })
     }
 
-    fn enough_are_nearer(&self, rank: usize, query: [Nanos; 2]) -> bool {
-        let Some((least, _)) = self.distances(rank, query[0]) else {
+    /// Whether, when the ego asks, as many others as a fusion takes have messages and are nearer than an agent at a stamp.
+    fn enough_are_nearer(&self, rank: usize, stamp: Nanos, query: [Nanos; 2]) -> bool {
+        let Some(own) = self.distance(rank, stamp, query[0]) else {
             return false;
         };
         let is_nearer = |other: usize| {
-            let most = self.distances(other, query[0]).map(|(_, most)| most);
-            self.has_message(other, query) && most.is_some_and(|most| most + SLACK < least - SLACK)
+            self.farthest(other, query)
+                .is_some_and(|most| most + SLACK < own - SLACK)
         };
         let others = (1..self.tracks.len()).filter(|other| *other != rank && is_nearer(*other));
         others.take(self.limit).count() == self.limit
     }
 
-    /// Whether a message of an agent is there for certain when the ego asks.
-    fn has_message(&self, rank: usize, [stamp, ready]: [Nanos; 2]) -> bool {
+    /// The greatest distance of an agent at the stamps of those of its messages that may be fused when the ego asks; `None`
+    /// where none is there for certain.
+    fn farthest(&self, rank: usize, [stamp, ready]: [Nanos; 2]) -> Option<f64> {
         let track = &self.tracks[rank];
         let first = track
             .sweeps
             .partition_point(|sweep| sweep[0] < stamp.saturating_sub(2 * AGE));
-        let mut sweeps = track.sweeps[first..]
+        let sweeps = track.sweeps[first..]
             .iter()
             .take_while(|sweep| sweep[0] <= ready.max(stamp) + REACH);
-        sweeps.any(|[own, own_ready]| match self.offline {
+        let there = sweeps.filter(|[own, own_ready]| match self.offline {
             true => (own - stamp).abs() <= REACH,
             false => *own_ready <= ready && ready - own <= AGE,
-        })
+        });
+        let distances: Option<Vec<f64>> = there.map(|[own, _]| self.distance(rank, *own, stamp)).collect();
+        distances?.into_iter().reduce(f64::max)
     }
 
-    /// The least and the greatest distance from the ego around a stamp, m; `None` where too little is known.
-    fn distances(&self, rank: usize, stamp: Nanos) -> Option<(f64, f64)> {
-        let [ego, other] = [0, rank].map(|rank| self.tracks[rank].around(stamp));
-        if ego.len() < LEAST_POSES || other.len() < LEAST_POSES {
-            return None;
-        }
-        // The ego's own move is part of the slack at its stamp; its whole way is looked at all the same.
-        let pairs = ego
-            .iter()
-            .flat_map(|(_, a)| other.iter().map(move |(_, b)| (a[0] - b[0]).hypot(a[1] - b[1])));
-        Some(pairs.fold((f64::INFINITY, 0.0), |(least, most): (f64, f64), d| {
-            (least.min(d), most.max(d))
-        }))
+    /// From where the ego is at the stamp of its sweep to where an agent is at the stamp of its own, m.
+    fn distance(&self, rank: usize, stamp: Nanos, ego_stamp: Nanos) -> Option<f64> {
+        let (ego, other) = (self.tracks[0].at(ego_stamp)?, self.tracks[rank].at(stamp)?);
+        Some((ego[0] - other[0]).hypot(ego[1] - other[1]))
     }
 }
 
@@ -137,10 +129,20 @@ impl Track {
         }
     }
 
-    /// The positions around a stamp.
-    fn around(&self, stamp: Nanos) -> &[(Nanos, [f64; 2])] {
-        let at = |time: Nanos| self.positions.partition_point(|(stamp, _)| *stamp < time);
-        &self.positions[at(stamp.saturating_sub(BEFORE))..at(stamp.saturating_add(AFTER))]
+    /// Where the agent is at a stamp.
+    fn at(&self, stamp: Nanos) -> Option<[f64; 2]> {
+        let next = self.positions.partition_point(|(known, _)| *known < stamp);
+        let (before, after) = (
+            next.checked_sub(1).map(|at| self.positions[at]),
+            self.positions.get(next).copied(),
+        );
+        match (before, after) {
+            (Some((from, a)), Some((to, b))) if to - from <= GAP => {
+                let share = (stamp - from) as f64 / (to - from) as f64;
+                Some([0, 1].map(|axis| a[axis] + share * (b[axis] - a[axis])))
+            }
+            _ => None,
+        }
     }
 }
 
@@ -202,13 +204,13 @@ mod tests {
     #[test]
     fn whoever_may_be_fused_is_played() {
         // As far as another within the slack.
-        let close = nearest(1, false, vec![track(30.0, 0.0, 0), track(36.0, 0.0, 0)]);
+        let close = nearest(1, false, vec![track(30.0, 0.0, 0), track(31.5, 0.0, 0)]);
         assert!(!far(&close, 2).contains(&true));
         // It comes nearer than the other after two and a half seconds.
         let passing = nearest(1, false, vec![track(40.0, 0.0, 0), track(90.0, -20.0, 0)]);
         let away = far(&passing, 2);
         assert!(
-            away[8..12].iter().all(|far| *far) && !away[18..].contains(&true),
+            away[8..20].iter().all(|far| *far) && !away[24..].contains(&true),
             "{away:?}"
         );
         // The other one falls silent for a second.

@@ -381,7 +381,7 @@ impl RunResult {
             .collect();
         (!said.is_empty()).then(|| {
             format!(
-                "not computed, and in no books, because as many others as the fusion takes were nearer to the ego: {}; the                  player's `fused_at_most=null` computes them",
+                "not computed, and in no books, because as many others as the fusion takes were nearer to the ego: {}; the player's `fused_at_most=null` computes them",
                 said.join(", ")
             )
         })
@@ -396,7 +396,7 @@ impl RunResult {
         let said: Vec<String> = over.collect();
         (!said.is_empty()).then(|| {
             format!(
-                "beyond the collaborators that the fusion takes (`max_collaborators`, or the agents of its model), which are the                  nearest to the ego: {}",
+                "beyond the collaborators that the fusion takes (`max_collaborators`, or the agents of its model), which are the nearest to the ego: {}",
                 said.join(", ")
             )
         })
