@@ -366,6 +366,104 @@ fn the_python_modules_own_tests_pass() {
     assert!(output.status.success(), "{}", text(&output.stderr));
 }
 
+/// Writes a plug-in in Python and has its own test pass; gives its program.
+fn new_python(bin: &Path, kind: &str, name: &str) -> PathBuf {
+    let mine = folder(&format!("new_{kind}")).join(name);
+    realo_ok(["new", kind, &mine.to_string_lossy(), "--python"]);
+    let args = ["-m", "unittest", "discover", "-s", &mine.to_string_lossy()].map(String::from);
+    let output = python::with(bin, &bin.join("python").to_string_lossy(), &args);
+    let said = text(&output.stderr);
+    assert!(output.status.success() && said.contains("OK"), "{said}");
+    mine.join(format!("{name}.py"))
+}
+
+#[test]
+fn a_new_fusion_in_python_takes_a_stage_of_any_graph() {
+    let Some(bin) = python::bin() else {
+        return;
+    };
+    let program = new_python(&bin, "fusion", "my_fusion");
+    let replace = format!("fusion.fusion=program {} min_score=0", program.display());
+    let out = folder("new_fusion_run");
+    let args = run_args(&out, "late_fusion", &["--mode", "virtual", "--replace", &replace]);
+    let output = python::with(&bin, common::REALO, &args);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert_alike(&out, &run("new_fusion_shipped", &shipped("late_fusion"), &VIRTUAL));
+    let result = json(&out.join("result.json"));
+    assert_eq!(
+        result["settings"]["set"],
+        "fusion.fusion=program my_fusion.py min_score=0"
+    );
+    // Its ports do not fit where boxes are suppressed.
+    let replace = format!("fusion.nms=program {}", program.display());
+    let args = run_args(&out, "late_fusion", &["--mode", "virtual", "--replace", &replace]);
+    let said = text(&python::with(&bin, common::REALO, &args).stderr);
+    for part in [
+        "it does not fit",
+        "offers the inputs ego (Boxes), selections (Selection)",
+        "the place has the inputs proposals (Boxes)",
+    ] {
+        assert!(said.contains(part), "no `{part}` in\n{said}");
+    }
+}
+
+#[test]
+fn a_stage_is_replaced_on_dora_as_in_virtual_time() {
+    decided(|| {
+        let program = fusion_nearest();
+        let replace = format!("fusion.fusion=program {} threshold=1", program.display());
+        let expected = run(
+            "replaced_virtual",
+            "late_fusion",
+            &["--mode", "virtual", "--replace", &replace],
+        );
+        let _alone = alone();
+        let found = run(
+            "replaced_on_dora",
+            "late_fusion",
+            &["--rate", "0.1", "--replace", &replace],
+        );
+        assert_same(&found, &expected);
+    });
+}
+
+#[test]
+fn a_new_detector_in_python_takes_two_stages_of_each_lane() {
+    let Some(bin) = python::bin() else {
+        return;
+    };
+    let program = new_python(&bin, "detector", "my_detector");
+    let log = simulated("plugins_detector", &["--seed", "5", "--seconds", "1", "--key-hz", "10"]);
+    let out = folder("new_detector_run");
+    let replace = format!("ego.encoder+head,others.encoder+head=program {}", program.display());
+    let log = log.to_string_lossy();
+    let fixed = [
+        "run",
+        "late_fusion",
+        "--mode",
+        "virtual",
+        "--ego",
+        "cav1",
+        "--agents",
+        "cav1,cav2",
+        "--log",
+        &log,
+        "--replace",
+        &replace,
+        "--out",
+    ];
+    let args: Vec<String> = fixed
+        .iter()
+        .map(|arg| arg.to_string())
+        .chain([out.to_string_lossy().into_owned()])
+        .collect();
+    let output = python::with(&bin, common::REALO, &args);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let found = counts(&json(&out.join("result.json")), "vehicle", "0.3");
+    println!("vehicles, true of all: {} of {}", found.0, found.2);
+    assert!(found.0 > 0, "it finds some: {found:?}");
+}
+
 #[test]
 fn the_guide_can_be_followed_in_rust() {
     let mine = guide::folder("guide_rust", &["1. The crate", "2. The graph"]);

@@ -82,6 +82,11 @@ class Message:
     payload: dict
 
     @staticmethod
+    def boxes(header, columns):
+        """A message of boxes (see `boxes`) with this header, e.g. that of the sweep in which they were found."""
+        return Message(header.copy(kind="boxes"), "Boxes", columns)
+
+    @staticmethod
     def read(row: pa.StructArray):
         """The message of a struct array of one row."""
         columns = dict(zip([row.type.field(i).name for i in range(row.type.num_fields)], row.flatten()))
@@ -105,6 +110,30 @@ class Message:
             cells |= {name: _cell(self.type, name, as_, values) for name, as_ in types.items()}
         cells |= {f"entry_{i}": entry.write() for i, entry in enumerate(self.payload.get("entries", []))}
         return pa.StructArray.from_arrays(list(cells.values()), list(cells))
+
+
+def boxes(x, y, z=0.0, *, length, width, height, yaw=0.0, score=1.0, class_="Car", track=None, velocity=None, covariance=None):
+    """Columns of the payload `Boxes`: one value for all boxes, or one for each. What is `None` is unknown.
+
+    x, y, z: centres, m; yaw: rad; velocity: `[boxes, 3]`, m/s; covariance: `[boxes, 9]` or `[boxes, 3, 3]` of the centre.
+    """
+    n = np.size(x)
+    numbers = {"x": x, "y": y, "z": z, "length": length, "width": width, "height": height, "yaw": yaw}
+    columns = {name: _each(name, value, n, float) for name, value in numbers.items()}
+    columns |= {"score": _each("score", score, n, np.float32), "class": _each("class_", class_, n, object)}
+    columns |= {"track": _each("track", track, n, object)}
+    for name, value, size in (("velocity", velocity, 3), ("covariance", covariance, 9)):
+        known = np.full((n, size), np.nan) if value is None else np.asarray(value, float).reshape(-1, size)
+        columns[name] = known if len(known) == n else _each(name, known[:, 0], n, float)
+    return columns
+
+
+def _each(name, value, n, kind):
+    """A value for each of n boxes."""
+    values = np.asarray(value, kind).ravel()
+    if values.size not in (1, n):
+        raise ValueError(f"`{name}`: expected one value, or one for each of {n} boxes, found {values.size}")
+    return np.array(np.broadcast_to(values, n) if values.size == 1 else values)
 
 
 def _read(name, column):

@@ -100,6 +100,11 @@ pub enum GraphError {
     /// A setting that is not of the form `node.key=value`.
     #[error("setting `{0}` is not of the form node.key=value")]
     Setting(String),
+    /// A replacement that is not of the form `STAGE=program PATH key=value`.
+    #[error(
+        "replacement `{0}`: expected `STAGE=program PATH key=value …` or `STAGE=operator NAME key=value …`, found {1}"
+    )]
+    Replacement(String, String),
     /// `--recorded-detections` for a graph that does not detect.
     #[error(
         "{}: no module `detect.*.yml` whose detections could be replaced by recorded ones; \

@@ -313,6 +313,9 @@ impl Expansion<'_> {
             )));
         }
         outlets.retain(|output, _| node.outputs.contains(output));
+        for setting in settings {
+            take_inputs(&mut stages, &node.id, setting).map_err(&wrong)?;
+        }
         leave_out(&mut stages, &outlets);
         let is_left = |stage: &String| stages.iter().any(|left| left.id == *stage);
         if let Some((output, (stage, _))) = outlets.iter().find(|(_, (stage, _))| !is_left(stage)) {
@@ -532,6 +535,22 @@ fn past_the_module(host: &Node, stages: &[Node]) -> Result<(), String> {
     Ok(())
 }
 
+/// Gives a hosted stage the inputs of another, where a setting says so: `inner.:takes=other`.
+fn take_inputs(stages: &mut [Node], host: &str, setting: &str) -> Result<(), String> {
+    let parts = setting.split_once('=');
+    let takes = parts.and_then(|(left, other)| Some((left.rsplit_once('.')?, other)));
+    let Some(((inner, _), other)) = takes.filter(|((_, key), _)| *key == super::flat::TAKES) else {
+        return Ok(());
+    };
+    let find = |inner: &str| stages.iter().position(|stage| stage.id == format!("{host}.{inner}"));
+    let (Some(taker), Some(other)) = (find(inner), find(other)) else {
+        return Err(format!("setting `{}`: no stage of this name", shown(setting)));
+    };
+    stages[taker].inputs = stages[other].inputs.clone();
+    stages[taker].starved = stages[other].starved;
+    Ok(())
+}
+
 /// Changes an argument of a hosted stage: `inner.key=value`.
 fn set_inner(stages: &mut [Node], host: &str, setting: &str) -> Result<(), String> {
     let written = shown(setting);
@@ -552,6 +571,13 @@ fn set_inner(stages: &mut [Node], host: &str, setting: &str) -> Result<(), Strin
             known.join(", ")
         ));
     };
+    if key == super::flat::STAGE {
+        stage.args = Some(value.into());
+        return Ok(());
+    }
+    if key == super::flat::TAKES {
+        return Ok(());
+    }
     let mut words = shlex::split(stage.args.as_deref().unwrap_or_default()).unwrap_or_default();
     match words.as_mut_slice() {
         [word, path, ..] if key == super::flat::PROGRAM && word == super::flat::PROGRAM => *path = value.into(),

@@ -321,6 +321,12 @@ pub(super) const DEPLOY: &str = "deploy";
 /// What stands for the path of a stage's program among the settings of its host.
 pub(super) const PROGRAM: &str = "program";
 
+/// What stands for all the words of a stage among the settings of its host; no argument has a `:`.
+pub(super) const STAGE: &str = ":stage";
+
+/// What names, among the settings of its host, the stage whose inputs a stage takes.
+pub(super) const TAKES: &str = ":takes";
+
 /// Changes or adds `key=value` among the words of a command line.
 pub(super) fn set_argument(words: &mut Vec<String>, key: &str, value: &str) {
     let argument = format!("{key}={value}");
@@ -419,6 +425,11 @@ impl FlatGraph {
             node.set(key, value);
             return Ok(());
         }
+        Err(self.unknown(id))
+    }
+
+    /// That there is no stage of this id, the nearest, and all that there are.
+    pub(super) fn unknown(&self, id: &str) -> GraphError {
         let known: Vec<&str> = self.nodes.iter().map(|node| node.id.as_str()).collect();
         let inside = known
             .iter()
@@ -426,12 +437,12 @@ impl FlatGraph {
         let nearest = inside
             .map(|id| id.to_string())
             .or_else(|| nearest_name(id, known.iter().copied()));
-        Err(GraphError::UnknownNode {
+        GraphError::UnknownNode {
             file: self.file.clone(),
             id: id.into(),
             nearest,
             known: known.join(", "),
-        })
+        }
     }
 
     /// Lets every stage be hosted by this binary, so that a graph runs on the program that read it. Its name must be

@@ -15,6 +15,7 @@ mod params;
 mod paths;
 mod place;
 mod read;
+mod replace;
 mod rewire;
 mod variables;
 
@@ -35,6 +36,7 @@ pub use error::GraphError;
 pub use expand::{OUTSIDE, hosted};
 pub use flat::{FlatGraph, FlatNode, Input, InputSource, Setting};
 pub use paths::normalized;
+pub use replace::Replacement;
 pub use variables::with_variables;
 
 /// Prefix of our types in graphs, as dora derives it from the place of `types/realo/v1.yml`.

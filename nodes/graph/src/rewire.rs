@@ -31,7 +31,7 @@ impl FlatGraph {
     }
 
     /// The stages that end in one that sends nothing, and these.
-    fn heard(&self) -> BTreeSet<String> {
+    pub(super) fn heard(&self) -> BTreeSet<String> {
         let sinks = self.nodes.iter().filter(|node| node.outputs.is_empty());
         let mut open: Vec<&FlatNode> = sinks.collect();
         let mut heard = BTreeSet::new();
@@ -45,7 +45,7 @@ impl FlatGraph {
     }
 
     /// Takes stages away, and out of the processes that host them; nobody takes anything of them.
-    fn leave_out(&mut self, gone: &BTreeSet<String>) {
+    pub(super) fn leave_out(&mut self, gone: &BTreeSet<String>) {
         let mut left_out: Vec<FlatNode> = Vec::new();
         self.nodes.retain(|node| match gone.contains(&node.id) {
             true => {

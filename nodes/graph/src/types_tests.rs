@@ -107,6 +107,44 @@ fn types_file() -> String {
     text
 }
 
+/// The columns of a payload and their types, without the header's.
+fn columns(payload: PayloadType) -> Vec<(String, String)> {
+    let header = Header::origin(&"".into(), &"".into(), Kind::Points, 0, 0, 0);
+    let message = Message {
+        header,
+        payload: example(payload),
+    };
+    let row = to_arrow(&message);
+    let fields = row.fields().iter();
+    let own = fields.skip_while(|field| field.name() != "trace_ready").skip(1);
+    own.map(|field| (field.name().clone(), name(field.data_type())))
+        .collect()
+}
+
+#[test]
+fn the_guide_lists_the_columns_of_all_payloads() {
+    let guide = include_str!("../../../docs/compose.md");
+    let (_, table) = guide
+        .split_once("## Columns of the payloads")
+        .expect("the guide has the section");
+    let rows = table.split("\n## ").next().unwrap_or_default().lines();
+    let cells = rows.filter_map(|row| {
+        let cells: Vec<&str> = row.strip_prefix("| ")?.split('|').map(str::trim).collect();
+        Some((cells[0], *cells.get(1)?, *cells.get(2)?))
+    });
+    let listed: Vec<(&str, &str, &str)> = cells.collect();
+    for payload in PayloadType::ALL {
+        let of = listed.iter().filter(|(name, ..)| *name == payload.to_string());
+        let found: Vec<(String, String)> = of
+            .flat_map(|(_, columns, kind)| {
+                let names = columns.split_whitespace().map(|name| name.trim_matches('`'));
+                names.map(|name| (name.to_string(), kind.to_string()))
+            })
+            .collect();
+        assert_eq!(found, columns(payload), "{payload}: docs/compose.md, wire");
+    }
+}
+
 #[test]
 fn types_file_says_what_the_wire_says() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows/types/realo/v1.yml");

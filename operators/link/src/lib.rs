@@ -61,11 +61,13 @@
 //! ns (halves away from 0), but not below 0; then cut down to a multiple of `step_ms`, if there is one.
 
 mod channel;
+mod inline;
 mod medium;
 mod operator;
 mod profile;
 
 pub use channel::{Arrivals, delay, transmit};
+pub use inline::{in_words, with_base};
 pub use medium::{Medium, Passed, Phase};
 pub use operator::{Link, LinkConfig};
 pub use profile::{BUILT_IN, Channel, Jitter, Model, Profile, ProfileError};

@@ -76,7 +76,7 @@ impl Describe for Link {
     const ARGUMENTS: &'static [Argument] = &[
         Argument {
             name: "profile",
-            about: "channel model: perfect, paper, or a .toml or .yml file",
+            about: "channel model: perfect, paper, a .toml or .yml file, or settings: delay_ms=100,loss=0.05",
         },
         Argument {
             name: "range_m",

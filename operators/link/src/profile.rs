@@ -7,6 +7,7 @@ use realo_operator::config::nearest_name;
 use realo_schemas::{Kind, file, report};
 use serde::Deserialize;
 
+use crate::inline;
 use crate::medium::Phase;
 
 /// Profiles that need no file: name and text.
@@ -19,7 +20,7 @@ pub const BUILT_IN: &[(&str, &str)] = &[
 const LONGEST_MS: f64 = 3_600_000.0;
 
 /// Kinds that a link carries.
-const CARRIED: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState];
+pub(super) const CARRIED: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState];
 
 /// What a channel does, by kind of content.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -98,7 +99,8 @@ pub struct Jitter {
 pub enum ProfileError {
     /// Neither a built-in name nor a file's.
     #[error(
-        "unknown link profile `{name}`{hint}; built in: {}; or a file that ends in .toml, .yml or .yaml",
+        "unknown link profile `{name}`{hint}; built in: {}; or a file that ends in .toml, .yml or .yaml, or settings: \
+         delay_ms=100,loss=0.05",
         names()
     )]
     Unknown {
@@ -106,6 +108,14 @@ pub enum ProfileError {
         name: String,
         /// The nearest name.
         hint: String,
+    },
+    /// Settings in a word that are none.
+    #[error("link profile `{text}`: {reason}")]
+    Inline {
+        /// The word.
+        text: String,
+        /// What is wrong.
+        reason: String,
     },
     /// A file that cannot be read.
     #[error("link profile {path}: {reason}")]
@@ -144,13 +154,17 @@ fn names() -> String {
 }
 
 impl Profile {
-    /// A built-in profile, or one from a TOML or YAML file.
+    /// A built-in profile, one from a TOML or YAML file, or settings in a word, also behind one of these:
+    /// `delay_ms=100,loss=0.05`, `paper,loss=0.05`.
     ///
     /// # Errors
     /// [`ProfileError`] names the file, the field and what was expected.
     pub fn load(name: &str) -> Result<Self, ProfileError> {
         if let Some((_, text)) = BUILT_IN.iter().find(|(known, _)| *known == name) {
             return Profile::from_toml(name, text);
+        }
+        if inline::is_inline(name) {
+            return inline::read(name);
         }
         let parse = match Path::new(name).extension().and_then(|extension| extension.to_str()) {
             Some("toml") => Profile::from_toml,
@@ -205,16 +219,42 @@ impl Profile {
                 reason,
             });
         }
-        profile.default.check(path, "default")?;
-        for (kind, model) in &profile.kinds {
+        profile.check(path)?;
+        Ok(profile)
+    }
+
+    /// Whether its numbers can be.
+    pub(super) fn check(&self, path: &str) -> Result<(), ProfileError> {
+        self.default.check(path, "default")?;
+        for (kind, model) in &self.kinds {
             model.check(path, kind.as_str())?;
         }
-        Ok(profile)
+        self.channel.as_ref().map_or(Ok(()), |channel| channel.check(path))
     }
 
     /// What the channel does to packets of a kind.
     pub fn model(&self, kind: Kind) -> &Model {
         self.kinds.get(&kind).unwrap_or(&self.default)
+    }
+}
+
+impl Channel {
+    fn check(&self, path: &str) -> Result<(), ProfileError> {
+        if self.phases.is_empty() {
+            let reason = "`channel` without a rate: add channel.bits_per_second".to_string();
+            let path = path.to_string();
+            return Err(ProfileError::Syntax { path, reason });
+        }
+        match self.queue_ms.filter(|queue| !(0.0..=LONGEST_MS).contains(queue)) {
+            Some(found) => Err(ProfileError::Value {
+                path: path.into(),
+                field: "queue_ms",
+                of: "channel".into(),
+                expected: "0 to 3600000 ms",
+                found,
+            }),
+            None => Ok(()),
+        }
     }
 }
 
@@ -224,15 +264,6 @@ impl WrittenChannel {
             path: path.into(),
             reason,
         };
-        if let Some(found) = self.queue_ms.filter(|queue| !(0.0..=LONGEST_MS).contains(queue)) {
-            return Err(ProfileError::Value {
-                path: path.into(),
-                field: "queue_ms",
-                of: "channel".into(),
-                expected: "0 to 3600000 ms",
-                found,
-            });
-        }
         let phases = match (self.bits_per_second, self.trace) {
             (Some(bits_per_second), None) if bits_per_second > 0 => vec![Phase {
                 from: 0,

@@ -6,7 +6,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, keys, latency, merge,
+    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, keys, latency, merge, new,
     operators, precompute, quantize, registry, render, run, simulate, train, validate,
 };
 
@@ -33,6 +33,7 @@ enum Command {
     Info(info::Args),
     Merge(merge::Args),
     Validate(validate::Args),
+    New(new::Args),
     Operators(operators::Args),
     Conformance(conformance::Args),
     Bench(bench::Args),
@@ -112,6 +113,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Import(args) => import::main(&args),
         Command::Info(args) => info::main(&args),
         Command::Validate(args) => validate::main(&args),
+        Command::New(args) => new::main(&args),
         Command::Operators(args) => operators::main(&args),
         Command::Conformance(args) => conformance::main(&args),
         Command::Bench(args) => bench::main(&args),

@@ -17,6 +17,7 @@ pub mod info;
 mod keys;
 mod latency;
 pub mod merge;
+mod new;
 pub mod operators;
 mod output;
 pub mod precompute;

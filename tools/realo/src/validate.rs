@@ -11,7 +11,7 @@ use crate::{Outcome, registry};
 /// Checks graphs beyond what `dora validate` does, and says how to mend them
 #[derive(clap::Args)]
 pub struct Args {
-    /// Dataflow files
+    /// Dataflow files, or names of shipped ones
     #[arg(required = true)]
     graphs: Vec<PathBuf>,
     /// Look at the graphs alone: start no program to ask for its ports, and load no network
@@ -20,13 +20,17 @@ pub struct Args {
     /// Model file of every detector [default: each node's own]
     #[arg(long)]
     model: Option<PathBuf>,
+    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one first
+    #[arg(long)]
+    replace: Vec<String>,
 }
 
 /// Prints the findings of each graph, and what is wrong with the networks and operators that it runs; errors fail.
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.graphs {
-        let graph = FlatGraph::load(path)?;
+        let mut graph = FlatGraph::load(&crate::run::find_graph(path)?)?;
+        crate::run::replace_stages(&mut graph, &args.replace, false)?;
         let missing = crate::run::missing_programs(&graph);
         for program in &missing {
             println!("{}: error: {program}", path.display());

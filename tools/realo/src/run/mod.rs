@@ -3,6 +3,7 @@
 mod batch;
 mod compute;
 mod dora;
+mod find;
 mod folders;
 mod lane;
 mod limit;
@@ -10,6 +11,7 @@ mod networks;
 mod nodes;
 mod prepare;
 mod realtime;
+mod replace;
 mod replay;
 mod resume;
 
@@ -29,14 +31,16 @@ use networks::Networks;
 use prepare::Cell;
 
 pub use dora::find as find_dora;
+pub(crate) use find::{checkout, graph as find_graph};
 pub(crate) use nodes::{argument, decided_argument};
 pub use prepare::{Lane, lane};
+pub(crate) use replace::apply as replace_stages;
 pub use replay::replay;
 
 /// Runs graphs over logs and prints what came out, side by side
 #[derive(clap::Args, Clone)]
 pub struct Args {
-    /// Dataflow files
+    /// Dataflow files, or names of shipped ones
     #[arg(required = true)]
     pub graphs: Vec<PathBuf>,
     /// Logs to play, each in a run of its own [default: the demo log, made on first use]
@@ -83,7 +87,7 @@ pub struct Args {
 /// What changes a graph, whoever runs it.
 #[derive(clap::Args, Clone)]
 pub struct Choices {
-    /// Channel model of the links: a name or a file
+    /// Channel model of the links: a name, a file, or settings: delay_ms=100,loss=0.05 (docs/links.md)
     #[arg(long)]
     pub link: Option<String>,
     /// Agents report the detections that the log recorded
@@ -110,6 +114,9 @@ pub struct Choices {
     /// node.key=value: changes an argument of a node
     #[arg(long)]
     pub set: Vec<String>,
+    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/compose.md)
+    #[arg(long)]
+    pub replace: Vec<String>,
 }
 
 /// Who brings what crosses the link to the ego's frame.
@@ -265,6 +272,10 @@ pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
 
 /// Runs every graph over every log and ego, pools, and prints.
 pub fn main(args: &Args) -> Result<Outcome> {
+    let args = &Args {
+        graphs: find::graphs(&args.graphs)?,
+        ..args.clone()
+    };
     let mode = args.driver()?;
     let names = names(&args.graphs)?;
     let mut batches: Vec<Batch> = args

@@ -18,7 +18,7 @@ use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
     set_model, takers, values,
 };
-use super::{Args, Mode, compute, dir_of, limit, resume};
+use super::{Args, Mode, compute, dir_of, limit, replace, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry};
 
@@ -230,7 +230,7 @@ pub struct Lane {
 /// As [`batch`]; a graph in which nobody sends what is made of sweeps.
 pub fn lane(args: &Args) -> Result<Lane> {
     let set = settings(args)?;
-    let path = &args.graphs[0];
+    let path = &super::find::graph(&args.graphs[0])?;
     let base = base_graph(args, &set, path)?;
     let compute = args
         .compute
@@ -310,6 +310,7 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
         graph
     };
     let mut flat = graph.expand()?;
+    replace::apply(&mut flat, &args.choices.replace, true)?;
     anchor_paths(&mut flat)?;
     for needed in [Decided::Log, Decided::Out] {
         if deciding(&flat, needed).next().is_none() {
@@ -408,7 +409,8 @@ impl Told<'_> {
         }
         let mut projecting = graph.clone();
         projecting.nodes.retain(can_project);
-        let changes: BTreeMap<String, String> = set.iter().map(change_in_words).collect();
+        let mut changes: BTreeMap<String, String> = set.iter().map(change_in_words).collect();
+        changes.extend(replace::in_words(&self.args.choices.replace)?);
         let changes: Vec<String> = changes
             .into_iter()
             .map(|(key, value)| format!("{key}={value}"))
@@ -423,7 +425,7 @@ impl Told<'_> {
             mode: mode.into(),
             coop: self.coop.into(),
             ego: self.ego.into(),
-            link: values(&graph, Decided::Link, |value| stem(Path::new(value))),
+            link: values(&graph, Decided::Link, realo_link::in_words),
             compute: self.args.compute.as_deref().map(stem).unwrap_or_default(),
             seed: values(&graph, Decided::Seed, str::to_string),
             project: values(&projecting, Decided::Project, str::to_string),
@@ -465,7 +467,8 @@ impl Told<'_> {
         let device = args.choices.device.iter();
         told.extend(device.map(|device| (Decided::Device, device.clone())));
         if let Some(profile) = &args.choices.link {
-            told.push((Decided::Link, name_or_file(profile)?));
+            let named = |name: &str| name_or_file(name).unwrap_or_else(|_| name.into());
+            told.push((Decided::Link, realo_link::with_base(profile, named)));
         }
         Ok(told)
     }

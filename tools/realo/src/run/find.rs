@@ -1,0 +1,134 @@
+//! The file of a graph that is given by its name.
+
+use std::path::{Path, PathBuf};
+
+use eyre::{Result, bail};
+use realo_operator::config::nearest_name;
+
+/// The file of a graph: the path as it is, or, of a name without a folder, `NAME.yml` here, then that of the shipped
+/// graphs. Says which file a name stands for.
+///
+/// # Errors
+/// Neither; with the nearest name, and those of all shipped graphs.
+pub fn graph(path: &Path) -> Result<PathBuf> {
+    if path.exists() && !path.is_dir() {
+        return Ok(path.into());
+    }
+    let found = named(path, &folders());
+    match found {
+        Some(found) => {
+            eprintln!("realo: {} is {}", path.display(), found.display());
+            Ok(found)
+        }
+        None => bail!("{}", unknown(path, &folders())),
+    }
+}
+
+/// All graphs, each as [`graph`] finds it.
+pub fn graphs(paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    paths.iter().map(|path| graph(path)).collect()
+}
+
+/// The checkout whose graphs are meant by their names.
+pub fn checkout() -> Option<PathBuf> {
+    let folder = folders().into_iter().next()?;
+    Some(folder.parent()?.to_path_buf())
+}
+
+/// Where shipped graphs may be: in the checkout that this program lies in, the one of the current folder, and the one that
+/// it was built from.
+fn folders() -> Vec<PathBuf> {
+    let above = |path: PathBuf| path.ancestors().map(Path::to_path_buf).collect::<Vec<_>>();
+    let program = std::env::current_exe().and_then(|path| path.canonicalize());
+    let here = std::env::current_dir();
+    let built = Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf();
+    let all = [program.ok(), here.ok(), Some(built)];
+    let all = all.into_iter().flatten().flat_map(above);
+    let mut folders: Vec<PathBuf> = Vec::new();
+    for folder in all.map(|folder| folder.join("dataflows")) {
+        if folder.join("modules").is_dir() && !folders.contains(&folder) {
+            folders.push(folder);
+        }
+    }
+    folders
+}
+
+/// The file of a name without a folder.
+fn named(path: &Path, folders: &[PathBuf]) -> Option<PathBuf> {
+    if path.components().count() != 1 {
+        return None;
+    }
+    let name = path.to_str()?;
+    let names = [name.to_string(), format!("{name}.yml"), format!("{name}.yaml")];
+    let here = std::iter::once(Path::new(""));
+    let mut all = here.chain(folders.iter().map(PathBuf::as_path));
+    all.find_map(|folder| {
+        let files = names.iter().map(|name| folder.join(name));
+        files.into_iter().find(|file| file.is_file())
+    })
+}
+
+/// Names of the graphs in a folder.
+fn names_in(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let files = entries.map(|entry| entry.path()).filter(|path| path.is_file());
+    let graphs = files.filter(|path| path.extension().is_some_and(|ending| ending == "yml"));
+    let mut names: Vec<String> = graphs
+        .filter_map(|path| Some(path.file_stem()?.to_str()?.to_string()))
+        .collect();
+    names.sort();
+    names
+}
+
+fn unknown(path: &Path, folders: &[PathBuf]) -> String {
+    let found = if path.is_dir() { "a folder" } else { "nothing there" };
+    let shipped = folders.first().map(|folder| names_in(folder)).unwrap_or_default();
+    let name = path.with_extension("");
+    let name = name.file_name().unwrap_or_default().to_string_lossy();
+    let parent = path.parent().unwrap_or(Path::new(""));
+    let beside = if parent.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        parent
+    };
+    let beside = names_in(beside);
+    let near = nearest_name(&name, beside.iter().map(String::as_str));
+    let hint = match near {
+        Some(near) => format!(" (did you mean `{}`?)", parent.join(format!("{near}.yml")).display()),
+        None => nearest_name(&name, shipped.iter().map(String::as_str))
+            .map(|near| format!(" (did you mean `{near}`?)"))
+            .unwrap_or_default(),
+    };
+    format!(
+        "{}: expected the file of a graph, found {found}{hint}; shipped graphs go by their names: {}",
+        path.display(),
+        shipped.join(", ")
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_a_shipped_graph_and_a_wrong_one_gets_the_nearest() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows");
+        let folders = [root.clone()];
+        for name in ["late_fusion", "late_fusion.yml"] {
+            assert_eq!(named(Path::new(name), &folders), Some(root.join("late_fusion.yml")));
+        }
+        assert_eq!(named(Path::new("x/late_fusion"), &folders), None, "a path is a path");
+        for (path, expected) in [
+            ("late_fuson", "(did you mean `late_fusion`?)"),
+            ("dataflow/late_fusion.yml", "(did you mean `late_fusion`?)"),
+            ("nothing_like_it", "shipped graphs go by their names: attfuse"),
+        ] {
+            let said = unknown(Path::new(path), &folders);
+            assert!(said.contains(expected), "{said}");
+        }
+        let beside = root.join("attfuze.yml");
+        let said = unknown(&beside, &folders);
+        assert!(said.contains("dataflows/attfuse.yml`?)"), "{said}");
+        assert!(unknown(&root, &folders).contains("found a folder"));
+    }
+}
