@@ -390,10 +390,7 @@ fn a_new_fusion_in_python_takes_a_stage_of_any_graph() {
     assert!(output.status.success(), "{}", text(&output.stderr));
     assert_alike(&out, &run("new_fusion_shipped", &shipped("late_fusion"), &VIRTUAL));
     let result = json(&out.join("result.json"));
-    assert_eq!(
-        result["settings"]["set"],
-        "fusion.fusion=program my_fusion.py min_score=0"
-    );
+    assert_eq!(result["set"], "fusion.fusion=program my_fusion.py min_score=0");
     // Its ports do not fit where boxes are suppressed.
     let replace = format!("fusion.nms=program {}", program.display());
     let args = run_args(&out, "late_fusion", &["--mode", "virtual", "--replace", &replace]);
