@@ -294,6 +294,16 @@ impl Engine {
         books
     }
 
+    /// Messages that a stage skipped so far because it was busy.
+    pub fn skipped(&self, stage: usize) -> u64 {
+        self.stages[stage]
+            .own_books()
+            .inputs
+            .values()
+            .map(|books| books.skipped.total())
+            .sum()
+    }
+
     /// Takes over books of stages outside.
     pub fn merge_books(&mut self, books: &Books) {
         self.books.merge(books);

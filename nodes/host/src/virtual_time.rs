@@ -4,6 +4,7 @@
 //! gives the same bits each time. Time is the log's; computing takes what the [`ComputeProfile`] says. A plug-in runs as a
 //! child process and answers one call at a time, so it changes nothing in that order.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
@@ -21,6 +22,9 @@ pub enum RunError {
     /// A stage could not go on.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// [`end_all`].
+    #[error("ended before the end of the log")]
+    Ended,
     /// A stage needs the world outside.
     #[error(
         "node `{node}`: {name} exists in realtime only: run the graph with --mode realtime, or put a link in its place"
@@ -31,6 +35,14 @@ pub enum RunError {
         /// What it is.
         name: &'static str,
     },
+}
+
+/// Whether runs are to end.
+static ENDED: AtomicBool = AtomicBool::new(false);
+
+/// Ends all runs of this process with their next event: they fail with [`RunError::Ended`].
+pub fn end_all() {
+    ENDED.store(true, Ordering::Relaxed);
 }
 
 /// Sees every message that a stage sends, with the stage's id and the output's name.
@@ -79,6 +91,9 @@ fn simulate(stages: &Stages, compute: Option<&ComputeProfile>, observer: Option<
     }
     let mut now = Nanos::MIN;
     while let Some(due) = simulation.engine.next_due() {
+        if ENDED.load(Ordering::Relaxed) {
+            return Err(RunError::Ended);
+        }
         now = now.max(due);
         simulation.step(now)?;
     }

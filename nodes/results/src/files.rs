@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::result::RESULT;
 use crate::run::SAMPLES;
 use crate::timing::TIMING;
-use crate::{Run, VERSION};
+use crate::{Run, RunResult, VERSION};
 
 /// The file that is written last: a folder that has it holds a complete run.
 pub const RESULT_FILE: &str = "result.json";
@@ -180,6 +180,14 @@ pub fn write_run_and_courses(
     write(&folder.join(TIMING_FILE), &run.timing, true)?;
     write_traces(folder, courses)?;
     write(&folder.join(RESULT_FILE), &run.result, true)
+}
+
+/// Writes a run's `result.json` anew, at once or not at all.
+///
+/// # Errors
+/// As [`write_run`].
+pub fn write_result(folder: &Path, result: &RunResult) -> Result<(), FilesError> {
+    write(&folder.join(RESULT_FILE), result, true)
 }
 
 /// Makes the folder and removes an earlier run's files from it, so that no result stands there until this one is written.

@@ -27,7 +27,9 @@ mod sink;
 mod timing;
 
 pub use distribution::{Ages, Spread};
-pub use files::{FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_run, write_run_and_courses};
+pub use files::{
+    FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_result, write_run, write_run_and_courses,
+};
 pub use ledger::{ChannelKey, Fates, Ledger, Settled};
 pub use links::link_books;
 pub use result::{

@@ -28,6 +28,9 @@ pub struct RunResult {
     pub version: u32,
     /// The run came to an orderly end; the file is written last and only then.
     pub complete: bool,
+    /// What ended the run before its log did, such as `SIGTERM` or `Ctrl-C`; what came until then is scored.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ended_by: Option<String>,
     /// What was run.
     #[serde(flatten)]
     pub settings: Settings,
@@ -268,6 +271,7 @@ impl RunResult {
             schema: RESULT.into(),
             version: VERSION,
             complete: true,
+            ended_by: None,
             settings,
             runs: 1,
             logs: Vec::new(),

@@ -6,8 +6,8 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use realo_operator::Registration;
 
 use crate::{
-    Outcome, bench, checkpoint, compare, conformance, emulate, evaluate, host, import, info, keys, latency, merge, new,
-    operators, precompute, quantize, registry, render, run, simulate, train, validate,
+    Outcome, bench, checkpoint, compare, conformance, doctor, emulate, evaluate, host, import, info, keys, latency,
+    merge, new, operators, precompute, quantize, registry, render, run, simulate, train, validate,
 };
 
 /// Online cooperative perception for vehicles and roadside units, on dora
@@ -42,6 +42,9 @@ enum Command {
     Latency(latency::Args),
     #[command(hide = true)]
     RadioEnd(bench::radio::End),
+    #[command(hide = true)]
+    Tethered(run::TetheredArgs),
+    Doctor(doctor::Args),
     Operator(host::OperatorArgs),
     Node(host::NodeArgs),
     Program(host::ProgramArgs),
@@ -121,6 +124,8 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Keys(args) => keys::main(&args),
         Command::Latency(args) => latency::main(&args),
         Command::RadioEnd(args) => bench::radio::end(&args),
+        Command::Tethered(args) => run::tethered(&args),
+        Command::Doctor(args) => doctor::main(&args),
         Command::Operator(args) => host::operator(&args),
         Command::Node(args) => host::node(&args),
         Command::Program(args) => host::program(&args),

@@ -8,6 +8,7 @@ mod command;
 pub mod compare;
 pub mod conformance;
 pub mod demo;
+mod doctor;
 mod emulate;
 pub mod evaluate;
 mod fit;
@@ -42,15 +43,18 @@ pub enum Outcome {
     Failed,
     /// Done as far as possible; the rest was reported.
     Partial,
+    /// A signal ended it: its number.
+    Ended(u8),
 }
 
 impl Outcome {
-    /// 0, 1 or 3.
+    /// 0, 1 or 3; 128 and the number of a signal.
     pub fn exit_code(self) -> u8 {
         match self {
             Outcome::Complete => 0,
             Outcome::Failed => 1,
             Outcome::Partial => 3,
+            Outcome::Ended(signal) => 128 + signal,
         }
     }
 }

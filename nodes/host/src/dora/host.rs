@@ -16,6 +16,7 @@ use crate::{Stages, running_time};
 
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox, Nudge};
+use super::load::{Load, SLOW};
 use super::marks::{End, Fates, Hello};
 use super::{HostError, source};
 
@@ -62,6 +63,7 @@ pub(super) struct State {
     pub engine: Engine,
     /// Without those that are being called.
     built: Vec<Option<Built>>,
+    load: Load,
     /// When the dora thread looks around again, in wall time.
     looks_at: Nanos,
     failed: Option<HostError>,
@@ -94,6 +96,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         id,
         state: Mutex::new(State {
             engine: Engine::new(&stages.wiring, Servers::One),
+            load: Load::of(built.len()),
             built: built.into_iter().map(Some).collect(),
             looks_at: 0,
             failed: None,
@@ -212,6 +215,8 @@ fn call(
     let took = begun.elapsed().as_nanos() as Nanos;
     let mut state = shared.lock();
     state.built[ticket.stage] = Some(built);
+    state.load.call(ticket.stage, begun.elapsed());
+    state.tell_load();
     let done = state.log_now().max(ticket.start);
     let completed = state.engine.complete(&ticket, called, done, took);
     completed.map_err(|error: EngineError| HostError::Stage(error.to_string()))?;
@@ -229,6 +234,14 @@ fn call(
 }
 
 impl State {
+    /// Says once which stage does not keep up.
+    fn tell_load(&mut self) {
+        let State { engine, load, .. } = self;
+        if let Some((stage, what)) = load.slow(|stage| engine.skipped(stage)) {
+            eprintln!("{SLOW}node `{}` {what}", engine.id(stage));
+        }
+    }
+
     /// The log's time, 0 while no message has brought the clock.
     pub fn log_now(&self) -> Nanos {
         self.engine.clock().map_or(0, |clock| clock.log_at(wall_now()))

@@ -13,9 +13,9 @@ const KEPT: libc::c_int = 128 << 20;
 const HEAPS: libc::c_int = 2;
 /// Shared memory of a process that sends clouds or maps, bytes: some of them are under way at the same time, and what does
 /// not fit takes another way and overtakes the rest.
-const POOL: usize = 32 << 20;
+pub const POOL: usize = 32 << 20;
 /// Where dora looks for the size of the pool, unless the graph says one.
-const POOL_VARIABLE: &str = "DORA_NODE_SHM_POOL_SIZE";
+pub const POOL_VARIABLE: &str = "DORA_NODE_SHM_POOL_SIZE";
 
 /// Asks dora for shared memory that holds what these stages send.
 pub(super) fn size_pool(stages: &Stages) {

@@ -9,10 +9,13 @@
 mod edges;
 mod host;
 mod inbox;
+mod load;
 mod marks;
 mod memory;
 mod plan;
+mod queues;
 mod source;
+mod tether;
 mod threads;
 
 use std::path::{Path, PathBuf};
@@ -23,7 +26,11 @@ use realo_operator::Registry;
 
 use crate::Stages;
 use inbox::Inbox;
+pub use load::SLOW;
+pub use memory::{POOL, POOL_VARIABLE};
 use plan::Plan;
+pub use queues::{OVERLAY, OVERLAY_VARIABLE};
+pub use tether::{TETHER_VARIABLE, tether_of};
 
 /// Names the folder of the graph where dora is given a copy of it, and so starts its nodes elsewhere.
 pub const FOLDER_VARIABLE: &str = "REALO_GRAPH_FOLDER";
@@ -144,6 +151,8 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
         }
     }));
     memory::keep_freed_pages();
+    queues::widen();
+    tether::follow();
     let plan = Plan::of_this_process().map_err(|reason| HostError::Dora {
         id: "realo".into(),
         reason,

@@ -7,6 +7,7 @@ use realo_schemas::{Clock, Nanos};
 
 use super::HostError;
 use super::host::Shared;
+use super::tether::is_ending;
 use crate::time::wall_now;
 
 /// Time in which hellos open dora's routes before the first message. dora sends the first messages of an output a
@@ -32,6 +33,9 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
             HostError::Stage(format!("node `{id}` failed: {error}"))
         })?;
         let Some((time, port, message)) = next else { break };
+        if is_ending() {
+            break;
+        }
         if !opened {
             open_routes(shared)?;
             opened = true;
@@ -44,6 +48,9 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
         }
         let clock = shared.lock().engine.clock();
         if !wait_until(shared, clock.map_or(0, |clock| clock.wall_at(time))) {
+            if is_ending() {
+                break;
+            }
             return Ok(());
         }
         let mut state = shared.lock();
@@ -73,14 +80,14 @@ fn open_routes(shared: &Shared) -> Result<(), HostError> {
     Ok(())
 }
 
-/// Waits for a wall time; `false` if the process is over before.
+/// Waits for a wall time; `false` if the process is over before, or to end.
 fn wait_until(shared: &Shared, wall: Nanos) -> bool {
     loop {
         let left = wall - wall_now();
         if left <= 0 {
             return true;
         }
-        if shared.is_over() {
+        if is_ending() || shared.is_over() {
             return false;
         }
         std::thread::sleep(Duration::from_nanos(left.min(LOOK) as u64));

@@ -33,6 +33,28 @@ pub fn find() -> Result<PathBuf> {
     Ok(installed)
 }
 
+/// Where dora is, and its version; installs nothing.
+///
+/// # Errors
+/// What a realtime run would do about it.
+pub fn on_this_machine() -> Result<String, String> {
+    let named = std::env::var_os("REALO_DORA").map(PathBuf::from);
+    let installed = home().map(|home| home.join("bin/dora")).ok();
+    let known = named.clone().map_or_else(
+        || installed.into_iter().chain([PathBuf::from("dora")]).collect(),
+        |named| vec![named],
+    );
+    let found = known.iter().find_map(|dora| Some((dora, version(dora)?)));
+    match found {
+        Some((dora, text)) if text.starts_with(SERIES) => Ok(format!("{text}, {}", dora.display())),
+        Some((dora, text)) => Err(format!("{}: expected {SERIES}x, found `{text}`", dora.display())),
+        None if named.is_some() => Err("REALO_DORA does not answer `--version`".into()),
+        None => Ok(format!(
+            "not installed; the first realtime run installs dora-rs-cli {VERSION} by pip"
+        )),
+    }
+}
+
 fn version(dora: &Path) -> Option<String> {
     let output = Command::new(dora).arg("--version").output().ok()?;
     output

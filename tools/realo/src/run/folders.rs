@@ -2,10 +2,12 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail};
 use realo_results::RESULT_FILE;
+use rustix::io::{FdFlags, fcntl_setfd};
 
 use super::prepare::TOLD;
 
@@ -39,14 +41,22 @@ impl Folders {
     pub fn lock(&mut self, folder: &Path) -> Result<()> {
         self.make(folder)?;
         let path = folder.join(LOCK);
-        let file = File::create(&path).wrap_err_with(|| format!("{}", path.display()))?;
-        // A file system without locks keeps nobody away.
-        if let Err(TryLockError::WouldBlock) = file.try_lock() {
-            bail!(
-                "{}: another run writes there now; wait for its end, or choose another folder (--out)",
-                folder.display()
-            );
-        }
+        let file = loop {
+            let file = File::create(&path).wrap_err_with(|| format!("{}", path.display()))?;
+            // A file system without locks keeps nobody away.
+            if let Err(TryLockError::WouldBlock) = file.try_lock() {
+                bail!(
+                    "{}: another run writes there now; wait for its end, or choose another folder (--out)",
+                    folder.display()
+                );
+            }
+            // Whoever had it before may have removed it meanwhile.
+            if fs::metadata(&path).is_ok_and(|there| file.metadata().is_ok_and(|own| own.ino() == there.ino())) {
+                break file;
+            }
+        };
+        // Processes that write there hold the lock as well, for as long as they live.
+        fcntl_setfd(&file, FdFlags::empty())?;
         self.locks.push((path, file));
         self.claim(folder, &[])
     }
@@ -148,8 +158,12 @@ impl Drop for Folders {
         if let Some(folder) = put_back.first() {
             eprintln!("realo: {} has the files of the run before again", folder.display());
         }
-        for (path, _) in &self.locks {
-            let _ = fs::remove_file(path);
+        for (path, file) in self.locks.drain(..) {
+            drop(file);
+            // It stays where a process of the run is left.
+            if File::open(&path).is_ok_and(|file| file.try_lock().is_ok()) {
+                let _ = fs::remove_file(path);
+            }
         }
         for folder in self.made.iter().rev() {
             let Ok(entries) = fs::read_dir(folder) else { continue };

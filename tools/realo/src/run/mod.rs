@@ -7,6 +7,7 @@ mod find;
 mod folders;
 mod lane;
 mod limit;
+mod machine;
 mod networks;
 mod nodes;
 mod prepare;
@@ -14,6 +15,8 @@ mod realtime;
 mod replace;
 mod replay;
 mod resume;
+mod signals;
+mod tether;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -31,11 +34,14 @@ use networks::Networks;
 use prepare::Cell;
 
 pub use dora::find as find_dora;
+pub(crate) use dora::on_this_machine as dora_on_this_machine;
 pub(crate) use find::{checkout, graph as find_graph};
+pub(crate) use machine::{Check, checks};
 pub(crate) use nodes::{argument, decided_argument};
 pub use prepare::{Lane, lane};
 pub(crate) use replace::apply as replace_stages;
 pub use replay::replay;
+pub use tether::{TetheredArgs, tethered};
 
 /// Runs graphs over logs and prints what came out, side by side
 #[derive(clap::Args, Clone)]
@@ -287,6 +293,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     if args.choices.project.is_some() && !batches.iter().flat_map(Batch::cells).any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
+    signals::catch()?;
     let mut folders = Folders::default();
     for (name, batch) in names.iter().zip(&mut batches) {
         folders.lock(&dir_of(args, name))?;
@@ -294,15 +301,32 @@ pub fn main(args: &Args) -> Result<Outcome> {
     }
     let mut runs: Vec<(String, Run)> = Vec::new();
     for (name, batch) in names.iter().zip(&mut batches) {
-        let done = batch.run(mode, args.rate.unwrap_or(1.0))?;
+        if mode == Mode::Realtime
+            && let Some(cell) = batch.cells().first()
+        {
+            machine::open_doors(&cell.graph)
+                .iter()
+                .for_each(|line| eprintln!("realo: {line}"));
+        }
+        let done = match (batch.run(mode, args.rate.unwrap_or(1.0)), signals::first()) {
+            (done, Some(ending)) if mode == Mode::Virtual || done.is_err() => {
+                eprintln!("realo: {}", ended_early(ending, mode, done.err()));
+                return Ok(Outcome::Ended(ending.number()));
+            }
+            (done, _) => done?,
+        };
         let mut pooled = realo_report::pool(&done)?;
         pooled.result.notes.splice(0..0, batch.note());
+        pooled.result.ended_by = signals::first().map(|ending| ending.to_string());
         let dir = dir_of(args, name);
         realo_report::write_run(&dir, &pooled)?;
         if mode == Mode::Realtime {
             compute::write(&dir, &pooled).wrap_err_with(|| format!("{}", dir.display()))?;
         }
         runs.push((name.clone(), pooled));
+        if signals::first().is_some() {
+            break;
+        }
     }
     folders.keep_new();
     let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (name.as_str(), run)).collect();
@@ -310,18 +334,32 @@ pub fn main(args: &Args) -> Result<Outcome> {
         println!("{}", realo_report::json(&named));
     } else {
         print!("{}", realo_report::table(&named));
-        names
-            .iter()
-            .for_each(|name| println!("results in {}", dir_of(args, name).display()));
+        runs.iter()
+            .for_each(|(name, _)| println!("results in {}", dir_of(args, name).display()));
     }
     let failed: BTreeSet<String> = batches.iter().flat_map(Batch::reasons).collect();
     failed
         .iter()
         .for_each(|reason| eprintln!("realo: not played: {reason}"));
+    if let Some(ending) = signals::first() {
+        eprintln!("realo: ended by {ending}; these are the results until then");
+        return Ok(Outcome::Ended(ending.number()));
+    }
     Ok(match batches.iter().any(Batch::is_partial) {
         true => Outcome::Partial,
         false => Outcome::Complete,
     })
+}
+
+/// What a run that a signal ended without results leaves.
+fn ended_early(ending: signals::Ending, mode: Mode, reason: Option<eyre::Report>) -> String {
+    match (mode, reason) {
+        (Mode::Realtime, Some(reason)) => format!("ended by {ending}: {reason:#}"),
+        _ => format!(
+            "ended by {ending} before the end of the log: no results of this run; earlier ones stay, and --resume goes on \
+             with a batch"
+        ),
+    }
 }
 
 /// Where a graph's results go.

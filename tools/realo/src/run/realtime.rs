@@ -2,43 +2,88 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
+use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use eyre::{Result, WrapErr, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use realo_host::dora::FOLDER_VARIABLE;
+use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, SLOW};
 
-use super::dora;
 use super::prepare::Cell;
+use super::signals::{self, Ending};
+use super::tether::Tether;
+use super::{dora, machine};
 
-/// Lets dora's publishers wait for room instead of dropping at once.
-const ZENOH_OVERLAY: &str = include_str!("../../../../dataflows/zenoh.json5");
+/// From a signal to the end of all processes at most; what is left then is killed.
+const TO_END: Duration = Duration::from_millis(2600);
+/// From a node's failure to the end of all others: they say meanwhile what they have to say.
+const TO_TELL: Duration = Duration::from_millis(1500);
 
 /// Has dora run a cell and checks that the run is complete.
 ///
 /// # Errors
 /// Which node failed, or what is missing; dora's own words are in `dora.log`.
 pub fn run(cell: &Cell, rate: f64) -> Result<()> {
+    if signals::first().is_some() {
+        bail!("{}: the run had not begun", cell.name);
+    }
     let dora = dora::find()?;
     let graph = write_graph(cell)?;
     let overlay = graph.with_file_name("zenoh.json5");
-    fs::write(&overlay, ZENOH_OVERLAY)?;
+    let memory = machine::prepare(cell)?;
+    fs::write(&overlay, memory.overlay())?;
     let log_path = cell.out.join("dora.log");
     let log = File::create(&log_path).wrap_err_with(|| format!("{}", log_path.display()))?;
-    let child = Command::new(&dora)
-        .arg("run")
-        .arg(&graph)
-        .env("DORA_ZENOH_CONFIG_OVERLAY", &overlay)
-        .env(FOLDER_VARIABLE, cell.graph.file.parent().unwrap_or(Path::new("/")))
-        .stdin(Stdio::null())
-        .stdout(log.try_clone()?)
-        .stderr(log)
-        .spawn()
-        .wrap_err_with(|| format!("{}", dora.display()))?;
-    let status = watch(child, cell, rate)?;
-    check(cell, status, &log_path)
+    let output = log.try_clone()?;
+    let (tether, child) = Tether::start(&dora, |command| {
+        command
+            .arg("run")
+            .arg(&graph)
+            .env(OVERLAY_VARIABLE, &overlay)
+            .env(FOLDER_VARIABLE, cell.graph.file.parent().unwrap_or(Path::new("/")))
+            .stdin(Stdio::null())
+            .stdout(output)
+            .stderr(log);
+        if let Some(pool) = memory.pool() {
+            command.env(POOL_VARIABLE, pool.to_string());
+        }
+    })?;
+    let ended = watch(tether, child, cell, rate, &log_path)?;
+    match signals::first() {
+        Some(ending) => conclude(cell, ending, ended.killed),
+        None => check(cell, &ended, &log_path),
+    }
+}
+
+/// How dora ended.
+struct Ended {
+    status: ExitStatus,
+    /// The first node that failed, and how.
+    culprit: Option<(String, String)>,
+    /// Something of the run was left when its time to end was over.
+    killed: bool,
+}
+
+/// Says in a run's result what ended it.
+fn conclude(cell: &Cell, ending: Ending, killed: bool) -> Result<()> {
+    if !cell.out.join(realo_results::RESULT_FILE).exists() {
+        bail!(
+            "{}: no results: {}",
+            cell.name,
+            match killed {
+                true => format!(
+                    "the graph did not end within {:.1} s, and was killed",
+                    TO_END.as_secs_f64()
+                ),
+                false => "the run had not begun".into(),
+            }
+        );
+    }
+    let mut run = realo_results::read_run(&cell.out)?;
+    run.result.ended_by = Some(ending.to_string());
+    Ok(realo_results::write_result(&cell.out, &run.result)?)
 }
 
 /// Writes the expanded graph with this very program behind every stage, and its types beside it.
@@ -69,30 +114,63 @@ fn copy_folder(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-fn watch(mut child: Child, cell: &Cell, rate: f64) -> Result<ExitStatus> {
+fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Path) -> Result<Ended> {
     let style = ProgressStyle::with_template("{msg:>24} [{bar:32}] {pos}/{len} s").expect("the template is a constant");
     let bar = ProgressBar::new((cell.seconds / rate).ceil() as u64).with_style(style.progress_chars("=> "));
     bar.set_message(cell.name.clone());
     let begun = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait()? {
-            break status;
+    let mut follower = Follower::new(log, rate);
+    let (mut asked, mut failed): (Option<Instant>, Option<Instant>) = (None, None);
+    let mut killed = false;
+    while child.try_wait()?.is_none() {
+        if asked.is_none() && signals::first().is_some() {
+            tether.end();
+            asked = Some(Instant::now());
+        }
+        for line in follower.read() {
+            bar.suspend(|| eprintln!("realo: {}: {line}", cell.name));
+        }
+        if follower.culprit.is_some() {
+            failed.get_or_insert_with(Instant::now);
+        }
+        let overdue = |since: Option<Instant>, patience| since.is_some_and(|since| since.elapsed() > patience);
+        if overdue(asked, TO_END) || signals::came_again() || overdue(failed, TO_TELL) {
+            killed = true;
+            break;
         }
         bar.set_position(begun.elapsed().as_secs().min(bar.length().unwrap_or(u64::MAX)));
         std::thread::sleep(Duration::from_millis(50));
-    };
+    }
+    // Nothing is left running, however the run ended.
+    tether.kill(&mut child);
+    follower.read();
     bar.finish_and_clear();
-    Ok(status)
+    Ok(Ended {
+        status: child.wait()?,
+        culprit: follower.culprit,
+        killed,
+    })
 }
 
-fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
-    let text = fs::read_to_string(log).unwrap_or_default();
-    if !status.success() {
-        let culprits = culprits(&text);
-        let who: String = culprits.iter().map(|line| format!("\n  {line}")).collect();
+fn check(cell: &Cell, ended: &Ended, log: &Path) -> Result<()> {
+    let text = plain(&fs::read_to_string(log).unwrap_or_default());
+    if let Some((node, how)) = &ended.culprit {
+        let prefix = format!("{node}: ");
+        // Others failed because of it.
+        let own = culprits(&text).into_iter().filter(|said| said.starts_with(&prefix));
+        let said: String = own.map(|line| format!("\n  {line}")).collect();
         bail!(
-            "{}: the run failed: dora ended with {status}{who}\n  see {}",
+            "{}: the run failed: node `{node}` {how}{said}\n  see {}",
             cell.name,
+            log.display()
+        );
+    }
+    if !ended.status.success() {
+        let who: String = culprits(&text).iter().map(|line| format!("\n  {line}")).collect();
+        bail!(
+            "{}: the run failed: dora ended with {}{who}\n  see {}",
+            cell.name,
+            ended.status,
             log.display()
         );
     }
@@ -104,6 +182,94 @@ fn check(cell: &Cell, status: ExitStatus, log: &Path) -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// Reads dora's log while it is written.
+struct Follower {
+    file: Option<File>,
+    /// The begin of a line whose end is not there yet.
+    begun: Vec<u8>,
+    rate: f64,
+    /// The first node that failed, and how.
+    culprit: Option<(String, String)>,
+}
+
+impl Follower {
+    fn new(log: &Path, rate: f64) -> Self {
+        Follower {
+            file: File::open(log).ok(),
+            begun: Vec::new(),
+            rate,
+            culprit: None,
+        }
+    }
+
+    /// What a person should know now.
+    fn read(&mut self) -> Vec<String> {
+        let Some(file) = &mut self.file else { return Vec::new() };
+        // What cannot be read now is read later.
+        let _ = file.read_to_end(&mut self.begun);
+        let Some(end) = self.begun.iter().rposition(|byte| *byte == b'\n') else {
+            return Vec::new();
+        };
+        let rest = self.begun.split_off(end + 1);
+        let lines = std::mem::replace(&mut self.begun, rest);
+        let text = plain(&String::from_utf8_lossy(&lines));
+        if self.culprit.is_none() {
+            self.culprit = text.lines().find_map(failed);
+        }
+        let slow = text.lines().filter_map(|line| said(line).1.split_once(SLOW));
+        slow.map(|(_, what)| keeping_up(what, self.rate)).collect()
+    }
+}
+
+/// What the notes of a stage that is too slow say, with what to do.
+fn keeping_up(what: &str, rate: f64) -> String {
+    // A host ends its line with the share of its input that the stage takes.
+    let (what, share) = what.rsplit_once(" share=").unwrap_or((what, ""));
+    let slower = share
+        .parse::<f64>()
+        .ok()
+        .map(|share| (share * rate * 9.0).floor() / 10.0);
+    let slower = slower.filter(|rate| *rate > 0.0).unwrap_or(0.5 * rate);
+    format!(
+        "this machine does not keep up: {what}; play slower (--rate {slower}), use a smaller number type (--precision int8), \
+         recorded detections (--recorded-detections), or --mode virtual"
+    )
+}
+
+/// The node that a line of dora's says has failed, and how.
+fn failed(line: &str) -> Option<(String, String)> {
+    let (time, rest) = line.split_once(" ERROR ")?;
+    if !is_time(time) {
+        return None;
+    }
+    let (node, how) = rest.trim().split_once(": daemon exited ")?;
+    let how = how.trim_end_matches(" with stderr output:").trim_end_matches(':');
+    let how = match how.strip_prefix("because of signal ") {
+        Some(signal) => format!("was ended by {signal}"),
+        None => format!("exited {how}"),
+    };
+    Some((node.to_string(), how))
+}
+
+/// A log without colours, and without frames that have no name.
+fn plain(log: &str) -> String {
+    let mut text = String::with_capacity(log.len());
+    let mut rest = log;
+    while let Some((before, escape)) = rest.split_once("\u{1b}[") {
+        text.push_str(before);
+        rest = escape
+            .split_once(|c: char| c.is_ascii_alphabetic())
+            .map_or("", |(_, after)| after);
+    }
+    text.push_str(rest);
+    let lines = text.lines().filter(|line| !line.contains("<unknown>"));
+    lines.map(|line| format!("{line}\n")).collect()
+}
+
+fn is_time(time: &str) -> bool {
+    time.len() == 8 && time.chars().all(|c| c.is_ascii_digit() || c == ':')
 }
 
 /// Lines of one failure that are shown.
@@ -171,10 +337,9 @@ fn is_told(line: &str) -> bool {
 
 /// Who says a line of dora's log, and what: `17:48:16 stdout fusion: TEXT` is said by the node, other lines by nobody.
 fn said(line: &str) -> (&str, &str) {
-    let named = line.split_once(" stdout ").and_then(|(time, rest)| {
-        let is_time = time.len() == 8 && time.chars().all(|c| c.is_ascii_digit() || c == ':');
-        rest.split_once(": ").filter(|_| is_time)
-    });
+    let named = line
+        .split_once(" stdout ")
+        .and_then(|(time, rest)| rest.split_once(": ").filter(|_| is_time(time)));
     let (speaker, text) = named.unwrap_or(("", line));
     (speaker, text.trim())
 }
@@ -182,6 +347,24 @@ fn said(line: &str) -> (&str, &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_node_that_failed_first_is_known_by_its_name() {
+        let colours = "\u{1b}[31mERROR\u{1b}[0m node \u{1b}[2mexited\u{1b}[0m\n  0: <unknown>\nsaid\n";
+        assert_eq!(plain(colours), "ERROR node exited\nsaid\n");
+        let of = |line| failed(line).map(|(node, how)| format!("{node} {how}"));
+        let killed = "17:58:22 ERROR  others: daemon exited because of signal SIGKILL";
+        assert_eq!(of(killed).as_deref(), Some("others was ended by SIGKILL"));
+        let own = "17:48:16 ERROR  fusion: daemon exited with code 1 with stderr output:";
+        assert_eq!(of(own).as_deref(), Some("fusion exited with code 1"));
+        assert_eq!(of("17:58:22 DEBUG  others: daemon exited with code 1"), None);
+    }
+
+    #[test]
+    fn a_machine_that_does_not_keep_up_is_told_what_to_do() {
+        let told = keeping_up("node `ego.encoder` takes 170 ms a call share=0.58", 1.0);
+        assert!(told.contains("170 ms a call; play slower (--rate 0.5)"), "{told}");
+    }
 
     #[test]
     fn a_failure_is_told_once_with_all_its_lines() {

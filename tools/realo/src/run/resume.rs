@@ -28,8 +28,8 @@ pub enum Earlier {
 /// What the folder of a run holds. What a killed run put aside there is put back first.
 pub fn earlier(cell: &Cell) -> Earlier {
     folders::recover(&cell.out);
-    let complete =
-        cell.out.join(RESULT_FILE).exists() && realo_results::read_run(&cell.out).is_ok_and(|run| run.result.complete);
+    let complete = cell.out.join(RESULT_FILE).exists()
+        && realo_results::read_run(&cell.out).is_ok_and(|run| run.result.complete && run.result.ended_by.is_none());
     if !complete {
         return Earlier::None;
     }

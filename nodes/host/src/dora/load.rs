@@ -1,0 +1,99 @@
+//! Whether the stages of a process keep up.
+
+use std::time::{Duration, Instant};
+
+/// Where a line says that a stage does not keep up.
+pub const SLOW: &str = "realo: does not keep up: ";
+/// What is measured at a time: short enough to be told within ten seconds.
+const WINDOW: Duration = Duration::from_secs(4);
+/// The share of its time in which a stage that does not keep up is busy.
+const BUSY: f64 = 0.85;
+/// The share of what comes that a stage may skip: a start that is late is not slow.
+const SKIPPED: f64 = 0.1;
+
+/// What the calls of each stage took.
+pub(super) struct Load {
+    stages: Vec<Calls>,
+    since: Option<Instant>,
+    told: bool,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Calls {
+    made: u64,
+    took: Duration,
+    /// Messages that were skipped before.
+    skipped: u64,
+}
+
+impl Load {
+    pub fn of(stages: usize) -> Self {
+        Load {
+            stages: vec![Calls::default(); stages],
+            since: None,
+            told: false,
+        }
+    }
+
+    /// Takes a call; the first one, which many a stage prepares in, is not counted.
+    pub fn call(&mut self, stage: usize, took: Duration) {
+        if self.since.is_none() {
+            self.since = Some(Instant::now());
+            return;
+        }
+        self.stages[stage].made += 1;
+        self.stages[stage].took += took;
+    }
+
+    /// Once, the stage that holds the process up; `skipped` are the messages that a stage skipped so far.
+    pub fn slow(&mut self, skipped: impl Fn(usize) -> u64) -> Option<(usize, String)> {
+        let passed = self.since?.elapsed();
+        if self.told || passed < WINDOW {
+            return None;
+        }
+        self.since = Some(Instant::now());
+        let mut slowest: Option<(usize, f64, f64)> = None;
+        for (stage, calls) in self.stages.iter_mut().enumerate() {
+            let before = std::mem::take(calls);
+            calls.skipped = skipped(stage);
+            let missed = (calls.skipped - before.skipped) as f64;
+            let share = before.made as f64 / (before.made as f64 + missed).max(1.0);
+            let busy = before.took.as_secs_f64() / passed.as_secs_f64();
+            let is_slow = before.made > 0 && busy > BUSY && share < 1.0 - SKIPPED;
+            if is_slow && slowest.is_none_or(|(_, least, _)| share < least) {
+                slowest = Some((stage, share, before.took.as_secs_f64() * 1e3 / before.made as f64));
+            }
+        }
+        let (stage, share, millis) = slowest?;
+        self.told = true;
+        let done = share * 100.0;
+        Some((
+            stage,
+            format!("takes {millis:.0} ms a call and does {done:.0} % of what comes share={share:.3}"),
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measured(took: Duration, skipped: u64) -> Option<(usize, String)> {
+        let mut load = Load::of(2);
+        load.call(1, took);
+        (0..10).for_each(|_| load.call(1, took));
+        load.since = Instant::now().checked_sub(WINDOW);
+        load.slow(|_| skipped)
+    }
+
+    #[test]
+    fn a_stage_that_is_always_busy_and_skips_messages_does_not_keep_up() {
+        let slow = measured(WINDOW / 10, 10).expect("it is slow");
+        assert_eq!(
+            slow,
+            (1, "takes 400 ms a call and does 50 % of what comes share=0.500".into())
+        );
+        assert_eq!(measured(WINDOW / 10, 0), None, "it skips nothing");
+        assert_eq!(measured(WINDOW / 40, 10), None, "it has time left");
+    }
+}

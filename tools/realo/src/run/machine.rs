@@ -1,0 +1,206 @@
+//! What a machine must have for a realtime run: looked at before anything starts.
+
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+
+use eyre::{Result, bail};
+use realo_graph::FlatGraph;
+use realo_host::dora::{OVERLAY, POOL};
+use realo_operator::Decided;
+use rustix::fs::statvfs;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+use super::nodes::{deciding, given};
+use super::prepare::Cell;
+
+/// Where the nodes' shared memory lies.
+const SHARED: &str = "/dev/shm";
+/// File descriptors of dora and of a node at most, as measured with six nodes, and as many again.
+const DESCRIPTORS: u64 = 256;
+/// Shared memory of a process with networks beside its pool, bytes: maps and messages under way.
+const WITH_NETWORKS: u64 = 48 << 20;
+/// Pool of a process whose messages go through sockets, bytes: dora asks for one all the same.
+const NO_POOL: u64 = 64 << 10;
+/// Processes of a shipped graph.
+const PROCESSES: u64 = 6;
+
+const MIB: u64 = 1 << 20;
+
+/// What was found of one thing.
+pub struct Check {
+    /// What was looked at.
+    pub what: &'static str,
+    /// What was found; an error with what helps where a run would fail.
+    pub found: Result<String, String>,
+}
+
+/// How nodes hand large messages to each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    /// In shared memory.
+    Shared,
+    /// Through sockets.
+    Sockets,
+}
+
+impl Memory {
+    /// Zenoh's settings.
+    pub fn overlay(self) -> String {
+        match self {
+            Memory::Shared => OVERLAY.into(),
+            Memory::Sockets => {
+                let all = OVERLAY.trim_end().strip_suffix('}').unwrap_or(OVERLAY);
+                let transport = all.replacen("{ transport: {", "{ transport: { shared_memory: { enabled: false },", 1);
+                format!("{transport}}}\n")
+            }
+        }
+    }
+
+    /// The pool of every node, where it is not its own choice.
+    pub fn pool(self) -> Option<u64> {
+        (self == Memory::Sockets).then_some(NO_POOL)
+    }
+}
+
+/// Looks at the machine for a run, and makes the best of it.
+///
+/// # Errors
+/// What keeps the run from running, with what helps.
+pub fn prepare(cell: &Cell) -> Result<Memory> {
+    for check in [descriptors(), loopback()] {
+        if let Err(reason) = check.found {
+            bail!("{}: nothing was started: {reason}", cell.name);
+        }
+    }
+    let needed = shared_memory_of(&cell.graph);
+    Ok(match free_shared() {
+        Some(free) if free >= needed => Memory::Shared,
+        free => {
+            eprintln!("realo: {}: {}", cell.name, through_sockets(free, needed));
+            Memory::Sockets
+        }
+    })
+}
+
+/// All that `realo doctor` looks at on the machine.
+pub fn checks(graph: Option<&FlatGraph>) -> Vec<Check> {
+    let needed = graph.map_or(PROCESSES * (POOL as u64 + WITH_NETWORKS), shared_memory_of);
+    let free = free_shared();
+    let shared = Check {
+        what: "shared memory",
+        found: Ok(match free {
+            Some(free) if free >= needed => format!("{} MiB free in {SHARED}, {} needed", free / MIB, needed / MIB),
+            free => through_sockets(free, needed),
+        }),
+    };
+    vec![shared, descriptors(), loopback()]
+}
+
+fn through_sockets(free: Option<u64>, needed: u64) -> String {
+    let found = match free {
+        Some(free) => format!("has {} MiB free", free / MIB),
+        None => "cannot be written".into(),
+    };
+    format!(
+        "{SHARED} {found} and the graph may need {} MiB: its messages go through sockets, which costs some time; in a \
+         container --shm-size={}m (docker, podman) mends it",
+        needed / MIB,
+        (needed / MIB).next_multiple_of(256)
+    )
+}
+
+/// What is free; `None` where nobody can write.
+fn free_shared() -> Option<u64> {
+    let found = statvfs(SHARED).ok()?;
+    let probe = Path::new(SHARED).join(format!(".realo-{}", std::process::id()));
+    std::fs::File::create(&probe).ok()?;
+    let _ = std::fs::remove_file(&probe);
+    Some(found.f_bavail * found.f_frsize)
+}
+
+/// Bytes of shared memory that the processes of a graph may take.
+fn shared_memory_of(graph: &FlatGraph) -> u64 {
+    let networks = deciding(graph, Decided::Model).next().is_some();
+    let each = POOL as u64 + if networks { WITH_NETWORKS } else { 0 };
+    graph.processes().len() as u64 * each
+}
+
+/// Takes as many file descriptors as the system allows; nodes inherit them.
+fn descriptors() -> Check {
+    let limit = getrlimit(Resource::Nofile);
+    let raised = Rlimit {
+        current: limit.maximum,
+        maximum: limit.maximum,
+    };
+    // Where it is refused, the limit stays as it is.
+    let _ = setrlimit(Resource::Nofile, raised);
+    let current = getrlimit(Resource::Nofile).current;
+    let found = match current {
+        Some(current) if current < DESCRIPTORS => Err(format!(
+            "{current} file descriptors are allowed, a graph on dora needs {DESCRIPTORS}: `ulimit -n 1024` before the \
+             command (a service: LimitNOFILE=1024; docker: --ulimit nofile=1024), or --mode virtual"
+        )),
+        Some(current) => Ok(format!("{current} allowed")),
+        None => Ok("as many as wanted".into()),
+    };
+    Check {
+        what: "file descriptors",
+        found,
+    }
+}
+
+/// dora and its nodes talk over it.
+fn loopback() -> Check {
+    let tried = TcpListener::bind("127.0.0.1:0").and_then(|listener| TcpStream::connect(listener.local_addr()?));
+    let found = tried.map(|_| "127.0.0.1 answers".into()).map_err(|error| {
+        format!(
+            "127.0.0.1 does not answer ({error}), and dora and its nodes talk over it: bring it up (`ip link set lo up`), or \
+             --mode virtual"
+        )
+    });
+    Check {
+        what: "loopback interface",
+        found,
+    }
+}
+
+/// What a graph that listens to everybody says at its start; nothing where keys are required.
+pub fn open_doors(graph: &FlatGraph) -> Vec<String> {
+    let radios = graph
+        .nodes
+        .iter()
+        .filter(|node| node.stage() == Some(("node", "radio")));
+    let open = radios.filter(|node| {
+        let is_open =
+            given(node, "listen").is_some_and(|listen| listen.contains("/0.0.0.0:") || listen.contains("/[::]:"));
+        is_open && given(node, "key").is_none_or(str::is_empty)
+    });
+    let line = |node: &realo_graph::FlatNode| {
+        format!(
+            "node `{}` listens on {} and takes messages of everybody who can reach it; to require keys: `realo keys new`, \
+             then --set {}.key=FILE --set {}.trust=FILE (docs/machines.md)",
+            node.id,
+            given(node, "listen").unwrap_or_default(),
+            node.id,
+            node.id
+        )
+    };
+    open.map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sockets_take_the_place_of_shared_memory() {
+        assert_eq!(Memory::Shared.overlay(), OVERLAY);
+        let overlay = Memory::Sockets.overlay();
+        assert!(
+            overlay.contains("{ transport: { shared_memory: { enabled: false }, link: {"),
+            "{overlay}"
+        );
+        assert_eq!(overlay.matches('{').count(), overlay.matches('}').count(), "{overlay}");
+        assert!(through_sockets(Some(64 * MIB), 192 * MIB).contains("--shm-size=256m"));
+    }
+}
