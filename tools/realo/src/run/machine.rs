@@ -19,8 +19,8 @@ const SHARED: &str = "/dev/shm";
 const DESCRIPTORS: u64 = 256;
 /// Shared memory of a process with networks beside its pool, bytes: maps and messages under way.
 const WITH_NETWORKS: u64 = 48 << 20;
-/// Pool of a process whose messages go through sockets, bytes: dora asks for one all the same.
-const NO_POOL: u64 = 64 << 10;
+/// Pool of a process whose messages go through sockets: none, and dora takes the heap.
+const NO_POOL: u64 = 0;
 /// Processes of a shipped graph.
 const PROCESSES: u64 = 6;
 
