@@ -1,1 +1,279 @@
 //! Runs that are ended from outside, and machines that are too small.
+
+use std::fs;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::common::{REALO, folder, graph, json, root, text};
+use crate::scene::Scene;
+
+/// A busy machine has so long for what takes a second elsewhere.
+const LONG: Duration = Duration::from_secs(180);
+
+fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < LONG, "{what}: not within {LONG:?}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Processes that a run of a folder started, and itself.
+fn processes(out: &Path) -> Vec<(u32, String)> {
+    let named = out.to_string_lossy().into_owned();
+    let entries = fs::read_dir("/proc").expect("it is Linux").flatten();
+    let found = entries.filter_map(|entry| {
+        let id = entry.file_name().to_string_lossy().parse().ok()?;
+        let arguments = text(&fs::read(entry.path().join("cmdline")).ok()?).replace('\0', " ");
+        let is_there = fs::read_link(entry.path().join("cwd")).is_ok_and(|cwd| cwd.starts_with(out));
+        (is_there || arguments.contains(&named)).then_some((id, arguments))
+    });
+    found.collect()
+}
+
+struct Run {
+    child: Child,
+    out: PathBuf,
+}
+
+impl Run {
+    /// A run on dora that would take minutes.
+    fn start(name: &str) -> Run {
+        Run::start_after(name, |_| {})
+    }
+
+    /// The same, where something is done before in its folder.
+    fn start_after(name: &str, before: impl FnOnce(&Path)) -> Run {
+        let log = Scene::default().write(name);
+        let out = folder(name);
+        before(&out);
+        let mut command = Command::new(REALO);
+        command
+            .args([
+                "run",
+                &graph("late_fusion"),
+                "--recorded-detections",
+                "--ego",
+                "car",
+                "--rate",
+                "0.02",
+            ])
+            .arg("--log")
+            .arg(&log)
+            .arg("--out")
+            .arg(&out)
+            .current_dir(root())
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let child = command.spawn().expect("realo can be started");
+        Run { child, out }
+    }
+
+    fn dora_log(&self) -> String {
+        let logs = fs::read_dir(&self.out).into_iter().flatten().flatten();
+        let logs = logs.flat_map(|log| fs::read_dir(log.path()).into_iter().flatten().flatten());
+        let read = logs.filter_map(|run| fs::read_to_string(run.path().join("dora.log")).ok());
+        read.collect()
+    }
+
+    /// Waits until the nodes have joined, and the first messages are on their way.
+    fn play(self) -> Run {
+        until("the nodes are ready", || {
+            self.dora_log().contains("all nodes are ready")
+        });
+        std::thread::sleep(Duration::from_secs(6));
+        self
+    }
+
+    fn signal(&self, name: &str) {
+        kill(self.child.id(), name);
+    }
+
+    fn end(self) -> (Output, PathBuf) {
+        let output = self.child.wait_with_output().expect("it was started");
+        let out = self.out;
+        until("no process is left", || processes(&out).is_empty());
+        (output, out)
+    }
+}
+
+fn kill(id: u32, signal: &str) {
+    let sent = Command::new("kill")
+        .args([&format!("-{signal}"), &id.to_string()])
+        .status();
+    assert!(sent.expect("there is a kill").success());
+}
+
+/// A run in virtual time, which ends at once.
+fn offline(log: &Path, out: &Path) -> Output {
+    let mut command = Command::new(REALO);
+    command.args([
+        "run",
+        &graph("late_fusion"),
+        "--recorded-detections",
+        "--offline",
+        "--ego",
+        "car",
+    ]);
+    command.arg("--log").arg(log).arg("--out").arg(out);
+    command.current_dir(root()).output().expect("realo can be started")
+}
+
+/// The result of the only run in a folder.
+fn result(out: &Path) -> serde_json::Value {
+    json(&out.join("result.json"))
+}
+
+#[test]
+fn a_signal_ends_a_run_in_good_order_with_the_table_so_far() {
+    for (signal, code, name) in [("TERM", 143, "SIGTERM"), ("INT", 130, "Ctrl-C"), ("HUP", 129, "SIGHUP")] {
+        let run = Run::start(&format!("life-{signal}")).play();
+        run.signal(signal);
+        let (output, out) = run.end();
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{signal}: {said}");
+        // A machine that is too busy to end in time kills what is left, and says so.
+        if said.contains("was killed") {
+            assert!(!out.join("result.json").exists(), "{said}");
+            continue;
+        }
+        assert!(said.contains(&format!("ended by {name}")), "{said}");
+        assert!(text(&output.stdout).contains("late_fusion"), "{said}");
+        assert_eq!(result(&out)["ended_by"], name);
+        assert!(!out.join(".running").exists() && !out.join(".earlier").exists());
+    }
+}
+
+#[test]
+fn a_signal_before_the_first_message_leaves_the_results_of_an_earlier_run() {
+    let log = Scene::default().write("life-early-log");
+    let earlier = |out: &Path| {
+        let output = offline(&log, out);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+    };
+    let run = Run::start_after("life-early", earlier);
+    until("dora is there", || processes(&run.out).len() > 1);
+    run.signal("INT");
+    let (output, out) = run.end();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    let left = result(&out);
+    match said.contains("no results") {
+        true => assert_eq!(left["mode"], "offline", "{said}"),
+        false => assert_eq!(left["ended_by"], "Ctrl-C", "{said}"),
+    }
+}
+
+#[test]
+fn nothing_of_a_run_outlives_it() {
+    // While it plays, and while its nodes start.
+    for plays in [true, false] {
+        let mut run = Run::start(&format!("life-KILL-{plays}"));
+        if plays {
+            run = run.play();
+        } else {
+            until("dora is there", || processes(&run.out).len() > 1);
+        }
+        run.signal("KILL");
+        let (output, out) = run.end();
+        assert_eq!(output.status.code(), None);
+        // The next run has the folder to itself.
+        let log = Scene::default().write(&format!("life-KILL-{plays}-next"));
+        let next = offline(&log, &out);
+        assert!(next.status.success(), "{}", text(&next.stderr));
+        assert_eq!(result(&out)["mode"], "offline");
+    }
+}
+
+#[test]
+fn a_folder_is_refused_while_nodes_write_there() {
+    let run = Run::start("life-lock").play();
+    let second = offline(&Scene::default().write("life-lock-second"), &run.out);
+    assert!(
+        text(&second.stderr).contains("another run writes there now"),
+        "{}",
+        text(&second.stderr)
+    );
+    run.signal("TERM");
+    run.end();
+}
+
+#[test]
+fn a_node_that_is_killed_is_named_first() {
+    let run = Run::start("life-node").play();
+    let (id, _) = processes(&run.out)
+        .into_iter()
+        .find(|(id, _)| {
+            let environment = fs::read(format!("/proc/{id}/environ")).unwrap_or_default();
+            // Those of other nodes follow.
+            let environment = text(&environment);
+            environment
+                .split("node_id: ")
+                .nth(1)
+                .is_some_and(|rest| rest.starts_with("score"))
+        })
+        .expect("there is a node `score`");
+    kill(id, "KILL");
+    let (output, _) = run.end();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    let first = said.lines().find(|line| line.contains("failed")).unwrap_or_default();
+    assert!(first.contains("node `score` was ended by SIGKILL"), "{said}");
+    assert!(!said.contains('\u{1b}') && !said.contains("<unknown>"), "{said}");
+}
+
+#[test]
+fn few_file_descriptors_are_said_before_anything_starts() {
+    let script = format!(
+        "ulimit -n 64; exec {REALO} run {} --recorded-detections --ego car --log {} --out {}",
+        graph("late_fusion"),
+        Scene::default().write("life-descriptors").display(),
+        folder("life-descriptors-out").display()
+    );
+    let output = Command::new("sh")
+        .args(["-c", &script])
+        .current_dir(root())
+        .output()
+        .expect("there is a shell");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("64 file descriptors are allowed") && said.contains("ulimit -n"),
+        "{said}"
+    );
+}
+
+#[test]
+fn messages_go_through_sockets_where_shared_memory_is_small() {
+    let out = folder("life-shm-out");
+    let script = format!(
+        "mount -t tmpfs -o size=1m tmpfs /dev/shm && exec {REALO} run {} --recorded-detections --ego car --rate 0.5 --log {} \
+         --out {}",
+        graph("late_fusion"),
+        Scene::default().write("life-shm").display(),
+        out.display()
+    );
+    let tried = Command::new("unshare")
+        .args(["-m", "mount", "-t", "tmpfs", "tmpfs", "/dev/shm"])
+        .output();
+    if !tried.is_ok_and(|tried| tried.status.success()) {
+        skipped::skip("small shared memory: mounting needs root");
+        return;
+    }
+    let output = Command::new("unshare")
+        .args(["-m", "sh", "-c", &script])
+        .current_dir(root())
+        .output();
+    let output = output.expect("there is unshare");
+    let said = text(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(
+        said.contains("go through sockets") && said.contains("--shm-size"),
+        "{said}"
+    );
+    assert!(result(&out)["frames"]["total"].as_u64() > Some(0));
+}
