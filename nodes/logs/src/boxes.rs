@@ -6,6 +6,7 @@ use realo_schemas::{Box3, Boxes, Name, Nanos};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
 use crate::pose::{isometry, parts};
+use crate::tracks::track_of;
 
 /// What a `Detection3DArray` cannot say of its boxes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,16 +47,27 @@ pub fn encode(buffer: &mut Vec<u8>, stamp: Nanos, frame: &str, boxes: &[Box3]) {
 /// # Errors
 /// Bytes that are no such message; a detection without hypothesis; numbers that are no pose.
 pub fn decode(payload: &[u8]) -> Result<(Nanos, Boxes), CdrError> {
+    decode_with(payload, |id| Ok(track_of(id)))
+}
+
+/// As [`decode`]; `track` says which track a detection's `id` names.
+pub(crate) fn decode_with(
+    payload: &[u8],
+    mut track: impl FnMut(&str) -> Result<Option<u64>, String>,
+) -> Result<(Nanos, Boxes), CdrError> {
     let mut input = CdrReader::new(payload)?;
     let (stamp, _) = input.header()?;
     let mut boxes = Vec::new();
     for index in 0..input.length(100)? {
-        boxes.push(read_box(&mut input).map_err(|error| format!("detection {index}: {error}"))?);
+        boxes.push(read_box(&mut input, &mut track).map_err(|error| format!("detection {index}: {error}"))?);
     }
     Ok((stamp, Boxes(boxes)))
 }
 
-fn read_box(input: &mut CdrReader) -> Result<Box3, CdrError> {
+fn read_box(
+    input: &mut CdrReader,
+    track: &mut impl FnMut(&str) -> Result<Option<u64>, String>,
+) -> Result<Box3, CdrError> {
     input.header()?;
     let mut best = None;
     for _ in 0..input.length(300)? {
@@ -79,7 +91,7 @@ fn read_box(input: &mut CdrReader) -> Result<Box3, CdrError> {
         velocity: None,
         class: class.into(),
         score: score as f32,
-        track: id.parse().ok(),
+        track: track(id)?,
         covariance: None,
     })
 }

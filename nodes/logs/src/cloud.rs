@@ -1,8 +1,10 @@
 //! `PointCloud` as `sensor_msgs/msg/PointCloud2`.
 
+use nalgebra::{Isometry3, Point3};
 use realo_schemas::{Nanos, PointCloud};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
+use crate::times::{Look, TimeRule, TimeType};
 
 /// Bytes per point as we write them: x y z, intensity, a byte of padding, ring, time.
 const STEP: usize = 20;
@@ -58,14 +60,32 @@ pub fn encode(buffer: &mut Vec<u8>, stamp: Nanos, frame: &str, cloud: &PointClou
 /// Says which field or length does not fit.
 pub fn decode(payload: &[u8]) -> Result<(Nanos, PointCloud), CdrError> {
     let reader = CloudReader::new(payload)?;
-    Ok((reader.stamp, reader.cloud(1.0)?))
+    let reading = Reading {
+        scale: 1.0,
+        times: reader.time_rule(&reader.look().into_iter().collect::<Vec<_>>())?,
+        to: None,
+    };
+    Ok((reader.stamp, reader.cloud(&reading)?.0))
 }
+
+/// How the fields of a cloud are read.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reading {
+    /// What intensities are multiplied by.
+    pub scale: f32,
+    /// How times are read, where there are some.
+    pub times: Option<TimeRule>,
+    /// The frame that points are brought to.
+    pub to: Option<Isometry3<f64>>,
+}
+
+/// Fields of times, by what drivers call them; the first that there is counts.
+const TIMES: [&str; 5] = ["time", "t", "timestamp", "time_stamp", "offset_time"];
 
 /// A cloud whose points are not read yet.
 ///
-/// Takes fields of any numeric type, order and padding. `x`, `y` and `z` must be there; `intensity` and `ring` are 0
-/// where missing, limited to their range otherwise. Times count from the header's stamp, ns if integer, s if float; they
-/// are in the field `time`, or, as Ouster's driver has them, in `t`.
+/// Takes fields of any numeric type, order and padding. `x`, `y` and `z` must be there; `intensity`, `ring` and times are 0
+/// where missing.
 pub struct CloudReader<'a> {
     /// The measurement's reference time, ns.
     pub stamp: Nanos,
@@ -105,7 +125,7 @@ impl<'a> CloudReader<'a> {
     }
 
     fn time_field(&self) -> Option<&Field<'a>> {
-        self.find("time").or_else(|| self.find("t"))
+        TIMES.iter().find_map(|name| self.find(name))
     }
 
     /// The field that the points' times are in, and its type.
@@ -113,49 +133,167 @@ impl<'a> CloudReader<'a> {
         self.time_field().map(|field| (field.name, field.type_name()))
     }
 
+    /// Whether the fields are as this crate writes them.
+    pub(crate) fn is_ours(&self) -> bool {
+        let fields = self.fields.iter();
+        let found = fields.map(|field| (field.name, field.offset as u32, field.datatype));
+        self.points.step == STEP && found.eq(FIELDS)
+    }
+
+    /// What the times of the points look like; `None` without any.
+    pub(crate) fn look(&self) -> Option<Look> {
+        let field = self.time_field()?;
+        let (mut ends, mut points) = ([f64::INFINITY, f64::NEG_INFINITY], 0);
+        for (value, there) in self.points.column::<f64>(field).into_iter().zip(self.returns()) {
+            if there && value.is_finite() {
+                ends = [ends[0].min(value), ends[1].max(value)];
+                points += 1;
+            }
+        }
+        let stamp = self.stamp;
+        (points > 0).then_some(Look { stamp, ends, points })
+    }
+
+    /// Whether each point is a return: drivers leave the fields of directions without one empty.
+    fn returns(&self) -> Vec<bool> {
+        let mut returns = vec![false; self.points.count];
+        for field in ["x", "y", "z"].iter().filter_map(|name| self.find(name)) {
+            let column = self.points.column::<f64>(field);
+            returns.iter_mut().zip(column).for_each(|(there, value)| {
+                *there |= value != 0.0 && value.is_finite();
+            });
+        }
+        returns
+    }
+
+    /// How times are read, by sweeps of the same topic; `None` without a field of times.
+    pub(crate) fn time_rule(&self, looks: &[Look]) -> Result<Option<TimeRule>, CdrError> {
+        let Some(field) = self.time_field() else {
+            return Ok(None);
+        };
+        let kind = field.time_type();
+        if self.is_ours() {
+            return Ok(Some(TimeRule::usual(kind)));
+        }
+        let rule = TimeRule::of(looks, kind);
+        rule.map(Some)
+            .ok_or_else(|| match self.look().or(looks.first().copied()) {
+                Some(look) => self.strange_time(field, look.ends[1], look.stamp),
+                None => format!("field `{}` has no finite time", field.name),
+            })
+    }
+
+    fn strange_time(&self, field: &Field, value: f64, stamp: Nanos) -> CdrError {
+        format!(
+            "times of points: `{}` ({}) is {value} where the stamp is {stamp} ns; expected offsets within ±1 s of the stamp (ns if \
+             integer, s if float; ms or µs are told by a sweep's length), or times since 1970 or since the full hour by the \
+             stamp's clock; write int32 ns from the stamp",
+            field.name,
+            field.type_name()
+        )
+    }
+
     /// Type of the intensities.
     pub fn intensity(&self) -> Option<&'static str> {
         self.find("intensity").map(Field::type_name)
     }
 
-    /// The greatest finite intensity, where intensities are floats and some are above 0.
+    /// The greatest finite intensity, where intensities are of another type than a byte and some are above 0.
     pub fn brightest(&self) -> Option<f32> {
-        let field = self.find("intensity").filter(|field| field.is_float())?;
+        let field = self.find("intensity").filter(|field| field.datatype != UINT8)?;
         let values = self.points.column::<f32>(field).into_iter();
         values
             .filter(|value| value.is_finite() && *value > 0.0)
             .max_by(f32::total_cmp)
     }
 
-    /// The points in their frame; intensities that are floats are multiplied by `scale`.
+    /// The points, and how many of their intensities were limited to 0…255 after they were multiplied.
     ///
     /// # Errors
-    /// A field that is missing.
-    pub fn cloud(&self, scale: f32) -> Result<PointCloud, CdrError> {
+    /// A field that is missing; a time or a beam that does not fit.
+    pub(crate) fn cloud(&self, reading: &Reading) -> Result<(PointCloud, u64), CdrError> {
         let points = &self.points;
+        let [x, y, z] = self.places(reading.to.as_ref())?;
+        let nothing = points.count;
+        let mut limited = 0;
+        let intensity = match self.find("intensity") {
+            None => vec![0; nothing],
+            Some(field) if field.datatype == UINT8 => points.column::<u8>(field),
+            Some(field) => {
+                let byte = |value: f32| {
+                    let scaled = (value * reading.scale).round();
+                    limited += u64::from(!(0.0..=255.0).contains(&scaled));
+                    // `as` limits to the range, which was counted, and makes NaN 0.
+                    scaled as u8
+                };
+                points.column::<f32>(field).into_iter().map(byte).collect()
+            }
+        };
+        let cloud = PointCloud::new(x, y, z, intensity, self.times(reading.times)?, self.rings()?);
+        Ok((cloud.ok_or("columns of different length")?, limited))
+    }
+
+    /// Where the points are; brought to another frame in doubles, before they are rounded.
+    fn places(&self, to: Option<&Isometry3<f64>>) -> Result<[Vec<f32>; 3], CdrError> {
+        let has = || self.fields.iter().map(|field| field.name).collect::<Vec<_>>().join(" ");
         let need = |name: &str| {
-            let has = || self.fields.iter().map(|field| field.name).collect::<Vec<_>>().join(" ");
             self.find(name)
                 .ok_or_else(|| format!("PointCloud2 has no field `{name}`; it has: {}", has()))
         };
-        let [x, y, z] = ["x", "y", "z"].map(|name| need(name).map(|field| points.column::<f32>(field)));
-        let nothing = points.count;
-        let intensity = match self.find("intensity") {
-            None => vec![0; nothing],
-            Some(field) if field.is_float() => {
-                let values = points.column::<f32>(field).into_iter();
-                // `as` limits to the range and makes NaN 0.
-                values.map(|value| (value * scale).round() as u8).collect()
-            }
-            Some(field) => points.column::<u8>(field),
+        let fields = [need("x")?, need("y")?, need("z")?];
+        let Some(to) = to else {
+            return Ok(fields.map(|field| self.points.column::<f32>(field)));
         };
-        let time = self
-            .time_field()
-            .map_or_else(|| vec![0; nothing], |field| points.column::<i32>(field));
-        let ring = self
-            .find("ring")
-            .map_or_else(|| vec![0; nothing], |field| points.column::<u16>(field));
-        PointCloud::new(x?, y?, z?, intensity, time, ring).ok_or_else(|| "columns of different length".into())
+        let [x, y, z] = fields.map(|field| self.points.column::<f64>(field));
+        let mut moved = [0; 3].map(|_: u8| Vec::with_capacity(x.len()));
+        for ((x, y), z) in x.into_iter().zip(y).zip(z) {
+            let point = to * Point3::new(x, y, z);
+            moved
+                .iter_mut()
+                .zip(&point.coords)
+                .for_each(|(column, value)| column.push(*value as f32));
+        }
+        Ok(moved)
+    }
+
+    /// Offsets from the stamp; points without a finite time are taken at the stamp.
+    fn times(&self, rule: Option<TimeRule>) -> Result<Vec<i32>, CdrError> {
+        let (Some(field), Some(rule)) = (self.time_field(), rule) else {
+            return Ok(vec![0; self.points.count]);
+        };
+        if field.datatype == INT32 && rule == TimeRule::usual(TimeType::Integer) {
+            let times = self.points.column::<i32>(field);
+            let within = |time: &i32| time.unsigned_abs() <= 1_000_000_000;
+            if times.iter().all(within) {
+                return Ok(times);
+            }
+        }
+        let values = self.points.column::<f64>(field);
+        let returns = self.returns();
+        let one = |(value, there): (f64, bool)| match rule.offset(value, self.stamp) {
+            Some(offset) => Ok(offset),
+            None if !there || !value.is_finite() => Ok(0),
+            None => Err(self.strange_time(field, value, self.stamp)),
+        };
+        values.into_iter().zip(returns).map(one).collect()
+    }
+
+    fn rings(&self) -> Result<Vec<u16>, CdrError> {
+        let Some(field) = self.find("ring") else {
+            return Ok(vec![0; self.points.count]);
+        };
+        if field.datatype == UINT16 {
+            return Ok(self.points.column::<u16>(field));
+        }
+        let one = |value: f64| match value.round() {
+            beam if (0.0..=65_535.0).contains(&beam) => Ok(beam as u16),
+            beam if beam.is_nan() => Ok(0),
+            _ => Err(format!(
+                "field `ring` ({}) is {value}; expected beams in 0…65535; leave the field out where beams have no numbers",
+                field.type_name()
+            )),
+        };
+        self.points.column::<f64>(field).into_iter().map(one).collect()
     }
 }
 
@@ -176,8 +314,12 @@ impl Field<'_> {
         }
     }
 
-    fn is_float(&self) -> bool {
-        matches!(self.datatype, FLOAT32 | FLOAT64)
+    fn time_type(&self) -> TimeType {
+        match self.datatype {
+            FLOAT32 => TimeType::Single,
+            FLOAT64 => TimeType::Double,
+            _ => TimeType::Integer,
+        }
     }
 
     fn type_name(&self) -> &'static str {
@@ -234,6 +376,13 @@ impl<'a> Points<'a> {
         big_endian: bool,
     ) -> Result<Self, CdrError> {
         let count = height.saturating_mul(width);
+        if count == 0 && !data.is_empty() {
+            return Err(format!(
+                "{height} × {width} points beside {} bytes of data; expected height and width of these (a cloud that is not \
+                 organised has height 1)",
+                data.len()
+            ));
+        }
         if count == 0 {
             return Ok(Points {
                 rows: Vec::new(),
@@ -277,9 +426,7 @@ impl<'a> Points<'a> {
             if field.datatype == T::DATATYPE && !self.big_endian {
                 column.extend(points.map(|point| T::read(&point[offset..])));
             } else {
-                column.extend(
-                    points.map(|point| T::convert(self.number(&point[offset..], field.datatype), field.datatype)),
-                );
+                column.extend(points.map(|point| T::convert(self.number(&point[offset..], field.datatype))));
             }
         }
         column
@@ -312,7 +459,7 @@ impl<'a> Points<'a> {
 trait Number: Sized {
     const DATATYPE: u8;
     fn read(bytes: &[u8]) -> Self;
-    fn convert(value: f64, datatype: u8) -> Self;
+    fn convert(value: f64) -> Self;
 }
 
 macro_rules! number {
@@ -322,21 +469,19 @@ macro_rules! number {
             fn read(bytes: &[u8]) -> Self {
                 <$type>::from_le_bytes(std::array::from_fn(|i| bytes[i]))
             }
-            fn convert(value: f64, datatype: u8) -> Self {
-                $convert(value, datatype)
+            fn convert(value: f64) -> Self {
+                $convert(value)
             }
         }
     };
 }
 
-// `as` limits to the range of the integer and makes NaN 0.
-number!(f32, FLOAT32, |value: f64, _| value as f32);
-number!(u8, UINT8, |value: f64, _| value.round() as u8);
-number!(u16, UINT16, |value: f64, _| value.round() as u16);
-number!(i32, INT32, |value: f64, datatype| match datatype {
-    FLOAT32 | FLOAT64 => (value * 1e9).round() as i32,
-    _ => value as i32,
-});
+number!(f64, FLOAT64, |value: f64| value);
+number!(f32, FLOAT32, |value: f64| value as f32);
+// Of these, only columns of the type itself are read: values of other types are looked at first.
+number!(u8, UINT8, |value: f64| value as u8);
+number!(u16, UINT16, |value: f64| value as u16);
+number!(i32, INT32, |value: f64| value as i32);
 
 #[cfg(test)]
 mod tests {
@@ -456,15 +601,65 @@ mod tests {
         let floats = payload(("intensity", 12, FLOAT32));
         let reader = CloudReader::new(&floats).unwrap();
         assert_eq!((reader.intensity(), reader.brightest()), (Some("float32"), Some(1.5)));
-        assert_eq!(
-            &reader.cloud(255.0).unwrap().intensity[..],
-            [0, 128, 255, 255, 0, 0, 255]
-        );
-        assert_eq!(&reader.cloud(1.0).unwrap().intensity[..], [0, 1, 1, 2, 0, 0, 255]);
+        let scaled = |reader: &CloudReader, scale: f32| {
+            let reading = Reading {
+                scale,
+                times: None,
+                to: None,
+            };
+            let (cloud, limited) = reader.cloud(&reading).unwrap();
+            (cloud.intensity.to_vec(), limited)
+        };
+        assert_eq!(scaled(&reader, 255.0), (vec![0, 128, 255, 255, 0, 0, 255], 4));
+        assert_eq!(scaled(&reader, 1.0), (vec![0, 1, 1, 2, 0, 0, 255], 3));
         let bytes = payload(("intensity", 16, UINT8));
         let reader = CloudReader::new(&bytes).unwrap();
         assert_eq!((reader.intensity(), reader.brightest()), (Some("uint8"), None));
-        assert_eq!(&reader.cloud(255.0).unwrap().intensity[..], [1; 7]);
+        assert_eq!(scaled(&reader, 255.0), (vec![1; 7], 0));
+    }
+
+    #[test]
+    fn points_are_moved_in_doubles_before_they_are_rounded() {
+        let fields = [("x", 0, FLOAT64), ("y", 8, FLOAT64), ("z", 16, FLOAT64)];
+        let far = [691_234.123_4, 5_334_567.876_5, 512.25];
+        let row = far.map(f64::to_le_bytes).concat();
+        let payload = foreign(&fields, false, 24, &[row]);
+        let reading = Reading {
+            scale: 1.0,
+            times: None,
+            to: Some(Isometry3::translation(-691_200.0, -5_334_500.0, -510.0)),
+        };
+        let (cloud, _) = CloudReader::new(&payload).unwrap().cloud(&reading).unwrap();
+        let found = [cloud.x[0], cloud.y[0], cloud.z[0]].map(f64::from);
+        for (found, expected) in found.into_iter().zip([34.123_4, 67.876_5, 2.25]) {
+            assert!((found - expected).abs() < 1e-5, "{found} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn times_and_beams_that_do_not_fit_are_refused_by_name() {
+        let row =
+            |t: f64, ring: i32| [&1f32.to_le_bytes()[..], &[0; 8], &t.to_le_bytes(), &ring.to_le_bytes()].concat();
+        let xyz = [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32)];
+        let read = |field: (&str, u32, u8), rows: &[Vec<u8>]| {
+            decode(&foreign(&[&xyz[..], &[field]].concat(), false, 24, rows)).map(|(_, cloud)| cloud)
+        };
+        let error = read(("time", 12, FLOAT64), &[row(1.7e9, 0)]).unwrap_err();
+        assert!(
+            error.contains("`time` (float64) is 1700000000") && error.contains("±1 s"),
+            "{error}"
+        );
+        let error = read(("ring", 20, INT32), &[row(0.0, 70_000)]).unwrap_err();
+        assert!(error.contains("`ring` (int32) is 70000"), "{error}");
+        // The stamp is 5 ns after 1970.
+        for name in ["timestamp", "time_stamp", "offset_time"] {
+            let cloud = read((name, 12, FLOAT64), &[row(0.05, 0), row(f64::NAN, 0)]).unwrap();
+            assert_eq!(&cloud.time[..], [50_000_000, 0], "{name}");
+        }
+        // What is no return has no time either.
+        let nothing = [&[0; 12][..], &9e9f64.to_le_bytes(), &[0; 4]].concat();
+        let cloud = read(("time", 12, FLOAT64), &[row(0.05, 0), nothing]).unwrap();
+        assert_eq!(&cloud.time[..], [50_000_000, 0]);
     }
 
     #[test]

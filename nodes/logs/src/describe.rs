@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use realo_schemas::{Nanos, to_seconds};
 use serde::Serialize;
 
+use crate::findings::problems;
 use crate::level::{LEVEL, tilts};
 use crate::log::{join, nanos, times};
 use crate::{ChannelInfo, Levelled, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, SweepsInfo, Truncation};
@@ -35,6 +36,8 @@ pub struct Description {
     pub tilted: BTreeMap<String, f64>,
     /// Scored frames per agent, in a finished log.
     pub scored_frames: Option<BTreeMap<String, usize>>,
+    /// What a run of it would stumble over, or score wrongly.
+    pub problems: Vec<String>,
     /// Where it was cut, if it was.
     pub truncated: Option<Truncation>,
 }
@@ -83,6 +86,14 @@ pub enum Described {
 }
 
 impl Described {
+    /// What a run of it would stumble over, or score wrongly.
+    pub fn problems(&self) -> &[String] {
+        match self {
+            Described::Log(log) => &log.problems,
+            Described::Recording(_) => &[],
+        }
+    }
+
     /// Where the file was cut, if it was.
     pub fn truncated(&self) -> Option<&Truncation> {
         match self {
@@ -130,6 +141,12 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
             sweeps.insert(agent.name.clone(), info);
         }
     }
+    let problems = problems(log)?;
+    // Poses that start again say nothing of how a body tilts.
+    let tilted = match problems.is_empty() {
+        true => tilts(log)?,
+        false => BTreeMap::new(),
+    };
     Ok(Description {
         path: log.path().into(),
         bytes: length(log.path())?,
@@ -140,8 +157,9 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
         topics: with_rates(log.topics(), |topic| log.times(topic))?,
         sweeps,
         levelled: log.levelled()?,
-        tilted: tilts(log)?,
+        tilted,
         scored_frames: log.key_frames().map(count),
+        problems,
         truncated: log.truncation().cloned(),
     })
 }
@@ -262,6 +280,9 @@ impl fmt::Display for Description {
         }
         for (agent, sweeps) in &self.sweeps {
             writeln!(f, "    {agent:<12} {sweeps}")?;
+        }
+        for problem in &self.problems {
+            writeln!(f, "  PROBLEM: {problem}")?;
         }
         write_topics(f, &self.topics)
     }

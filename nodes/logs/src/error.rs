@@ -61,7 +61,7 @@ pub enum LogError {
         /// Metadata records that it has.
         found: String,
         /// What to do.
-        hint: &'static str,
+        hint: String,
     },
     /// A metadata record that does not say what it must.
     #[error("`{}`: metadata `{field}`: {reason}", .path.display())]

@@ -29,7 +29,12 @@ struct Edge {
     at: BTreeMap<Nanos, Isometry3<f64>>,
     /// Another parent that the log says it has.
     other: Option<String>,
+    /// Why no value of it can be believed: the log gives two for one time.
+    contradiction: Option<String>,
 }
+
+/// Transforms that differ by less are one: texts and single precision round by less, m and rad.
+const SAME: [f64; 2] = [1e-3, 1e-4];
 
 /// The way from a frame to another.
 #[derive(Debug, PartialEq)]
@@ -70,13 +75,17 @@ impl Frames {
             topic,
             at: BTreeMap::new(),
             other: None,
+            contradiction: None,
         };
         let edge = self.edges.entry(child.into()).or_insert_with(new);
-        if edge.parent == parent {
-            edge.at.insert(stamp, pose);
-        } else {
+        if edge.parent != parent {
             edge.other = Some(parent.into());
+            return;
         }
+        if edge.contradiction.is_none() {
+            edge.contradiction = edge.contradicts(child, topic, stamp, &pose);
+        }
+        edge.at.entry(stamp).or_insert(pose);
     }
 
     /// How to bring what lies in `from` into `to`, at a time.
@@ -155,9 +164,38 @@ struct Step<'a> {
 }
 
 impl Edge {
+    /// Why a transform cannot be true beside the known ones: what is static has one value, what moves one at a time.
+    fn contradicts(&self, child: &str, topic: &str, stamp: Nanos, pose: &Isometry3<f64>) -> Option<String> {
+        let known = match self.topic == STATIC || topic == STATIC {
+            true => self.at.values().next(),
+            false => self.at.get(&stamp),
+        }?;
+        let apart = (pose.translation.vector - known.translation.vector).norm();
+        let turned = known.rotation.angle_to(&pose.rotation);
+        let same = apart <= SAME[0] && turned <= SAME[1];
+        let place = |p: &Isometry3<f64>| {
+            let [x, y, z] = p.translation.vector.into();
+            format!("({x:.3}, {y:.3}, {z:.3}) m")
+        };
+        (!same).then(|| {
+            format!(
+                "`{}` → `{child}` has two values, {} on {} and {} on {topic}, {apart:.3} m and {:.2}° apart; two publishers tell \
+                 it: leave one of them in the log",
+                self.parent,
+                place(known),
+                self.topic,
+                place(pose),
+                turned.to_degrees()
+            )
+        })
+    }
+
     fn pose(&self, child: &str, stamp: Nanos) -> Result<Isometry3<f64>, String> {
         if let Some(other) = &self.other {
             return Err(format!("`{child}` has two parents, `{}` and `{other}`", self.parent));
+        }
+        if let Some(reason) = &self.contradiction {
+            return Err(reason.clone());
         }
         let before = self.at.range(..=stamp).next_back();
         let after = self.at.range(stamp..).next();
@@ -241,6 +279,27 @@ mod tests {
             assert!(error.contains("transform of `base` on /tf nearest to"), "{error}");
         }
         assert!(x(Nanos::MIN).is_err() && x(Nanos::MAX).is_err());
+    }
+
+    #[test]
+    fn a_transform_of_two_values_is_refused_and_the_same_twice_is_fine() {
+        let mut twice = frames();
+        let quarter = std::f64::consts::FRAC_PI_2;
+        twice.add("/tf_static", 9, "base", "lidar", pose(1.0, quarter + 1e-9));
+        twice.add("/tf", SECOND, "map", "base", pose(10.0, 0.0));
+        let way = twice.way("map", "lidar", SECOND).unwrap();
+        assert!((way.to_from_from.translation.vector - Vector3::new(11.0, 0.0, 0.0)).norm() < 1e-9);
+        for (topic, stamp, parent, child, x) in [
+            ("/tf_static", 9, "base", "lidar", 3.0),
+            ("/tf", 9, "base", "lidar", 3.0),
+            ("/tf", SECOND, "map", "base", 11.0),
+        ] {
+            let mut two = frames();
+            two.add(topic, stamp, parent, child, pose(x, 0.0));
+            let error = two.way("map", "lidar", SECOND).unwrap_err();
+            let names = format!("`{parent}` → `{child}` has two values");
+            assert!(error.contains(&names) && error.contains("leave one"), "{error}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use realo_schemas::geometry::View;
-use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus, to_seconds};
 
 use crate::cdr::CdrReader;
 use crate::frames::bare;
@@ -11,8 +11,9 @@ use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD};
 use crate::log_writer::body;
 use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 use crate::packets::{self, SentPacket};
+use crate::repeats::Repeats;
 use crate::sweeps::{Context, SweepsInfo};
-use crate::{BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Stream, boxes, pose, views};
+use crate::{BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Stream, boxes, foreign, pose, views};
 
 /// An open log.
 #[derive(Clone, Debug)]
@@ -20,7 +21,7 @@ pub struct Log {
     file: McapFile,
     info: LogInfo,
     truncation: Option<Truncation>,
-    streams: BTreeMap<(String, Stream), u16>,
+    streams: BTreeMap<(String, Stream), Vec<u16>>,
     context: Arc<Context>,
 }
 
@@ -55,14 +56,10 @@ impl Log {
                     reason,
                 });
             }
-            if streams.insert((agent, stream), *id).is_some() {
-                let reason = "two channels have this topic".to_string();
-                return Err(LogError::Content {
-                    topic: channel.topic.clone(),
-                    log_time: 0,
-                    reason,
-                });
-            }
+            streams.entry((agent, stream)).or_insert_with(Vec::new).push(*id);
+        }
+        for channels in streams.values().filter(|channels| channels.len() > 1) {
+            follow_each_other(&file, channels)?;
         }
         Ok(Log {
             context: Arc::new(Context::new(file.clone(), &info.map_frame)),
@@ -171,10 +168,14 @@ impl Log {
 
     /// Every topic of the file.
     pub fn topics(&self) -> BTreeMap<String, ChannelInfo> {
-        let channels = self.file.channels().values().filter(|channel| channel.messages > 0);
-        channels
-            .map(|channel| (channel.topic.clone(), channel.clone()))
-            .collect()
+        let mut topics: BTreeMap<String, ChannelInfo> = BTreeMap::new();
+        for channel in self.file.channels().values().filter(|channel| channel.messages > 0) {
+            let known = topics.entry(channel.topic.clone());
+            known
+                .and_modify(|known| known.messages += channel.messages)
+                .or_insert_with(|| channel.clone());
+        }
+        topics
     }
 
     /// First and last log time of a topic's messages, ns; `None` without any.
@@ -191,15 +192,20 @@ impl Log {
     /// Bytes that contradict the format.
     pub fn sweeps_info(&self, agent: &str) -> Result<Option<SweepsInfo>, LogError> {
         match self.streams.get(&(agent.to_string(), Stream::Points)) {
-            Some(channel) => self.context.describe(*channel, agent),
+            Some(channels) => self.context.describe(channels[0], agent),
             None => Ok(None),
         }
     }
 
+    /// How many intensities of the sweeps read so far did not fit into 0…255 and were limited, by agent.
+    pub fn limited_intensities(&self) -> BTreeMap<String, u64> {
+        self.context.limited()
+    }
+
     /// Messages of an agent's stream.
     pub fn count(&self, agent: &str, stream: Stream) -> u64 {
-        let id = self.streams.get(&(agent.to_string(), stream));
-        id.map_or(0, |id| self.file.channels()[id].messages)
+        let ids = self.streams.get(&(agent.to_string(), stream)).into_iter().flatten();
+        ids.map(|id| self.file.channels()[id].messages).sum()
     }
 
     /// Whether an agent has messages on a stream.
@@ -259,8 +265,9 @@ impl Log {
                 .iter()
                 .position(|known| known.name == *agent)
                 .unwrap_or(0);
-            let id = self.streams[&(agent.to_string(), *stream)];
-            channels.insert(id, (*stream, rank, Name::from(*agent)));
+            for id in &self.streams[&(agent.to_string(), *stream)] {
+                channels.insert(*id, (*stream, rank, Name::from(*agent)));
+            }
         }
         let ids: BTreeSet<u16> = channels.keys().copied().collect();
         let until = until.min(self.complete_until());
@@ -270,6 +277,7 @@ impl Log {
             channels,
             ahead: None,
             instant: VecDeque::new(),
+            repeats: Repeats::default(),
             context: self.context.clone(),
         })
     }
@@ -281,6 +289,33 @@ impl Log {
     pub fn read_all(&self, wanted: &[(&str, Stream)]) -> Result<LogReader, LogError> {
         self.read(wanted, 0, Nanos::MAX)
     }
+}
+
+/// Refuses a topic whose channels have messages at the same time: nobody can say which of two publishers is right.
+fn follow_each_other(file: &McapFile, channels: &[u16]) -> Result<(), LogError> {
+    let mut spans = Vec::new();
+    for id in channels {
+        if let Some((first, last)) = file.times_of(*id)? {
+            spans.push((first, last, *id));
+        }
+    }
+    spans.sort_unstable();
+    let Some([(_, until, one), (from, _, other)]) = spans.array_windows().find(|[a, b]| b.0 <= a.1) else {
+        return Ok(());
+    };
+    let messages = |id: &u16| file.channels()[id].messages;
+    Err(LogError::Content {
+        topic: file.channels()[one].topic.clone(),
+        log_time: nanos(*from),
+        reason: format!(
+            "two channels have this topic at the same time, {one} with {} messages until {:.3} s and {other} with {} from {:.3} s on: \
+             two publishers, or a message that was recorded twice; leave one of them in the log, or give the other a topic of its own",
+            messages(one),
+            to_seconds(nanos(*until)),
+            messages(other),
+            to_seconds(nanos(*from))
+        ),
+    })
 }
 
 /// Where the file was cut, and what it lacks by what the log says of itself.
@@ -315,8 +350,8 @@ pub(crate) fn times(file: &McapFile, topic: &str) -> Result<Option<(Nanos, Nanos
 fn not_realo(file: &McapFile) -> LogError {
     let found = join(file.metadata().keys().map(String::as_str));
     let hint = match file.metadata().contains_key(crate::RECORDING_RECORD) {
-        true => "it is a recording of a run: give it to `realo evaluate LOG --detections`",
-        false => "make logs with `realo simulate` or `realo import`",
+        true => "it is a recording of a run: give it to `realo evaluate LOG --detections`".into(),
+        false => format!("it holds {}; {}", foreign::of_mcap(file), foreign::GUIDE),
     };
     LogError::NotRealo {
         path: file.path().into(),
@@ -349,6 +384,7 @@ pub struct LogReader {
     channels: BTreeMap<u16, (Stream, usize, Name)>,
     ahead: Option<RawMessage>,
     instant: VecDeque<Entry>,
+    repeats: Repeats,
     context: Arc<Context>,
 }
 
@@ -362,7 +398,13 @@ impl LogReader {
         if self.instant.is_empty() {
             self.read_instant()?;
         }
-        Ok(self.instant.pop_front())
+        let Some(entry) = self.instant.pop_front() else {
+            return Ok(None);
+        };
+        // Several channels of a topic follow each other: they are one stream.
+        let (stream, rank, _) = &self.channels[&entry.raw.channel];
+        let noted = self.repeats.note((*stream, *rank), entry.stamp());
+        noted.map_err(|reason| entry.bad(reason)).map(|()| Some(entry))
     }
 
     /// Reads all messages of the next log time and puts them in order.
@@ -467,7 +509,7 @@ impl Entry {
     /// Bytes that are no such message; another frame than the agent's body.
     pub fn boxes(&self) -> Result<Boxes, LogError> {
         self.in_frame(&body(&self.agent))
-            .and_then(|()| boxes::decode(self.data()))
+            .and_then(|()| boxes::decode_with(self.data(), |id| self.context.track(id)))
             .map(|(_, boxes)| boxes)
             .map_err(|reason| self.bad(reason))
     }

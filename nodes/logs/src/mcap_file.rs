@@ -16,9 +16,11 @@ use crate::records::{
     ChannelRecord, ChunkIndex, FOOTER, Footer, HEAD, MESSAGE_HEAD, MessageRecord, MetadataIndex, MetadataRecord,
     SchemaRecord, Statistics, most_unpacked, records, unpack,
 };
-use crate::{Lane, LogError};
+use crate::{Lane, LogError, foreign};
 
 pub(crate) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
+/// Bytes at the beginning that tell what a file is.
+const LOOKED_AT: u64 = 64;
 const RECORD_HEAD: u64 = HEAD as u64;
 /// Footer and magic.
 const TAIL: usize = FOOTER + MAGIC.len();
@@ -110,20 +112,23 @@ impl McapFile {
     /// A file that cannot be read or is no MCAP.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, LogError> {
         let path = path.as_ref();
+        let not_mcap = |reason: String| LogError::NotMcap {
+            path: path.into(),
+            reason,
+        };
+        if path.is_dir() {
+            return Err(not_mcap(foreign::folder(path)));
+        }
         let mut file = File::open(path).map_err(LogError::io(path, "open"))?;
         let size = file.metadata().map_err(LogError::io(path, "read"))?.len();
-        let mut magic = [0; 8];
-        let found = file.read(&mut magic).map_err(LogError::io(path, "read"))?;
-        if found < 8 || magic != MAGIC {
-            let reason = format!(
-                "expected it to start with 89 4d 43 41 50, found {:02x?}",
-                &magic[..found.min(5)]
-            );
-            return Err(LogError::NotMcap {
-                path: path.into(),
-                reason,
-            });
+        let mut head = Vec::new();
+        let read = Read::by_ref(&mut file).take(LOOKED_AT).read_to_end(&mut head);
+        read.map_err(LogError::io(path, "read"))?;
+        if !head.starts_with(&MAGIC) {
+            return Err(not_mcap(foreign::not_mcap(path, &head)));
         }
+        file.seek(SeekFrom::Start(MAGIC.len() as u64))
+            .map_err(LogError::io(path, "read"))?;
         match Self::by_index(path, &mut file, size)? {
             Some(indexed) => Ok(indexed),
             None => Scan::new(path, file, size).run(),

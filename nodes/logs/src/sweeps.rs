@@ -1,19 +1,31 @@
 //! Sweeps of logs that others wrote: where their points lie, and on which scale their intensities are.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Mutex, MutexGuard, OnceLock};
 
-use nalgebra::{Isometry3, Point3};
 use realo_schemas::{Nanos, PointCloud};
 use serde::Serialize;
 
-use crate::cloud::CloudReader;
+use crate::cloud::{CloudReader, Reading};
 use crate::frames::{Frames, Way, bare};
 use crate::log_writer::body;
+use crate::times::TimeRule;
+use crate::tracks::Tracks;
 use crate::{LogError, McapFile};
 
-/// Sweeps that tell whether intensities are in [0, 1].
+/// Sweeps of a topic that tell the range of its intensities and the unit of its times.
 const LOOKED_AT: usize = 10;
+/// Greatest intensities of sensors whose range is more than a byte.
+const RANGES: [f32; 3] = [1_023.0, 4_095.0, 65_535.0];
+
+/// How the sweeps of a channel are read.
+#[derive(Clone, Debug)]
+struct Rules {
+    /// What intensities are multiplied by.
+    scale: f32,
+    /// How times are read, or why they cannot be.
+    times: Result<Option<TimeRule>, String>,
+}
 
 /// What reading one message needs to know of the whole log; it is looked up when a message asks for it.
 #[derive(Debug)]
@@ -21,8 +33,11 @@ pub(crate) struct Context {
     file: McapFile,
     pub map_frame: String,
     frames: OnceLock<Result<Frames, String>>,
-    /// Factor of float intensities by channel.
-    scales: Mutex<BTreeMap<u16, f32>>,
+    /// How sweeps are read, by channel.
+    rules: Mutex<BTreeMap<u16, Rules>>,
+    tracks: Mutex<Tracks>,
+    /// Intensities that were limited to 0…255, by agent.
+    limited: Mutex<BTreeMap<String, u64>>,
 }
 
 impl Context {
@@ -31,8 +46,20 @@ impl Context {
             file,
             map_frame: map_frame.into(),
             frames: OnceLock::new(),
-            scales: Mutex::default(),
+            rules: Mutex::default(),
+            tracks: Mutex::default(),
+            limited: Mutex::default(),
         }
+    }
+
+    /// The track that a text names, the same in all messages of the log.
+    pub fn track(&self, id: &str) -> Result<Option<u64>, String> {
+        open(&self.tracks).track(id)
+    }
+
+    /// Intensities that were limited to 0…255 in the sweeps read so far, by agent.
+    pub fn limited(&self) -> BTreeMap<String, u64> {
+        open(&self.limited).clone()
     }
 
     /// The points of a message in its agent's body frame.
@@ -44,12 +71,17 @@ impl Context {
                 reader.stamp
             ));
         }
-        let scale = self.scale(channel, &reader).map_err(|error| error.to_string())?;
-        let cloud = reader.cloud(scale)?;
-        Ok(match self.way(agent, reader.frame, stamp)? {
-            None => cloud,
-            Some(way) => moved(&way.to_from_from, cloud),
-        })
+        let rules = self.rules(channel, &reader).map_err(|error| error.to_string())?;
+        let reading = Reading {
+            scale: rules.scale,
+            times: rules.times?,
+            to: self.way(agent, reader.frame, stamp)?.map(|way| way.to_from_from),
+        };
+        let (cloud, limited) = reader.cloud(&reading)?;
+        if limited > 0 {
+            *open(&self.limited).entry(agent.into()).or_default() += limited;
+        }
+        Ok(cloud)
     }
 
     /// How to bring what lies in `frame` into the agent's body frame; `None` if it lies there.
@@ -73,34 +105,29 @@ impl Context {
         })
     }
 
-    /// Factor that brings a channel's intensities to 0…255.
-    fn scale(&self, channel: u16, reader: &CloudReader) -> Result<f32, LogError> {
-        if !reader.intensity().is_some_and(|kind| kind.starts_with("float")) {
-            return Ok(1.0);
+    /// How the sweeps of a channel are read, by its first ten.
+    fn rules(&self, channel: u16, reader: &CloudReader) -> Result<Rules, LogError> {
+        if let Some(rules) = open(&self.rules).get(&channel) {
+            return Ok(rules.clone());
         }
-        let known = |scales: &BTreeMap<u16, f32>| scales.get(&channel).copied();
-        if let Some(scale) = known(&self.scales.lock().unwrap_or_else(|poisoned| poisoned.into_inner())) {
-            return Ok(scale);
+        let (mut brightest, mut looks) = (0f32, Vec::new());
+        let tells = reader.time().is_some() || reader.intensity().is_some_and(|kind| kind != "uint8");
+        if tells && !reader.is_ours() {
+            let mut messages = self.file.messages(BTreeSet::from([channel]), 0..u64::MAX)?;
+            for _ in 0..LOOKED_AT {
+                let Some(message) = messages.next()? else { break };
+                if let Ok(reader) = CloudReader::new(message.data()) {
+                    brightest = brightest.max(reader.brightest().unwrap_or(0.0));
+                    looks.extend(reader.look());
+                }
+            }
         }
-        let mut messages = self.file.messages(BTreeSet::from([channel]), 0..u64::MAX)?;
-        let mut brightest = 0f32;
-        for _ in 0..LOOKED_AT {
-            let Some(message) = messages.next()? else { break };
-            let found = CloudReader::new(message.data())
-                .ok()
-                .and_then(|reader| reader.brightest());
-            brightest = brightest.max(found.unwrap_or(0.0));
-        }
-        let scale = if brightest > 0.0 && brightest <= 1.0 {
-            255.0
-        } else {
-            1.0
+        let rules = Rules {
+            scale: scale(reader.intensity().unwrap_or_default(), brightest),
+            times: reader.time_rule(&looks),
         };
-        self.scales
-            .lock()
-            .unwrap_or_else(|poisoned| poisoned.into_inner())
-            .insert(channel, scale);
-        Ok(scale)
+        open(&self.rules).insert(channel, rules.clone());
+        Ok(rules)
     }
 
     /// How an agent's sweeps are read, by the first of them.
@@ -119,7 +146,7 @@ impl Context {
             }
         };
         let way = self.way(agent, reader.frame, stamp);
-        let scale = self.scale(channel, &reader)?;
+        let rules = self.rules(channel, &reader)?;
         Ok(Some(SweepsInfo {
             frame: reader.frame.into(),
             brought_by: way
@@ -127,9 +154,12 @@ impl Context {
                 .flatten()
                 .flat_map(|way| way.by.iter().map(|topic| topic.to_string()))
                 .collect(),
-            time: reader.time().map(|(field, kind)| format!("{field} ({kind})")),
+            time: reader.time().map(|(field, kind)| match &rules.times {
+                Ok(Some(rule)) => format!("{field} ({kind}, {rule})"),
+                _ => format!("{field} ({kind})"),
+            }),
             intensity: reader.intensity().map(str::to_string),
-            intensity_scale: scale,
+            intensity_scale: rules.scale,
             problem: self.cloud(channel, agent, stamp, first.data()).err(),
         }))
     }
@@ -168,22 +198,49 @@ impl std::fmt::Display for SweepsInfo {
         match &self.intensity {
             None => write!(f, "; no intensities: 0"),
             Some(kind) if self.intensity_scale != 1.0 => {
-                write!(f, "; intensities {kind} in 0…1, scaled to 0…255")
+                let range = 255.0 / self.intensity_scale;
+                write!(f, "; intensities {kind} in 0…{range:.0}, scaled to 0…255")
             }
             Some(kind) => write!(f, "; intensities {kind} as they are"),
         }
     }
 }
 
-fn moved(to_from_from: &Isometry3<f64>, mut cloud: PointCloud) -> PointCloud {
-    let n = cloud.len();
-    let (mut x, mut y, mut z) = (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
-    for i in 0..n {
-        let point = to_from_from * Point3::new(cloud.x[i], cloud.y[i], cloud.z[i]).cast::<f64>();
-        x.push(point.x as f32);
-        y.push(point.y as f32);
-        z.push(point.z as f32);
+/// What intensities are multiplied by: floats of which the brightest is at most 1 fill the byte; what exceeds a byte is
+/// divided by the least range of sensors that holds the brightest.
+fn scale(kind: &str, brightest: f32) -> f32 {
+    let float = kind.starts_with("float");
+    match brightest {
+        _ if kind == "uint8" => 1.0,
+        unit if float && unit > 0.0 && unit <= 1.0 => 255.0,
+        byte if byte <= 255.0 => 1.0,
+        bright => 255.0 / RANGES.into_iter().find(|range| bright <= *range).unwrap_or(bright),
     }
-    (cloud.x, cloud.y, cloud.z) = (x.into(), y.into(), z.into());
-    cloud
+}
+
+/// What a thread that panicked left behind is whole: every insertion is one step.
+fn open<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::scale;
+
+    #[test]
+    fn intensities_fill_a_byte_by_the_range_of_the_brightest() {
+        for (kind, brightest, expected) in [
+            ("uint8", 1.0, 1.0),
+            ("float32", 0.0, 1.0),
+            ("float32", 0.7, 255.0),
+            ("uint16", 1.0, 1.0),
+            ("float32", 254.5, 1.0),
+            ("float32", 300.0, 255.0 / 1_023.0),
+            ("uint16", 3_000.0, 255.0 / 4_095.0),
+            ("uint16", 65_535.0, 255.0 / 65_535.0),
+            ("float64", 1e6, 255.0 / 1e6),
+        ] {
+            assert_eq!(scale(kind, brightest), expected, "{kind} {brightest}");
+        }
+    }
 }

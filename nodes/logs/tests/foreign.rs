@@ -221,7 +221,9 @@ fn times_of_ouster_and_intensities_up_to_one_are_read_and_said() {
     assert_eq!(entry.cloud().unwrap().intensity[0], 2);
     let shown = shown(&made.path);
     assert!(
-        shown.contains("frame alice/body; times from t (uint32); intensities float32 in 0…1, scaled to 0…255\n"),
+        shown.contains(
+            "frame alice/body; times from t (uint32, ns from the stamp); intensities float32 in 0…1, scaled to 0…255\n"
+        ),
         "{shown}"
     );
     assert!(
@@ -364,4 +366,97 @@ fn recordings_are_described_as_such() {
     let cut = describe_any(&path).unwrap();
     assert!(cut.truncated().is_some() && cut.to_string().contains("TRUNCATED"));
     assert!(describe(&path).unwrap_err().to_string().contains("recording of a run"));
+}
+
+/// A log of one agent's poses on two channels of one topic, each with its stamps, in seconds.
+fn two_channels(stamps: [&[i64]; 2]) -> Made {
+    made(r#"[{"name":"alice","kind":"vehicle"}]"#, |writer| {
+        for stamps in stamps {
+            let mcap = &mut writer.mcap;
+            let channel = mcap.channel("/alice/sweeps", Schema::Header, Lane::Small);
+            for stamp in stamps.iter().map(|s| START + s * 1000 * MS) {
+                let encode = |out: &mut Vec<u8>| CdrWriter::new(out).header(stamp, "alice/body");
+                mcap.write(channel, stamp as u64, stamp as u64, encode).unwrap();
+            }
+        }
+    })
+}
+
+#[test]
+fn channels_of_a_topic_that_follow_each_other_are_one_stream() {
+    let made = two_channels([&[0, 1, 2], &[3, 4]]);
+    let log = Log::open(&made.path).unwrap();
+    assert_eq!(log.count("alice", Stream::Sweeps), 5);
+    assert_eq!(log.topics()["/alice/sweeps"].messages, 5);
+    let mut reader = log.read_all(&[("alice", Stream::Sweeps)]).unwrap();
+    let mut stamps = Vec::new();
+    while let Some(entry) = reader.next().unwrap() {
+        stamps.push((entry.stamp() - START) / (1000 * MS));
+    }
+    assert_eq!(stamps, [0, 1, 2, 3, 4]);
+    assert!(describe(&made.path).unwrap().problems.is_empty());
+}
+
+#[test]
+fn two_publishers_of_a_topic_are_named_with_what_to_do() {
+    let made = two_channels([&[0, 2, 4], &[1, 3]]);
+    let error = Log::open(&made.path).unwrap_err().to_string();
+    for part in [
+        "`/alice/sweeps`",
+        "with 3 messages",
+        "with 2 from",
+        "two publishers",
+        "leave one of them",
+    ] {
+        assert!(error.contains(part), "no `{part}` in {error}");
+    }
+}
+
+#[test]
+fn an_mcap_file_of_others_is_described_by_its_topics() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bag.mcap");
+    let mut mcap = McapWriter::new(File::create(&path).unwrap(), "x", "rosbag2", &BTreeMap::new()).unwrap();
+    let imu = mcap.channel("/front/header", Schema::Header, Lane::Small);
+    let encode = |out: &mut Vec<u8>| CdrWriter::new(out).header(START, "front");
+    mcap.write(imu, START as u64, START as u64, encode).unwrap();
+    mcap.finish().unwrap();
+    for error in [Log::open(&path).unwrap_err(), describe_any(&path).unwrap_err()] {
+        let error = error.to_string();
+        for part in [
+            "rosbag2",
+            "/front/header (std_msgs/msg/Header)",
+            "docs/log-format.md",
+            "python/realo_log.py",
+        ] {
+            assert!(error.contains(part), "no `{part}` in {error}");
+        }
+    }
+}
+
+#[test]
+fn a_static_transform_of_two_values_is_refused_by_name() {
+    let made = made(TWO, |writer| {
+        one_sweep(writer, "alice", START, "alice/lidar", &[]);
+        for (k, height) in [(0, 1.8), (1, 1.8), (2, 4.8)] {
+            let mounted = Isometry3::from_parts(Translation3::new(0.5, 0.0, height), UnitQuaternion::identity());
+            transform(
+                writer,
+                "/tf_static",
+                START + k * MS,
+                ["alice/body", "alice/lidar"],
+                &mounted,
+            );
+        }
+    });
+    let error = points(&made.path, "alice").unwrap_err().to_string();
+    for part in [
+        "/alice/points",
+        "`alice/body` → `alice/lidar` has two values",
+        "3.000 m",
+        "leave one of them",
+    ] {
+        assert!(error.contains(part), "no `{part}` in {error}");
+    }
+    assert!(shown(&made.path).contains("CANNOT BE READ"));
 }

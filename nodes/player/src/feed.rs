@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use realo_logs::{
     Attitudes, Entry, LEVEL, Levelled, Log, LogError, LogReader, Stream, level_state, levelled_while_played,
+    track_conflicts,
 };
 use realo_operator::PortId;
 use realo_schemas::geometry::tilt_degrees;
@@ -21,6 +22,10 @@ const LATENCY: Nanos = 500_000_000;
 const LEAD_IN: Nanos = 500_000_000;
 /// What is left out of an agent is counted under this and its name.
 const TOO_FAR: &str = "too_far_";
+/// Counts the intensities of an agent that did not fit into a byte.
+const LIMITED: &str = "intensities_limited_";
+/// Counts where two agents' tracks name different objects.
+const TRACKS: &str = "tracks_differ_";
 /// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
 const PAUSE: Nanos = 1_000_000_000;
 
@@ -197,6 +202,29 @@ impl Script {
         self.log.read(&wanted, self.from.saturating_sub(LEAD_IN), self.until)
     }
 
+    /// Counts the tracks that two of the agents give to different objects: the points on these cannot be joined.
+    fn count_track_conflicts(&self) -> Result<(), LogError> {
+        let agents = self.agents();
+        if agents.len() < 2 {
+            return Ok(());
+        }
+        for conflict in track_conflicts(&self.log)? {
+            let [one, other] = &conflict.agents;
+            if [one, other]
+                .iter()
+                .all(|name| agents.iter().any(|agent| &**agent == name.as_str()))
+            {
+                self.set(&format!("{TRACKS}{one} and {other}"), conflict.apart as u64);
+            }
+        }
+        Ok(())
+    }
+
+    fn set(&self, counter: &str, n: u64) {
+        let mut counters = self.counters.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        counters.insert(counter.into(), n);
+    }
+
     fn count(&self, counter: &str) {
         let mut counters = self.counters.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         *counters.entry(counter.into()).or_default() += 1;
@@ -210,6 +238,7 @@ impl Feed {
         let played = script.until.min(last) - script.from.max(first);
         let period = played.max(0) + PAUSE + LEAD_IN;
         let levels = script.levels()?;
+        script.count_track_conflicts()?;
         Ok(Feed {
             reader: script.open()?,
             truth: script.truth(&agents, &levels)?,
@@ -278,6 +307,9 @@ impl Feed {
     fn end(&mut self) {
         for (entry, boxes) in std::mem::take(&mut self.unjoined).into_values() {
             self.send_detections(&entry, boxes);
+        }
+        for (agent, n) in self.script.log.limited_intensities() {
+            self.script.set(&format!("{LIMITED}{agent}"), n);
         }
         self.ended = true;
         self.released_to = Nanos::MAX;
@@ -359,18 +391,9 @@ impl Feed {
 
     fn send_sweep(&mut self, entry: &Entry, cloud: PointCloud) -> Result<(), LogError> {
         let known = self.sweeps.entry(entry.agent.clone()).or_default();
-        if let Some((_, last)) = known.last_key_value()
-            && *last >= entry.seq()
-        {
-            return Err(LogError::Content {
-                topic: entry.stream.topic(&entry.agent),
-                log_time: entry.ready(),
-                reason: format!(
-                    "sequence {} follows {last}, expected rising numbers and stamps",
-                    entry.seq()
-                ),
-            });
-        }
+        // Writers may leave `sequence` at 0, and it wraps at 2³²: stamps rise, so the sweeps are counted on.
+        let next = known.values().max().map_or(0, |last| last + 1);
+        let seq = entry.seq().max(next);
         let rank = self.agents.iter().position(|agent| *agent == entry.agent).unwrap_or(0);
         if let Some(nearest) = &self.nearest
             && nearest.is_too_far(rank, entry.stamp(), entry.ready())
@@ -378,21 +401,15 @@ impl Feed {
             self.script.count(&format!("{TOO_FAR}{}", entry.agent));
             return Ok(());
         }
-        known.insert(entry.stamp(), entry.seq());
+        known.insert(entry.stamp(), seq);
         while known.len() > 64 {
             known.pop_first();
         }
         let cloud = self.level_cloud(entry, cloud);
-        self.send(
-            entry,
-            entry.seq(),
-            Kind::Points,
-            [ports::EGO_CLOUDS, ports::CLOUDS],
-            cloud,
-        );
+        self.send(entry, seq, Kind::Points, [ports::EGO_CLOUDS, ports::CLOUDS], cloud);
         if entry.agent == self.agents[0] {
             let truth: GroundTruth = self.truth.at(entry.stamp())?;
-            self.send(entry, entry.seq(), Kind::Truth, [ports::TRUTH; 2], truth);
+            self.send(entry, seq, Kind::Truth, [ports::TRUTH; 2], truth);
         }
         Ok(())
     }

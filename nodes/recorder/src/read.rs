@@ -329,7 +329,7 @@ fn open(path: &Path) -> Result<McapFile, LogError> {
         expected: "recording of a run",
         record: RECORDING_RECORD,
         found,
-        hint: "the node `recorder` of a graph makes recordings",
+        hint: "the node `recorder` of a graph makes recordings".into(),
     })
 }
 

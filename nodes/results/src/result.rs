@@ -16,6 +16,10 @@ pub const RESULT: &str = "realo/result";
 const LOG_CUT: &str = "log_truncated";
 /// What the player left out of an agent, before its name.
 const TOO_FAR: &str = "too_far_";
+/// The player's count of an agent's intensities that did not fit into a byte, and of tracks that two agents give to
+/// different objects.
+const LIMITED: &str = "intensities_limited_";
+const TRACKS: &str = "tracks_differ_";
 /// So many cut logs are named; the field `logs_cut` has all.
 const CUT_NAMED: usize = 5;
 
@@ -391,6 +395,35 @@ impl RunResult {
         })
     }
 
+    /// Counters whose names begin so, by what follows.
+    fn counted(&self, prefix: &str) -> BTreeMap<&str, u64> {
+        let mut counted: BTreeMap<&str, u64> = BTreeMap::new();
+        for (counter, n) in self.nodes.values().flat_map(|node| &node.counters) {
+            if let Some(rest) = counter.strip_prefix(prefix) {
+                *counted.entry(rest).or_default() += n;
+            }
+        }
+        counted.retain(|_, n| *n > 0);
+        counted
+    }
+
+    /// What of the log's values did not fit.
+    fn notes_of_values(&self) -> Vec<String> {
+        let limited = self.counted(LIMITED).into_iter().map(|(agent, n)| {
+            format!(
+                "{agent}: {n} intensities of points did not fit and were limited to 0…255; `realo info` says how they are scaled, by \
+                 the first ten sweeps: write them as bytes"
+            )
+        });
+        let tracks = self.counted(TRACKS).into_iter().map(|(agents, n)| {
+            format!(
+                "tracks of {agents} name different objects ({n} positions of tracks that both have lie more than 5 m apart), so \
+                 points of collaborators count for the wrong objects: give an object the same track in the truth of all agents"
+            )
+        });
+        limited.chain(tracks).collect()
+    }
+
     /// Whose messages came to a fusion that had taken all that it takes.
     fn note_of_limit(&self) -> Option<String> {
         let over = self.channels().filter_map(|(link, _, books)| {
@@ -434,6 +467,7 @@ impl RunResult {
         note(far.is_some(), far.unwrap_or_default());
         let beyond = self.note_of_limit();
         note(beyond.is_some(), beyond.unwrap_or_default());
+        self.notes_of_values().into_iter().for_each(|text| note(true, text));
         let tilted = self.counter("tilted_poses");
         note(
             tilted > 0,

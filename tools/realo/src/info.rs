@@ -17,7 +17,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Prints a description of each file; a truncated one is reported and ends with 3.
+/// Prints a description of each file; one that is truncated or has problems is reported and ends with 3.
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.logs {
@@ -27,7 +27,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         } else {
             println!("{described}");
         }
-        if described.truncated().is_some() {
+        if described.truncated().is_some() || !described.problems().is_empty() {
             outcome = Outcome::Partial;
         }
     }
