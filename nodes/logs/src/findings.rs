@@ -17,6 +17,9 @@ const ENOUGH: usize = 2_000;
 /// Poses further apart say nothing of what lies between, ns.
 const GAP: Nanos = 1_000_000_000;
 
+/// Where an agent says tracks are, in the map.
+type Places = BTreeMap<u64, Point3<f64>>;
+
 /// Agents of a pair that place the tracks that both have at different places.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackConflict {
@@ -66,7 +69,7 @@ pub fn track_conflicts(log: &Log) -> Result<Vec<TrackConflict>, LogError> {
     }
     let wanted: Vec<(&str, Stream)> = agents.iter().map(|(agent, _)| (*agent, Stream::GroundTruth)).collect();
     let mut reader = log.read_all(&wanted)?;
-    let mut newest: Vec<Option<(Nanos, BTreeMap<u64, Point3<f64>>)>> = vec![None; agents.len()];
+    let mut newest: Vec<Option<(Nanos, Places)>> = vec![None; agents.len()];
     let mut distances: BTreeMap<[usize; 2], Vec<f64>> = BTreeMap::new();
     let pairs = agents.len() * (agents.len() - 1) / 2;
     while let Some(entry) = reader.next()? {
@@ -81,7 +84,7 @@ pub fn track_conflicts(log: &Log) -> Result<Vec<TrackConflict>, LogError> {
             .0
             .iter()
             .filter_map(|object| Some((object.track?, place(object.center))));
-        let places: BTreeMap<u64, Point3<f64>> = places.collect();
+        let places: Places = places.collect();
         for (other, known) in newest.iter().enumerate().filter(|(other, _)| *other != index) {
             let known = known
                 .as_ref()
