@@ -5,9 +5,11 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use crate::McapFile;
+use crate::info::LOG_RECORD;
 
 /// Where the way from other data to a log is described.
 pub(crate) const GUIDE: &str = "docs/log-format.md says what a log holds, python/realo_log.py writes one, `realo import` reads data sets, `realo simulate` makes one up";
+const NONE: &str = "no topics";
 /// Topics that are listed.
 const SHOWN: usize = 12;
 
@@ -49,7 +51,7 @@ pub(crate) fn not_mcap(path: &Path, head: &[u8]) -> String {
 }
 
 fn sqlite(path: &Path) -> String {
-    let held = path.parent().and_then(of_metadata);
+    let held = path.parent().and_then(of_metadata).filter(|held| held != NONE);
     format!(
         "{}convert it (`ros2 bag convert`, with storage mcap), then bring its topics into a log: {GUIDE}",
         held.map_or(String::new(), |held| format!("it holds {held}; "))
@@ -58,9 +60,6 @@ fn sqlite(path: &Path) -> String {
 
 /// Says what a folder is.
 pub(crate) fn folder(path: &Path) -> String {
-    let Some(topics) = of_metadata(path) else {
-        return "it is a folder; expected an MCAP file".into();
-    };
     let mut files: Vec<String> = fs::read_dir(path)
         .into_iter()
         .flatten()
@@ -68,11 +67,22 @@ pub(crate) fn folder(path: &Path) -> String {
         .filter(|name| name.contains(".mcap") || name.contains(".db3"))
         .collect();
     files.sort();
-    format!(
-        "it is the folder of a bag of ROS 2 (files: {}); it holds {topics}; give one of its .mcap files if that is a log of realo; \
-         else bring its topics into a log: {GUIDE}",
-        files.join(", ")
-    )
+    let metadata = of_metadata(path);
+    let what = match (&metadata, files.is_empty()) {
+        (None, true) => return "it is a folder; expected an MCAP file".into(),
+        (None, false) => format!("it is a folder (files: {})", files.join(", ")),
+        (Some(_), _) => format!("it is the folder of a bag of ROS 2 (files: {})", files.join(", ")),
+    };
+    let is_mcap = |name: &&String| Path::new(name).extension().is_some_and(|extension| extension == "mcap");
+    let mcaps = files.iter().filter(is_mcap).map(|name| path.join(name));
+    let opened: Vec<McapFile> = mcaps.take(SHOWN).filter_map(|path| McapFile::open(path).ok()).collect();
+    if let Some(log) = opened.iter().find(|file| file.metadata().contains_key(LOG_RECORD)) {
+        return format!("{what}; give the log in it: {}", log.path().display());
+    }
+    let topics = metadata.filter(|topics| topics != NONE);
+    let topics = topics.or_else(|| opened.first().map(of_mcap));
+    let held = topics.map_or(String::new(), |topics| format!("it holds {topics}; "));
+    format!("{what}; {held}bring its topics into a log: {GUIDE}")
 }
 
 /// Topics with types by the `metadata.yaml` of a bag's folder.
@@ -85,7 +95,7 @@ fn of_metadata(folder: &Path) -> Option<String> {
         };
         let mut topics: Vec<(String, String)> = Vec::new();
         for line in text.lines() {
-            if let Some(name) = value(line, "name:").filter(|name| name.starts_with('/')) {
+            if let Some(name) = value(line, "name:") {
                 topics.push((name, String::new()));
             } else if let (Some(kind), Some((_, last))) = (value(line, "type:"), topics.last_mut())
                 && last.is_empty()
@@ -111,7 +121,7 @@ fn list(mut topics: Vec<(String, String)>) -> String {
     topics.sort();
     topics.dedup();
     if topics.is_empty() {
-        return "no topics".into();
+        return NONE.into();
     }
     let shown = topics.iter().take(SHOWN).map(|(topic, kind)| match kind.as_str() {
         "" => topic.clone(),
@@ -228,6 +238,16 @@ mod tests {
         ] {
             assert!(found.contains(part), "{found}");
         }
+        let info = crate::LogInfo::new("a test", vec![]);
+        crate::LogWriter::create(dir.path().join("log.mcap"), &info)
+            .unwrap()
+            .finish()
+            .unwrap();
+        let found = folder(dir.path());
+        assert!(
+            found.contains("give the log in it: ") && found.ends_with("log.mcap"),
+            "{found}"
+        );
         let sqlite = not_mcap(&dir.path().join("bag_1.db3"), b"SQLite format 3\0");
         assert!(sqlite.contains("it holds /imu"), "{sqlite}");
     }

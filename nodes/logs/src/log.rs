@@ -49,7 +49,10 @@ impl Log {
             };
             if channel.schema != stream.schema().name() || channel.encoding != "cdr" {
                 let (expected, found) = (stream.schema().name(), &channel.schema);
-                let reason = format!("expected {expected} as cdr, found {found} as {}", channel.encoding);
+                let reason = format!(
+                    "expected {expected} as cdr, found {found} as {}: convert the messages, or give the topic another name",
+                    channel.encoding
+                );
                 return Err(LogError::Content {
                     topic: channel.topic.clone(),
                     log_time: 0,
