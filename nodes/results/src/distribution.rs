@@ -87,6 +87,16 @@ impl Ages {
         }
     }
 
+    /// How far the data lie from what they are fused with, whichever is younger.
+    pub fn distances(&self) -> Ages {
+        let mut positive = self.positive.clone();
+        positive.merge(&self.negative);
+        Ages {
+            negative: Durations::default(),
+            positive,
+        }
+    }
+
     /// Adds all ages of another distribution.
     pub fn merge(&mut self, other: &Ages) {
         self.negative.merge(&other.negative);
@@ -121,6 +131,11 @@ mod tests {
             assert!(near(ages.quantile(share), ms * MS), "{i}: {:?}", ages.quantile(share));
         }
         assert!(near(ages.quantile(0.0), -50 * MS));
+        let distances = ages.distances();
+        assert_eq!(distances.count(), 6);
+        for (share, ms) in [(0.0, 0), (0.5, 20), (1.0, 50)] {
+            assert!(near(distances.quantile(share), ms * MS), "{share}");
+        }
     }
 
     #[test]

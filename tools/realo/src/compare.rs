@@ -6,6 +6,7 @@ use eyre::Result;
 use realo_results::run_folder;
 
 use crate::Outcome;
+use crate::tables::Show;
 
 /// Prints finished runs side by side, and what differs between them besides the strategy
 #[derive(clap::Args)]
@@ -13,9 +14,9 @@ pub struct Args {
     /// Folders that `realo run` wrote, or the `result.json` in them
     #[arg(required = true)]
     runs: Vec<PathBuf>,
-    /// As JSON
-    #[arg(long)]
-    json: bool,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    show: Show,
 }
 
 /// Prints the table of the runs.
@@ -27,11 +28,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         .map(realo_results::read_run)
         .collect::<Result<_, _>>()?;
     let named: Vec<(&str, &realo_results::Run)> = names.iter().map(String::as_str).zip(&runs).collect();
-    if args.json {
-        println!("{}", realo_report::json(&named));
-    } else {
-        print!("{}", realo_report::table(&named));
-    }
+    args.show.print(&named);
     Ok(Outcome::Complete)
 }
 

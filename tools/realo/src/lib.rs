@@ -28,6 +28,7 @@ pub mod render;
 pub mod run;
 pub mod simulate;
 mod statistics;
+mod tables;
 pub mod train;
 pub mod validate;
 

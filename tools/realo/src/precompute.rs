@@ -160,7 +160,7 @@ pub(crate) fn lane_args(graph: &Path, log: &Path, ego: &str, agents: &[String], 
         choices: choices.clone(),
         out: None,
         resume: false,
-        json: false,
+        show: Show::default(),
     }
 }
 

@@ -27,6 +27,22 @@ pub fn spread(spread: Option<&Spread>) -> Option<String> {
     Some(values([spread.p50, spread.p95, spread.p99].map(value)))
 }
 
+/// An age in whole ms, to one place below 10 ms.
+pub fn age(ms: f64) -> String {
+    match ms.abs() < 9.95 && ms != 0.0 {
+        true => format!("{ms:.1}"),
+        false => format!("{:.0}", ms + 0.0),
+    }
+}
+
+/// A number of KB, with a place behind the point below 100.
+pub fn kilobytes(kb: f64) -> String {
+    match kb < 99.95 && kb > 0.0 {
+        true => format!("{kb:.1}"),
+        false => count(kb.round() as u64),
+    }
+}
+
 /// Values of one cell.
 pub fn values(values: impl IntoIterator<Item = String>) -> String {
     values.into_iter().collect::<Vec<_>>().join(" / ")
@@ -64,5 +80,7 @@ mod tests {
         assert_eq!(spread(Some(&of(9.25))).unwrap(), "1.00 / 2.00 / 9.25");
         assert_eq!(spread(Some(&of(144.2))).unwrap(), "1.0 / 2.0 / 144.2");
         assert_eq!(spread(Some(&Spread::default())), None);
+        assert_eq!([0.0, 3.25, 149.6].map(age), ["0", "3.2", "150"]);
+        assert_eq!([0.0, 5.44, 1583.4].map(kilobytes), ["0", "5.4", "1,583"]);
     }
 }

@@ -1,6 +1,6 @@
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-use realo_results::{Run, RunResult};
+use realo_results::{Run, RunResult, Settings};
 use realo_scoring::{Evaluation, Frame, Protocol, Scene};
 
 /// So many names are listed; what there is beside is counted.
@@ -9,9 +9,16 @@ const NAMED: usize = 5;
 /// Picks a list of names.
 type Names = fn(&RunResult) -> &Vec<String>;
 
-/// What differs between runs although a comparison of strategies wants it alike: logs, egos, agents, protocol, truth. One
-/// sentence each, which names the runs; nothing where all is alike.
+/// What differs between runs besides the strategy: logs, egos, agents, protocol and truth, then every setting. One sentence
+/// each, which names the runs; nothing where all is alike.
 pub fn differences(runs: &[(&str, &Run)]) -> Vec<String> {
+    let mut found = of_data(runs);
+    found.extend(all_settings(runs));
+    found
+}
+
+/// What makes numbers hard to compare: other logs, egos, agents, another protocol or truth.
+pub fn of_data(runs: &[(&str, &Run)]) -> Vec<String> {
     let lists: [(&str, Names); 3] = [
         ("logs", |result| &result.logs),
         ("egos", |result| &result.egos),
@@ -26,30 +33,137 @@ pub fn differences(runs: &[(&str, &Run)]) -> Vec<String> {
     found
 }
 
-/// Which names some runs have and others do not.
-fn of_names(what: &str, runs: &[(&str, &Run)], get: impl Fn(&RunResult) -> &Vec<String>) -> Option<String> {
-    let sets: Vec<BTreeSet<&str>> = runs
-        .iter()
-        .map(|(_, run)| get(&run.result).iter().map(String::as_str).collect())
-        .collect();
-    let (first, others) = sets.split_first()?;
-    if others.iter().all(|set| set == first) {
-        return None;
-    }
-    let common: BTreeSet<&str> = others
-        .iter()
-        .fold(first.clone(), |common, set| common.intersection(set).copied().collect());
-    let own = sets
-        .iter()
-        .map(|set| listed(set.difference(&common).copied().collect()));
-    let beside = match common.len() {
-        0 => String::new(),
-        n => format!(" beside the {n} of all"),
-    };
-    Some(format!("{what} differ: {}{beside}", by_value(runs, own)))
+/// A setting: its name, its value, and what stands where it has none; without that, such runs cannot choose it.
+type Named = (&'static str, fn(&Settings) -> &String, Option<&'static str>);
+
+const SETTINGS: [Named; 7] = [
+    ("mode", |settings| &settings.mode, Some("not known")),
+    ("cooperation", |settings| &settings.coop, Some("not known")),
+    ("link", |settings| &settings.link, None),
+    ("seed", |settings| &settings.seed, None),
+    ("compute", |settings| &settings.compute, Some("none")),
+    ("projection", |settings| &settings.project, None),
+    ("precomputed", |settings| &settings.precomputed, Some("none")),
+];
+/// What mostly comes with a strategy.
+const OF_STRATEGY: [Named; 2] = [
+    ("model", |settings| &settings.model, None),
+    ("kernels", |settings| &settings.isa, None),
+];
+
+/// Every setting that differs.
+fn all_settings(runs: &[(&str, &Run)]) -> Vec<String> {
+    let named = SETTINGS.iter().chain(&OF_STRATEGY);
+    let mut found: Vec<String> = named.filter_map(|setting| of_setting(runs, setting)).collect();
+    found.extend(of_changes(runs));
+    found
 }
 
-fn listed(names: Vec<&str>) -> String {
+/// The settings that differ beside those that each graph has once.
+pub fn of_settings(runs: &[(&str, &Run)]) -> Vec<String> {
+    let by_graph = |(_, get, _): &&Named| {
+        let mut known = BTreeMap::new();
+        runs.iter().all(|(_, run)| {
+            let settings = &run.result.settings;
+            *known.entry(&settings.graph).or_insert(get(settings)) == get(settings)
+        })
+    };
+    let named = SETTINGS.iter();
+    let named = named.chain(OF_STRATEGY.iter().filter(|setting| !by_graph(setting)));
+    let mut found: Vec<String> = named.filter_map(|setting| of_setting(runs, setting)).collect();
+    found.extend(of_changes(runs));
+    found
+}
+
+fn of_setting(runs: &[(&str, &Run)], (name, get, missing): &Named) -> Option<String> {
+    let value = |run: &Run| {
+        let value = get(&run.result.settings);
+        match value.is_empty() {
+            true => missing.map(String::from),
+            false => Some(value.clone()),
+        }
+    };
+    let known = runs.iter().filter_map(|(run_name, run)| Some((*run_name, value(run)?)));
+    differing(name, &known.collect::<Vec<_>>())
+}
+
+/// Arguments that were changed by hand, one by one.
+fn of_changes(runs: &[(&str, &Run)]) -> Vec<String> {
+    let changes: Vec<BTreeMap<String, String>> = runs.iter().map(|(_, run)| changes(&run.result.settings.set)).collect();
+    let arguments: BTreeSet<&String> = changes.iter().flat_map(BTreeMap::keys).collect();
+    let of_argument = |argument: &&String| {
+        let value = |changes: &BTreeMap<String, String>| changes.get(*argument).cloned();
+        let values = changes.iter().map(|changes| value(changes).unwrap_or("not set".into()));
+        let values: Vec<_> = runs.iter().map(|(name, _)| *name).zip(values).collect();
+        differing(argument, &values)
+    };
+    arguments.iter().filter_map(of_argument).collect()
+}
+
+/// `a.b=1, c.d=2,3` by its arguments: values may hold commas.
+fn changes(set: &str) -> BTreeMap<String, String> {
+    let mut found: Vec<(String, String)> = Vec::new();
+    for part in set.split(", ").filter(|part| !part.is_empty()) {
+        match (part.split_once('='), found.last_mut()) {
+            (Some((name, value)), _) => found.push((name.into(), value.into())),
+            (None, Some((_, value))) => value.push_str(&format!(", {part}")),
+            (None, None) => found.push((part.into(), String::new())),
+        }
+    }
+    found.into_iter().collect()
+}
+
+fn differing(what: &str, values: &[(&str, String)]) -> Option<String> {
+    let (_, first) = values.first()?;
+    let alike = values.iter().all(|(_, value)| value == first);
+    (!alike).then(|| format!("{what} differs: {}", by_value(values)))
+}
+
+/// Which names some runs have and others do not.
+fn of_names(what: &str, runs: &[(&str, &Run)], get: impl Fn(&RunResult) -> &Vec<String>) -> Option<String> {
+    // The names that the same runs have, in order of appearance.
+    let mut groups: Vec<(Vec<bool>, Vec<&str>)> = Vec::new();
+    for name in runs.iter().flat_map(|(_, run)| get(&run.result)) {
+        if groups.iter().any(|(_, names)| names.contains(&name.as_str())) {
+            continue;
+        }
+        let having: Vec<bool> = runs.iter().map(|(_, run)| get(&run.result).contains(name)).collect();
+        match groups.iter_mut().find(|(known, _)| *known == having) {
+            Some((_, names)) => names.push(name),
+            None => groups.push((having, vec![name])),
+        }
+    }
+    let (common, own): (Vec<_>, Vec<_>) = groups.into_iter().partition(|(having, _)| having.iter().all(|has| *has));
+    if own.is_empty() {
+        return None;
+    }
+    let mut said: Vec<String> = own.iter().map(|(having, names)| whose(runs, having, names)).collect();
+    said.extend(common.iter().map(|(_, names)| format!("all have {}", sorted(names))));
+    Some(format!("{what} differ: {}", said.join("; ")))
+}
+
+fn sorted(names: &[&str]) -> String {
+    let names: BTreeSet<&str> = names.iter().copied().collect();
+    listed(&names.into_iter().collect::<Vec<_>>())
+}
+
+/// Says of names which runs have them, or which do not if these are fewer.
+fn whose(runs: &[(&str, &Run)], having: &[bool], names: &[&str]) -> String {
+    let pick = |wanted: bool| -> Vec<&str> {
+        let picked = runs.iter().zip(having).filter(|(_, has)| **has == wanted);
+        picked.map(|((name, _), _)| *name).collect()
+    };
+    let (with, without, names) = (pick(true), pick(false), sorted(names));
+    match (with.len(), without.len()) {
+        (1, _) => format!("only {} has {names}", with[0]),
+        (_, 1) => format!("{} lacks {names}", without[0]),
+        (with_it, without_it) if with_it <= without_it => format!("only {} have {names}", listed(&with)),
+        _ => format!("{} lack {names}", listed(&without)),
+    }
+}
+
+/// Names in a row; of many the first.
+pub fn listed(names: &[&str]) -> String {
     match names.len() {
         0 => "none".into(),
         n if n <= NAMED => names.join(", "),
@@ -58,9 +172,9 @@ fn listed(names: Vec<&str>) -> String {
 }
 
 /// `a in one, two; b in three`: the runs of each value, in order of appearance.
-fn by_value(runs: &[(&str, &Run)], values: impl Iterator<Item = String>) -> String {
-    let mut groups: Vec<(String, Vec<&str>)> = Vec::new();
-    for ((name, _), value) in runs.iter().zip(values) {
+fn by_value(values: &[(&str, String)]) -> String {
+    let mut groups: Vec<(&String, Vec<&str>)> = Vec::new();
+    for (name, value) in values {
         match groups.iter_mut().find(|(known, _)| *known == value) {
             Some((_, names)) => names.push(name),
             None => groups.push((value, vec![name])),
@@ -68,17 +182,15 @@ fn by_value(runs: &[(&str, &Run)], values: impl Iterator<Item = String>) -> Stri
     }
     let groups = groups
         .iter()
-        .map(|(value, names)| format!("{value} in {}", names.join(", ")));
+        .map(|(value, names)| format!("{value} in {}", listed(names)));
     groups.collect::<Vec<_>>().join("; ")
 }
 
 fn of_protocols(runs: &[(&str, &Run)]) -> Option<String> {
-    let names: Vec<String> = runs
-        .iter()
-        .map(|(_, run)| run.result.protocol.clone().unwrap_or_else(|| "no evaluation".into()))
-        .collect();
-    if names.iter().any(|name| *name != names[0]) {
-        return Some(format!("protocols differ: {}", by_value(runs, names.into_iter())));
+    let protocol = |run: &Run| run.result.protocol.clone().unwrap_or_else(|| "no evaluation".into());
+    let names: Vec<_> = runs.iter().map(|(name, run)| (*name, protocol(run))).collect();
+    if names.iter().any(|(_, name)| *name != names[0].1) {
+        return Some(format!("protocols differ: {}", by_value(&names)));
     }
     // Two files may have one name.
     let mut evaluated = runs.iter().filter_map(|(name, run)| Some((name, evaluation(run)?)));
@@ -121,7 +233,7 @@ fn of_truth(runs: &[(&str, &Run)]) -> Option<String> {
                 continue;
             };
             let (log, ego) = (&scene.name, &scene.ego);
-            let told = by_value(&[(earlier, *run), (*name, *run)], [known, scene].into_iter().map(told));
+            let told = by_value(&[(earlier, told(known)), (*name, told(scene))]);
             let told = match told.split_once("; ") {
                 Some(_) => told,
                 None => format!("as many, but not the same objects: {told}"),

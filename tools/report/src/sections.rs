@@ -2,12 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult};
+use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult, Spread};
+use realo_schemas::Kind;
+use realo_schemas::report::ClockBy;
 use realo_scoring::{Accuracy, Counts, Orders, PointsBin, RangeBin, Table};
 
-use realo_schemas::report::ClockBy;
-
 use crate::cells::{NONE, count, fraction, share, spread, values};
+use crate::columns::{OFFLINE, interval};
+use crate::foot::V2X_REAL;
 use crate::pool::Setting;
 
 /// Rows under a title.
@@ -44,13 +46,18 @@ impl Rows<'_> {
     }
 }
 
-/// All sections, headline first.
-pub fn sections(runs: &[&Run]) -> Vec<Section> {
-    let ious = names(
+/// The IoUs of all runs.
+pub fn ious(runs: &[&Run]) -> Vec<String> {
+    names(
         runs.iter()
             .filter_map(|run| run.result.accuracy.as_ref())
-            .flat_map(|a| a.sorted.mean_ap.keys()),
-    );
+            .flat_map(|accuracy| accuracy.sorted.mean_ap.keys()),
+    )
+}
+
+/// All sections, headline first; or the main ones.
+pub fn sections(runs: &[&Run], full: bool) -> Vec<Section> {
+    let ious = ious(runs);
     let strict = ious.last().cloned().unwrap_or_default();
     let section = |title: String, fill: &dyn Fn(&mut Rows)| {
         let mut rows = Rows { runs, rows: Vec::new() };
@@ -61,36 +68,42 @@ pub fn sections(runs: &[&Run]) -> Vec<Section> {
     let at = |name: &str| format!("{name}, IoU {}", ious.join(" / "));
     let skipping = runs.iter().any(|run| run.result.frames.key_skipped > 0);
     let mut sections = vec![
-        section("run".into(), &settings),
-        section(at("AP (sorted)"), &|rows| {
+        section("run".into(), &|rows| settings(rows, full)),
+        section(at("AP"), &|rows| {
             accuracy(rows, &ious, |result| Some(&result.accuracy.as_ref()?.sorted));
             intervals(rows, &ious);
             disturbances(rows);
         }),
-        section(at("AP (v2x-real)"), &|rows| {
-            accuracy(rows, &ious, |result| Some(&result.accuracy.as_ref()?.v2x_real));
-        }),
-        section(at("AP (sorted), objects that the ego itself sees"), &|rows| {
+        section(at("AP, objects that the ego itself sees"), &|rows| {
             accuracy(rows, &ious, |result| seen(result.accuracy_seen.as_ref()?));
         }),
     ];
     if skipping {
-        sections.push(section(at("AP (sorted), processed frames only"), &|rows| {
+        sections.push(section(at("AP, processed frames only"), &|rows| {
             accuracy(rows, &ious, |result| Some(&result.accuracy_processed.as_ref()?.sorted));
         }));
     }
+    if full {
+        sections.extend([
+            section(format!("recall / precision, IoU {strict}"), &|rows| {
+                recall(rows, &strict)
+            }),
+            section(format!("true / false / objects, IoU {strict}"), &|rows| {
+                detections(rows, &strict)
+            }),
+        ]);
+    }
     sections.extend([
-        section(format!("recall / precision, IoU {strict}"), &|rows| {
-            recall(rows, &strict)
-        }),
-        section(format!("true / false / objects, IoU {strict}"), &|rows| {
-            detections(rows, &strict)
-        }),
-        section("frames".into(), &frames),
-        section("latency, ms: p50 / p95 / p99".into(), &latency),
-        section("steps of stages, ms: p50 / p95 / p99".into(), &steps),
-        section("age of the data used, ms: p50 / p95 / p99".into(), &ages),
-        section("sent per frame: messages / KB".into(), &volume),
+        section("frames".into(), &|rows| frames(rows, full)),
+        section("latency, ms: p50 / p95 / p99".into(), &|rows| latency(rows, full)),
+    ]);
+    if full {
+        sections.push(section("steps of stages, ms: p50 / p95 / p99".into(), &steps));
+    }
+    sections.extend([
+        section("age of the data that were fused, ms: p50 / p95 / p99".into(), &ages),
+        section("stamps apart of the data that were fused, ms: p50 / p95 / p99".into(), &distances),
+        section("sent for each frame of the ego: messages / KB".into(), &volume),
     ]);
     if runs.iter().any(|run| !run.result.peers.is_empty()) {
         let title = "peers: their clock minus the ego's ± uncertainty, round trip, ms; Mbit/s";
@@ -101,6 +114,13 @@ pub fn sections(runs: &[&Run]) -> Vec<Section> {
             accounting(rows, &kind)
         }));
     }
+    sections.push(section(at(&format!("AP {V2X_REAL}")), &|rows| {
+        let get = |result: &RunResult| Some(&result.accuracy.as_ref()?.v2x_real);
+        match full {
+            true => accuracy(rows, &ious, get),
+            false => mean_accuracy(rows, &ious, get),
+        }
+    }));
     sections
 }
 
@@ -111,24 +131,34 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 /// Settings that are shown if a run has them.
 const RARE: [Setting; 5] = [
     ("projected by", |settings| &settings.project),
-    ("model", |settings| &settings.model),
-    ("kernels", |settings| &settings.isa),
     ("precomputed", |settings| &settings.precomputed),
     ("changed", |settings| &settings.set),
+    ("model", |settings| &settings.model),
+    ("kernels", |settings| &settings.isa),
 ];
+/// So many of them are main ones.
+const MAIN: usize = 3;
 
-fn settings(rows: &mut Rows) {
+fn settings(rows: &mut Rows, full: bool) {
     let text = |text: &String| (!text.is_empty()).then(|| text.clone());
     rows.add("mode", |run| text(&run.result.settings.mode));
     rows.add("ego", |run| text(&run.result.settings.ego));
     rows.add("cooperation", |run| text(&run.result.settings.coop));
-    rows.add("link", |run| text(&run.result.settings.link));
+    // Offline a link does nothing.
+    rows.add("link", |run| {
+        text(&run.result.settings.link).filter(|_| full || !is_offline(run))
+    });
     rows.add("compute", |run| text(&run.result.settings.compute));
-    for (name, value) in RARE {
+    for (name, value) in &RARE[..if full { RARE.len() } else { MAIN }] {
         if rows.runs.iter().any(|run| !value(&run.result.settings).is_empty()) {
             rows.add(name, |run| text(value(&run.result.settings)));
         }
     }
+    rows.add("log", |run| match &run.result.logs[..] {
+        [] => None,
+        [log] => Some(log.clone()),
+        logs => Some(format!("{} logs", logs.len())),
+    });
     rows.add("protocol", |run| run.result.protocol.clone());
     if rows.runs.iter().any(|run| run.result.runs > 1) {
         rows.add("pooled runs / logs", |run| {
@@ -137,8 +167,12 @@ fn settings(rows: &mut Rows) {
     }
 }
 
+fn is_offline(run: &Run) -> bool {
+    run.result.settings.mode == OFFLINE
+}
+
 /// The classes of all runs: those that everybody looks for first.
-fn classes<'a, T: 'a>(tables: impl Iterator<Item = &'a Table<T>>) -> Vec<String> {
+pub fn classes<'a, T: 'a>(tables: impl Iterator<Item = &'a Table<T>>) -> Vec<String> {
     let mut classes = names(tables.flat_map(|table| table.keys()));
     let place = |class: &String| {
         ["vehicle", "pedestrian", "truck"]
@@ -175,7 +209,11 @@ fn accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option
             ))
         });
     }
-    rows.add("mAP, mean of all classes", |run| {
+    mean_accuracy(rows, ious, get);
+}
+
+fn mean_accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option<&Accuracy>) {
+    rows.add("mAP", |run| {
         let mean = &get(&run.result)?.mean_ap;
         Some(values(
             ious.iter().map(|iou| fraction(mean.get(iou).copied().flatten())),
@@ -184,13 +222,10 @@ fn accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option
 }
 
 fn intervals(rows: &mut Rows, ious: &[String]) {
-    let bound = |bound: Option<&Option<[f64; 2]>>| match bound {
-        Some(Some([low, high])) => format!("{low:.3}–{high:.3}"),
-        _ => NONE.into(),
-    };
+    let bound = |bounds: Option<[f64; 2]>| bounds.map_or(NONE.into(), |[low, high]| format!("{low:.3}–{high:.3}"));
     rows.add("mAP, 95 % interval over logs", |run| {
-        let bounds = &run.result.intervals.as_ref()?.accuracy.sorted.mean_ap;
-        Some(values(ious.iter().map(|iou| bound(bounds.get(iou)))))
+        run.result.intervals.as_ref()?;
+        Some(values(ious.iter().map(|iou| bound(interval(run, iou)))))
     });
 }
 
@@ -283,34 +318,39 @@ fn detections(rows: &mut Rows, iou: &str) {
     }
 }
 
-fn frames(rows: &mut Rows) {
+fn frames(rows: &mut Rows, full: bool) {
     rows.add("sweeps of the ego", |run| Some(count(run.result.frames.total)));
     rows.add("scored", |run| Some(count(run.result.frames.key)));
     rows.add("without boxes", |run| Some(count(run.result.frames.skipped)));
     rows.add("rate, Hz of log time", |run| {
-        run.timing.rate_hz.map(|rate| format!("{rate:.2}"))
+        let rate = run.timing.rate_hz.filter(|_| full || !is_offline(run))?;
+        Some(format!("{rate:.2}"))
     });
 }
 
-fn latency(rows: &mut Rows) {
-    let stages = names(rows.runs.iter().flat_map(|run| run.timing.latency_ms.keys()));
-    rows.add("end to end", |run| spread(run.timing.latency_ms.get(END_TO_END)));
+/// Offline nothing takes time: what stamps say of it is no latency.
+fn latency(rows: &mut Rows, full: bool) {
+    let of = |run: &Run, stage: &str| -> Option<Spread> { (!is_offline(run)).then(|| run.timing.latency_ms.get(stage).copied())? };
+    rows.add("end to end", |run| spread(of(run, END_TO_END).as_ref()));
     rows.add("without modelled link delay", |run| {
-        let framework = run.timing.latency_ms.get(FRAMEWORK);
-        spread(framework.filter(|framework| Some(*framework) != run.timing.latency_ms.get(END_TO_END)))
+        spread(of(run, FRAMEWORK).filter(|framework| Some(*framework) != of(run, END_TO_END)).as_ref())
     });
+    if !full {
+        return;
+    }
+    let stages = names(rows.runs.iter().flat_map(|run| run.timing.latency_ms.keys()));
     for stage in stages
         .iter()
         .filter(|stage| ![END_TO_END, FRAMEWORK].contains(&stage.as_str()))
     {
         rows.add(stage.clone(), |run| {
-            spread(run.timing.latency_ms.get(stage).filter(|spread| spread.max > Some(0.0)))
+            spread(of(run, stage).filter(|spread| spread.max > Some(0.0)).as_ref())
         });
     }
     let sources = names(rows.runs.iter().flat_map(|run| run.timing.late_ms.keys()));
     for source in sources {
         rows.add(format!("{source}, late by"), |run| {
-            spread(run.timing.late_ms.get(&source))
+            spread(run.timing.late_ms.get(&source).filter(|_| !is_offline(run)))
         });
     }
 }
@@ -330,7 +370,20 @@ fn steps(rows: &mut Rows) {
 fn ages(rows: &mut Rows) {
     let kinds = names(rows.runs.iter().flat_map(|run| run.result.age_ms.by_kind.keys()));
     for kind in kinds {
-        rows.add(kind.clone(), |run| spread(run.result.age_ms.by_kind.get(&kind)));
+        rows.add(kind.clone(), |run| {
+            spread(run.result.age_ms.by_kind.get(&kind).filter(|_| !is_offline(run)))
+        });
+    }
+}
+
+/// Offline the data whose stamp is nearest are fused, younger ones too: how far apart stamps are counts, not an age.
+fn distances(rows: &mut Rows) {
+    let kinds: BTreeSet<Kind> = rows.runs.iter().flat_map(|run| run.samples.ages_ns.keys()).copied().collect();
+    for kind in kinds {
+        rows.add(kind.to_string(), |run| {
+            let ages = run.samples.ages_ns.get(&kind).filter(|_| is_offline(run))?;
+            spread(Some(&Spread::of_ages(&ages.distances())))
+        });
     }
 }
 

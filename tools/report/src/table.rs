@@ -1,127 +1,120 @@
+//! Runs as text side by side: a column for each.
+
+use std::ops::Range;
+
 use realo_results::Run;
 
 use crate::cells::NONE;
-use crate::differences;
 use crate::sections::{Section, sections};
+use crate::text::{Align, lines, paragraph, width_of, write_row};
+use crate::{Options, foot};
 
-/// Columns of the terminal.
-const WIDTH: usize = 100;
+/// So many runs stand side by side; more have a row each.
+pub const SIDE_BY_SIDE: usize = 2;
 /// Between columns.
 const GAP: usize = 3;
+/// A label takes at most this share of the width.
+const LABELS: usize = 2;
 
-/// Runs side by side, each under its name. More runs than fit in 100 columns follow in further tables. What else than
-/// the strategy differs between them stands above.
-pub fn table(runs: &[(&str, &Run)]) -> String {
-    let sections = sections(&runs.iter().map(|(_, run)| *run).collect::<Vec<_>>());
+/// Runs side by side, each under its name, in as many tables as it takes to fit the terminal's width. What else than the
+/// strategy makes them hard to compare stands above.
+pub fn table(runs: &[(&str, &Run)], options: &Options) -> String {
+    let width = options.width;
+    let sections = sections(&runs.iter().map(|(_, run)| *run).collect::<Vec<_>>(), options.full);
     let names: Vec<&str> = runs.iter().map(|(name, _)| *name).collect();
-    let widths: Vec<usize> = (0..names.len()).map(|run| width(&sections, names[run], run)).collect();
-    let labels = sections
-        .iter()
-        .flat_map(|section| &section.rows)
-        .map(|row| width_of(&row.label) + 2);
-    let labels = labels.max().unwrap_or(0);
+    let labels = sections.iter().flat_map(|section| &section.rows);
+    let labels = labels.map(|row| width_of(&row.label) + 2).max().unwrap_or(0);
+    let labels = labels.min(width / LABELS);
+    let most = width.saturating_sub(labels + GAP).max(1);
+    let widths: Vec<usize> = (0..names.len())
+        .map(|run| column_width(&sections, names[run], run).min(most))
+        .collect();
     let mut text = String::new();
-    for difference in differences(runs) {
-        text.push_str(&wrapped(&format!("note: {difference}")));
+    for difference in crate::differences::of_data(runs) {
+        text.push_str(&paragraph(&format!("note: {difference}"), width));
     }
+    let above = text.len();
     let mut from = 0;
     while from < names.len() {
-        let to = columns_that_fit(&widths, from, labels);
+        let block = Block {
+            names: &names,
+            labels,
+            runs: from..columns_that_fit(&widths, from, labels, width),
+            widths: &widths,
+            width,
+        };
         if from > 0 {
             text.push('\n');
         }
-        write_block(&mut text, &sections, &names, &widths, from..to, labels);
-        from = to;
+        block.write(&mut text, &sections);
+        from = block.runs.end;
     }
-    write_notes(&mut text, runs);
-    text
+    let below = foot::below(runs, &text[above..], width);
+    text + &below
 }
 
-fn width_of(text: &str) -> usize {
-    text.chars().count()
+/// What the widest cell takes; settings are broken into lines, numbers are not.
+fn column_width(sections: &[Section], name: &str, run: usize) -> usize {
+    let cells = |section: &Section| {
+        let cells = section.rows.iter().map(|row| row.cells[run].as_deref().map_or(1, width_of));
+        cells.max().unwrap_or(0)
+    };
+    let (settings, numbers) = sections.split_first().map_or((0, 0), |(settings, numbers)| {
+        (cells(settings), numbers.iter().map(cells).max().unwrap_or(0))
+    });
+    const SETTINGS: usize = 24;
+    numbers.max(settings.min(SETTINGS)).max(width_of(name).min(SETTINGS))
 }
 
-fn width(sections: &[Section], name: &str, run: usize) -> usize {
-    let cells = sections.iter().flat_map(|section| &section.rows);
-    let cells = cells.map(|row| row.cells[run].as_deref().map_or(1, width_of));
-    cells.max().unwrap_or(0).max(width_of(name))
-}
-
-fn columns_that_fit(widths: &[usize], from: usize, labels: usize) -> usize {
+fn columns_that_fit(widths: &[usize], from: usize, labels: usize, most: usize) -> usize {
     let mut used = labels;
     let fitting = widths[from..].iter().take_while(|width| {
         used += GAP + **width;
-        used <= WIDTH
+        used <= most
     });
     from + fitting.count().max(1)
 }
 
-fn write_block(
-    text: &mut String,
-    sections: &[Section],
-    names: &[&str],
-    widths: &[usize],
-    runs: std::ops::Range<usize>,
+/// Runs that stand side by side.
+struct Block<'a> {
+    names: &'a [&'a str],
     labels: usize,
-) {
-    write_line(text, "", labels, runs.clone().map(|run| (names[run], widths[run])));
-    let line: usize = labels + runs.clone().map(|run| GAP + widths[run]).sum::<usize>();
-    text.push_str(&"─".repeat(line));
-    text.push('\n');
-    for section in sections {
-        // A row that says nothing of these runs is left out.
-        let rows = || {
-            section
-                .rows
-                .iter()
-                .filter(|row| row.cells[runs.clone()].iter().any(Option::is_some))
-        };
-        if rows().next().is_none() {
-            continue;
-        }
-        text.push_str(&section.title);
+    runs: Range<usize>,
+    widths: &'a [usize],
+    width: usize,
+}
+
+impl Block<'_> {
+    fn write(&self, text: &mut String, sections: &[Section]) {
+        self.row(text, "", |run| self.names[run]);
+        let line: usize = self.labels + self.runs.clone().map(|run| GAP + self.widths[run]).sum::<usize>();
+        text.push_str(&"─".repeat(line));
         text.push('\n');
-        for row in rows() {
-            let cells = runs
-                .clone()
-                .map(|run| (row.cells[run].as_deref().unwrap_or(NONE), widths[run]));
-            write_line(text, &format!("  {}", row.label), labels, cells);
+        for section in sections {
+            // A row that says nothing of these runs is left out.
+            let has_cells = |cells: &[Option<String>]| cells[self.runs.clone()].iter().any(Option::is_some);
+            let rows: Vec<_> = section.rows.iter().filter(|row| has_cells(&row.cells)).collect();
+            if rows.is_empty() {
+                continue;
+            }
+            text.push_str(&paragraph(&section.title, self.width));
+            for row in rows {
+                self.row(text, &row.label, |run| row.cells[run].as_deref().unwrap_or(NONE));
+            }
         }
     }
-}
 
-fn write_line<'a>(text: &mut String, label: &str, labels: usize, cells: impl Iterator<Item = (&'a str, usize)>) {
-    let mut line = format!("{label:<labels$}");
-    for (cell, width) in cells {
-        line.push_str(&format!("{:GAP$}{cell:>width$}", ""));
+    fn row<'a>(&self, text: &mut String, label: &str, cell: impl Fn(usize) -> &'a str) {
+        // Labels are indented below their section.
+        let indent = label.chars().take_while(|letter| *letter == ' ').count() + 2;
+        let mut label = lines(label, self.labels.saturating_sub(indent));
+        label.iter_mut().for_each(|line| line.insert_str(0, &" ".repeat(indent)));
+        let cells: Vec<(Vec<String>, usize)> = self
+            .runs
+            .clone()
+            .map(|run| (lines(cell(run), self.widths[run]), self.widths[run]))
+            .collect();
+        let cells = cells.iter().map(|(lines, width)| (&lines[..], *width, GAP, Align::Right));
+        write_row(text, std::iter::once((&label[..], self.labels, 0, Align::Left)).chain(cells));
     }
-    text.push_str(line.trim_end());
-    text.push('\n');
-}
-
-fn write_notes(text: &mut String, runs: &[(&str, &Run)]) {
-    for (name, run) in runs {
-        for note in &run.result.notes {
-            let note = format!("note ({name}): {note}");
-            text.push_str(&wrapped(&note));
-        }
-    }
-}
-
-/// Lines of at most the terminal's width, the later ones indented.
-fn wrapped(note: &str) -> String {
-    let (mut text, mut used) = (String::new(), 0);
-    for word in note.split_whitespace() {
-        if used > 0 && used + 1 + width_of(word) > WIDTH {
-            text.push_str("\n  ");
-            used = 2;
-        } else if used > 0 {
-            text.push(' ');
-            used += 1;
-        }
-        text.push_str(word);
-        used += width_of(word);
-    }
-    text.push('\n');
-    text
 }

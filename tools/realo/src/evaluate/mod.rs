@@ -15,6 +15,7 @@ use realo_scoring::{Collector, Evaluation, Protocol, frame_scores};
 use crate::Outcome;
 use crate::fit::protocol_fits;
 use crate::render::log_folders;
+use crate::tables::Show;
 use played::{Misfit, Sweep, Sweeps};
 
 /// Scores a recording's boxes against a log's ground truth: the table of the run, without model or graph
@@ -33,11 +34,11 @@ pub struct Args {
     #[arg(long, value_delimiter = ',')]
     agents: Vec<String>,
     /// A line for each scored frame and class: true, false and all objects at each IoU
-    #[arg(long, conflicts_with = "json")]
+    #[arg(long, conflicts_with_all = ["json", "format", "full"])]
     frames: bool,
-    /// As JSON
-    #[arg(long)]
-    json: bool,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    show: Show,
 }
 
 /// Prints the table.
@@ -106,12 +107,7 @@ fn print(args: &Args, ego: String, evaluation: Evaluation, notes: &[String]) {
     };
     let mut run = Run::of_evaluation(settings, evaluation);
     run.result.notes.extend_from_slice(notes);
-    let named = [("recording", &run)];
-    if args.json {
-        println!("{}", realo_report::json(&named));
-    } else {
-        print!("{}", realo_report::table(&named));
-    }
+    args.show.print(&[("recording", &run)]);
 }
 
 /// The log that was given, or that of the run in whose folder the recording lies.
