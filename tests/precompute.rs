@@ -66,7 +66,7 @@ fn a_run_that_plays_what_was_precomputed_comes_to_the_same() {
         ("attfuse", "others.encoder", "features", &[][..]),
         ("late_fusion", "others.head", "boxes", &[]),
         ("early_fusion", "others.sender", "points", &[]),
-        ("fcooper", "others.encoder", "features", &["--project", "sender"]),
+        ("fcooper", "others.encoder", "features", &["--project", "receiver"]),
     ];
     for (name, slow, kind, options) in cases {
         fs::write(&profile, format!("\"{slow}\" = 30_000_000\n")).expect("the profile can be written");
@@ -225,13 +225,16 @@ fn precomputed_on_dora() {
 fn messages_that_this_run_would_not_make_are_refused() {
     let dir = folder("precompute_refused");
     let (with, out) = (dir.join("log.mcap"), dir.join("out"));
-    precompute(&log(), "fcooper", &["--ego", "cav1", "--isa", "portable"], &with);
+    let receiver = ["--project", "receiver"];
+    let lane = [&["--ego", "cav1", "--isa", "portable"][..], &receiver].concat();
+    precompute(&log(), "fcooper", &lane, &with);
     let run = |graph_name: &str, args: &[&str]| {
         let graph = graph(graph_name);
         let all = [&["run", &graph, "--ego", "cav1"], args].concat();
         refused(&words(&all, &[("--log", &with), ("--out", &out)]))
     };
-    let portable = ["--isa", "portable", "--mode", "virtual"];
+    let virtually = ["--isa", "portable", "--mode", "virtual"];
+    let portable = [&virtually[..], &receiver].concat();
     let with_model = [&portable[..], &["--model", "models/lite-attfuse.toml"]].concat();
     let model = run("fcooper", &with_model);
     assert!(
@@ -240,7 +243,7 @@ fn messages_that_this_run_would_not_make_are_refused() {
     );
     let other = run("attfuse", &portable);
     assert!(other.contains("do not fit") && other.contains("attfuse.yml"), "{other}");
-    let kernels = run("fcooper", &["--mode", "virtual"]);
+    let kernels = run("fcooper", &[&["--mode", "virtual"][..], &receiver].concat());
     assert!(
         kernels.contains("`others.encoder.isa` = portable, here it is auto"),
         "{kernels}"
@@ -255,7 +258,8 @@ fn messages_that_this_run_would_not_make_are_refused() {
     );
     let pose = run("fcooper", &[&portable[..], &["--set", "player.pose=true"]].concat());
     assert!(pose.contains("`player.pose` = recorded, here it is true"), "{pose}");
-    let sender = run("fcooper", &[&portable[..], &["--project", "sender"]].concat());
+    // As the graph ships.
+    let sender = run("fcooper", &virtually);
     assert!(
         sender.contains("`others.projector.project` = receiver, here it is sender"),
         "{sender}"
@@ -281,7 +285,7 @@ fn messages_that_this_run_would_not_make_are_refused() {
     self::run(
         "no_fusion",
         &with,
-        &[&portable[..], &["--ego", "cav1"]].concat(),
+        &[&virtually[..], &["--ego", "cav1"]].concat(),
         &dir.join("alone"),
     );
 }

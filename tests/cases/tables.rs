@@ -1,1 +1,307 @@
-//! What tables say.
+//! Tables that say what to believe.
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use serde_json::Value;
+
+use crate::common::{self, REALO, folder, json, once, realo, realo_ok, root, simulated, text};
+use crate::scene::Scene;
+
+/// Runs `realo` on a terminal of so many columns.
+fn on_terminal(columns: &str, args: &[String]) -> Output {
+    let mut command = std::process::Command::new(REALO);
+    command.args(args).current_dir(root()).env("COLUMNS", columns);
+    command.output().expect("realo can be started")
+}
+
+fn words(args: &[&str]) -> Vec<String> {
+    args.iter().map(|arg| arg.to_string()).collect()
+}
+
+fn shown(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
+
+/// A log of two vehicles and a mast, without points.
+fn log() -> PathBuf {
+    let args = "--seed 921 --seconds 2 --no-clouds --agents cav1,cav2,rsu1";
+    simulated("tables_log", &args.split(' ').collect::<Vec<_>>())
+}
+
+/// Runs of three strategies over two links, made once: their folders.
+fn runs() -> Vec<PathBuf> {
+    let all = once("tables_runs", |all| {
+        let _ = fs::remove_dir_all(all);
+        let noise = "others.sense.localization.position_noise_m=0.2";
+        let (log, graphs) = (shown(&log()), ["no_fusion", "late_fusion"].map(common::graph));
+        for (name, more) in [
+            ("near", &["--mode", "virtual"][..]),
+            ("paper", &["--mode", "virtual", "--link", "paper", "--set", noise]),
+        ] {
+            let out = shown(&all.join(name));
+            let run = ["run", &graphs[0], &graphs[1], "--recorded-detections", "--log", &log, "--out", &out];
+            realo_ok([&run[..], more].concat());
+        }
+    });
+    ["near/no_fusion", "near/late_fusion", "paper/no_fusion", "paper/late_fusion"]
+        .map(|run| all.join(run))
+        .into()
+}
+
+fn compare(runs: &[PathBuf], more: &[&str]) -> Vec<String> {
+    let runs = runs.iter().map(|run| shown(run));
+    words(&["compare"]).into_iter().chain(runs).chain(words(more)).collect()
+}
+
+/// The rows of a table: lines that have many numbers.
+fn rows(table: &str) -> usize {
+    let is_number = |word: &&str| word.parse::<f64>().is_ok() && word.contains('.');
+    let is_row = |line: &&str| line.split_whitespace().filter(is_number).count() > 5;
+    let head = |line: &str| line.trim_start().starts_with("0.3");
+    table.lines().filter(|line| is_row(line) && !head(line)).count()
+}
+
+#[test]
+fn the_first_table_does_not_contradict_itself() {
+    let scene = shown(&Scene::default().write("tables_first"));
+    let graphs = ["no_fusion", "late_fusion"].map(common::graph);
+    let out = shown(&folder("tables_first_out"));
+    let fixed = ["--recorded-detections", "--offline", "--log", &scene, "--out", &out];
+    let table = realo_ok([&["run", &graphs[0], &graphs[1]][..], &fixed].concat());
+    let at = |part: &str| table.find(part).unwrap_or_else(|| panic!("no `{part}` in {table}"));
+    assert!(at("\nAP, IoU 0.3 / 0.5\n") < at("AP as V2X-Real's evaluator orders detections; only for comparing"));
+    let (above, below) = table.split_at(at("AP as V2X-Real's"));
+    assert!(!above.contains("v2x") && !above.contains("sorted)"), "{table}");
+    assert!(below.contains("average precision"), "the word is explained: {table}");
+    // Four of the eight cars without fusion, all with it.
+    let vehicle = above.lines().find(|line| line.trim_start().starts_with("vehicle"));
+    let vehicle: Vec<&str> = vehicle.expect("a row").split_whitespace().collect();
+    assert!(vehicle[1].starts_with("0.5") && vehicle[4] == "1.000", "{vehicle:?}");
+    // Nothing is late offline.
+    assert!(!table.contains("end to end") && !table.contains("latency"), "{table}");
+    assert!(!table.contains(" -"), "no age is below zero: {table}");
+    assert!(table.contains("stamps apart"), "{table}");
+    assert!(table.lines().all(|line| line.chars().count() <= 80 || line.starts_with("results in")), "{table}");
+}
+
+#[test]
+fn four_runs_are_four_rows_and_the_terminals_width_is_used() {
+    let runs = runs();
+    let twelve: Vec<PathBuf> = runs.iter().cycle().take(12).cloned().collect();
+    let mut narrowest = usize::MAX;
+    for (columns, tables) in [("200", 1), ("100", 1), ("80", 1), ("50", 2)] {
+        let said = text(&on_terminal(columns, &compare(&runs, &[])).stdout);
+        let widest = said.lines().map(|line| line.chars().count()).max().unwrap_or(0);
+        assert!(widest <= columns.parse().expect("a number"), "{columns}: {said}");
+        let rules = said.lines().filter(|line| line.starts_with('─')).count();
+        if tables == 1 {
+            assert_eq!((rules, rows(&said)), (1, 4), "{columns}: {said}");
+            let said = text(&on_terminal(columns, &compare(&twelve, &[])).stdout);
+            assert_eq!(rows(&said), 12, "{columns}: {said}");
+        } else {
+            assert!(rules > 1, "{columns}: {said}");
+        }
+        assert!(said.contains("one log") && said.contains("chance"), "{said}");
+        narrowest = narrowest.min(widest);
+    }
+    assert!(narrowest <= 50);
+    // What was set stands once, below the rows.
+    let said = text(&on_terminal("200", &compare(&runs, &[])).stdout);
+    let noise = said.lines().find(|line| line.contains("position_noise_m")).expect("it is named");
+    assert!(noise.starts_with("differs: others.sense.localization.position_noise_m differs: "), "{said}");
+    let full = text(&on_terminal("100", &compare(&runs, &["--full"])).stdout);
+    assert!(full.contains("recall / precision") && full.lines().count() > 2 * said.lines().count(), "{full}");
+}
+
+#[test]
+fn json_names_link_and_noise_among_the_differences() {
+    let runs = runs();
+    let runs = [runs[1].clone(), runs[3].clone()];
+    let [one, other] = ["--json", "--format=json"].map(|format| realo_ok(compare(&runs, &[format])));
+    assert_eq!(one, other);
+    let document: Value = serde_json::from_str(&one).expect("JSON");
+    let differences: Vec<&str> = document["differences"].as_array().expect("a list").iter().flat_map(Value::as_str).collect();
+    let link = differences.iter().find(|difference| difference.starts_with("link differs: "));
+    assert!(link.is_some_and(|link| link.contains("paper in paper/late_fusion")), "{differences:?}");
+    let noise = "others.sense.localization.position_noise_m differs: not set in near/late_fusion; 0.2 in paper/late_fusion";
+    assert!(differences.contains(&noise), "{differences:?}");
+    assert!(!differences.iter().any(|difference| difference.starts_with("agents")), "{differences:?}");
+}
+
+#[test]
+fn agents_that_differ_are_understood_at_once() {
+    let log = shown(&log());
+    let dir = folder("tables_agents");
+    for (name, more) in [("alone", &["--agents", "cav1"][..]), ("pair", &["--agents", "cav1,rsu1"])] {
+        let (graph, out) = (common::graph("late_fusion"), shown(&dir.join(name)));
+        let run = ["run", &graph, "--recorded-detections", "--offline", "--ego", "cav1", "--log", &log, "--out", &out];
+        realo_ok([&run[..], more].concat());
+    }
+    let said = realo_ok(compare(&[dir.join("alone"), dir.join("pair")], &[]));
+    assert_eq!(said.lines().next(), Some("note: agents differ: only pair has rsu1; all have cav1"), "{said}");
+}
+
+/// The cells of a line of CSV.
+fn cells(line: &str) -> Vec<String> {
+    let (mut cells, mut quoted) = (vec![String::new()], false);
+    for letter in line.chars() {
+        match (letter, quoted) {
+            ('"', _) => quoted = !quoted,
+            (',', false) => cells.push(String::new()),
+            _ => cells.last_mut().expect("a cell").push(letter),
+        }
+    }
+    cells
+}
+
+#[test]
+fn every_format_can_be_read_again() {
+    let runs = runs();
+    let csv = realo_ok(compare(&runs, &["--format", "csv"]));
+    let lines: Vec<Vec<String>> = csv.lines().map(cells).collect();
+    assert_eq!(lines.len(), 5, "{csv}");
+    assert!(lines.iter().all(|line| line.len() == lines[0].len()), "{csv}");
+    let column = |name: &str| lines[0].iter().position(|field| field == name).unwrap_or_else(|| panic!("no {name} in {csv}"));
+    let result = json(&runs[3].join("result.json"));
+    let found: f64 = lines[4][column("AP_vehicle_0.5")].parse().expect("a number");
+    assert_eq!(Some(found), result["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"].as_f64(), "with all digits");
+    assert_eq!(lines[4][column("link")], "paper");
+    assert!(lines[4][column("set")].contains("position_noise_m=0.2"));
+
+    let markdown = realo_ok(compare(&runs, &["--format", "md"]));
+    let table: Vec<&str> = markdown.lines().take_while(|line| line.starts_with("| ")).collect();
+    assert_eq!(table.len(), 6, "{markdown}");
+    assert!(table.iter().all(|line| line.matches('|').count() == table[0].matches('|').count()), "{markdown}");
+    let latex = realo_ok(compare(&runs, &["--format", "latex"]));
+    let table: Vec<&str> = latex.lines().filter(|line| line.ends_with("\\\\")).collect();
+    assert_eq!(table.len(), 5, "{latex}");
+    assert!(table.iter().all(|line| line.matches(" & ").count() == table[0].matches(" & ").count()), "{latex}");
+    assert!(latex.starts_with("\\begin{tabular}") && table[1].starts_with("near/no\\_fusion & "), "{latex}");
+
+    // The commands that score have them too.
+    let recording = shown(&runs[1].join("tables_log/cav1/recording.mcap"));
+    let again = realo_ok(["evaluate", "--log", &shown(&log())][..1].iter().map(|word| word.to_string()).chain([
+        shown(&log()),
+        "--detections".into(),
+        recording,
+        "--format".into(),
+        "csv".into(),
+    ]));
+    assert!(again.starts_with("run,graph,") && again.lines().count() == 2, "{again}");
+    let out = shown(&folder("tables_formats"));
+    let (graph, log) = (common::graph("no_fusion"), shown(&log()));
+    let run = ["run", &graph, "--recorded-detections", "--offline", "--log", &log, "--out", &out, "--format", "csv"];
+    let said = realo_ok(run);
+    assert!(said.lines().count() == 2 && said.lines().all(|line| line.contains(',')), "nothing but CSV: {said}");
+    let both = realo([&run[..], &["--json"]].concat());
+    assert_eq!(both.status.code(), Some(2), "one format at a time");
+}
+
+/// A graph of late fusion whose fusion fails as soon as it is asked.
+fn failing(dir: &Path) -> PathBuf {
+    for shared in ["bin", "types"] {
+        symlink(root().join("dataflows").join(shared), dir.join(shared)).expect("a link");
+    }
+    let read = |file: &str| fs::read_to_string(root().join("dataflows").join(file)).expect("a shipped file");
+    symlink(root().join("dataflows/modules"), dir.join("modules")).expect("a link");
+    let fuse = read("modules/fuse.boxes.yml").replace("../bin", "bin").replace("operator fusion-boxes ego_boxes=true", "program fails.sh");
+    fs::write(dir.join("fuse.fails.yml"), fuse).expect("a file");
+    fs::write(dir.join("fails.sh"), "#!/bin/sh\necho it has no heart for it >&2\nexit 7\n").expect("a file");
+    let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    fs::set_permissions(dir.join("fails.sh"), executable).expect("a program");
+    let graph = dir.join("fails.yml");
+    fs::write(&graph, read("late_fusion.yml").replace("modules/fuse.boxes.yml", "fuse.fails.yml")).expect("a file");
+    graph
+}
+
+#[test]
+fn a_graph_that_fails_does_not_hide_the_others() {
+    let dir = folder("tables_failing");
+    let fails = shown(&failing(&dir));
+    let [alone, fused] = ["no_fusion", "late_fusion"].map(common::graph);
+    let log = shown(&log());
+    let run = |graphs: &[&str], out: &Path, more: &[&str]| {
+        let out = shown(out);
+        let fixed = ["--recorded-detections", "--mode", "virtual", "--log", &log, "--out", &out];
+        realo([&["run"][..], graphs, &fixed, more].concat())
+    };
+    // One that cannot be read, one that fails while it runs.
+    for (failing, because) in [(&*fails, "heart"), ("nowhere.yml", "nowhere.yml")] {
+        let out = folder("tables_failing_out");
+        let output = run(&[&alone, failing, &fused], &out, &[]);
+        let (said, errors) = (text(&output.stdout), text(&output.stderr));
+        assert_eq!(output.status.code(), Some(1), "{errors}");
+        assert!(said.contains("no_fusion") && said.contains("late_fusion") && said.contains("AP, IoU"), "{said}\n{errors}");
+        assert!(errors.contains(because), "{errors}");
+        assert!(errors.lines().last().is_some_and(|line| !line.contains("follows")), "the error comes last: {errors}");
+        for name in ["no_fusion", "late_fusion"] {
+            assert!(out.join(name).join("result.json").exists(), "{name}");
+        }
+        assert!(!out.join("fails/result.json").exists());
+        let output = run(&[&alone, failing, &fused], &out, &["--json"]);
+        let document: Value = serde_json::from_slice(&output.stdout).expect("JSON of the others");
+        assert_eq!(document["runs"].as_array().map(Vec::len), Some(2));
+        assert_eq!(output.status.code(), Some(1));
+    }
+    // Alone it fails as ever, and what all fail by is said once.
+    let output = run(&[&fails], &folder("tables_failing_alone"), &[]);
+    assert_eq!((output.status.code(), output.stdout.len()), (Some(1), 0));
+    let gone = shown(&dir.join("gone.mcap"));
+    let output = realo(["run", &alone, &fused, "--mode", "virtual", "--log", &gone]);
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{errors}");
+    assert_eq!(errors.matches("gone.mcap: ").count(), 1, "{errors}");
+}
+
+#[test]
+fn several_runs_are_drawn_side_by_side_as_the_same_ego_saw_them() {
+    let runs = runs();
+    let dir = folder("tables_render");
+    let render = |name: &str, runs: &[&PathBuf], more: &[&str]| {
+        let file = dir.join(name);
+        let runs = runs.iter().map(|run| shown(run));
+        let all = words(&["render"]).into_iter().chain(runs).chain(words(&["-o"])).chain([shown(&file)]);
+        let output = realo(all.chain(words(more)));
+        (output.status.code(), format!("{}{}", text(&output.stdout), text(&output.stderr)), file)
+    };
+    let (code, said, file) = render("both.svg", &[&runs[0], &runs[1]], &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let lines: Vec<&str> = said.lines().collect();
+    assert_eq!(lines.len(), 2, "{said}");
+    let sweep = |line: &str| line.split("sweep ").nth(1).and_then(|rest| rest.split(':').next()).map(String::from);
+    assert!(sweep(lines[0]).is_some() && sweep(lines[0]) == sweep(lines[1]), "{said}");
+    let svg = fs::read_to_string(&file).expect("a drawing");
+    let document = roxmltree::Document::parse(&svg).expect("the drawing is XML");
+    let root = document.root_element();
+    assert_eq!(root.attribute("width"), Some("3200"));
+    let title = root.children().find(|node| node.has_tag_name("title")).and_then(|node| node.text());
+    assert_eq!(title, Some("no_fusion · log tables_log · ego cav1 | late_fusion · log tables_log · ego cav1"));
+    // Each run by itself shows the same ego.
+    for (name, run) in [("one.svg", &runs[0]), ("other.svg", &runs[1])] {
+        let (code, said, file) = render(name, &[run], &[]);
+        assert_eq!(code, Some(0), "{said}");
+        assert!(fs::read_to_string(file).expect("a drawing").contains("· ego cav1</title>"));
+    }
+    // Runs of one graph are titled by their folders.
+    let (code, said, file) = render("links.png", &[&runs[1], &runs[3]], &["--frame", "12", "--ego", "cav2"]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("near/late_fusion, tables_log, sweep 12") && said.contains("paper/late_fusion, "), "{said}");
+    let bytes = fs::read(file).expect("a picture");
+    assert_eq!(minipng::decode_png_header(&bytes).expect("a PNG").width(), 3200);
+}
+
+#[test]
+fn shipped_graphs_project_as_their_weights_were_trained() {
+    let scene = shown(&Scene::default().write("tables_projection"));
+    let graph = common::graph("attfuse");
+    for (more, expected) in [(&[][..], "sender"), (&["--project", "receiver"], "receiver")] {
+        let out = folder(&format!("tables_projection_{expected}"));
+        let shown_out = shown(&out);
+        let fixed = ["run", &graph, "--offline", "--set", "player.duration=0.3", "--log", &scene, "--out", &shown_out];
+        realo_ok([&fixed[..], more].concat());
+        assert_eq!(json(&out.join("result.json"))["project"], expected);
+    }
+}

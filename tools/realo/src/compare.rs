@@ -33,7 +33,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
 }
 
 /// A name for each run: its folder's, with as many of the folders above as it takes to tell them apart.
-fn names(runs: &[PathBuf]) -> Vec<String> {
+pub(crate) fn names(runs: &[PathBuf]) -> Vec<String> {
     let folders: Vec<PathBuf> = runs
         .iter()
         .map(|run| {

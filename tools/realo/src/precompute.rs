@@ -12,6 +12,7 @@ use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, Payload};
 
 use crate::output::{Force, Output};
 use crate::run::{self, Lane};
+use crate::tables::Show;
 use crate::{Outcome, demo, registry};
 
 /// Adds to a log what agents send, so that a run computes for its ego alone

@@ -1,22 +1,26 @@
 //! `realo render`: a frame of a run from above.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use eyre::Result;
 use realo_render::{Format, Request, Scene};
 
+use crate::compare::names;
 use crate::output::{Force, Output};
 use crate::{Outcome, demo};
 
-/// Draws a frame of a run from above: truth, boxes, each agent's points, and what only cooperation saw
+/// Draws a frame of a run from above: truth, boxes, each agent's points, and what only cooperation saw. Of several runs it
+/// draws the same frame side by side
 #[derive(clap::Args)]
 pub struct Args {
-    /// A folder that `realo run` wrote: of a graph, or of a log and an ego in it
-    run: PathBuf,
+    /// Folders that `realo run` wrote: of a graph, or of a log and an ego in it
+    #[arg(required = true)]
+    runs: Vec<PathBuf>,
     /// Number of the ego's sweep [default: the scored one where cooperation added most]
     #[arg(long)]
     frame: Option<u64>,
-    /// The ego [default: any]
+    /// The ego [default: the first by name that all runs have]
     #[arg(long)]
     ego: Option<String>,
     /// The log that was played [default: where the run says that it was, else by its name here or in target/realo]
@@ -37,17 +41,32 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Format::Png => Output::Png,
     };
     args.force.check(&args.output, kind)?;
-    let chosen = realo_render::choose(&Request {
-        run: args.run.clone(),
+    let request = Request {
+        run: PathBuf::new(),
         frame: args.frame,
         ego: args.ego.clone(),
         log: args.log.clone(),
         log_folders: log_folders(),
-    })?;
-    let scene = Scene::of(chosen)?;
-    realo_render::write(&args.output, &realo_render::draw(&scene))?;
-    println!("{}: {}", args.output.display(), in_words(&scene));
+    };
+    let chosen = realo_render::choose_all(&args.runs, &request)?;
+    let mut scenes: Vec<Scene> = chosen.into_iter().map(Scene::of).collect::<Result<_, _>>()?;
+    tell_apart(&mut scenes, &names(&args.runs));
+    let drawings = scenes.iter().map(realo_render::draw).collect();
+    realo_render::write(&args.output, &realo_render::beside(drawings))?;
+    for scene in &scenes {
+        println!("{}: {}", args.output.display(), in_words(scene));
+    }
     Ok(Outcome::Complete)
+}
+
+/// Runs of one graph are titled by their folders.
+fn tell_apart(scenes: &mut [Scene], names: &[String]) {
+    let graphs: BTreeSet<&String> = scenes.iter().map(|scene| &scene.graph).collect();
+    if graphs.len() < scenes.len() {
+        for (scene, name) in scenes.iter_mut().zip(names) {
+            scene.graph.clone_from(name);
+        }
+    }
 }
 
 fn in_words(scene: &Scene) -> String {

@@ -42,6 +42,12 @@ pub enum RenderError {
         /// What there is.
         there: String,
     },
+    /// Runs that were seen by different vehicles.
+    #[error("no ego is in all runs ({there}): draw them one by one")]
+    NoCommonEgo {
+        /// The egos of each.
+        there: String,
+    },
     /// The log is not where logs usually are.
     #[error("the log `{name}` of this run is not here (looked for {tried}); say where it is with --log")]
     NoLog {

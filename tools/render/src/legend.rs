@@ -166,14 +166,21 @@ fn of_agent(agent: &Agent, is_ego: bool) -> String {
         }
     }
     for (kind, age) in &agent.fused {
-        // Less than half a millisecond younger is no "-0".
-        let age = to_millis(*age).round() + 0.0;
-        text.push_str(&format!(", {kind} {age:.0} ms old when fused"));
+        text.push_str(&format!(", {kind} {} when fused", old(*age)));
     }
     if agent.fused.is_empty() && !is_ego {
         text.push_str(", nothing fused");
     }
     text
+}
+
+/// How old data are; offline they may be younger than what they are fused with.
+fn old(age: Nanos) -> String {
+    let ms = to_millis(age).round();
+    match ms < 0.0 {
+        true => format!("{:.0} ms younger", -ms),
+        false => format!("{:.0} ms old", ms + 0.0),
+    }
 }
 
 fn apart(offset: Nanos) -> String {
@@ -284,6 +291,12 @@ mod tests {
         for (count, text) in [(0, "0"), (999, "999"), (1000, "1,000"), (1234567, "1,234,567")] {
             assert_eq!(thousands(count), text);
         }
+    }
+
+    #[test]
+    fn no_age_is_below_zero() {
+        let cases = [(0, "0 ms old"), (150_000_000, "150 ms old"), (-300_000, "0 ms old"), (-20_000_000, "20 ms younger")];
+        assert!(cases.iter().all(|(age, text)| old(*age) == *text));
     }
 
     #[test]

@@ -94,6 +94,15 @@ pub fn choose(request: &Request) -> Result<Chosen, RenderError> {
     })
 }
 
+/// The egos of a run.
+///
+/// # Errors
+/// A folder without a complete run.
+pub(crate) fn egos(run: &Path) -> Result<Vec<String>, RenderError> {
+    let ego = |folder: PathBuf| Ok(read_run(&folder)?.result.settings.ego);
+    folders(run)?.into_iter().map(ego).collect()
+}
+
 fn asked(request: &Request) -> String {
     let frame = request.frame.map(|frame| format!("sweep {frame}"));
     let ego = request.ego.as_ref().map(|ego| format!("ego `{ego}`"));

@@ -115,10 +115,9 @@ pub fn sections(runs: &[&Run], full: bool) -> Vec<Section> {
         }));
     }
     sections.push(section(at(&format!("AP {V2X_REAL}")), &|rows| {
-        let get = |result: &RunResult| Some(&result.accuracy.as_ref()?.v2x_real);
         match full {
-            true => accuracy(rows, &ious, get),
-            false => mean_accuracy(rows, &ious, get),
+            true => accuracy(rows, &ious, in_the_order_of_v2x_real),
+            false => mean_accuracy(rows, &ious, in_the_order_of_v2x_real),
         }
     }));
     sections
@@ -151,7 +150,7 @@ fn settings(rows: &mut Rows, full: bool) {
     rows.add("compute", |run| text(&run.result.settings.compute));
     for (name, value) in &RARE[..if full { RARE.len() } else { MAIN }] {
         if rows.runs.iter().any(|run| !value(&run.result.settings).is_empty()) {
-            rows.add(name, |run| text(value(&run.result.settings)));
+            rows.add(*name, |run| text(value(&run.result.settings)));
         }
     }
     rows.add("log", |run| match &run.result.logs[..] {
@@ -192,6 +191,10 @@ fn seen(accuracy: &Orders<Accuracy>) -> Option<&Accuracy> {
         .flat_map(|per_iou| per_iou.values())
         .any(Option::is_some);
     known.then_some(sorted)
+}
+
+fn in_the_order_of_v2x_real(result: &RunResult) -> Option<&Accuracy> {
+    Some(&result.accuracy.as_ref()?.v2x_real)
 }
 
 fn accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option<&Accuracy>) {

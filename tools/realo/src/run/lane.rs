@@ -293,8 +293,16 @@ mod tests {
         graph
     }
 
+    /// A graph whose receivers project.
+    fn received(name: &str) -> FlatGraph {
+        let mut graph = graph(name);
+        // Not every graph has such a stage.
+        let _ = graph.set("others.projector", "project", "receiver");
+        graph
+    }
+
     fn lane(name: &str) -> Vec<String> {
-        let lane = SendingLane::of(&graph(name)).unwrap();
+        let lane = SendingLane::of(&received(name)).unwrap();
         lane.map(|lane| lane.stages.into_iter().collect()).unwrap_or_default()
     }
 
@@ -314,10 +322,10 @@ mod tests {
 
     #[test]
     fn senders_that_project_know_the_ego_others_do_not() {
-        let mut graph = graph("fcooper");
         let knows = |graph: &FlatGraph| SendingLane::of(graph).unwrap().unwrap().knows_ego(graph);
-        assert!(!knows(&graph));
-        graph.set("others.projector", "project", "sender").unwrap();
+        assert!(!knows(&received("fcooper")));
+        // As shipped.
+        let graph = graph("fcooper");
         assert!(knows(&graph));
         let stages = SendingLane::of(&graph).unwrap().unwrap().stages;
         assert!(
@@ -333,7 +341,7 @@ mod tests {
             let lane = SendingLane::of(graph).unwrap().unwrap();
             lane.described(graph, &mut networks).unwrap()
         };
-        let mut graph = graph("attfuse");
+        let mut graph = received("attfuse");
         let known = realo_logs::Precomputed {
             graph: "attfuse".into(),
             agents: vec!["rsu1".into()],
@@ -350,12 +358,13 @@ mod tests {
         graph.set("others.sense.sync", "deskew", "false").unwrap();
         let difference = known.difference(&described(&graph)).unwrap();
         assert_eq!(difference, "with `others.sense.sync.deskew` = true, here it is false");
-        let difference = known.difference(&described(&self::graph("fcooper"))).unwrap();
+        let difference = known.difference(&described(&received("fcooper"))).unwrap();
         assert!(
             difference.contains("`others.encoder.model` = lite-attfuse-"),
             "{difference}"
         );
-        let difference = known.difference(&described(&self::graph("late_fusion"))).unwrap();
+        let graph_of_boxes = self::graph("late_fusion");
+        let difference = known.difference(&described(&graph_of_boxes)).unwrap();
         assert!(difference.contains("others."), "{difference}");
     }
 }

@@ -22,11 +22,12 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use eyre::{Result, WrapErr, bail, eyre};
+use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode};
 use realo_operator::{Decided, Role};
 use realo_results::Run;
 
+use crate::tables::Show;
 use crate::{Outcome, registry};
 use batch::Batch;
 use folders::Folders;
@@ -85,9 +86,9 @@ pub struct Args {
     /// Go on with a batch that ended early: complete runs of the same graph, settings, model and log are taken as they are
     #[arg(long)]
     pub resume: bool,
-    /// Print JSON instead of the table
-    #[arg(long)]
-    pub json: bool,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    pub show: Show,
 }
 
 /// What changes a graph, whoever runs it.
@@ -276,31 +277,41 @@ pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
     .collect()
 }
 
-/// Runs every graph over every log and ego, pools, and prints.
+/// Runs every graph over every log and ego, pools, and prints. A graph that fails takes no other one with it: the table has
+/// the others, and its error follows.
 pub fn main(args: &Args) -> Result<Outcome> {
+    let mut failures = Failures::of(args.graphs.len());
+    let mut graphs = Vec::new();
+    for path in &args.graphs {
+        let found = failures.note(&path.display().to_string(), find::graph(path))?;
+        // One that is not there keeps its place, so that results of the others go where they always do.
+        graphs.push((found.is_some(), found.unwrap_or_else(|| path.clone())));
+    }
     let args = &Args {
-        graphs: find::graphs(&args.graphs)?,
+        graphs: graphs.iter().map(|(_, path)| path.clone()).collect(),
         ..args.clone()
     };
     let mode = args.driver()?;
     let names = names(&args.graphs)?;
-    let mut batches: Vec<Batch> = args
-        .graphs
-        .iter()
-        .zip(&names)
-        .map(|(graph, name)| prepare::batch(args, mode, graph, name))
-        .collect::<Result<_>>()?;
-    if args.choices.project.is_some() && !batches.iter().flat_map(Batch::cells).any(Cell::can_project) {
+    let mut batches: Vec<(&String, Batch)> = Vec::new();
+    for ((is_there, graph), name) in graphs.iter().zip(&names) {
+        if *is_there {
+            let batch = failures.note(name, prepare::batch(args, mode, graph, name))?;
+            batches.extend(batch.map(|batch| (name, batch)));
+        }
+    }
+    let mut cells = batches.iter().flat_map(|(_, batch)| batch.cells());
+    if args.choices.project.is_some() && !batches.is_empty() && !cells.any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
     signals::catch()?;
     let mut folders = Folders::default();
-    for (name, batch) in names.iter().zip(&mut batches) {
+    for (name, batch) in &mut batches {
         folders.lock(&dir_of(args, name))?;
         batch.claim(&mut folders, args.resume)?;
     }
-    let mut runs: Vec<(String, Run)> = Vec::new();
-    for (name, batch) in names.iter().zip(&mut batches) {
+    let mut runs: Vec<(&str, Run)> = Vec::new();
+    for (name, batch) in &mut batches {
         if mode == Mode::Realtime
             && let Some(cell) = batch.cells().first()
         {
@@ -311,43 +322,45 @@ pub fn main(args: &Args) -> Result<Outcome> {
         let done = match (batch.run(mode, args.rate.unwrap_or(1.0)), signals::first()) {
             (done, Some(ending)) if mode == Mode::Virtual || done.is_err() => {
                 eprintln!("realo: {}", ended_early(ending, mode, done.err()));
-                return Ok(Outcome::Ended(ending.number()));
+                break;
             }
-            (done, _) => done?,
+            (done, _) => done.and_then(|done| pool(args, mode, name, batch, &done)),
         };
-        let mut pooled = realo_report::pool(&done)?;
-        pooled.result.notes.splice(0..0, batch.note());
-        pooled.result.ended_by = signals::first().map(|ending| ending.to_string());
-        let dir = dir_of(args, name);
-        realo_report::write_run(&dir, &pooled)?;
-        if mode == Mode::Realtime {
-            compute::write(&dir, &pooled).wrap_err_with(|| format!("{}", dir.display()))?;
-        }
-        runs.push((name.clone(), pooled));
+        let pooled = failures.note(name, done)?;
+        runs.extend(pooled.map(|pooled| (name.as_str(), pooled)));
         if signals::first().is_some() {
             break;
         }
     }
-    folders.keep_new();
-    let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (name.as_str(), run)).collect();
-    if args.json {
-        println!("{}", realo_report::json(&named));
-    } else {
-        print!("{}", realo_report::table(&named));
-        runs.iter()
+    // What did not come to its end has the files of the run before again.
+    if runs.len() == names.len() {
+        folders.keep_new();
+    }
+    let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (*name, run)).collect();
+    if !named.is_empty() {
+        args.show.print(&named);
+    }
+    if args.show.is_table() {
+        named
+            .iter()
             .for_each(|(name, _)| println!("results in {}", dir_of(args, name).display()));
     }
-    let failed: BTreeSet<String> = batches.iter().flat_map(Batch::reasons).collect();
-    failed
+    let not_played: BTreeSet<String> = batches.iter().flat_map(|(_, batch)| batch.reasons()).collect();
+    not_played
         .iter()
         .for_each(|reason| eprintln!("realo: not played: {reason}"));
+    let has_failed = failures.told();
     if let Some(ending) = signals::first() {
-        eprintln!("realo: ended by {ending}; these are the results until then");
+        if !runs.is_empty() {
+            eprintln!("realo: ended by {ending}; these are the results until then");
+        }
         return Ok(Outcome::Ended(ending.number()));
     }
-    Ok(match batches.iter().any(Batch::is_partial) {
-        true => Outcome::Partial,
-        false => Outcome::Complete,
+    let is_partial = batches.iter().any(|(_, batch)| batch.is_partial());
+    Ok(match (has_failed, is_partial) {
+        (true, _) => Outcome::Failed,
+        (false, true) => Outcome::Partial,
+        (false, false) => Outcome::Complete,
     })
 }
 
@@ -359,6 +372,64 @@ fn ended_early(ending: signals::Ending, mode: Mode, reason: Option<eyre::Report>
             "ended by {ending} before the end of the log: no results of this run; earlier ones stay, and --resume goes on \
              with a batch"
         ),
+    }
+}
+
+/// Pools the runs of a graph, and writes what they came to.
+fn pool(args: &Args, mode: Mode, name: &str, batch: &Batch, done: &[Run]) -> Result<Run> {
+    let mut pooled = realo_report::pool(done)?;
+    pooled.result.notes.splice(0..0, batch.note());
+    pooled.result.ended_by = signals::first().map(|ending| ending.to_string());
+    let dir = dir_of(args, name);
+    realo_report::write_run(&dir, &pooled)?;
+    if mode == Mode::Realtime {
+        compute::write(&dir, &pooled).wrap_err_with(|| format!("{}", dir.display()))?;
+    }
+    Ok(pooled)
+}
+
+/// Graphs that failed beside others.
+struct Failures {
+    graphs: usize,
+    failed: Vec<(String, Report)>,
+}
+
+impl Failures {
+    fn of(graphs: usize) -> Self {
+        let failed = Vec::new();
+        Failures { graphs, failed }
+    }
+
+    /// Keeps a graph's error for later.
+    ///
+    /// # Errors
+    /// That error, if there is no other graph.
+    fn note<T>(&mut self, graph: &str, result: Result<T>) -> Result<Option<T>> {
+        match result {
+            Ok(value) => Ok(Some(value)),
+            Err(error) if self.graphs == 1 => Err(error),
+            Err(error) => {
+                if self.failed.len() + 1 < self.graphs {
+                    eprintln!("realo: {graph} failed; its error follows when the other graphs have run");
+                }
+                self.failed.push((graph.into(), error));
+                Ok(None)
+            }
+        }
+    }
+
+    /// Tells all errors, and whether there was one.
+    fn told(&self) -> bool {
+        // A log that is missing is the same error of every graph.
+        let mut known: Vec<String> = Vec::new();
+        for (graph, error) in &self.failed {
+            let text = format!("{error:#}");
+            if !known.contains(&text) {
+                eprintln!("realo: {graph}: {text}");
+                known.push(text);
+            }
+        }
+        !self.failed.is_empty()
     }
 }
 
