@@ -111,7 +111,7 @@ fn four_runs_are_four_rows_and_the_terminals_width_is_used() {
     // What was set stands once, below the rows.
     let said = text(&on_terminal("200", &compare(&runs, &[])).stdout);
     let noise = said.lines().find(|line| line.contains("position_noise_m")).expect("it is named");
-    assert!(noise.starts_with("differs: others.sense.localization.position_noise_m differs: "), "{said}");
+    assert!(noise.starts_with("others.sense.localization.position_noise_m differs: "), "{said}");
     let full = text(&on_terminal("100", &compare(&runs, &["--full"])).stdout);
     assert!(full.contains("recall / precision") && full.lines().count() > 2 * said.lines().count(), "{full}");
 }

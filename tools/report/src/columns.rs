@@ -101,15 +101,21 @@ impl Columns<'_> {
         }
     }
 
-    fn classes(&mut self, ious: &[String]) {
+    /// Every class; where only the `known` ones are wanted, those of which some run has objects.
+    fn classes(&mut self, ious: &[String], known: bool) {
         let accuracies = self.runs.iter().filter_map(|run| run.result.accuracy.as_ref());
         for class in classes(accuracies.map(|accuracy| &accuracy.sorted.ap)) {
             for iou in ious {
-                self.add([&class, iou, &format!("AP_{class}_{iou}")], |run| {
+                let ap = |run: &Run| {
                     let accuracy = run.result.accuracy.as_ref();
                     let per_iou = accuracy.and_then(|accuracy| accuracy.sorted.ap.get(&class));
                     Cell::number(per_iou.and_then(|ap| ap.get(iou).copied().flatten()), |ap| fraction(Some(ap)))
-                });
+                };
+                let names = [&*class, iou, &format!("AP_{class}_{iou}")];
+                match known {
+                    true => self.add_known(names, ap),
+                    false => self.add(names, ap),
+                }
             }
         }
     }
@@ -168,7 +174,7 @@ pub fn main(runs: &[&Run]) -> Vec<Column> {
         });
     }
     traffic(&mut columns);
-    columns.classes(&ious);
+    columns.classes(&ious, true);
     columns.all
 }
 
@@ -221,7 +227,7 @@ pub fn exact(runs: &[&Run]) -> Vec<Column> {
             });
         }
     }
-    columns.classes(&ious);
+    columns.classes(&ious, false);
     for iou in &ious {
         columns.add(["", "", &format!("mAP_v2x_real_order_{iou}")], |run| {
             mean_ap(run, iou, |orders| &orders.v2x_real)

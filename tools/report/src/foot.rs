@@ -71,7 +71,7 @@ pub fn foot(runs: &[(&str, &Run)], table: &str, width: usize) -> String {
         say("!: messages between nodes were lost, or scored frames have no boxes; the notes say how many.".into());
     }
     for difference in of_settings(runs) {
-        say(format!("differs: {difference}"));
+        say(difference);
     }
     say(of_one_log(runs));
     for note in notes(runs) {
@@ -105,8 +105,9 @@ fn v2x_real(runs: &[(&str, &Run)]) -> String {
     let ious = ious(&all);
     let of_run = |(name, run): &(&str, &Run)| {
         let mean = &run.result.accuracy.as_ref()?.v2x_real.mean_ap;
-        let means = ious.iter().map(|iou| fraction(mean.get(iou).copied().flatten()));
-        Some(format!("{name} {}", values(means)))
+        let means: Vec<_> = ious.iter().map(|iou| mean.get(iou).copied().flatten()).collect();
+        let known = means.iter().any(Option::is_some);
+        known.then(|| format!("{name} {}", values(means.into_iter().map(fraction))))
     };
     let runs: Vec<String> = runs.iter().filter_map(of_run).collect();
     match runs.is_empty() {
