@@ -485,9 +485,7 @@ fn features_on_dora() {
     // Which state of the ego a sender has heard last is not the same under both drivers.
     let alike = ["--ego", "cav1", "--project", "receiver"];
     let virtually = run_virtual("elements_virtual", "attfuse", Path::new(&log), &alike);
-    let args = [
-        "run", &attfuse, "--log", &log, "--out", &dir, "--rate", "0.1", "--full",
-    ];
+    let args = ["run", &attfuse, "--log", &log, "--out", &dir, "--rate", "0.1", "--full"];
     let args = [&args[..], &alike].concat();
     let table = realo_ok(args);
     let result = json(&out.join("result.json"));

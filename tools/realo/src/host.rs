@@ -103,7 +103,7 @@ fn report(stages: &[FlatNode], folder: &Path) -> Result<Outcome> {
         let out = normalized(&folder.join(out));
         let run = realo_results::read_run(&out)?;
         let name = run.result.settings.graph.clone();
-        println!("{}results in {}", realo_report::table(&[(&name, &run)]), out.display());
+        println!("{}results in {}", crate::tables::table(&[(&name, &run)]), out.display());
     }
     Ok(Outcome::Complete)
 }

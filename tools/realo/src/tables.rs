@@ -56,6 +56,16 @@ impl Show {
     }
 }
 
+/// The table of a run that is not asked how it is printed.
+pub fn table(runs: &[(&str, &Run)]) -> String {
+    let width = width();
+    let options = Options {
+        width,
+        ..Options::default()
+    };
+    shown(runs, &options)
+}
+
 /// Columns of the terminal: what `COLUMNS` says, else what standard output has, else 80.
 fn width() -> usize {
     const USUAL: usize = 80;

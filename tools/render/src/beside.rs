@@ -32,7 +32,8 @@ pub fn beside(drawings: Vec<Drawing>) -> Drawing {
                 edges.push(line([left, top], [left, top + height]));
             }
             let width = drawing.size[0];
-            all.items.extend(drawing.items.into_iter().map(|item| shifted(item, [left, top])));
+            all.items
+                .extend(drawing.items.into_iter().map(|item| shifted(item, [left, top])));
             left += width;
         }
         if top > 0.0 {
@@ -62,7 +63,10 @@ fn shifted(item: Item, by: Px) -> Item {
 /// Path data somewhere else. All that is drawn here has commands with pairs of absolute numbers, one space apart.
 fn shifted_path(path: &str, by: Px) -> String {
     let mut moved = String::with_capacity(path.len() + path.len() / 4);
-    for (at, part) in path.split_inclusive(|letter: char| letter.is_ascii_alphabetic()).enumerate() {
+    for (at, part) in path
+        .split_inclusive(|letter: char| letter.is_ascii_alphabetic())
+        .enumerate()
+    {
         // What is before a command are the numbers of the one before.
         let (numbers, command) = match part.char_indices().next_back() {
             Some((end, letter)) if letter.is_ascii_alphabetic() => (&part[..end], &part[end..]),
@@ -70,7 +74,10 @@ fn shifted_path(path: &str, by: Px) -> String {
         };
         debug_assert!(at > 0 || numbers.is_empty(), "a path begins with a command");
         let places = numbers.split(' ').filter_map(|text| text.parse::<f64>().ok());
-        let places: Vec<String> = places.zip([0, 1].iter().cycle()).map(|(place, axis)| number(place + by[*axis])).collect();
+        let places: Vec<String> = places
+            .zip([0, 1].iter().cycle())
+            .map(|(place, axis)| number(place + by[*axis]))
+            .collect();
         moved.push_str(&places.join(" "));
         moved.push_str(command);
     }
@@ -120,7 +127,11 @@ mod tests {
             Item::Mark(_) => None,
         });
         assert_eq!(origins.collect::<Vec<_>>(), [[5.0, 6.0], [105.0, 6.0]]);
-        let three = beside(vec![drawing([100.0, 50.0]), drawing([100.0, 60.0]), drawing([100.0, 70.0])]);
+        let three = beside(vec![
+            drawing([100.0, 50.0]),
+            drawing([100.0, 60.0]),
+            drawing([100.0, 70.0]),
+        ]);
         assert_eq!(three.size, [200.0, 130.0]);
         assert_eq!(beside(vec![drawing([100.0, 50.0])]).items.len(), 2, "one has no edge");
     }

@@ -295,7 +295,12 @@ mod tests {
 
     #[test]
     fn no_age_is_below_zero() {
-        let cases = [(0, "0 ms old"), (150_000_000, "150 ms old"), (-300_000, "0 ms old"), (-20_000_000, "20 ms younger")];
+        let cases = [
+            (0, "0 ms old"),
+            (150_000_000, "150 ms old"),
+            (-300_000, "0 ms old"),
+            (-20_000_000, "20 ms younger"),
+        ];
         assert!(cases.iter().all(|(age, text)| old(*age) == *text));
     }
 

@@ -88,7 +88,11 @@ impl Columns<'_> {
     /// A column that is left out where no run has a value.
     fn add_known(&mut self, names: [&str; 3], cell: impl Fn(&Run) -> Cell) {
         self.add(names, cell);
-        if self.all.last().is_some_and(|column| column.cells.iter().all(|cell| *cell == Cell::None)) {
+        if self
+            .all
+            .last()
+            .is_some_and(|column| column.cells.iter().all(|cell| *cell == Cell::None))
+        {
             self.all.pop();
         }
     }
@@ -109,7 +113,9 @@ impl Columns<'_> {
                 let ap = |run: &Run| {
                     let accuracy = run.result.accuracy.as_ref();
                     let per_iou = accuracy.and_then(|accuracy| accuracy.sorted.ap.get(&class));
-                    Cell::number(per_iou.and_then(|ap| ap.get(iou).copied().flatten()), |ap| fraction(Some(ap)))
+                    Cell::number(per_iou.and_then(|ap| ap.get(iou).copied().flatten()), |ap| {
+                        fraction(Some(ap))
+                    })
                 };
                 let names = [&*class, iou, &format!("AP_{class}_{iou}")];
                 match known {

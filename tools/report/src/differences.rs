@@ -89,7 +89,8 @@ fn of_setting(runs: &[(&str, &Run)], (name, get, missing): &Named) -> Option<Str
 
 /// Arguments that were changed by hand, one by one.
 fn of_changes(runs: &[(&str, &Run)]) -> Vec<String> {
-    let changes: Vec<BTreeMap<String, String>> = runs.iter().map(|(_, run)| changes(&run.result.settings.set)).collect();
+    let changes: Vec<BTreeMap<String, String>> =
+        runs.iter().map(|(_, run)| changes(&run.result.settings.set)).collect();
     let arguments: BTreeSet<&String> = changes.iter().flat_map(BTreeMap::keys).collect();
     let of_argument = |argument: &&String| {
         let value = |changes: &BTreeMap<String, String>| changes.get(*argument).cloned();
@@ -133,7 +134,9 @@ fn of_names(what: &str, runs: &[(&str, &Run)], get: impl Fn(&RunResult) -> &Vec<
             None => groups.push((having, vec![name])),
         }
     }
-    let (common, own): (Vec<_>, Vec<_>) = groups.into_iter().partition(|(having, _)| having.iter().all(|has| *has));
+    let (common, own): (Vec<_>, Vec<_>) = groups
+        .into_iter()
+        .partition(|(having, _)| having.iter().all(|has| *has));
     if own.is_empty() {
         return None;
     }

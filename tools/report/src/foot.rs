@@ -119,7 +119,9 @@ fn v2x_real(runs: &[(&str, &Run)]) -> String {
 /// Says that scores have no interval.
 fn of_one_log(runs: &[(&str, &Run)]) -> String {
     let scored = |run: &Run| run.result.accuracy.is_some() && run.result.frames.key > 0;
-    let lacking = runs.iter().filter(|(_, run)| scored(run) && run.result.intervals.is_none());
+    let lacking = runs
+        .iter()
+        .filter(|(_, run)| scored(run) && run.result.intervals.is_none());
     let frames: Vec<u64> = lacking.map(|(_, run)| run.result.frames.key).collect();
     let Some(least) = frames.iter().min() else {
         return String::new();

@@ -14,7 +14,12 @@ struct Grid {
 }
 
 /// A row for each run, with the main columns.
-fn by_run(runs: &[(&str, &Run)], columns: &[Column], name: impl Fn(&Column) -> String, cell: impl Fn(&Cell) -> String) -> Grid {
+fn by_run(
+    runs: &[(&str, &Run)],
+    columns: &[Column],
+    name: impl Fn(&Column) -> String,
+    cell: impl Fn(&Cell) -> String,
+) -> Grid {
     let row = |(at, (run, _)): (usize, &(&str, &Run))| {
         let cells = columns.iter().map(|column| cell(&column.cells[at]));
         std::iter::once(run.to_string()).chain(cells).collect()
@@ -86,7 +91,12 @@ fn below(runs: &[(&str, &Run)], full: bool) -> impl Iterator<Item = String> {
 pub fn csv(runs: &[(&str, &Run)], full: bool) -> String {
     let grid = match full {
         true => side_by_side(runs),
-        false => by_run(runs, &columns::exact(&all(runs)), |column| column.field.clone(), Cell::exact),
+        false => by_run(
+            runs,
+            &columns::exact(&all(runs)),
+            |column| column.field.clone(),
+            Cell::exact,
+        ),
     };
     let quoted = |cell: &String| match cell.contains([',', '"', '\n', '\r']) {
         true => format!("\"{}\"", cell.replace('"', "\"\"")),

@@ -152,7 +152,12 @@ impl Block<'_> {
 
     fn row(&self, text: &mut String, name: &str, cells: &[(Vec<String>, usize, usize, Align)]) {
         let name = lines(name, self.names);
-        let cells = cells.iter().map(|(lines, width, gap, align)| (&lines[..], *width, *gap, *align));
-        write_row(text, std::iter::once((&name[..], self.names, 0, Align::Left)).chain(cells));
+        let cells = cells
+            .iter()
+            .map(|(lines, width, gap, align)| (&lines[..], *width, *gap, *align));
+        write_row(
+            text,
+            std::iter::once((&name[..], self.names, 0, Align::Left)).chain(cells),
+        );
     }
 }

@@ -1,6 +1,6 @@
 //! What a table shows, section by section.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult, Spread};
 use realo_schemas::Kind;
@@ -102,7 +102,10 @@ pub fn sections(runs: &[&Run], full: bool) -> Vec<Section> {
     }
     sections.extend([
         section("age of the data that were fused, ms: p50 / p95 / p99".into(), &ages),
-        section("stamps apart of the data that were fused, ms: p50 / p95 / p99".into(), &distances),
+        section(
+            "stamps apart of the data that were fused, ms: p50 / p95 / p99".into(),
+            &distances,
+        ),
         section("sent for each frame of the ego: messages / KB".into(), &volume),
     ]);
     if runs.iter().any(|run| !run.result.peers.is_empty()) {
@@ -114,11 +117,9 @@ pub fn sections(runs: &[&Run], full: bool) -> Vec<Section> {
             accounting(rows, &kind)
         }));
     }
-    sections.push(section(at(&format!("AP {V2X_REAL}")), &|rows| {
-        match full {
-            true => accuracy(rows, &ious, in_the_order_of_v2x_real),
-            false => mean_accuracy(rows, &ious, in_the_order_of_v2x_real),
-        }
+    sections.push(section(at(&format!("AP {V2X_REAL}")), &|rows| match full {
+        true => accuracy(rows, &ious, in_the_order_of_v2x_real),
+        false => mean_accuracy(rows, &ious, in_the_order_of_v2x_real),
     }));
     sections
 }
@@ -205,23 +206,20 @@ fn accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option
             .map(|accuracy| &accuracy.ap),
     );
     for class in classes {
-        rows.add(class.clone(), |run| {
-            let per_iou = get(&run.result)?.ap.get(&class)?;
-            Some(values(
-                ious.iter().map(|iou| fraction(per_iou.get(iou).copied().flatten())),
-            ))
-        });
+        rows.add(class.clone(), |run| fractions(ious, get(&run.result)?.ap.get(&class)?));
     }
     mean_accuracy(rows, ious, get);
 }
 
 fn mean_accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option<&Accuracy>) {
-    rows.add("mAP", |run| {
-        let mean = &get(&run.result)?.mean_ap;
-        Some(values(
-            ious.iter().map(|iou| fraction(mean.get(iou).copied().flatten())),
-        ))
-    });
+    rows.add("mAP", |run| fractions(ious, &get(&run.result)?.mean_ap));
+}
+
+/// A value for each IoU; nothing where none is known.
+fn fractions(ious: &[String], known: &BTreeMap<String, Option<f64>>) -> Option<String> {
+    let all: Vec<Option<f64>> = ious.iter().map(|iou| known.get(iou).copied().flatten()).collect();
+    let is_known = all.iter().any(Option::is_some);
+    is_known.then(|| values(all.into_iter().map(fraction)))
 }
 
 fn intervals(rows: &mut Rows, ious: &[String]) {
@@ -333,10 +331,16 @@ fn frames(rows: &mut Rows, full: bool) {
 
 /// Offline nothing takes time: what stamps say of it is no latency.
 fn latency(rows: &mut Rows, full: bool) {
-    let of = |run: &Run, stage: &str| -> Option<Spread> { (!is_offline(run)).then(|| run.timing.latency_ms.get(stage).copied())? };
+    let of = |run: &Run, stage: &str| -> Option<Spread> {
+        (!is_offline(run)).then(|| run.timing.latency_ms.get(stage).copied())?
+    };
     rows.add("end to end", |run| spread(of(run, END_TO_END).as_ref()));
     rows.add("without modelled link delay", |run| {
-        spread(of(run, FRAMEWORK).filter(|framework| Some(*framework) != of(run, END_TO_END)).as_ref())
+        spread(
+            of(run, FRAMEWORK)
+                .filter(|framework| Some(*framework) != of(run, END_TO_END))
+                .as_ref(),
+        )
     });
     if !full {
         return;
@@ -381,7 +385,12 @@ fn ages(rows: &mut Rows) {
 
 /// Offline the data whose stamp is nearest are fused, younger ones too: how far apart stamps are counts, not an age.
 fn distances(rows: &mut Rows) {
-    let kinds: BTreeSet<Kind> = rows.runs.iter().flat_map(|run| run.samples.ages_ns.keys()).copied().collect();
+    let kinds: BTreeSet<Kind> = rows
+        .runs
+        .iter()
+        .flat_map(|run| run.samples.ages_ns.keys())
+        .copied()
+        .collect();
     for kind in kinds {
         rows.add(kind.to_string(), |run| {
             let ages = run.samples.ages_ns.get(&kind).filter(|_| is_offline(run))?;

@@ -56,7 +56,10 @@ pub fn table(runs: &[(&str, &Run)], options: &Options) -> String {
 /// What the widest cell takes; settings are broken into lines, numbers are not.
 fn column_width(sections: &[Section], name: &str, run: usize) -> usize {
     let cells = |section: &Section| {
-        let cells = section.rows.iter().map(|row| row.cells[run].as_deref().map_or(1, width_of));
+        let cells = section
+            .rows
+            .iter()
+            .map(|row| row.cells[run].as_deref().map_or(1, width_of));
         cells.max().unwrap_or(0)
     };
     let (settings, numbers) = sections.split_first().map_or((0, 0), |(settings, numbers)| {
@@ -108,13 +111,20 @@ impl Block<'_> {
         // Labels are indented below their section.
         let indent = label.chars().take_while(|letter| *letter == ' ').count() + 2;
         let mut label = lines(label, self.labels.saturating_sub(indent));
-        label.iter_mut().for_each(|line| line.insert_str(0, &" ".repeat(indent)));
+        label
+            .iter_mut()
+            .for_each(|line| line.insert_str(0, &" ".repeat(indent)));
         let cells: Vec<(Vec<String>, usize)> = self
             .runs
             .clone()
             .map(|run| (lines(cell(run), self.widths[run]), self.widths[run]))
             .collect();
-        let cells = cells.iter().map(|(lines, width)| (&lines[..], *width, GAP, Align::Right));
-        write_row(text, std::iter::once((&label[..], self.labels, 0, Align::Left)).chain(cells));
+        let cells = cells
+            .iter()
+            .map(|(lines, width)| (&lines[..], *width, GAP, Align::Right));
+        write_row(
+            text,
+            std::iter::once((&label[..], self.labels, 0, Align::Left)).chain(cells),
+        );
     }
 }

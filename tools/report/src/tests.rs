@@ -250,7 +250,7 @@ fn the_table_says_what_was_measured() {
     assert_eq!(cells(&text, "ego_state"), ["–", "10.00 / 1.00"]);
     assert!(!text.contains("over limit") && !text.contains("unaccounted"), "{text}");
     assert_eq!(cells(&text, "end to end")[1].split(" / ").count(), 3);
-    assert!(text.contains("note (late_fusion): "), "{text}");
+    assert!(text.contains("note (no_fusion, late_fusion): "), "{text}");
 }
 
 #[test]
@@ -259,7 +259,10 @@ fn the_main_rows_are_few() {
     let [main, full] = [false, true].map(|full| table(&[("late_fusion", &one)], full, 80));
     let rows = |text: &str| text.lines().filter(|line| line.starts_with("  ")).count();
     assert!(rows(&main) + 10 < rows(&full), "{main}");
-    assert!(main.contains("end to end") && !main.contains("recall / precision"), "{main}");
+    assert!(
+        main.contains("end to end") && !main.contains("recall / precision"),
+        "{main}"
+    );
     assert!(!main.contains("  fusion "), "stages are not the main rows: {main}");
 }
 
@@ -274,7 +277,10 @@ fn offline_nothing_is_late_and_no_age_is_below_zero() {
     one.result.age_ms = one.samples.ages();
     let text = table(&[("late_fusion", &one)], true, 100);
     assert!(!text.contains("end to end"), "{text}");
-    let rows: Vec<&str> = text.lines().filter(|line| line.trim_start().starts_with("boxes ")).collect();
+    let rows: Vec<&str> = text
+        .lines()
+        .filter(|line| line.trim_start().starts_with("boxes "))
+        .collect();
     assert!(rows[0].contains("20.0 / 30.0 / 30.0"), "{text}");
     assert!(text.contains("stamps apart of the data that were fused, ms"), "{text}");
     assert!(!text.contains("age of the data"), "{text}");
@@ -293,7 +299,8 @@ fn sweep() -> Vec<(String, Run)> {
             let mut run = run("a", "cav1", luck as u64);
             run.result.settings.graph = graph.into();
             run.result.settings.link = link.into();
-            run.result.settings.set = format!("others.sense.localization.position_noise_m=0.{luck}, fusion.bank.window_ms=400");
+            run.result.settings.set =
+                format!("others.sense.localization.position_noise_m=0.{luck}, fusion.bank.window_ms=400");
             runs.push((format!("{link}/{graph}"), run));
         }
     }
@@ -316,7 +323,9 @@ fn twelve_runs_are_twelve_rows_at_any_width() {
         if width >= 80 {
             assert_eq!(blocks, 1, "{width}: {text}");
             let names = ["perfect/", "10ms/", "100ms/", "300ms/"];
-            let rows = text.lines().filter(|line| names.iter().any(|name| line.starts_with(name)));
+            let rows = text
+                .lines()
+                .filter(|line| names.iter().any(|name| line.starts_with(name)));
             assert_eq!(rows.count(), 12, "{width}: {text}");
         }
         if width >= 100 {
@@ -335,17 +344,39 @@ fn twelve_runs_are_twelve_rows_at_any_width() {
 #[test]
 fn a_row_for_each_run_as_a_reader_sees_it() {
     let runs = [run("a", "cav1", 0), run("a", "cav1", 1), run("a", "cav1", 2)];
-    let text = table(&[("no_fusion", &runs[0]), ("late_fusion", &runs[1]), ("early_fusion", &runs[2])], false, 80);
-    let ap = |run: &Run, iou: &str| format!("{:.3}", run.result.accuracy.as_ref().unwrap().sorted.ap["vehicle"][iou].unwrap());
+    let text = table(
+        &[
+            ("no_fusion", &runs[0]),
+            ("late_fusion", &runs[1]),
+            ("early_fusion", &runs[2]),
+        ],
+        false,
+        80,
+    );
+    let ap = |run: &Run, iou: &str| {
+        format!(
+            "{:.3}",
+            run.result.accuracy.as_ref().unwrap().sorted.ap["vehicle"][iou].unwrap()
+        )
+    };
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines[0], "virtual; ego cav1; log a; protocol default; 6 scored frames", "{text}");
-    assert_eq!(lines[1].split_whitespace().collect::<Vec<_>>(), ["mAP", "KB", "per", "age", "vehicle"]);
+    assert_eq!(
+        lines[0], "virtual; ego cav1; log a; protocol default; 6 scored frames",
+        "{text}"
+    );
+    assert_eq!(
+        lines[1].split_whitespace().collect::<Vec<_>>(),
+        ["mAP", "KB", "per", "age", "vehicle"]
+    );
     assert_eq!(
         lines[2].split_whitespace().collect::<Vec<_>>(),
         ["0.3", "0.5", "frame", "ms", "0.3", "0.5"],
         "classes without objects have no column"
     );
-    for (line, (name, run)) in lines[4..].iter().zip(["no_fusion", "late_fusion", "early_fusion"].iter().zip(&runs)) {
+    for (line, (name, run)) in lines[4..]
+        .iter()
+        .zip(["no_fusion", "late_fusion", "early_fusion"].iter().zip(&runs))
+    {
         let row: Vec<&str> = line.split_whitespace().collect();
         let at = if row[1] == "!" { 2 } else { 1 };
         assert_eq!(row[0], *name);
@@ -381,32 +412,60 @@ fn every_format_has_every_run_and_the_same_numbers() {
     runs[0].0 = "a|b, \"c\" & 100 %_#".into();
     let runs = named(&runs);
     let [markdown, csv, latex] = [Format::Markdown, Format::Csv, Format::Latex].map(|format| {
-        let options = Options { format, ..Options::default() };
+        let options = Options {
+            format,
+            ..Options::default()
+        };
         shown(&runs, &options)
     });
     let lines: Vec<&str> = markdown.lines().take_while(|line| line.starts_with('|')).collect();
     assert_eq!(lines.len(), 14, "{markdown}");
     let cells = |line: &str| line.replace("\\|", "").matches('|').count();
     assert!(lines.iter().all(|line| cells(line) == cells(lines[0])), "{markdown}");
-    assert!(lines[0].starts_with("| run | mAP 0.3 | mAP 0.5 | KB per frame | age ms | vehicle 0.3 |"), "{markdown}");
+    assert!(
+        lines[0].starts_with("| run | mAP 0.3 | mAP 0.5 | KB per frame | age ms | vehicle 0.3 |"),
+        "{markdown}"
+    );
     let rows: Vec<&str> = csv.lines().collect();
     assert_eq!(rows.len(), 13, "{csv}");
     assert!(rows[0].starts_with("run,graph,mode,cooperation,ego,link,"), "{csv}");
-    assert!(rows[1].starts_with("\"a|b, \"\"c\"\" & 100 %_#\",late_fusion,virtual,"), "{csv}");
+    assert!(
+        rows[1].starts_with("\"a|b, \"\"c\"\" & 100 %_#\",late_fusion,virtual,"),
+        "{csv}"
+    );
     let head: Vec<&str> = rows[0].split(',').collect();
     let at = head.iter().position(|field| *field == "AP_vehicle_0.5").unwrap();
     // No other cell of this row holds a comma but `set`.
-    let cell = rows[2].replace(", fusion", " fusion").split(',').nth(at).unwrap().to_string();
+    let cell = rows[2]
+        .replace(", fusion", " fusion")
+        .split(',')
+        .nth(at)
+        .unwrap()
+        .to_string();
     assert_eq!(cell.parse::<f64>().unwrap(), ap(runs[1].1), "with all digits");
     let rows: Vec<&str> = latex.lines().filter(|line| line.ends_with("\\\\")).collect();
     assert_eq!(rows.len(), 13, "{latex}");
-    assert!(rows.iter().all(|row| row.matches(" & ").count() == rows[0].matches(" & ").count()), "{latex}");
+    assert!(
+        rows.iter()
+            .all(|row| row.matches(" & ").count() == rows[0].matches(" & ").count()),
+        "{latex}"
+    );
     assert!(rows[1].starts_with("a|b, \"c\" \\& 100 \\%\\_\\# & "), "{latex}");
-    assert!(latex.starts_with("\\begin{tabular}{lrrrr") && latex.contains("\\end{tabular}\n"), "{latex}");
+    assert!(
+        latex.starts_with("\\begin{tabular}{lrrrr") && latex.contains("\\end{tabular}\n"),
+        "{latex}"
+    );
     for format in [Format::Markdown, Format::Csv, Format::Latex] {
-        let options = Options { format, full: true, width: 80 };
+        let options = Options {
+            format,
+            full: true,
+            width: 80,
+        };
         let full = shown(&runs, &options);
-        assert!(full.contains("recall / precision") && full.lines().count() > 30, "{full}");
+        assert!(
+            full.contains("recall / precision") && full.lines().count() > 30,
+            "{full}"
+        );
     }
 }
 
@@ -484,7 +543,10 @@ fn every_setting_that_differs_is_named_by_itself() {
     assert_eq!(found, expected, "who has no network has no other model");
     one.result.settings.model = "lite-2".into();
     let found = differences(&[("one", &one), ("other", &other)]);
-    assert!(found.contains(&"model differs: lite-2 in one; lite-1 in other".to_string()), "{found:?}");
+    assert!(
+        found.contains(&"model differs: lite-2 in one; lite-1 in other".to_string()),
+        "{found:?}"
+    );
 }
 
 #[test]
@@ -500,7 +562,10 @@ fn agents_that_took_part_in_some_runs_only_are_named_with_these_runs() {
         agents(&["cav1", "cav2"]),
     ];
     let found = differences(&[("late_fusion", &runs[0]), ("t5", &runs[1]), ("t6", &runs[2])]);
-    assert_eq!(found, ["agents differ: t6 lacks rsu1; only t5 has rsu2; all have cav1, cav2"]);
+    assert_eq!(
+        found,
+        ["agents differ: t6 lacks rsu1; only t5 has rsu2; all have cav1, cav2"]
+    );
 }
 
 #[test]
@@ -516,10 +581,7 @@ fn long_lists_are_cut_short_and_lacks_are_told() {
     one.result.logs.truncate(5);
     other.result.logs.clear();
     let found = differences(&[("one", &one), ("other", &other)]);
-    assert_eq!(
-        found,
-        ["logs differ: only one has log0, log1, log2, log3, log4"]
-    );
+    assert_eq!(found, ["logs differ: only one has log0, log1, log2, log3, log4"]);
 }
 
 #[test]

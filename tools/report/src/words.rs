@@ -23,15 +23,15 @@ const WORDS: &[(&str, &str)] = &[
         "KB per frame",
         "what crossed the links to the ego for each of its sweeps, 1 KB = 1,000 bytes",
     ),
-    ("age", "age of the data that were fused, when they were fused; of many, the median"),
+    (
+        "age",
+        "age of the data that were fused, when they were fused; of many, the median",
+    ),
     (
         "stamps apart",
         "how far the stamps of what was fused lie from the ego's: nothing is late in an offline run",
     ),
-    (
-        "end to end",
-        "from a sweep's last point to its boxes",
-    ),
+    ("end to end", "from a sweep's last point to its boxes"),
     ("p50 / p95 / p99", "half, 95 % and 99 % of all are not above it"),
     ("stale", "too old when the ego asked"),
     ("superseded", "a newer message of its sender took its place"),

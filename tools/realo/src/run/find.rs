@@ -24,11 +24,6 @@ pub fn graph(path: &Path) -> Result<PathBuf> {
     }
 }
 
-/// All graphs, each as [`graph`] finds it.
-pub fn graphs(paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    paths.iter().map(|path| graph(path)).collect()
-}
-
 /// The checkout whose graphs are meant by their names.
 pub fn checkout() -> Option<PathBuf> {
     let folder = folders().into_iter().next()?;
