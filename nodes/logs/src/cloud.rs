@@ -133,11 +133,13 @@ impl<'a> CloudReader<'a> {
         self.time_field().map(|field| (field.name, field.type_name()))
     }
 
-    /// Whether the fields are as this crate writes them.
+    /// Whether the fields are as realo writes them, in Rust or Python, in any order.
     pub(crate) fn is_ours(&self) -> bool {
-        let fields = self.fields.iter();
-        let found = fields.map(|field| (field.name, field.offset as u32, field.datatype));
-        self.points.step == STEP && found.eq(FIELDS)
+        let found = |field: &(&str, u32, u8)| {
+            let same = |known: &Field| (known.name, known.offset as u32, known.datatype) == *field;
+            self.fields.iter().any(same)
+        };
+        self.points.step == STEP && self.fields.len() == FIELDS.len() && FIELDS.iter().all(found)
     }
 
     /// What the times of the points look like; `None` without any.

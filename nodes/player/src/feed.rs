@@ -398,7 +398,8 @@ impl Feed {
         if let Some(nearest) = &self.nearest
             && nearest.is_too_far(rank, entry.stamp(), entry.ready())
         {
-            self.script.count(&format!("{TOO_FAR}{}", entry.agent));
+            let left_out = format!("{TOO_FAR}{}", entry.agent);
+            self.script.count(&left_out);
             return Ok(());
         }
         known.insert(entry.stamp(), seq);
