@@ -31,15 +31,22 @@ pub fn make(path: &Path) -> Result<()> {
         return Ok(());
     }
     let folder = path.parent().unwrap_or(Path::new("."));
-    fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))?;
+    fs::create_dir_all(folder).wrap_err_with(|| no_demo(folder))?;
     let lock_path = path.with_extension("lock");
-    let lock = File::create(&lock_path).wrap_err_with(|| format!("{}", lock_path.display()))?;
+    let lock = File::create(&lock_path).wrap_err_with(|| no_demo(&lock_path))?;
     lock.lock().wrap_err_with(|| format!("{}: lock", lock_path.display()))?;
     if !path.exists() {
         eprintln!("realo: making the demo log {} (once)", path.display());
         crate::simulate::write(&options(), path)?;
     }
     Ok(())
+}
+
+fn no_demo(path: &Path) -> String {
+    format!(
+        "{}: the demo log cannot be made there; name a log of your own (--log), or make one with `realo simulate`",
+        path.display()
+    )
 }
 
 /// For a stage about to start: makes the log that it plays if that is the demo log and missing.

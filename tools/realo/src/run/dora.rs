@@ -20,7 +20,7 @@ pub fn find() -> Result<PathBuf> {
         return match version(&named) {
             Some(text) if text.starts_with(SERIES) => Ok(named),
             Some(text) => bail!("REALO_DORA={}: expected {SERIES}x, found `{text}`", named.display()),
-            None => bail!("REALO_DORA={}: it does not answer `--version`", named.display()),
+            None => bail!("REALO_DORA={}: {}", named.display(), why_silent(&named)),
         };
     }
     let installed = home()?.join("bin/dora");
@@ -63,6 +63,27 @@ fn version(dora: &Path) -> Option<String> {
         .then(|| String::from_utf8_lossy(&output.stdout).trim().to_string())
 }
 
+/// Why a dora says no version, and what helps.
+fn why_silent(dora: &Path) -> String {
+    let reason = match Command::new(dora).arg("--version").output() {
+        Ok(output) => format!(
+            "it does not answer `--version`: {}",
+            String::from_utf8_lossy(&output.stderr).trim()
+        ),
+        Err(error) => format!("it cannot be started: {error}"),
+    };
+    format!(
+        "{reason}; {}, or run with --mode virtual, which needs no dora",
+        by_hand()
+    )
+}
+
+fn by_hand() -> String {
+    format!(
+        "install it by hand (`pip install --no-deps dora-rs-cli=={VERSION}`) and put `dora` on PATH or name it in REALO_DORA"
+    )
+}
+
 /// `target/dora-cli`, beside the profile's folder that this program runs from.
 fn home() -> Result<PathBuf> {
     let program = std::env::current_exe()?;
@@ -77,21 +98,18 @@ fn home() -> Result<PathBuf> {
 fn install(home: &Path) -> Result<()> {
     eprintln!("realo: installing dora-rs-cli {VERSION} into {} (once)", home.display());
     if let Some(folder) = home.parent() {
-        std::fs::create_dir_all(folder)?;
+        std::fs::create_dir_all(folder).wrap_err_with(|| format!("{}: {}", folder.display(), by_hand()))?;
     }
     let lock_path = home.with_extension("lock");
-    let lock = std::fs::File::create(&lock_path).wrap_err_with(|| format!("{}", lock_path.display()))?;
+    let lock = std::fs::File::create(&lock_path).wrap_err_with(|| format!("{}: {}", lock_path.display(), by_hand()))?;
     lock.lock()?;
     if version(&home.join("bin/dora")).is_some() {
         return Ok(());
     }
-    let by_hand = format!(
-        "install it by hand (`pip install --no-deps dora-rs-cli=={VERSION}`) and put `dora` on PATH or name it in REALO_DORA"
-    );
-    step(Command::new("python3").args(["-m", "venv"]).arg(home)).wrap_err_with(|| by_hand.clone())?;
+    step(Command::new("python3").args(["-m", "venv"]).arg(home)).wrap_err_with(by_hand)?;
     let package = format!("dora-rs-cli=={VERSION}");
     let mut pip = Command::new(home.join("bin/python"));
-    step(pip.args(["-m", "pip", "install", "--quiet", "--no-deps", &package])).wrap_err(by_hand)
+    step(pip.args(["-m", "pip", "install", "--quiet", "--no-deps", &package])).wrap_err_with(by_hand)
 }
 
 fn step(command: &mut Command) -> Result<()> {

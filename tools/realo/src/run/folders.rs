@@ -42,7 +42,7 @@ impl Folders {
         self.make(folder)?;
         let path = folder.join(LOCK);
         let file = loop {
-            let file = File::create(&path).wrap_err_with(|| format!("{}", path.display()))?;
+            let file = File::create(&path).wrap_err_with(|| not_writable(&path))?;
             // A file system without locks keeps nobody away.
             if let Err(TryLockError::WouldBlock) = file.try_lock() {
                 bail!(
@@ -103,8 +103,15 @@ impl Folders {
             .take_while(|folder| !folder.as_os_str().is_empty() && !folder.exists());
         let missing: Vec<PathBuf> = missing.map(Path::to_path_buf).collect();
         self.made.extend(missing.into_iter().rev());
-        fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))
+        fs::create_dir_all(folder).wrap_err_with(|| not_writable(folder))
     }
+}
+
+fn not_writable(path: &Path) -> String {
+    format!(
+        "{}: results cannot be written there; choose another folder (--out)",
+        path.display()
+    )
 }
 
 /// Puts back what a run that was killed put aside in a folder.

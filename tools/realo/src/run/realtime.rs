@@ -239,7 +239,7 @@ fn keeping_up(what: &str, rate: f64) -> String {
         .map(|share| (share * rate * 9.0).floor() / 10.0);
     let slower = slower.filter(|rate| *rate > 0.0).unwrap_or(0.5 * rate);
     format!(
-        "this machine does not keep up: {what}; play slower (--rate {slower}), use a smaller number type (--precision int8), \
+        "this machine does not keep up: {what}; play slower (--rate {slower}), take a model of int8 (--model, docs/networks.md), \
          recorded detections (--recorded-detections), or --mode virtual"
     )
 }
