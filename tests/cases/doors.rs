@@ -23,7 +23,7 @@ fn a_file_that_realo_did_not_write_is_not_replaced() {
     let recorder = format!("score.recorder.path={mcap}");
     let out = folder.join("out").display().to_string();
     let commands: [&[&str]; 7] = [
-        &["simulate", "--seconds", "1", "-o", &mcap],
+        &["simulate", "--seed", "1", "--seconds", "1", "-o", &mcap],
         &["import", "log", &log, "-o", &mcap],
         &["merge", &log, &log, "-o", &mcap],
         &["precompute", &log, &graph, "-o", &mcap],
