@@ -3,6 +3,7 @@
 //! A car drives along x at 8 m/s, a mast stands at (45, 12). Of eight parked cars, four have points of the car alone, the
 //! other four of the mast alone, and each agent's recorded detections are what it has points on. So recorded detections
 //! in `--offline` find 4 of 8 without fusion, and 8 of 8 with late fusion.
+#![allow(dead_code)]
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};

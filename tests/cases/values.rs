@@ -232,7 +232,8 @@ fn times_that_no_rule_explains_are_refused_by_name() {
 #[test]
 fn sequences_of_other_writers_do_not_matter() {
     let base = Scene::default().write("sequence-base");
-    let forms: [(&str, fn(u32) -> u32); 2] = [("zero", |_| 0), ("wrap", |n| n.wrapping_sub(10))];
+    type Form = (&'static str, fn(u32) -> u32);
+    let forms: [Form; 2] = [("zero", |_| 0), ("wrap", |n| n.wrapping_sub(10))];
     for (name, sequence) in forms {
         let log = rewrite(&base, &format!("sequence-{name}"), |mut message| {
             message.sequence = sequence(message.sequence);

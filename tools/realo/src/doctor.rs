@@ -17,7 +17,10 @@ pub struct Args {
 
 /// Prints what was found, a line for each thing.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let graph = args.graph.as_ref().map(|file| FlatGraph::load(file)).transpose()?;
+    let graph = match &args.graph {
+        Some(file) => Some(FlatGraph::load(file)?),
+        None => None,
+    };
     let mut all = checks(graph.as_ref());
     all.push(dora());
     all.push(processor());

@@ -195,8 +195,10 @@ fn traffic(columns: &mut Columns) {
     });
 }
 
-/// A setting of a run, and its name.
-const SETTINGS: [(&str, fn(&Settings) -> &String); 11] = [
+/// A setting's name, and where a result has it.
+type Setting = (&'static str, fn(&Settings) -> &String);
+
+const SETTINGS: [Setting; 11] = [
     ("graph", |settings| &settings.graph),
     ("mode", |settings| &settings.mode),
     ("cooperation", |settings| &settings.coop),
