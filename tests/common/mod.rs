@@ -34,9 +34,11 @@ pub fn graph(name: &str) -> String {
 
 /// Runs `realo` and returns what it said, whatever its exit code.
 pub fn realo<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> Output {
+    // So wide that no sentence of a table is broken.
     Command::new(REALO)
         .args(args)
         .current_dir(root())
+        .env("COLUMNS", "400")
         .output()
         .expect("realo can be started")
 }

@@ -48,7 +48,11 @@ pub(crate) fn names(runs: &[PathBuf]) -> Vec<String> {
         .collect();
     let longest = folders.iter().map(|folder| folder.components().count()).max();
     let tails = |parts: usize| folders.iter().map(|folder| tail(folder, parts)).collect::<Vec<_>>();
-    let distinct = |names: &Vec<String>| names.iter().enumerate().all(|(i, name)| !names[..i].contains(name));
+    // One run may be there twice.
+    let distinct = |names: &Vec<String>| {
+        let mut all = names.iter().enumerate();
+        all.all(|(i, name)| (0..i).all(|other| names[other] != *name || folders[other] == folders[i]))
+    };
     (1..=longest.unwrap_or(1))
         .map(tails)
         .find(distinct)
@@ -75,6 +79,8 @@ mod tests {
         assert_eq!(named(&["gone/a", "gone/b/result.json"]), ["a", "b"]);
         assert_eq!(named(&["x/gone/late", "y/gone/late"]), ["x/gone/late", "y/gone/late"]);
         assert_eq!(named(&["gone/a", "gone/a"]), ["a", "a"], "the same run twice");
+        let twice = ["x/gone/late", "y/gone/late", "x/gone/late"];
+        assert_eq!(named(&twice), twice, "and another one of its name");
         let here = std::env::current_dir().expect("a folder");
         let here = here.file_name().expect("its name").to_string_lossy().into_owned();
         for folder in [".", "result.json"] {

@@ -66,6 +66,11 @@ pub fn sections(runs: &[&Run], full: bool) -> Vec<Section> {
         Section { title, rows }
     };
     let at = |name: &str| format!("{name}, IoU {}", ious.join(" / "));
+    // Without objects of every class there is no mean.
+    let has_mean = runs.iter().any(|run| {
+        let order = in_the_order_of_v2x_real(&run.result);
+        order.is_some_and(|order| order.mean_ap.values().any(Option::is_some))
+    });
     let skipping = runs.iter().any(|run| run.result.frames.key_skipped > 0);
     let mut sections = vec![
         section("run".into(), &|rows| settings(rows, full)),
@@ -117,10 +122,13 @@ pub fn sections(runs: &[&Run], full: bool) -> Vec<Section> {
             accounting(rows, &kind)
         }));
     }
-    sections.push(section(at(&format!("AP {V2X_REAL}")), &|rows| match full {
-        true => accuracy(rows, &ious, in_the_order_of_v2x_real),
-        false => mean_accuracy(rows, &ious, in_the_order_of_v2x_real),
-    }));
+    sections.push(section(
+        at(&format!("AP {V2X_REAL}")),
+        &|rows| match full || !has_mean {
+            true => accuracy(rows, &ious, in_the_order_of_v2x_real),
+            false => mean_accuracy(rows, &ious, in_the_order_of_v2x_real),
+        },
+    ));
     sections
 }
 
@@ -334,7 +342,9 @@ fn latency(rows: &mut Rows, full: bool) {
     let of = |run: &Run, stage: &str| -> Option<Spread> {
         (!is_offline(run)).then(|| run.timing.latency_ms.get(stage).copied())?
     };
-    rows.add("end to end", |run| spread(of(run, END_TO_END).as_ref()));
+    rows.add("end to end", |run| {
+        spread(of(run, END_TO_END).filter(|spread| spread.max > Some(0.0)).as_ref())
+    });
     rows.add("without modelled link delay", |run| {
         spread(
             of(run, FRAMEWORK)
