@@ -8,9 +8,13 @@
         log.truth("car", stamp, boxes(centers, sizes, yaws, classes, track=ids), ready=stamp + 100_000_000)
 
 Times are whole nanoseconds since 1970; `ready` is when a message existed, by default its stamp.
+
+A value that does not fit is scaled by a rule that its method states, or refused with a ValueError that names the argument; none is
+cut or wrapped. The log appears at its path when the `with` block ends well; an exception in it leaves no log.
 """
 
 import json
+import os
 import struct
 import zlib
 
@@ -22,6 +26,13 @@ POINT = np.dtype({"names": ["x", "y", "z", "intensity", "ring", "time"],
                   "formats": ["<f4", "<f4", "<f4", "u1", "<u2", "<i4"],
                   "offsets": [0, 4, 8, 12, 14, 16], "itemsize": 20})
 DATATYPE = {"f4": 7, "u1": 2, "u2": 4, "i4": 5}
+# What sensors give as their brightest: what exceeds a byte is scaled by the first that holds it.
+BRIGHTEST = 255, 1023, 4095, 65535
+# Nothing that a sensor sees lies farther from its agent, m.
+FARTHEST = 100_000
+SECOND = 10**9
+# Seconds from 2010 to 2040: a stamp of that size is one in another unit.
+EPOCH = 1_262_304_000, 2_208_988_800
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
@@ -48,34 +59,250 @@ DEFINITIONS = {
 }
 
 
+def refuse(where, name, expected, found, advice):
+    raise ValueError(f"{where}: `{name}`: expected {expected}, found {found}; {advice}")
+
+
+def numbers(where, name, values):
+    """An array of numbers as it was given; what is not a number, or masked, is refused."""
+    if np.ma.is_masked(values):
+        refuse(where, name, "an array without masked elements", f"{np.ma.count_masked(values)}", "leave them out, or use .filled")
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        refuse(where, name, "rows of one length", f"others ({error})", "give an array of numpy")
+    if array.dtype.kind not in "iuf":
+        found = f"fields {', '.join(array.dtype.names)}" if array.dtype.names else f"{array.dtype} ({str(values)[:60]})"
+        refuse(where, name, "numbers", found, "stack the columns of a table into a plain array, turn text into numbers")
+    return array
+
+
+def column_of(where, name, values, n):
+    """One number for each of `n` rows, or one for all."""
+    array = numbers(where, name, values)
+    if array.size != n and array.ndim:
+        refuse(where, name, f"{n} numbers, one a row, or a single one", f"shape {array.shape}", "pass one column")
+    return array.ravel() if array.ndim else np.broadcast_to(array, (n,))
+
+
+def rows_of(where, name, values, width, n=None):
+    """An (n, width) array, also of an organised (..., width) one."""
+    array = numbers(where, name, values)
+    if array.size == 0 and not n:
+        return array.reshape(-1, width)
+    if array.ndim == 1 and n == 1:
+        array = array[None]
+    if array.ndim < 2 or array.shape[-1] != width:
+        turned = array.ndim == 2 and array.shape[0] == width
+        advice = f"pass {name}.T" if turned else f"pass {name}[:, :{width}], and other columns by their own names"
+        refuse(where, name, f"shape (n, {width})", f"{array.shape}", advice)
+    array = array.reshape(-1, width)
+    if n is not None and len(array) != n:
+        refuse(where, name, f"{n} rows, as there are classes", f"{len(array)}", "give each box one row")
+    return array
+
+
+def finite(where, name, array):
+    bad = np.count_nonzero(~np.isfinite(array))
+    if bad:
+        refuse(where, name, "finite numbers", f"{bad} of {array.size} that are not", "leave those rows out, or mend them")
+    return array
+
+
+def between(where, name, array, low, high, advice):
+    """All of an array within limits, which NaN is not."""
+    outside = array[~((array >= low) & (array <= high))]
+    if outside.size:
+        refuse(where, name, f"{low} to {high}", f"{outside.ravel()[0]} ({outside.size} of {array.size} outside)", advice)
+    return array
+
+
+def whole(where, name, array, low, high):
+    """Whole numbers within limits, as int64."""
+    advice = "scale them, or number anew"
+    between(where, name, array, low, high, advice)
+    if array.dtype.kind == "f" and (array != np.rint(array)).any():
+        refuse(where, name, "whole numbers", f"{array[array != np.rint(array)][0]}", advice)
+    return array.astype(np.int64)
+
+
+def doubles(where, name, values, n):
+    """`n` finite doubles; single precision is refused where it is coarser than a millimetre."""
+    array = numbers(where, name, values)
+    if array.size != n:
+        refuse(where, name, f"{n} numbers", f"shape {array.shape}", "see docs/log-format.md")
+    finite(where, name, array)
+    given = [array.dtype] + [v.dtype for v in values if isinstance(v, np.floating)] if np.ndim(values) == 1 else [array.dtype]
+    for dtype in given:
+        if dtype.kind == "f" and dtype.itemsize < 8:
+            most = float(np.abs(array).max())
+            step = float(np.spacing(np.asarray(most, dtype)))
+            if not step <= 1e-3:
+                advice = "compute and keep it in float64, or subtract an origin nearby before"
+                refuse(where, name, "float64 so far from the origin", f"{dtype} of {most:.1f}, whose steps are {step} m", advice)
+    return array.astype("<f8").ravel()
+
+
+def rotation(where, name, values):
+    """A unit quaternion x y z w; lengths of 0.99 to 1.01 are made 1."""
+    q = doubles(where, name, values, 4)
+    norm = float(np.sqrt(np.sum(q * q)))
+    if not 0.99 <= norm <= 1.01:
+        advice = "divide it by its length; a heading alone is [0, 0, sin(yaw / 2), cos(yaw / 2)]"
+        refuse(where, name, "a unit quaternion x y z w", f"{q.tolist()} of length {norm:.3f}", advice)
+    # A unit quaternion keeps its bits.
+    return q if abs(norm * norm - 1) < 1e-12 else q / norm
+
+
+def nanos(where, name, value):
+    """A time as whole ns since 1970: an integer, or numpy's datetime64."""
+    if isinstance(value, np.datetime64):
+        value = value.astype("datetime64[ns]").astype(np.int64)
+    found = np.asarray(value)
+    if found.ndim or found.dtype.kind not in "iu":
+        advice = "floats of that size are 256 ns apart: keep integers, or round(seconds * 10**9)"
+        refuse(where, name, "whole nanoseconds since 1970", f"{value!r} ({type(value).__name__})", advice)
+    if not 0 <= int(value) < 2**31 * SECOND:
+        refuse(where, name, "nanoseconds from 1970 to 2038", f"{value}", "see whether its unit or its sign is another")
+    return int(value)
+
+
+def plain_text(where, name, value):
+    if isinstance(value, bytes):
+        value = value.decode(errors="replace")
+    if not isinstance(value, str) or "\0" in value:
+        refuse(where, name, "text without zeros", f"{value!r}", "give a str")
+    return str(value)
+
+
+def track_text(where, value):
+    """A track as text: a float that is whole (a table of pandas) loses its `.0`; None and NaN are no track."""
+    if value is None or type(value).__name__ in ("NAType", "NaTType"):
+        return ""
+    if isinstance(value, (float, np.floating)):
+        value = "" if np.isnan(value) else int(value) if float(value).is_integer() else float(value)
+    return plain_text(where, "track", value if isinstance(value, (str, bytes)) else str(value))
+
+
 def agent(name, kind, footprint=None, sensor="", sensor_position=None):
     """`kind`: vehicle or roadside; `footprint`: [x min, x max, y min, y max] in the body frame, m."""
-    return {"name": name, "kind": kind, "footprint": footprint, "sensor": sensor, "sensor_position": sensor_position}
+    where = f"agent `{name}`"
+    if kind not in ("vehicle", "roadside"):
+        refuse(where, "kind", "vehicle or roadside", f"{kind!r}", "take the nearer one")
+    if footprint is not None:
+        footprint = doubles(where, "footprint", footprint, 4).tolist()
+        if not (footprint[0] < footprint[1] and footprint[2] < footprint[3]):
+            refuse(where, "footprint", "[x min, x max, y min, y max], m", f"{footprint}", "order it so")
+    if sensor_position is not None:
+        sensor_position = doubles(where, "sensor_position", sensor_position, 3).tolist()
+    name, sensor = plain_text(where, "name", name), plain_text(where, "sensor", sensor)
+    return {"name": name, "kind": str(kind), "footprint": footprint, "sensor": sensor, "sensor_position": sensor_position}
 
 
-def boxes(center, size, yaw, classes, score=None, velocity=None, track=None):
-    """`center` and `size` (length, width, height) are (n, 3), m; `yaw` (n), rad; `velocity` (n, 3), m/s; body frame."""
-    center, size, n = np.reshape(center, (-1, 3)), np.reshape(size, (-1, 3)), len(classes)
-    velocity = np.full((n, 3), np.nan) if velocity is None else np.reshape(velocity, (-1, 3))
-    found = {"center": center, "size": size, "yaw": np.asarray(yaw, float), "classes": classes, "velocity": velocity,
-             "score": np.ones(n) if score is None else score, "track": [""] * n if track is None else track}
-    lengths = {name: len(column) for name, column in found.items()}
-    if set(lengths.values()) != {n}:
-        raise ValueError(f"boxes: expected {n} of each column, as there are classes, found {lengths}")
-    return found
+def boxes(center, size, yaw, classes, score=None, velocity=None, track=None, where="boxes"):
+    """`center` and `size` (length, width, height) are (n, 3), m; `yaw` (n), rad; `classes` text; `score` 0..1; `velocity` (n, 3),
+    m/s, NaN where unknown; `track` any text or number, None where there is none; body frame."""
+    if isinstance(classes, (str, bytes)):
+        refuse(where, "classes", "a list with the class of each box", f"the text {classes!r}", f"pass [{classes!r}] * n")
+    n, fields = len(classes), {}
+    fields["center"] = finite(where, "center", rows_of(where, "center", center, 3, n)).astype("<f8")
+    advice = "boxes lie in the body frame of their agent: bring them there, in float64"
+    between(where, "center", fields["center"], -FARTHEST, FARTHEST, advice)
+    fields["size"] = finite(where, "size", rows_of(where, "size", size, 3, n)).astype("<f8")
+    between(where, "size", fields["size"], 1e-6, FARTHEST, "leave out boxes without extent")
+    fields["yaw"] = finite(where, "yaw", column_of(where, "yaw", yaw, n)).astype("<f8")
+    advice = "degrees become radians by np.radians; wrap turns to -pi..pi"
+    between(where, "yaw", fields["yaw"], -4 * np.pi, 4 * np.pi, advice)
+    fields["classes"] = [plain_text(where, "classes", name) for name in classes]
+    velocity = np.full((n, 3), np.nan) if velocity is None else rows_of(where, "velocity", velocity, 3, n)
+    if np.isinf(velocity).any():
+        refuse(where, "velocity", "m/s, or NaN where it is unknown", "infinity", "give NaN there")
+    fields["velocity"] = velocity.astype("<f8")
+    score = column_of(where, "score", 1.0 if score is None else score, n).astype("<f8")
+    fields["score"] = between(where, "score", score, 0, 1, "scale them: per cent are score / 100")
+    track = [""] * n if track is None else track
+    if isinstance(track, (str, bytes)) or np.ndim(track) == 0 or len(track) != n:
+        refuse(where, "track", f"{n} tracks, one a box", f"{track!r}"[:80], "pass a list")
+    fields["track"] = [track_text(where, one) for one in track]
+    return fields
 
 
 def view(position, quaternion, focal, center, size, margin=0):
     """What a camera has in its image: body from camera (x right, y down, z ahead), m and x y z w; focal lengths, principal
     point and size of the image, pixels; how far what was labelled in it may lie beside it at the stamp, m."""
-    found = {"pose": [*position, *quaternion], "focal": [*focal], "center": [*center], "size": [*size], "margin": [margin]}
-    expected = {"pose": 7, "focal": 2, "center": 2, "size": 2, "margin": 1}
-    for name, numbers in found.items():
-        if len(numbers) != expected[name] or not np.isfinite(numbers).all():
-            raise ValueError(f"view: `{name}`: expected {expected[name]} finite numbers, found {numbers}")
+    found = {name: doubles("view", name, values, n) for name, values, n in (
+        ("position", position, 3), ("focal", focal, 2), ("center", center, 2), ("size", size, 2), ("margin", [margin], 1))}
+    pose = [*found.pop("position"), *rotation("view", "quaternion", quaternion)]
     if min(found["focal"]) <= 0 or min(found["size"]) < 1 or margin < 0:
         raise ValueError(f"view: expected focal lengths and a size above 0 and a margin from 0, found {found}")
-    return found
+    return {"pose": pose, **found, "size": whole("view", "size", found["size"], 1, 2**32 - 1)}
+
+
+def bright_bytes(where, values, n, there, known, most):
+    """Intensities as bytes; `known` has the range that was found for integers and for floats."""
+    array = column_of(where, "intensity", values, n)
+    seen = array[there]
+    finite(where, "intensity", seen)
+    between(where, "intensity", seen, 0, np.inf, "shift them so that the darkest is 0")
+    top, kind = float(seen.max(initial=0)), "floats" if array.dtype.kind == "f" else "integers"
+    if most is not None:
+        reach = float(doubles(where, "intensity_max", [most], 1)[0])
+        between(where, "intensity_max", np.asarray([reach]), 1e-9, np.inf, "give the brightest that the sensor can report")
+    elif array.dtype == np.uint8:
+        reach = 255
+    else:
+        unit = kind == "floats" and top <= 1
+        reach = known.get(kind) or (1 if unit else next((step for step in BRIGHTEST if top <= step), top))
+        if top > 0:
+            known[kind] = reach
+    if top > reach:
+        advice = f"the sweeps before were scaled by {reach} to 255: give intensity_max=, the sensor's brightest, to each sweep"
+        refuse(where, "intensity", f"at most {reach}", f"{top}", advice)
+    out = np.zeros(n, np.uint8)
+    out[there] = np.rint(seen.astype("<f8") * (255 / reach))
+    return out
+
+
+def offsets(where, values, n, there, stamp):
+    """Times of points as ns from the stamp."""
+    array = column_of(where, "time", values, n)
+    seen = finite(where, "time", array[there])
+    out = np.zeros(n, np.int64)
+    if not seen.size:
+        return out
+    low, high = seen.min(), seen.max()
+    near = lambda unit, origin, least=0, most=1: (  # noqa: E731
+        max(abs(low - origin), abs(high - origin)) * unit < most * SECOND
+        and max(abs(low - origin), abs(high - origin)) * unit >= least)
+    exact = array.dtype.kind != "f" or array.dtype.itemsize == 8
+    seconds, rest = divmod(stamp, SECOND)
+    if array.dtype.kind != "f":
+        # As Python's integers, which do not wrap.
+        low, high = int(low), int(high)
+        if near(1, 0):
+            out[there] = seen
+        elif near(1, stamp):
+            out[there] = (seen - np.asarray(stamp, seen.dtype)).astype(np.int64)
+        else:
+            refuse_time(where, seen, stamp)
+    elif near(SECOND, 0, 0, 1 + 1e-9):
+        out[there] = np.rint(seen.astype("<f8") * SECOND)
+    elif near(1, 0, 5_000_000):
+        out[there] = np.rint(seen.astype("<f8"))
+    elif exact and near(SECOND, stamp / SECOND):
+        # Whole seconds first, whose difference is exact.
+        out[there] = np.rint((seen - seconds) * SECOND) - rest
+    elif exact and near(1, stamp):
+        out[there] = np.rint(seen - seconds * SECOND) - rest
+    else:
+        refuse_time(where, seen, stamp)
+    return out
+
+
+def refuse_time(where, seen, stamp):
+    expected = "ns from the stamp, s from the stamp as floats, or ns or s (float64) since 1970, within 1 s of the stamp"
+    found = f"{seen.min()} to {seen.max()} ({seen.dtype}) at the stamp {stamp}"
+    refuse(where, "time", expected, found, "give whole ns from the stamp, such as np.round(microseconds * 1000).astype(np.int64)")
 
 
 class Cdr:
@@ -114,6 +341,17 @@ class Cdr:
             self.bytes += values.tobytes()
 
 
+def refuse_foreign(path):
+    """Refuses to replace what is neither empty nor a log of realo."""
+    if not os.path.exists(path):
+        return
+    with open(path, "rb") as file:
+        head = file.read(4096)
+    if head and not (head.startswith(MAGIC) and b"realo" in head):
+        advice = "choose another path, or force=True to replace it"
+        refuse("LogWriter", "path", "no file, or a log of realo", f"something else in {path}", advice)
+
+
 def text(value):
     return struct.pack("<I", len(value.encode())) + value.encode()
 
@@ -136,47 +374,119 @@ def schema_text(name):
 
 
 class LogWriter:
-    """Writes one log; `close` writes the index, without which a reader goes through the whole file."""
+    """Writes one log; `close` writes the index and gives the file its name.
 
-    def __init__(self, path, agents, source, protocol="default", key_frames="all", map_frame="map"):
-        self.file, self.map_frame = open(path, "wb"), map_frame
-        self.agents = {a["name"]: {"sweeps": {}, "key_frames": []} for a in agents}
+    Until then it is `PATH.PID.partial`. An exception inside of `with` removes it; what was at the path before stays.
+    `force` replaces a file there that is not a log of realo. `clock="other"`: stamps do not count from 1970.
+    """
+
+    def __init__(self, path, agents, source, protocol="default", key_frames="all", map_frame="map", force=False, clock="1970"):
+        self.map_frame, self.clock, self.first = plain_text("LogWriter", "map_frame", map_frame), clock, None
+        if clock not in ("1970", "other"):
+            refuse("LogWriter", "clock", "1970 or other", f"{clock!r}", "stamps since 1970 are the rule")
+        self.agents = {a["name"]: {"sweeps": {}, "key_frames": [], "brightest": {}} for a in agents}
+        if len(self.agents) != len(agents):
+            refuse("LogWriter", "agents", "names that differ", f"{[a['name'] for a in agents]}", "rename one")
+        about = {"format": "1", "program": "realo_log.py", "source": source, "protocol": protocol,
+                 "agents": json.dumps(agents), "map_frame": map_frame, "key_frames": key_frames}
+        about = {key: plain_text("LogWriter", key, value) for key, value in about.items()}
+        self.path = os.path.realpath(path)
+        # A device has no name to take.
+        whole_file = not os.path.exists(self.path) or os.path.isfile(self.path)
+        if whole_file and not force:
+            refuse_foreign(self.path)
+        self.partial = f"{self.path}.{os.getpid()}.partial" if whole_file else None
+        self.file = open(self.partial or self.path, "wb")
         self.schemas, self.channels, self.metadata, self.chunks = {}, {}, [], []
         # Clouds never share a chunk with smaller messages.
         self.open = {False: None, True: None}
-        self.file.write(MAGIC + record(1, text("ros2") + text("realo_log.py")))
-        self.write_metadata("realo", {"format": "1", "program": "realo_log.py", "source": source, "protocol": protocol,
-                                      "agents": json.dumps(agents), "map_frame": map_frame, "key_frames": key_frames})
+        try:
+            self.file.write(MAGIC + record(1, text("ros2") + text("realo_log.py")))
+            self.write_metadata("realo", about)
+        except BaseException:
+            self.discard()
+            raise
 
     def __enter__(self):
         return self
 
-    def __exit__(self, *error):
-        self.close()
+    def __exit__(self, kind, *error):
+        if kind is None:
+            self.close()
+        else:
+            self.discard()
+
+    def discard(self):
+        """Ends without a log: removes what was written."""
+        try:
+            self.file.close()
+        except OSError:
+            pass  # What is not written any more is removed.
+        if self.partial and os.path.exists(self.partial):
+            os.remove(self.partial)
+
+    def stamp(self, where, value):
+        """A stamp in ns; one that is a date in another unit is refused."""
+        found = nanos(where, "stamp", value)
+        if self.clock == "1970" and (self.first is None or self.first >= SECOND**2):
+            for unit, size in ("s", 1), ("ms", 10**3), ("us", 10**6):
+                if EPOCH[0] * size <= found < EPOCH[1] * size:
+                    day = np.datetime64(found // size, "s")
+                    advice = f'multiply by {SECOND // size}; if a clock of another kind shows that, LogWriter(..., clock="other")'
+                    refuse(where, "stamp", "nanoseconds since 1970", f"{found}, which is {day} in {unit}", advice)
+        if self.first is None:
+            self.first = found
+        return found
+
+    def known(self, agent):
+        if agent not in self.agents:
+            raise ValueError(f"agent `{agent}` is not one of {', '.join(self.agents)}, which the log was made with")
+        return self.agents[agent]
 
     def pose(self, agent, stamp, position, quaternion, covariance=None, ready=None, truth=False):
-        """Map from body: position, m, and unit quaternion x y z w; as believed or, with `truth`, as it was."""
+        """Map from body: position, m, and unit quaternion x y z w; as believed or, with `truth`, as it was. In float64: single
+        precision is refused far from the origin."""
+        self.known(agent)
+        where = f"pose of `{agent}` at {stamp}"
+        stamp = self.stamp(where, stamp)
         cdr = Cdr(stamp, self.map_frame)
-        cdr.fixed([*position, *quaternion])
-        cdr.fixed(np.zeros(36) if covariance is None else np.ravel(covariance))
+        cdr.fixed([*doubles(where, "position", position, 3), *rotation(where, "quaternion", quaternion)])
+        covariance = np.zeros(36) if covariance is None else doubles(where, "covariance", covariance, 36)
+        between(where, "covariance", covariance[::7], 0, np.inf, "its diagonal holds variances")
+        cdr.fixed(covariance)
         self.write(agent, "pose_truth" if truth else "pose", "geometry_msgs/PoseWithCovarianceStamped", stamp, ready, cdr)
 
-    def sweep(self, agent, stamp, points, intensity=0, time=0, ring=0, ready=None):
-        """`points` (n, 3) in the body frame, m; `intensity` 0..255; `time` ns from the stamp; `ring` the beam."""
-        rows = np.zeros(len(points), POINT)
-        rows["x"], rows["y"], rows["z"] = np.reshape(points, (-1, 3)).T
-        rows["intensity"], rows["time"], rows["ring"] = intensity, time, ring
+    def sweep(self, agent, stamp, points, intensity=0, time=0, ring=0, ready=None, intensity_max=None):
+        """`points` (n, 3) in the body frame, m; a row with NaN is a direction without a return.
+
+        `intensity` becomes 0..255: bytes as they are; other numbers times 255 / `intensity_max`. Without it, the first sweep of the
+        agent that is not dark decides: floats of at most 1 count to 1, others to the first of 255, 1023, 4095 and 65535 that holds
+        them; a later sweep that is brighter is refused. `time`: ns from the stamp (integers; floats from 5 ms on), s from
+        the stamp (floats of at most 1), or ns or s since 1970, within 1 s of the stamp. `ring`: the beam, 0..65535.
+        """
+        known, where = self.known(agent), f"sweep of `{agent}` at {stamp}"
+        stamp = self.stamp(where, stamp)
+        points = rows_of(where, "points", points, 3)
+        n, there = len(points), np.isfinite(points).all(axis=1)
+        if np.isinf(points).any():
+            refuse(where, "points", "metres, or NaN in directions without a return", "infinity", "give NaN there")
+        advice = "points lie in the body frame of their agent: bring them there, in float64"
+        between(where, "points", points[there], -FARTHEST, FARTHEST, advice)
+        cloud = np.zeros(n, POINT)
+        cloud["x"], cloud["y"], cloud["z"] = points.T
+        cloud["intensity"] = bright_bytes(where, intensity, n, there, known["brightest"], intensity_max)
+        cloud["time"] = offsets(where, time, n, there, stamp)
+        cloud["ring"][there] = whole(where, "ring", column_of(where, "ring", ring, n)[there], 0, 65535)
         cdr = Cdr(stamp, f"{agent}/body")
-        cdr.put("III", 1, len(rows), len(POINT.names))
+        cdr.put("III", 1, n, len(POINT.names))
         for name in POINT.names:
             dtype, offset = POINT.fields[name]
             cdr.text(name)
             cdr.put("IBI", offset, DATATYPE[dtype.str[1:]], 1)
-        cdr.put("BII", 0, POINT.itemsize, rows.nbytes)
-        cdr.array(np.frombuffer(rows.tobytes(), "u1"), "u1")
-        cdr.put("B", 1)
-        sweeps = self.agents[agent]["sweeps"]
-        sweeps[stamp] = len(sweeps)
+        cdr.put("BII", 0, POINT.itemsize, cloud.nbytes)
+        cdr.array(np.frombuffer(cloud.tobytes(), "u1"), "u1")
+        cdr.put("B", bool(there.all()))
+        known["sweeps"][stamp] = len(known["sweeps"])
         self.write(agent, "sweeps", "std_msgs/Header", stamp, ready, Cdr(stamp, f"{agent}/body"))
         self.write(agent, "points", "sensor_msgs/PointCloud2", stamp, ready, cdr)
 
@@ -187,15 +497,13 @@ class LogWriter:
     def truth(self, agent, stamp, boxes, points=None, key=True, ready=None, views=()):
         """All objects at the sweep's stamp, the agent's own `points` on each, whether the frame is scored, and the `view`s in
         which objects could be labelled, if not everywhere."""
+        self.write_boxes(agent, "ground_truth", stamp, boxes, ready, key, points, views)
         if key:
-            self.agents[agent]["key_frames"].append(stamp)
-        self.write_views(agent, "ground_truth", stamp, views, ready)
-        self.write_boxes(agent, "ground_truth", stamp, boxes, ready, key, points)
+            self.agents[agent]["key_frames"].append(nanos("truth", "stamp", stamp))
 
     def own_labels(self, agent, stamp, boxes, points=None, key=True, ready=None, views=()):
         """What the agent's own side labelled by its own sensors; the rest as in `truth`."""
-        self.write_views(agent, "own_labels", stamp, views, ready)
-        self.write_boxes(agent, "own_labels", stamp, boxes, ready, key, points)
+        self.write_boxes(agent, "own_labels", stamp, boxes, ready, key, points, views)
 
     def write_views(self, agent, stream, stamp, views, ready):
         if not views:
@@ -205,8 +513,12 @@ class LogWriter:
             cdr.array([v[name] for v in views], dtype)
         self.write(agent, stream + "_views", "realo_msgs/Views", stamp, ready, cdr)
 
-    def write_boxes(self, agent, stream, stamp, b, ready, key, points):
-        frame = f"{agent}/body"
+    def write_boxes(self, agent, stream, stamp, b, ready, key, points, views=()):
+        sweeps, where, frame = self.known(agent)["sweeps"], f"{stream} of `{agent}` at {stamp}", f"{agent}/body"
+        stamp, b = self.stamp(where, stamp), boxes(**b, where=where)
+        if points is not None:
+            points = whole(where, "points", column_of(where, "points", points, len(b["classes"])), 0, 2**32 - 1)
+        self.write_views(agent, stream, stamp, views, ready)
         cdr, info = Cdr(stamp, frame), Cdr(stamp, frame)
         cdr.put("I", len(b["classes"]))
         for i, name in enumerate(b["classes"]):
@@ -218,9 +530,9 @@ class LogWriter:
             cdr.put("d", b["score"][i])
             cdr.fixed(pose + [0] * 36)
             cdr.fixed(pose + [*b["size"][i]])
-            cdr.text(str(b["track"][i]))
+            cdr.text(b["track"][i])
         # Boxes of no sweep have the greatest number.
-        info.put("QB", self.agents[agent]["sweeps"].get(stamp, 2**64 - 1), key)
+        info.put("QB", sweeps.get(stamp, 2**64 - 1), bool(key))
         for column in [], b["yaw"], b["velocity"], []:
             info.array(column, "<f8")
         info.put("I", int(points is not None))
@@ -231,14 +543,13 @@ class LogWriter:
         self.write(agent, stream + "_info", "realo_msgs/BoxesInfo", stamp, ready, info)
 
     def write(self, agent, stream, schema, stamp, ready, cdr):
-        if agent not in self.agents:
-            raise ValueError(f"agent `{agent}` is not one of {', '.join(self.agents)}, which the log was made with")
-        bulk, ready, topic = stream == "points", int(stamp if ready is None else ready), f"/{agent}/{stream}"
+        ready = stamp if ready is None else nanos(f"{stream} of `{agent}` at {stamp}", "ready", ready)
+        bulk, topic = stream == "points", f"/{agent}/{stream}"
         chunk = self.open[bulk] = self.open[bulk] or {"data": bytearray(), "index": {}}
         if topic not in self.channels:
             chunk["data"] += self.define(topic, schema)
         channel = self.channels[topic]
-        head = struct.pack("<HIQQ", channel["id"], channel["count"], ready, int(stamp))
+        head = struct.pack("<HIQQ", channel["id"], channel["count"], ready, stamp)
         chunk["index"].setdefault(channel["id"], []).append((ready, len(chunk["data"])))
         chunk["data"] += record(5, head + bytes(cdr.bytes))
         channel["count"] += 1
@@ -277,7 +588,18 @@ class LogWriter:
         self.file.write(body)
 
     def close(self):
-        """Writes what is left and the index."""
+        """Writes what is left and the index, and gives the file its name."""
+        if self.file.closed:
+            return
+        try:
+            self.finish()
+        except BaseException:
+            self.discard()
+            raise
+        if self.partial:
+            os.replace(self.partial, self.path)
+
+    def finish(self):
         self.flush(False)
         self.flush(True)
         key_frames = {name: known["key_frames"] for name, known in self.agents.items()}

@@ -65,12 +65,32 @@ for wrong in {"size": [1920, 0]}, {"focal": [float("nan"), 1]}, {"position": [1,
         assert "view" in str(error), error
 "#;
 
+/// That Python, or the running test is left out.
+fn needed_python() -> Option<PathBuf> {
+    let found = python();
+    if found.is_none() {
+        skipped::skip("Python 3 with numpy, which pip could not install");
+    }
+    found
+}
+
+#[test]
+fn values_that_do_not_fit_are_scaled_by_rule_or_refused_by_name() {
+    let Some(python) = needed_python() else { return };
+    let module = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../python");
+    let out = Command::new(python)
+        .current_dir(module.join("tests"))
+        .env("PYTHONPATH", &module)
+        .args(["-B", "-m", "unittest", "test_log"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success() && said.contains("OK"), "{said}");
+}
+
 #[test]
 fn a_log_from_numpy_arrays_is_read_and_played() {
-    let Some(python) = python() else {
-        skipped::skip("Python 3 with numpy, which pip could not install");
-        return;
-    };
+    let Some(python) = needed_python() else { return };
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("python.mcap");
     let module = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../python");

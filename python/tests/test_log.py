@@ -1,0 +1,263 @@
+"""What the writer of logs makes of the values that people give it: scaled by a stated rule, or refused by name."""
+
+import os
+import struct
+import tempfile
+import unittest
+from pathlib import Path
+
+import numpy as np
+from realo_log import MAGIC, POINT, LogWriter, agent, boxes
+
+S = 1_700_000_000_000_000_000
+N = 200
+XYZ = np.random.default_rng(1).uniform(-20, 20, (N, 3))
+SHARE = np.linspace(0, 1, N)
+UNIT = [0, 0, 0, 1]
+
+
+class Case(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.addCleanup(self.folder.cleanup)
+        self.path = os.path.join(self.folder.name, "made.mcap")
+
+    def writer(self, **options):
+        return LogWriter(self.path, [agent("car", "vehicle")], source="a test", **options)
+
+    def refused(self, call, *words):
+        with self.assertRaises(ValueError) as caught, self.writer() as log:
+            call(log)
+        for word in words:
+            self.assertIn(word, str(caught.exception))
+        self.assertEqual(os.listdir(self.folder.name), [], "nothing is left")
+
+    def clouds(self, *sweeps):
+        """The points of sweeps as they stand in the file."""
+        with self.writer() as log:
+            for k, (points, columns) in enumerate(sweeps):
+                log.sweep("car", S + k * 100_000_000, points, **columns)
+        data = Path(self.path).read_bytes()
+        # The bytes of a cloud stand behind their number and before `is_dense`.
+        found, at = [], 0
+        for points, _ in sweeps:
+            size = len(np.reshape(points, (-1, 3))) * POINT.itemsize
+            at = data.index(struct.pack("<BII", 0, POINT.itemsize, size), at)
+            start = data.index(struct.pack("<I", size), at + 8) + 4
+            found.append(np.frombuffer(data[start:start + size], POINT))
+            at = start + size
+        return found
+
+    def cloud(self, points=XYZ, **columns):
+        return self.clouds((points, columns))[0]
+
+
+class TestIntensity(Case):
+    def test_each_kind_is_scaled_by_the_stated_rule(self):
+        cases = {
+            "bytes": ((SHARE * 255).astype(np.uint8), np.floor(SHARE * 255)),
+            "0 to 1": (SHARE, SHARE * 255),
+            "0 to 1 in single precision": (SHARE.astype(np.float32), SHARE * 255),
+            "0 to 100": (SHARE * 100, SHARE * 100),
+            "0 to 255": (SHARE * 255, SHARE * 255),
+            "uint16 to 4000": ((SHARE * 4000).astype(np.uint16), SHARE * 4000 * 255 / 4095),
+            "floats to 4000": (SHARE * 4000, SHARE * 4000 * 255 / 4095),
+            "uint16 to its end": ((SHARE * 65535).astype(np.uint16), SHARE * 255),
+            "beyond": (SHARE * 1e6, SHARE * 255),
+            "one for all": (60, np.full(N, 60)),
+        }
+        for name, (given, expected) in cases.items():
+            with self.subTest(name):
+                found = self.cloud(intensity=given)["intensity"].astype(float)
+                self.assertLessEqual(np.abs(found - expected).max(), 1)
+
+    def test_a_range_that_is_given_counts_for_every_sweep(self):
+        dark, bright = {"intensity": SHARE * 0.5, "intensity_max": 255}, {"intensity": SHARE * 200, "intensity_max": 255}
+        found = self.clouds((XYZ, dark), (XYZ, bright))
+        self.assertEqual([cloud["intensity"].max() for cloud in found], [0, 200])
+
+    def test_a_brighter_sweep_than_the_first_is_refused(self):
+        def call(log):
+            log.sweep("car", S, XYZ, SHARE)
+            log.sweep("car", S + 100_000_000, XYZ, SHARE * 200)
+        self.refused(call, "`intensity`", "at most 1", "200", "intensity_max=")
+
+    def test_what_has_no_rule_is_refused(self):
+        for given, words in (
+            (np.where(SHARE < 0.1, np.nan, SHARE), ("20 of 200",)),
+            (SHARE * 255 - 94, ("0 to inf", "-94")),
+            (np.full(N, np.inf), ("finite",)),
+            (["a"] * N, ("numbers", "<U1")),
+            (SHARE[:7], ("200 numbers", "(7,)")),
+            (np.ma.masked_less(SHARE, 0.5), ("masked",)),
+        ):
+            self.refused(lambda log: log.sweep("car", S, XYZ, given), "sweep of `car`", "`intensity`", *words)
+
+
+class TestPoints(Case):
+    def test_times_are_ns_whatever_they_count_from(self):
+        span = SHARE * 0.1
+        cases = {
+            "ns": np.round(span * 1e9).astype(np.int64),
+            "ns as floats": span * 1e9,
+            "s": span,
+            "s in single precision": span.astype(np.float32),
+            "ns since 1970": S + np.round(span * 1e9).astype(np.int64),
+            "ns since 1970, unsigned": (S + np.round(span * 1e9).astype(np.int64)).astype(np.uint64),
+            "s since 1970": S / 1e9 + span,
+            "ns since 1970 as floats": S + span * 1e9,
+        }
+        for name, given in cases.items():
+            with self.subTest(name):
+                found = self.cloud(time=given)["time"]
+                self.assertLessEqual(np.abs(found - span * 1e9).max(), 300)
+        before = S - np.arange(N).astype(np.uint64)
+        np.testing.assert_array_equal(self.cloud(time=before)["time"], -np.arange(N))
+
+    def test_times_without_a_rule_are_refused(self):
+        for given in (SHARE * 1e5, np.full(N, 2_900_000_000), np.full(N, S / 1e9, np.float32), np.full(N, 1.5), np.full(N, np.nan)):
+            self.refused(lambda log: log.sweep("car", S, XYZ, time=given), "`time`")
+
+    def test_rings_and_places_are_refused_where_they_do_not_fit(self):
+        sweep = lambda points=XYZ, **columns: lambda log: log.sweep("car", S, points, **columns)  # noqa: E731
+        self.refused(sweep(ring=np.full(N, 70_000)), "`ring`", "0 to 65535", "70000")
+        self.refused(sweep(ring=-1), "`ring`", "-1")
+        self.refused(sweep(ring=np.full(N, 0.5)), "`ring`", "whole")
+        self.refused(sweep(np.column_stack([XYZ, SHARE])), "`points`", "(200, 4)", "points[:, :3]")
+        self.refused(sweep(np.column_stack([XYZ, SHARE])[:198]), "`points`", "(198, 4)")
+        self.refused(sweep(XYZ.T), "`points`", "points.T")
+        self.refused(sweep(XYZ + [691_234, 5_334_567, 0]), "`points`", "body frame")
+        self.refused(sweep(np.full((N, 3), np.inf)), "`points`", "infinity")
+        self.refused(sweep(np.zeros(N, POINT)), "`points`", "fields x, y, z")
+
+    def test_a_row_of_nan_is_a_direction_without_a_return(self):
+        points = XYZ.reshape(10, 20, 3).copy()
+        points[0, :5] = np.nan
+        intensity, time = SHARE.copy(), SHARE * 0.1
+        intensity[:5], time[:5] = np.nan, np.nan
+        found = self.cloud(points, intensity=intensity.reshape(10, 20), time=time)
+        self.assertEqual(np.isnan(found["x"]).sum(), 5)
+        self.assertEqual((found["intensity"][-1], found["time"][-1]), (255, 100_000_000))
+        self.assertEqual(len(self.cloud(np.zeros((0, 3)))), 0)
+
+
+class TestStamps(Case):
+    def test_integers_of_any_kind_are_stamps(self):
+        with self.writer() as log:
+            for stamp in (S, np.uint64(S + 1), np.array(S + 2), np.datetime64(S + 3, "ns")):
+                log.pose("car", stamp, [0, 0, 0], UNIT, ready=stamp)
+        self.assertIn(struct.pack("<QQ", S + 3, S + 3), Path(self.path).read_bytes())
+
+    def test_other_stamps_are_refused(self):
+        for stamp, words in (
+            (float(S), ("whole nanoseconds", "256 ns")), (1_700_000_000, ("2023-11-14", "multiply by 1000000000")),
+            (1_700_000_000_000, ("in ms", "multiply by 1000000")), (1_700_000_000_000_000, ("in us",)), (-1, ("1970",)),
+            (2**63, ("2038",)), (True, ("whole",)), ("2023", ("whole",)), (np.datetime64("NaT"), ("1970",)),
+        ):
+            self.refused(lambda log: log.pose("car", stamp, [0, 0, 0], UNIT), "`stamp`", *words)
+            self.refused(lambda log: log.truth("car", stamp, boxes([], [], [], [])), "`stamp`", *words)
+        self.refused(lambda log: log.pose("car", S, [0, 0, 0], UNIT, ready=S / 1e9), "`ready`")
+
+    def test_a_clock_of_another_kind_is_taken_by_name(self):
+        with self.writer(clock="other") as log:
+            log.pose("car", 1_700_000_000, [0, 0, 0], UNIT)
+        with self.writer() as log:
+            for stamp in range(0, 2 * 10**9, 10**8):
+                log.pose("car", stamp, [0, 0, 0], UNIT)
+
+
+class TestPoses(Case):
+    def test_poses_are_refused_where_they_do_not_fit(self):
+        pose = lambda position, quaternion=UNIT, **more: lambda log: log.pose("car", S, position, quaternion, **more)  # noqa: E731
+        far = [691_234.25, 5_334_567.5, 512.0]
+        self.refused(pose(np.array(far, np.float32)), "`position`", "float64", "0.5 m")
+        self.refused(pose([np.float32(v) for v in far]), "`position`", "float64")
+        self.refused(pose([0, np.nan, 0]), "`position`", "finite")
+        self.refused(pose([0, 0]), "`position`", "3 numbers")
+        self.refused(pose([0, 0, 0], [0, 0, 2, 2]), "`quaternion`", "length 2.828")
+        self.refused(pose([0, 0, 0], [0, 0, 0, 0]), "`quaternion`")
+        self.refused(pose([0, 0, 0], [0, 0, 1]), "`quaternion`", "4 numbers")
+        self.refused(pose([0, 0, 0], covariance=np.eye(3)), "`covariance`", "36 numbers")
+        self.refused(pose([0, 0, 0], covariance=-np.eye(6)), "`covariance`")
+        self.refused(lambda log: log.pose("bus", S, far, UNIT), "`bus`")
+        with self.writer() as log:
+            log.pose("car", S, far, np.array([0, 0, 0.6, 0.8], np.float32))
+        data = Path(self.path).read_bytes()
+        at = data.index(struct.pack("<3d", *far)) + 24
+        self.assertAlmostEqual(np.linalg.norm(np.frombuffer(data[at:at + 32], "<f8")), 1, 12)
+
+
+class TestBoxes(Case):
+    given = {"center": [[1, 2, 3]] * 2, "size": [[4, 2, 1.5]] * 2, "yaw": [0, 0.5], "classes": ["car", "bus"]}
+
+    def test_tracks_are_text(self):
+        for given, expected in (
+            (["obj00a7f3c9", "0000-123"], ["obj00a7f3c9", "0000-123"]), ([1.0, np.float32(2)], ["1", "2"]), ([-1, 2**70], ["-1", str(2**70)]),
+            ([None, float("nan")], ["", ""]), ([b"abc", np.str_("d")], ["abc", "d"]), (np.array([7, 8], np.uint64), ["7", "8"]),
+        ):
+            self.assertEqual(boxes(**self.given, track=given)["track"], expected)
+
+    def test_columns_are_refused_by_name(self):
+        for name, value, word in (
+            ("center", [[1, 2]] * 2, "(2, 2)"), ("center", [[1, 2, 3]], "2 rows"), ("center", [[np.nan] * 3] * 2, "finite"),
+            ("center", [[691_234, 0, 0]] * 2, "body frame"), ("size", [[4, 0, 1]] * 2, "extent"), ("yaw", [0, 90], "radians"),
+            ("yaw", [0], "2 numbers"), ("classes", "car", "['car']"), ("classes", [1, 2], "text"), ("score", [0.5, 95], "100"),
+            ("score", [0.5, np.nan], "0 to 1"), ("velocity", [[np.inf] * 3] * 2, "NaN"), ("track", ["a"], "2 tracks"), ("track", 7, "list"),
+        ):
+            with self.subTest(name), self.assertRaises(ValueError) as caught:
+                boxes(**{**self.given, name: value})
+            self.assertIn(f"`{name}`", str(caught.exception))
+            self.assertIn(word, str(caught.exception))
+        for points, word in ([-1, 3], "-1"), ([np.nan, 3], "nan"), ([1], "2 numbers"), ([2**32, 1], "4294967296"):
+            self.refused(lambda log: log.truth("car", S, boxes(**self.given), points=points), "ground_truth of `car`", "`points`", word)
+
+
+class TestFile(Case):
+    def test_an_exception_leaves_no_log(self):
+        with self.writer() as log:
+            log.pose("car", S, [0, 0, 0], UNIT)
+        before = Path(self.path).read_bytes()
+        with self.assertRaisesRegex(ValueError, "frame 8"), self.writer() as log:
+            log.sweep("car", S, XYZ)
+            self.assertTrue(any(name.endswith(".partial") for name in os.listdir(self.folder.name)))
+            raise ValueError("cannot parse frame 8")
+        self.assertEqual(os.listdir(self.folder.name), ["made.mcap"])
+        self.assertEqual(Path(self.path).read_bytes(), before, "what was there stays")
+
+    def test_a_log_has_its_name_when_it_is_closed(self):
+        log = self.writer()
+        log.sweep("car", S, XYZ)
+        self.assertFalse(os.path.exists(self.path))
+        log.close()
+        log.close()
+        data = Path(self.path).read_bytes()
+        self.assertTrue(data.startswith(MAGIC) and data.endswith(MAGIC) and b"realo_end" in data)
+
+    @unittest.skipUnless(os.path.exists("/dev/full"), "a device that is always full")
+    def test_a_full_disk_is_an_error(self):
+        with self.assertRaises(OSError), LogWriter("/dev/full", [agent("car", "vehicle")], source="a test") as log:
+            log.sweep("car", S, XYZ)
+
+    def test_files_of_others_stay(self):
+        with open(self.path, "w") as file:
+            file.write("my diary")
+        with self.assertRaisesRegex(ValueError, "log of realo"):
+            self.writer()
+        self.assertEqual(Path(self.path).read_text(), "my diary")
+        self.writer(force=True).close()
+        self.assertTrue(Path(self.path).read_bytes().startswith(MAGIC))
+
+    def test_agents_are_refused_by_name(self):
+        for name, more, word in (
+            ("kind", {"kind": "car"}, "vehicle or roadside"), ("footprint", {"footprint": [1, 2]}, "4 numbers"),
+            ("footprint", {"footprint": [3, -1, -1, 1]}, "x min"), ("sensor_position", {"sensor_position": [1, np.nan, 2]}, "finite"),
+        ):
+            with self.assertRaises(ValueError) as caught:
+                agent(**{"name": "car", "kind": "vehicle", **more})
+            self.assertIn(f"`{name}`", str(caught.exception))
+            self.assertIn(word, str(caught.exception))
+        agent("car", "vehicle", footprint=np.array([-1, 3, -1, 1]))
+
+
+if __name__ == "__main__":
+    unittest.main()
