@@ -67,6 +67,10 @@ pub fn foot(runs: &[(&str, &Run)], table: &str, width: usize) -> String {
     say(v2x_real(runs));
     say(of_classes(runs));
     say(explained(table));
+    let is_offline = |run: &Run| run.result.settings.mode == OFFLINE;
+    if runs.iter().any(|(_, run)| is_offline(run)) && table.contains("  age") {
+        say("Offline nothing is late: there, age is how far the stamps of what was fused lie from the ego's.".into());
+    }
     if runs.iter().any(|(_, run)| is_disturbed(run)) {
         say("!: messages between nodes were lost, or scored frames have no boxes; the notes say how many.".into());
     }

@@ -287,6 +287,7 @@ fn offline_nothing_is_late_and_no_age_is_below_zero() {
     let list = table(&[("a", &one), ("b", &one), ("c", &one)], false, 100);
     let row = list.lines().find(|line| line.starts_with("a ")).unwrap();
     assert!(row.contains(" 20 ") && !list.contains("-2"), "{list}");
+    assert!(list.contains("Offline nothing is late"), "{list}");
     let age = one.result.age_ms.by_kind["boxes"].p50;
     assert!(age < Some(-19.0), "in result.json ages stay what they are");
 }

@@ -321,6 +321,25 @@ mod tests {
     }
 
     #[test]
+    fn shipped_graphs_project_as_their_weights_were_trained() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        for (file, expected) in [
+            ("dataflows/attfuse.yml", "sender"),
+            ("dataflows/fcooper.yml", "sender"),
+            ("dataflows/attfuse.roadside.yml", "sender"),
+            ("examples/fusion_mean/fusion_mean.yml", "sender"),
+            ("examples/python/mean_python.yml", "sender"),
+            // Trained on both.
+            ("dataflows/v2xvit.yml", "receiver"),
+            ("dataflows/early_fusion.yml", "receiver"),
+        ] {
+            let graph = FlatGraph::load(&root.join(file)).unwrap();
+            let projector = graph.node("others.projector").unwrap();
+            assert_eq!(argument(projector, "project").as_deref(), Some(expected), "{file}");
+        }
+    }
+
+    #[test]
     fn senders_that_project_know_the_ego_others_do_not() {
         let knows = |graph: &FlatGraph| SendingLane::of(graph).unwrap().unwrap().knows_ego(graph);
         assert!(!knows(&received("fcooper")));
