@@ -100,7 +100,8 @@ impl Scene {
 fn how(mode: &str, link: &str) -> String {
     match (mode, link) {
         ("", _) => String::new(),
-        (mode, "") => mode.into(),
+        // Offline a link does nothing.
+        (mode @ "offline", _) | (mode, "") => mode.into(),
         (mode, link) => format!("{mode}, link {link}"),
     }
 }
