@@ -7,7 +7,7 @@
 //! | out `features` | FeatureMap | one map for the head, in the ego's frame |
 
 use realo_fusion::{EGO, Maps, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{FeatureMap, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
@@ -71,6 +71,7 @@ impl Describe for FusionMean {
         &[PayloadType::FeatureMap],
         "one map for the head",
     )];
+    const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
 }
 
 impl Operator for FusionMean {

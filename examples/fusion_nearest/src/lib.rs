@@ -8,7 +8,7 @@
 
 use nalgebra::{Isometry3, Vector3};
 use realo_fusion::{EGO, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::geometry::{Footprint, iou_exceeds, transform_box};
 use realo_schemas::{Box3, Boxes, Message, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -69,6 +69,9 @@ pub struct FusionNearest {
     pairing: Pairing,
 }
 
+const FARTHER_BOXES: Counter =
+    Counter::plain("farther_boxes", "boxes dropped because somebody nearer saw the same object");
+
 impl Describe for FusionNearest {
     type Config = Config;
     const NAME: &'static str = "fusion-nearest";
@@ -83,6 +86,8 @@ impl Describe for FusionNearest {
         &[PayloadType::Boxes],
         "the joint list, in the ego's frame",
     )];
+    const COUNTERS: &'static [Counter] =
+        &[FARTHER_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES];
 }
 
 impl Operator for FusionNearest {
@@ -108,7 +113,7 @@ impl Operator for FusionNearest {
                 let seen = all_seen(&set);
                 let all = seen.len();
                 let kept = keep_nearest(seen, self.config.threshold);
-                out.count("farther_boxes", (all - kept.len()) as u64);
+                out.count(&FARTHER_BOXES, "", (all - kept.len()) as u64);
                 set.send(Boxes(kept), out);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
 
-use realo_operator::{Books, NodeBooks, PortId, Registration, Role, WrongType};
+use realo_operator::{Books, Counts, NodeBooks, PortId, Registration, Role, WrongType};
 use realo_schemas::report::{Fate, Fated};
 use realo_schemas::{Clock, Message, Name, Nanos};
 
@@ -361,8 +361,9 @@ impl Engine {
     }
 
     /// Ends a source.
-    pub fn close_source(&mut self, stage: usize, counters: BTreeMap<String, u64>, now: Nanos) {
-        self.stages[stage].stage.books.counters = counters;
+    pub fn close_source(&mut self, stage: usize, counts: Counts, now: Nanos) {
+        let lines = self.stages[stage].stage.count_up(counts);
+        self.complaints.extend(lines);
         self.end(stage, now);
     }
 

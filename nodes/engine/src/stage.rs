@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use realo_operator::{AnyOperator, Built, Error, Made, NodeBooks, Outputs, PortId, Registration};
+use realo_operator::{AnyOperator, Built, Counts, Error, Made, NodeBooks, Outputs, PortId, Registration};
 use realo_schemas::report::{Crossing, Fate, Fated};
 use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry, file};
 
@@ -165,12 +165,25 @@ impl Stage {
         }
     }
 
+    /// Takes over what was counted; gives what is to be told of counters that the stage does not declare.
+    pub fn count_up(&mut self, counts: Counts) -> Vec<String> {
+        let declared = self.registration.counters;
+        let is_new = |name: &&str| !declared.is_empty() && !self.books.counters.contains_key(*name);
+        let new = counts.counters.keys().map(|name| &**name).filter(is_new);
+        let undeclared = new.filter(|name| !declared.iter().any(|counter| counter.name_is(name)));
+        let lines = undeclared.map(|name| {
+            let (id, operator) = (&self.id, self.registration.name);
+            format!("{id} ({operator}): it counts `{name}`, which is not among its COUNTERS: no note can say what that means")
+        });
+        let lines = lines.collect();
+        self.books.count(counts);
+        lines
+    }
+
     /// Counts what came of a call; gives what is to be told of its errors.
     pub fn count(&mut self, called: &mut Called) -> Vec<String> {
-        for (counter, n) in std::mem::take(&mut called.made.counts) {
-            let count = self.books.counters.entry(counter.into_owned()).or_default();
-            *count = count.saturating_add(n);
-        }
+        let mut lines = self.count_up(std::mem::take(&mut called.made.counts));
+        self.books.explained.append(&mut called.made.explained);
         for (step, took) in std::mem::take(&mut called.made.steps) {
             match self.books.steps.get_mut(step) {
                 Some(durations) => durations.record(took),
@@ -180,7 +193,6 @@ impl Stage {
         for channel in std::mem::take(&mut called.made.traffic) {
             self.books.carried(channel);
         }
-        let mut lines = Vec::new();
         for error in std::mem::take(&mut called.errors) {
             self.books.errors += 1;
             self.books.first_error.get_or_insert_with(|| error.clone());
@@ -222,7 +234,7 @@ impl Stage {
 mod tests {
     use std::sync::{Arc, Mutex};
 
-    use realo_operator::{AnyOperator, AnySink, AnySource, Books, Port, Role};
+    use realo_operator::{AnyOperator, AnySink, AnySource, Books, Counter, Port, Role};
     use realo_schemas::{Boxes, Clock, Header, Kind, PayloadType, Selection};
 
     use super::*;
@@ -237,6 +249,7 @@ mod tests {
             Port::new("two", &[PayloadType::Boxes], ""),
         ],
         arguments: &[],
+        counters: &[],
         decided: &[],
         paper_inference: None,
         defaults: Default::default,
@@ -244,6 +257,8 @@ mod tests {
         examine: |_| Ok(()),
         build: |_| Err("built by the test".into()),
     };
+
+    const WAKES: Counter = Counter::plain("wakes", "ns at which it was woken");
 
     fn message(seq: u64) -> Message {
         let mut header = Header::origin(&"r".into(), &"a".into(), Kind::Boxes, seq, 10, 20);
@@ -267,7 +282,7 @@ mod tests {
             Ok(())
         }
         fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
-            out.count("wakes", now as u64);
+            out.count(&WAKES, "", now as u64);
             match self.gone {
                 true => Err(Box::new(Gone("asleep".into()))),
                 false => Err("tired".into()),
@@ -331,7 +346,7 @@ mod tests {
     fn wakes_and_the_end_are_calls_like_others() {
         let woken = call(Call::Wake);
         assert_eq!(woken.errors, ["wake at 7 ns: tired"]);
-        assert_eq!(woken.made.counts["wakes"], 7);
+        assert_eq!(woken.made.counts.get("wakes"), 7);
         assert_eq!(woken.trigger("wake", &PORTS), "wake");
         let ended = call(Call::End(Box::default()));
         assert!(ended.errors.is_empty() && ended.gone.is_none());
@@ -405,7 +420,7 @@ mod tests {
         fn clock(&self, _: Nanos) -> Option<Clock> {
             None
         }
-        fn counters(&self) -> std::collections::BTreeMap<String, u64> {
+        fn counts(&self) -> Counts {
             Default::default()
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use proptest::prelude::*;
-use realo_operator::{Books, Error, Made, Port, PortId, Registration, Role};
+use realo_operator::{Books, Counts, Error, Made, Port, PortId, Registration, Role};
 use realo_schemas::report::{Channel, Fate, Fated, Traffic};
 use realo_schemas::{Boxes, Clock, Header, Kind, Message, Nanos, PayloadType, Report, Selection};
 
@@ -23,6 +23,7 @@ const fn stage(name: &'static str, role: Role, inputs: &'static [Port], outputs:
         inputs,
         outputs,
         arguments: &[],
+        counters: &[],
         decided: &[],
         paper_inference: None,
         defaults: Default::default,
@@ -100,6 +101,12 @@ fn takes(took: Nanos) -> Answer {
         took,
         ..Answer::default()
     }
+}
+
+fn counts(named: &[(&'static str, u64)]) -> Counts {
+    let mut counts = Counts::default();
+    named.iter().for_each(|(name, n)| counts.add_named(*name, *n));
+    counts
 }
 
 type Script<'a> = Box<dyn FnMut(&str, &Call, Nanos) -> Answer + 'a>;
@@ -195,7 +202,8 @@ impl<'a> Rig<'a> {
                 wakes: answer.wakes.into_iter().collect(),
                 fates: answer.fates,
                 traffic: answer.traffic,
-                counts: answer.counts.into_iter().map(|(name, n)| (name.into(), n)).collect(),
+                counts: counts(&answer.counts),
+                explained: BTreeMap::new(),
                 steps: answer.steps,
             },
             errors: answer.errors.into_iter().map(str::to_string).collect(),
@@ -674,7 +682,7 @@ fn a_source_releases_on_time_and_says_when_it_was_late() {
         ("s", 20, 23, 23, 23)
     );
     assert_eq!(left[1].2.header.ready, 30, "none is released before its time");
-    rig.engine.close_source(0, BTreeMap::from([("read".into(), 3)]), 40);
+    rig.engine.close_source(0, counts(&[("read", 3)]), 40);
     assert!(rig.engine.has_ended(0) && !rig.engine.has_ended(1) && !rig.engine.is_done());
     assert_eq!(rig.rest(), ["40 relay end"]);
     assert!(rig.engine.is_done());
@@ -891,7 +899,7 @@ fn stages_that_nothing_feeds_end_at_once_and_sinks_last_with_the_books_of_all() 
     rig.engine.merge_books(&outside);
     rig.engine.release(1, PortId(0), message("a", 0, 3), 3, 3);
     assert_eq!(rig.rest(), ["3 relay in 0.a0", "3 late in 0.a0"]);
-    rig.engine.close_source(1, BTreeMap::new(), 5);
+    rig.engine.close_source(1, Counts::default(), 5);
     assert_eq!(rig.rest(), ["5 relay end", "5 early end", "5 late end"]);
     assert!(rig.engine.is_done());
     let names = |books: &Books| books.nodes.keys().cloned().collect::<Vec<_>>();
@@ -918,7 +926,7 @@ fn a_source_that_gives_nothing_ends_its_graph() {
         },
         _ => Answer::default(),
     });
-    rig.engine.close_source(0, BTreeMap::new(), Nanos::MIN);
+    rig.engine.close_source(0, Counts::default(), Nanos::MIN);
     assert_eq!(rig.rest(), ["- relay end"]);
     assert_eq!(rig.left()[0].2.header.ready, 7);
 }

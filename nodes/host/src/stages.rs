@@ -212,6 +212,7 @@ mod tests {
         ],
         outputs: &[Port::new("out", BOXES, ""), Port::new("aside", BOXES, "")],
         arguments: &[],
+        counters: &[],
         decided: &[],
         paper_inference: None,
         defaults: Default::default,

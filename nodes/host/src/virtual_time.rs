@@ -161,7 +161,7 @@ impl Simulation<'_> {
         })?;
         match next {
             Some((time, port, message)) => self.engine.schedule(stage, time.max(now), port, message),
-            None => self.engine.close_source(stage, source.counters(), now),
+            None => self.engine.close_source(stage, source.counts(), now),
         }
         Ok(())
     }

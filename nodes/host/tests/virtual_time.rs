@@ -6,7 +6,7 @@ use realo_graph::Graph;
 use realo_host::virtual_time::{self, RunError};
 use realo_host::{ComputeProfile, Stages};
 use realo_operator::{
-    Argument, Books, Describe, Error, Operator, Outputs, Port, PortId, Registration, Registry, Sink, Source,
+    Argument, Books, Counts, Describe, Error, Operator, Outputs, Port, PortId, Registration, Registry, Sink, Source,
 };
 use realo_schemas::{Boxes, Header, Kind, Message, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -61,8 +61,11 @@ impl Source for Clockwork {
             next => Ok(next.map(|(time, message)| (time, PortId(0), message))),
         }
     }
-    fn counters(&self) -> std::collections::BTreeMap<String, u64> {
-        [("left".to_string(), self.0.len() as u64)].into()
+    fn counts(&self) -> Counts {
+        let mut counts = Counts::default();
+        counts.add_named("left", self.0.len() as u64);
+        counts.add_named("made", 1);
+        counts
     }
 }
 
@@ -218,7 +221,8 @@ fn delays_follow_computation_and_wakes_fire_on_time() {
     assert_eq!(of(&sent, "echo"), [("a", 0, 78), ("a", 1, 178), ("a", 2, 278)]);
     assert_eq!(books.nodes["delay"].compute["in > out"].quantile(0.5), Some(7));
     assert_eq!(books.nodes["echo"].inputs["in"].received.total(), 3);
-    assert_eq!(books.nodes["source"].counters["left"], 0);
+    let counted = &books.nodes["source"].counters;
+    assert_eq!((counted.get("left"), counted["made"]), (None, 1));
     assert_eq!(books.nodes["source"].late.count(), 0);
 }
 

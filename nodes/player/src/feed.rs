@@ -1,17 +1,19 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
-use std::sync::{Arc, Mutex};
 
 use realo_logs::{
     Attitudes, Entry, LEVEL, Levelled, Log, LogError, LogReader, Stream, level_state, levelled_while_played,
     track_conflicts,
 };
-use realo_operator::PortId;
+use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::tilt_degrees;
 use realo_schemas::{
     Boxes, EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
 };
 
+use crate::counters::{
+    Counters, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED, POSES_UNUSABLE, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
+};
 use crate::nearest::Nearest;
 use crate::truth::TruthJoin;
 use crate::{PlannedRun, ports};
@@ -20,17 +22,8 @@ use crate::{PlannedRun, ports};
 const LATENCY: Nanos = 500_000_000;
 /// Poses from so long before the first sweep are sent too, so that it has some.
 const LEAD_IN: Nanos = 500_000_000;
-/// What is left out of an agent is counted under this and its name.
-const TOO_FAR: &str = "too_far_";
-/// Counts the intensities of an agent that did not fit into a byte.
-const LIMITED: &str = "intensities_limited_";
-/// Counts where two agents' tracks name different objects.
-const TRACKS: &str = "tracks_differ_";
 /// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
 const PAUSE: Nanos = 1_000_000_000;
-
-/// What the player counts.
-pub type Counters = Arc<Mutex<BTreeMap<String, u64>>>;
 
 /// What to play of a log, and how.
 #[derive(Clone)]
@@ -78,6 +71,8 @@ pub struct Feed {
     along_ground: BTreeSet<Name>,
     sweeps: BTreeMap<Name, BTreeMap<Nanos, u64>>,
     unjoined: BTreeMap<Name, (Entry, Boxes)>,
+    /// By agent: intensities that did not fit, as they were counted.
+    limited: BTreeMap<String, u64>,
     queue: BinaryHeap<Reverse<Queued>>,
     ended: bool,
     released_to: Nanos,
@@ -214,20 +209,16 @@ impl Script {
                 .iter()
                 .all(|name| agents.iter().any(|agent| &**agent == name.as_str()))
             {
-                self.set(&format!("{TRACKS}{one} and {other}"), conflict.apart as u64);
+                self.counters
+                    .add(&TRACKS_DIFFER, &format!("{one} and {other}"), conflict.apart as u64, 0);
             }
         }
         Ok(())
     }
 
-    fn set(&self, counter: &str, n: u64) {
-        let mut counters = self.counters.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        counters.insert(counter.into(), n);
-    }
-
-    fn count(&self, counter: &str) {
-        let mut counters = self.counters.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        *counters.entry(counter.into()).or_default() += 1;
+    /// Counts one of an agent, if something is wrong with it.
+    fn count(&self, counter: &'static Counter, agent: &str, is_wrong: bool) {
+        self.counters.add(counter, agent, u64::from(is_wrong), 1);
     }
 }
 
@@ -250,6 +241,7 @@ impl Feed {
                 .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
             sweeps: BTreeMap::new(),
             unjoined: BTreeMap::new(),
+            limited: BTreeMap::new(),
             queue: BinaryHeap::new(),
             ended: false,
             released_to: Nanos::MIN,
@@ -309,7 +301,10 @@ impl Feed {
             self.send_detections(&entry, boxes);
         }
         for (agent, n) in self.script.log.limited_intensities() {
-            self.script.set(&format!("{LIMITED}{agent}"), n);
+            let counted = self.limited.insert(agent.clone(), n).unwrap_or(0);
+            self.script
+                .counters
+                .add(&INTENSITIES_LIMITED, &agent, n.saturating_sub(counted), 0);
         }
         self.ended = true;
         self.released_to = Nanos::MAX;
@@ -360,13 +355,15 @@ impl Feed {
     }
 
     fn send_pose(&mut self, entry: &Entry) {
-        match entry.pose() {
+        let pose = entry.pose();
+        self.script.count(&POSES_UNUSABLE, &entry.agent, pose.is_err());
+        match pose {
             Ok(state) => {
                 let state = self.level_pose(entry, state);
                 let ports = [ports::EGO_POSES, ports::POSES];
                 self.send(entry, entry.seq(), Kind::EgoState, ports, state);
             }
-            Err(_) => self.script.count("poses_unusable"),
+            Err(_) => {}
         }
     }
 
@@ -375,9 +372,8 @@ impl Feed {
             return level_state(state);
         }
         let tilts = tilt_degrees(&state.map_from_body.rotation) > LEVEL;
-        if tilts && !self.along_ground.contains(&entry.agent) {
-            self.script.count("tilted_poses");
-        }
+        let is_tilted = tilts && !self.along_ground.contains(&entry.agent);
+        self.script.count(&TILTED_POSES, &entry.agent, is_tilted);
         state
     }
 
@@ -385,7 +381,7 @@ impl Feed {
         let Some(level) = self.levels.get(&entry.agent) else {
             return cloud;
         };
-        self.script.count(&level.counter);
+        self.script.counters.add_named(&level.counter);
         level.attitudes.sweeps.cloud(entry.stamp(), cloud)
     }
 
@@ -395,11 +391,10 @@ impl Feed {
         let next = known.values().max().map_or(0, |last| last + 1);
         let seq = entry.seq().max(next);
         let rank = self.agents.iter().position(|agent| *agent == entry.agent).unwrap_or(0);
-        if let Some(nearest) = &self.nearest
-            && nearest.is_too_far(rank, entry.stamp(), entry.ready())
-        {
-            let left_out = format!("{TOO_FAR}{}", entry.agent);
-            self.script.count(&left_out);
+        let nearest = self.nearest.as_ref();
+        let is_too_far = nearest.is_some_and(|nearest| nearest.is_too_far(rank, entry.stamp(), entry.ready()));
+        self.script.count(&TOO_FAR, &entry.agent, is_too_far);
+        if is_too_far {
             return Ok(());
         }
         known.insert(entry.stamp(), seq);
@@ -456,10 +451,10 @@ impl Feed {
             .get(&entry.agent)
             .and_then(|sweeps| sweeps.get(&entry.stamp()))
             .copied();
-        match seq {
-            Some(seq) => self.send(entry, seq, Kind::Boxes, [ports::EGO_RECORDED, ports::RECORDED], boxes),
-            None if self.is_left_out(entry) => {}
-            None => self.script.count("detections_without_sweep"),
+        let is_lost = seq.is_none() && !self.is_left_out(entry);
+        self.script.count(&DETECTIONS_WITHOUT_SWEEP, &entry.agent, is_lost);
+        if let Some(seq) = seq {
+            self.send(entry, seq, Kind::Boxes, [ports::EGO_RECORDED, ports::RECORDED], boxes);
         }
     }
 

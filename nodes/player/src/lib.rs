@@ -17,6 +17,7 @@
 //! (`docs/log-format.md`, "Level frames"); those that are level pass as they are.
 
 mod ahead;
+mod counters;
 mod feed;
 mod nearest;
 mod plan;
@@ -28,14 +29,15 @@ use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use realo_logs::{Log, LogError, Stream};
-use realo_operator::{Argument, Decided, Describe, Error, Lane, Port, PortId, Source};
+use realo_operator::{Argument, Counter, Counts, Decided, Describe, Error, Lane, Port, PortId, Source};
 use realo_schemas::{Clock, Kind, Message, Name, Nanos, Payload, PayloadType, from_seconds};
 use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
 
 use ahead::{Taker, ahead};
+use counters::{Counters, LOG_TRUNCATED, RUNS_ALONE};
 pub use feed::sweeps_per_pass;
-use feed::{Counters, Feed, Release, Script};
+use feed::{Feed, Release, Script};
 pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
 
 /// By how much the priority (`nice`) of the thread that reads ahead is lower than that of the process.
@@ -381,6 +383,7 @@ impl Describe for Player {
         )
         .of(Lane::Others),
     ];
+    const COUNTERS: &'static [Counter] = counters::ALL;
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Log, "log"),
         (Decided::Ego, "ego"),
@@ -444,11 +447,8 @@ impl Source for Player {
         })
     }
 
-    fn counters(&self) -> BTreeMap<String, u64> {
-        self.counters
-            .lock()
-            .unwrap_or_else(|poisoned| poisoned.into_inner())
-            .clone()
+    fn counts(&self) -> Counts {
+        self.counters.get()
     }
 }
 
@@ -460,7 +460,7 @@ fn feed(config: &Config, counters: &Counters) -> Result<(Feed, PlannedRun), Erro
     }
     let log = Log::open(&config.log)?;
     if log.truncation().is_some() {
-        count(counters, "log_truncated");
+        counters.add(&LOG_TRUNCATED, "", 1, 0);
     }
     let ego = if config.agent.is_empty() {
         &config.ego
@@ -470,7 +470,7 @@ fn feed(config: &Config, counters: &Counters) -> Result<(Feed, PlannedRun), Erro
     let plan = plan(&log, ego, config.coop, &config.agents)?;
     let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
     if cast.collaborators.is_empty() {
-        count(counters, "runs_alone");
+        counters.add(&RUNS_ALONE, "", 1, 0);
     }
     need_topics(&log, &cast, config)?;
     let (from, until) = window(&log, config)?;
@@ -492,13 +492,6 @@ fn feed(config: &Config, counters: &Counters) -> Result<(Feed, PlannedRun), Erro
         counters: counters.clone(),
     };
     Ok((Feed::new(script)?, cast))
-}
-
-fn count(counters: &Counters, counter: &str) {
-    counters
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner())
-        .insert(counter.into(), 1);
 }
 
 /// Everything but the log, which may not be made yet.

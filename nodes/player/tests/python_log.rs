@@ -143,8 +143,8 @@ fn a_log_from_numpy_arrays_is_read_and_played() {
         played.push((Player::OUTPUTS[port.0].name, message));
     }
     // Both agents list the same boxes in frames of their own: two tracks at 39 pairs of times.
-    let differ = ("tracks_differ_car and mast".to_string(), 78);
-    assert_eq!(player.counters(), [differ].into());
+    let counts = player.counts();
+    assert_eq!((counts.get("tracks_differ"), counts.counters.len()), (78, 1));
     let on = |port: &str| -> Vec<&Message> {
         let of_port = played.iter().filter(|(name, _)| *name == port);
         of_port.map(|(_, message)| message).collect()

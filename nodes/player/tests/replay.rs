@@ -151,7 +151,7 @@ fn plays_both_lanes_in_order_of_release() {
     let (_dir, path) = made();
     let (played, player) = play(config(&path));
     assert_eq!(player.cast().ego, "cav1");
-    assert_eq!(player.counters(), Default::default());
+    assert_eq!(player.counts(), Default::default());
     assert!(played.windows(2).all(|pair| pair[0].0 <= pair[1].0));
     let counts = [
         "ego_clouds",
@@ -263,7 +263,7 @@ fn modes_choose_who_takes_part() {
         coop: Coop::I2i,
         ..config(&path)
     });
-    assert_eq!(player.counters()["runs_alone"], 1);
+    assert_eq!(player.counts().get("runs_alone"), 1);
     assert!(on(&played, "clouds").is_empty() && on(&played, "ego_clouds").len() == SWEEPS);
 }
 
@@ -417,7 +417,7 @@ fn a_cut_log_is_played_up_to_the_cut_and_counted() {
     let cut = dir.path().join("cut.mcap");
     fs::write(&cut, &bytes[..bytes.len() * 6 / 10]).unwrap();
     let (played, player) = play(config(&cut));
-    assert_eq!(player.counters()["log_truncated"], 1);
+    assert_eq!(player.counts().get("log_truncated"), 1);
     let (whole, _) = play(config(&path));
     let (left, all) = (on(&played, "ego_clouds"), on(&whole, "ego_clouds"));
     assert!(
@@ -526,7 +526,7 @@ fn poses_that_are_no_poses_are_counted() {
     log.finish().unwrap();
     let (played, player) = play(config(&path));
     assert_eq!(on(&played, "ego_poses").len(), 9);
-    assert_eq!(player.counters()["poses_unusable"], 3);
+    assert_eq!(player.counts().get("poses_unusable"), 3);
 }
 
 /// A log of bodies that pitch by so many degrees at odd ticks, cav1 alone, and by 0.2 at even ones, all three.
@@ -577,8 +577,8 @@ fn who_tilts_is_levelled_and_who_is_level_passes_bit_for_bit() {
             repeat,
             ..config(&path)
         });
-        let counters = BTreeMap::from([("levelled_cav1_by_3.00".to_string(), 10 * u64::from(repeat))]);
-        assert_eq!(player.counters(), counters);
+        let counters = BTreeMap::from([("levelled_cav1_by_3.00".into(), 10 * u64::from(repeat))]);
+        assert_eq!(player.counts().counters, counters);
         assert!(tilt_on(&played, "ego_poses") < 1e-9);
         assert!((tilt_on(&played, "poses") - 0.2).abs() < 1e-9);
         for (port, [x, z]) in [
@@ -610,7 +610,7 @@ fn a_log_whose_tilts_are_noise_is_played_as_it_is() {
     let path = dir.path().join("a.mcap");
     nodding(&path, 0.24, |_| (), &info());
     let (played, player) = play(config(&path));
-    assert_eq!(player.counters(), BTreeMap::new());
+    assert_eq!(player.counts().counters, BTreeMap::new());
     assert!((tilt_on(&played, "ego_poses") - 0.24).abs() < 1e-9);
     assert!(on(&played, "ego_clouds").iter().all(|m| first_x_and_z(m) == [1.0, 1.0]));
 }
@@ -624,7 +624,7 @@ fn what_the_log_says_of_its_frames_holds() {
         let levelled = BTreeMap::from([("cav1".to_string(), Levelled { by: by.into(), degrees })]);
         nodding(&path, 3.0, |log| log.levelled(levelled), &info());
         let (played, player) = play(config(&path));
-        assert_eq!(player.counters().get("tilted_poses").copied(), tilted, "{by}");
+        assert_eq!(player.counts().counters.get("tilted_poses").copied(), tilted, "{by}");
         assert!((tilt_on(&played, "ego_poses") - 3.0).abs() < 1e-9);
         assert!(on(&played, "truth").iter().all(|m| first_x_and_z(m) == [9.0, 0.8]));
     }
@@ -643,7 +643,7 @@ fn beside_packets_all_is_played_as_it_is_and_counted() {
     });
     nodding(&path, 3.0, |_| (), &info);
     let (played, player) = play(config(&path));
-    assert_eq!(player.counters(), BTreeMap::from([("tilted_poses".to_string(), 5)]));
+    assert_eq!(player.counts().counters, BTreeMap::from([("tilted_poses".into(), 5)]));
     assert!((tilt_on(&played, "ego_poses") - 3.0).abs() < 1e-9);
     assert!(on(&played, "ego_clouds").iter().all(|m| first_x_and_z(m) == [1.0, 1.0]));
 }

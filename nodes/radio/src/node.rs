@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use realo_operator::{
-    Argument, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected, wrong_port,
+    Argument, Counter, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected,
+    wrong_port,
 };
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
@@ -21,7 +22,7 @@ use crate::keys::{KeyError, NAME, Own, Trusted, is_name};
 use crate::network::Network;
 use crate::offset::{Basis, Estimate};
 use crate::protocol::{Arrived, Offer, Settings, is_bulk};
-use crate::refusal::{Refusal, Refusals};
+use crate::refusal::{self, ALONE, NO_CLOCK, OVERRUN, OVERSIZED, Refusal, Refusals};
 use crate::seal::Seal;
 use crate::session::{self, Place};
 use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
@@ -100,7 +101,7 @@ pub struct Radio {
     /// Puts this agent's state into bytes.
     encoder: Encoder,
     network: Option<Network>,
-    /// What was counted of the network so far.
+    /// What the network has refused so far.
     counted: Refusals,
     overrun: u64,
     /// Messages that came whole, and that the graph does not take.
@@ -187,6 +188,7 @@ impl Describe for Radio {
             .of(Lane::EgoReceived)
             .hasty(),
     ];
+    const COUNTERS: &'static [Counter] = refusal::COUNTERS;
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
 
     fn examine(config: &Config) -> Result<(), Error> {
@@ -253,7 +255,7 @@ impl Gateway for Radio {
         }
         let bytes = body::to_bytes(&packet, out.now())?;
         if !is_bulk(header.kind) && bytes.len() > MOST_SMALL {
-            out.count("oversized", 1);
+            out.count(&OVERSIZED, &self.place.agent, 1);
             return Ok(());
         }
         let age = (out.now() - header.stamp).max(0);
@@ -265,7 +267,7 @@ impl Gateway for Radio {
             bytes,
         };
         if !network.offer(offer) {
-            out.count("overrun", 1);
+            out.count(&OVERRUN, &self.place.agent, 1);
         }
         Ok(())
     }
@@ -275,12 +277,8 @@ impl Gateway for Radio {
         network.set_time(now);
         let taken = network.take();
         self.reports = taken.reports;
-        for (refusal, total) in taken.refused {
-            let counted = self.counted.entry(refusal).or_default();
-            out.count(refusal.as_str(), total - *counted);
-            *counted = total;
-        }
-        out.count("overrun", taken.overrun - self.overrun);
+        self.counted = taken.refused;
+        out.count(&OVERRUN, "", taken.overrun - self.overrun);
         self.overrun = taken.overrun;
         let passed = passed_over(&taken.events);
         for (event, is_passed) in taken.events.into_iter().zip(passed) {
@@ -288,7 +286,17 @@ impl Gateway for Radio {
                 Event::Arrived(from, message, _) if is_passed => {
                     self.take(Event::PassedOver(from, Passed::from(&message)), out);
                 }
-                event => self.take(event, out),
+                event => {
+                    let waited = match &event {
+                        Event::Arrived(from, ..) => Some((from, 0)),
+                        Event::PassedOver(from, _) => Some((from, 1)),
+                        Event::Books(..) => None,
+                    };
+                    if let Some((from, in_vain)) = waited {
+                        out.count_of(&NO_CLOCK, from, in_vain, 1);
+                    }
+                    self.take(event, out);
+                }
             }
         }
         Ok(())
@@ -301,10 +309,9 @@ impl Gateway for Radio {
         let now = out.now();
         self.on_wake(now, out)?;
         self.network = None;
-        out.count(
-            "alone",
-            u64::from(self.reports.iter().all(|report| report.received.messages == 0)),
-        );
+        self.count_refused(out);
+        let is_alone = self.reports.iter().all(|report| report.received.messages == 0);
+        out.count(&ALONE, "", u64::from(is_alone));
         let peers: Vec<Peer> = self.reports.iter().map(|report| self.peer(report)).collect();
         let header = Header::origin(&Name::default(), &self.place.agent, Kind::Report, 0, now, now);
         out.send(PEERS, Message::new(header, to_report(report::PEERS, &peers)));
@@ -313,6 +320,19 @@ impl Gateway for Radio {
 }
 
 impl Radio {
+    /// Counts what the network refused, by the name in which it came; of more names than are known, of nobody.
+    fn count_refused(&self, out: &mut Outputs) {
+        for (refusal, total) in &self.counted {
+            let mut nameless = *total;
+            for report in &self.reports {
+                let named = report.refused.get(refusal).copied().unwrap_or(0);
+                out.count(refusal.counter(), &report.peer, named);
+                nameless = nameless.saturating_sub(named);
+            }
+            out.count(refusal.counter(), "", nameless);
+        }
+    }
+
     fn take(&mut self, event: Event, out: &mut Outputs) {
         match event {
             Event::Arrived(from, message, clock) => self.deliver(&from, message, &clock, out),
@@ -343,7 +363,7 @@ impl Radio {
                 out.send(port, Message::new(header, packet));
             }
             Err(refusal) => {
-                out.count(refusal.as_str(), 1);
+                out.count(refusal.counter(), from, 1);
                 out.tell(&self.header(from, told, out), Fate::Rejected);
                 let refused = self.refused.entry(from.clone()).or_default();
                 *refused.entry(refusal).or_default() += 1;

@@ -1,11 +1,12 @@
 use std::collections::BTreeMap;
 
-use realo_schemas::file;
+use realo_operator::{Loss, Meaning};
 use realo_schemas::report::Peer;
 use realo_scoring::{Accuracy, Dropped, Ignored, Intervals, Orders, PointsBin, RangeBin, Scores, Table, score};
 use serde::{Deserialize, Serialize};
 
-use crate::{Fates, Samples, Spread};
+use crate::cooperation::Cooperation;
+use crate::{Fates, Samples, Spread, notes};
 
 /// Version of the files; a reader refuses what is newer.
 pub const VERSION: u32 = 1;
@@ -13,15 +14,7 @@ pub const VERSION: u32 = 1;
 pub const RESULT: &str = "realo/result";
 
 /// The player's counter of runs over a cut log.
-const LOG_CUT: &str = "log_truncated";
-/// What the player left out of an agent, before its name.
-const TOO_FAR: &str = "too_far_";
-/// The player's count of an agent's intensities that did not fit into a byte, and of tracks that two agents give to
-/// different objects.
-const LIMITED: &str = "intensities_limited_";
-const TRACKS: &str = "tracks_differ_";
-/// So many cut logs are named; the field `logs_cut` has all.
-const CUT_NAMED: usize = 5;
+pub(crate) const LOG_CUT: &str = "log_truncated";
 
 /// What a run gave: `result.json`. In virtual time it is the same bit by bit on every run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -75,6 +68,9 @@ pub struct RunResult {
     pub in_no_view: Option<Ignored>,
     /// By `<from>-<to>` and kind.
     pub links: BTreeMap<String, BTreeMap<String, LinkBooks>>,
+    /// What cooperation came to; `None` where nothing of others is fused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cooperation: Option<Cooperation>,
     /// Agents on other machines, as the ego knew them at the end; of pooled runs all of them.
     #[serde(default)]
     pub peers: Vec<Peer>,
@@ -252,6 +248,9 @@ pub struct NodeSummary {
     pub unjoined: u64,
     /// Its own counters.
     pub counters: BTreeMap<String, u64>,
+    /// More about those of them that are losses.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub losses: BTreeMap<String, Loss>,
 }
 
 impl NodeSummary {
@@ -264,6 +263,9 @@ impl NodeSummary {
         self.unjoined += other.unjoined;
         for (counter, n) in &other.counters {
             *self.counters.entry(counter.clone()).or_default() += n;
+        }
+        for (counter, loss) in &other.losses {
+            self.losses.entry(counter.clone()).or_default().add(loss);
         }
     }
 }
@@ -294,6 +296,7 @@ impl RunResult {
             dropped_truths: None,
             in_no_view: None,
             links: BTreeMap::new(),
+            cooperation: None,
             peers: Vec::new(),
             age_ms: AgeTable::default(),
             transport: Transport::default(),
@@ -302,13 +305,20 @@ impl RunResult {
         }
     }
 
+    /// How much was lost because of what the logs hold.
+    pub fn log_faults(&self) -> u64 {
+        let losses = self.nodes.values().flat_map(|node| node.losses.values());
+        let faults = losses.filter(|loss| loss.meaning == Meaning::LogFault);
+        faults.map(Loss::count).fold(0, u64::saturating_add)
+    }
+
     /// Fills in all that follows from the samples and from what was counted: scores, ages and notes.
     pub fn conclude(&mut self, samples: &Samples) {
         self.age_ms = samples.ages();
         if self.runs == 1 && self.counter(LOG_CUT) > 0 {
             self.logs_cut.clone_from(&self.logs);
         }
-        self.notes = self.own_notes();
+        self.notes = notes::of(self);
         if let Some(evaluation) = &samples.evaluation {
             self.take_scores(score(evaluation));
         }
@@ -341,311 +351,10 @@ impl RunResult {
         self.nodes.values().filter_map(|node| node.counters.get(name)).sum()
     }
 
-    /// Several runs over a cut log (one for each ego) do not make it several.
-    fn note_of_cut_logs(&self) -> Option<String> {
-        let (cut, all) = (self.logs_cut.len(), self.logs.len());
-        let runs = self.counter(LOG_CUT);
-        let which = match cut {
-            0 if runs == 0 => return None,
-            // Nobody told the names.
-            0 if self.runs == 1 => "the log is cut".into(),
-            0 => format!("{runs} of {} runs played a cut log", self.runs),
-            _ if all == 1 => format!("the log {} is cut", self.logs_cut[0]),
-            1..=CUT_NAMED => format!("{cut} of {all} logs are cut ({})", self.logs_cut.join(", ")),
-            _ => format!(
-                "{cut} of {all} logs are cut ({}, …)",
-                self.logs_cut[..CUT_NAMED].join(", ")
-            ),
-        };
-        Some(format!("{which}: what lies before the cut was played"))
-    }
-
-    /// Which agents the player levelled, and by how much their bodies tilt in any log.
-    fn note_of_levelled_agents(&self) -> Option<String> {
-        let counters = self.nodes.values().flat_map(|node| node.counters.keys());
-        let mut agents: BTreeMap<&str, f64> = BTreeMap::new();
-        for (agent, tilt) in counters.filter_map(|counter| levelled(counter)) {
-            let most = agents.entry(agent).or_default();
-            *most = most.max(tilt);
-        }
-        let said: Vec<String> = agents
-            .iter()
-            .map(|(agent, most)| format!("{agent}, which tilts by up to {most:.2}°"))
-            .collect();
-        (!said.is_empty()).then(|| format!("levelled while played, by the poses of the log: {}", said.join("; ")))
-    }
-
-    /// Whose sweeps the player left out, since no fusion could take what is made of them.
-    fn note_of_far_agents(&self) -> Option<String> {
-        let mut agents: BTreeMap<&str, u64> = BTreeMap::new();
-        for (counter, n) in self.nodes.values().flat_map(|node| &node.counters) {
-            if let Some(agent) = counter.strip_prefix(TOO_FAR) {
-                *agents.entry(agent).or_default() += n;
-            }
-        }
-        let said: Vec<String> = agents
-            .iter()
-            .map(|(agent, n)| format!("{agent} ({n} sweeps)"))
-            .collect();
-        (!said.is_empty()).then(|| {
-            format!(
-                "not computed, and in no books, because as many others as the fusion takes were nearer to the ego: {}; the player's `fused_at_most=null` computes them",
-                said.join(", ")
-            )
-        })
-    }
-
-    /// Counters whose names begin so, by what follows.
-    fn counted(&self, prefix: &str) -> BTreeMap<&str, u64> {
-        let mut counted: BTreeMap<&str, u64> = BTreeMap::new();
-        for (counter, n) in self.nodes.values().flat_map(|node| &node.counters) {
-            if let Some(rest) = counter.strip_prefix(prefix) {
-                *counted.entry(rest).or_default() += n;
-            }
-        }
-        counted.retain(|_, n| *n > 0);
-        counted
-    }
-
-    /// What of the log's values did not fit.
-    fn notes_of_values(&self) -> Vec<String> {
-        let limited = self.counted(LIMITED).into_iter().map(|(agent, n)| {
-            format!(
-                "{agent}: {n} intensities of points did not fit and were limited to 0…255; `realo info` says how they are scaled, by \
-                 the first ten sweeps: write them as bytes"
-            )
-        });
-        let tracks = self.counted(TRACKS).into_iter().map(|(agents, n)| {
-            format!(
-                "tracks of {agents} name different objects ({n} positions of tracks that both have lie more than 5 m apart), so \
-                 points of collaborators count for the wrong objects: give an object the same track in the truth of all agents"
-            )
-        });
-        limited.chain(tracks).collect()
-    }
-
-    /// Whose messages came to a fusion that had taken all that it takes.
-    fn note_of_limit(&self) -> Option<String> {
-        let over = self.channels().filter_map(|(link, _, books)| {
-            let over = books.accounted?.fates.over_limit;
-            (over > 0).then(|| format!("{link} ({over} of {})", books.sent))
-        });
-        let said: Vec<String> = over.collect();
-        (!said.is_empty()).then(|| {
-            format!(
-                "beyond the collaborators that the fusion takes (`max_collaborators`, or the agents of its model), which are the nearest to the ego: {}",
-                said.join(", ")
-            )
-        })
-    }
-
-    fn own_notes(&self) -> Vec<String> {
-        let mut notes = Vec::new();
-        let mut note = |condition: bool, text: String| {
-            if condition {
-                notes.push(text);
-            }
-        };
-        let lost = self.transport.total_lost;
-        note(
-            lost > 0,
-            format!("dora lost {lost} messages between nodes: the scores are those of a disturbed run"),
-        );
-        let cut = self.note_of_cut_logs();
-        note(cut.is_some(), cut.unwrap_or_default());
-        let alone = self.counter("runs_alone");
-        note(
-            alone > 0,
-            format!(
-                "in {alone} of {} runs no agent of the log may collaborate: the ego was alone",
-                self.runs
-            ),
-        );
-        let levelled = self.note_of_levelled_agents();
-        note(levelled.is_some(), levelled.unwrap_or_default());
-        let far = self.note_of_far_agents();
-        note(far.is_some(), far.unwrap_or_default());
-        let beyond = self.note_of_limit();
-        note(beyond.is_some(), beyond.unwrap_or_default());
-        self.notes_of_values().into_iter().for_each(|text| note(true, text));
-        let tilted = self.counter("tilted_poses");
-        note(
-            tilted > 0,
-            format!(
-                "{tilted} poses are not level and were played as they are, beside precomputed packets or since the log says that it \
-                 is not to be levelled: networks look for the ground at z = 0"
-            ),
-        );
-        let unusable = self.counter("poses_unusable");
-        note(
-            unusable > 0,
-            format!(
-                "{unusable} poses of the log were left out: expected finite numbers and a quaternion that is not zero; `realo import log` \
-                 names the first"
-            ),
-        );
-        let skipped = self.frames.skipped;
-        note(
-            skipped > 0,
-            format!("{skipped} of {} sweeps of the ego gave no boxes", self.frames.total),
-        );
-        for (id, node) in self.nodes.iter().filter(|(_, node)| node.errors > 0) {
-            let first = node
-                .first_error
-                .as_deref()
-                .map(|error| format!("; the first: {}", file::shown(error)));
-            let first = first.unwrap_or_default();
-            note(
-                true,
-                format!(
-                    "node {id} ({}) could not take {} messages{first}",
-                    node.operator, node.errors
-                ),
-            );
-        }
-        for (id, node) in &self.nodes {
-            let invalid = node.counters.get("invalid_boxes").copied().unwrap_or(0);
-            note(
-                invalid > 0,
-                format!(
-                    "node {id} ({}) left out {invalid} boxes that are not finite, have no extent or a score outside [0, 1]",
-                    node.operator
-                ),
-            );
-        }
-        for (id, node) in &self.nodes {
-            let is_alone = node.operator == "radio" && node.counters.get("alone").is_some_and(|alone| *alone > 0);
-            note(
-                is_alone,
-                format!(
-                    "node {id} (radio) took no message of another agent: look whether `{id}.connect` here or there is the other \
-                     machine's address, its graph runs, and both have one `{id}.site`"
-                ),
-            );
-        }
-        for (link, kind, books) in self.channels() {
-            if let Some(unaccounted) = books.accounted.map(|books| books.unaccounted).filter(|n| *n != 0) {
-                note(
-                    true,
-                    format!(
-                        "link {link}: {unaccounted} of {} {kind} messages are not accounted for",
-                        books.sent
-                    ),
-                );
-            }
-        }
-        notes
-    }
-
     /// Every channel: link, kind and its books.
     pub fn channels(&self) -> impl Iterator<Item = (&str, &str, &LinkBooks)> {
         self.links
             .iter()
             .flat_map(|(link, kinds)| kinds.iter().map(move |(kind, books)| (&**link, &**kind, books)))
-    }
-}
-
-/// Agent and degrees of the player's counter of sweeps that it levelled, `levelled_AGENT_by_DEGREES`.
-fn levelled(counter: &str) -> Option<(&str, f64)> {
-    let (agent, degrees) = counter.strip_prefix("levelled_")?.rsplit_once("_by_")?;
-    let degrees: f64 = degrees.parse().ok()?;
-    degrees.is_finite().then_some((agent, degrees))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn agents_that_were_levelled_are_named_with_their_greatest_tilt() {
-        let mut result = RunResult::new(Settings::default());
-        let counters = [
-            "levelled_a_by_b_by_0.40",
-            "levelled_a_by_b_by_2.26",
-            "levelled_mast_by_0.53",
-        ];
-        let player = NodeSummary {
-            counters: counters.map(|counter| (counter.to_string(), 20)).into(),
-            ..NodeSummary::default()
-        };
-        result.nodes.insert("player".into(), player);
-        result.conclude(&Samples::default());
-        let said = "levelled while played, by the poses of the log: a_by_b, which tilts by up to 2.26°; mast, which tilts by up to 0.53°";
-        assert_eq!(result.notes, [said]);
-    }
-
-    fn run_over(log: &str) -> RunResult {
-        let mut result = RunResult::new(Settings::default());
-        result.logs = [log]
-            .into_iter()
-            .filter(|log| !log.is_empty())
-            .map(String::from)
-            .collect();
-        let player = NodeSummary {
-            counters: [(LOG_CUT.to_string(), 1)].into(),
-            ..NodeSummary::default()
-        };
-        result.nodes.insert("player".into(), player);
-        result.conclude(&Samples::default());
-        result
-    }
-
-    #[test]
-    fn a_cut_log_is_named() {
-        let said = |result: &RunResult| result.notes.join("; ");
-        assert_eq!(
-            said(&run_over("a")),
-            "the log a is cut: what lies before the cut was played"
-        );
-        assert_eq!(
-            said(&run_over("")),
-            "the log is cut: what lies before the cut was played"
-        );
-        let whole = RunResult::new(Settings::default());
-        assert_eq!(whole.note_of_cut_logs(), None);
-    }
-
-    #[test]
-    fn logs_are_counted_not_runs() {
-        // Two egos on each of two logs; one log is cut.
-        let mut pooled = RunResult::new(Settings::default());
-        pooled.runs = 4;
-        pooled.logs = vec!["a".into(), "b".into()];
-        pooled.logs_cut = vec!["b".into()];
-        pooled.nodes = run_over("b").nodes;
-        pooled
-            .nodes
-            .get_mut("player")
-            .unwrap()
-            .counters
-            .insert(LOG_CUT.into(), 2);
-        pooled.conclude(&Samples::default());
-        assert!(
-            pooled.notes[0].starts_with("1 of 2 logs are cut (b): "),
-            "{:?}",
-            pooled.notes
-        );
-        pooled.logs_cut.clear();
-        pooled.conclude(&Samples::default());
-        assert!(
-            pooled.notes[0].starts_with("2 of 4 runs played a cut log: "),
-            "{:?}",
-            pooled.notes
-        );
-        let names = |n: usize| (0..n).map(|i| format!("log{i}")).collect::<Vec<_>>();
-        (pooled.logs, pooled.logs_cut) = (names(9), names(5));
-        assert!(
-            pooled
-                .note_of_cut_logs()
-                .unwrap()
-                .starts_with("5 of 9 logs are cut (log0, log1, log2, log3, log4): ")
-        );
-        pooled.logs_cut = names(6);
-        assert!(
-            pooled
-                .note_of_cut_logs()
-                .unwrap()
-                .starts_with("6 of 9 logs are cut (log0, log1, log2, log3, log4, …): ")
-        );
     }
 }

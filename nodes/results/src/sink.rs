@@ -1,7 +1,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink, unexpected, wrong_port};
+use realo_operator::{
+    Argument, Books, Decided, Describe, Error, Lane, Loss, Port, PortId, Sink, unexpected, wrong_port,
+};
 use realo_schemas::report::{self, Fated, Peer, Phase, from_report};
 use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
@@ -11,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
-    EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Settings, Timing, TimingSamples, add_name, claim,
-    link_books, write_run_and_courses,
+    Cooperation, EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Settings, Timing, TimingSamples, add_name,
+    claim, link_books, write_run_and_courses,
 };
 
 /// Settings of [`Results`].
@@ -265,6 +267,7 @@ impl Results {
         result.frames.skipped = sweeps.count.saturating_sub(self.boxes.count);
         self.close_links(&mut result, books);
         take_books(&mut result, books);
+        result.cooperation = Cooperation::of(&result, books);
         result.conclude(&self.samples);
         let mut timing = std::mem::take(&mut self.timing);
         timing.add_books(books);
@@ -295,6 +298,7 @@ fn take_books(result: &mut RunResult, books: &Books) {
             errors: node.errors,
             first_error: node.first_error.clone(),
             counters: node.counters.clone(),
+            losses: node.losses.iter().filter_map(happened).collect(),
             ..NodeSummary::default()
         };
         for (port, input) in &node.inputs {
@@ -309,6 +313,13 @@ fn take_books(result: &mut RunResult, books: &Books) {
         }
         result.nodes.insert(id.clone(), summary);
     }
+}
+
+/// A loss without the agents of whom nothing was lost; `None` if that is so of all.
+fn happened((counter, loss): (&String, &Loss)) -> Option<(String, Loss)> {
+    let mut loss = loss.clone();
+    loss.agents.retain(|_, share| share.count > 0);
+    (!loss.agents.is_empty()).then(|| (counter.clone(), loss))
 }
 
 #[cfg(test)]

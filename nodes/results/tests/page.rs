@@ -1,9 +1,5 @@
 //! What `docs/results.md` says is so.
 
-use std::collections::BTreeSet;
-use std::fs;
-use std::path::{Path, PathBuf};
-
 use realo_results::{Run, RunResult, Samples, Settings, Timing};
 use realo_scoring::{Detection, Outline, Truth};
 
@@ -52,57 +48,4 @@ fn the_page_names_every_field() {
             assert!(named, "`{field}` is not explained");
         }
     }
-}
-
-/// Every name that an operator or node of this repository counts under.
-fn counters(folder: &Path, found: &mut BTreeSet<String>) {
-    let mut entries: Vec<PathBuf> = fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .collect();
-    entries.sort();
-    for path in entries {
-        if path.is_dir() {
-            counters(&path, found);
-            continue;
-        }
-        if path.extension().is_none_or(|ending| ending != "rs") || path.ends_with("tests.rs") {
-            continue;
-        }
-        let text = fs::read_to_string(&path).unwrap();
-        let text = text.split("#[cfg(test)]").next().unwrap_or_default();
-        for call in ["out.count(", "script.count(", "count(&counters,", "count(counters,"] {
-            for (at, _) in text.match_indices(call) {
-                let rest = &text[at + call.len()..];
-                let arguments = &rest[..rest.find(';').unwrap_or(rest.len())];
-                // Quoted words of the first statement: there may be two to choose from.
-                found.extend(arguments.split('"').skip(1).step_by(2).map(String::from));
-            }
-        }
-    }
-}
-
-#[test]
-fn the_page_explains_every_counter() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let mut found = BTreeSet::new();
-    for folder in fs::read_dir(root.join("operators")).unwrap() {
-        counters(&folder.unwrap().path().join("src"), &mut found);
-    }
-    counters(&root.join("nodes/player/src"), &mut found);
-    for known in [
-        "over_points",
-        "out_of_order",
-        "unplaced",
-        "log_truncated",
-        "poses_unusable",
-        "tilted_poses",
-    ] {
-        assert!(found.contains(known), "{known} in {found:?}");
-    }
-    let missing: Vec<&String> = found
-        .iter()
-        .filter(|name| !PAGE.contains(&format!("`{name}`")))
-        .collect();
-    assert!(missing.is_empty(), "not explained: {missing:?}");
 }

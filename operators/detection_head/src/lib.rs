@@ -16,7 +16,9 @@ use realo_bev::{Device, Engine, Maps};
 use realo_nn::Kernels;
 use realo_nn::anchors::Anchors;
 use realo_nn::decode::{Detection, candidates};
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{
+    Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+};
 use realo_schemas::geometry::is_valid;
 use realo_schemas::{Box3, Boxes, Elements, FeatureMap, Header, Kind, Message, Name, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -127,6 +129,17 @@ impl Decoder {
 const FEATURES: PortId = PortId(0);
 const BOXES: PortId = PortId(0);
 
+const OVER_LIMIT_BOXES: Counter = Counter::plain(
+    "over_limit_boxes",
+    "detections above the min score, but not among the best 1,000",
+);
+const INVALID_BOXES: Counter = Counter::loss(
+    "invalid_boxes",
+    "decoded boxes dropped: without extent, not finite, a score outside [0, 1]",
+    "decoded boxes were left out, because they are not finite or have no extent",
+    "look at the weights of the model",
+);
+
 impl Describe for DetectionHead {
     type Config = Config;
     const NAME: &'static str = "detection-head";
@@ -148,6 +161,7 @@ impl Describe for DetectionHead {
     const INPUTS: &'static [Port] =
         &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps of the model").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("proposals", &[PayloadType::Boxes], "detections, best first")];
+    const COUNTERS: &'static [Counter] = &[OVER_LIMIT_BOXES, INVALID_BOXES];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),
@@ -182,8 +196,9 @@ impl Operator for DetectionHead {
         let (header, map): (Header, FeatureMap) = message.into_parts().map_err(unexpected)?;
         let heads = self.engine.heads(self.maps.read(&map)?.view(), out.steps())?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas);
-        out.count("over_limit_boxes", found.over_limit);
-        out.count("invalid_boxes", found.invalid);
+        let all = found.boxes.len() as u64 + found.over_limit + found.invalid;
+        out.count(&OVER_LIMIT_BOXES, &header.agent, found.over_limit);
+        out.count_of(&INVALID_BOXES, &header.agent, found.invalid, all);
         let boxes = found.boxes;
         let header = Header {
             kind: Kind::Boxes,

@@ -10,7 +10,7 @@
 mod tests;
 
 use realo_operator::{
-    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
 };
 use realo_schemas::report::to_report;
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, PayloadType};
@@ -44,6 +44,12 @@ const TRUTH: PortId = PortId(0);
 const BOXES: PortId = PortId(1);
 const REPORT: PortId = PortId(0);
 
+/// Scores have the note, in a graph and after the fact.
+const BOXES_WITHOUT_TRUTH: Counter = Counter::plain(
+    "boxes_without_truth",
+    "messages with boxes for whose sweep no truth came; not scored",
+);
+
 impl Describe for Evaluator {
     type Config = Config;
     const NAME: &'static str = "evaluator";
@@ -73,6 +79,7 @@ impl Describe for Evaluator {
         &[PayloadType::Report],
         "topic `evaluation`, at the end: the scores and their frames",
     )];
+    const COUNTERS: &'static [Counter] = &[BOXES_WITHOUT_TRUTH];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Protocol, "protocol")];
 }
 
@@ -107,7 +114,7 @@ impl Operator for Evaluator {
             return Ok(());
         };
         let report = EvaluationReport::from(collector.finish());
-        out.count("boxes_without_truth", report.scores.boxes_without_truth);
+        out.count(&BOXES_WITHOUT_TRUTH, "", report.scores.boxes_without_truth);
         let header = Header {
             kind: Kind::Report,
             seq: 0,

@@ -1,8 +1,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use realo_operator::{
-    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
 };
+use realo_schemas::report::Fate;
 use realo_schemas::{Header, Message, Name, Nanos, PayloadType, Selection};
 use serde::{Deserialize, Serialize};
 
@@ -54,6 +55,7 @@ impl Default for BankConfig {
 /// Holds what collaborators sent and answers the ego's queries.
 pub struct FeatureBank {
     bank: Bank,
+    window_ms: u32,
     patience: Nanos,
     /// Queries that wait, by the time at which they are answered at the latest, and arrival.
     pending: BTreeMap<(Nanos, u64), Waiting>,
@@ -69,6 +71,10 @@ struct Waiting {
     /// Online: senders whose next message would let it go on; offline it waits out its time.
     awaited: BTreeSet<Name>,
 }
+
+const ENTRIES: Counter = Counter::plain("entries", "messages given to queries, once for each");
+const REPEATED: Counter = Counter::plain("repeated", "messages that are held already (copies made by a channel)");
+const FROM_EGO: Counter = Counter::plain("from_ego", "messages of the ego itself, which nobody needs");
 
 impl Describe for FeatureBank {
     type Config = BankConfig;
@@ -121,6 +127,7 @@ impl Describe for FeatureBank {
         "one for each query, with the query's header",
     )
     .of(Lane::Ego)];
+    const COUNTERS: &'static [Counter] = &[ENTRIES, REPEATED, FROM_EGO];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Offline, "offline")];
 }
 
@@ -152,6 +159,17 @@ impl FeatureBank {
         self.queries += 1;
     }
 
+    /// What `stale` means here.
+    fn stale(&self) -> String {
+        match self.bank.offline {
+            true => format!(
+                "had stamps more than {} ms from the ego's",
+                OFFLINE_REACH / NANOS_PER_MILLI
+            ),
+            false => format!("were older than {} ms", self.window_ms),
+        }
+    }
+
     /// A message has come: who has waited for it, and for nobody else, goes on.
     fn go_on(&mut self, sender: &Name, out: &mut Outputs) {
         let Some(mut first) = self.pending.first_entry() else {
@@ -173,7 +191,7 @@ impl FeatureBank {
         let later = self.fused.split_off(&query.seq.saturating_add(1));
         let fused = std::mem::replace(&mut self.fused, later).remove(&query.seq);
         let answer = self.bank.answer(&query, asked, &fused.unwrap_or_default());
-        out.count("entries", answer.entries.len() as u64);
+        out.count(&ENTRIES, "", answer.entries.len() as u64);
         answer
             .departed
             .iter()
@@ -202,6 +220,7 @@ impl Operator for FeatureBank {
         let bank = Bank::new(window, config.offline, ahead, config.max_agents, forget);
         Ok(FeatureBank {
             bank,
+            window_ms: config.window_ms,
             patience: nanos(config.patience_ms),
             pending: BTreeMap::new(),
             queries: 0,
@@ -220,8 +239,8 @@ impl Operator for FeatureBank {
                 match self.bank.insert(message)? {
                     Taken::Held { newest: true } => self.go_on(&sender, out),
                     Taken::Held { newest: false } => {}
-                    Taken::Repeated => out.count("repeated", 1),
-                    Taken::FromEgo => out.count("from_ego", 1),
+                    Taken::Repeated => out.count(&REPEATED, &sender, 1),
+                    Taken::FromEgo => out.count(&FROM_EGO, &sender, 1),
                 }
             }
             FUSED => {
@@ -246,6 +265,7 @@ impl Operator for FeatureBank {
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+        out.explain(Fate::Stale, self.stale());
         for waiting in std::mem::take(&mut self.pending).into_values() {
             self.answer(waiting.query, out);
         }

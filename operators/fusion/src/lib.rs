@@ -9,7 +9,7 @@ mod maps;
 use std::collections::BTreeSet;
 
 use nalgebra::Isometry3;
-use realo_operator::{Error, Lane, Outputs, Port, PortId, unexpected};
+use realo_operator::{Counter, Error, Lane, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::relative;
 use realo_schemas::report::Fate;
 use realo_schemas::{Header, Message, Payload, PayloadType, Selection, UnexpectedPayload};
@@ -22,6 +22,21 @@ pub const EGO: PortId = PortId(0);
 pub const SELECTIONS: PortId = PortId(1);
 /// Output: what was fused.
 pub const FUSED: PortId = PortId(0);
+
+/// Counts messages beyond the collaborators that a fusion takes; the books of links have the note.
+pub const OVER_LIMIT_MESSAGES: Counter = Counter::plain(
+    "over_limit_messages",
+    "messages beyond the collaborators that the fusion takes; those of a channel are `over_limit` in `links`",
+);
+/// Counts messages that cannot be fused.
+pub const REJECTED_MESSAGES: Counter = Counter::loss(
+    "rejected_messages",
+    "messages that could not be fused: without a pose, in another frame, or of another grid",
+    "messages could not be fused, because they have no pose, or lie in another frame or grid than the ego's",
+    "all agents need one model and poses, and one of sender and receiver has to project (`--project`)",
+);
+/// What every fusion counts.
+pub const COUNTERS: &[Counter] = &[OVER_LIMIT_MESSAGES, REJECTED_MESSAGES];
 
 /// The inputs of a fusion of payloads of these types.
 pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
@@ -179,15 +194,14 @@ impl<T> Set<T> {
 
     /// Sends what was fused of the set, and says what became of each collaborator's message.
     pub fn send(self, fused: impl Into<Payload>, out: &mut Outputs) {
-        for collaborator in &self.collaborators {
-            out.used(&collaborator.header, &self.header);
+        for Collaborator { header, .. } in &self.collaborators {
+            out.count_of(&REJECTED_MESSAGES, &header.agent, 0, 1);
+            out.used(header, &self.header);
         }
         for (header, fate) in &self.left_out {
-            let counter = match fate {
-                Fate::OverLimit => "over_limit_messages",
-                _ => "rejected_messages",
-            };
-            out.count(counter, 1);
+            let over_limit = u64::from(*fate == Fate::OverLimit);
+            out.count(&OVER_LIMIT_MESSAGES, &header.agent, over_limit);
+            out.count_of(&REJECTED_MESSAGES, &header.agent, 1 - over_limit, 1);
             out.tell(header, *fate);
         }
         out.send(FUSED, Message::new(self.header, fused));

@@ -11,7 +11,7 @@
 //! stamps is not removed.
 
 use realo_fusion::{EGO, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, Boxes, Message, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -54,6 +54,8 @@ pub struct FusionBoxes {
     pairing: Pairing,
 }
 
+const LOW_SCORE_BOXES: Counter = Counter::plain("low_score_boxes", "boxes of all agents dropped: below `min_score`");
+
 impl Describe for FusionBoxes {
     type Config = Config;
     const NAME: &'static str = "fusion-boxes";
@@ -79,6 +81,11 @@ impl Describe for FusionBoxes {
         &[PayloadType::Boxes],
         "the ego's boxes, then the collaborators', in the ego's frame",
     )];
+    const COUNTERS: &'static [Counter] = &[
+        LOW_SCORE_BOXES,
+        realo_fusion::OVER_LIMIT_MESSAGES,
+        realo_fusion::REJECTED_MESSAGES,
+    ];
     // V2X-ReaLO, Table III: late fusion.
     const PAPER_INFERENCE: Option<Nanos> = Some(43_700_000);
 }
@@ -103,7 +110,7 @@ impl Operator for FusionBoxes {
                 let before = boxes.len();
                 // A score that is NaN is left to `nms`, which counts it as invalid.
                 boxes.retain(|object| object.score.is_nan() || object.score >= self.config.min_score);
-                out.count("low_score_boxes", (before - boxes.len()) as u64);
+                out.count(&LOW_SCORE_BOXES, "", (before - boxes.len()) as u64);
                 set.send(Boxes(boxes), out);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),

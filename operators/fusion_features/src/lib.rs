@@ -20,7 +20,7 @@ use realo_bev::{Device, Engine, Maps, Read};
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
 use realo_nn::Kernels;
 use realo_nn::fuse::{Agent, Warp};
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{Elements, FeatureMap, Message, Name, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
 
@@ -96,6 +96,7 @@ impl Describe for FusionFeatures {
         &[PayloadType::FeatureMap],
         "one map for the heads, in the ego's frame",
     )];
+    const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),

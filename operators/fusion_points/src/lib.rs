@@ -10,7 +10,7 @@
 //! stamp. The motion of objects between the stamps is not removed.
 
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::geometry::transform_cloud;
 use realo_schemas::{Message, Nanos, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -95,6 +95,7 @@ impl Describe for FusionPoints {
         &[PayloadType::PointCloud],
         "the ego's points, then the collaborators', in the ego's frame",
     )];
+    const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
     // V2X-ReaLO, Table III: early fusion.
     const PAPER_INFERENCE: Option<Nanos> = Some(80_900_000);
 }

@@ -1,7 +1,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use realo_operator::{
-    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, StreamKey, unexpected, wrong_port,
+    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, StreamKey, unexpected,
+    wrong_port,
 };
 use realo_schemas::report::{Fate, Traffic};
 use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, PayloadType};
@@ -69,6 +70,19 @@ pub struct Link {
     early: BTreeMap<Name, VecDeque<Sent>>,
 }
 
+const NO_RECEIVER: Counter = Counter::loss(
+    "no_receiver",
+    "packets that came before any ego was known; not sent",
+    "packets were not sent, because no ego was known yet",
+    "`--set {node}.ego=NAME` names it from the start",
+);
+const UNPLACED: Counter = Counter::loss(
+    "unplaced",
+    "those of `out_of_range` for which an agent's position was not known",
+    "packets were not sent, because the position of their sender or receiver was not known",
+    "an agent whose position is not known is out of range: look at its poses (`realo info`)",
+);
+
 impl Describe for Link {
     type Config = LinkConfig;
     const NAME: &'static str = "link";
@@ -133,6 +147,7 @@ impl Describe for Link {
         )
         .of(Lane::EgoReceived),
     ];
+    const COUNTERS: &'static [Counter] = &[NO_RECEIVER, UNPLACED];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Ego, "ego"),
         (Decided::Offline, "offline"),
@@ -195,7 +210,7 @@ impl Link {
     /// Carries a packet of another agent, or keeps it for a while.
     fn hear_other(&mut self, sent: Sent, out: &mut Outputs) {
         let Some(ego) = self.ego.clone() else {
-            return out.count("no_receiver", 1);
+            return out.count(&NO_RECEIVER, &sent.1.agent, 1);
         };
         let sender = sent.1.agent.clone();
         if !self.waits(&sender, &ego) {
@@ -246,8 +261,8 @@ impl Link {
     fn carry(&mut self, port: PortId, to: &Name, Sent(sent, header, packet): &Sent, out: &mut Outputs) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
+        out.count_of(&UNPLACED, from, u64::from(in_range.is_none()), 1);
         if in_range != Some(true) {
-            out.count("unplaced", u64::from(in_range.is_none()));
             let traffic = Traffic {
                 out_of_range: 1,
                 ..Traffic::default()

@@ -19,7 +19,7 @@ mod vote;
 use std::collections::BTreeMap;
 
 use grid::Neighbours;
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected};
 use realo_schemas::geometry::{Footprint, Region, is_valid};
 use realo_schemas::{Box3, Boxes, Header, Message, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -166,6 +166,22 @@ pub struct Nms {
     region: Option<Region>,
 }
 
+const INVALID_BOXES: Counter = Counter::loss(
+    "invalid_boxes",
+    "boxes dropped: without extent, not finite, a score outside [0, 1]",
+    "boxes were left out by {node}, because they are not finite, have no extent or a score outside [0, 1]",
+    "mend the stage that makes them",
+);
+const OUTSIDE_BOXES: Counter = Counter::plain("outside_boxes", "boxes dropped: not wholly in the region");
+const LOW_SCORE_BOXES: Counter = Counter::plain("low_score_boxes", "boxes dropped: below the min score");
+const OVER_LIMIT_BOXES: Counter = Counter::loss(
+    "over_limit_boxes",
+    "boxes that did not enter: beyond the best `max_boxes`",
+    "boxes were left out by {node}, because they are beyond the best `max_boxes` of a frame",
+    "`--set {node}.max_boxes=…`, or leave out what is not sure with `{node}.min_score`",
+);
+const SUPPRESSED_BOXES: Counter = Counter::plain("suppressed_boxes", "boxes dropped because they overlap a better one");
+
 impl Describe for Nms {
     type Config = Config;
     const NAME: &'static str = "nms";
@@ -211,6 +227,13 @@ impl Describe for Nms {
         &[PayloadType::Boxes],
         "the boxes without duplicates, best score first",
     )];
+    const COUNTERS: &'static [Counter] = &[
+        INVALID_BOXES,
+        OUTSIDE_BOXES,
+        LOW_SCORE_BOXES,
+        OVER_LIMIT_BOXES,
+        SUPPRESSED_BOXES,
+    ];
 }
 
 impl Operator for Nms {
@@ -241,11 +264,12 @@ impl Operator for Nms {
     fn on_input(&mut self, _port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let (header, Boxes(boxes)): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
         let outcome = nms(&boxes, &self.config, self.region.as_ref());
-        out.count("invalid_boxes", outcome.invalid);
-        out.count("outside_boxes", outcome.outside);
-        out.count("low_score_boxes", outcome.low_score);
-        out.count("over_limit_boxes", outcome.over_limit);
-        out.count("suppressed_boxes", outcome.suppressed);
+        let (agent, all) = (header.agent.clone(), boxes.len() as u64);
+        out.count_of(&INVALID_BOXES, &agent, outcome.invalid, all);
+        out.count(&OUTSIDE_BOXES, &agent, outcome.outside);
+        out.count(&LOW_SCORE_BOXES, &agent, outcome.low_score);
+        out.count_of(&OVER_LIMIT_BOXES, &agent, outcome.over_limit, all);
+        out.count(&SUPPRESSED_BOXES, &agent, outcome.suppressed);
         out.send(PortId(0), Message::new(header, Boxes(outcome.boxes)));
         Ok(())
     }

@@ -1,9 +1,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use hdrhistogram::Histogram;
-use realo_schemas::report::Channel;
+use realo_schemas::report::{Channel, Fate};
 use realo_schemas::{Kind, Message, Nanos};
 use serde::{Deserialize, Serialize};
+
+use crate::{Counts, Loss};
 
 /// What the nodes of a graph counted; travels in `end` and meets in the sinks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -32,6 +34,12 @@ pub struct NodeBooks {
     pub outputs: BTreeMap<String, Tally>,
     /// The operator's own counters, e.g. `nan_points`.
     pub counters: BTreeMap<String, u64>,
+    /// More about those of them that are losses, and about losses that have not happened.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub losses: BTreeMap<String, Loss>,
+    /// What fates mean at this node.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub explained: BTreeMap<Fate, String>,
     /// Messages that the operator could not take.
     pub errors: u64,
     /// The first of them: its place and why.
@@ -50,6 +58,17 @@ pub struct NodeBooks {
 }
 
 impl NodeBooks {
+    /// Takes over what was counted.
+    pub fn count(&mut self, counts: Counts) {
+        for (counter, n) in counts.counters {
+            let count = self.counters.entry(counter.into_owned()).or_default();
+            *count = count.saturating_add(n);
+        }
+        for (counter, loss) in counts.losses {
+            self.losses.entry(counter.into_owned()).or_default().add(&loss);
+        }
+    }
+
     /// Counts what a channel carried.
     pub fn carried(&mut self, channel: Channel) {
         let same =

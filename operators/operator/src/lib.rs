@@ -1,6 +1,7 @@
 //! All that an operator needs: the trait, ports, arguments, outputs, and the pipe protocol of plug-ins.
 //!
 //! - [`Operator`], [`Source`], [`Sink`], [`Gateway`]: what a stage implements; [`Port`] its contract.
+//! - [`Counter`]: what a stage counts, declared with the note that a count above 0 makes.
 //! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links; [`Steps`] time parts
 //!   of a call.
 //! - [`Registration`]: an operator whose type is no longer known; [`Registry`] what a binary hosts.
@@ -9,6 +10,7 @@
 
 mod books;
 pub mod config;
+mod counter;
 mod draw;
 mod operator;
 pub mod pipe;
@@ -18,6 +20,7 @@ mod run;
 mod steps;
 
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
+pub use counter::{Counter, Counts, Loss, Meaning, Share};
 pub use draw::{Draws, StreamKey};
 pub use operator::{
     Argument, Decided, Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker, unexpected, wrong_port,

@@ -1,4 +1,3 @@
-use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
@@ -8,7 +7,7 @@ use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos, UnexpectedPayload
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{Port, PortId, Steps};
+use crate::{Counter, Counts, Port, PortId, Steps};
 
 /// Why an operator or node could not go on with a message or a configuration.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
@@ -38,6 +37,8 @@ pub trait Describe {
     const INPUTS: &'static [Port];
     /// Outputs.
     const OUTPUTS: &'static [Port];
+    /// All that it counts.
+    const COUNTERS: &'static [Counter] = &[];
     /// What of a run decides which argument, in place of the graph.
     const DECIDED: &'static [(Decided, &'static str)] = &[];
     /// What the paper measured for the whole inference of the method that this fusion stands for.
@@ -154,8 +155,8 @@ pub trait Source: Describe + Sized {
     }
 
     /// What it counted so far, for the run's books.
-    fn counters(&self) -> BTreeMap<String, u64> {
-        BTreeMap::new()
+    fn counts(&self) -> Counts {
+        Counts::default()
     }
 }
 
@@ -254,7 +255,9 @@ pub struct Made {
     /// When the operator wishes to be called.
     pub wakes: BTreeSet<Nanos>,
     /// What it counted.
-    pub counts: BTreeMap<Cow<'static, str>, u64>,
+    pub counts: Counts,
+    /// What fates mean here, see [`Outputs::explain`].
+    pub explained: BTreeMap<Fate, String>,
     /// What became of messages that had crossed a link.
     pub fates: Vec<Fated>,
     /// What crossed links.
@@ -298,12 +301,19 @@ impl Outputs {
         self.made.wakes.insert(time.max(self.now));
     }
 
-    /// Adds `n` to a counter of the node, e.g. `nan_points`.
-    pub fn count(&mut self, counter: impl Into<Cow<'static, str>>, n: u64) {
-        if n > 0 {
-            let count = self.made.counts.entry(counter.into()).or_default();
-            *count = count.saturating_add(n);
-        }
+    /// Adds `n` to a counter of [`Describe::COUNTERS`]; `agent` is whose data they are, or empty.
+    pub fn count(&mut self, counter: &'static Counter, agent: &str, n: u64) {
+        self.made.counts.add(counter, agent, n, 0);
+    }
+
+    /// The same, `n` of `of`; is called for what was not lost too, so that a note can say how many of how many.
+    pub fn count_of(&mut self, counter: &'static Counter, agent: &str, n: u64, of: u64) {
+        self.made.counts.add(counter, agent, n, of);
+    }
+
+    /// Says what a fate means at this stage, by its arguments, for notes: `Stale` is "older than 400 ms".
+    pub fn explain(&mut self, fate: Fate, words: impl Into<String>) {
+        self.made.explained.insert(fate, words.into());
     }
 
     /// Says what became of a message that crossed a link; of any other nothing is said.
@@ -359,13 +369,15 @@ impl Outputs {
             sent,
             wakes,
             counts,
+            explained,
             fates,
             traffic,
             steps,
         } = made;
         sent.into_iter().for_each(|(port, message)| self.send(port, message));
         wakes.into_iter().for_each(|time| self.wake_at(time));
-        counts.into_iter().for_each(|(counter, n)| self.count(counter, n));
+        self.made.counts.extend(counts);
+        self.made.explained.extend(explained);
         self.made.fates.extend(fates);
         self.made.traffic.extend(traffic);
         self.made.steps.extend(steps);
@@ -386,9 +398,9 @@ impl Outputs {
         std::mem::take(&mut self.made.fates)
     }
 
-    /// A counter's value in this call; for tests of operators.
+    /// A counter's value in this call, by its name; for tests of operators.
     pub fn counted(&self, counter: &str) -> u64 {
-        self.made.counts.get(counter).copied().unwrap_or(0)
+        self.made.counts.get(counter)
     }
 }
 

@@ -1,11 +1,11 @@
-use std::collections::BTreeMap;
-
 use realo_schemas::report::Fated;
 use realo_schemas::{Clock, Message, Nanos};
 use serde_json::Value;
 
 use crate::config::{ConfigError, defaults, nearest_name, parse};
-use crate::{Argument, Books, Decided, Error, Gateway, Operator, Outputs, Port, PortId, Sink, Source, Waker};
+use crate::{
+    Argument, Books, Counter, Counts, Decided, Error, Gateway, Operator, Outputs, Port, PortId, Sink, Source, Waker,
+};
 
 /// What a node is to its graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,8 +82,8 @@ pub trait AnySource: Send {
     fn rate(&self) -> f64;
     /// See [`Source::clock`].
     fn clock(&self, first: Nanos) -> Option<Clock>;
-    /// See [`Source::counters`].
-    fn counters(&self) -> BTreeMap<String, u64>;
+    /// See [`Source::counts`].
+    fn counts(&self) -> Counts;
 }
 
 impl<S: Source + Send> AnySource for S {
@@ -96,8 +96,8 @@ impl<S: Source + Send> AnySource for S {
     fn clock(&self, first: Nanos) -> Option<Clock> {
         Source::clock(self, first)
     }
-    fn counters(&self) -> BTreeMap<String, u64> {
-        Source::counters(self)
+    fn counts(&self) -> Counts {
+        Source::counts(self)
     }
 }
 
@@ -150,6 +150,8 @@ pub struct Registration {
     pub outputs: &'static [Port],
     /// What its arguments mean.
     pub arguments: &'static [Argument],
+    /// What it counts.
+    pub counters: &'static [Counter],
     /// What of a run decides which argument.
     pub decided: &'static [(Decided, &'static str)],
     /// What the paper measured for the inference of the method, ns.
@@ -175,6 +177,7 @@ macro_rules! registration {
                 inputs: T::INPUTS,
                 outputs: T::OUTPUTS,
                 arguments: T::ARGUMENTS,
+                counters: T::COUNTERS,
                 decided: T::DECIDED,
                 paper_inference: T::PAPER_INFERENCE,
                 defaults: defaults::<T::Config>,

@@ -22,7 +22,7 @@ use realo_nn::network::BevView;
 use realo_nn::pillars::{Dropped, Points};
 use realo_nn::{Kernels, Pillarer};
 use realo_operator::{
-    Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, Steps, unexpected, wrong_port,
+    Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, Steps, unexpected, wrong_port,
 };
 use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -72,6 +72,19 @@ pub struct PillarEncoder {
 const CLOUDS: PortId = PortId(0);
 const FEATURES: PortId = PortId(0);
 
+const NAN_POINTS: Counter = Counter::plain("nan_points", "points left out: not finite");
+const OUT_OF_RANGE_POINTS: Counter = Counter::plain("out_of_range_points", "points left out: outside the model's grid");
+const OVER_POINTS: Counter = Counter::plain(
+    "over_points",
+    "points left out: they came after the last that their pillar takes",
+);
+const OVER_PILLARS: Counter = Counter::loss(
+    "over_pillars",
+    "points left out: of pillars beyond the max number of pillars",
+    "points were left out, because the model takes no more pillars (`pillars.pillars` of its file)",
+    "take a model file with more pillars, or fewer collaborators (`max_collaborators` of a fusion of points)",
+);
+
 impl Describe for PillarEncoder {
     type Config = Config;
     const NAME: &'static str = "pillar-encoder";
@@ -97,6 +110,7 @@ impl Describe for PillarEncoder {
     const INPUTS: &'static [Port] =
         &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the agent's body frame").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps")];
+    const COUNTERS: &'static [Counter] = &[NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),
@@ -128,10 +142,11 @@ impl Operator for PillarEncoder {
         }
         let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
         let (map, dropped) = self.encode(&cloud, out.steps())?;
-        out.count("nan_points", dropped.not_finite);
-        out.count("out_of_range_points", dropped.out_of_range);
-        out.count("over_points", dropped.over_points);
-        out.count("over_pillars", dropped.over_pillars);
+        let agent = header.agent.clone();
+        out.count(&NAN_POINTS, &agent, dropped.not_finite);
+        out.count(&OUT_OF_RANGE_POINTS, &agent, dropped.out_of_range);
+        out.count(&OVER_POINTS, &agent, dropped.over_points);
+        out.count_of(&OVER_PILLARS, &agent, dropped.over_pillars, cloud.len() as u64);
         let header = Header {
             kind: Kind::Features,
             ..header

@@ -14,7 +14,7 @@
 use std::collections::BTreeMap;
 
 use realo_operator::{
-    Argument, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
+    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
 };
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
@@ -66,6 +66,18 @@ const CLOUDS: PortId = PortId(0);
 const STATE: PortId = PortId(1);
 const PROJECTED: PortId = PortId(0);
 
+const NO_EGO_STATE: Counter = Counter::loss(
+    "no_ego_state",
+    "clouds not sent: nothing was known yet of where the ego is (`project=sender`)",
+    "sweeps were not sent, because nothing was known yet of where the ego is",
+    "`--project receiver` needs no state of the ego",
+)
+.quiet_up_to(10);
+const OF_ANOTHER: Counter = Counter::plain(
+    "of_another",
+    "states of agents for whom nothing is projected (`projector.ego` names another); they count as superseded",
+);
+
 impl Describe for Projector {
     type Config = Config;
     const NAME: &'static str = "projector";
@@ -89,6 +101,7 @@ impl Describe for Projector {
             .of(Lane::EgoReceived),
     ];
     const OUTPUTS: &'static [Port] = &[Port::new("projected", &[PayloadType::PointCloud], "the same sweeps")];
+    const COUNTERS: &'static [Counter] = &[NO_EGO_STATE, OF_ANOTHER];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Project, "project")];
 }
 
@@ -107,7 +120,7 @@ impl Operator for Projector {
             STATE => {
                 let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
                 if !self.only.is_empty() && header.agent != self.only {
-                    out.count("of_another", 1);
+                    out.count(&OF_ANOTHER, &header.agent, 1);
                     out.tell(&header, Fate::Superseded);
                     return Ok(());
                 }
@@ -176,10 +189,9 @@ impl Projector {
         }
         let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
         self.forget_before(header.ready.saturating_sub(FORGET), out);
-        let Some(known) = self.known_to(&header.agent) else {
-            out.count("no_ego_state", 1);
-            return Ok(());
-        };
+        let known = self.known_to(&header.agent);
+        out.count_of(&NO_EGO_STATE, &header.agent, u64::from(known.is_none()), 1);
+        let Some(known) = known else { return Ok(()) };
         let projected = projected(header, &cloud, known)?;
         known.used = true;
         out.tell(&known.header, Fate::Used);

@@ -1,10 +1,17 @@
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{Box3, Boxes, Header, Kind, Message, PayloadType, geometry};
 use serde::{Deserialize, Serialize};
 
 const CLOUDS: PortId = PortId(0);
 const RECORDED: PortId = PortId(1);
 const BOXES: PortId = PortId(0);
+
+const INVALID_BOXES: Counter = Counter::log_fault(
+    "invalid_boxes",
+    "boxes dropped: without extent, not finite, a score outside [0, 1]",
+    "recorded detections were left out, because they are not finite, have no extent or a score outside [0, 1]",
+    "mend what wrote them",
+);
 
 /// Recorded detections have no settings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -55,6 +62,7 @@ impl Describe for RecordedDetections {
         &[PayloadType::Boxes],
         "the recorded boxes with the sweep's header and pose",
     )];
+    const COUNTERS: &'static [Counter] = &[INVALID_BOXES];
 }
 
 impl Operator for RecordedDetections {
@@ -79,7 +87,8 @@ impl Operator for RecordedDetections {
                 }
                 let before = boxes.0.len();
                 let boxes = sound(boxes);
-                out.count("invalid_boxes", (before - boxes.0.len()) as u64);
+                let invalid = (before - boxes.0.len()) as u64;
+                out.count_of(&INVALID_BOXES, &recorded.agent, invalid, before as u64);
                 out.send(
                     BOXES,
                     Message::new(

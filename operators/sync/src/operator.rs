@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{EgoState, Header, Kind, Message, Name, Nanos, PayloadType, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +18,33 @@ const AHEAD: Nanos = 1_000_000_000;
 
 /// A pose that is due is awaited so long, ns: it and a sweep that exist at the same time may overtake each other.
 const OVERTAKING: Nanos = 2_000_000;
+
+const NAN_POINTS: Counter = Counter::plain("nan_points", "points left out: not finite");
+const OWN_BODY_POINTS: Counter = Counter::plain("own_body_points", "points left out: on the agent's own body");
+const DUPLICATE: Counter = Counter::log_fault(
+    "duplicate",
+    "sweeps dropped: of the last one's stamp",
+    "sweeps were dropped, because they have the stamp of the one before",
+    "the log has sweeps twice (a recording that was looped or merged with itself?): leave one of each",
+);
+const OUT_OF_ORDER: Counter = Counter::log_fault(
+    "out_of_order",
+    "sweeps dropped: older than the last one",
+    "sweeps were dropped, because their stamps are older than that of the one before",
+    "stamps must rise: write the log in their order, or look whether it was looped",
+);
+const NO_POSE: Counter = Counter::log_fault(
+    "no_pose",
+    "sweeps dropped: their pose did not become known in time",
+    "sweeps were dropped, because no pose was known at their stamps",
+    "`realo info` says when the agent has poses and sweeps; `--set {node}.max_gap_ms=…` bridges longer gaps between poses",
+);
+const NOT_DESKEWED: Counter = Counter::loss(
+    "not_deskewed",
+    "sweeps passed on although the motion during them is not known",
+    "sweeps were not freed of the agent's motion, because poses do not span them",
+    "poses before and after each sweep are needed, at 10 Hz or more",
+);
 
 /// Settings of sync.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,6 +124,14 @@ impl Describe for Sync {
             "pose and motion at each sweep's stamp",
         ),
     ];
+    const COUNTERS: &'static [Counter] = &[
+        NAN_POINTS,
+        OWN_BODY_POINTS,
+        DUPLICATE,
+        OUT_OF_ORDER,
+        NO_POSE,
+        NOT_DESKEWED,
+    ];
 }
 
 impl Sync {
@@ -124,21 +159,18 @@ impl Sync {
             .lanes
             .entry(header.agent.clone())
             .or_insert_with(|| Lane::new(max_gap));
-        if let Some(newest) = lane.newest.filter(|newest| header.stamp <= *newest) {
-            out.count(
-                if header.stamp == newest {
-                    "duplicate"
-                } else {
-                    "out_of_order"
-                },
-                1,
-            );
+        let newest = lane.newest.unwrap_or(Nanos::MIN);
+        let is = |wrong: bool| u64::from(wrong);
+        out.count_of(&DUPLICATE, &header.agent, is(header.stamp == newest), 1);
+        out.count_of(&OUT_OF_ORDER, &header.agent, is(header.stamp < newest), 1);
+        if header.stamp <= newest {
             return Ok(());
         }
         lane.newest = Some(header.stamp);
         let now = out.now();
-        let overflow = lane.wait(now, header, cloud);
-        out.count("no_pose", u64::from(overflow.is_some()));
+        if let Some((header, _)) = lane.wait(now, header, cloud) {
+            out.count_of(&NO_POSE, &header.agent, 1, 1);
+        }
         self.settings.release(lane, out, false);
         if !lane.waiting.is_empty() {
             out.wake_at(now.saturating_add(OVERTAKING));
@@ -166,19 +198,20 @@ impl SweepRules {
             let Some((_, header, cloud)) = lane.waiting.pop_front() else {
                 break;
             };
-            match pairing {
-                Some(pairing) => self.send(header, &cloud, pairing, out),
-                None => out.count("no_pose", 1),
+            out.count_of(&NO_POSE, &header.agent, u64::from(pairing.is_none()), 1);
+            if let Some(pairing) = pairing {
+                self.send(header, &cloud, pairing, out);
             }
         }
     }
 
     fn send(self, header: Header, cloud: &PointCloud, pairing: Pairing, out: &mut Outputs) {
         let Pairing { state, motion } = pairing;
-        out.count("not_deskewed", u64::from(self.deskew && motion.is_none()));
+        let agent = header.agent.clone();
+        out.count_of(&NOT_DESKEWED, &agent, u64::from(self.deskew && motion.is_none()), 1);
         let Cleaned { cloud, nan, own_body } = clean(cloud, self.own_body, motion.as_ref());
-        out.count("nan_points", nan);
-        out.count("own_body_points", own_body);
+        out.count(&NAN_POINTS, &agent, nan);
+        out.count(&OWN_BODY_POINTS, &agent, own_body);
         let pose = Pose {
             map_from_frame: state.map_from_body,
             covariance: state.covariance.clone(),

@@ -1,4 +1,4 @@
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
+use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
 use realo_schemas::{Header, Kind, Message, Packet, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +40,31 @@ pub struct TransmissionDecoder {
     decoder: Decoder,
 }
 
+const UNUSABLE_OBJECTS: Counter = Counter::loss(
+    "unusable_objects",
+    "objects of CPMs that make no box",
+    "objects of CPMs were left out, because they lack a position, length, width or angle, or the time of their measurement",
+    "their sender has to say these (docs/transmission.md, \"From other stacks\")",
+);
+const ASSUMED_OBJECTS: Counter = Counter::loss(
+    "assumed_objects",
+    "boxes of CPMs of which something was assumed",
+    "boxes of CPMs have a height, angle, class or score that was assumed, because their sender does not say it",
+    "docs/transmission.md, \"From other stacks\", has what is assumed",
+);
+const UNREAD_CONTAINERS: Counter = Counter::loss(
+    "unread_containers",
+    "containers of CPMs that are not read",
+    "containers of CPMs were not read",
+    "objects are taken from perceived object containers only (docs/transmission.md)",
+);
+const SEGMENTS: Counter = Counter::loss(
+    "segments",
+    "CPMs that are one of several segments",
+    "CPMs are one of several segments, and only the newest segment of a moment is fused",
+    "have their sender put all objects into one message",
+);
+
 impl Describe for TransmissionDecoder {
     type Config = DecoderConfig;
     const NAME: &'static str = "transmission-decoder";
@@ -63,6 +88,7 @@ impl Describe for TransmissionDecoder {
         Port::new("messages", FUSED, "the points, features or boxes that the sender sent"),
         Port::new("states", &[PayloadType::EgoState], "where the sender was"),
     ];
+    const COUNTERS: &'static [Counter] = &[UNUSABLE_OBJECTS, ASSUMED_OBJECTS, UNREAD_CONTAINERS, SEGMENTS];
 }
 
 impl TransmissionDecoder {
@@ -74,10 +100,15 @@ impl TransmissionDecoder {
             });
         }
         let (message, unused) = self.decoder.message(header, packet, out.steps())?;
-        out.count("unusable_objects", unused.objects);
-        out.count("assumed_objects", unused.assumed);
-        out.count("unread_containers", unused.containers);
-        out.count("segments", unused.segments);
+        let agent = message.header.agent.clone();
+        let boxes = match &message.payload {
+            Payload::Boxes(boxes) => boxes.0.len() as u64,
+            _ => 0,
+        };
+        out.count_of(&UNUSABLE_OBJECTS, &agent, unused.objects, boxes + unused.objects);
+        out.count_of(&ASSUMED_OBJECTS, &agent, unused.assumed, boxes);
+        out.count(&UNREAD_CONTAINERS, &agent, unused.containers);
+        out.count_of(&SEGMENTS, &agent, unused.segments, 1);
         Ok(message)
     }
 }

@@ -1,5 +1,5 @@
-use realo_operator::{Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{Elements, Header, Message, PayloadType};
+use realo_operator::{Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_schemas::{Elements, Header, Message, Payload, PayloadType};
 use serde::{Deserialize, Serialize};
 
 use crate::Encoder;
@@ -81,6 +81,40 @@ pub struct TransmissionEncoder {
 const MESSAGES: PortId = PortId(0);
 const PACKETS: PortId = PortId(0);
 
+const BYTES: Counter = Counter::plain(
+    "bytes",
+    "bytes made, before the link's range gate; those of a channel are in `links`",
+);
+const NAN_POINTS: Counter = Counter::plain("nan_points", "points that were not sent: not finite");
+const INVALID_BOXES: Counter = Counter::loss(
+    "invalid_boxes",
+    "boxes that were not sent: without extent, not finite, a score outside [0, 1]",
+    "boxes were not sent, because they are not finite, have no extent or a score outside [0, 1]",
+    "mend the stage that makes them",
+);
+const BOUNDED_FEATURES: Counter = Counter::loss(
+    "bounded_features",
+    "numbers of feature maps beyond half precision, sent as its max (`elements=f16`)",
+    "numbers of feature maps were sent as the max of half precision, because they are beyond it",
+    "`--set {node}.elements=f32` or `int8`",
+);
+const LEFT_OUT_CELLS: Counter = Counter::plain(
+    "left_out_cells",
+    "cells of feature maps that did not cross: not sure enough (`least_confidence`), or too many for `budget_bytes`",
+);
+const OUT_OF_RANGE_BOXES: Counter = Counter::loss(
+    "out_of_range_boxes",
+    "boxes that did not cross as a CPM: too far or too long for its numbers",
+    "boxes were not sent, because a CPM has no numbers for them: farther than 1,310.7 m, or longer than 25.4 m",
+    "`--set {node}.boxes=plain` sends any box",
+);
+const SURPLUS_BOXES: Counter = Counter::loss(
+    "surplus_boxes",
+    "boxes that did not cross as a CPM: beyond `max_objects`",
+    "boxes were not sent, because a CPM takes no more (`max_objects`); the surest were",
+    "`--set {node}.max_objects=…`, up to 255",
+);
+
 impl Describe for TransmissionEncoder {
     type Config = EncoderConfig;
     const NAME: &'static str = "transmission-encoder";
@@ -137,6 +171,15 @@ impl Describe for TransmissionEncoder {
     ];
     const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
+    const COUNTERS: &'static [Counter] = &[
+        BYTES,
+        NAN_POINTS,
+        INVALID_BOXES,
+        BOUNDED_FEATURES,
+        LEFT_OUT_CELLS,
+        OUT_OF_RANGE_BOXES,
+        SURPLUS_BOXES,
+    ];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Roadside, "roadside")];
 }
 
@@ -152,13 +195,18 @@ impl Operator for TransmissionEncoder {
             return Err(wrong_port(Self::INPUTS, port));
         }
         let (packet, dropped) = self.encoder.encode(&message, out.steps())?;
-        out.count("nan_points", dropped.points);
-        out.count("invalid_boxes", dropped.boxes);
-        out.count("bounded_features", dropped.range);
-        out.count("left_out_cells", dropped.cells);
-        out.count("out_of_range_boxes", dropped.out_of_range);
-        out.count("surplus_boxes", dropped.surplus);
-        out.count("bytes", packet.bytes.len() as u64);
+        let agent = message.header.agent.clone();
+        let boxes = match &message.payload {
+            Payload::Boxes(boxes) => boxes.0.len() as u64,
+            _ => 0,
+        };
+        out.count(&BYTES, &agent, packet.bytes.len() as u64);
+        out.count(&NAN_POINTS, &agent, dropped.points);
+        out.count_of(&INVALID_BOXES, &agent, dropped.boxes, boxes);
+        out.count(&BOUNDED_FEATURES, &agent, dropped.range);
+        out.count(&LEFT_OUT_CELLS, &agent, dropped.cells);
+        out.count_of(&OUT_OF_RANGE_BOXES, &agent, dropped.out_of_range, boxes);
+        out.count_of(&SURPLUS_BOXES, &agent, dropped.surplus, boxes);
         // The pose crosses in the bytes only, so that a receiver cannot come to know it in another way.
         let header = Header {
             pose: None,

@@ -1,12 +1,12 @@
-//! `realo operators`: every operator and node with its ports and arguments.
+//! `realo operators`: every operator and node with its ports, arguments and counters.
 
 use eyre::Result;
-use realo_operator::{Port, Queue, Registration};
+use realo_operator::{Counter, Meaning, Port, Queue, Registration};
 use serde_json::{Value, json};
 
 use crate::{Outcome, registry};
 
-/// Lists every operator and node with ports, types and arguments
+/// Lists every operator and node with ports, types, arguments and counters
 #[derive(clap::Args)]
 pub struct Args {
     /// Only this one
@@ -14,6 +14,9 @@ pub struct Args {
     /// As JSON
     #[arg(long)]
     json: bool,
+    /// What they count, as a table of docs/results.md
+    #[arg(long, conflicts_with = "json")]
+    counters: bool,
 }
 
 /// Prints the registry.
@@ -27,7 +30,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
             known.join(", ")
         ));
     }
-    if args.json {
+    if args.counters {
+        print!("{}", counters(&entries));
+    } else if args.json {
         println!(
             "{}",
             serde_json::to_string_pretty(&entries.iter().map(|e| document(e)).collect::<Vec<_>>())?
@@ -61,7 +66,43 @@ fn print(entry: &Registration) {
             argument.about
         );
     }
+    for counter in entry.counters {
+        println!("  cnt  {:<30} {}{}", counter.name, counter.about, said(counter));
+    }
     println!();
+}
+
+/// What a count above 0 leads to.
+fn said(counter: &Counter) -> &'static str {
+    match counter.meaning {
+        Meaning::Plain => "",
+        Meaning::Loss => " (a note)",
+        Meaning::LogFault => " (a note, exit code 3)",
+    }
+}
+
+/// The table of what operators and nodes count.
+fn counters(entries: &[&Registration]) -> String {
+    let mut table = String::from("| node | counter | counts | above 0 |\n|---|---|---|---|\n");
+    for entry in entries {
+        for (place, counter) in entry.counters.iter().enumerate() {
+            let node = if place == 0 { entry.name } else { "" };
+            let said = said(counter).trim_matches([' ', '(', ')']);
+            let row = ["", node, &format!("`{}`", counter.name), counter.about, said, ""];
+            table += &row
+                .map(|cell| {
+                    if cell.is_empty() {
+                        String::new()
+                    } else {
+                        format!(" {cell} ")
+                    }
+                })
+                .join("|")
+                .replace("||", "| |");
+            table += "\n";
+        }
+    }
+    table
 }
 
 fn types(port: &Port) -> String {
@@ -107,5 +148,68 @@ fn document(entry: &Registration) -> Value {
         "inputs": entry.inputs.iter().map(port).collect::<Vec<_>>(),
         "outputs": entry.outputs.iter().map(port).collect::<Vec<_>>(),
         "arguments": entry.arguments.iter().map(argument).collect::<Vec<_>>(),
+        "counters": entry.counters.iter().map(counter).collect::<Vec<_>>(),
     })
+}
+
+fn counter(counter: &Counter) -> Value {
+    let Counter {
+        name,
+        about,
+        meaning,
+        quiet_percent,
+        note,
+        remedy,
+    } = counter;
+    json!({
+        "name": name,
+        "about": about,
+        "meaning": meaning,
+        "quiet_percent": quiet_percent,
+        "note": note,
+        "remedy": remedy,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_has_every_counter() {
+        let entries: Vec<&Registration> = registry().0.iter().collect();
+        let page = include_str!("../../../docs/results.md");
+        let missing: Vec<String> = counters(&entries)
+            .lines()
+            .filter(|row| !page.lines().any(|line| line == *row))
+            .map(String::from)
+            .collect();
+        assert!(
+            page.contains(&counters(&entries)),
+            "the table of docs/results.md is not what `realo operators --counters` prints: {missing:#?}"
+        );
+    }
+
+    #[test]
+    fn counters_have_names_of_their_own_and_losses_have_words() {
+        for entry in registry().0 {
+            for (place, counter) in entry.counters.iter().enumerate() {
+                let place = &entry.counters[..place];
+                assert!(
+                    place.iter().all(|other| other.name != counter.name),
+                    "{} {}",
+                    entry.name,
+                    counter.name
+                );
+                let has_words = !counter.note.is_empty() && !counter.remedy.is_empty();
+                assert_eq!(
+                    has_words,
+                    counter.meaning != Meaning::Plain,
+                    "{} {}",
+                    entry.name,
+                    counter.name
+                );
+            }
+        }
+    }
 }

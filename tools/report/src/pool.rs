@@ -144,6 +144,9 @@ fn add(sum: &mut RunResult, run: &RunResult) {
             }
         }
     }
+    if let Some(cooperation) = &run.cooperation {
+        sum.cooperation.get_or_insert_default().add(cooperation);
+    }
     for (edge, books) in &run.transport.edges {
         sum.transport.add(edge, books);
     }

@@ -63,7 +63,7 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
     }
     let mut state = shared.lock();
     let now = state.log_now();
-    state.engine.close_source(stage, source.counters(), now);
+    state.engine.close_source(stage, source.counts(), now);
     shared.follow(&mut state, now);
     shared.nudge();
     Ok(())

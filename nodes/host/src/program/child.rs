@@ -15,7 +15,7 @@ use realo_operator::pipe::hello::{self, Hello};
 use realo_operator::pipe::memory::Memory;
 use realo_operator::pipe::words::{Call, Reply};
 use realo_operator::pipe::{FrameError, frame};
-use realo_operator::{AnyOperator, Error, Made, Outputs, PortId, Registration};
+use realo_operator::{AnyOperator, Counts, Error, Made, Outputs, PortId, Registration};
 
 /// How long a program may take to exit once it has nothing left to do, and to say why it failed.
 const FAREWELL: Duration = Duration::from_secs(10);
@@ -207,7 +207,16 @@ impl Child {
         out.take_over(Made {
             sent: sent.collect::<Result<_, String>>()?,
             wakes: reply.wakes.into_iter().collect(),
-            counts: reply.counts.into_iter().map(|(name, n)| (name.into(), n)).collect(),
+            counts: Counts {
+                counters: reply.counts.into_iter().map(|(name, n)| (name.into(), n)).collect(),
+                losses: reply
+                    .told
+                    .losses
+                    .into_iter()
+                    .map(|(name, loss)| (name.into(), loss))
+                    .collect(),
+            },
+            explained: reply.told.explained,
             fates: reply.told.fates,
             traffic: reply.told.traffic,
             steps: Vec::new(),
@@ -333,6 +342,7 @@ static NOBODY: Registration = Registration {
     inputs: &[],
     outputs: &[],
     arguments: &[],
+    counters: &[],
     decided: &[],
     paper_inference: None,
     defaults: serde_json::Map::new,

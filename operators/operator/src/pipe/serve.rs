@@ -79,12 +79,20 @@ fn answer(
         wakes: made.wakes.into_iter().collect(),
         counts: made
             .counts
+            .counters
             .into_iter()
             .map(|(name, n)| (name.into_owned(), n))
             .collect(),
         told: Told {
             fates: made.fates,
             traffic: made.traffic,
+            losses: made
+                .counts
+                .losses
+                .into_iter()
+                .map(|(name, loss)| (name.into_owned(), loss))
+                .collect(),
+            explained: made.explained,
         },
     })
 }

@@ -1,12 +1,15 @@
 //! Calls and replies.
 
+use std::collections::BTreeMap;
+
 use arrow_array::{Array, Int64Array, UInt64Array};
 use arrow_buffer::Buffer;
-use realo_schemas::report::{Channel, Fated};
+use realo_schemas::report::{Channel, Fate, Fated};
 use realo_schemas::{Message, Nanos, wire};
 use serde::{Deserialize, Serialize};
 
 use super::row::{Received, Row};
+use crate::Loss;
 
 /// What the driver asks of a program.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,11 +38,11 @@ pub struct Reply {
     pub wakes: Vec<Nanos>,
     /// What it counted.
     pub counts: Vec<(String, u64)>,
-    /// What it said of messages that cross links.
+    /// What it said of messages that cross links, and of what was lost.
     pub told: Told,
 }
 
-/// What an operator says of messages that cross links.
+/// What an operator says of messages that cross links, and of what was lost.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Told {
@@ -47,6 +50,12 @@ pub struct Told {
     pub fates: Vec<Fated>,
     /// What channels carried.
     pub traffic: Vec<Channel>,
+    /// More about those of its counters that are losses.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub losses: BTreeMap<String, Loss>,
+    /// What fates mean at this operator.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub explained: BTreeMap<Fate, String>,
 }
 
 impl Call {

@@ -58,6 +58,8 @@ pub fn reply(points: usize) -> Reply {
                 r#use: Some(Use { query: 4, age_ns: -5 }),
             }],
             traffic: vec![],
+            losses: Default::default(),
+            explained: Default::default(),
         },
     }
 }

@@ -356,7 +356,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         return Ok(Outcome::Ended(ending.number()));
     }
-    let is_partial = batches.iter().any(|(_, batch)| batch.is_partial());
+    let has_faults = runs.iter().any(|(_, run)| run.result.log_faults() > 0);
+    let is_partial = has_faults || batches.iter().any(|(_, batch)| batch.is_partial());
     Ok(match (has_failed, is_partial) {
         (true, _) => Outcome::Failed,
         (false, true) => Outcome::Partial,

@@ -1,0 +1,95 @@
+//! What the player counts.
+
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use realo_operator::{Counter, Counts};
+
+/// What was counted, for the thread that reads ahead and for who asks.
+#[derive(Clone, Default)]
+pub struct Counters(Arc<Mutex<Counts>>);
+
+impl Counters {
+    /// Adds `n` of `of` things of an agent; see [`Counts::add`].
+    pub fn add(&self, counter: &'static Counter, agent: &str, n: u64, of: u64) {
+        self.lock().add(counter, agent, n, of);
+    }
+
+    /// Adds one to a counter that has an agent and a number in its name.
+    pub fn add_named(&self, counter: &str) {
+        self.lock().add_named(counter.to_string(), 1);
+    }
+
+    /// All so far.
+    pub fn get(&self) -> Counts {
+        self.lock().clone()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Counts> {
+        self.0.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+/// All of them.
+pub const ALL: &[Counter] = &[
+    LOG_TRUNCATED,
+    RUNS_ALONE,
+    POSES_UNUSABLE,
+    LEVELLED,
+    TILTED_POSES,
+    DETECTIONS_WITHOUT_SWEEP,
+    INTENSITIES_LIMITED,
+    TRACKS_DIFFER,
+    TOO_FAR,
+];
+
+// Results know these by their names, and have the notes.
+pub const LOG_TRUNCATED: Counter = Counter::plain(
+    "log_truncated",
+    "1 if the log is cut; summed over pooled runs, while `logs_cut` names each log once",
+);
+pub const RUNS_ALONE: Counter = Counter::plain("runs_alone", "1 if no agent of the log may collaborate with the ego");
+pub const LEVELLED: Counter = Counter::plain(
+    "levelled_AGENT_by_DEGREES",
+    "sweeps of an agent that were [levelled while played](log-format.md#level-frames); the degrees by which its poses tilt \
+     at most are part of the name",
+);
+
+pub const POSES_UNUSABLE: Counter = Counter::log_fault(
+    "poses_unusable",
+    "poses of the log with numbers that are not finite, or a rotation of no length; not sent",
+    "poses of the log were left out: expected finite numbers and a quaternion that is not zero",
+    "`realo import log` names the first",
+);
+pub const TILTED_POSES: Counter = Counter::loss(
+    "tilted_poses",
+    "poses that were played although they tilt by more than 0.25°: beside precomputed packets, or of agents that the log says are \
+     not to be levelled",
+    "poses are not level and were played as they are, beside precomputed packets or since the log says that it is not to be \
+     levelled",
+    "networks look for the ground at z = 0 (docs/log-format.md, \"Level frames\")",
+);
+pub const DETECTIONS_WITHOUT_SWEEP: Counter = Counter::log_fault(
+    "detections_without_sweep",
+    "recorded detections whose stamp is that of no sweep; not sent",
+    "messages of recorded detections were left out, because no sweep has their stamp",
+    "detections need the stamp of the sweep that they were made from; `realo info` says how far off they are",
+);
+pub const INTENSITIES_LIMITED: Counter = Counter::loss(
+    "intensities_limited",
+    "intensities of points that did not fit after [scaling](log-format.md#messages) and were limited to 0…255",
+    "intensities of points did not fit and were limited to 0…255",
+    "`realo info` says how they are scaled, by the first ten sweeps: write them as bytes",
+);
+pub const TRACKS_DIFFER: Counter = Counter::log_fault(
+    "tracks_differ",
+    "positions of [tracks](log-format.md#tracks) that two agents both have, more than 5 m apart; counted where that is most of them",
+    "positions of tracks that both have lie more than 5 m apart: tracks of {agent} name different objects, so that points of \
+     collaborators count for the wrong objects",
+    "give an object the same track in the truth of all agents",
+);
+pub const TOO_FAR: Counter = Counter::loss(
+    "too_far",
+    "sweeps that were not computed, because as many others as the fusion takes were nearer to the ego (`fused_at_most`)",
+    "sweeps were not computed, and are in no books, because as many others as the fusion takes were nearer to the ego",
+    "the player's `fused_at_most=null` computes them",
+);

@@ -1,0 +1,217 @@
+//! Whose messages were fused, and why those of others were not.
+
+use std::collections::BTreeSet;
+
+use realo_operator::{Books, Loss, Meaning};
+use realo_schemas::Kind;
+use realo_schemas::report::Fate;
+use serde::{Deserialize, Serialize};
+
+use crate::notes::{grouped, listed};
+use crate::{LinkBooks, RunResult};
+
+/// What cooperation came to.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cooperation {
+    /// Runs in which somebody could cooperate with the ego.
+    pub runs: u64,
+    /// Those of them in which no message of a collaborator was used.
+    pub in_vain: u64,
+    /// Collaborators of whom nothing was used.
+    pub unused: Vec<Unused>,
+}
+
+/// A collaborator of whom nothing was used.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Unused {
+    /// The log; empty where it has no name.
+    pub log: String,
+    /// Who would have used it.
+    pub ego: String,
+    /// The collaborator.
+    pub agent: String,
+    /// Why, in words.
+    pub why: String,
+}
+
+impl Cooperation {
+    /// What a run's books say; `None` where its graph takes nothing from others.
+    pub(crate) fn of(result: &RunResult, books: &Books) -> Option<Self> {
+        let inputs = || books.nodes.values().flat_map(|node| node.inputs.values());
+        let fuses = inputs().any(|input| input.accounts.iter().any(|kind| *kind != Kind::EgoState));
+        if !fuses {
+            return None;
+        }
+        let mut unused = Vec::new();
+        let others = collaborators(result);
+        for agent in &others {
+            let books_of = books_of(result, agent);
+            if books_of.iter().all(|known| used(known) == 0) {
+                unused.push(Unused {
+                    log: result.logs.concat(),
+                    ego: result.egos.concat(),
+                    why: why(agent, &books_of, result, books),
+                    agent: agent.clone(),
+                });
+            }
+        }
+        Some(Cooperation {
+            runs: u64::from(!others.is_empty()),
+            in_vain: u64::from(!others.is_empty() && unused.len() == others.len()),
+            unused,
+        })
+    }
+
+    /// Adds what another run came to.
+    pub fn add(&mut self, other: &Cooperation) {
+        self.runs += other.runs;
+        self.in_vain += other.in_vain;
+        self.unused.extend(other.unused.iter().cloned());
+    }
+
+    /// Whether no run used anything of anybody.
+    pub fn added_nothing(&self) -> bool {
+        self.runs > 0 && self.in_vain == self.runs
+    }
+
+    pub(crate) fn notes(&self, result: &RunResult) -> Vec<String> {
+        let mut notes: Vec<String> = match result.runs {
+            1 => self
+                .unused
+                .iter()
+                .map(|unused| format!("{}: no message was used: {}", unused.agent, unused.why))
+                .collect(),
+            _ => self.pooled().into_iter().collect(),
+        };
+        if self.in_vain > 0 {
+            let which = match self.runs {
+                1 => String::new(),
+                runs => format!(" in {} of {runs} runs", self.in_vain),
+            };
+            notes.push(format!(
+                "cooperation added nothing{which}: no message of another agent was used, so these are the numbers of the ego alone"
+            ));
+        }
+        notes
+    }
+
+    /// Of several runs: who was not used in which of them, and why the first was not.
+    fn pooled(&self) -> Option<String> {
+        let first = self.unused.first()?;
+        let name = |unused: &Unused| match unused.log.is_empty() {
+            true => format!("{} (ego {})", unused.agent, unused.ego),
+            false => format!("{} (log {}, ego {})", unused.agent, unused.log, unused.ego),
+        };
+        let names: Vec<String> = self.unused.iter().map(name).collect();
+        let more = match names.len() {
+            1 => "",
+            _ => "; of the first: ",
+        };
+        let why = match more {
+            "" => format!(": {}", first.why),
+            _ => format!("{more}{}", first.why),
+        };
+        Some(format!(
+            "no message was used of {}{why}",
+            listed(&names).trim_end_matches(':')
+        ))
+    }
+}
+
+/// Who could cooperate with the egos: who is on the air, or who takes part in the log.
+fn collaborators(result: &RunResult) -> BTreeSet<String> {
+    let senders = result.links.keys().filter_map(|link| {
+        let ego = result
+            .egos
+            .iter()
+            .find_map(|ego| link.strip_suffix(&format!("-{ego}")))?;
+        Some(ego.to_string())
+    });
+    let mut others: BTreeSet<String> = senders.collect();
+    others.extend(result.peers.iter().map(|peer| peer.name.clone()));
+    if !has_radio(result) {
+        others.extend(result.agents.iter().cloned());
+    }
+    others.retain(|agent| !result.egos.contains(agent));
+    others
+}
+
+fn has_radio(result: &RunResult) -> bool {
+    result.nodes.values().any(|node| node.operator == "radio")
+}
+
+/// The books of what an agent sent to the egos, but for where it is.
+fn books_of(result: &RunResult, agent: &str) -> Vec<LinkBooks> {
+    let links = result
+        .egos
+        .iter()
+        .filter_map(|ego| result.links.get(&format!("{agent}-{ego}")));
+    let kinds = links.flatten().filter(|(kind, _)| **kind != Kind::EgoState.as_str());
+    kinds.map(|(_, books)| books.clone()).collect()
+}
+
+fn used(books: &LinkBooks) -> u64 {
+    books.accounted.map_or(0, |accounted| accounted.fates.used)
+}
+
+/// What became of all that an agent has sent, most first.
+fn why(agent: &str, books_of: &[LinkBooks], result: &RunResult, books: &Books) -> String {
+    let stale = books.nodes.values().find_map(|node| node.explained.get(&Fate::Stale));
+    let stale = stale.map_or("were too old", |words| words);
+    let sum = |get: fn(&LinkBooks) -> u64| books_of.iter().map(get).sum::<u64>();
+    let fate = |get: fn(&crate::Fates) -> u64| -> u64 {
+        let accounted = books_of.iter().filter_map(|books| books.accounted);
+        accounted.map(|accounted| get(&accounted.fates)).sum()
+    };
+    let mut ways = [
+        (
+            sum(|books| books.out_of_range),
+            "were not sent, because the agents were out of the link's range",
+        ),
+        (sum(|books| books.lost), "were lost on the way"),
+        (fate(|fates| fates.skipped), "were passed over by a busy stage"),
+        (
+            fate(|fates| fates.over_limit),
+            "came when the fusion had taken all that it takes",
+        ),
+        (fate(|fates| fates.stale), stale),
+        (
+            fate(|fates| fates.superseded),
+            "were superseded by newer ones before they were asked for",
+        ),
+        (fate(|fates| fates.rejected), "were rejected"),
+        (fate(|fates| fates.in_flight), "were never asked for"),
+    ];
+    ways.sort_by_key(|(n, _)| std::cmp::Reverse(*n));
+    let said: Vec<String> = ways
+        .iter()
+        .filter(|(n, _)| *n > 0)
+        .map(|(n, words)| format!("{} {words}", grouped(*n)))
+        .collect();
+    match said.is_empty() {
+        false => said.join(", "),
+        true => format!("none was sent{}", cause(agent, result)),
+    }
+}
+
+/// What the agent lost before anything could be sent.
+fn cause(agent: &str, result: &RunResult) -> String {
+    let losses = result
+        .nodes
+        .iter()
+        .flat_map(|(id, node)| node.losses.values().map(move |loss| (id, loss)));
+    let lost = |(id, loss): (&String, &Loss)| {
+        let share = loss.agents.get(agent).filter(|share| share.count > 0)?;
+        let note = loss.note.replace("{node}", id).replace("{agent}", agent);
+        Some((loss.meaning, share.count, format!(": {} {note}", grouped(share.count))))
+    };
+    // What the log is the cause of goes first, then the most.
+    let most = losses
+        .filter_map(lost)
+        .max_by_key(|(meaning, n, _)| (*meaning == Meaning::LogFault, *n));
+    match most {
+        Some((.., words)) => words,
+        None if has_radio(result) => String::from(", or none came"),
+        None => String::new(),
+    }
+}

@@ -1,0 +1,327 @@
+//! The sentences that a reader must know.
+
+use std::collections::BTreeMap;
+
+use realo_operator::{Loss, Meaning, Share};
+use realo_schemas::file;
+
+use crate::RunResult;
+use crate::result::LOG_CUT;
+
+/// So many cut logs are named; the field `logs_cut` has all.
+const CUT_NAMED: usize = 5;
+/// So many agents are named in a note.
+const AGENTS_NAMED: usize = 5;
+/// Characters of a counter's words: those of plug-ins may be of any length.
+const CHARACTERS: usize = 400;
+
+/// All notes but those of scores: first whose messages were never used, then what disturbed the run, then what was lost.
+pub fn of(result: &RunResult) -> Vec<String> {
+    let mut notes: Vec<String> = result
+        .cooperation
+        .iter()
+        .flat_map(|cooperation| cooperation.notes(result))
+        .collect();
+    notes.extend(result.own_notes());
+    notes.extend(losses(result));
+    notes
+}
+
+/// A note for each loss of each node; those that are the log's fault first.
+fn losses(result: &RunResult) -> Vec<String> {
+    let mut all: Vec<(&String, &Loss)> = result
+        .nodes
+        .iter()
+        .flat_map(|(id, node)| node.losses.values().map(move |loss| (id, loss)))
+        .filter(|(_, loss)| loss.meaning != Meaning::Plain && loss.worth_a_note().next().is_some())
+        .collect();
+    all.sort_by_key(|(_, loss)| loss.meaning != Meaning::LogFault);
+    all.into_iter().map(|(node, loss)| sentence(node, loss)).collect()
+}
+
+fn sentence(node: &str, loss: &Loss) -> String {
+    let agents: Vec<(&str, Share)> = agents_of(loss);
+    let names: Vec<&str> = agents.iter().map(|(agent, _)| *agent).collect();
+    let words = |text: &str| {
+        let text = text.replace("{node}", node).replace("{agent}", &listed(&names));
+        plain(&file::head(&text, CHARACTERS))
+    };
+    let counts: Vec<String> = agents.iter().map(|(agent, share)| count_of(agent, *share)).collect();
+    let (note, remedy) = (words(&loss.note), words(&loss.remedy));
+    match remedy.is_empty() {
+        true => format!("{} {note}", listed(&counts)),
+        false => format!("{} {note}; {remedy}", listed(&counts)),
+    }
+}
+
+/// Whom something was lost of; most first.
+fn agents_of(loss: &Loss) -> Vec<(&str, Share)> {
+    let mut agents: Vec<(&str, Share)> = loss.worth_a_note().collect();
+    agents.sort_by_key(|(_, share)| std::cmp::Reverse(share.count));
+    agents
+}
+
+/// `rsu1: 3 of 20`.
+fn count_of(agent: &str, share: Share) -> String {
+    let whose = match agent.is_empty() {
+        true => String::new(),
+        false => format!("{}: ", plain(&file::shown(agent))),
+    };
+    match share.of {
+        0 => format!("{whose}{}", grouped(share.count)),
+        of => format!("{whose}{} of {}", grouped(share.count), grouped(of)),
+    }
+}
+
+/// As a terminal may have it.
+fn plain(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+/// The first few of a list, and how many more there are.
+pub(crate) fn listed<T: AsRef<str>>(all: &[T]) -> String {
+    let first: Vec<&str> = all.iter().take(AGENTS_NAMED).map(AsRef::as_ref).collect();
+    match all.len() - first.len() {
+        0 => first.join(", "),
+        more => format!("{} and {more} more:", first.join(", ")),
+    }
+}
+
+/// A number with commas.
+pub(crate) fn grouped(n: u64) -> String {
+    let digits = n.to_string();
+    let mut text = String::new();
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+impl RunResult {
+    /// Several runs over a cut log (one for each ego) do not make it several.
+    fn note_of_cut_logs(&self) -> Option<String> {
+        let (cut, all) = (self.logs_cut.len(), self.logs.len());
+        let runs = self.counter(LOG_CUT);
+        let which = match cut {
+            0 if runs == 0 => return None,
+            // Nobody told the names.
+            0 if self.runs == 1 => "the log is cut".into(),
+            0 => format!("{runs} of {} runs played a cut log", self.runs),
+            _ if all == 1 => format!("the log {} is cut", self.logs_cut[0]),
+            1..=CUT_NAMED => format!("{cut} of {all} logs are cut ({})", self.logs_cut.join(", ")),
+            _ => format!(
+                "{cut} of {all} logs are cut ({}, …)",
+                self.logs_cut[..CUT_NAMED].join(", ")
+            ),
+        };
+        Some(format!("{which}: what lies before the cut was played"))
+    }
+
+    /// Which agents the player levelled, and by how much their bodies tilt in any log.
+    fn note_of_levelled_agents(&self) -> Option<String> {
+        let counters = self.nodes.values().flat_map(|node| node.counters.keys());
+        let mut agents: BTreeMap<&str, f64> = BTreeMap::new();
+        for (agent, tilt) in counters.filter_map(|counter| levelled(counter)) {
+            let most = agents.entry(agent).or_default();
+            *most = most.max(tilt);
+        }
+        let said: Vec<String> = agents
+            .iter()
+            .map(|(agent, most)| format!("{agent}, which tilts by up to {most:.2}°"))
+            .collect();
+        (!said.is_empty()).then(|| format!("levelled while played, by the poses of the log: {}", said.join("; ")))
+    }
+
+    /// Whose messages came to a fusion that had taken all that it takes.
+    fn note_of_limit(&self) -> Option<String> {
+        let over = self.channels().filter_map(|(link, _, books)| {
+            let over = books.accounted?.fates.over_limit;
+            (over > 0).then(|| format!("{link} ({over} of {})", books.sent))
+        });
+        let said: Vec<String> = over.collect();
+        (!said.is_empty()).then(|| {
+            format!(
+                "beyond the collaborators that the fusion takes (`max_collaborators`, or the agents of its model), which are the nearest to the ego: {}",
+                said.join(", ")
+            )
+        })
+    }
+
+    fn own_notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        let mut note = |condition: bool, text: String| {
+            if condition {
+                notes.push(text);
+            }
+        };
+        let lost = self.transport.total_lost;
+        note(
+            lost > 0,
+            format!("dora lost {lost} messages between nodes: the scores are those of a disturbed run"),
+        );
+        let cut = self.note_of_cut_logs();
+        note(cut.is_some(), cut.unwrap_or_default());
+        let alone = self.counter("runs_alone");
+        note(
+            alone > 0,
+            format!(
+                "in {alone} of {} runs no agent of the log may collaborate: the ego was alone",
+                self.runs
+            ),
+        );
+        let levelled = self.note_of_levelled_agents();
+        note(levelled.is_some(), levelled.unwrap_or_default());
+        let beyond = self.note_of_limit();
+        note(beyond.is_some(), beyond.unwrap_or_default());
+        let skipped = self.frames.skipped;
+        note(
+            skipped > 0,
+            format!("{skipped} of {} sweeps of the ego gave no boxes", self.frames.total),
+        );
+        for (id, node) in self.nodes.iter().filter(|(_, node)| node.errors > 0) {
+            let first = node
+                .first_error
+                .as_deref()
+                .map(|error| format!("; the first: {}", file::shown(error)));
+            let first = first.unwrap_or_default();
+            note(
+                true,
+                format!(
+                    "node {id} ({}) could not take {} messages{first}",
+                    node.operator, node.errors
+                ),
+            );
+        }
+        for (id, node) in &self.nodes {
+            let is_alone = node.operator == "radio" && node.counters.get("alone").is_some_and(|alone| *alone > 0);
+            note(
+                is_alone,
+                format!(
+                    "node {id} (radio) took no message of another agent: look whether `{id}.connect` here or there is the other \
+                     machine's address, its graph runs, and both have one `{id}.site`"
+                ),
+            );
+        }
+        for (link, kind, books) in self.channels() {
+            if let Some(unaccounted) = books.accounted.map(|books| books.unaccounted).filter(|n| *n != 0) {
+                note(
+                    true,
+                    format!(
+                        "link {link}: {unaccounted} of {} {kind} messages are not accounted for",
+                        books.sent
+                    ),
+                );
+            }
+        }
+        notes
+    }
+}
+
+/// Agent and degrees of the player's counter of sweeps that it levelled, `levelled_AGENT_by_DEGREES`.
+fn levelled(counter: &str) -> Option<(&str, f64)> {
+    let (agent, degrees) = counter.strip_prefix("levelled_")?.rsplit_once("_by_")?;
+    let degrees: f64 = degrees.parse().ok()?;
+    degrees.is_finite().then_some((agent, degrees))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{NodeSummary, Samples, Settings};
+
+    #[test]
+    fn agents_that_were_levelled_are_named_with_their_greatest_tilt() {
+        let mut result = RunResult::new(Settings::default());
+        let counters = [
+            "levelled_a_by_b_by_0.40",
+            "levelled_a_by_b_by_2.26",
+            "levelled_mast_by_0.53",
+        ];
+        let player = NodeSummary {
+            counters: counters.map(|counter| (counter.to_string(), 20)).into(),
+            ..NodeSummary::default()
+        };
+        result.nodes.insert("player".into(), player);
+        result.conclude(&Samples::default());
+        let said = "levelled while played, by the poses of the log: a_by_b, which tilts by up to 2.26°; mast, which tilts by up to 0.53°";
+        assert_eq!(result.notes, [said]);
+    }
+
+    fn run_over(log: &str) -> RunResult {
+        let mut result = RunResult::new(Settings::default());
+        result.logs = [log]
+            .into_iter()
+            .filter(|log| !log.is_empty())
+            .map(String::from)
+            .collect();
+        let player = NodeSummary {
+            counters: [(LOG_CUT.to_string(), 1)].into(),
+            ..NodeSummary::default()
+        };
+        result.nodes.insert("player".into(), player);
+        result.conclude(&Samples::default());
+        result
+    }
+
+    #[test]
+    fn a_cut_log_is_named() {
+        let said = |result: &RunResult| result.notes.join("; ");
+        assert_eq!(
+            said(&run_over("a")),
+            "the log a is cut: what lies before the cut was played"
+        );
+        assert_eq!(
+            said(&run_over("")),
+            "the log is cut: what lies before the cut was played"
+        );
+        let whole = RunResult::new(Settings::default());
+        assert_eq!(whole.note_of_cut_logs(), None);
+    }
+
+    #[test]
+    fn logs_are_counted_not_runs() {
+        // Two egos on each of two logs; one log is cut.
+        let mut pooled = RunResult::new(Settings::default());
+        pooled.runs = 4;
+        pooled.logs = vec!["a".into(), "b".into()];
+        pooled.logs_cut = vec!["b".into()];
+        pooled.nodes = run_over("b").nodes;
+        pooled
+            .nodes
+            .get_mut("player")
+            .unwrap()
+            .counters
+            .insert(LOG_CUT.into(), 2);
+        pooled.conclude(&Samples::default());
+        assert!(
+            pooled.notes[0].starts_with("1 of 2 logs are cut (b): "),
+            "{:?}",
+            pooled.notes
+        );
+        pooled.logs_cut.clear();
+        pooled.conclude(&Samples::default());
+        assert!(
+            pooled.notes[0].starts_with("2 of 4 runs played a cut log: "),
+            "{:?}",
+            pooled.notes
+        );
+        let names = |n: usize| (0..n).map(|i| format!("log{i}")).collect::<Vec<_>>();
+        (pooled.logs, pooled.logs_cut) = (names(9), names(5));
+        assert!(
+            pooled
+                .note_of_cut_logs()
+                .unwrap()
+                .starts_with("5 of 9 logs are cut (log0, log1, log2, log3, log4): ")
+        );
+        pooled.logs_cut = names(6);
+        assert!(
+            pooled
+                .note_of_cut_logs()
+                .unwrap()
+                .starts_with("6 of 9 logs are cut (log0, log1, log2, log3, log4, …): ")
+        );
+    }
+}
