@@ -146,11 +146,13 @@ fn agents_are_added_one_by_one_and_runs_of_all_egos_are_pooled() {
         ],
         &[("--log", &first), ("--out", &dir.join("some"))],
     );
-    let said = refused(&some);
-    assert!(
-        said.contains("no precomputed messages of cav1, which collaborates with cav2"),
-        "{said}"
-    );
+    let missing = "no precomputed messages of cav1, which collaborates with cav2";
+    let output = realo(&some);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "cav1 has been run: {said}");
+    assert!(said.contains(missing), "{said}");
+    let said = refused(&[some, ["--ego", "cav2"].map(String::from).to_vec()].concat());
+    assert!(said.contains(missing), "{said}");
     precompute(
         &first,
         "late_fusion",

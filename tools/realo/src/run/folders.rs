@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use eyre::{Result, WrapErr, bail};
 use realo_results::RESULT_FILE;
@@ -21,6 +23,8 @@ const FAILED: &str = "failed.mcap";
 const ASIDE: &str = ".earlier";
 /// Is locked while a run writes to the folder.
 const LOCK: &str = ".running";
+/// Processes of a run that was killed may still end, and hold its lock so long.
+const ENDING: Duration = Duration::from_secs(3);
 
 /// The folders of some runs. An earlier run's files are put aside, so that no result stands there which is not of these
 /// runs; unless [`Folders::keep_new`] is said, they are put back, and folders that hold nothing are taken away again: a run
@@ -33,6 +37,19 @@ pub(super) struct Folders {
     locks: Vec<(PathBuf, File)>,
 }
 
+/// Takes a lock, or tells that somebody has it and keeps it.
+fn is_held(file: &File) -> bool {
+    let begun = Instant::now();
+    // A file system without locks keeps nobody away.
+    while let Err(TryLockError::WouldBlock) = file.try_lock() {
+        if begun.elapsed() > ENDING {
+            return true;
+        }
+        sleep(Duration::from_millis(20));
+    }
+    false
+}
+
 impl Folders {
     /// Claims the folder of a graph, in which those of its runs lie; nobody else can until this is dropped.
     ///
@@ -43,8 +60,7 @@ impl Folders {
         let path = folder.join(LOCK);
         let file = loop {
             let file = File::create(&path).wrap_err_with(|| not_writable(&path))?;
-            // A file system without locks keeps nobody away.
-            if let Err(TryLockError::WouldBlock) = file.try_lock() {
+            if is_held(&file) {
                 bail!(
                     "{}: another run writes there now; wait for its end, or choose another folder (--out)",
                     folder.display()
