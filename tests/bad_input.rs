@@ -341,8 +341,8 @@ fn cloud(points: &[[f32; 3]]) -> PointCloud {
         .expect("columns of one length")
 }
 
-/// Runs no fusion on a log and returns what it said and `result.json`.
-fn run_odd(log: &Path) -> (String, serde_json::Value) {
+/// Runs no fusion on a log, expects an exit code, and returns what it said and `result.json`.
+fn run_odd(log: &Path, code: i32) -> (String, serde_json::Value) {
     let out = log.with_file_name("out");
     let args = [
         "--mode",
@@ -356,7 +356,7 @@ fn run_odd(log: &Path) -> (String, serde_json::Value) {
     let start = ["run".to_string(), graph("no_fusion"), "--recorded-detections".into()];
     let output = realo(start.into_iter().chain(args));
     let said = text(&output.stderr);
-    assert!(output.status.success(), "{said}");
+    assert_eq!(output.status.code(), Some(code), "{said}");
     (said, json(&out.join("result.json")))
 }
 
@@ -368,14 +368,14 @@ fn points_that_are_no_numbers_are_dropped_and_counted() {
         [5.0, f32::INFINITY, 0.0],
         [5.0, 5.0, f32::NEG_INFINITY],
     ];
-    let (_, result) = run_odd(&odd("odd_points", &cloud(&points), Some(&[])));
+    let (_, result) = run_odd(&odd("odd_points", &cloud(&points), Some(&[])), 0);
     assert_eq!(result["nodes"]["ego.sense.sync"]["counters"]["nan_points"], 3 * SWEEPS);
     assert_eq!(result["frames"]["processed"], SWEEPS);
 }
 
 #[test]
 fn an_empty_cloud_is_a_frame_like_any_other() {
-    let (_, result) = run_odd(&odd("odd_empty", &PointCloud::empty(), Some(&[])));
+    let (_, result) = run_odd(&odd("odd_empty", &PointCloud::empty(), Some(&[])), 0);
     assert_eq!(result["frames"]["processed"], SWEEPS);
     assert_eq!(common::counts(&result, "vehicle", "0.5"), (0, 0, SWEEPS as u64));
 }
@@ -389,7 +389,7 @@ fn boxes_without_extent_or_with_nan_are_dropped_and_counted() {
         car([30.0, 0.0, 0.8], [4.0, f64::INFINITY, 1.6]),
         good,
     ];
-    let (_, result) = run_odd(&odd("odd_boxes", &cloud(&[[10.0, 0.0, 1.0]]), Some(&boxes)));
+    let (_, result) = run_odd(&odd("odd_boxes", &cloud(&[[10.0, 0.0, 1.0]]), Some(&boxes)), 3);
     assert_eq!(result["nodes"]["ego.recorded"]["counters"]["invalid_boxes"], 3 * SWEEPS);
     assert_eq!(
         common::counts(&result, "vehicle", "0.5"),

@@ -151,7 +151,10 @@ fn plays_both_lanes_in_order_of_release() {
     let (_dir, path) = made();
     let (played, player) = play(config(&path));
     assert_eq!(player.cast().ego, "cav1");
-    assert_eq!(player.counts(), Default::default());
+    let counts = player.counts();
+    assert!(counts.counters.is_empty(), "{counts:?}");
+    let lost = counts.losses.values().flat_map(|loss| loss.agents.values());
+    assert!(lost.into_iter().all(|share| share.count == 0), "{counts:?}");
     assert!(played.windows(2).all(|pair| pair[0].0 <= pair[1].0));
     let counts = [
         "ego_clouds",
