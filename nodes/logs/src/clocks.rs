@@ -3,6 +3,8 @@
 use realo_schemas::{Nanos, are_one_time_line};
 use serde::{Deserialize, Serialize};
 
+use crate::Stream;
+
 /// How far another agent's clock lies from the clock of a log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PeerClock {
@@ -78,13 +80,151 @@ impl Shift {
     }
 }
 
+/// Stamps may lie so far behind the log time, ns: clocks of sensors and of the recorder are not exactly in step.
+const AHEAD_TOLERATED: Nanos = 50_000_000;
+/// Stamps that lie farther behind the log time are of another clock, ns.
+const AHEAD_MOST: Nanos = 1_000_000_000;
+/// Sweeps and poses that were logged later than this are of another clock, ns.
+const BEHIND_MOST: Nanos = 2_000_000_000;
+
+/// How a stamp lies to the log time of its message, which is when the message existed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Before it, as it must, or at most 50 ms behind it.
+    InStep,
+    /// Up to 1 s behind it.
+    Ahead,
+    /// So far away that the stamps are of another clock.
+    Off,
+}
+
+impl Step {
+    /// Of a message of a stream. Boxes and packets may be computed late: only their being early tells.
+    pub fn of(stream: Stream, stamp: Nanos, ready: Nanos) -> Step {
+        let sensed = matches!(
+            stream,
+            Stream::Pose | Stream::PoseTruth | Stream::Sweeps | Stream::Points
+        );
+        match stamp.saturating_sub(ready) {
+            ahead if ahead > AHEAD_MOST => Step::Off,
+            ahead if ahead > AHEAD_TOLERATED => Step::Ahead,
+            ahead if sensed && ahead < -BEHIND_MOST => Step::Off,
+            _ => Step::InStep,
+        }
+    }
+}
+
+/// How far a stamp lies from its log time and what clock that looks like, e.g. "stamps 36.910 s ahead of log times, …".
+pub fn clock_words(stamp: Nanos, ready: Nanos) -> String {
+    let ahead = stamp.saturating_sub(ready);
+    let side = if ahead < 0 { "behind" } else { "ahead of" };
+    let far = format!("stamps {} s {side} log times", seconds(ahead));
+    match kind_of_clock(stamp, ready) {
+        Some(kind) => format!("{far}: looks like {kind}"),
+        None => far,
+    }
+}
+
+/// Seconds to the millisecond, without a sign.
+pub(crate) fn seconds(time: Nanos) -> String {
+    format!("{:.3}", time.unsigned_abs() as f64 * 1e-9)
+}
+
+const SECOND: Nanos = 1_000_000_000;
+const YEAR: Nanos = 365 * 86_400 * SECOND;
+/// A message is logged this long after its stamp at most, where only the clocks tell stamp and log time apart.
+const LATENCY: Nanos = 600_000_000;
+/// What the time from 1970 to 1980 is, where GPS begins to count, s.
+const GPS_EPOCH: Nanos = 315_964_800;
+/// What the week number of GPS counts to, s.
+const ROLLOVER: Nanos = 1024 * 7 * 86_400;
+/// Leap seconds and the clocks that differ by them, s.
+const LEAPS: [(Nanos, &str); 3] = [
+    (37, "TAI against UTC, 37 leap seconds (PTP gives TAI)"),
+    (18, "GPS time against UTC, 18 leap seconds"),
+    (19, "TAI against GPS time, 19 s"),
+];
+
+/// What kind of clock gives `stamp` when that of the log gives `log_time`; `None` where that cannot be told.
+pub fn kind_of_clock(stamp: Nanos, log_time: Nanos) -> Option<String> {
+    let ahead = stamp.saturating_sub(log_time);
+    let is_near = |offset: Nanos| {
+        let late = (offset * SECOND).saturating_sub(ahead);
+        (-AHEAD_TOLERATED..=LATENCY).contains(&late)
+    };
+    let leap = |base: Nanos| {
+        let mut known = LEAPS
+            .iter()
+            .flat_map(|(leap, words)| [(*leap, *words), (-leap, *words)]);
+        known.find(|(leap, _)| is_near(base + leap)).map(|(_, words)| words)
+    };
+    for weeks in [-1, 1, -2, 2] {
+        let (base, turns) = (weeks * ROLLOVER, weeks.abs() * 1024);
+        if is_near(base) || leap(base).is_some() {
+            return Some(format!(
+                "a GPS receiver whose week number has rolled over ({turns} weeks)"
+            ));
+        }
+    }
+    if [0, 18].into_iter().any(|leaps| is_near(leaps - GPS_EPOCH)) {
+        return Some("GPS time that counts from 1980".into());
+    }
+    let counts_from_start = |time: Nanos, other: Nanos| (0..10 * YEAR).contains(&time) && other > 30 * YEAR;
+    if counts_from_start(stamp, log_time) {
+        let since = seconds(stamp);
+        return Some(format!("time since the sensor or its computer started ({since} s)"));
+    }
+    if counts_from_start(log_time, stamp) {
+        return Some("log times that count from when the recorder started".into());
+    }
+    if let Some(words) = leap(0) {
+        return Some(words.into());
+    }
+    let quarters = (1..=56).flat_map(|n: Nanos| [n, -n]);
+    let zone = quarters.into_iter().find(|n| is_near(n * 900));
+    zone.map(|n| format!("local time against UTC ({} h)", n as f64 / 4.0))
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
 
-    const SECOND: Nanos = 1_000_000_000;
+    #[test]
+    fn clocks_are_told_by_what_they_differ() {
+        let now = 1_700_000_000 * SECOND;
+        let kind = |offset: Nanos, latency: Nanos| kind_of_clock(now + offset, now + latency).unwrap_or_default();
+        for latency in [0, 90_000_000, 500_000_000] {
+            assert!(kind(37 * SECOND, latency).starts_with("TAI against UTC"));
+            assert!(kind(-37 * SECOND, latency).starts_with("TAI against UTC"));
+            assert!(kind(18 * SECOND, latency).starts_with("GPS time against UTC"));
+            assert!(kind(-1024 * 7 * 86_400 * SECOND, latency).contains("1024 weeks"));
+            assert!(kind((18 - 1024 * 7 * 86_400) * SECOND, latency).contains("1024 weeks"));
+            assert!(kind((18 - GPS_EPOCH) * SECOND, latency).contains("1980"));
+            assert!(kind(4_280 * SECOND - now, latency).contains("started (4280.000 s)"));
+            assert!(kind(2 * 3600 * SECOND, latency).contains("local time against UTC (2 h)"));
+        }
+        assert_eq!(kind_of_clock(now + 25 * SECOND, now), None);
+        assert!(kind_of_clock(now, 4_280 * SECOND).unwrap().contains("recorder"));
+        assert!(
+            clock_words(now + 37 * SECOND, now + 90_000_000)
+                .starts_with("stamps 36.910 s ahead of log times: looks like TAI")
+        );
+    }
+
+    #[test]
+    fn stamps_lie_before_the_log_time_within_what_is_tolerated() {
+        let step = |ahead: Nanos| {
+            [Stream::Points, Stream::Detections].map(|stream| Step::of(stream, SECOND * 9 + ahead, SECOND * 9))
+        };
+        let ms = SECOND / 1_000;
+        assert_eq!(step(50 * ms), [Step::InStep; 2]);
+        assert_eq!(step(51 * ms), [Step::Ahead; 2]);
+        assert_eq!(step(1_001 * ms), [Step::Off; 2]);
+        assert_eq!(step(-2_000 * ms), [Step::InStep; 2]);
+        assert_eq!(step(-2_001 * ms), [Step::Off, Step::InStep]);
+    }
 
     #[test]
     fn clocks_that_agree_move_nothing() {

@@ -17,7 +17,8 @@
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | for viewers: map from body as believed |
 //! | `/tf_static` | `tf2_msgs/msg/TFMessage` | of others: how frames lie in each other |
 //!
-//! Log time is when a message existed (a sweep: its end), publish time the measurement's stamp; the message's sequence
+//! Log time is when a message existed (a sweep: its end); the header's stamp, or the publish time where that is 0, is the
+//! measurement's; the message's sequence
 //! counts per topic from 0. Messages of one sweep (points, detections, truth) share their stamp. Chunks are zstd, at
 //! most 0.5 s long, and never hold clouds or packets beside other messages. A log that was cut is read up to the time before which
 //! neither clouds nor anything else is missing. The metadata record `realo` at the beginning says what
@@ -45,10 +46,12 @@ mod merge;
 mod owner;
 pub mod packets;
 pub mod pose;
+mod poses;
 mod precomputed;
 mod records;
 mod repeats;
 mod schema;
+mod stamps;
 mod sweeps;
 mod times;
 mod topics;
@@ -56,7 +59,7 @@ mod tracks;
 pub mod views;
 
 pub use boxes::BoxesInfo;
-pub use clocks::PeerClock;
+pub use clocks::{PeerClock, Step, clock_words, kind_of_clock};
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use findings::{TrackConflict, track_conflicts};
@@ -69,8 +72,10 @@ pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
 pub use merge::{Merge, Moved};
 pub use owner::{Owner, refuse_foreign};
 pub use packets::SentPacket;
+pub use poses::{MAX_GAP, Standing, is_posed};
 pub use precomputed::{LaneStage, LogCopy, Precomputed};
 pub use schema::Schema;
+pub use stamps::{SAME, same};
 pub use sweeps::SweepsInfo;
 pub use topics::Stream;
 

@@ -12,6 +12,7 @@ use crate::log_writer::body;
 use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 use crate::packets::{self, SentPacket};
 use crate::repeats::Repeats;
+use crate::stamps::{Stamps, stamp_of};
 use crate::sweeps::{Context, SweepsInfo};
 use crate::{BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Stream, boxes, foreign, pose, views};
 
@@ -281,6 +282,7 @@ impl Log {
             ahead: None,
             instant: VecDeque::new(),
             repeats: Repeats::default(),
+            stamps: Stamps::default(),
             context: self.context.clone(),
         })
     }
@@ -388,6 +390,7 @@ pub struct LogReader {
     ahead: Option<RawMessage>,
     instant: VecDeque<Entry>,
     repeats: Repeats,
+    stamps: Stamps,
     context: Arc<Context>,
 }
 
@@ -401,11 +404,12 @@ impl LogReader {
         if self.instant.is_empty() {
             self.read_instant()?;
         }
-        let Some(entry) = self.instant.pop_front() else {
+        let Some(mut entry) = self.instant.pop_front() else {
             return Ok(None);
         };
         // Several channels of a topic follow each other: they are one stream.
         let (stream, rank, _) = &self.channels[&entry.raw.channel];
+        entry.stamp = self.stamps.unify(*stream, *rank, entry.stamp);
         let noted = self.repeats.note((*stream, *rank), entry.stamp());
         noted.map_err(|reason| entry.bad(reason)).map(|()| Some(entry))
     }
@@ -439,6 +443,7 @@ impl LogReader {
             Entry {
                 agent: agent.clone(),
                 stream: *stream,
+                stamp: stamp_of(*stream, &raw),
                 raw,
                 context: self.context.clone(),
             }
@@ -454,6 +459,7 @@ pub struct Entry {
     pub agent: Name,
     /// Its stream.
     pub stream: Stream,
+    stamp: Nanos,
     raw: RawMessage,
     context: Arc<Context>,
 }
@@ -464,9 +470,10 @@ impl Entry {
         self.raw.sequence.into()
     }
 
-    /// The measurement's reference time, ns.
+    /// The measurement's reference time, ns: the stamp of the message's header; where that is 0, the publish time. Messages of
+    /// an agent whose stamps differ by at most [`SAME`](crate::SAME) have the first of them.
     pub fn stamp(&self) -> Nanos {
-        nanos(self.raw.publish_time)
+        self.stamp
     }
 
     /// When it existed on the log's time line, ns.
@@ -541,16 +548,10 @@ impl Entry {
     /// What the agent sent ([`Stream::Packets`]).
     ///
     /// # Errors
-    /// Bytes that are no such message, or of another stamp.
+    /// Bytes that are no such message.
     pub fn packet(&self) -> Result<SentPacket, LogError> {
-        let read = || match packets::decode(self.data())? {
-            (stamp, packet) if stamp == self.stamp() => Ok(packet),
-            (stamp, _) => Err(format!(
-                "its stamp is {stamp} ns, expected its publish time, {} ns",
-                self.stamp()
-            )),
-        };
-        read().map_err(|reason| self.bad(reason))
+        let packet = packets::decode(self.data()).map(|(_, packet)| packet);
+        packet.map_err(|reason| self.bad(reason))
     }
 
     /// Stamp in the message itself ([`Stream::Sweeps`]).

@@ -9,9 +9,10 @@ use serde::Serialize;
 use crate::cloud::{CloudReader, Reading};
 use crate::frames::{Frames, Way, bare};
 use crate::log_writer::body;
+use crate::stamps::stamp_of;
 use crate::times::TimeRule;
 use crate::tracks::Tracks;
-use crate::{LogError, McapFile};
+use crate::{LogError, McapFile, Stream};
 
 /// Sweeps of a topic that tell the range of its intensities and the unit of its times.
 const LOOKED_AT: usize = 10;
@@ -64,13 +65,8 @@ impl Context {
 
     /// The points of a message in its agent's body frame.
     pub fn cloud(&self, channel: u16, agent: &str, stamp: Nanos, payload: &[u8]) -> Result<PointCloud, String> {
-        let reader = CloudReader::new(payload)?;
-        if reader.stamp != stamp {
-            return Err(format!(
-                "its header's stamp is {} ns, its publish time {stamp} ns: expected the same; write the stamp as both",
-                reader.stamp
-            ));
-        }
+        let mut reader = CloudReader::new(payload)?;
+        reader.stamp = stamp;
         let rules = self.rules(channel, &reader).map_err(|error| error.to_string())?;
         let reading = Reading {
             scale: rules.scale,
@@ -116,7 +112,8 @@ impl Context {
             let mut messages = self.file.messages(BTreeSet::from([channel]), 0..u64::MAX)?;
             for _ in 0..LOOKED_AT {
                 let Some(message) = messages.next()? else { break };
-                if let Ok(reader) = CloudReader::new(message.data()) {
+                if let Ok(mut reader) = CloudReader::new(message.data()) {
+                    reader.stamp = stamp_of(Stream::Points, &message);
                     brightest = brightest.max(reader.brightest().unwrap_or(0.0));
                     looks.extend(reader.look());
                 }
@@ -135,7 +132,7 @@ impl Context {
         let Some(first) = self.file.messages(BTreeSet::from([channel]), 0..u64::MAX)?.next()? else {
             return Ok(None);
         };
-        let stamp = first.publish_time.min(Nanos::MAX as u64) as Nanos;
+        let stamp = stamp_of(Stream::Points, &first);
         let reader = match CloudReader::new(first.data()) {
             Ok(reader) => reader,
             Err(reason) => {

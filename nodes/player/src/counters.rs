@@ -14,6 +14,15 @@ impl Counters {
         self.lock().add(counter, agent, n, of);
     }
 
+    /// Adds what was lost of an agent, and says what was found of the first.
+    pub fn lost(&self, counter: &'static Counter, agent: &str, n: u64, of: u64, found: impl FnOnce() -> String) {
+        let mut counts = self.lock();
+        counts.add(counter, agent, n, of);
+        if n > 0 {
+            counts.found(counter, agent, found);
+        }
+    }
+
     /// Adds one to a counter that has an agent and a number in its name.
     pub fn add_named(&self, counter: &str) {
         self.lock().add_named(counter.to_string(), 1);
@@ -36,7 +45,13 @@ pub const ALL: &[Counter] = &[
     POSES_UNUSABLE,
     LEVELLED,
     TILTED_POSES,
+    CLOCK_OFF,
+    CLOCK_AHEAD,
+    NO_COMMON_TIME,
+    POSES_HELD,
     DETECTIONS_WITHOUT_SWEEP,
+    DETECTIONS_WITHOUT_INFO,
+    TRUTH_WITHOUT_SWEEP,
     INTENSITIES_LIMITED,
     TRACKS_DIFFER,
     TOO_FAR,
@@ -67,6 +82,44 @@ pub const TILTED_POSES: Counter = Counter::loss(
     "poses are not level and were played as they are, beside precomputed packets or since the log says that it is not to be \
      levelled",
     "networks look for the ground at z = 0 (docs/log-format.md, \"Level frames\")",
+);
+pub const CLOCK_OFF: Counter = Counter::log_fault(
+    "clock_off",
+    "messages left out: their [stamps](log-format.md#clocks) are of another clock than the log times",
+    "messages were left out, because their stamps are of another clock than that of the log",
+    "set the sensor's clock to the recorder's, or take that difference from the stamps when the log is written \
+     (docs/log-format.md, \"Clocks\")",
+);
+pub const CLOCK_AHEAD: Counter = Counter::log_fault(
+    "clock_ahead",
+    "messages played although their stamps lie 50 ms to 1 s behind their [log times](log-format.md#clocks)",
+    "messages have stamps of a time at which they were logged already, and were played as they are",
+    "the agent's clock is ahead of the recorder's: set it, or take that difference from the stamps when the log is written \
+     (docs/log-format.md, \"Clocks\")",
+);
+pub const NO_COMMON_TIME: Counter = Counter::log_fault(
+    "no_common_time",
+    "sweeps of a collaborator that has no sweep while the ego has some",
+    "sweeps have no time in common with those of the ego",
+    "the agents were recorded one after the other, or the clock of one is off: move its stamps and log times when the log is \
+     written",
+);
+pub const POSES_HELD: Counter = Counter::plain(
+    "poses_held",
+    "poses sent of [roadside units that do not move](log-format.md#poses), in the place of those of the log, which do not reach \
+     all sweeps",
+);
+pub const DETECTIONS_WITHOUT_INFO: Counter = Counter::log_fault(
+    "detections_without_info",
+    "recorded detections whose companion (`detections_info`) has another stamp, played without it",
+    "messages of recorded detections were played without what their companions say, because none has their stamp",
+    "write `detections` and `detections_info` with one stamp",
+);
+pub const TRUTH_WITHOUT_SWEEP: Counter = Counter::log_fault(
+    "truth_without_sweep",
+    "messages of the ego's ground truth or own labels whose stamp is that of no sweep, beside sweeps that have none",
+    "messages of ground truth were left out, because no sweep or no companion has their stamp",
+    "truth and its `_info` need the stamp of the sweep that they label; `realo info` says how far off they are",
 );
 pub const DETECTIONS_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "detections_without_sweep",

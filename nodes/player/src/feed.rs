@@ -2,19 +2,22 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use realo_logs::{
-    Attitudes, Entry, LEVEL, Levelled, Log, LogError, LogReader, Stream, level_state, levelled_while_played,
-    track_conflicts,
+    Attitudes, Entry, LEVEL, Levelled, Log, LogError, LogReader, Step, Stream, clock_words, kind_of_clock, level_state,
+    levelled_while_played, track_conflicts,
 };
 use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::tilt_degrees;
 use realo_schemas::{
-    Boxes, EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
+    EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
 };
 
 use crate::counters::{
-    Counters, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED, POSES_UNUSABLE, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
+    CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED,
+    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, TILTED_POSES, TOO_FAR, TRACKS_DIFFER, TRUTH_WITHOUT_SWEEP,
 };
+use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
+use crate::standing::{Held, STEP};
 use crate::truth::TruthJoin;
 use crate::{PlannedRun, ports};
 
@@ -69,8 +72,13 @@ pub struct Feed {
     levels: BTreeMap<Name, Levelling>,
     /// Agents whose frames were levelled otherwise when the log was made: along the ground, where poses need not be level.
     along_ground: BTreeSet<Name>,
-    sweeps: BTreeMap<Name, BTreeMap<Nanos, u64>>,
-    unjoined: BTreeMap<Name, (Entry, Boxes)>,
+    /// By agent and stamp: number and release of recent sweeps.
+    sweeps: BTreeMap<Name, BTreeMap<Nanos, (u64, Nanos)>>,
+    joins: Joins,
+    /// By rank: units whose pose holds at all times.
+    held: BTreeMap<usize, Held>,
+    /// Agents some of whose sweeps are of another clock.
+    off: BTreeSet<Name>,
     /// By agent: intensities that did not fit, as they were counted.
     limited: BTreeMap<String, u64>,
     queue: BinaryHeap<Reverse<Queued>>,
@@ -169,6 +177,47 @@ impl Script {
         }
     }
 
+    /// The units whose pose holds at all times, by rank.
+    fn held(&self, agents: &[Name]) -> Result<BTreeMap<usize, Held>, LogError> {
+        let mut held = BTreeMap::new();
+        for (rank, agent) in agents.iter().take(self.played().count()).enumerate() {
+            if let Some(pose) = Held::read(&self.log, agent, self.pose_stream(agent), self.begins())? {
+                held.insert(rank, pose);
+            }
+        }
+        Ok(held)
+    }
+
+    fn begins(&self) -> Nanos {
+        self.from.saturating_sub(LEAD_IN)
+    }
+
+    /// Counts the sweeps of collaborators that were all taken before or after those of the ego.
+    fn count_times_apart(&self, agents: &[Name]) -> Result<(), LogError> {
+        let span = |agent: &str| self.log.times(&self.sweep_stream(agent).topic(agent));
+        let Some((ego_first, ego_last)) = span(&agents[0])?.filter(|_| !self.alone) else {
+            return Ok(());
+        };
+        for agent in &agents[1..] {
+            let Some((first, last)) = span(agent)? else { continue };
+            let gap = (first - ego_last).max(ego_first - last);
+            let sweeps = self.log.count(agent, self.sweep_stream(agent));
+            let lost = if gap > LATENCY { sweeps } else { 0 };
+            self.counters.lost(&NO_COMMON_TIME, agent, lost, sweeps, || {
+                let side = if first > ego_last { "behind" } else { "before" };
+                let far = format!(
+                    "they begin {:.3} s {side} those of the ego",
+                    to_seconds((first - ego_first).abs())
+                );
+                match kind_of_clock(first, ego_first) {
+                    Some(kind) => format!("{far}: looks like {kind}"),
+                    None => far,
+                }
+            });
+        }
+        Ok(())
+    }
+
     fn along_ground(&self) -> Result<BTreeSet<Name>, LogError> {
         let levelled = self.log.levelled()?.into_iter();
         let ground = levelled.filter(|(_, levelled)| levelled.by == Levelled::BY_GROUND);
@@ -229,7 +278,12 @@ impl Feed {
         let played = script.until.min(last) - script.from.max(first);
         let period = played.max(0) + PAUSE + LEAD_IN;
         let levels = script.levels()?;
+        let held = script.held(&agents)?;
+        let mut per_pass: Vec<[u64; 2]> = agents.iter().map(|agent| script.per_pass(agent)).collect();
+        held.keys()
+            .for_each(|rank| per_pass[*rank][0] = (period / STEP).unsigned_abs() + 1);
         script.count_track_conflicts()?;
+        script.count_times_apart(&agents)?;
         Ok(Feed {
             reader: script.open()?,
             truth: script.truth(&agents, &levels)?,
@@ -240,13 +294,15 @@ impl Feed {
                 .slot
                 .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
             sweeps: BTreeMap::new(),
-            unjoined: BTreeMap::new(),
+            joins: Joins::default(),
+            held,
+            off: BTreeSet::new(),
             limited: BTreeMap::new(),
             queue: BinaryHeap::new(),
             ended: false,
             released_to: Nanos::MIN,
             pass: 0,
-            per_pass: agents.iter().map(|agent| script.per_pass(agent)).collect(),
+            per_pass,
             agents,
             script,
         })
@@ -264,7 +320,7 @@ impl Feed {
 
     /// The first time of the log that is played.
     pub fn begins(&self) -> Nanos {
-        self.script.from.saturating_sub(LEAD_IN)
+        self.script.begins()
     }
 
     /// The next message, `None` after the last pass.
@@ -281,7 +337,7 @@ impl Feed {
             }
             match self.reader.next()? {
                 Some(entry) => self.take(&entry)?,
-                None => self.end(),
+                None => self.end()?,
             }
         }
     }
@@ -292,14 +348,16 @@ impl Feed {
         self.sweeps.clear();
         self.reader = self.script.open()?;
         self.truth = self.script.truth(&self.agents, &self.levels)?;
+        let begins = self.begins();
+        self.held.values_mut().for_each(|held| held.rewind(begins));
         self.released_to = Nanos::MIN;
         Ok(())
     }
 
-    fn end(&mut self) {
-        for (entry, boxes) in std::mem::take(&mut self.unjoined).into_values() {
-            self.send_detections(&entry, boxes);
-        }
+    fn end(&mut self) -> Result<(), LogError> {
+        self.expire(Nanos::MAX);
+        let lost = self.truth.finish();
+        self.count_lost_truth(lost);
         for (agent, n) in self.script.log.limited_intensities() {
             let counted = self.limited.insert(agent.clone(), n).unwrap_or(0);
             self.script
@@ -308,6 +366,7 @@ impl Feed {
         }
         self.ended = true;
         self.released_to = Nanos::MAX;
+        Ok(())
     }
 
     /// The first waiting message, once nothing earlier can come.
@@ -321,18 +380,22 @@ impl Feed {
     }
 
     fn take(&mut self, entry: &Entry) -> Result<(), LogError> {
-        let reach = if self.script.offline { LATENCY } else { 0 };
-        if self.script.offline && entry.ready().saturating_sub(entry.stamp()) > LATENCY {
-            let (late, most) = (to_seconds(entry.ready() - entry.stamp()), to_seconds(LATENCY));
+        let late = entry.ready().saturating_sub(entry.stamp());
+        self.hold(entry.ready());
+        self.expire(entry.ready());
+        let reach = if self.script.offline { LATENCY + PATIENCE } else { 0 };
+        self.released_to = self.released_to.max(entry.ready().saturating_sub(reach));
+        if self.is_off(entry)? {
+            return Ok(());
+        }
+        // Detections of another clock match no sweep, which is counted.
+        let is_strange = late > 2_000_000_000 && self.sweep_of(entry).is_none();
+        if self.script.offline && late > LATENCY && !is_strange {
+            let (late, most) = (to_seconds(late), to_seconds(LATENCY));
             let reason =
                 format!("it was ready {late:.3} s after its stamp; played offline at most {most} s are expected");
-            return Err(LogError::Content {
-                topic: entry.stream.topic(&entry.agent),
-                log_time: entry.ready(),
-                reason,
-            });
+            return Err(content(entry, reason));
         }
-        self.released_to = self.released_to.max(entry.ready().saturating_sub(reach));
         let playing = entry.ready() >= self.script.from;
         match entry.stream {
             Stream::Pose | Stream::PoseTruth => self.send_pose(entry),
@@ -354,7 +417,57 @@ impl Feed {
         Ok(())
     }
 
+    /// Whether a message is of another clock than the log. An ego of whom nothing is of the log's clock is an error.
+    fn is_off(&mut self, entry: &Entry) -> Result<bool, LogError> {
+        let is_pose = matches!(entry.stream, Stream::Pose | Stream::PoseTruth);
+        let is_sweep = matches!(entry.stream, Stream::Points | Stream::Sweeps);
+        if is_pose && self.held.contains_key(&self.rank(entry)) {
+            return Ok(false);
+        }
+        let step = Step::of(entry.stream, entry.stamp(), entry.ready());
+        let words = || clock_words(entry.stamp(), entry.ready());
+        if is_sweep && step == Step::Off {
+            if self.rank(entry) == 0 && !self.sweeps.contains_key(&entry.agent) {
+                let reason = format!(
+                    "the clock of `{}`, the ego, is off: {}; {}",
+                    entry.agent,
+                    words(),
+                    CLOCK_OFF.remedy
+                );
+                return Err(content(entry, reason));
+            }
+            self.off.insert(entry.agent.clone());
+        }
+        let counters = &self.script.counters;
+        for (counter, wrong) in [(&CLOCK_OFF, Step::Off), (&CLOCK_AHEAD, Step::Ahead)] {
+            counters.lost(counter, &entry.agent, u64::from(step == wrong), 1, words);
+        }
+        Ok(step == Step::Off)
+    }
+
+    /// Sends the poses of units that stand still until a time.
+    fn hold(&mut self, until: Nanos) {
+        let mut held = std::mem::take(&mut self.held);
+        for (rank, held) in &mut held {
+            while let Some((seq, time, state)) = held.due(until) {
+                let agent = self.agents[*rank].clone();
+                let state = match self.levels.contains_key(&agent) {
+                    true => level_state(state),
+                    false => state,
+                };
+                let ports = [ports::EGO_POSES, ports::POSES];
+                let (port, message) = self.message((*rank, [time; 2]), seq, Kind::EgoState, ports, state);
+                self.queue((*rank, time), port, message);
+                self.script.counters.add(&POSES_HELD, &agent, 1, 0);
+            }
+        }
+        self.held = held;
+    }
+
     fn send_pose(&mut self, entry: &Entry) {
+        if self.held.contains_key(&self.rank(entry)) {
+            return;
+        }
         let pose = entry.pose();
         self.script.count(&POSES_UNUSABLE, &entry.agent, pose.is_err());
         match pose {
@@ -388,7 +501,7 @@ impl Feed {
     fn send_sweep(&mut self, entry: &Entry, cloud: PointCloud) -> Result<(), LogError> {
         let known = self.sweeps.entry(entry.agent.clone()).or_default();
         // Writers may leave `sequence` at 0, and it wraps at 2³²: stamps rise, so the sweeps are counted on.
-        let next = known.values().max().map_or(0, |last| last + 1);
+        let next = known.values().map(|(seq, _)| *seq).max().map_or(0, |last| last + 1);
         let seq = entry.seq().max(next);
         let rank = self.agents.iter().position(|agent| *agent == entry.agent).unwrap_or(0);
         let nearest = self.nearest.as_ref();
@@ -397,15 +510,23 @@ impl Feed {
         if is_too_far {
             return Ok(());
         }
-        known.insert(entry.stamp(), seq);
+        let release = match self.script.offline {
+            true => entry.stamp(),
+            false => entry.ready(),
+        };
+        known.insert(entry.stamp(), (seq, release));
         while known.len() > 64 {
             known.pop_first();
         }
         let cloud = self.level_cloud(entry, cloud);
         self.send(entry, seq, Kind::Points, [ports::EGO_CLOUDS, ports::CLOUDS], cloud);
         if entry.agent == self.agents[0] {
-            let truth: GroundTruth = self.truth.at(entry.stamp())?;
+            let (truth, lost): (GroundTruth, _) = self.truth.at(entry.stamp())?;
             self.send(entry, seq, Kind::Truth, [ports::TRUTH; 2], truth);
+            self.count_lost_truth(lost);
+        }
+        if let Some(recorded) = self.joins.of_sweep(entry) {
+            self.send_detections(recorded);
         }
         Ok(())
     }
@@ -416,45 +537,106 @@ impl Feed {
             codec: sent.codec,
             bytes: sent.bytes.into(),
         };
-        let (port, mut message) = self.message(entry, sent.seq, sent.kind, [ports::PACKETS; 2], packet);
+        let times = [entry.stamp(), self.release(entry)];
+        let from = (self.rank(entry), times);
+        let (port, mut message) = self.message(from, sent.seq, sent.kind, [ports::PACKETS; 2], packet);
         message.header.frame = sent.frame.into();
-        self.queue(entry, port, message);
+        self.queue((from.0, times[1]), port, message);
         Ok(())
     }
 
     fn take_detections(&mut self, entry: &Entry) -> Result<(), LogError> {
         let boxes = entry.boxes()?;
-        if !self.script.log.has(&entry.agent, Stream::DetectionsInfo) {
-            self.send_detections(entry, boxes);
-        } else if let Some((entry, boxes)) = self.unjoined.insert(entry.agent.clone(), (entry.clone(), boxes)) {
-            self.send_detections(&entry, boxes);
-        }
+        let whole = match self.script.log.has(&entry.agent, Stream::DetectionsInfo) {
+            true => self.joins.array(entry, boxes)?,
+            false => Some(Recorded {
+                entry: entry.clone(),
+                boxes,
+                known: entry.ready(),
+            }),
+        };
+        self.take_recorded(whole, false);
         Ok(())
     }
 
     fn take_info(&mut self, entry: &Entry) -> Result<(), LogError> {
-        if let Some((detections, mut boxes)) = self.unjoined.remove(&entry.agent) {
-            if detections.stamp() == entry.stamp() {
-                entry.info(&mut boxes)?;
-            }
-            self.send_detections(&detections, boxes);
-        }
+        let whole = self.joins.companion(entry)?;
+        self.take_recorded(whole, false);
         Ok(())
     }
 
-    fn send_detections(&mut self, entry: &Entry, mut boxes: Boxes) {
+    /// Detections without their companion, where that did not come, go on to their sweep.
+    fn take_recorded(&mut self, recorded: Option<Recorded>, lacks_info: bool) {
+        let Some(recorded) = recorded else { return };
+        self.script
+            .count(&DETECTIONS_WITHOUT_INFO, &recorded.entry.agent, lacks_info);
+        match self.sweep_of(&recorded.entry) {
+            Some(_) => self.send_detections(recorded),
+            None => self.joins.wait(recorded),
+        }
+    }
+
+    /// Gives up on what waited too long.
+    fn expire(&mut self, now: Nanos) {
+        for recorded in self.joins.alone(now) {
+            self.take_recorded(Some(recorded), true);
+        }
+        for recorded in self.joins.lost(now) {
+            self.send_detections(recorded);
+        }
+    }
+
+    fn sweep_of(&self, entry: &Entry) -> Option<(u64, Nanos)> {
+        self.sweeps.get(&entry.agent)?.get(&entry.stamp()).copied()
+    }
+
+    /// Sends detections with the number of their sweep, or counts that there is none.
+    fn send_detections(&mut self, recorded: Recorded) {
+        let Recorded {
+            entry,
+            mut boxes,
+            known,
+        } = recorded;
+        let sweep = self.sweep_of(&entry);
+        // Of an agent whose sweeps are of another clock that is said already.
+        let is_lost = sweep.is_none() && !self.is_left_out(&entry) && !self.off.contains(&entry.agent);
+        self.script
+            .counters
+            .lost(&DETECTIONS_WITHOUT_SWEEP, &entry.agent, u64::from(is_lost), 1, || {
+                self.nearest_sweep(&entry)
+            });
+        let Some((seq, sweep)) = sweep else { return };
         if let Some(level) = self.levels.get(&entry.agent) {
             level.attitudes.sweeps.boxes(entry.stamp(), &mut boxes.0);
         }
-        let seq = self
-            .sweeps
-            .get(&entry.agent)
-            .and_then(|sweeps| sweeps.get(&entry.stamp()))
-            .copied();
-        let is_lost = seq.is_none() && !self.is_left_out(entry);
-        self.script.count(&DETECTIONS_WITHOUT_SWEEP, &entry.agent, is_lost);
-        if let Some(seq) = seq {
-            self.send(entry, seq, Kind::Boxes, [ports::EGO_RECORDED, ports::RECORDED], boxes);
+        // They do not go before their sweep, nor before they are complete.
+        let release = match self.script.offline {
+            true => entry.stamp(),
+            false => known.min(self.released_to).max(entry.ready()),
+        };
+        let release = release.max(sweep);
+        let from = (self.rank(&entry), [entry.stamp(), release]);
+        let ports = [ports::EGO_RECORDED, ports::RECORDED];
+        let (port, message) = self.message(from, seq, Kind::Boxes, ports, boxes);
+        self.queue((from.0, release), port, message);
+    }
+
+    /// How far a message lies from the nearest sweep of its agent, in words.
+    fn nearest_sweep(&self, entry: &Entry) -> String {
+        let stamps = self.sweeps.get(&entry.agent).into_iter().flat_map(BTreeMap::keys);
+        match stamps.map(|stamp| stamp.abs_diff(entry.stamp())).min() {
+            Some(far) => format!("the nearest lies {:.3} ms away", far as f64 * 1e-6),
+            None => "there is none".into(),
+        }
+    }
+
+    /// Counts truth that was joined to no sweep, by how far the nearest sweep without any lies.
+    fn count_lost_truth(&self, lost: Vec<Nanos>) {
+        let ego = &self.agents[0];
+        for far in lost {
+            self.script.counters.lost(&TRUTH_WITHOUT_SWEEP, ego, 1, 0, || {
+                format!("the nearest lies {:.3} ms away", far as f64 * 1e-6)
+            });
         }
     }
 
@@ -465,41 +647,35 @@ impl Feed {
     }
 
     fn send(&mut self, entry: &Entry, seq: u64, kind: Kind, ports: [PortId; 2], payload: impl Into<Payload>) {
-        let (port, message) = self.message(entry, seq, kind, ports, payload);
-        self.queue(entry, port, message);
+        let release = self.release(entry);
+        let from = (self.rank(entry), [entry.stamp(), release]);
+        let (port, message) = self.message(from, seq, kind, ports, payload);
+        self.queue((from.0, release), port, message);
     }
 
-    /// A message of this pass, and the port of its agent's lane.
+    /// A message of this pass, by the rank of its agent, stamp and release, and the port of its agent's lane.
     fn message(
         &self,
-        entry: &Entry,
+        (rank, [stamp, release]): (usize, [Nanos; 2]),
         seq: u64,
         kind: Kind,
         [ego, other]: [PortId; 2],
         payload: impl Into<Payload>,
     ) -> (PortId, Message) {
-        let rank = self.rank(entry);
         let shift = Nanos::from(self.pass) * self.period;
         let [poses, sweeps] = self.per_pass[rank];
         let per_pass = if kind == Kind::EgoState { poses } else { sweeps };
         let seq = seq + u64::from(self.pass) * per_pass;
         let (run, agent) = (&self.script.run, &self.agents[rank]);
-        let header = Header::origin(
-            run,
-            agent,
-            kind,
-            seq,
-            entry.stamp() + shift,
-            self.release(entry) + shift,
-        );
+        let header = Header::origin(run, agent, kind, seq, stamp + shift, release + shift);
         let port = if rank == 0 { ego } else { other };
         (port, Message::new(header, payload))
     }
 
-    fn queue(&mut self, entry: &Entry, port: PortId, message: Message) {
+    fn queue(&mut self, (rank, release): (usize, Nanos), port: PortId, message: Message) {
         let order = ports::ORDER.iter().position(|known| *known == port).unwrap_or(0);
         self.queue.push(Reverse(Queued {
-            key: (self.release(entry), order, self.rank(entry), message.header.seq),
+            key: (release, order, rank, message.header.seq),
             port,
             message,
         }));
@@ -514,6 +690,14 @@ impl Feed {
             true => entry.stamp(),
             false => entry.ready(),
         }
+    }
+}
+
+fn content(entry: &Entry, reason: String) -> LogError {
+    LogError::Content {
+        topic: entry.stream.topic(&entry.agent),
+        log_time: entry.ready(),
+        reason,
     }
 }
 

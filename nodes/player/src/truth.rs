@@ -1,7 +1,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use realo_logs::{Attitude, BoxesInfo, Log, LogError, LogReader, Stream};
+use realo_logs::{Attitude, BoxesInfo, Entry, Log, LogError, LogReader, SAME, Stream, same};
 use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels};
 
@@ -15,16 +15,21 @@ pub struct TruthJoin {
     reader: Option<LogReader>,
     agents: Vec<Name>,
     footprint: Option<[f64; 4]>,
-    /// Arrays that wait for their companion, by agent and stream.
-    boxes: BTreeMap<(Name, Stream), Boxes>,
-    /// Views that wait for their truth, and their stamp, by stream.
-    views: BTreeMap<Stream, (Nanos, Vec<View>)>,
+    /// Arrays that wait for their companion, and companions that wait for their array: by agent, stream of the array and stamp.
+    boxes: BTreeMap<(Name, Stream, Nanos), Boxes>,
+    companions: BTreeMap<(Name, Stream, Nanos), Entry>,
+    /// Views by stream and stamp.
+    views: BTreeMap<Stream, BTreeMap<Nanos, Vec<View>>>,
+    /// Recent sweeps of the ego for which there was nothing.
+    missed: VecDeque<Nanos>,
     /// What is known of the ego's sweeps, by stamp.
     ego: BTreeMap<Nanos, OfEgo>,
     /// What makes the ego's frames level, where they are not.
     level: Option<Arc<Attitude>>,
-    /// Which of the ego's streams complete a sweep.
+    /// Which of the ego's streams complete a sweep: truth and own labels.
     complete: [bool; 2],
+    /// Which of these have views.
+    viewed: Vec<Stream>,
     others: BTreeMap<Name, VecDeque<Counts>>,
     read_to: Nanos,
 }
@@ -32,7 +37,7 @@ pub struct TruthJoin {
 /// What the log says is around the ego at a sweep.
 #[derive(Default)]
 struct OfEgo {
-    truth: Option<(Boxes, BoxesInfo, Vec<View>)>,
+    truth: Option<(Boxes, BoxesInfo)>,
     own: Option<OwnLabels>,
 }
 
@@ -63,12 +68,14 @@ impl TruthJoin {
             log.need(ego, Stream::OwnLabelsInfo)?;
             wanted.extend([(&**ego, Stream::OwnLabels), (&**ego, Stream::OwnLabelsInfo)]);
         }
+        let mut viewed = Vec::new();
         for (stream, of) in [
             (Stream::GroundTruthViews, has_truth(&ego)),
             (Stream::OwnLabelsViews, has_own),
         ] {
             if of && log.has(ego, stream) {
                 wanted.push((&**ego, stream));
+                viewed.push(stream);
             }
         }
         let margin = 2 * WINDOW;
@@ -88,42 +95,63 @@ impl TruthJoin {
             agents: agents.to_vec(),
             footprint: log.info().agent(ego).and_then(|info| info.footprint),
             boxes: BTreeMap::new(),
+            companions: BTreeMap::new(),
             views: BTreeMap::new(),
+            missed: VecDeque::new(),
             ego: BTreeMap::new(),
             level,
             complete,
+            viewed,
             others,
             read_to: Nanos::MIN,
         })
     }
 
-    /// The truth of the ego's sweep at `stamp`; without boxes and not scored where the log has none. Stamps must rise.
-    pub fn at(&mut self, stamp: Nanos) -> Result<GroundTruth, LogError> {
+    /// The truth of the ego's sweep at `stamp`; without boxes and not scored where the log has none. Stamps must rise. Also, how
+    /// far truth lay that could not be joined from a sweep that has none, ns.
+    pub fn at(&mut self, stamp: Nanos) -> Result<(GroundTruth, Vec<Nanos>), LogError> {
         while !self.knows(stamp) && self.read_one()? {}
-        self.forget(stamp);
+        let lost = self.forget(stamp);
         let mut truth = GroundTruth {
             agents: self.agents.clone(),
             ego_footprint: self.footprint,
             ..GroundTruth::default()
         };
-        let Some(OfEgo { truth: known, own }) = self.ego.remove(&stamp) else {
-            return Ok(truth);
+        let Some(at) = same(&self.ego, stamp) else {
+            self.missed.push_back(stamp);
+            return Ok((truth, lost));
         };
+        let OfEgo { truth: known, own } = self.ego.remove(&at).unwrap_or_default();
         truth.own = own;
-        if let Some((boxes, info, views)) = known {
+        if let Some(own) = &mut truth.own {
+            own.views = self.views_at(Stream::OwnLabelsViews, at);
+        }
+        if let Some((boxes, info)) = known {
             if let Some(own) = &info.points {
                 truth.points = self.points(stamp, &boxes.0, own);
             }
-            (truth.boxes, truth.key, truth.views) = (boxes.0, info.key, views);
+            (truth.boxes, truth.key) = (boxes.0, info.key);
+            truth.views = self.views_at(Stream::GroundTruthViews, at);
         }
-        Ok(truth)
+        Ok((truth, lost))
+    }
+
+    /// How far what is left lay from sweeps that have no truth, ns.
+    pub fn finish(&mut self) -> Vec<Nanos> {
+        self.forget(Nanos::MAX)
     }
 
     fn knows(&self, stamp: Nanos) -> bool {
+        let stamp = stamp.saturating_sub(SAME);
         let reached = |of: fn(&OfEgo) -> bool| self.ego.range(stamp..).any(|(_, known)| of(known));
         let [truth, own] = self.complete;
+        let viewed = |stream: &Stream| {
+            let last = self.views.get(stream).and_then(|views| views.last_key_value());
+            last.is_some_and(|(last, _)| *last >= stamp)
+        };
         let all = (!truth || reached(|known| known.truth.is_some()))
             && (!own || reached(|known| known.own.is_some()))
+            && self.viewed.iter().all(viewed)
             && self
                 .others
                 .values()
@@ -137,48 +165,70 @@ impl TruthJoin {
         };
         self.read_to = entry.ready();
         let stamp = entry.stamp();
-        let array = match entry.stream {
-            Stream::GroundTruth | Stream::OwnLabels => {
-                self.boxes.insert((entry.agent.clone(), entry.stream), entry.boxes()?);
-                return Ok(true);
+        let key = |array: Stream| (entry.agent.clone(), array, stamp);
+        let (key, mut boxes, companion) = match entry.stream {
+            array @ (Stream::GroundTruth | Stream::OwnLabels) => {
+                let boxes = entry.boxes()?;
+                match self.companions.remove(&key(array)) {
+                    Some(companion) => (key(array), boxes, companion),
+                    None => {
+                        self.boxes.insert(key(array), boxes);
+                        return Ok(true);
+                    }
+                }
             }
             Stream::GroundTruthViews | Stream::OwnLabelsViews => {
-                self.views.insert(entry.stream, (stamp, entry.views()?));
+                let views = self.views.entry(entry.stream).or_default();
+                views.insert(stamp, entry.views()?);
                 return Ok(true);
             }
-            Stream::OwnLabelsInfo => Stream::OwnLabels,
-            _ => Stream::GroundTruth,
+            stream => {
+                let array = match stream {
+                    Stream::OwnLabelsInfo => Stream::OwnLabels,
+                    _ => Stream::GroundTruth,
+                };
+                match self.boxes.remove(&key(array)) {
+                    Some(boxes) => (key(array), boxes, entry),
+                    None => {
+                        self.companions.insert(key(array), entry);
+                        return Ok(true);
+                    }
+                }
+            }
         };
-        let mut boxes = self.boxes.remove(&(entry.agent.clone(), array)).unwrap_or_default();
-        let info = entry.info(&mut boxes)?;
+        let info = companion.info(&mut boxes)?;
+        self.take(key, boxes, info);
+        Ok(true)
+    }
+
+    /// Takes an array with its companion.
+    fn take(&mut self, (agent, array, stamp): (Name, Stream, Nanos), mut boxes: Boxes, info: BoxesInfo) {
         if array == Stream::OwnLabels {
             self.level(stamp, &mut boxes);
             self.ego.entry(stamp).or_default().own = Some(OwnLabels {
                 boxes: boxes.0,
                 points: info.points.unwrap_or_default(),
                 key: info.key,
-                views: self.views_at(Stream::OwnLabelsViews, stamp),
+                views: Vec::new(),
             });
-            return Ok(true);
+            return;
         }
-        match self.others.get_mut(&entry.agent) {
+        match self.others.get_mut(&agent) {
             Some(counts) => counts.push_back(Counts {
                 stamp,
                 by_track: by_track(&boxes.0, &info),
             }),
             None => {
                 self.level(stamp, &mut boxes);
-                let views = self.views_at(Stream::GroundTruthViews, stamp);
-                self.ego.entry(stamp).or_default().truth = Some((boxes, info, views));
+                self.ego.entry(stamp).or_default().truth = Some((boxes, info));
             }
         }
-        Ok(true)
     }
 
     /// The views of a stamp, none where the log has none.
     fn views_at(&mut self, stream: Stream, stamp: Nanos) -> Vec<View> {
-        let found = self.views.remove(&stream).filter(|(at, _)| *at == stamp);
-        let mut views = found.map(|(_, views)| views).unwrap_or_default();
+        let known = self.views.entry(stream).or_default();
+        let mut views = same(known, stamp).and_then(|at| known.remove(&at)).unwrap_or_default();
         if let Some(level) = &self.level {
             level.views(stamp, &mut views);
         }
@@ -191,8 +241,34 @@ impl TruthJoin {
         }
     }
 
-    fn forget(&mut self, stamp: Nanos) {
-        self.ego = self.ego.split_off(&stamp);
+    /// Leaves what lies before a stamp; gives how far truth that was not asked for lay from the nearest sweep that has none, ns.
+    fn forget(&mut self, stamp: Nanos) -> Vec<Nanos> {
+        let first = stamp.saturating_sub(SAME);
+        let later = self.ego.split_off(&first);
+        let mut lost = Vec::new();
+        for at in std::mem::replace(&mut self.ego, later).into_keys() {
+            let far = |missed: &Nanos| missed.abs_diff(at);
+            let near = (0..self.missed.len()).min_by_key(|index| far(&self.missed[*index]));
+            let near = near.filter(|index| far(&self.missed[*index]) <= WINDOW as u64);
+            lost.extend(
+                near.and_then(|index| self.missed.remove(index))
+                    .map(|missed| (missed - at).abs()),
+            );
+        }
+        let old = first.saturating_sub(2 * WINDOW);
+        while self.missed.front().is_some_and(|missed| *missed < old) {
+            self.missed.pop_front();
+        }
+        let ego = &self.agents[0];
+        for ((agent, array, at), _) in self.boxes.extract_if(.., |(_, _, at), _| *at < old) {
+            let companions = self.companions.keys().filter(|key| key.0 == agent && key.1 == array);
+            let far = companions.map(|key| (key.2 - at).abs()).min();
+            lost.extend(far.filter(|far| agent == *ego && *far <= WINDOW));
+        }
+        self.companions.retain(|(_, _, at), _| *at >= old);
+        for views in self.views.values_mut() {
+            *views = views.split_off(&first);
+        }
         for counts in self.others.values_mut() {
             while counts
                 .front()
@@ -201,6 +277,7 @@ impl TruthJoin {
                 counts.pop_front();
             }
         }
+        lost
     }
 
     /// Points of every agent on every object, `[objects, agents]`.

@@ -203,7 +203,16 @@ fn cause(agent: &str, result: &RunResult) -> String {
     let lost = |(id, loss): (&String, &Loss)| {
         let share = loss.agents.get(agent).filter(|share| share.count > 0)?;
         let note = loss.note.replace("{node}", id).replace("{agent}", agent);
-        Some((loss.meaning, share.count, format!(": {} {note}", grouped(share.count))))
+        let found = loss
+            .found
+            .get(agent)
+            .map(|words| format!(" ({words})"))
+            .unwrap_or_default();
+        Some((
+            loss.meaning,
+            share.count,
+            format!(": {} {note}{found}", grouped(share.count)),
+        ))
     };
     // What the log is the cause of goes first, then the most.
     let most = losses

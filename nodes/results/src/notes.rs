@@ -46,7 +46,15 @@ fn sentence(node: &str, loss: &Loss) -> String {
         let text = text.replace("{node}", node).replace("{agent}", &listed(&names));
         plain(&file::head(&text, CHARACTERS))
     };
-    let counts: Vec<String> = agents.iter().map(|(agent, share)| count_of(agent, *share)).collect();
+    let found = |agent: &str| {
+        loss.found
+            .get(agent)
+            .map(|words| format!(" ({})", plain(&file::head(words, CHARACTERS))))
+    };
+    let counts = agents
+        .iter()
+        .map(|(agent, share)| count_of(agent, *share) + &found(agent).unwrap_or_default());
+    let counts: Vec<String> = counts.collect();
     let (note, remedy) = (words(&loss.note), words(&loss.remedy));
     match remedy.is_empty() {
         true => format!("{} {note}", listed(&counts)),

@@ -100,6 +100,9 @@ pub struct Loss {
     pub remedy: Cow<'static, str>,
     /// By agent; empty: of nobody in particular.
     pub agents: BTreeMap<String, Share>,
+    /// By agent: what was found of the first, e.g. "poses 200 ms apart".
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub found: BTreeMap<String, String>,
 }
 
 /// How many of how many.
@@ -149,6 +152,9 @@ impl Loss {
         for (agent, share) in &other.agents {
             self.agents.entry(agent.clone()).or_default().add(*share);
         }
+        for (agent, found) in &other.found {
+            self.found.entry(agent.clone()).or_insert_with(|| found.clone());
+        }
     }
 }
 
@@ -166,13 +172,20 @@ impl Counts {
             quiet_percent: counter.quiet_percent,
             note: counter.note.into(),
             remedy: counter.remedy.into(),
-            agents: BTreeMap::new(),
+            ..Loss::default()
         });
         let share = match loss.agents.get_mut(agent) {
             Some(share) => share,
             None => loss.agents.entry(agent.into()).or_default(),
         };
         share.add(Share { count: n, of });
+    }
+
+    /// Says what was found of the first that an agent lost; the note has it in brackets. Does nothing before a loss was counted.
+    pub fn found(&mut self, counter: &'static Counter, agent: &str, words: impl FnOnce() -> String) {
+        if let Some(loss) = self.losses.get_mut(counter.name) {
+            loss.found.entry(agent.into()).or_insert_with(words);
+        }
     }
 
     /// Adds to a counter that is known by its name only, as those of plug-ins are.

@@ -311,6 +311,11 @@ impl Outputs {
         self.made.counts.add(counter, agent, n, of);
     }
 
+    /// Says what was found of the first that an agent lost; see [`Counts::found`](crate::Counts::found).
+    pub fn found(&mut self, counter: &'static Counter, agent: &str, words: impl FnOnce() -> String) {
+        self.made.counts.found(counter, agent, words);
+    }
+
     /// Says what a fate means at this stage, by its arguments, for notes: `Stale` is "older than 400 ms".
     pub fn explain(&mut self, fate: Fate, words: impl Into<String>) {
         self.made.explained.insert(fate, words.into());

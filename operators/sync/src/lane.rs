@@ -34,6 +34,7 @@ pub struct PosePoint {
 /// One agent.
 pub struct Lane {
     track: PoseTrack,
+    max_gap: Nanos,
     points: VecDeque<PosePoint>,
     /// Stamp of the newest sweep that was taken.
     pub newest: Option<Nanos>,
@@ -47,6 +48,7 @@ impl Lane {
         let (points, waiting) = (VecDeque::new(), VecDeque::new());
         Lane {
             track: PoseTrack::new(KEEP, max_gap),
+            max_gap,
             points,
             newest: None,
             waiting,
@@ -121,6 +123,31 @@ impl Lane {
         };
         let (period, since) = (newest.saturating_sub(previous), now.saturating_sub(newest));
         newest < last && (period..period.saturating_mul(2)).contains(&since)
+    }
+
+    /// Why no pose is known at a stamp, in words.
+    pub fn lack(&self, stamp: Nanos) -> String {
+        let millis = |time: Nanos| (time + 500_000) / 1_000_000;
+        let bridged = millis(self.max_gap);
+        let after = self.points.partition_point(|point| point.stamp < stamp);
+        let at = |index: usize| self.points.get(index).map(|point| point.stamp);
+        match (after.checked_sub(1).and_then(at), at(after)) {
+            (None, None) => "no poses came".into(),
+            (None, Some(first)) => format!("the first pose lies {} ms behind the sweep", millis(first - stamp)),
+            (Some(from), Some(to)) => format!("poses {} ms apart, max_gap_ms={bridged}", millis(to - from)),
+            (Some(_), None) if after == 1 => "one pose came so far, at least two are needed".into(),
+            (Some(last), None) => {
+                let period = after.checked_sub(2).and_then(at).map_or(0, |before| last - before);
+                let since = stamp - last;
+                match period > self.max_gap {
+                    true => format!("poses {} ms apart, max_gap_ms={bridged}", millis(period)),
+                    false => format!(
+                        "the last pose lies {} ms before the sweep, max_gap_ms={bridged}",
+                        millis(since)
+                    ),
+                }
+            }
+        }
     }
 
     /// Lets a sweep wait that came `now`; returns one that must give up for it.

@@ -37,7 +37,8 @@ const NO_POSE: Counter = Counter::log_fault(
     "no_pose",
     "sweeps dropped: their pose did not become known in time",
     "sweeps were dropped, because no pose was known at their stamps",
-    "`realo info` says when the agent has poses and sweeps; `--set {node}.max_gap_ms=…` bridges longer gaps between poses",
+    "poses must be at most `max_gap_ms` apart and span the sweeps: record them at 10 Hz or more, or bridge longer gaps with \
+     `--set {node}.max_gap_ms=…`",
 );
 const NOT_DESKEWED: Counter = Counter::loss(
     "not_deskewed",
@@ -170,6 +171,7 @@ impl Sync {
         let now = out.now();
         if let Some((header, _)) = lane.wait(now, header, cloud) {
             out.count_of(&NO_POSE, &header.agent, 1, 1);
+            out.found(&NO_POSE, &header.agent, || lane.lack(header.stamp));
         }
         self.settings.release(lane, out, false);
         if !lane.waiting.is_empty() {
@@ -199,8 +201,9 @@ impl SweepRules {
                 break;
             };
             out.count_of(&NO_POSE, &header.agent, u64::from(pairing.is_none()), 1);
-            if let Some(pairing) = pairing {
-                self.send(header, &cloud, pairing, out);
+            match pairing {
+                None => out.found(&NO_POSE, &header.agent, || lane.lack(header.stamp)),
+                Some(pairing) => self.send(header, &cloud, pairing, out),
             }
         }
     }

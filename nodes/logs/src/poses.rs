@@ -1,0 +1,86 @@
+//! Whether an agent's poses reach its sweeps, and roadside units that do not move.
+
+use realo_schemas::{EgoState, Nanos};
+
+use crate::{AgentKind, Log, LogError, Stream};
+
+/// Poses that are farther apart are not bridged by default, ns: the argument `max_gap_ms` of the operator `sync`.
+pub const MAX_GAP: Nanos = 150_000_000;
+/// Poses of a unit that does not move differ by no more, m.
+const STILL: f64 = 0.05;
+/// Neither do its rotations, degrees.
+const STILL_DEGREES: f64 = 0.05;
+
+/// A roadside unit all of whose poses are the same: it is there before the first and behind the last too.
+#[derive(Clone, Debug)]
+pub struct Standing {
+    /// Where it is.
+    pub state: EgoState,
+    /// Stamps of its poses, rising.
+    pub stamps: Vec<Nanos>,
+}
+
+impl Standing {
+    /// Reads the poses of an agent; `None` for vehicles, for units that move by more than 5 cm or 0.05°, and without poses.
+    ///
+    /// # Errors
+    /// A log that cannot be read.
+    pub fn read(log: &Log, agent: &str, stream: Stream) -> Result<Option<Self>, LogError> {
+        let is_roadside = log
+            .info()
+            .agent(agent)
+            .is_some_and(|info| info.kind == AgentKind::Roadside);
+        if !is_roadside || !log.has(agent, stream) {
+            return Ok(None);
+        }
+        let (mut first, mut stamps): (Option<EgoState>, _) = (None, Vec::new());
+        let mut reader = log.read_all(&[(agent, stream)])?;
+        while let Some(entry) = reader.next()? {
+            // What is no pose is counted when the log is played.
+            let Ok(state) = entry.pose() else { continue };
+            stamps.push(entry.stamp());
+            match &first {
+                None => first = Some(state),
+                Some(first) if is_same(first, &state) => {}
+                Some(_) => return Ok(None),
+            }
+        }
+        stamps.sort_unstable();
+        Ok(first.map(|state| Standing { state, stamps }))
+    }
+}
+
+fn is_same(one: &EgoState, other: &EgoState) -> bool {
+    let (one, other) = (&one.map_from_body, &other.map_from_body);
+    let far = (one.translation.vector - other.translation.vector).norm();
+    far <= STILL && one.rotation.angle_to(&other.rotation).to_degrees() <= STILL_DEGREES
+}
+
+/// Whether a pose is known at a stamp by poses at others, of rising stamps, of which gaps of at most `max_gap` are bridged.
+pub fn is_posed(poses: &[Nanos], stamp: Nanos, max_gap: Nanos) -> bool {
+    let next = poses.partition_point(|pose| *pose < stamp);
+    if poses.get(next) == Some(&stamp) {
+        return true;
+    }
+    match (next, poses.len()) {
+        (0, _) | (_, 1) => false,
+        (next, all) if next < all => poses[next] - poses[next - 1] <= max_gap,
+        (_, all) => (poses[all - 1] - poses[all - 2]).max(stamp - poses[all - 1]) <= max_gap,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_reach_over_gaps_and_beyond_the_last() {
+        let poses = [0, 100, 200, 500, 600];
+        let posed = |stamp| is_posed(&poses, stamp, 150);
+        assert_eq!(
+            [-1, 0, 50, 300, 500, 550, 700, 751].map(posed),
+            [false, true, true, false, true, true, true, false]
+        );
+        assert!(is_posed(&[7], 7, 150) && !is_posed(&[7], 8, 150) && !is_posed(&[], 8, 150));
+    }
+}
