@@ -26,6 +26,19 @@ pub enum LogError {
         /// What the system said.
         reason: String,
     },
+    /// Writing failed midway of what appears only when it is complete.
+    #[error(
+        "writing `{}` failed after {written} bytes: {reason}; nothing of it was left: free space there, or choose another place",
+        .path.display()
+    )]
+    Unfinished {
+        /// The file that was to appear.
+        path: PathBuf,
+        /// Bytes that were written.
+        written: u64,
+        /// What the system said.
+        reason: String,
+    },
     /// A file of somebody else at the place of what is to be written.
     #[error(
         "refuse to overwrite `{}`: it is {found}; expected a log or a recording that realo wrote, or nothing. Choose another \

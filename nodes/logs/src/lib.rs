@@ -76,7 +76,7 @@ pub use poses::{MAX_GAP, Standing, is_posed};
 pub use precomputed::{LaneStage, LogCopy, Precomputed};
 pub use schema::Schema;
 pub use stamps::{SAME, same};
-pub use sweeps::SweepsInfo;
+pub use sweeps::{SweepsInfo, intensity_scale};
 pub use topics::Stream;
 
 /// Name of the metadata record of a recording of a run.

@@ -6,7 +6,7 @@ use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, EgoState, Name, Nanos, PointCloud};
 
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD, check_agents};
-use crate::mcap_writer::{ChannelId, Lane, McapWriter, Output};
+use crate::mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
 use crate::{
     BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose, views,
 };
@@ -127,7 +127,7 @@ impl LogWriter {
         let frame = body(agent);
         let encode = |out: &mut Vec<u8>| pose::encode_transform(out, stamp, &map, &frame, &state.map_from_body);
         let written = mcap.write(tf, ready as u64, stamp as u64, encode);
-        written.map(|_| ()).map_err(|failure| failure.of(&self.path))
+        written.map(|_| ()).map_err(|failure| self.failed(failure))
     }
 
     /// The agent's true pose: `/<agent>/pose_truth`.
@@ -236,11 +236,19 @@ impl LogWriter {
             return Ok(());
         };
         mcap.metadata(END_RECORD, &self.end_record(mcap.span()));
-        mcap.finish().map_err(|failure| failure.of(&self.path))?;
+        mcap.finish().map_err(|failure| self.failed(failure))?;
         if let Some(target) = self.target.take() {
             fs::rename(&self.path, &target).map_err(LogError::io(&target, "rename the finished log to"))?;
         }
         Ok(())
+    }
+
+    /// Why writing stopped, and what is left of it.
+    fn failed(&self, failure: Failure) -> LogError {
+        match &self.target {
+            Some(target) => failure.of_unfinished(target),
+            None => failure.of(&self.path),
+        }
     }
 
     fn end_record(&self, span: Option<(u64, u64)>) -> BTreeMap<String, String> {
@@ -357,7 +365,7 @@ impl LogWriter {
         let channel = || mcap.channel(&stream.topic(agent), stream.schema(), stream.lane());
         let channel = *known.channels.entry(stream).or_insert_with(channel);
         let written = mcap.write(channel, ready as u64, stamp as u64, encode);
-        written.map(|_| ()).map_err(|failure| failure.of(&self.path))
+        written.map(|_| ()).map_err(|failure| self.failed(failure))
     }
 }
 

@@ -84,6 +84,15 @@ impl Failure {
             reason: self.reason,
         }
     }
+
+    /// The failure to write a file that appears only when it is complete.
+    pub fn of_unfinished(self, target: &Path) -> LogError {
+        LogError::Unfinished {
+            path: target.into(),
+            written: self.written,
+            reason: self.reason,
+        }
+    }
 }
 
 struct Channel {

@@ -191,7 +191,9 @@ impl<'a> LogCopy<'a> {
         let channel = *self.packets.entry(agent.into()).or_insert_with(channel);
         let encode = |out: &mut Vec<u8>| packets::encode(out, stamp, packet);
         let written = mcap.write(channel, log_time, publish_time, encode);
-        written.map(|_| ()).map_err(|failure| failure.of(&self.partial))
+        written
+            .map(|_| ())
+            .map_err(|failure| failure.of_unfinished(&self.target))
     }
 
     /// Copies the log's messages before a log time.
@@ -209,7 +211,7 @@ impl<'a> LogCopy<'a> {
             let to = self.channels[&raw.channel];
             let mcap = open(&mut self.mcap);
             let written = mcap.copy(to, raw.sequence, raw.log_time, raw.publish_time, raw.data());
-            written.map_err(|failure| failure.of(&self.partial))?;
+            written.map_err(|failure| failure.of_unfinished(&self.target))?;
         }
     }
 
@@ -229,7 +231,7 @@ impl<'a> LogCopy<'a> {
             }
             mcap.metadata(END_RECORD, &end);
         }
-        mcap.finish().map_err(|failure| failure.of(&self.partial))?;
+        mcap.finish().map_err(|failure| failure.of_unfinished(&self.target))?;
         fs::rename(&self.partial, &self.target).map_err(LogError::io(&self.target, "rename the finished log to"))
     }
 }

@@ -120,7 +120,7 @@ impl Context {
             }
         }
         let rules = Rules {
-            scale: scale(reader.intensity().unwrap_or_default(), brightest),
+            scale: intensity_scale(reader.intensity().unwrap_or_default(), brightest),
             times: reader.time_rule(&looks),
         };
         open(&self.rules).insert(channel, rules.clone());
@@ -204,8 +204,8 @@ impl std::fmt::Display for SweepsInfo {
 }
 
 /// What intensities are multiplied by: floats of which the brightest is at most 1 fill the byte; what exceeds a byte is
-/// divided by the least range of sensors that holds the brightest.
-fn scale(kind: &str, brightest: f32) -> f32 {
+/// divided by the least range of sensors that holds the brightest. `kind` is a type's name as `uint8` or `float32`.
+pub fn intensity_scale(kind: &str, brightest: f32) -> f32 {
     let float = kind.starts_with("float");
     match brightest {
         _ if kind == "uint8" => 1.0,
@@ -222,7 +222,7 @@ fn open<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 #[cfg(test)]
 mod tests {
-    use super::scale;
+    use super::intensity_scale;
 
     #[test]
     fn intensities_fill_a_byte_by_the_range_of_the_brightest() {
@@ -237,7 +237,7 @@ mod tests {
             ("uint16", 65_535.0, 255.0 / 65_535.0),
             ("float64", 1e6, 255.0 / 1e6),
         ] {
-            assert_eq!(scale(kind, brightest), expected, "{kind} {brightest}");
+            assert_eq!(intensity_scale(kind, brightest), expected, "{kind} {brightest}");
         }
     }
 }

@@ -1,0 +1,214 @@
+//! A made-up data set in forms that people have: files that are missing, marks and slashes of other systems, clouds as other
+//! programs write them.
+
+mod made_up;
+
+use std::fs;
+use std::path::Path;
+
+use made_up::{POINTS, cloud, edit, head, lists, make, place, write};
+use realo_importer::{DairOptions, Summary, VEHICLE, dair};
+use realo_logs::{Log, Stream};
+use realo_schemas::PointCloud;
+use serde_json::Value;
+
+const FIRST: &str = "vehicle-side/velodyne/000100.pcd";
+
+struct Made {
+    folder: tempfile::TempDir,
+}
+
+impl Made {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        make(&folder.path().join("data"), 4);
+        Made { folder }
+    }
+
+    fn data(&self) -> std::path::PathBuf {
+        self.folder.path().join("data")
+    }
+
+    fn import(&self, skip_incomplete: bool) -> Result<Summary, String> {
+        let options = DairOptions {
+            skip_incomplete,
+            ..DairOptions::default()
+        };
+        let out = self.folder.path().join("out.mcap");
+        let done = dair(&self.data(), &out, options).map_err(|error| error.to_string());
+        assert_eq!(done.is_ok(), out.exists());
+        done
+    }
+
+    /// The vehicle's first cloud.
+    fn cloud(&self) -> PointCloud {
+        let log = Log::open(&self.folder.path().join("out.mcap")).unwrap();
+        let mut reader = log.read_all(&[(VEHICLE, Stream::Points)]).unwrap();
+        reader.next().unwrap().expect("a sweep").cloud().unwrap()
+    }
+}
+
+#[test]
+fn all_that_is_missing_is_listed_at_once_or_left_out() {
+    let made = Made::new();
+    let data = made.data();
+    assert_eq!(made.import(false).unwrap().pairs, 4);
+    fs::remove_file(made.folder.path().join("out.mcap")).unwrap();
+    fs::remove_file(data.join("infrastructure-side/velodyne/000202.pcd")).unwrap();
+    fs::remove_file(data.join("cooperative/label_world/000102.json")).unwrap();
+    fs::write(data.join("vehicle-side/calib/novatel_to_world/000101.json"), "").unwrap();
+    fs::remove_file(data.join("vehicle-side/label/lidar/000103.json")).unwrap();
+    let [together, _, roadside] = lists(&data);
+    edit(&roadside, |list| drop(list.remove(3)));
+    let without = |entry: &mut Value| drop(entry.as_object_mut().unwrap().remove("cooperative_label_path"));
+    edit(&together, |list| {
+        list.push(list[0].clone());
+        without(list.last_mut().unwrap());
+    });
+    let error = made.import(false).unwrap_err();
+    for line in [
+        "4 of 5 pairs are incomplete",
+        "cooperative/data_info.json: entry 4: missing field `cooperative_label_path`",
+        "infrastructure-side/velodyne/000202.pcd: no such file",
+        "cooperative/label_world/000102.json: no such file",
+        "vehicle-side/calib/novatel_to_world/000101.json: an empty file",
+        "vehicle-side/label/lidar/000103.json: no such file",
+        "infrastructure-side/velodyne/000203.pcd: in no entry of infrastructure-side/data_info.json",
+        "--skip-incomplete",
+    ] {
+        assert!(error.contains(line), "{line} is not in\n{error}");
+    }
+    let summary = made.import(true).unwrap();
+    assert_eq!(
+        (summary.pairs, summary.incomplete_pairs, summary.missing.len()),
+        (1, 4, 6)
+    );
+    let said = summary.to_string();
+    assert!(
+        said.contains("left out: 4 incomplete pairs") && said.contains("000202.pcd: no such file"),
+        "{said}"
+    );
+    fs::remove_file(made.folder.path().join("out.mcap")).unwrap();
+    fs::remove_dir_all(data.join("vehicle-side/velodyne")).unwrap();
+    let error = made.import(true).unwrap_err();
+    assert!(error.contains("no pair is complete"), "{error}");
+}
+
+#[test]
+fn marks_and_slashes_of_other_systems_are_read() {
+    let made = Made::new();
+    for list in lists(&made.data()) {
+        edit(&list, |entries| {
+            for value in entries
+                .iter_mut()
+                .flat_map(|entry| entry.as_object_mut().unwrap().values_mut())
+            {
+                if let Value::String(text) = value {
+                    *text = text.replace('/', "\\");
+                }
+            }
+        });
+        let marked = [b"\xef\xbb\xbf", &fs::read(&list).unwrap()[..]].concat();
+        fs::write(&list, marked).unwrap();
+    }
+    assert_eq!(made.import(false).unwrap().pairs, 4);
+    let [together, ..] = lists(&made.data());
+    fs::write(&together, b"\xff\xfe[\0]\0").unwrap();
+    fs::remove_file(made.folder.path().join("out.mcap")).unwrap();
+    let error = made.import(false).unwrap_err();
+    assert!(
+        error.contains("UTF-16") && error.contains("save it as UTF-8"),
+        "{error}"
+    );
+}
+
+/// Replaces all clouds of the vehicle and gives the first as it was imported.
+fn imported(made: &Made, file: &[u8]) -> PointCloud {
+    for k in 0..4 {
+        write(
+            &made.data().join(format!("vehicle-side/velodyne/{:06}.pcd", 100 + k)),
+            file,
+        );
+    }
+    made.import(false).unwrap();
+    made.cloud()
+}
+
+#[test]
+fn intensities_are_scaled_by_the_brightest_of_the_first_clouds() {
+    let made = Made::new();
+    for most in [1.0, 100.0, 255.0, 4000.0] {
+        let found = imported(&made, &cloud(|i| i as f32 / (POINTS - 1) as f32 * most));
+        let (brightest, distinct): (u8, std::collections::BTreeSet<u8>) = (
+            *found.intensity.iter().max().unwrap(),
+            found.intensity.iter().copied().collect(),
+        );
+        let expected = match most {
+            1.0 | 255.0 => 255,
+            100.0 => 100,
+            _ => 249,
+        };
+        assert_eq!(brightest, expected, "up to {most}");
+        assert!(distinct.len() > 90, "up to {most}: {} values", distinct.len());
+    }
+    // A dark cloud of a bright sensor stays dark, and what is below 0 is counted.
+    let dark = cloud(|i| if i == 0 { -300.0 } else { 0.5 });
+    write(&made.data().join(FIRST), &dark);
+    let summary = made.import(false).unwrap();
+    assert_eq!(summary.limited_intensities, 1);
+    assert!(summary.to_string().contains("limited: 1 intensities"));
+    assert!(made.cloud().intensity.iter().all(|intensity| *intensity == 0));
+}
+
+#[test]
+fn padding_doubles_integers_and_text_are_read_alike() {
+    let made = Made::new();
+    let (mut padded, mut doubles, mut shorts) = (
+        head("x y z _ intensity _", "4 4 4 1 4 1", "F F F U F U", "1 1 1 4 1 12"),
+        head("x y z intensity", "8 8 8 8", "F F F F", "1 1 1 1"),
+        head("x y z intensity", "4 4 4 2", "F F F U", "1 1 1 1"),
+    );
+    let mut text = String::from_utf8(head("x y z intensity", "4 4 4 4", "F F F F", "1 1 1 1")).unwrap();
+    text = text.replace("DATA binary", "DATA ascii");
+    for i in 0..POINTS {
+        let ([x, y, z], share) = (place(i), i as f32 / POINTS as f32);
+        for value in [x, y, z] {
+            padded.extend(value.to_le_bytes());
+            doubles.extend(f64::from(value).to_le_bytes());
+            shorts.extend(value.to_le_bytes());
+        }
+        padded.extend([7; 4]);
+        padded.extend(share.to_le_bytes());
+        padded.extend([7; 12]);
+        doubles.extend(f64::from(share).to_le_bytes());
+        shorts.extend(((share * 255.0).round() as u16).to_le_bytes());
+        text.push_str(&format!("{x} {y} {z} {share}\r\n"));
+    }
+    let expected = imported(&made, &cloud(|i| i as f32 / POINTS as f32));
+    for (name, file) in [
+        ("padding", padded),
+        ("doubles", doubles),
+        ("16 bits", shorts),
+        ("text", text.into_bytes()),
+    ] {
+        assert!(imported(&made, &file) == expected, "{name}");
+    }
+}
+
+#[test]
+fn clouds_far_from_their_sensor_are_refused_and_none_is_cut() {
+    let made = Made::new();
+    let mut far = head("x y z intensity", "8 8 8 4", "F F F F", "1 1 1 1");
+    for i in 0..POINTS {
+        let [x, y, z] = place(i).map(f64::from);
+        far.extend([x + 691_234.0, y + 5_334_567.0, z].iter().flat_map(|v| v.to_le_bytes()));
+        far.extend(0.5f32.to_le_bytes());
+    }
+    fs::write(made.data().join(FIRST), far).unwrap();
+    let error = made.import(false).unwrap_err();
+    assert!(
+        error.contains(FIRST) && error.contains("in its frame") && error.contains("691204"),
+        "{error}"
+    );
+    assert!(Path::new(&made.data()).exists());
+}

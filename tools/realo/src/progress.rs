@@ -1,0 +1,260 @@
+//! How far long work is: a bar on a terminal, and a line every ten seconds where standard error is something else.
+
+use std::io::IsTerminal;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// From one line to the next.
+const EVERY: Duration = Duration::from_secs(10);
+
+/// How far some work is. Ends with [`Progress::finish`] or when it is dropped.
+pub struct Progress {
+    state: Arc<Mutex<State>>,
+    shown: Shown,
+}
+
+enum Shown {
+    Bar(ProgressBar),
+    Lines {
+        /// Closed to end the thread.
+        end: Option<Sender<()>>,
+        thread: Option<JoinHandle<()>>,
+    },
+}
+
+struct State {
+    /// What is done, as "simulating".
+    what: String,
+    /// What is counted, as "sweeps".
+    unit: &'static str,
+    begun: Instant,
+    /// What was done before this work began.
+    from: f64,
+    done: f64,
+    all: Option<f64>,
+    /// What else there is to say.
+    more: String,
+}
+
+impl Progress {
+    /// Work of so many units, if that is known yet.
+    pub fn new(what: impl Into<String>, unit: &'static str, all: Option<f64>) -> Self {
+        let state = State {
+            what: what.into(),
+            unit,
+            begun: Instant::now(),
+            from: 0.0,
+            done: 0.0,
+            all,
+            more: String::new(),
+        };
+        match std::io::stderr().is_terminal() {
+            true => Progress::bar(state),
+            false => Progress::lines(state, EVERY, |line| eprintln!("{line}")),
+        }
+    }
+
+    fn bar(state: State) -> Self {
+        let template = format!("{{prefix:>24}} [{{bar:32}}] {{pos}}/{{len}} {} {{msg}}", state.unit);
+        let style = ProgressStyle::with_template(&template).expect("the template is a constant");
+        let bar = ProgressBar::new(state.all.unwrap_or(0.0).ceil() as u64).with_style(style.progress_chars("=> "));
+        bar.set_prefix(state.what.clone());
+        Progress {
+            state: Arc::new(Mutex::new(state)),
+            shown: Shown::Bar(bar),
+        }
+    }
+
+    fn lines(state: State, every: Duration, say: impl Fn(String) + Send + 'static) -> Self {
+        let state = Arc::new(Mutex::new(state));
+        let (end, ended) = channel::<()>();
+        let told = state.clone();
+        let thread = std::thread::spawn(move || {
+            while ended.recv_timeout(every) == Err(RecvTimeoutError::Timeout) {
+                let line = open(&told).line();
+                say(line);
+            }
+        });
+        Progress {
+            state,
+            shown: Shown::Lines {
+                end: Some(end),
+                thread: Some(thread),
+            },
+        }
+    }
+
+    /// Work that goes on from there.
+    pub fn starting_at(self, done: f64) -> Self {
+        {
+            let mut state = open(&self.state);
+            (state.from, state.done) = (done, done);
+        }
+        self
+    }
+
+    /// So much is done in all.
+    pub fn set(&self, done: f64) {
+        let mut state = open(&self.state);
+        state.done = done;
+        self.draw(&state);
+    }
+
+    /// So much more is done.
+    pub fn add(&self, more: f64) {
+        let mut state = open(&self.state);
+        state.done += more;
+        self.draw(&state);
+    }
+
+    /// So much is done of so much.
+    pub fn of(&self, done: f64, all: f64) {
+        let mut state = open(&self.state);
+        (state.done, state.all) = (done, Some(all));
+        self.draw(&state);
+    }
+
+    /// What else there is to say, until the next call.
+    pub fn say(&self, more: impl Into<String>) {
+        let mut state = open(&self.state);
+        state.more = more.into();
+        if let Shown::Bar(bar) = &self.shown {
+            bar.set_message(state.more.clone());
+        }
+    }
+
+    /// Prints beside the bar.
+    pub fn beside(&self, print: impl FnOnce()) {
+        match &self.shown {
+            Shown::Bar(bar) => bar.suspend(print),
+            Shown::Lines { .. } => print(),
+        }
+    }
+
+    /// Ends the bar or the lines.
+    pub fn finish(self) {}
+
+    fn draw(&self, state: &State) {
+        if let Shown::Bar(bar) = &self.shown {
+            bar.set_length(state.all.unwrap_or(state.done).ceil() as u64);
+            bar.set_position(state.done as u64);
+        }
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        match &mut self.shown {
+            Shown::Bar(bar) => bar.finish_and_clear(),
+            Shown::Lines { end, thread } => {
+                drop(end.take());
+                if let Some(thread) = thread.take() {
+                    let _ = thread.join();
+                }
+            }
+        }
+    }
+}
+
+impl State {
+    fn line(&self) -> String {
+        let seconds = self.begun.elapsed().as_secs_f64();
+        let rate = (self.done - self.from) / seconds;
+        let far = match self.all {
+            Some(all) => format!("{} of {} {}", number(self.done), number(all), self.unit),
+            None => format!("{} {}", number(self.done), self.unit),
+        };
+        let pace = match (rate > 0.0, self.all) {
+            (false, _) => format!(", {} so far", duration(seconds)),
+            (true, None) => format!(", {rate:.1} a second"),
+            (true, Some(all)) => {
+                let left = ((all - self.done) / rate).max(0.0);
+                format!(", {rate:.1} a second, {} left", duration(left))
+            }
+        };
+        let more = if self.more.is_empty() {
+            String::new()
+        } else {
+            format!("; {}", self.more)
+        };
+        format!("realo: {}: {far}{pace}{more}", self.what)
+    }
+}
+
+/// A count as it is, seconds to a tenth.
+fn number(value: f64) -> String {
+    match value.fract() == 0.0 {
+        true => format!("{value:.0}"),
+        false => format!("{value:.1}"),
+    }
+}
+
+fn duration(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match whole {
+        0..60 => format!("{whole} s"),
+        60..3600 => format!("{}:{:02} min", whole / 60, whole % 60),
+        _ => format!("{}:{:02} h", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+/// A thread that panicked leaves whole numbers behind.
+fn open(state: &Mutex<State>) -> MutexGuard<'_, State> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn state(all: Option<f64>, done: f64, ago: u64) -> State {
+        State {
+            what: "simulating".into(),
+            unit: "sweeps",
+            begun: Instant::now() - Duration::from_secs(ago),
+            from: 0.0,
+            done,
+            all,
+            more: String::new(),
+        }
+    }
+
+    #[test]
+    fn a_line_says_what_how_far_how_fast_and_how_long() {
+        let line = state(Some(400.0), 100.0, 10).line();
+        assert_eq!(line, "realo: simulating: 100 of 400 sweeps, 10.0 a second, 30 s left");
+        let line = state(None, 100.0, 10).line();
+        assert_eq!(line, "realo: simulating: 100 sweeps, 10.0 a second");
+        let mut long = state(Some(10_000.0), 0.0, 70);
+        assert_eq!(long.line(), "realo: simulating: 0 of 10000 sweeps, 1:10 min so far");
+        (long.done, long.from, long.more) = (70.0, 35.0, "loss 0.5".into());
+        assert_eq!(
+            long.line(),
+            "realo: simulating: 70 of 10000 sweeps, 0.5 a second, 5:31 h left; loss 0.5"
+        );
+    }
+
+    #[test]
+    fn lines_come_while_work_stands_still_and_end_with_it() {
+        let (say, said) = channel();
+        let progress = Progress::lines(state(Some(4.0), 1.0, 1), Duration::from_millis(1), move |line| {
+            let _ = say.send(line);
+        });
+        let first = said.recv_timeout(Duration::from_secs(60)).expect("a line");
+        assert!(first.starts_with("realo: simulating: 1 of 4 sweeps"), "{first}");
+        progress.set(3.0);
+        let at_three = |line: &String| line.starts_with("realo: simulating: 3 of 4 sweeps");
+        assert!((0..100_000).any(|_| {
+            said.recv_timeout(Duration::from_secs(60))
+                .is_ok_and(|line| at_three(&line))
+        }));
+        progress.finish();
+        // The thread has ended, and with it whoever could say more.
+        while said.try_recv().is_ok() {}
+        assert!(said.recv().is_err());
+    }
+}
