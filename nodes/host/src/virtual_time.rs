@@ -53,7 +53,20 @@ pub type Observer<'a> = Box<dyn FnMut(&str, &str, &Message) + 'a>;
 /// # Errors
 /// [`RunError`] names the stage that could not be built or go on.
 pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>) -> Result<Books, RunError> {
-    simulate(stages, Some(compute), observer)
+    simulate(stages, Some(compute), observer, |_| {})
+}
+
+/// As [`run`]; calls `far` with the time of each event, which never falls.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_watched(
+    stages: &Stages,
+    compute: &ComputeProfile,
+    observer: Option<Observer>,
+    far: impl FnMut(Nanos),
+) -> Result<Books, RunError> {
+    simulate(stages, Some(compute), observer, far)
 }
 
 /// As [`run`], but a call takes in virtual time what it takes on this machine, on which the calls are made one by one. What
@@ -62,10 +75,15 @@ pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>
 /// # Errors
 /// As [`run`].
 pub fn measure(stages: &Stages, observer: Option<Observer>) -> Result<Books, RunError> {
-    simulate(stages, None, observer)
+    simulate(stages, None, observer, |_| {})
 }
 
-fn simulate(stages: &Stages, compute: Option<&ComputeProfile>, observer: Option<Observer>) -> Result<Books, RunError> {
+fn simulate(
+    stages: &Stages,
+    compute: Option<&ComputeProfile>,
+    observer: Option<Observer>,
+    mut far: impl FnMut(Nanos),
+) -> Result<Books, RunError> {
     let mut wiring = stages.wiring.clone();
     if let Some(stage) = wiring
         .stages
@@ -95,6 +113,7 @@ fn simulate(stages: &Stages, compute: Option<&ComputeProfile>, observer: Option<
             return Err(RunError::Ended);
         }
         now = now.max(due);
+        far(now);
         simulation.step(now)?;
     }
     Ok(simulation.engine.books())

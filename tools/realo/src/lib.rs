@@ -22,6 +22,7 @@ mod new;
 pub mod operators;
 mod output;
 pub mod precompute;
+mod progress;
 mod quantize;
 mod registry;
 pub mod render;

@@ -8,6 +8,7 @@ use realo_schemas::{Nanos, to_millis};
 
 use crate::Outcome;
 use crate::output::{Force, Output};
+use crate::progress::Progress;
 
 /// Joins the logs that several agents recorded of one drive, by the clock of the first
 #[derive(clap::Args)]
@@ -73,7 +74,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
             ),
         }
     }
+    let progress = Progress::new("merging", "", None);
     merge.write(&args.output)?;
+    progress.finish();
     let merged = Log::open(&args.output)?;
     let (from, until) = merged
         .span()

@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_host::{Stages, virtual_time};
-use realo_logs::{Log, LogCopy, Precomputed, SentPacket};
+use realo_logs::{Log, LogCopy, Precomputed, SentPacket, Stream};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, Payload};
 
 use crate::output::{Force, Output};
+use crate::progress::Progress;
 use crate::run::{self, Lane};
 use crate::tables::Show;
 use crate::{Outcome, demo, registry};
@@ -92,7 +93,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
         );
     }
     let mut spool = Spool::create(&args.output)?;
-    compute(&lane, &agents, |header, packet| spool.keep(header, packet))?;
+    let progress = Progress::new("computing", "packets", expected_packets(&log, &agents));
+    compute(&lane, &agents, |header, packet| {
+        progress.add(1.0);
+        spool.keep(header, packet)
+    })?;
+    progress.finish();
     let sent = write(copy, spool)?;
     for agent in &agents {
         let (packets, bytes, nanos) = sent.get(&**agent).copied().unwrap_or_default();
@@ -105,6 +111,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
     }
     println!("{}", args.output.display());
     Ok(Outcome::Complete)
+}
+
+/// A packet for each sweep of the agents, unless some give none.
+fn expected_packets(log: &Log, agents: &[String]) -> Option<f64> {
+    let sweeps = agents.iter().map(|agent| log.count(agent, Stream::Points));
+    Some(sweeps.sum::<u64>() as f64).filter(|sweeps| *sweeps > 0.0)
 }
 
 /// The ego, and whose messages are computed.

@@ -29,7 +29,7 @@ enum Shown {
 struct State {
     /// What is done, as "simulating".
     what: String,
-    /// What is counted, as "sweeps".
+    /// What is counted, as "sweeps"; empty if nothing is.
     unit: &'static str,
     begun: Instant,
     /// What was done before this work began.
@@ -43,26 +43,22 @@ struct State {
 impl Progress {
     /// Work of so many units, if that is known yet.
     pub fn new(what: impl Into<String>, unit: &'static str, all: Option<f64>) -> Self {
-        let state = State {
-            what: what.into(),
-            unit,
-            begun: Instant::now(),
-            from: 0.0,
-            done: 0.0,
-            all,
-            more: String::new(),
-        };
         match std::io::stderr().is_terminal() {
-            true => Progress::bar(state),
-            false => Progress::lines(state, EVERY, |line| eprintln!("{line}")),
+            true => Progress::bar(State::new(what, unit, all)),
+            false => Progress::as_lines(what, unit, all),
         }
     }
 
+    /// Lines on a terminal too, where others print in between.
+    pub fn as_lines(what: impl Into<String>, unit: &'static str, all: Option<f64>) -> Self {
+        Progress::lines(State::new(what, unit, all), EVERY, |line| eprintln!("{line}"))
+    }
+
     fn bar(state: State) -> Self {
-        let template = format!("{{prefix:>24}} [{{bar:32}}] {{pos}}/{{len}} {} {{msg}}", state.unit);
-        let style = ProgressStyle::with_template(&template).expect("the template is a constant");
-        let bar = ProgressBar::new(state.all.unwrap_or(0.0).ceil() as u64).with_style(style.progress_chars("=> "));
+        let bar = ProgressBar::new(state.all.unwrap_or(0.0).ceil() as u64).with_style(state.style());
         bar.set_prefix(state.what.clone());
+        // What stands still is drawn too, with the time that went by.
+        bar.enable_steady_tick(Duration::from_secs(1));
         Progress {
             state: Arc::new(Mutex::new(state)),
             shown: Shown::Bar(bar),
@@ -88,13 +84,24 @@ impl Progress {
         }
     }
 
-    /// Work that goes on from there.
-    pub fn starting_at(self, done: f64) -> Self {
-        {
-            let mut state = open(&self.state);
-            (state.from, state.done) = (done, done);
+    /// Work of so many units begins now, where so much was done before.
+    pub fn begin(&self, done: f64, all: f64) {
+        let mut state = open(&self.state);
+        (state.from, state.done, state.all, state.begun) = (done, done, Some(all), Instant::now());
+        if let Shown::Bar(bar) = &self.shown {
+            bar.set_style(state.style());
+            bar.reset_eta();
         }
-        self
+        self.draw(&state);
+    }
+
+    /// The work is another one from now on.
+    pub fn rename(&self, what: impl Into<String>, unit: &'static str) {
+        let mut state = open(&self.state);
+        (state.what, state.unit) = (what.into(), unit);
+        if let Shown::Bar(bar) = &self.shown {
+            bar.set_prefix(state.what.clone());
+        }
     }
 
     /// So much is done in all.
@@ -161,10 +168,36 @@ impl Drop for Progress {
 }
 
 impl State {
+    fn new(what: impl Into<String>, unit: &'static str, all: Option<f64>) -> Self {
+        State {
+            what: what.into(),
+            unit,
+            begun: Instant::now(),
+            from: 0.0,
+            done: 0.0,
+            all,
+            more: String::new(),
+        }
+    }
+
+    fn style(&self) -> ProgressStyle {
+        let template = match self.all {
+            Some(_) => format!(
+                "{{prefix:>24}} [{{bar:32}}] {{pos}}/{{len}} {}, {{eta}} left {{msg}}",
+                self.unit
+            ),
+            None if self.unit.is_empty() => "{prefix:>24} for {elapsed} {msg}".into(),
+            None => format!("{{prefix:>24}} {{pos}} {} in {{elapsed}} {{msg}}", self.unit),
+        };
+        let style = ProgressStyle::with_template(&template).expect("the templates are constants");
+        style.progress_chars("=> ")
+    }
+
     fn line(&self) -> String {
         let seconds = self.begun.elapsed().as_secs_f64();
         let rate = (self.done - self.from) / seconds;
         let far = match self.all {
+            None if self.unit.is_empty() => "running".into(),
             Some(all) => format!("{} of {} {}", number(self.done), number(all), self.unit),
             None => format!("{} {}", number(self.done), self.unit),
         };
@@ -227,6 +260,9 @@ mod tests {
     fn a_line_says_what_how_far_how_fast_and_how_long() {
         let line = state(Some(400.0), 100.0, 10).line();
         assert_eq!(line, "realo: simulating: 100 of 400 sweeps, 10.0 a second, 30 s left");
+        let mut uncounted = state(None, 0.0, 20);
+        uncounted.unit = "";
+        assert_eq!(uncounted.line(), "realo: simulating: running, 20 s so far");
         let line = state(None, 100.0, 10).line();
         assert_eq!(line, "realo: simulating: 100 sweeps, 10.0 a second");
         let mut long = state(Some(10_000.0), 0.0, 70);

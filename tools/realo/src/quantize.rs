@@ -7,6 +7,7 @@ use eyre::Result;
 use realo_training::{Data, frames, quantize, validation_frames};
 
 use crate::Outcome;
+use crate::progress::Progress;
 use crate::train::{scores, seeds};
 
 /// Finds what bytes stand for in each layer, on simulated frames or logs; says how much AP they cost
@@ -53,7 +54,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
         true => validation_frames(&data)?,
         false => frames(&logged(&args.validation_log))?,
     };
+    let progress = Progress::new("quantising", "", None);
     let quantized = quantize(&args.model, args.force, &frames(&data)?, &validation)?;
+    progress.finish();
     println!("{} from {} sweeps", quantized.file.display(), quantized.sweeps);
     println!("f32:  {}", scores(&quantized.before));
     println!("int8: {}", scores(&quantized.after));

@@ -8,6 +8,7 @@ use realo_render::{Format, Request, Scene};
 
 use crate::compare::names;
 use crate::output::{Force, Output};
+use crate::progress::Progress;
 use crate::{Outcome, demo};
 
 /// Draws a frame of a run from above: truth, boxes, each agent's points, and what only cooperation saw. Of several runs it
@@ -48,11 +49,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
         log: args.log.clone(),
         log_folders: log_folders(),
     };
+    let progress = Progress::new("rendering", "", None);
     let chosen = realo_render::choose_all(&args.runs, &request)?;
     let mut scenes: Vec<Scene> = chosen.into_iter().map(Scene::of).collect::<Result<_, _>>()?;
     tell_apart(&mut scenes, &names(&args.runs));
     let drawings = scenes.iter().map(realo_render::draw).collect();
     realo_render::write(&args.output, &realo_render::beside(drawings))?;
+    progress.finish();
     for scene in &scenes {
         println!("{}: {}", args.output.display(), in_words(scene));
     }

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use clap::ValueEnum;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use eyre::{Result, WrapErr};
-use indicatif::{ProgressBar, ProgressStyle};
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
 use realo_schemas::Nanos;
 use realo_simulator::{Options, Phase, PoseSample, Scenario, Sensor, Simulation, Sweep, Weather, fleet};
 
 use crate::output::{Force, Output};
+use crate::progress::Progress;
 use crate::{Outcome, statistics};
 
 /// Simulates a place, its traffic and the agents that record it
@@ -155,7 +155,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     Ok(Outcome::Complete)
 }
 
-/// Simulates to a log, with a progress bar.
+/// Simulates to a log, and reports how far it is.
 ///
 /// # Errors
 /// Options that cannot be met; why writing failed.
@@ -165,7 +165,7 @@ pub fn write(options: &Options, output: &Path) -> Result<()> {
     }
     let simulation = Simulation::new(options)?;
     let mut writer = LogWriter::create_atomic(output, &log_info(&simulation))?;
-    let bar = progress(simulation.sweep_count() as u64, "simulating");
+    let progress = Progress::new("simulating", "sweeps", Some(simulation.sweep_count() as f64));
     let mut poses: Vec<(String, VecDeque<PoseSample>)> = simulation
         .agents()
         .map(|agent| {
@@ -178,11 +178,11 @@ pub fn write(options: &Options, output: &Path) -> Result<()> {
     for sweep in simulation.sweeps() {
         write_poses(&mut writer, &mut poses, sweep.ready)?;
         write_sweep(&mut writer, &sweep, options.clouds)?;
-        bar.inc(1);
+        progress.add(1.0);
     }
     write_poses(&mut writer, &mut poses, Nanos::MAX)?;
     writer.finish()?;
-    bar.finish_and_clear();
+    progress.finish();
     Ok(())
 }
 
@@ -251,12 +251,4 @@ fn log_info(simulation: &Simulation) -> LogInfo {
     let mut info = LogInfo::new(source.to_lowercase(), agents.collect());
     info.key_frames = format!("{} a second", options.key_hz);
     info
-}
-
-/// A progress bar over `count` steps.
-pub fn progress(count: u64, what: &'static str) -> ProgressBar {
-    let style = ProgressStyle::with_template("{msg:>12} [{bar:40}] {pos}/{len}, {eta} left")
-        .expect("the template is a constant")
-        .progress_chars("=> ");
-    ProgressBar::new(count).with_style(style).with_message(what)
 }

@@ -14,6 +14,7 @@ use realo_scoring::{Collector, Evaluation, Protocol, frame_scores};
 
 use crate::Outcome;
 use crate::fit::protocol_fits;
+use crate::progress::Progress;
 use crate::render::log_folders;
 use crate::tables::Show;
 use played::{Misfit, Sweep, Sweeps};
@@ -57,6 +58,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     // Of a sweep the collector keeps what scores need, in whole numbers; nothing else is kept.
     let mut collector = Collector::new(protocol);
     let mut scored = 0;
+    let progress = Progress::new("scoring", "sweeps", None);
     for message in realo_recorder::truth_of(&args.detections)? {
         let played = message?.into_parts::<GroundTruth>()?;
         // Truth reaches further than the boxes that came of its sweeps: that those are missing says nothing.
@@ -66,11 +68,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
         let (header, truth) = sweeps.find(&played).map_err(|misfit| not_of_log(args, &log, misfit))?;
         collector.add_truth(&header, &truth)?;
         scored += 1;
+        progress.add(1.0);
     }
     for message in realo_recorder::boxes_of(&args.detections)? {
         let (header, boxes) = message?.into_parts::<Boxes>()?;
         collector.add_boxes(&header, boxes)?;
     }
+    progress.finish();
     let in_log = if recording.truncation().is_some() {
         sweeps.count()?
     } else {

@@ -8,13 +8,13 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use eyre::{Result, WrapErr, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, SLOW};
 
 use super::prepare::Cell;
 use super::signals::{self, Ending};
 use super::tether::Tether;
 use super::{dora, machine};
+use crate::progress::Progress;
 
 /// From a signal to the end of all processes at most; what is left then is killed.
 const TO_END: Duration = Duration::from_millis(2600);
@@ -121,9 +121,8 @@ fn copy_folder(from: &Path, to: &Path) -> Result<()> {
 }
 
 fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Path) -> Result<Ended> {
-    let style = ProgressStyle::with_template("{msg:>24} [{bar:32}] {pos}/{len} s").expect("the template is a constant");
-    let bar = ProgressBar::new((cell.seconds / rate).ceil() as u64).with_style(style.progress_chars("=> "));
-    bar.set_message(cell.name.clone());
+    let seconds = (cell.seconds / rate).ceil();
+    let progress = Progress::new(cell.name.clone(), "s", Some(seconds));
     let begun = Instant::now();
     let mut follower = Follower::new(log, rate);
     let (mut asked, mut failed): (Option<Instant>, Option<Instant>) = (None, None);
@@ -134,7 +133,7 @@ fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Pat
             asked = Some(Instant::now());
         }
         for line in follower.read() {
-            bar.suspend(|| eprintln!("realo: {}: {line}", cell.name));
+            progress.beside(|| eprintln!("realo: {}: {line}", cell.name));
         }
         if follower.culprit.is_some() {
             failed.get_or_insert_with(Instant::now);
@@ -144,13 +143,13 @@ fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Pat
             killed = true;
             break;
         }
-        bar.set_position(begun.elapsed().as_secs().min(bar.length().unwrap_or(u64::MAX)));
+        progress.set((begun.elapsed().as_secs() as f64).min(seconds));
         std::thread::sleep(Duration::from_millis(50));
     }
     // Nothing is left running, however the run ended.
     tether.kill(&mut child);
     follower.read();
-    bar.finish_and_clear();
+    progress.finish();
     Ok(Ended {
         status: child.wait()?,
         culprit: follower.culprit,
