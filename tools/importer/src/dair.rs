@@ -11,7 +11,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::io::ErrorKind;
+use std::path::{Component, Path, PathBuf};
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
@@ -20,8 +21,9 @@ use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
 use serde::de::{DeserializeOwned, Error as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::ImportError;
 use crate::level::{BELOW_A_SENSOR, Level, Plane, by_ground, by_pose};
-use crate::{ImportError, PcdCloud, read_pcd};
+use crate::pcd::{Points, read_points};
 
 /// Name of the vehicle in the log.
 pub const VEHICLE: &str = "vehicle";
@@ -68,6 +70,8 @@ pub struct DairOptions {
     pub roadside_stamp: RoadsideStamp,
     /// By what the body frames are levelled.
     pub level: Level,
+    /// Leaves out pairs of which a file or an entry is missing.
+    pub skip_incomplete: bool,
 }
 
 /// What was imported.
@@ -75,6 +79,10 @@ pub struct DairOptions {
 pub struct Summary {
     /// Pairs of sweeps.
     pub pairs: usize,
+    /// Pairs that were left out, for something of them is missing.
+    pub incomplete_pairs: usize,
+    /// What is missing of them, by cause.
+    pub missing: BTreeMap<String, Vec<String>>,
     /// Points of all clouds.
     pub points: usize,
     /// Labels of the vehicle's sweeps.
@@ -87,6 +95,10 @@ pub struct Summary {
     pub placeholders_dropped: usize,
     /// Sweeps that stand in several pairs and were taken once.
     pub repeated_sweeps: usize,
+    /// How the intensities of each agent became bytes.
+    pub intensities: Vec<String>,
+    /// Intensities that were limited to 0…255 after they were scaled.
+    pub limited_intensities: usize,
 }
 
 impl fmt::Display for Summary {
@@ -101,7 +113,25 @@ impl fmt::Display for Summary {
             f,
             "dropped: {} placeholder labels, {} repeated sweeps",
             self.placeholders_dropped, self.repeated_sweeps
-        )
+        )?;
+        for rule in &self.intensities {
+            write!(f, "\nintensities {rule}")?;
+        }
+        if self.limited_intensities > 0 {
+            let limited = self.limited_intensities;
+            write!(
+                f,
+                "\nlimited: {limited} intensities below 0 or brighter than those of the first {LOOKED_AT} pairs"
+            )?;
+        }
+        match self.incomplete_pairs {
+            0 => Ok(()),
+            pairs => write!(
+                f,
+                "\nleft out: {pairs} incomplete pairs; missing:\n{}",
+                listed(&self.missing)
+            ),
+        }
     }
 }
 
@@ -111,10 +141,38 @@ impl fmt::Display for Summary {
 /// vehicle's ground truth are the cooperative labels. Every frame is scored, without point counts, and has its views.
 ///
 /// # Errors
-/// The first file that is missing or does not say what it must.
+/// All that is missing, at once; the first file that does not say what it must.
 pub fn dair(dir: &Path, out: &Path, options: DairOptions) -> Result<Summary, ImportError> {
-    let DairOptions { roadside_stamp, level } = options;
-    let pairs = read_pairs(dir)?;
+    dair_with(dir, out, options, |_, _| {})
+}
+
+/// As [`dair`]; calls `progress` with the pairs that are done and all pairs.
+///
+/// # Errors
+/// As [`dair`].
+pub fn dair_with(
+    dir: &Path,
+    out: &Path,
+    options: DairOptions,
+    mut progress: impl FnMut(u64, u64),
+) -> Result<Summary, ImportError> {
+    let DairOptions {
+        roadside_stamp,
+        level,
+        skip_incomplete,
+    } = options;
+    let found = read_pairs(dir)?;
+    let all = found.pairs.len() + found.incomplete;
+    if !found.missing.is_empty() && (!skip_incomplete || found.pairs.is_empty()) {
+        return Err(ImportError::Incomplete {
+            path: dir.into(),
+            incomplete: found.incomplete,
+            pairs: all,
+            missing: listed(&found.missing),
+            some: !found.pairs.is_empty(),
+        });
+    }
+    let pairs = found.pairs;
     let mut info = LogInfo::new(
         format!(
             "DAIR-V2X-C, roadside stamps taken as the {} of a sweep",
@@ -141,12 +199,30 @@ pub fn dair(dir: &Path, out: &Path, options: DairOptions) -> Result<Summary, Imp
     let mut import = Import {
         dir: dir.into(),
         log: LogWriter::create_atomic(out, &info)?,
-        summary: Summary::default(),
+        summary: Summary {
+            incomplete_pairs: found.incomplete,
+            missing: found.missing,
+            ..Summary::default()
+        },
         level,
         tilts: BTreeMap::new(),
+        brightest: [0.0; 2],
     };
+    let clouds = [
+        (
+            VEHICLE,
+            pairs.iter().map(|pair| &pair.vehicle_cloud).collect::<Vec<_>>(),
+        ),
+        (ROADSIDE, pairs.iter().map(|pair| &pair.roadside_cloud).collect()),
+    ];
+    for (side, (agent, clouds)) in clouds.into_iter().enumerate() {
+        let (most, rule) = brightest(dir, &clouds)?;
+        import.brightest[side] = most;
+        import.summary.intensities.push(format!("of `{agent}`: {rule}"));
+    }
     let (mut vehicles, mut roadsides) = (BTreeSet::new(), BTreeSet::new());
-    for pair in &pairs {
+    for (done, pair) in pairs.iter().enumerate() {
+        progress(done as u64, pairs.len() as u64);
         import.summary.pairs += 1;
         let new_vehicle = vehicles.insert(pair.vehicle.stamp);
         let new_roadside = roadsides.insert(pair.roadside.stamp);
@@ -165,6 +241,39 @@ pub fn dair(dir: &Path, out: &Path, options: DairOptions) -> Result<Summary, Imp
     import.log.levelled(levelled(level, import.tilts));
     import.log.finish()?;
     Ok(import.summary)
+}
+
+/// Clouds of a side whose brightest intensity says how all of them are scaled, as of the sweeps of a log.
+const LOOKED_AT: usize = 10;
+
+/// The brightest intensity of the first clouds, and in words how intensities of a side are scaled.
+fn brightest(dir: &Path, clouds: &[&PathBuf]) -> Result<(f32, String), ImportError> {
+    let (mut most, mut first) = (0f32, None);
+    for cloud in clouds.iter().take(LOOKED_AT) {
+        let intensity = read_points(&dir.join(cloud))?.intensity;
+        most = most.max(intensity.brightest().unwrap_or(0.0));
+        first.get_or_insert(intensity);
+    }
+    let rule = match first {
+        Some(intensity) => intensity.rule(most, clouds.len().min(LOOKED_AT)),
+        None => String::new(),
+    };
+    Ok((most, rule))
+}
+
+/// Max files listed for each cause; of a data set on the wrong disk thousands are missing.
+const LISTED: usize = 200;
+
+fn listed(missing: &BTreeMap<String, Vec<String>>) -> String {
+    let mut text = Vec::new();
+    for (cause, names) in missing {
+        text.push(format!("  {} × {cause}", names.len()));
+        text.extend(names.iter().take(LISTED).map(|name| format!("    {name}")));
+        if names.len() > LISTED {
+            text.push(format!("    and {} more", names.len() - LISTED));
+        }
+    }
+    text.join("\n")
 }
 
 fn agent(name: &str, kind: AgentKind, level: Level) -> AgentInfo {
@@ -199,6 +308,8 @@ struct Import {
     level: Level,
     /// What was levelled of each sweep, degrees.
     tilts: BTreeMap<&'static str, Vec<f64>>,
+    /// The brightest intensity of the vehicle's and of the roadside unit's first clouds.
+    brightest: [f32; 2],
 }
 
 /// Where the frames of a sweep lie.
@@ -212,7 +323,7 @@ impl Import {
         let (dir, frame) = (self.dir.clone(), &pair.vehicle);
         let side = dir.join(VEHICLE_SIDE);
         let path = dir.join(&pair.vehicle_cloud);
-        let cloud = read_pcd(&path)?;
+        let cloud = read_points(&path)?;
         let placed = self.place(VEHICLE, &path, &vehicle_pose(&side, frame)?, &cloud)?;
         let Placed {
             map_from_body,
@@ -242,7 +353,7 @@ impl Import {
         let (dir, frame) = (self.dir.clone(), &pair.roadside);
         let side = dir.join(ROADSIDE_SIDE);
         let path = dir.join(&pair.roadside_cloud);
-        let cloud = read_pcd(&path)?;
+        let cloud = read_points(&path)?;
         let placed = self.place(ROADSIDE, &path, &roadside_pose(&side, frame, pair.offset)?, &cloud)?;
         let Placed {
             map_from_body,
@@ -263,14 +374,14 @@ impl Import {
         agent: &'static str,
         path: &Path,
         map_from_lidar: &Isometry3<f64>,
-        cloud: &PcdCloud,
+        cloud: &Points,
     ) -> Result<Placed, ImportError> {
         let height = lidar_height(agent);
         let body_from_lidar = match self.level {
             Level::Pose => by_pose(&map_from_lidar.rotation, height),
             Level::Ground => {
                 let points = cloud.x.iter().zip(&cloud.y).zip(&cloud.z);
-                let points = points.map(|((x, y), z)| [x, y, z].map(|v| f64::from(*v)));
+                let points = points.map(|((x, y), z)| [*x, *y, *z]);
                 let plane = Plane::of_ground(points, BELOW_A_SENSOR);
                 by_ground(&plane.map_err(|reason| ImportError::content(path, reason))?)
             }
@@ -290,11 +401,14 @@ impl Import {
         frame: &Frame,
         ready: Nanos,
         path: &Path,
-        cloud: PcdCloud,
+        cloud: Points,
         body_from_lidar: &Isometry3<f64>,
     ) -> Result<(), ImportError> {
-        let cloud =
-            to_body(cloud, frame.stamp, body_from_lidar).map_err(|reason| ImportError::content(path, reason))?;
+        let scale = cloud.intensity.scale(self.brightest[usize::from(agent == ROADSIDE)]);
+        let (intensity, limited) = cloud.intensity.to_bytes(scale);
+        self.summary.limited_intensities += limited;
+        let cloud = to_body(cloud, intensity, frame.stamp, body_from_lidar)
+            .map_err(|reason| ImportError::content(path, reason))?;
         self.summary.points += cloud.len();
         self.log.cloud(agent, frame.stamp, ready, &cloud)?;
         Ok(())
@@ -361,6 +475,8 @@ impl Import {
     }
 }
 
+/// Nothing that a LiDAR sees lies farther from it, m; single precision holds it to a centimetre.
+const SEEN: f64 = 1e5;
 /// Labels lie no farther from their agent, m.
 const LABELLED: f64 = 1000.0;
 /// No labelled thing is longer, wider or higher, m.
@@ -410,11 +526,21 @@ fn state(map_from_body: Isometry3<f64>) -> EgoState {
 }
 
 /// Points in the body frame, their times as offsets from the stamp.
-fn to_body(cloud: PcdCloud, stamp: Nanos, body_from_lidar: &Isometry3<f64>) -> Result<PointCloud, String> {
+fn to_body(
+    cloud: Points,
+    intensity: Vec<u8>,
+    stamp: Nanos,
+    body_from_lidar: &Isometry3<f64>,
+) -> Result<PointCloud, String> {
     let n = cloud.x.len();
     let [mut x, mut y, mut z] = [(); 3].map(|()| Vec::with_capacity(n));
     for ((u, v), w) in cloud.x.iter().zip(&cloud.y).zip(&cloud.z) {
-        let point = body_from_lidar * Point3::new(*u, *v, *w).cast::<f64>();
+        if [u, v, w].iter().any(|metres| metres.abs() > SEEN) {
+            return Err(format!(
+                "expected points within {SEEN} m of the LiDAR, in its frame, found one at {u}, {v}, {w}; bring them there in doubles"
+            ));
+        }
+        let point = body_from_lidar * Point3::new(*u, *v, *w);
         x.push(point.x as f32);
         y.push(point.y as f32);
         z.push(point.z as f32);
@@ -426,7 +552,7 @@ fn to_body(cloud: PcdCloud, stamp: Nanos, body_from_lidar: &Isometry3<f64>) -> R
             .map(|time| offset(*time, stamp))
             .collect::<Result<Vec<_>, _>>()?,
     };
-    PointCloud::new(x, y, z, cloud.intensity, time, vec![0u16; n]).ok_or_else(|| "columns of different length".into())
+    PointCloud::new(x, y, z, intensity, time, vec![0u16; n]).ok_or_else(|| "columns of different length".into())
 }
 
 fn offset(time: f64, stamp: Nanos) -> Result<i32, String> {
@@ -570,66 +696,176 @@ struct Pair {
     offset: [f64; 2],
 }
 
-/// All pairs, in order of the vehicle's stamps.
-fn read_pairs(dir: &Path) -> Result<Vec<Pair>, ImportError> {
-    let list = dir.join("cooperative/data_info.json");
-    let infos: Vec<PairInfo> = read_json(&list)?;
-    let vehicles = read_frames::<VehicleInfo>(dir, VEHICLE_SIDE)?;
-    let roadsides = read_frames::<RoadsideInfo>(dir, ROADSIDE_SIDE)?;
-    let find = |frames: &BTreeMap<PathBuf, Frame>, cloud: &Path| {
-        let side = || format!("`{}` is in no data_info.json of its side", cloud.display());
-        frames
-            .get(cloud)
-            .cloned()
-            .ok_or_else(|| ImportError::content(&list, side()))
-    };
-    let mut pairs = Vec::new();
-    for info in infos {
-        pairs.push(Pair {
-            vehicle: find(&vehicles, &info.vehicle_pointcloud_path)?,
-            roadside: find(&roadsides, &info.infrastructure_pointcloud_path)?,
-            vehicle_cloud: info.vehicle_pointcloud_path,
-            roadside_cloud: info.infrastructure_pointcloud_path,
-            truth: info.cooperative_label_path,
-            offset: info.system_error_offset.meters(),
-        });
-    }
-    if pairs.is_empty() {
-        return Err(ImportError::content(&list, "expected at least one pair, found none"));
-    }
-    pairs.sort_by_key(|pair| (pair.vehicle.stamp, pair.roadside.stamp));
-    Ok(pairs)
+/// The pairs of a data set, and what is missing of others.
+struct FoundPairs {
+    /// In order of the vehicle's stamps.
+    pairs: Vec<Pair>,
+    incomplete: usize,
+    missing: BTreeMap<String, Vec<String>>,
 }
 
-fn read_frames<T: SideInfo>(dir: &Path, side: &str) -> Result<BTreeMap<PathBuf, Frame>, ImportError> {
-    let path = dir.join(side).join("data_info.json");
+fn read_pairs(dir: &Path) -> Result<FoundPairs, ImportError> {
+    let list = Path::new("cooperative").join(LIST);
+    let (infos, broken) = entries::<PairInfo>(dir, &list)?;
+    let mut missing = Missing::default();
+    let vehicles = read_frames::<VehicleInfo>(dir, VEHICLE_SIDE, &mut missing)?;
+    let roadsides = read_frames::<RoadsideInfo>(dir, ROADSIDE_SIDE, &mut missing)?;
+    let (mut pairs, mut incomplete) = (Vec::new(), broken.len());
+    missing.broken(&list, broken);
+    for info in infos {
+        let before = missing.found;
+        let [vehicle_cloud, roadside_cloud, truth] = [
+            info.vehicle_pointcloud_path,
+            info.infrastructure_pointcloud_path,
+            info.cooperative_label_path,
+        ]
+        .map(local);
+        missing.file(dir, truth.clone());
+        let vehicle = missing.frame(dir, VEHICLE_SIDE, &vehicles, &vehicle_cloud);
+        let roadside = missing.frame(dir, ROADSIDE_SIDE, &roadsides, &roadside_cloud);
+        match (vehicle, roadside) {
+            (Some(vehicle), Some(roadside)) if missing.found == before => pairs.push(Pair {
+                vehicle,
+                roadside,
+                vehicle_cloud,
+                roadside_cloud,
+                truth,
+                offset: info.system_error_offset.meters(),
+            }),
+            _ => incomplete += 1,
+        }
+    }
+    if pairs.is_empty() && incomplete == 0 {
+        let reason = "expected at least one pair, found none";
+        return Err(ImportError::content(&dir.join(list), reason));
+    }
+    pairs.sort_by_key(|pair| (pair.vehicle.stamp, pair.roadside.stamp));
+    Ok(FoundPairs {
+        pairs,
+        incomplete,
+        missing: missing.by_cause,
+    })
+}
+
+/// What is missing.
+#[derive(Default)]
+struct Missing {
+    by_cause: BTreeMap<String, Vec<String>>,
+    seen: BTreeSet<(String, String)>,
+    /// How often something was missing, repeats included.
+    found: usize,
+}
+
+impl Missing {
+    fn add(&mut self, cause: impl Into<String>, name: impl Into<String>) {
+        let (cause, name) = (cause.into(), name.into());
+        self.found += 1;
+        if self.seen.insert((cause.clone(), name.clone())) {
+            self.by_cause.entry(cause).or_default().push(name);
+        }
+    }
+
+    fn broken(&mut self, list: &Path, entries: Vec<String>) {
+        let cause = format!("entry of {} that cannot be read", list.display());
+        entries.into_iter().for_each(|entry| self.add(&cause, entry));
+    }
+
+    /// A file that must be there, and hold something.
+    fn file(&mut self, dir: &Path, file: PathBuf) {
+        let name = file.display().to_string();
+        match fs::metadata(dir.join(&file)) {
+            Ok(found) if found.is_dir() => self.add("a folder, expected a file", name),
+            Ok(found) if found.len() == 0 => self.add("an empty file", name),
+            Ok(_) => {}
+            Err(error) if error.kind() == ErrorKind::NotFound => self.add("no such file", name),
+            Err(error) => self.add(error.to_string(), name),
+        }
+    }
+
+    /// A side's frame by its cloud, whose files must be there.
+    fn frame(&mut self, dir: &Path, side: &str, frames: &BTreeMap<PathBuf, Frame>, cloud: &Path) -> Option<Frame> {
+        self.file(dir, cloud.into());
+        let Some(frame) = frames.get(cloud) else {
+            self.add(format!("in no entry of {side}/{LIST}"), cloud.display().to_string());
+            return None;
+        };
+        let camera = frame.camera.iter().flatten();
+        for file in frame.calibrations.iter().chain([&frame.labels]).chain(camera) {
+            self.file(dir, Path::new(side).join(file));
+        }
+        Some(frame.clone())
+    }
+}
+
+/// A list of the data set in each of its folders.
+const LIST: &str = "data_info.json";
+
+/// The entries of a list, and what is wrong with those that are none.
+fn entries<T: DeserializeOwned>(dir: &Path, list: &Path) -> Result<(Vec<T>, Vec<String>), ImportError> {
+    let (mut entries, mut broken) = (Vec::new(), Vec::new());
+    for (index, value) in read_json::<Vec<serde_json::Value>>(&dir.join(list))?
+        .into_iter()
+        .enumerate()
+    {
+        match serde_json::from_value(value) {
+            Ok(entry) => entries.push(entry),
+            Err(error) => broken.push(format!("entry {index}: {error}")),
+        }
+    }
+    Ok((entries, broken))
+}
+
+fn read_frames<T: SideInfo>(
+    dir: &Path,
+    side: &str,
+    missing: &mut Missing,
+) -> Result<BTreeMap<PathBuf, Frame>, ImportError> {
+    let list = Path::new(side).join(LIST);
+    let (infos, broken) = entries::<T>(dir, &list)?;
+    missing.broken(&list, broken);
     let mut frames = BTreeMap::new();
-    for info in read_json::<Vec<T>>(&path)? {
+    for info in infos {
         let (cloud, stamp, frame) = info.into_parts();
-        let micros: i64 = stamp.parse().map_err(|_| {
-            ImportError::content(
-                &path,
-                format!("pointcloud_timestamp: expected microseconds, found `{stamp}`"),
-            )
-        })?;
-        let stamp = micros.checked_mul(1000).filter(|stamp| *stamp >= 0);
-        let stamp = stamp.ok_or_else(|| {
-            ImportError::content(
-                &path,
-                format!(
-                    "pointcloud_timestamp: expected 0 to {} microseconds, found {micros}",
-                    i64::MAX / 1000
-                ),
-            )
-        })?;
-        frames.insert(Path::new(side).join(cloud), Frame { stamp, ..frame });
+        match nanos(&stamp) {
+            Ok(stamp) => _ = frames.insert(Path::new(side).join(local(cloud)), Frame { stamp, ..frame }),
+            Err(reason) => missing.broken(
+                &list,
+                vec![format!("{}: pointcloud_timestamp: {reason}", cloud.display())],
+            ),
+        }
     }
     Ok(frames)
 }
 
+/// A stamp in ns, of one that is written in µs.
+fn nanos(stamp: &str) -> Result<Nanos, String> {
+    let micros: i64 = stamp
+        .parse()
+        .map_err(|_| format!("expected microseconds, found `{stamp}`"))?;
+    let nanos = micros.checked_mul(1000).filter(|nanos| *nanos >= 0);
+    nanos.ok_or_else(|| format!("expected 0 to {} microseconds, found {micros}", i64::MAX / 1000))
+}
+
+/// A path of the data set's lists, which some tools write with backslashes.
+fn local(path: PathBuf) -> PathBuf {
+    let text = path.to_string_lossy().replace('\\', "/");
+    Path::new(&text)
+        .components()
+        .filter(|part| *part != Component::CurDir)
+        .collect()
+}
+
+/// A file of JSON; some editors put a mark of UTF-8 before it.
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, ImportError> {
     let bytes = fs::read(path).map_err(ImportError::io(path))?;
-    serde_json::from_slice(&bytes).map_err(|error| ImportError::content(path, error))
+    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+        return Err(ImportError::content(
+            path,
+            "expected UTF-8, found UTF-16; save it as UTF-8",
+        ));
+    }
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    serde_json::from_slice(text).map_err(|error| ImportError::content(path, error))
 }
 
 #[derive(Deserialize)]
@@ -680,13 +916,13 @@ struct VehicleInfo {
 
 impl SideInfo for VehicleInfo {
     fn into_parts(self) -> (PathBuf, String, Frame) {
-        let calibrations = vec![self.calib_lidar_to_novatel_path, self.calib_novatel_to_world_path];
+        let calibrations = [self.calib_lidar_to_novatel_path, self.calib_novatel_to_world_path];
         let camera = self.calib_lidar_to_camera_path.zip(self.calib_camera_intrinsic_path);
         let frame = Frame {
             stamp: 0,
-            calibrations,
-            camera: camera.map(Into::into),
-            labels: self.label_lidar_std_path,
+            calibrations: calibrations.map(local).into(),
+            camera: camera.map(|(extrinsic, intrinsic)| [extrinsic, intrinsic].map(local)),
+            labels: local(self.label_lidar_std_path),
         };
         (self.pointcloud_path, self.pointcloud_timestamp, frame)
     }
@@ -704,15 +940,14 @@ struct RoadsideInfo {
 
 impl SideInfo for RoadsideInfo {
     fn into_parts(self) -> (PathBuf, String, Frame) {
-        let calibrations = vec![self.calib_virtuallidar_to_world_path];
         let camera = self
             .calib_virtuallidar_to_camera_path
             .zip(self.calib_camera_intrinsic_path);
         let frame = Frame {
             stamp: 0,
-            calibrations,
-            camera: camera.map(Into::into),
-            labels: self.label_lidar_std_path,
+            calibrations: vec![local(self.calib_virtuallidar_to_world_path)],
+            camera: camera.map(|(extrinsic, intrinsic)| [extrinsic, intrinsic].map(local)),
+            labels: local(self.label_lidar_std_path),
         };
         (self.pointcloud_path, self.pointcloud_timestamp, frame)
     }

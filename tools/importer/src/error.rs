@@ -22,9 +22,35 @@ pub enum ImportError {
         /// Field, expected and found.
         reason: String,
     },
+    /// Files and entries that are missing, all of them.
+    #[error(
+        "`{}`: {incomplete} of {pairs} pairs are incomplete; missing:\n{missing}\n{}",
+        .path.display(), advice(*.some)
+    )]
+    Incomplete {
+        /// The data set.
+        path: PathBuf,
+        /// Pairs of which something is missing.
+        incomplete: usize,
+        /// All pairs.
+        pairs: usize,
+        /// A line each.
+        missing: String,
+        /// Whether pairs are complete.
+        some: bool,
+    },
     /// The log.
     #[error(transparent)]
     Log(#[from] LogError),
+}
+
+fn advice(some_are_complete: bool) -> &'static str {
+    match some_are_complete {
+        true => "add what is missing, or leave these pairs out with --skip-incomplete",
+        false => {
+            "no pair is complete: add what is missing, and see whether DIR is `cooperative-vehicle-infrastructure`"
+        }
+    }
 }
 
 impl ImportError {

@@ -9,8 +9,13 @@ mod level;
 mod pcd;
 mod relevel;
 
-pub use dair::{DairOptions, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, lidar_height};
+pub use dair::{DairOptions, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, dair_with, lidar_height};
 pub use error::ImportError;
 pub use level::{Level, Plane};
 pub use pcd::{PcdCloud, parse_pcd, read_pcd};
-pub use relevel::relevel;
+pub use relevel::{relevel, relevel_with};
+
+/// Text of a file as part of a line of ours.
+fn shown(text: &str) -> String {
+    text.chars().take(40).collect::<String>().escape_debug().collect()
+}

@@ -1,12 +1,15 @@
-//! PCD files as DAIR-V2X-C has them: `DATA binary_compressed` (LZF, fields one after another), or `DATA binary`.
+//! PCD files as PCL, Open3D and DAIR-V2X-C write them: `DATA binary_compressed` (LZF, fields one after another), `binary` or
+//! `ascii`; fields of any numeric type, padding, and counts above 1.
 
 use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 
+use realo_logs::intensity_scale;
+
 use crate::ImportError;
 
-/// Points of a PCD file, in its frame.
+/// Points of a PCD file in its frame, in single precision.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PcdCloud {
     /// Metres.
@@ -15,10 +18,85 @@ pub struct PcdCloud {
     pub y: Vec<f32>,
     /// Metres.
     pub z: Vec<f32>,
-    /// 0–255; intensities that the file holds as floats in [0, 1] are scaled.
+    /// 0–255, scaled by the rule of clouds in logs ([`intensity_scale`]) and the brightest of the file.
     pub intensity: Vec<u8>,
     /// Time of each point, s since the epoch, where the file has it.
     pub timestamp: Option<Vec<f64>>,
+}
+
+/// Points of a PCD file as it holds them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Points {
+    pub x: Vec<f64>,
+    pub y: Vec<f64>,
+    pub z: Vec<f64>,
+    pub intensity: Intensities,
+    pub timestamp: Option<Vec<f64>>,
+}
+
+/// Intensities as a file holds them.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Intensities {
+    Bytes(Vec<u8>),
+    Others {
+        /// As [`intensity_scale`] names it.
+        kind: &'static str,
+        values: Vec<f32>,
+    },
+}
+
+impl Default for Intensities {
+    fn default() -> Self {
+        Intensities::Bytes(Vec::new())
+    }
+}
+
+impl Intensities {
+    /// The greatest finite one above 0 where they are not bytes.
+    pub fn brightest(&self) -> Option<f32> {
+        let Intensities::Others { values, .. } = self else {
+            return None;
+        };
+        let bright = values.iter().copied().filter(|value| value.is_finite() && *value > 0.0);
+        bright.max_by(f32::total_cmp)
+    }
+
+    /// The rule by which they become bytes, in words.
+    pub fn rule(&self, brightest: f32, clouds: usize) -> String {
+        match self {
+            Intensities::Bytes(_) => "bytes, as they are".into(),
+            Intensities::Others { kind, .. } => format!(
+                "{kind}, at most {brightest} in the first {clouds} clouds: multiplied by {}",
+                self.scale(brightest)
+            ),
+        }
+    }
+
+    /// What they are multiplied by where so much is the brightest.
+    pub fn scale(&self, brightest: f32) -> f32 {
+        match self {
+            Intensities::Bytes(_) => 1.0,
+            Intensities::Others { kind, .. } => intensity_scale(kind, brightest),
+        }
+    }
+
+    /// As bytes, and how many were limited to 0…255.
+    pub fn to_bytes(&self, scale: f32) -> (Vec<u8>, usize) {
+        let mut limited = 0;
+        let bytes = match self {
+            Intensities::Bytes(bytes) => bytes.clone(),
+            Intensities::Others { values, .. } => {
+                let byte = |value: &f32| {
+                    let scaled = (value * scale).round();
+                    limited += usize::from(!(0.0..=255.0).contains(&scaled));
+                    // `as` limits to the range, which was counted, and makes NaN 0.
+                    scaled as u8
+                };
+                values.iter().map(byte).collect()
+            }
+        };
+        (bytes, limited)
+    }
 }
 
 /// Reads a PCD file.
@@ -35,58 +113,56 @@ pub fn read_pcd(path: &Path) -> Result<PcdCloud, ImportError> {
 /// # Errors
 /// A head, a field or a length that does not fit, by name.
 pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
-    let (head, body) = split_head(bytes)?;
-    let words = |key: &str| -> Result<Vec<&str>, String> {
-        let line = head.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
-        let found = line.into_iter().find(|words| words.first() == Some(&key));
-        found
-            .map(|words| words[1..].to_vec())
-            .ok_or_else(|| format!("the PCD head has no line `{key}`"))
-    };
-    let number = |key: &str, text: &str| {
-        text.parse::<usize>()
-            .map_err(|_| format!("{key}: expected a number, found `{text}`"))
-    };
-    let points = number("POINTS", words("POINTS")?.first().copied().unwrap_or_default())?;
-    let names = words("FIELDS")?;
-    let sizes = words("SIZE")?
-        .into_iter()
-        .map(|text| number("SIZE", text))
-        .collect::<Result<Vec<_>, _>>()?;
-    let kinds = words("TYPE")?;
-    if names.len() != sizes.len() || names.len() != kinds.len() {
-        return Err(format!(
-            "{} FIELDS, {} SIZE, {} TYPE: expected as many of each",
-            names.len(),
-            sizes.len(),
-            kinds.len()
-        ));
+    let Points {
+        x,
+        y,
+        z,
+        intensity,
+        timestamp,
+    } = parse_points(bytes)?;
+    let single = |column: Vec<f64>| column.into_iter().map(|metres| metres as f32).collect();
+    let scale = intensity.scale(intensity.brightest().unwrap_or(0.0));
+    Ok(PcdCloud {
+        x: single(x),
+        y: single(y),
+        z: single(z),
+        intensity: intensity.to_bytes(scale).0,
+        timestamp,
+    })
+}
+
+/// Reads a PCD file as it is.
+pub(crate) fn read_points(path: &Path) -> Result<Points, ImportError> {
+    let bytes = fs::read(path).map_err(ImportError::io(path))?;
+    parse_points(&bytes).map_err(|reason| ImportError::content(path, reason))
+}
+
+fn parse_points(bytes: &[u8]) -> Result<Points, String> {
+    let (text, body) = split_head(bytes)?;
+    let head = Head::parse(text)?;
+    let Head { fields, points, .. } = &head;
+    if head.data == Data::Ascii {
+        return columns(fields, &text_values(body, fields, *points)?);
     }
-    if words("COUNT").is_ok_and(|counts| counts.iter().any(|count| *count != "1")) {
-        return Err("COUNT: expected 1 for every field".into());
-    }
-    if let Some(size) = sizes.iter().find(|size| !matches!(size, 1 | 2 | 4 | 8)) {
-        return Err(format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}"));
-    }
-    let point_size: usize = sizes.iter().sum();
-    let total = points.checked_mul(point_size).filter(|total| *total < 1 << 31);
-    let total =
-        total.ok_or_else(|| format!("POINTS: expected less than 2 GiB, found {points} of {point_size} bytes"))?;
-    let data = words("DATA")?;
-    let compressed = match data.first().copied() {
-        Some("binary_compressed") => true,
-        Some("binary") => false,
-        other => {
-            return Err(format!(
-                "DATA: expected binary_compressed or binary, found `{}`; save the cloud as one of these",
-                other.unwrap_or_default()
-            ));
+    let size = head.point_size;
+    let total = points.checked_mul(size).filter(|total| *total < 1 << 31);
+    let total = total.ok_or_else(|| format!("POINTS: expected less than 2 GiB, found {points} of {size} bytes"))?;
+    let compressed = head.data == Data::Compressed;
+    let values = match compressed {
+        // Some writers leave out the sizes of nothing.
+        true if total == 0 => Cow::Borrowed(&[][..]),
+        true => Cow::Owned(decompress_body(body, total)?),
+        false => {
+            let (values, rest) = body.split_at(total.min(body.len()));
+            // Some writers pad a file with zeros.
+            if rest.len() >= size.max(1) && rest.iter().any(|byte| *byte != 0) {
+                return Err(format!(
+                    "expected {total} bytes for {points} points of {size} bytes, found {}; see WIDTH, POINTS, SIZE and COUNT",
+                    body.len()
+                ));
+            }
+            Cow::Borrowed(values)
         }
-    };
-    let values = if compressed {
-        Cow::Owned(decompress_body(body, total)?)
-    } else {
-        Cow::Borrowed(body.get(..total).unwrap_or(body))
     };
     if values.len() != total {
         return Err(format!(
@@ -94,79 +170,297 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
             values.len()
         ));
     }
-    let mut before = 0;
-    let fields: Vec<Field> = (0..names.len())
-        .map(|i| {
-            let (start, step) = if compressed {
-                (before * points, sizes[i])
-            } else {
-                (before, point_size)
-            };
-            before += sizes[i];
-            Field {
-                name: names[i].into(),
-                size: sizes[i],
-                kind: kinds[i].into(),
-                start,
-                step,
-            }
-        })
-        .collect();
-    columns(&values, &fields, points)
+    let binary = Binary {
+        values: &values,
+        points: *points,
+        point_size: size,
+        compressed,
+    };
+    columns(fields, &binary)
+}
+
+/// How the points are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Data {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+struct Head {
+    fields: Vec<Field>,
+    points: usize,
+    /// Bytes of a point.
+    point_size: usize,
+    data: Data,
 }
 
 struct Field {
     name: String,
     size: usize,
-    kind: String,
-    /// First byte of the field's first value, and from one value to the next.
-    start: usize,
-    step: usize,
+    kind: char,
+    /// Numbers of a point.
+    count: usize,
+    /// Bytes and numbers of a point before it.
+    before: usize,
+    numbers_before: usize,
 }
+
+impl Field {
+    /// As [`intensity_scale`] names types; none that PCD does not have.
+    fn type_name(&self) -> Option<&'static str> {
+        Some(match (self.kind, self.size) {
+            ('I', 1) => "int8",
+            ('U', 1) => "uint8",
+            ('I', 2) => "int16",
+            ('U', 2) => "uint16",
+            ('I', 4) => "int32",
+            ('U', 4) => "uint32",
+            ('I', 8) => "int64",
+            ('U', 8) => "uint64",
+            ('F', 4) => "float32",
+            ('F', 8) => "float64",
+            _ => return None,
+        })
+    }
+}
+
+impl Head {
+    fn parse(head: &str) -> Result<Head, String> {
+        let words = |key: &str| -> Result<Vec<&str>, String> {
+            let line = head.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+            let found = line.into_iter().find(|words| words.first() == Some(&key));
+            found
+                .map(|words| words[1..].to_vec())
+                .ok_or_else(|| format!("the PCD head has no line `{key}`"))
+        };
+        let number = |key: &str, text: &str| {
+            text.parse::<usize>()
+                .map_err(|_| format!("{key}: expected a number, found `{text}`"))
+        };
+        let one = |key: &str| number(key, words(key)?.first().copied().unwrap_or_default());
+        let all = |key: &str| -> Result<Vec<usize>, String> {
+            words(key)?.into_iter().map(|text| number(key, text)).collect()
+        };
+        let points = match (words("POINTS").is_ok(), words("WIDTH").is_ok(), words("HEIGHT").is_ok()) {
+            (false, ..) => one("WIDTH")?.saturating_mul(one("HEIGHT")?),
+            (true, true, true) => {
+                let [points, width, height] = [one("POINTS")?, one("WIDTH")?, one("HEIGHT")?];
+                if width.checked_mul(height) != Some(points) {
+                    return Err(format!(
+                        "POINTS: expected WIDTH {width} × HEIGHT {height}, found {points}; write the head anew"
+                    ));
+                }
+                points
+            }
+            (true, ..) => one("POINTS")?,
+        };
+        let (names, sizes, kinds) = (words("FIELDS")?, all("SIZE")?, words("TYPE")?);
+        let counts = match words("COUNT") {
+            Ok(_) => all("COUNT")?,
+            Err(_) => vec![1; names.len()],
+        };
+        if [sizes.len(), kinds.len(), counts.len()] != [names.len(); 3] {
+            return Err(format!(
+                "{} FIELDS, {} SIZE, {} TYPE, {} COUNT: expected as many of each",
+                names.len(),
+                sizes.len(),
+                kinds.len(),
+                counts.len()
+            ));
+        }
+        if let Some(size) = sizes.iter().find(|size| !matches!(size, 1 | 2 | 4 | 8)) {
+            return Err(format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}"));
+        }
+        let (mut fields, mut before, mut numbers_before) = (Vec::new(), 0, 0);
+        for (((name, size), kind), count) in names.into_iter().zip(sizes).zip(kinds).zip(counts) {
+            if !(1..=MOST_COUNT).contains(&count) {
+                return Err(format!(
+                    "COUNT: expected 1 to {MOST_COUNT} for every field, found {count} of `{name}`"
+                ));
+            }
+            fields.push(Field {
+                name: name.into(),
+                size,
+                kind: kind.chars().next().filter(|_| kind.len() == 1).unwrap_or('?'),
+                count,
+                before,
+                numbers_before,
+            });
+            before += size * count;
+            numbers_before += count;
+        }
+        let data = match words("DATA")?.first().copied() {
+            Some("ascii") => Data::Ascii,
+            Some("binary") => Data::Binary,
+            Some("binary_compressed") => Data::Compressed,
+            other => {
+                return Err(format!(
+                    "DATA: expected ascii, binary or binary_compressed, found `{}`; save the cloud as one of these",
+                    other.unwrap_or_default()
+                ));
+            }
+        };
+        Ok(Head {
+            fields,
+            points,
+            point_size: before,
+            data,
+        })
+    }
+}
+
+/// Numbers of a field in a point, at most; histograms of features have some hundreds.
+const MOST_COUNT: usize = 4096;
+
+/// Lines of a head, at most: it has a dozen, and comments.
+const MOST_LINES: usize = 1024;
 
 fn split_head(bytes: &[u8]) -> Result<(&str, &[u8]), String> {
     let mut at = 0;
-    // A head is a dozen lines.
-    for line in bytes.split_inclusive(|byte| *byte == b'\n').take(64) {
+    for line in bytes.split_inclusive(|byte| *byte == b'\n').take(MOST_LINES) {
         at += line.len();
-        if line.starts_with(b"DATA") {
+        if line.trim_ascii_start().starts_with(b"DATA") {
             let head = std::str::from_utf8(&bytes[..at]).map_err(|_| "the PCD head is not text".to_string())?;
-            return Ok((head, &bytes[at..]));
+            return Ok((head.trim_start_matches('\u{feff}'), &bytes[at..]));
         }
     }
     Err("expected a PCD file, found no line `DATA`".into())
 }
 
-fn columns(values: &[u8], fields: &[Field], points: usize) -> Result<PcdCloud, String> {
-    let find = |name: &str, size: usize, kind: &str| -> Result<Option<&Field>, String> {
-        match fields.iter().find(|field| field.name == name) {
-            Some(field) if field.size == size && field.kind == kind => Ok(Some(field)),
-            Some(field) => {
-                let (found_kind, found) = (&field.kind, field.size);
-                Err(format!(
-                    "field `{name}`: expected TYPE {kind} SIZE {size}, found TYPE {found_kind} SIZE {found}"
-                ))
-            }
-            None => Ok(None),
+/// Where the numbers of fields are.
+trait Values {
+    /// The numbers of a field that has one a point.
+    fn column(&self, field: &Field) -> Vec<f64>;
+    fn points(&self) -> usize;
+}
+
+struct Binary<'a> {
+    values: &'a [u8],
+    points: usize,
+    point_size: usize,
+    compressed: bool,
+}
+
+impl Binary<'_> {
+    fn raw<const N: usize>(&self, field: &Field) -> impl Iterator<Item = [u8; N]> {
+        let (start, step) = match self.compressed {
+            true => (field.before * self.points, field.size * field.count),
+            false => (field.before, self.point_size),
+        };
+        (0..self.points).map(move |i| std::array::from_fn(|k| self.values[start + i * step + k]))
+    }
+}
+
+impl Values for Binary<'_> {
+    fn column(&self, field: &Field) -> Vec<f64> {
+        match (field.kind, field.size) {
+            ('F', 4) => self.raw(field).map(|v| f32::from_le_bytes(v).into()).collect(),
+            ('F', _) => self.raw(field).map(f64::from_le_bytes).collect(),
+            ('I', 1) => self.raw(field).map(|v| i8::from_le_bytes(v).into()).collect(),
+            ('I', 2) => self.raw(field).map(|v| i16::from_le_bytes(v).into()).collect(),
+            ('I', 4) => self.raw(field).map(|v| i32::from_le_bytes(v).into()).collect(),
+            // Of 64 bits, numbers beyond 2⁵³ lose their last digits.
+            ('I', _) => self.raw(field).map(|v| i64::from_le_bytes(v) as f64).collect(),
+            (_, 1) => self.raw(field).map(|v| u8::from_le_bytes(v).into()).collect(),
+            (_, 2) => self.raw(field).map(|v| u16::from_le_bytes(v).into()).collect(),
+            (_, 4) => self.raw(field).map(|v| u32::from_le_bytes(v).into()).collect(),
+            _ => self.raw(field).map(|v| u64::from_le_bytes(v) as f64).collect(),
         }
-    };
-    let need = |name: &str| find(name, 4, "F")?.ok_or_else(|| format!("no field `{name}`"));
-    let floats = |field: &Field| -> Vec<f32> { raw(values, field, points).map(f32::from_le_bytes).collect() };
-    let [x, y, z] = ["x", "y", "z"].map(|name| need(name).map(floats));
-    let intensity = match fields.iter().find(|field| field.name == "intensity") {
-        Some(field) if field.size == 1 && field.kind == "U" => raw::<1>(values, field, points).map(|[v]| v).collect(),
-        Some(_) => {
-            let field = need("intensity")?;
-            // `as` limits to the range and makes NaN 0.
-            raw(values, field, points)
-                .map(|v| (f32::from_le_bytes(v) * 255.0).round() as u8)
-                .collect()
+    }
+
+    fn points(&self) -> usize {
+        self.points
+    }
+}
+
+/// Numbers of a text, a point a line.
+struct Text {
+    values: Vec<f64>,
+    width: usize,
+}
+
+impl Values for Text {
+    fn column(&self, field: &Field) -> Vec<f64> {
+        let single = (field.kind, field.size) == ('F', 4);
+        let number = |row: &[f64]| match row[field.numbers_before] {
+            // As a binary file would hold it.
+            value if single => f64::from(value as f32),
+            value => value,
+        };
+        self.values.chunks_exact(self.width).map(number).collect()
+    }
+
+    fn points(&self) -> usize {
+        self.values.len() / self.width
+    }
+}
+
+fn text_values(body: &[u8], fields: &[Field], points: usize) -> Result<Text, String> {
+    let body = std::str::from_utf8(body).map_err(|_| "DATA ascii: expected text, found other bytes".to_string())?;
+    let width: usize = fields.iter().map(|field| field.count).sum();
+    let (mut values, mut found) = (Vec::new(), 0);
+    let lines = body
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty() && !line.starts_with('#'));
+    for line in lines {
+        let before = values.len();
+        found += 1;
+        for word in line.split_ascii_whitespace() {
+            let number: f64 = word
+                .parse()
+                .map_err(|_| format!("point {found}: expected numbers, found `{}`", crate::shown(word)))?;
+            values.push(number);
         }
-        None => vec![0; points],
+        if values.len() - before != width {
+            let there = values.len() - before;
+            return Err(format!("point {found}: expected {width} numbers, found {there}"));
+        }
+    }
+    match found == points {
+        true => Ok(Text {
+            values,
+            width: width.max(1),
+        }),
+        false => Err(format!("expected {points} lines, one a point, found {found}")),
+    }
+}
+
+fn columns(fields: &[Field], values: &impl Values) -> Result<Points, String> {
+    let find = |name: &str| -> Result<Option<(&Field, &'static str)>, String> {
+        let Some(field) = fields.iter().find(|field| field.name == name) else {
+            return Ok(None);
+        };
+        if field.count != 1 {
+            return Err(format!("field `{name}`: expected COUNT 1, found {}", field.count));
+        }
+        let kind = field.type_name().ok_or_else(|| {
+            let (kind, size) = (field.kind, field.size);
+            format!("field `{name}`: expected TYPE I or U with SIZE 1, 2, 4 or 8, or F with 4 or 8, found TYPE {kind} SIZE {size}")
+        })?;
+        Ok(Some((field, kind)))
     };
-    let timestamp = find("timestamp", 8, "F")?;
-    let timestamp = timestamp.map(|field| raw(values, field, points).map(f64::from_le_bytes).collect());
-    Ok(PcdCloud {
+    let need = |name: &str| find(name)?.ok_or_else(|| format!("no field `{name}`"));
+    let [x, y, z] = ["x", "y", "z"].map(|name| need(name).map(|(field, _)| values.column(field)));
+    let intensity = match find("intensity")? {
+        Some((field, "uint8")) => Intensities::Bytes(bytes("intensity", values.column(field))?),
+        Some((field, kind)) => Intensities::Others {
+            kind,
+            values: values.column(field).into_iter().map(|value| value as f32).collect(),
+        },
+        None => Intensities::Bytes(vec![0; values.points()]),
+    };
+    let timestamp = match find("timestamp")? {
+        Some((field, "float64")) => Some(values.column(field)),
+        Some((_, kind)) => {
+            return Err(format!(
+                "field `timestamp`: expected TYPE F SIZE 8, s since 1970, found {kind}; save it as doubles or leave it out"
+            ));
+        }
+        None => None,
+    };
+    Ok(Points {
         x: x?,
         y: y?,
         z: z?,
@@ -175,8 +469,15 @@ fn columns(values: &[u8], fields: &[Field], points: usize) -> Result<PcdCloud, S
     })
 }
 
-fn raw<'a, const N: usize>(values: &'a [u8], field: &'a Field, points: usize) -> impl Iterator<Item = [u8; N]> + 'a {
-    (0..points).map(move |i| std::array::from_fn(|k| values[field.start + i * field.step + k]))
+/// Numbers of a field of bytes, which a text may break.
+fn bytes(name: &str, column: Vec<f64>) -> Result<Vec<u8>, String> {
+    let byte = |value: f64| match (0.0..=255.0).contains(&value) && value.fract() == 0.0 {
+        true => Ok(value as u8),
+        false => Err(format!(
+            "field `{name}`: expected 0 to 255 as its TYPE U SIZE 1 says, found {value}"
+        )),
+    };
+    column.into_iter().map(byte).collect()
 }
 
 /// What follows the compressed bytes is padding: the size in front of them counts, not that of the file.
@@ -265,7 +566,7 @@ mod tests {
     #[test]
     fn reads_compressed_columns_before_padding() {
         let mut values = Vec::new();
-        for column in [[1.0f32, -2.0], [3.0, 4.0], [5.0, 6.0], [0.5, 2.0]] {
+        for column in [[1.0f32, -2.0], [3.0, 4.0], [5.0, 6.0], [0.5, 1.0]] {
             values.extend(column.iter().flat_map(|v| v.to_le_bytes()));
         }
         let mut file = head("x y z intensity", "4 4 4 4", "F F F F", 2, "binary_compressed");
@@ -292,6 +593,77 @@ mod tests {
         );
     }
 
+    /// Points of (x, y, z, intensity) whose fields have such types, with padding behind each.
+    fn typed(kind: &str, size: usize, value: impl Fn(f64) -> Vec<u8>) -> Points {
+        let fields = format!("x y z _ intensity\nSIZE 8 8 8 1 {size}\nTYPE F F F U {kind}\nCOUNT 1 1 1 3 1");
+        let mut file = format!("# .PCD v0.7\nFIELDS {fields}\nWIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA binary\n").into_bytes();
+        for i in 0..3 {
+            let place = [691_234.25, 5_334_567.5, f64::from(i)];
+            file.extend(place.iter().flat_map(|v| v.to_le_bytes()));
+            file.extend([9, 9, 9]);
+            file.extend(value([0.0, 0.5, 1.0][i as usize]));
+        }
+        parse_points(&file).unwrap()
+    }
+
+    #[test]
+    fn intensities_of_every_type_fill_a_byte_by_the_brightest() {
+        let bytes = |points: &Points| {
+            points
+                .intensity
+                .to_bytes(points.intensity.scale(points.intensity.brightest().unwrap_or(0.0)))
+        };
+        let float = |most: f64| typed("F", 4, move |v| ((v * most) as f32).to_le_bytes().to_vec());
+        for (points, expected) in [
+            (float(1.0), [0, 128, 255]),
+            (float(255.0), [0, 128, 255]),
+            (float(100.0), [0, 50, 100]),
+            (float(4000.0), [0, 125, 249]),
+            (typed("F", 8, |v| v.to_le_bytes().to_vec()), [0, 128, 255]),
+            (typed("U", 1, |v| vec![(v * 254.0) as u8]), [0, 127, 254]),
+            (
+                typed("U", 2, |v| ((v * 254.0) as u16).to_le_bytes().to_vec()),
+                [0, 127, 254],
+            ),
+            (
+                typed("U", 2, |v| ((v * 65_535.0) as u16).to_le_bytes().to_vec()),
+                [0, 127, 255],
+            ),
+            (
+                typed("I", 4, |v| ((v * 4_095.0) as i32).to_le_bytes().to_vec()),
+                [0, 127, 255],
+            ),
+        ] {
+            assert_eq!(bytes(&points), (expected.to_vec(), 0), "{:?}", points.intensity);
+            assert_eq!((points.x[2], points.y[2], points.z[2]), (691_234.25, 5_334_567.5, 2.0));
+        }
+        let negative = typed("I", 1, |v| vec![(v * -100.0) as i8 as u8]);
+        assert_eq!(bytes(&negative), (vec![0, 0, 0], 2));
+    }
+
+    #[test]
+    fn reads_text_comments_windows_lines_and_other_counts() {
+        let head = "# .PCD v0.7\n# DATA of a test\nVERSION 0.7\nFIELDS x\ty\tz normal intensity\nSIZE 4 4 4 4 4\nTYPE F F F F F\n\
+                    COUNT 1 1 1 3 1\nWIDTH 2\nHEIGHT 1\nDATA ascii\n1 2 3 0 0 1 0.5\n nan nan nan 0 0 1 1\n\n";
+        for text in [head.to_string(), head.replace('\n', "\r\n")] {
+            let cloud = parse_pcd(text.as_bytes()).unwrap();
+            assert_eq!(
+                (cloud.x[0], cloud.y[0], cloud.z[0], cloud.x[1].is_nan()),
+                (1.0, 2.0, 3.0, true)
+            );
+            assert_eq!(cloud.intensity, [128, 255]);
+        }
+        let nothing = parse_pcd(&self::head(
+            "x y z intensity",
+            "4 4 4 4",
+            "F F F F",
+            0,
+            "binary_compressed",
+        ))
+        .unwrap();
+        assert!(nothing.x.is_empty());
+    }
+
     #[test]
     fn unpacks_overlapping_copies() {
         assert_eq!(lzf(&[1, b'a', b'b', 0x60, 1], 7).unwrap(), b"abababa");
@@ -315,8 +687,10 @@ mod tests {
         assert!(error.contains("no line `DATA`"), "{error}");
         let error = parse_pcd(&head("x y", "4 4", "F F", 0, "binary")).unwrap_err();
         assert!(error.contains("no field `z`"), "{error}");
-        let error = parse_pcd(&head("x y z", "4 4 8", "F F F", 0, "binary")).unwrap_err();
-        assert!(error.contains("field `z`: expected TYPE F SIZE 4"), "{error}");
+        let error = parse_pcd(&head("x y z", "4 4 2", "F F F", 0, "binary")).unwrap_err();
+        assert!(error.contains("field `z`: expected TYPE I or U"), "{error}");
+        let error = parse_pcd(&head("x y z", "4 4 4", "F F F\nCOUNT 1 1 2", 0, "binary")).unwrap_err();
+        assert_eq!(error, "field `z`: expected COUNT 1, found 2");
         let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "binary")).unwrap_err();
         assert!(error.contains("expected 36 bytes for 3 points, found 0"), "{error}");
         for size in ["0", "3", "18446744073709551615"] {
@@ -326,8 +700,34 @@ mod tests {
                 format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}")
             );
         }
-        let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "ascii")).unwrap_err();
-        assert!(error.contains("found `ascii`"), "{error}");
+        let error = parse_pcd(&head("x y z", "4 4 4", "F F F", 3, "binary_zstd")).unwrap_err();
+        assert!(error.contains("found `binary_zstd`"), "{error}");
+        for (body, named) in [
+            ("1 2 3\n", "expected 2 lines, one a point, found 1"),
+            ("1 2 3\n4 5\n", "point 2: expected 3 numbers, found 2"),
+            ("1 2 x\n4 5 6\n", "point 1: expected numbers, found `x`"),
+        ] {
+            let file = [&head("x y z", "4 4 4", "F F F", 2, "ascii")[..], body.as_bytes()].concat();
+            assert_eq!(parse_pcd(&file).unwrap_err(), named);
+        }
+        let file = [
+            &head("x y z intensity", "4 4 4 1", "F F F U", 1, "ascii")[..],
+            b"1 2 3 256\n",
+        ]
+        .concat();
+        assert!(parse_pcd(&file).unwrap_err().contains("expected 0 to 255"));
+        let contradicting = String::from_utf8(head("x y z", "4 4 4", "F F F", 3, "binary")).unwrap();
+        let contradicting = contradicting.replace("HEIGHT 1", "HEIGHT 2");
+        let error = parse_pcd(contradicting.as_bytes()).unwrap_err();
+        assert!(error.contains("expected WIDTH 3 × HEIGHT 2, found 3"), "{error}");
+        let short = [&head("x y z", "4 4 4", "F F F", 1, "binary")[..], &[1; 24]].concat();
+        let error = parse_pcd(&short).unwrap_err();
+        assert!(
+            error.contains("expected 12 bytes for 1 points of 12 bytes, found 24"),
+            "{error}"
+        );
+        let padded = [&head("x y z", "4 4 4", "F F F", 1, "binary")[..], &[1; 12], &[0; 40]].concat();
+        assert_eq!(parse_pcd(&padded).unwrap().x.len(), 1);
         let error = parse_pcd(&head("x y z", "4 4 4", "F F F", usize::MAX, "binary_compressed")).unwrap_err();
         assert!(error.contains("POINTS: expected less than 2 GiB"), "{error}");
     }

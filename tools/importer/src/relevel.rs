@@ -23,6 +23,19 @@ const HIGHEST_GROUND: f64 = 1.0;
 /// # Errors
 /// A log that cannot be read or has packets; an agent without poses; a sweep without ground.
 pub fn relevel(from: &Path, to: &Path, level: Level) -> Result<BTreeMap<String, Levelled>, ImportError> {
+    relevel_with(from, to, level, |_, _| {})
+}
+
+/// As [`relevel`]; calls `progress` with the seconds of the log that are done and all of them.
+///
+/// # Errors
+/// As [`relevel`].
+pub fn relevel_with(
+    from: &Path,
+    to: &Path,
+    level: Level,
+    mut progress: impl FnMut(f64, f64),
+) -> Result<BTreeMap<String, Levelled>, ImportError> {
     let log = Log::open(from)?;
     let same = [from, to].map(|path| path.canonicalize().ok());
     if same[0].is_some() && same[0] == same[1] {
@@ -52,7 +65,10 @@ pub fn relevel(from: &Path, to: &Path, level: Level) -> Result<BTreeMap<String, 
         without_info: lacking(Stream::DetectionsInfo),
         agents,
     };
+    let [start, end] = log.span().map_or([0; 2], |(start, end)| [start, end]);
+    let seconds = |nanos: Nanos| nanos as f64 / 1e9;
     while let Some(entry) = copy.reader.next()? {
+        progress(seconds(entry.stamp() - start).max(0.0), seconds(end - start));
         copy.take(&entry)?;
     }
     let mut before = log.levelled()?;

@@ -9,6 +9,7 @@ use realo_logs::Log;
 
 use crate::Outcome;
 use crate::output::{Force, Output};
+use crate::progress::Progress;
 
 /// Imports a data set
 #[derive(clap::Args)]
@@ -36,6 +37,9 @@ enum Source {
         /// sensor, or not at all
         #[arg(long, value_enum, default_value = "pose")]
         level: Level,
+        /// Leave out pairs of which a cloud, a label, a calibration or an entry is missing, and count them
+        #[arg(long)]
+        skip_incomplete: bool,
     },
     /// A log of realo whose body frames are not level: a copy in which they are
     Log {
@@ -86,6 +90,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             force,
             roadside_stamp,
             level,
+            skip_incomplete,
         } => {
             force.check(output, Output::Log)?;
             let options = DairOptions {
@@ -94,8 +99,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
                     Stamp::End => realo_importer::RoadsideStamp::End,
                 },
                 level: level.of_importer(),
+                skip_incomplete: *skip_incomplete,
             };
-            println!("{}", realo_importer::dair(dir, output, options)?);
+            let progress = Progress::new("importing", "pairs", Some(0.0));
+            let summary =
+                realo_importer::dair_with(dir, output, options, |done, all| progress.of(done as f64, all as f64));
+            progress.finish();
+            println!("{}", summary?);
             output
         }
         Source::Log {
@@ -105,7 +115,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
             level,
         } => {
             force.check(output, Output::Log)?;
-            realo_importer::relevel(log, output, level.of_importer())?;
+            let progress = Progress::new("levelling", "s of the log", Some(0.0));
+            let done =
+                realo_importer::relevel_with(log, output, level.of_importer(), |done, all| progress.of(done, all));
+            progress.finish();
+            done?;
             if let Some(cut) = Log::open(log)?.truncation() {
                 eprintln!("realo: {}: {cut}", log.display());
                 outcome = Outcome::Partial;
