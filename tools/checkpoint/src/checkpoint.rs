@@ -1,23 +1,42 @@
 //! A checkpoint with its state dict found.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use realo_nn::weights::is_counter;
 use zip::result::ZipError;
 
+use crate::convert::{Shapes, fitting};
 use crate::dtype::Dtype;
 use crate::pickle::{Pickle, PickleError, Value, entry};
 use crate::shown;
 use crate::source::Source;
 use crate::view::{Storage, View};
 
-/// Keys under which training scripts keep the state dict where more is saved beside it.
-const NESTED: [&str; 3] = ["state_dict", "model_state_dict", "model"];
+/// Keys under which training scripts keep the state dict where more is saved beside it. If there is one of these, dicts of
+/// tensors under other keys do not matter.
+const NESTED: [&str; 7] = [
+    "state_dict",
+    "model_state_dict",
+    "model_state",
+    "model",
+    "net",
+    "network",
+    "weights",
+];
 
-/// What `DataParallel` puts before every name.
-const PARALLEL: &str = "module.";
+/// How deep the state dict may lie below the top.
+const DEEPEST: usize = 3;
+
+/// What wrappers put before all names: `DataParallel`, Lightning, and scripts.
+const WRAPPERS: [&str; 6] = ["module.", "model.", "state_dict.", "net.", "network.", "detector."];
+/// What `torch.compile` puts before the names of what it compiled, the whole or a part.
+const COMPILED: &str = "_orig_mod";
+
+/// Tensors behind a prefix, at least, for them to be a network.
+const FEWEST: usize = 8;
 
 /// A checkpoint that PyTorch wrote. Numbers are read when they are asked for.
 pub struct Checkpoint {
@@ -25,7 +44,8 @@ pub struct Checkpoint {
     source: Source,
     tensors: Vec<(String, View)>,
     others: Vec<String>,
-    within: Option<&'static str>,
+    within: Option<String>,
+    left_out: Vec<String>,
     epoch: Option<i64>,
     /// The storage read last: tensors may share one.
     last: Option<(Storage, Vec<u8>)>,
@@ -75,7 +95,7 @@ pub(crate) enum Problem {
 }
 
 impl Checkpoint {
-    /// Opens a checkpoint and finds its state dict; names lose the `module.` of `DataParallel` if all have it.
+    /// Opens a checkpoint and finds its state dict; names lose what wrappers put before them, if all have it.
     ///
     /// # Errors
     /// A file that is no checkpoint, is damaged, asks for more than data, or holds no tensor.
@@ -83,15 +103,18 @@ impl Checkpoint {
         let open = || -> Result<Checkpoint, Problem> {
             let (source, pickle) = Source::open(File::open(path)?)?;
             let found = find(&pickle)?;
-            Ok(Checkpoint {
+            let mut checkpoint = Checkpoint {
                 path: path.into(),
                 source,
                 tensors: found.tensors,
                 others: found.others,
                 within: found.within,
+                left_out: Vec::new(),
                 epoch: found.epoch,
                 last: None,
-            })
+            };
+            checkpoint.look_behind(|shapes| fitting(shapes).is_some());
+            Ok(checkpoint)
         };
         open().map_err(|problem| ReadError {
             path: path.into(),
@@ -121,9 +144,53 @@ impl Checkpoint {
         &self.others
     }
 
-    /// The key under which the state dict was found, if not at the top.
+    /// The keys under which the state dict was found, if not at the top.
     pub fn within(&self) -> Option<&str> {
-        self.within
+        self.within.as_deref()
+    }
+
+    /// Tensors and other entries beside the network's, which all stand behind one prefix.
+    pub fn left_out(&self) -> &[String] {
+        &self.left_out
+    }
+
+    /// Keeps what stands behind a prefix if that, and only that, fits; leaves all as it is if the whole fits.
+    pub(crate) fn look_behind(&mut self, fits: impl Fn(&Shapes) -> bool) {
+        let behind = |prefix: &str| -> Shapes {
+            let weights = self.tensors.iter().filter(|(name, _)| !is_counter(name));
+            let behind = weights.filter_map(|(name, view)| Some((name.strip_prefix(prefix)?, view.shape())));
+            behind.collect()
+        };
+        if fits(&behind("")) {
+            return;
+        }
+        let mut counts: HashMap<&str, usize> = HashMap::new();
+        for (name, _) in &self.tensors {
+            for (dot, _) in name.match_indices('.').take(DEEPEST + 1) {
+                *counts.entry(&name[..=dot]).or_default() += 1;
+            }
+        }
+        let many = counts.iter().filter(|(_, count)| **count >= FEWEST);
+        let mut found = many.map(|(prefix, _)| *prefix).filter(|prefix| fits(&behind(prefix)));
+        if let (Some(prefix), None) = (found.next(), found.next()) {
+            let prefix = prefix.to_string();
+            self.keep_behind(&prefix);
+        }
+    }
+
+    fn keep_behind(&mut self, prefix: &str) {
+        let is_behind = |name: &String| name.starts_with(prefix);
+        let (kept, beside) = std::mem::take(&mut self.tensors)
+            .into_iter()
+            .partition(|(name, _)| is_behind(name));
+        self.tensors = kept;
+        let (kept, others) = std::mem::take(&mut self.others).into_iter().partition(is_behind);
+        self.others = kept;
+        self.left_out
+            .extend(beside.into_iter().map(|(name, _): (String, View)| name));
+        self.left_out.extend::<Vec<String>>(others);
+        let names = self.tensors.iter_mut().map(|(name, _)| name).chain(&mut self.others);
+        names.for_each(|name| _ = name.drain(..prefix.len()));
     }
 
     /// The epoch that is told beside the state dict.
@@ -171,7 +238,7 @@ impl Checkpoint {
 struct Found {
     tensors: Vec<(String, View)>,
     others: Vec<String>,
-    within: Option<&'static str>,
+    within: Option<String>,
     epoch: Option<i64>,
 }
 
@@ -183,23 +250,32 @@ fn find(pickle: &Pickle) -> Result<Found, Problem> {
         Some(Value::Int(epoch)) => i64::try_from(*epoch).ok(),
         _ => None,
     };
-    let holds_tensors = top.iter().any(|(_, value)| pickle.tensor(value).is_some());
-    let inner = |key: &&'static str| Some((*key, pickle.dict(entry(top, key)?)?));
-    let inner: Vec<_> = NESTED.iter().filter_map(inner).collect();
-    let (within, dict) = match (holds_tensors, &inner[..]) {
-        (true, _) => (None, top),
-        (false, [(key, dict)]) => (Some(*key), *dict),
-        (false, []) if top.is_empty() => return Err(Problem::Empty),
-        (false, []) => {
+    let mut dicts = Vec::new();
+    state_dicts(pickle, &pickle.root, "", &mut HashSet::new(), &mut dicts);
+    let known = |path: &str| NESTED.contains(&path);
+    let usual: Vec<_> = dicts.iter().filter(|(path, _)| known(path)).collect();
+    let (within, dict) = match (&dicts[..], &usual[..]) {
+        ([one], _) => one,
+        (_, [one]) => *one,
+        ([], _)
+            if top.is_empty()
+                || top
+                    .iter()
+                    .any(|(key, value)| is_named(key, &NESTED) && pickle.dict(value).is_some()) =>
+        {
+            return Err(Problem::Empty);
+        }
+        ([], _) => {
             let found = format!("a dict of {}", keys(top));
             return Err(Problem::NoStateDict { found });
         }
-        (false, several) => {
-            let keys: Vec<String> = several.iter().map(|(key, _)| format!("`{key}`")).collect();
+        (several, _) => {
+            let keys: Vec<String> = several.iter().map(|(path, _)| format!("`{}`", shown(path))).collect();
             let found = format!("several: {}", keys.join(", "));
             return Err(Problem::NoStateDict { found });
         }
     };
+    let within = Some(within.clone()).filter(|path| !path.is_empty());
     let (tensors, others) = entries(pickle, dict)?;
     Ok(Found {
         tensors,
@@ -207,6 +283,44 @@ fn find(pickle: &Pickle) -> Result<Found, Problem> {
         within,
         epoch,
     })
+}
+
+/// Dicts that hold tensors, by their keys from the top; what is below one is not looked at, nor an optimizer.
+fn state_dicts<'a>(
+    pickle: &'a Pickle,
+    value: &Value,
+    path: &str,
+    seen: &mut HashSet<usize>,
+    found: &mut Vec<(String, &'a [(Value, Value)])>,
+) {
+    let (Value::Object(place), Some(dict)) = (value, pickle.dict(value)) else {
+        return;
+    };
+    if !seen.insert(*place) {
+        return;
+    }
+    if dict.iter().any(|(_, value)| pickle.tensor(value).is_some()) {
+        return found.push((path.into(), dict));
+    }
+    if path.matches('.').count() + 1 >= DEEPEST {
+        return;
+    }
+    for (key, value) in dict {
+        if let Value::Text(key) = key
+            && !key.to_lowercase().contains("optim")
+        {
+            let below = if path.is_empty() {
+                key.to_string()
+            } else {
+                format!("{path}.{key}")
+            };
+            state_dicts(pickle, value, &below, seen, found);
+        }
+    }
+}
+
+fn is_named(key: &Value, names: &[&str]) -> bool {
+    matches!(key, Value::Text(text) if names.contains(&&**text))
 }
 
 /// The first keys of a dict, for an error.
@@ -244,10 +358,31 @@ fn entries(pickle: &Pickle, dict: &[(Value, Value)]) -> Result<Entries, Problem>
     if tensors.is_empty() {
         return Err(Problem::Empty);
     }
-    if tensors.iter().all(|(name, _)| name.starts_with(PARALLEL)) {
-        tensors
-            .iter_mut()
-            .for_each(|(name, _)| _ = name.drain(..PARALLEL.len()));
+    for (name, _) in &mut tensors {
+        if name.contains(COMPILED) {
+            *name = name
+                .split('.')
+                .filter(|part| *part != COMPILED)
+                .collect::<Vec<_>>()
+                .join(".");
+        }
     }
-    Ok((tensors, others))
+    let shared = |tensors: &[(String, View)]| {
+        let has_all = |wrapper: &&&str| tensors.iter().all(|(name, _)| name.starts_with(**wrapper));
+        WRAPPERS.iter().find(has_all).copied()
+    };
+    while let Some(wrapper) = shared(&tensors) {
+        let names = tensors.iter_mut().map(|(name, _)| name);
+        names.for_each(|name| _ = name.drain(..wrapper.len()));
+        others.iter_mut().for_each(|name| {
+            if name.starts_with(wrapper) {
+                name.drain(..wrapper.len());
+            }
+        });
+    }
+    let mut seen = HashSet::new();
+    match tensors.iter().find(|(name, _)| !seen.insert(name.as_str())) {
+        Some((name, _)) => Err(Problem::Twice(name.clone())),
+        None => Ok((tensors, others)),
+    }
 }

@@ -55,7 +55,7 @@ fn listed(problems: &[String]) -> String {
     lines.join("\n")
 }
 
-type Shapes<'a> = HashMap<&'a str, &'a [usize]>;
+pub(crate) type Shapes<'a> = HashMap<&'a str, &'a [usize]>;
 
 /// V2X-Real's network of an architecture at full size, with the compressor that the checkpoint has; `None` if there is no
 /// such architecture.
@@ -102,6 +102,7 @@ fn compressed(model: Model, shapes: &Shapes) -> Model {
 /// # Errors
 /// A damaged file, and [`ConvertError::Mismatch`] with every difference.
 pub fn convert(checkpoint: &mut Checkpoint, model: Model) -> Result<Converted, ConvertError> {
+    checkpoint.look_behind(|shapes| fits(&model, shapes));
     let wanted: HashMap<String, Vec<usize>> = expected(&model).into_iter().collect();
     let (mut tensors, mut problems) = (HashMap::new(), Vec::new());
     let found: Vec<_> = checkpoint

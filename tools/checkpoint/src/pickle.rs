@@ -15,8 +15,8 @@ use crate::view::{Storage, View, ViewError};
 pub(crate) const MOST_BYTES: u64 = 1 << 24;
 /// Instructions of a pickle, at most; what is kept of each is bounded.
 const MOST_STEPS: u64 = 1 << 20;
-/// Bytes of a text, at most.
-const MOST_TEXT: usize = 1 << 12;
+/// Bytes of a text, at most: names are short, and whole configurations stand beside weights.
+const MOST_TEXT: usize = 1 << 20;
 
 /// A value of a pickle.
 #[derive(Clone, Debug)]
@@ -39,6 +39,8 @@ pub(crate) enum Object {
     Dict(Vec<(Value, Value)>),
     Storage(Storage),
     Tensor(View),
+    /// What a name that is skipped would make.
+    Skipped,
 }
 
 /// The names that a checkpoint may use.
@@ -52,7 +54,57 @@ pub(crate) enum Global {
     Parameter,
     /// A storage class.
     Storage(Dtype),
+    /// A name of what scripts save beside weights. Nothing of it is run, and what it would make is skipped.
+    Skipped,
 }
+
+/// What makes plain data that stands beside weights: whole modules, and names of others.
+const SKIPPED_MODULES: [&str; 13] = [
+    "numpy",
+    "datetime",
+    "pathlib",
+    "decimal",
+    "fractions",
+    "omegaconf",
+    "easydict",
+    "yacs",
+    "addict",
+    "munch",
+    "pytorch_lightning",
+    "lightning",
+    "lightning_fabric",
+];
+const SKIPPED: [(&str, &[&str]); 8] = [
+    ("argparse", &["Namespace"]),
+    ("types", &["SimpleNamespace"]),
+    ("collections", &["defaultdict", "deque"]),
+    ("_codecs", &["encode"]),
+    ("copyreg", &["_reconstructor"]),
+    ("copy_reg", &["_reconstructor"]),
+    ("typing", &["Any"]),
+    (
+        "torch",
+        &[
+            "Size", "device", "float16", "float32", "float64", "bfloat16", "int8", "uint8", "int32", "int64", "bool",
+        ],
+    ),
+];
+const SKIPPED_BUILTINS: [&str; 14] = [
+    "set",
+    "frozenset",
+    "bytearray",
+    "complex",
+    "slice",
+    "range",
+    "object",
+    "list",
+    "dict",
+    "tuple",
+    "int",
+    "float",
+    "str",
+    "bool",
+];
 
 impl Global {
     fn named(module: &str, name: &str) -> Option<Global> {
@@ -60,8 +112,19 @@ impl Global {
             ("collections", "OrderedDict" | "Counter") => Some(Global::Dict),
             ("torch._utils", "_rebuild_tensor_v2") => Some(Global::Tensor),
             ("torch._utils", "_rebuild_parameter") => Some(Global::Parameter),
-            ("torch", class) => Dtype::of_storage(class).map(Global::Storage),
-            _ => None,
+            ("torch", class) if Dtype::of_storage(class).is_some() => Dtype::of_storage(class).map(Global::Storage),
+            _ => Self::is_skipped(module, name).then_some(Global::Skipped),
+        }
+    }
+
+    fn is_skipped(module: &str, name: &str) -> bool {
+        let top = module.split('.').next().unwrap_or_default();
+        match module {
+            "builtins" | "__builtin__" => SKIPPED_BUILTINS.contains(&name),
+            _ => {
+                let named = |(known, names): &(&str, &[&str])| *known == module && names.contains(&name);
+                SKIPPED_MODULES.contains(&top) || SKIPPED.iter().any(named)
+            }
         }
     }
 }
@@ -220,6 +283,7 @@ mod code {
     pub const LONG_BINGET: u8 = b'j';
     pub const GLOBAL: u8 = b'c';
     pub const REDUCE: u8 = b'R';
+    pub const NEWOBJ: u8 = 0x81;
     pub const BUILD: u8 = b'b';
     pub const BINPERSID: u8 = b'Q';
 }
@@ -325,6 +389,7 @@ impl<R: Read> Machine<R> {
                 self.stack.push(Value::Global(global));
             }
             code::REDUCE => return self.reduce(),
+            code::NEWOBJ => return self.new_object(),
             code::BUILD => return self.build(),
             code::BINPERSID => return self.storage(),
             code => {
@@ -381,7 +446,8 @@ impl<R: Read> Machine<R> {
         if length > MOST_TEXT {
             return Err(self.nonsense("a text longer than any name"));
         }
-        let mut bytes = Vec::with_capacity(length);
+        // Memory is taken for what comes.
+        let mut bytes = Vec::new();
         for _ in 0..length {
             bytes.push(self.byte()?);
         }
@@ -449,6 +515,7 @@ impl<R: Read> Machine<R> {
     fn append(&mut self, elements: Vec<Value>) -> Result<(), PickleError> {
         match self.top()? {
             Object::List(list) => list.extend(elements),
+            Object::Skipped => {}
             _ => return Err(self.nonsense("there is no list")),
         }
         Ok(())
@@ -462,6 +529,7 @@ impl<R: Read> Machine<R> {
         let pairs = std::iter::from_fn(|| entries.next().zip(entries.next()));
         match self.top()? {
             Object::Dict(dict) => dict.extend(pairs),
+            Object::Skipped => {}
             _ => return Err(self.nonsense("there is no dict")),
         }
         Ok(())
@@ -494,6 +562,10 @@ impl<R: Read> Machine<R> {
     /// What a known name would make of its arguments.
     fn reduce(&mut self) -> Result<(), PickleError> {
         let (arguments, callee) = (self.pop()?, self.pop()?);
+        if matches!(callee, Value::Global(Global::Skipped)) {
+            self.push(Object::Skipped);
+            return Ok(());
+        }
         let Some(arguments) = self.elements(&arguments) else {
             return Err(self.nonsense("arguments that are no tuple"));
         };
@@ -521,6 +593,15 @@ impl<R: Read> Machine<R> {
         Ok(())
     }
 
+    /// An object of a class, which only what is skipped has here.
+    fn new_object(&mut self) -> Result<(), PickleError> {
+        match (self.pop()?, self.pop()?) {
+            (_, Value::Global(Global::Skipped)) => self.push(Object::Skipped),
+            _ => return Err(self.nonsense("an object of what no state dict needs")),
+        }
+        Ok(())
+    }
+
     fn tensor(&self, storage: &Value, offset: &Value, sizes: &Value, strides: &Value) -> Result<View, PickleError> {
         let storage = match storage {
             Value::Object(place) => match &self.objects[*place] {
@@ -542,7 +623,7 @@ impl<R: Read> Machine<R> {
     fn build(&mut self) -> Result<(), PickleError> {
         self.pop()?;
         match self.top()? {
-            Object::Dict(_) => Ok(()),
+            Object::Dict(_) | Object::Skipped => Ok(()),
             _ => Err(self.nonsense("attributes of what has none")),
         }
     }

@@ -99,6 +99,20 @@ impl Convert {
             written.weights.display(),
             converted.origin
         );
+        let left_out = checkpoint.left_out();
+        if !left_out.is_empty() {
+            let names: Vec<String> = left_out
+                .iter()
+                .take(8)
+                .map(|name| format!("`{}`", name.escape_debug()))
+                .collect();
+            let more = if left_out.len() > names.len() { ", …" } else { "" };
+            println!(
+                "left out, for they are not the network's: {}{more} ({} in all)",
+                names.join(", "),
+                left_out.len()
+            );
+        }
         if !written.model_was_there {
             let (file, of) = (written.model.display(), &converted.model.name);
             println!(
