@@ -3,15 +3,15 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
-use eyre::{Result, bail, eyre};
-use indicatif::{ProgressBar, ProgressStyle};
+use eyre::{Result, bail};
 use realo_nn::model::Model;
 use realo_training::data::Augmentation;
 use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
-use realo_training::{Data, Progress, TrainOptions, Validation, train};
+use realo_training::{Data, TrainOptions, Validation, train};
 
 use crate::Outcome;
+use crate::progress::Progress;
 
 /// Trains a model on frames drawn straight from simulator seeds, or from logs with ground truth
 #[derive(clap::Args)]
@@ -31,10 +31,10 @@ pub struct Args {
     /// Go on from the checkpoint in the folder of the results
     #[arg(long)]
     resume: bool,
-    /// Steps in all; the learning rate falls until then
-    #[arg(long, default_value_t = 20_000)]
-    steps: u64,
-    /// Stop after so many minutes, to be resumed
+    /// Steps in all; the learning rate falls until then [default: 20000, or what fits into --minutes]
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Fit the steps into so many minutes and validate at the end; with --steps: stop then, to be resumed
     #[arg(long)]
     minutes: Option<f64>,
     /// Frames of logs instead of simulator seeds
@@ -76,21 +76,32 @@ pub struct Args {
     arithmetic: Option<Arithmetic>,
 }
 
+/// Steps where neither they nor a time is given.
+const STEPS: u64 = 20_000;
+
 /// Trains and says where the results are.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let bar = ProgressBar::new(args.steps);
-    let style = "{wide_bar} {pos}/{len} steps, {msg}";
-    bar.set_style(ProgressStyle::with_template(style).map_err(|error| eyre!(error))?);
-    let trained = train(&args.options()?, |progress| show(&bar, progress))?;
-    bar.finish_and_clear();
+    let progress = Progress::new("preparing to train", "", None);
+    let mut begun = false;
+    let trained = train(&args.options()?, |far| {
+        if !std::mem::replace(&mut begun, true) {
+            progress.rename("training", "steps");
+            progress.begin(far.point.step as f64, far.steps as f64);
+        }
+        show(&progress, far);
+    })?;
+    progress.finish();
     let (steps, weights) = (trained.steps, trained.weights.display());
+    if let Some((frames, validation)) = &trained.validation {
+        println!("validation on {frames}: {}", scores(validation));
+    }
     if trained.complete {
         println!("{steps} steps: weights in {weights}");
         return Ok(Outcome::Complete);
     }
     println!(
         "{steps} of {} steps: weights so far in {weights}; add --resume to go on",
-        args.steps
+        trained.of_steps
     );
     Ok(Outcome::Partial)
 }
@@ -115,8 +126,9 @@ impl Args {
             output: self.out.clone(),
             resume: self.resume,
             data,
-            steps: self.steps,
+            steps: self.steps.unwrap_or(STEPS),
             minutes: self.minutes,
+            fit_steps: self.steps.is_none() && self.minutes.is_some(),
             seed: self.seed,
             batch: self.batch,
             parts: self.parts,
@@ -144,22 +156,22 @@ pub(crate) fn seeds(text: &str) -> Result<Range<u64>> {
     }
 }
 
-fn show(bar: &ProgressBar, progress: &Progress) {
-    let point = progress.point;
-    bar.set_position(point.step + 1);
-    bar.set_message(format!(
-        "loss {:.3} (scores {:.3}, boxes {:.3}), {:.2} s/step, {:.2} of it for data, {:.0} min left",
+fn show(progress: &Progress, far: &realo_training::Progress) {
+    let point = far.point;
+    progress.set((point.step + 1) as f64);
+    progress.say(format!(
+        "loss {:.3} (scores {:.3}, boxes {:.3}), {:.2} steps/s, {:.2} s of a step for data, {:.1} min left",
         point.loss(),
         point.class,
         point.regression,
-        progress.seconds_per_step,
-        progress.waiting,
-        progress.left.as_secs_f64() / 60.0
+        1.0 / far.seconds_per_step,
+        far.waiting,
+        far.left.as_secs_f64() / 60.0
     ));
-    for (steps, validation) in progress.validations {
-        let (pace, waiting) = (progress.seconds_per_step, progress.waiting);
+    for (steps, validation) in far.validations {
+        let (pace, waiting) = (far.seconds_per_step, far.waiting);
         let scores = scores(validation);
-        bar.suspend(|| println!("step {steps}, {pace:.2} s each, {waiting:.2} of it for data: {scores}"));
+        progress.beside(|| println!("step {steps}, {pace:.2} s each, {waiting:.2} of it for data: {scores}"));
     }
 }
 

@@ -53,6 +53,9 @@ pub struct TrainOptions {
     pub steps: u64,
     /// Stop after so many minutes; the rest is for a later run that resumes.
     pub minutes: Option<f64>,
+    /// Takes as many steps as fit into the minutes, by some that are timed first, and validates at the end. A training
+    /// that is resumed keeps the number that was found.
+    pub fit_steps: bool,
     /// Of all draws.
     pub seed: u64,
     /// Samples of a step.
@@ -119,8 +122,12 @@ pub struct Progress<'a> {
 pub struct Trained {
     /// Steps that were done in all.
     pub steps: u64,
+    /// All steps of the schedule.
+    pub of_steps: u64,
     /// Whether they are all.
     pub complete: bool,
+    /// Of steps that were fitted into a time: the frames of the last validation, and what it found.
+    pub validation: Option<(String, Validation)>,
     /// The file of weights.
     pub weights: PathBuf,
 }
@@ -136,7 +143,42 @@ pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> 
         .num_threads(options.threads.unwrap_or(0))
         .build()
         .map_err(|error| option("threads", "a number of threads that can be started", error))?;
-    pool.install(|| Training::new(options)?.run(progress))
+    pool.install(|| match options.fit_steps {
+        true => Training::new(&fitted(options)?)?.run(progress),
+        false => Training::new(options)?.run(progress),
+    })
+}
+
+/// Share of the time that goes into what is timed first, at each of the two sizes of samples.
+const PILOT: f64 = 0.04;
+/// Share of the time that is left for the last validation.
+const VALIDATING: f64 = 0.1;
+/// A training with fitted steps is stopped after so many times its minutes, if steps became slower.
+const PATIENCE: f64 = 1.5;
+
+/// As many steps as fit into the time.
+fn fitted(options: &TrainOptions) -> Result<TrainOptions, TrainError> {
+    let begin = Instant::now();
+    let minutes = options
+        .minutes
+        .ok_or_else(|| option("fit_steps", "minutes to fit them into", "none"))?;
+    let steps = match options.resume {
+        true => {
+            let model = Model::read(&options.model)?;
+            Checkpoint::read(&options.output.join(CHECKPOINT), &model)?.plan.steps
+        }
+        false => {
+            let seconds = minutes * 60.0;
+            let pace = Training::new(options)?.pace(seconds * PILOT)?;
+            let left = seconds * (1.0 - VALIDATING) - begin.elapsed().as_secs_f64();
+            (left / pace).max(1.0) as u64
+        }
+    };
+    Ok(TrainOptions {
+        steps,
+        minutes: Some(minutes * PATIENCE),
+        ..options.clone()
+    })
 }
 
 pub(crate) fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
@@ -197,6 +239,9 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
         _ => Ok(()),
     }
 }
+
+/// What a training goes on from.
+const CHECKPOINT: &str = "checkpoint.safetensors";
 
 struct Training<'a> {
     options: &'a TrainOptions,
@@ -308,7 +353,7 @@ impl<'a> Training<'a> {
     fn new(options: &'a TrainOptions) -> Result<Self, TrainError> {
         let (model, files) = Model::read_with_files(&options.model)?;
         check_frames_suit(&model)?;
-        let checkpoint = options.output.join("checkpoint.safetensors");
+        let checkpoint = options.output.join(CHECKPOINT);
         if weights(&model, &options.output).contains(&checkpoint) {
             let reason = "its `name`, `weights` or `encoder` is `checkpoint`, whose place its weights would take: name them otherwise".into();
             return Err(TrainError::Model {
@@ -490,12 +535,52 @@ impl<'a> Training<'a> {
         if steps >= self.options.steps {
             self.write_sums()?;
         }
+        let complete = steps >= self.options.steps;
+        let validation = match complete && self.options.fit_steps {
+            true => Some(self.last_validation()?),
+            false => None,
+        };
         drop(self.filling);
         Ok(Trained {
             steps,
-            complete: steps >= self.options.steps,
+            of_steps: self.options.steps,
+            complete,
+            validation,
             weights,
         })
+    }
+
+    /// Mean seconds of a step, by steps that are forgotten: on parts and on the whole range, each for so long.
+    fn pace(mut self, seconds: f64) -> Result<f64, TrainError> {
+        let whole = self.timed(0, seconds)?;
+        if self.options.parts == 0.0 {
+            return Ok(whole);
+        }
+        let parts = self.timed(u64::MAX, seconds)?;
+        let share = 1.0 / WHOLE as f64;
+        Ok(whole * share + parts * (1.0 - share))
+    }
+
+    fn timed(&mut self, whole_from: u64, seconds: f64) -> Result<f64, TrainError> {
+        let recipe = Recipe {
+            whole_from,
+            ..self.recipe.clone()
+        };
+        let (batches, loader) = recipe.start(0);
+        let mut step = |start: Instant| -> Result<f64, TrainError> {
+            let batch = batches.recv().map_err(|_| TrainError::Stopped)??;
+            self.step(&batch, start)?;
+            Ok(start.elapsed().as_secs_f64())
+        };
+        // The first one waits for the loader to begin.
+        step(Instant::now())?;
+        let (begin, mut times) = (Instant::now(), Vec::new());
+        while times.len() < 3 || begin.elapsed().as_secs_f64() < seconds {
+            times.push(step(Instant::now())?);
+        }
+        drop(batches);
+        let _ = loader.join();
+        Ok(times.iter().sum::<f64>() / times.len() as f64)
     }
 
     fn step(&mut self, batch: &Batch, start: Instant) -> Result<Point, TrainError> {
@@ -548,6 +633,24 @@ impl<'a> Training<'a> {
         }
     }
 
+    /// On frames of validation seeds; of logs on some of their own.
+    fn last_validation(&self) -> Result<(String, Validation), TrainError> {
+        let Data::Logged { .. } = self.options.data else {
+            return Ok(("simulator seeds 800 to 811".into(), self.validate()?));
+        };
+        let some = SomeFrames {
+            of: self.recipe.frames.clone(),
+            count: self.recipe.frames.len().min(VALIDATED),
+        };
+        let name = format!("{} frames of the logs themselves", some.count);
+        let frames: Arc<dyn Frames> = Arc::new(some);
+        let found = match self.recipe.encoder {
+            Some(_) => validate_fusion(&self.state.network, &frames)?,
+            None => validate(&self.state.network, &frames)?,
+        };
+        Ok((name, found))
+    }
+
     /// Has later samples hold what is now taken for an object and is none.
     fn search_decoys(&mut self) -> Result<(), TrainError> {
         if self.recipe.augmentation.decoys == 0 {
@@ -596,6 +699,25 @@ fn without_sums(text: &[u8]) -> Vec<u8> {
 /// The files of weights that a model in a folder asks for.
 fn weights(model: &Model, folder: &Path) -> Vec<PathBuf> {
     model.weights_beside(&folder.join(&model.name))
+}
+
+/// Max frames of logs on which a training is validated at its end.
+const VALIDATED: usize = 24;
+
+/// Some frames, evenly spread.
+struct SomeFrames {
+    of: Arc<dyn Frames>,
+    count: usize,
+}
+
+impl Frames for SomeFrames {
+    fn len(&self) -> usize {
+        self.count
+    }
+
+    fn load(&self, index: usize) -> Result<crate::data::Frame, TrainError> {
+        self.of.load(index * self.of.len() / self.count)
+    }
 }
 
 /// The frames of a few validation seeds.

@@ -78,6 +78,7 @@ impl Folder {
             },
             steps: 6,
             minutes: None,
+            fit_steps: false,
             seed: 3,
             batch: 2,
             frozen_norms: false,

@@ -20,6 +20,7 @@ use eyre::Result;
 use serde::Serialize;
 
 use crate::Outcome;
+use crate::progress::Progress;
 
 /// Measures: minima, medians and paired ratios; says on which CPU
 #[derive(clap::Args)]
@@ -71,9 +72,27 @@ enum Name {
     Memory,
 }
 
+impl Name {
+    /// What the Python that it is compared with needs.
+    fn packages(self) -> &'static [&'static str] {
+        match self {
+            Name::Detector => &["numpy", "cumm", "spconv"],
+            Name::Network => &["torch", "openvino", "nncf", "onnxruntime"],
+            Name::Train => &["torch"],
+            _ => &[],
+        }
+    }
+}
+
 /// Runs one bench and prints what it found.
 pub fn main(args: &Args) -> Result<Outcome> {
+    if let (Some(python), packages @ [_, ..]) = (&args.python, args.name.packages()) {
+        peer::Peer::check(python, packages)?;
+    }
     let only = args.only.as_deref().unwrap_or_default();
+    let name = args.name.to_possible_value();
+    let name = name.map_or(String::new(), |name| name.get_name().to_string());
+    let _progress = Progress::as_lines(format!("bench {name}"), "", None);
     match args.name {
         Name::Nms => print(&nms::bench()?, args.json),
         Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(45.0))?, args.json),

@@ -7,6 +7,11 @@ use serde_json::Value;
 
 const SCRIPT: &str = include_str!("peers.py");
 
+/// Prints which of its arguments cannot be imported.
+const MISSING: &str = "\
+import importlib.util, sys
+print(*[name for name in sys.argv[1:] if importlib.util.find_spec(name) is None])";
+
 /// A Python program that makes the same step, to be timed in turns with ours.
 pub struct Peer {
     /// What it is, with its version.
@@ -36,11 +41,38 @@ impl Peer {
             input,
             output: BufReader::new(output),
         };
-        peer.name = peer.line().wrap_err_with(|| {
-            let packages = "numpy and spconv (detector) or torch (train)";
-            format!("--python {}: expected an interpreter with {packages}", python.display())
-        })?;
+        peer.name = peer
+            .line()
+            .wrap_err_with(|| format!("--python {}: `{which}` did not start", python.display()))?;
         Ok(peer)
+    }
+
+    /// Whether an interpreter has some packages.
+    ///
+    /// # Errors
+    /// All that are missing, at once.
+    pub fn check(python: &Path, packages: &[&str]) -> Result<()> {
+        let found = Command::new(python).args(["-c", MISSING]).args(packages).output();
+        let found = found.wrap_err_with(|| format!("--python {}", python.display()))?;
+        let shown = python.display();
+        if !found.status.success() {
+            let said = String::from_utf8_lossy(&found.stderr);
+            return Err(eyre!(
+                "--python {shown}: expected an interpreter of Python 3: {}",
+                said.trim()
+            ));
+        }
+        let missing = String::from_utf8_lossy(&found.stdout);
+        let missing: Vec<&str> = missing.split_whitespace().collect();
+        match missing.is_empty() {
+            true => Ok(()),
+            false => Err(eyre!(
+                "--python {shown}: it needs {}, and does not have {}: {shown} -m pip install {}",
+                packages.join(", "),
+                missing.join(", "),
+                missing.join(" ")
+            )),
+        }
     }
 
     /// Seconds of one run.
@@ -66,5 +98,27 @@ impl Drop for Peer {
         // It may have ended by itself.
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_missing_packages_are_named_at_once() {
+        let python = Path::new("python3");
+        if Command::new(python).arg("--version").output().is_err() {
+            eprintln!("not decided here: there is no python3");
+            return;
+        }
+        Peer::check(python, &["json", "sys"]).unwrap();
+        let error = Peer::check(python, &["json", "no_such_one", "nor_this_one"]).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "--python python3: it needs json, no_such_one, nor_this_one, and does not have no_such_one, nor_this_one: python3 -m pip \
+             install no_such_one nor_this_one"
+        );
+        assert!(Peer::check(Path::new("/bin/false"), &["json"]).is_err());
     }
 }

@@ -68,6 +68,7 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             },
             steps: STEPS,
             minutes: None,
+            fit_steps: false,
             seed: 0,
             batch: BATCH,
             frozen_norms: false,
