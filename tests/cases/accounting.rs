@@ -1,1 +1,83 @@
 //! What is dropped is said in the notes.
+
+use std::path::PathBuf;
+
+use crate::scene::{SWEEP, Scene, rewrite, run};
+
+fn of_classes(name: &str, class: fn(usize) -> &'static str) -> PathBuf {
+    Scene {
+        class,
+        ..Scene::default()
+    }
+    .write(name)
+}
+
+#[test]
+fn the_case_of_classes_does_not_matter() {
+    let all: fn(usize) -> &'static str = |_| "car";
+    let mixed: fn(usize) -> &'static str = |index| if index % 2 == 0 { "CAR" } else { "Car" };
+    for (name, class) in [("class-lower", all), ("class-mixed", mixed)] {
+        let log = of_classes(name, class);
+        let alone = run("no_fusion", &log, name, &["--offline"]);
+        assert_eq!((alone.code, alone.ap("0.5")), (0, 0.5), "{alone:?}");
+        let late = run("late_fusion", &log, name, &["--offline"]);
+        assert_eq!((late.code, late.ap("0.5")), (0, 1.0), "{late:?}");
+    }
+}
+
+#[test]
+fn classes_that_the_protocol_drops_are_named_with_how_many() {
+    let log = of_classes(
+        "class-dropped",
+        |index| if index % 4 == 0 { "tram\u{e9}" } else { "Car" },
+    );
+    let ran = run("late_fusion", &log, "class-dropped", &["--offline"]);
+    assert_eq!(ran.code, 0, "the protocol says so: {ran:?}");
+    let notes = ran.notes();
+    assert!(notes.contains("tram\u{e9}") && notes.contains("40 of 160"), "{notes}");
+}
+
+#[test]
+fn cooperation_that_added_nothing_is_said_first_and_in_the_table() {
+    // The mast has no sweep: its detections belong to nothing.
+    let base = Scene::default().write("unused-base");
+    let log = rewrite(&base, "unused", |mut message| {
+        if message.parts() == ("mast", "detections") || message.parts() == ("mast", "detections_info") {
+            message.shift(SWEEP / 2);
+        }
+        vec![message]
+    });
+    let ran = run("late_fusion", &log, "unused", &["--offline"]);
+    assert_eq!((ran.code, ran.ap("0.5")), (3, 0.5), "{ran:?}");
+    let notes = ran.notes();
+    assert!(notes.starts_with("mast: no message was used"), "{notes}");
+    assert!(
+        notes.contains("mast: 20 of 20") && notes.contains("no sweep has their stamp"),
+        "{notes}"
+    );
+    assert!(ran.out.contains("cooperation added nothing"), "{}", ran.out);
+}
+
+#[test]
+fn what_comes_late_is_a_note_and_no_fault_of_the_log() {
+    let log = Scene::default().write("late");
+    let late = ["--mode", "virtual", "--link", "delay_ms=700"];
+    let ran = run("late_fusion", &log, "late", &late);
+    assert_eq!((ran.code, ran.ap("0.5")), (0, 0.5), "{ran:?}");
+    let notes = ran.notes();
+    assert!(notes.starts_with("mast: no message was used"), "{notes}");
+    assert!(notes.contains("older than 400 ms"), "{notes}");
+}
+
+#[test]
+fn a_healthy_log_has_no_notes_of_losses() {
+    let log = Scene::default().write("healthy");
+    for mode in [&["--offline"][..], &["--mode", "virtual"]] {
+        let ran = run("late_fusion", &log, &format!("healthy-{}", mode.len()), mode);
+        assert_eq!(ran.code, 0, "{ran:?}");
+        let notes = ran.notes();
+        for word in ["mast: ", "car: ", " of 20 "] {
+            assert!(!notes.contains(word), "{notes}");
+        }
+    }
+}

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use realo_operator::{Loss, Meaning, Share};
 use realo_schemas::file;
+use realo_scoring::{Counts, Dropped};
 
 use crate::RunResult;
 use crate::result::LOG_CUT;
@@ -37,6 +38,56 @@ fn losses(result: &RunResult) -> Vec<String> {
         .collect();
     all.sort_by_key(|(_, loss)| loss.meaning != Meaning::LogFault);
     all.into_iter().map(|(node, loss)| sentence(node, loss)).collect()
+}
+
+/// What of the truth and of the detections was not scored, because the protocol has no class for it or it is no box.
+pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
+    let counts = result
+        .accuracy
+        .iter()
+        .flat_map(|accuracy| accuracy.sorted.counts.values());
+    let counts: Vec<Counts> = counts.filter_map(|by_iou| by_iou.values().next().copied()).collect();
+    let (objects, detections): (u64, u64) = counts.iter().fold((0, 0), |(objects, detections), counts| {
+        (
+            objects + counts.total,
+            detections + counts.true_positives + counts.false_positives,
+        )
+    });
+    let protocol = result.protocol.as_deref().unwrap_or_default();
+    let of = |what: &str, dropped: &Option<Dropped>, scored: u64| {
+        let Some(dropped) = dropped else { return Vec::new() };
+        let strange: u64 = dropped.classes.values().sum();
+        let all = scored + strange + dropped.invalid + dropped.outside + dropped.own_body + dropped.few_points;
+        let mut said = Vec::new();
+        if strange > 0 {
+            let mut classes: Vec<(&String, &u64)> = dropped.classes.iter().collect();
+            classes.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+            let classes: Vec<String> = classes
+                .iter()
+                .map(|(class, count)| format!("`{}` ({})", plain(&file::shown(class)), grouped(**count)))
+                .collect();
+            said.push(format!(
+                "{} of {} {what} were not scored, because protocol `{protocol}` has no class for {}; a protocol of your own may name them \
+                 (docs/protocols.md)",
+                grouped(strange),
+                grouped(all),
+                listed(&classes).trim_end_matches(':')
+            ));
+        }
+        if dropped.invalid > 0 {
+            said.push(format!(
+                "{} of {} {what} were not scored, because they have no extent or numbers that are not finite; look at who writes them",
+                grouped(dropped.invalid),
+                grouped(all)
+            ));
+        }
+        said
+    };
+    [
+        of("objects of the ground truth", &result.dropped_truths, objects),
+        of("detections", &result.dropped_detections, detections),
+    ]
+    .concat()
 }
 
 fn sentence(node: &str, loss: &Loss) -> String {

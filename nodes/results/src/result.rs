@@ -337,6 +337,7 @@ impl RunResult {
         self.dropped_detections = Some(scores.dropped_detections);
         self.dropped_truths = Some(scores.dropped_truths);
         self.in_no_view = scores.in_no_view;
+        self.notes.extend(notes::unscored(self));
         if scores.boxes_without_truth > 0 {
             let n = scores.boxes_without_truth;
             self.notes.push(format!(

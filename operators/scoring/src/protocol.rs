@@ -28,7 +28,7 @@ pub struct Protocol {
     /// Super-classes, in order of their number.
     pub classes: Vec<SuperClass>,
     /// Whether raw names are compared without regard to letter case.
-    #[serde(default)]
+    #[serde(default = "ignores_case")]
     pub ignore_case: bool,
     /// Least IoUs at which a detection is true.
     pub ious: Vec<f64>,
@@ -133,6 +133,10 @@ pub enum ProtocolError {
         /// What is wrong with it.
         reason: String,
     },
+}
+
+fn ignores_case() -> bool {
+    true
 }
 
 impl Protocol {
@@ -278,7 +282,7 @@ mod tests {
         assert_eq!(class("MotorcyleRider"), Some("pedestrian"));
         assert_eq!(class("Van"), Some("truck"));
         assert_eq!(class("VEHICLE"), Some("vehicle"));
-        assert_eq!(class("policecar"), None);
+        assert_eq!(class("policecar"), Some("vehicle"));
         assert_eq!(class("FireHydrant"), None);
     }
 
@@ -331,7 +335,7 @@ mod tests {
             ("ious: [0.3, 0.5]", "ious: [0]", "`ious`"),
             ("x: [-100, 100]", "x: [100, -100]", "region's x"),
             ("name: vehicle", "name: Vehicle", "lower case"),
-            ("PoliceCar", "Van", "`Van` appears twice"),
+            ("PoliceCar", "Van", "`van` appears twice"),
             ("min_points", "min_point", "min_point"),
             ("range_edges: [0,", "range_edges: [5,", "`range_edges`"),
             ("range_edges: [0,", "range_edges: [0, 0,", "`range_edges`"),

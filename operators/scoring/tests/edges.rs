@@ -110,9 +110,9 @@ fn names_of_super_classes_count_in_any_case() {
         (protocol.class_of("Truck"), protocol.class_of("TRUCK")),
         (Some(2), Some(2))
     );
-    assert_eq!(protocol.class_of("van"), None);
-    protocol.ignore_case = true;
     assert_eq!(protocol.class_of("van"), Some(2));
+    protocol.ignore_case = false;
+    assert_eq!((protocol.class_of("van"), protocol.class_of("Van")), (None, Some(2)));
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn a_protocol_is_held_to_its_limits() {
         Protocol::parse("mine.yml", &text.replacen(from, to, 1)).map_err(|error| error.to_string())
     };
     assert!(parse("ious: [0.3, 0.5]", "ious: [1]").is_ok());
-    assert!(parse("ignore_case: false\n", "").is_ok_and(|protocol| !protocol.ignore_case));
+    assert!(parse("ignore_case: true\n", "").is_ok_and(|protocol| protocol.ignore_case));
     let cases = [
         ("ious: [0.3, 0.5]", "ious: [1.1]", "`ious`"),
         ("ious: [0.3, 0.5]", "ious: []", "`ious`"),
@@ -133,16 +133,15 @@ fn a_protocol_is_held_to_its_limits() {
         ("range_edges: [0, 30, 50]", "range_edges: []", "`range_edges`"),
         ("name: truck", "name: \"\"", "lower case"),
         ("name: truck", "name: vehicle", "`super-class vehicle` appears twice"),
-        ("ignore_case: false", "ignore_cas: false", "ignore_cas"),
+        ("ignore_case: true", "ignore_cas: true", "ignore_cas"),
     ];
     for (from, to, expected) in cases {
         let error = parse(from, to).unwrap_err();
         assert!(error.contains("mine.yml") && error.contains(expected), "{to}: {error}");
     }
     // In any case, `truck` and `Truck` are one name.
-    assert!(parse("ignore_case: false", "ignore_case: true").is_ok());
-    let mut twice = text.replacen("ignore_case: false", "ignore_case: true", 1);
-    twice = twice.replacen("PoliceCar", "VAN", 1);
+    assert!(parse("ignore_case: true", "ignore_case: false").is_ok());
+    let twice = text.replacen("PoliceCar", "VAN", 1);
     assert!(
         Protocol::parse("mine.yml", &twice)
             .unwrap_err()
