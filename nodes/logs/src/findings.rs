@@ -6,7 +6,8 @@ use nalgebra::Point3;
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::{Nanos, to_seconds};
 
-use crate::{Log, LogError, Stream};
+use crate::timing::{self, AgentTimes, Times};
+use crate::{Log, LogError, Standing, Stream};
 
 /// Truths further apart in time are not compared, ns.
 const TOGETHER: Nanos = 200_000_000;
@@ -121,6 +122,14 @@ pub fn track_conflicts(log: &Log) -> Result<Vec<TrackConflict>, LogError> {
 }
 
 fn pose_track(log: &Log, wanted: (&str, Stream)) -> Result<PoseTrack, LogError> {
+    if let Some(standing) = Standing::read(log, wanted.0, wanted.1)? {
+        let mut track = PoseTrack::new(Nanos::MAX, Nanos::MAX);
+        let pose = standing.state.map_from_body;
+        for time in [0, Nanos::MAX] {
+            track.insert(time, pose);
+        }
+        return Ok(track);
+    }
     let mut track = PoseTrack::new(Nanos::MAX, GAP);
     let mut reader = log.read_all(&[wanted])?;
     while let Some(entry) = reader.next()? {
@@ -137,41 +146,67 @@ fn pose_track(log: &Log, wanted: (&str, Stream)) -> Result<PoseTrack, LogError> 
 /// # Errors
 /// A log that cannot be read.
 pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
-    let mut problems = Vec::new();
+    let (mut problems, mut agents) = (Vec::new(), Vec::new());
     for agent in &log.info().agents {
+        let mut times = AgentTimes {
+            agent: agent.name.clone(),
+            ..AgentTimes::default()
+        };
         for stream in Stream::ALL {
             // Sweeps have the stamps of the points, in less bytes.
             let dear = stream == Stream::Points && log.has(&agent.name, Stream::Sweeps);
             if dear || !log.has(&agent.name, stream) {
                 continue;
             }
-            if let Some(problem) = first_problem(log, &agent.name, stream)? {
-                problems.push(problem);
+            match times_of(log, &agent.name, stream)? {
+                Ok(known) => drop(times.streams.insert(stream, known)),
+                Err(problem) => problems.push(problem),
             }
         }
+        agents.push(times);
     }
     if problems.is_empty() {
+        problems.extend(timing::findings(log, &agents)?);
         let conflicts = track_conflicts(log)?;
         problems.extend(conflicts.iter().map(TrackConflict::to_string));
     }
     Ok(problems)
 }
 
-/// The first message of a stream that is there twice or starts again.
-fn first_problem(log: &Log, agent: &str, stream: Stream) -> Result<Option<String>, LogError> {
+/// The times of a stream, or what is wrong with its first message that is there twice or starts again.
+fn times_of(log: &Log, agent: &str, stream: Stream) -> Result<Result<Times, String>, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
+    let mut times = Times::new();
     loop {
         match reader.next() {
-            Ok(Some(_)) => {}
-            Ok(None) => return Ok(None),
+            Ok(Some(entry)) => times.push([entry.stamp(), entry.ready()]),
+            Ok(None) => return Ok(Ok(times)),
             Err(LogError::Content {
                 topic,
                 log_time,
                 reason,
             }) => {
-                return Ok(Some(format!("{topic} at {:.3} s: {reason}", to_seconds(log_time))));
+                return Ok(Err(format!("{topic} at {:.3} s: {reason}", to_seconds(log_time))));
             }
             Err(error) => return Err(error),
         }
     }
+}
+
+/// Classes of the objects in the ground truth of all agents, and how often each is there.
+///
+/// # Errors
+/// A log that cannot be read.
+pub fn truth_classes(log: &Log) -> Result<BTreeMap<String, u64>, LogError> {
+    let agents = log.info().agents.iter().map(|agent| agent.name.as_str());
+    let wanted = agents.filter(|agent| log.has(agent, Stream::GroundTruth));
+    let wanted: Vec<(&str, Stream)> = wanted.map(|agent| (agent, Stream::GroundTruth)).collect();
+    let mut classes = BTreeMap::new();
+    let mut reader = log.read_all(&wanted)?;
+    while let Some(entry) = reader.next()? {
+        for object in entry.boxes()?.0 {
+            *classes.entry(object.class.to_string()).or_default() += 1;
+        }
+    }
+    Ok(classes)
 }

@@ -2,7 +2,7 @@
 
 use realo_schemas::{EgoState, Nanos};
 
-use crate::{AgentKind, Log, LogError, Stream};
+use crate::{AgentKind, Log, LogError, SAME, Stream};
 
 /// Poses that are farther apart are not bridged by default, ns: the argument `max_gap_ms` of the operator `sync`.
 pub const MAX_GAP: Nanos = 150_000_000;
@@ -59,7 +59,8 @@ fn is_same(one: &EgoState, other: &EgoState) -> bool {
 /// Whether a pose is known at a stamp by poses at others, of rising stamps, of which gaps of at most `max_gap` are bridged.
 pub fn is_posed(poses: &[Nanos], stamp: Nanos, max_gap: Nanos) -> bool {
     let next = poses.partition_point(|pose| *pose < stamp);
-    if poses.get(next) == Some(&stamp) {
+    let around = &poses[next.saturating_sub(1)..poses.len().min(next + 1)];
+    if around.iter().any(|pose| pose.abs_diff(stamp) <= SAME as u64) {
         return true;
     }
     match (next, poses.len()) {
@@ -73,14 +74,18 @@ pub fn is_posed(poses: &[Nanos], stamp: Nanos, max_gap: Nanos) -> bool {
 mod tests {
     use super::*;
 
+    const MS: Nanos = 1_000_000;
+
     #[test]
     fn poses_reach_over_gaps_and_beyond_the_last() {
         let poses = [0, 100, 200, 500, 600];
-        let posed = |stamp| is_posed(&poses, stamp, 150);
+        let poses = poses.map(|pose| pose * MS);
+        let posed = |stamp: Nanos| is_posed(&poses, stamp * MS, 150 * MS);
         assert_eq!(
             [-1, 0, 50, 300, 500, 550, 700, 751].map(posed),
             [false, true, true, false, true, true, true, false]
         );
-        assert!(is_posed(&[7], 7, 150) && !is_posed(&[7], 8, 150) && !is_posed(&[], 8, 150));
+        let one = |stamp| is_posed(&[7 * MS], stamp, 150 * MS);
+        assert!(one(7 * MS) && one(7 * MS - 128) && !one(8 * MS) && !is_posed(&[], 8, 150));
     }
 }

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 
 use eyre::Result;
+use realo_logs::{Described, Log, truth_classes};
+use realo_scoring::Protocol;
 
 use crate::Outcome;
 
@@ -26,10 +28,38 @@ pub fn main(args: &Args) -> Result<Outcome> {
             println!("{}", serde_json::to_string_pretty(&described)?);
         } else {
             println!("{described}");
+            if let Some(dropped) = dropped_classes(&described)? {
+                println!("  dropped   {dropped}");
+            }
         }
         if described.truncated().is_some() || !described.problems().is_empty() {
             outcome = Outcome::Partial;
         }
     }
     Ok(outcome)
+}
+
+/// Objects of the ground truth that the log's protocol leaves out, by class; `None` if there are none, or it has problems that
+/// must be solved first.
+fn dropped_classes(described: &Described) -> Result<Option<String>> {
+    let Described::Log(log) = described else {
+        return Ok(None);
+    };
+    let Ok(protocol) = Protocol::load(&log.info.protocol) else {
+        return Ok(None);
+    };
+    if !log.problems.is_empty() {
+        return Ok(None);
+    }
+    let classes = truth_classes(&Log::open(&log.path)?)?;
+    let all: u64 = classes.values().sum();
+    let dropped = classes.iter().filter(|(class, _)| protocol.class_of(class).is_none());
+    let dropped: Vec<String> = dropped.map(|(class, n)| format!("`{class}` {n}")).collect();
+    Ok((!dropped.is_empty()).then(|| {
+        format!(
+            "of {all} boxes of ground truth, classes that protocol `{}` does not score: {}; rename them, or choose another protocol",
+            log.info.protocol,
+            dropped.join(", ")
+        )
+    }))
 }

@@ -1,0 +1,363 @@
+//! What stamps tell that a run of the log would stumble over: clocks, poses, stamps that match nothing, data that stop.
+
+use std::collections::BTreeMap;
+
+use realo_schemas::Nanos;
+
+use crate::clocks::seconds;
+use crate::stamps::SAME;
+use crate::{Log, LogError, MAX_GAP, Standing, Step, Stream, clock_words, is_posed, kind_of_clock};
+
+/// Agents whose sweeps are farther apart have no time in common, ns.
+const APART: Nanos = 500_000_000;
+/// Truth farther from a sweep that has none belongs to another one, ns.
+const WINDOW: Nanos = 500_000_000;
+/// Sweeps that end so much earlier than the others stop midway, ns; or so many periods.
+const STOPS: (Nanos, Nanos) = (500_000_000, 5);
+/// Poses go on for so long behind the last sweep, ns.
+const POSES_MORE: Nanos = 1_000_000_000;
+
+/// Stamp and log time of each message of a stream.
+pub(crate) type Times = Vec<[Nanos; 2]>;
+
+/// The times of an agent's messages.
+#[derive(Default)]
+pub(crate) struct AgentTimes {
+    pub agent: String,
+    pub streams: BTreeMap<Stream, Times>,
+}
+
+impl AgentTimes {
+    fn sweeps(&self) -> &[[Nanos; 2]] {
+        let streams = [Stream::Sweeps, Stream::Points];
+        let known = streams.into_iter().find_map(|stream| self.streams.get(&stream));
+        known.map_or(&[], |times| times)
+    }
+
+    fn stamps(&self, stream: Stream) -> Vec<Nanos> {
+        stamps(self.streams.get(&stream).map_or(&[], |times| times))
+    }
+}
+
+fn stamps(times: &[[Nanos; 2]]) -> Vec<Nanos> {
+    let mut stamps: Vec<Nanos> = times.iter().map(|[stamp, _]| *stamp).collect();
+    stamps.sort_unstable();
+    stamps
+}
+
+/// All that is found.
+///
+/// # Errors
+/// A log that cannot be read.
+pub(crate) fn findings(log: &Log, agents: &[AgentTimes]) -> Result<Vec<String>, LogError> {
+    let mut found = Vec::new();
+    let mut in_step = Vec::new();
+    for times in agents {
+        let mut standing = false;
+        for stream in [Stream::Pose, Stream::PoseTruth] {
+            standing |= Standing::read(log, &times.agent, stream)?.is_some();
+        }
+        let (clock, is_off) = clock(times, standing);
+        found.extend(clock);
+        // What follows would say the same again.
+        if is_off {
+            continue;
+        }
+        in_step.push(times);
+        found.extend(poses(times, standing));
+        found.extend(joins(times));
+    }
+    found.extend(apart(&in_step));
+    found.extend(stops(&in_step));
+    Ok(found)
+}
+
+/// Whether an agent's stamps are of another clock than its log times.
+fn clock(times: &AgentTimes, standing: bool) -> (Option<String>, bool) {
+    let is_pose = |stream: &Stream| matches!(stream, Stream::Pose | Stream::PoseTruth);
+    let streams = times
+        .streams
+        .iter()
+        .filter(|(stream, _)| !(standing && is_pose(stream)));
+    let messages = streams.flat_map(|(stream, times)| times.iter().map(move |time| (*stream, time)));
+    let messages: Vec<(Stream, &[Nanos; 2])> = messages.collect();
+    for wrong in [Step::Off, Step::Ahead] {
+        let is_wrong = |(stream, [stamp, ready]): &(Stream, &[Nanos; 2])| Step::of(*stream, *stamp, *ready) == wrong;
+        let lost: Vec<_> = messages.iter().filter(|message| is_wrong(message)).collect();
+        let Some((_, [stamp, ready])) = lost.first() else {
+            continue;
+        };
+        let mut topics: Vec<&str> = lost.iter().map(|(stream, _)| stream.as_str()).collect();
+        topics.dedup();
+        let said = format!(
+            "`{}`: {} of {} messages ({}) are of another clock than the log times: {}; set the clock of that sensor or computer, or \
+             take the difference from its stamps when the log is written; log times say when messages existed, on the same clock",
+            times.agent,
+            lost.len(),
+            messages.len(),
+            topics.join(", "),
+            clock_words(*stamp, *ready)
+        );
+        return (Some(said), wrong == Step::Off);
+    }
+    (None, false)
+}
+
+/// Sweeps that get no pose.
+fn poses(times: &AgentTimes, standing: bool) -> Option<String> {
+    let (agent, sweeps) = (&times.agent, stamps(times.sweeps()));
+    if sweeps.is_empty() || standing {
+        return None;
+    }
+    let streams = [Stream::Pose, Stream::PoseTruth].into_iter();
+    let Some(stream) = streams.into_iter().find(|stream| times.streams.contains_key(stream)) else {
+        return Some(format!(
+            "`{agent}` has sweeps and no poses: write {}, at 10 Hz or more",
+            Stream::Pose.topic(agent)
+        ));
+    };
+    let poses = times.stamps(stream);
+    let lost: Vec<Nanos> = sweeps
+        .iter()
+        .copied()
+        .filter(|stamp| !is_posed(&poses, *stamp, MAX_GAP))
+        .collect();
+    let first = *lost.first()?;
+    let why = match (poses.len(), median_gap(&poses)) {
+        (1, _) => "it has one pose, which holds at all times for roadside units alone".to_string(),
+        (_, gap) if gap > MAX_GAP => format!("poses come every {} ms", millis(gap)),
+        _ => format!(
+            "at {} s the nearest lies {} ms away",
+            seconds(first),
+            millis(nearest(&poses, first))
+        ),
+    };
+    Some(format!(
+        "`{agent}`: {} of {} sweeps have no pose: {why}; at most {} ms are bridged: write poses at 10 Hz or more that span the sweeps, \
+         or give `--set NODE.max_gap_ms=…` of the node `sync` more",
+        lost.len(),
+        sweeps.len(),
+        millis(MAX_GAP)
+    ))
+}
+
+/// Messages whose stamp is that of none that they belong to.
+fn joins(times: &AgentTimes) -> Vec<String> {
+    let sweeps = stamps(times.sweeps());
+    let mut found = Vec::new();
+    let truths = [Stream::GroundTruth, Stream::OwnLabels];
+    for stream in truths.into_iter().chain([Stream::Detections]) {
+        let own = times.stamps(stream);
+        let mut lost = unmatched(&own, &sweeps);
+        if truths.contains(&stream) {
+            // Truth at more times than sweeps, or at fewer, is no fault; beside sweeps that have none it is.
+            let bare = unmatched(&sweeps, &own);
+            lost.retain(|stamp| !bare.is_empty() && nearest(&bare, *stamp) <= WINDOW);
+        }
+        found.extend(mismatch(times, stream, &lost, own.len(), ("sweep", &sweeps)));
+    }
+    let pairs = [
+        (Stream::DetectionsInfo, Stream::Detections),
+        (Stream::GroundTruthInfo, Stream::GroundTruth),
+        (Stream::OwnLabelsInfo, Stream::OwnLabels),
+        (Stream::GroundTruthViews, Stream::GroundTruth),
+        (Stream::OwnLabelsViews, Stream::OwnLabels),
+    ];
+    for (stream, of) in pairs {
+        let (own, others) = (times.stamps(stream), times.stamps(of));
+        let lost = unmatched(&own, &others);
+        found.extend(mismatch(
+            times,
+            stream,
+            &lost,
+            own.len(),
+            ("message of what it belongs to", &others),
+        ));
+    }
+    found
+}
+
+fn mismatch(
+    times: &AgentTimes,
+    stream: Stream,
+    lost: &[Nanos],
+    all: usize,
+    (what, others): (&str, &[Nanos]),
+) -> Option<String> {
+    let first = *lost.first()?;
+    let topic = stream.topic(&times.agent);
+    let nearest = match others.is_empty() {
+        true => "there is none".to_string(),
+        false => format!("the nearest lies {:.3} ms away", nearest(others, first) as f64 * 1e-6),
+    };
+    Some(format!(
+        "{topic}: {} of {all} messages have the stamp of no {what}: {nearest}; all that is of one sweep needs its stamp (within 1 µs)",
+        lost.len()
+    ))
+}
+
+/// Agents of whom no sweep lies in the time of another's.
+fn apart(agents: &[&AgentTimes]) -> Option<String> {
+    let spans = agents.iter().filter_map(|times| {
+        let sweeps = stamps(times.sweeps());
+        Some((&times.agent, *sweeps.first()?, *sweeps.last()?))
+    });
+    let spans: Vec<_> = spans.collect();
+    let pairs = spans
+        .iter()
+        .enumerate()
+        .flat_map(|(i, one)| spans[i + 1..].iter().map(move |other| (one, other)));
+    let mut apart = pairs.filter(|(one, other)| (other.1 - one.2).max(one.1 - other.2) > APART);
+    let ((one, first, _), (other, begin, _)) = apart.next()?;
+    let kind = kind_of_clock(*begin, *first).map(|kind| format!(": looks like {kind}"));
+    let side = if begin > first { "behind" } else { "before" };
+    Some(format!(
+        "`{one}` and `{other}` have no time in common: sweeps of `{other}` begin {} s {side} those of `{one}`{}; move stamps and log times \
+         of one of them when the log is written",
+        seconds(begin - first),
+        kind.unwrap_or_default()
+    ))
+}
+
+/// Agents whose sweeps stop before those of others, or before their own poses.
+fn stops(agents: &[&AgentTimes]) -> Vec<String> {
+    let last = |times: &[[Nanos; 2]]| times.iter().map(|[_, ready]| *ready).max();
+    let Some(end) = agents.iter().filter_map(|times| last(times.sweeps())).max() else {
+        return Vec::new();
+    };
+    let stop = |times: &&AgentTimes| {
+        let own = last(times.sweeps())?;
+        let poses = times
+            .streams
+            .get(&Stream::Pose)
+            .and_then(|poses| last(poses))
+            .unwrap_or(own);
+        let end = end.max(poses - POSES_MORE);
+        let most = STOPS.0.max(STOPS.1 * median_gap(&stamps(times.sweeps())));
+        (end - own > most).then(|| {
+            format!(
+                "`{}`: sweeps stop {} s before the others do, at {} s: look whether its recording ended early",
+                times.agent,
+                seconds(end - own),
+                seconds(own)
+            )
+        })
+    };
+    agents.iter().filter_map(stop).collect()
+}
+
+/// Those that are the same as none of the others, both rising.
+fn unmatched(stamps: &[Nanos], others: &[Nanos]) -> Vec<Nanos> {
+    let is_lost = |stamp: &Nanos| others.is_empty() || nearest(others, *stamp) > SAME;
+    stamps.iter().copied().filter(is_lost).collect()
+}
+
+/// How far the nearest of rising stamps lies, ns.
+fn nearest(stamps: &[Nanos], stamp: Nanos) -> Nanos {
+    let next = stamps.partition_point(|other| *other < stamp);
+    let around = &stamps[next.saturating_sub(1)..stamps.len().min(next + 1)];
+    around
+        .iter()
+        .map(|other| (other - stamp).abs())
+        .min()
+        .unwrap_or(Nanos::MAX)
+}
+
+fn median_gap(stamps: &[Nanos]) -> Nanos {
+    let mut gaps: Vec<Nanos> = stamps.array_windows().map(|[one, next]| next - one).collect();
+    gaps.sort_unstable();
+    gaps.get(gaps.len() / 2).copied().unwrap_or(0)
+}
+
+fn millis(time: Nanos) -> Nanos {
+    (time + 500_000) / 1_000_000
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const T: Nanos = 1_700_000_000_000_000_000;
+    const MS: Nanos = 1_000_000;
+
+    /// Twenty messages, 0.1 s apart, moved by `stamp` and logged `late` after that, ms.
+    fn every(period: Nanos, stamp: Nanos, late: Nanos) -> Times {
+        (0..2_000 / period)
+            .map(|k| T + (k * period + stamp) * MS)
+            .map(|stamp| [stamp, stamp + late * MS])
+            .collect()
+    }
+
+    fn agent(streams: &[(Stream, Times)]) -> AgentTimes {
+        AgentTimes {
+            agent: "car".into(),
+            streams: streams.iter().cloned().collect(),
+        }
+    }
+
+    #[test]
+    fn a_healthy_agent_has_no_findings() {
+        let healthy = agent(&[
+            (Stream::Pose, every(50, -200, 0)),
+            (Stream::Sweeps, every(100, 0, 90)),
+            (Stream::Detections, every(100, 0, 150)),
+            (Stream::GroundTruth, every(200, 0, 90)),
+        ]);
+        assert_eq!(clock(&healthy, false), (None, false));
+        assert_eq!((poses(&healthy, false), joins(&healthy)), (None, Vec::new()));
+        assert_eq!((apart(&[&healthy, &healthy]), stops(&[&healthy])), (None, Vec::new()));
+    }
+
+    #[test]
+    fn stamps_that_match_nothing_say_how_far_the_nearest_is() {
+        let off = |by: Nanos| {
+            let moved = |times: Times| times.into_iter().map(|[stamp, ready]| [stamp + by, ready]).collect();
+            joins(&agent(&[
+                (Stream::Sweeps, every(100, 0, 90)),
+                (Stream::GroundTruth, moved(every(100, 0, 90))),
+                (Stream::Detections, moved(every(100, 0, 90))),
+            ]))
+        };
+        assert_eq!(off(-128), Vec::<String>::new());
+        let said = off(12 * MS);
+        assert_eq!(said.len(), 2, "{said:?}");
+        for (said, topic) in said.iter().zip(["/car/ground_truth", "/car/detections"]) {
+            assert!(
+                said.starts_with(&format!("{topic}: 20 of 20 ")) && said.contains("12.000 ms away"),
+                "{said}"
+            );
+        }
+    }
+
+    #[test]
+    fn slow_single_and_missing_poses_are_named() {
+        let said = |times: Option<Times>| {
+            let sweeps = (Stream::Sweeps, every(100, 0, 90));
+            let streams: Vec<_> = times
+                .map(|times| (Stream::Pose, times))
+                .into_iter()
+                .chain([sweeps])
+                .collect();
+            poses(&agent(&streams), false).unwrap_or_default()
+        };
+        assert!(said(Some(every(200, 0, 0))).contains("10 of 20 sweeps have no pose: poses come every 200 ms"));
+        assert!(said(Some(every(200, 0, 0)[..1].to_vec())).contains("19 of 20 sweeps have no pose: it has one pose"));
+        assert!(said(Some(every(50, 0, 0)[..20].to_vec())).contains("the nearest lies"));
+        assert!(said(None).contains("no poses: write /car/pose"));
+    }
+
+    #[test]
+    fn clocks_and_ends_are_named() {
+        let (said, is_off) = clock(&agent(&[(Stream::Points, every(100, 37_000, -36_910))]), false);
+        assert!(is_off && said.unwrap().contains("TAI"));
+        let (said, is_off) = clock(&agent(&[(Stream::Points, every(100, 200, -110))]), false);
+        assert!(!is_off && said.unwrap().contains("0.110 s ahead"));
+        let (one, other) = (
+            agent(&[(Stream::Sweeps, every(100, 0, 90))]),
+            agent(&[(Stream::Sweeps, every(100, 37_000, 90))]),
+        );
+        assert!(apart(&[&one, &other]).unwrap().contains("begin 37.000 s behind"));
+        let short = agent(&[(Stream::Sweeps, every(100, 0, 90)[..10].to_vec())]);
+        assert!(stops(&[&one, &short])[0].contains("sweeps stop 1.000 s before"));
+    }
+}
