@@ -396,7 +396,11 @@ fn channels_of_a_topic_that_follow_each_other_are_one_stream() {
         stamps.push((entry.stamp() - START) / (1000 * MS));
     }
     assert_eq!(stamps, [0, 1, 2, 3, 4]);
-    assert!(describe(&made.path).unwrap().problems.is_empty());
+    let problems = describe(&made.path).unwrap().problems;
+    assert!(
+        problems[0].contains("has sweeps and no poses") && problems.len() == 1,
+        "{problems:?}"
+    );
 }
 
 #[test]

@@ -470,13 +470,10 @@ impl Feed {
         }
         let pose = entry.pose();
         self.script.count(&POSES_UNUSABLE, &entry.agent, pose.is_err());
-        match pose {
-            Ok(state) => {
-                let state = self.level_pose(entry, state);
-                let ports = [ports::EGO_POSES, ports::POSES];
-                self.send(entry, entry.seq(), Kind::EgoState, ports, state);
-            }
-            Err(_) => {}
+        if let Ok(state) = pose {
+            let state = self.level_pose(entry, state);
+            let ports = [ports::EGO_POSES, ports::POSES];
+            self.send(entry, entry.seq(), Kind::EgoState, ports, state);
         }
     }
 

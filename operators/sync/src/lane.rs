@@ -2,12 +2,15 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{EgoState, Header, Nanos, PointCloud, PoseStatus};
 
 /// Poses behind the newest one are kept for so long, ns.
 const KEEP: Nanos = 2_000_000_000;
+
+/// Stamps that differ by no more are the same, ns.
+const ROUNDED: u64 = 1_000;
 
 /// Sweeps that may wait at the same time.
 const WAITING: usize = 8;
@@ -81,7 +84,7 @@ impl Lane {
     /// Pose and motion for a sweep; `None` while it should wait. One that gives up waiting takes the pose at its stamp
     /// without the motion.
     pub fn pair(&self, stamp: Nanos, span: Option<[i32; 2]>, deskew: bool, gives_up: bool) -> Option<Pairing> {
-        let map_from_body = self.track.at(stamp)?;
+        let map_from_body = self.track.at(stamp).or_else(|| self.rounded(stamp))?;
         let [first, last] = span.unwrap_or_default().map(Nanos::from);
         let motion = if deskew {
             Motion::new(&self.track, stamp, first, last)
@@ -107,6 +110,12 @@ impl Lane {
             },
             motion,
         })
+    }
+
+    /// The pose whose stamp is the same but for what float seconds round.
+    fn rounded(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
+        let near = self.near(stamp).filter(|near| near.stamp.abs_diff(stamp) <= ROUNDED)?;
+        self.track.at(near.stamp)
     }
 
     /// What accompanies the pose nearest to a stamp; of two the earlier one.

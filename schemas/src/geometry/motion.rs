@@ -15,9 +15,6 @@ pub fn interpolate(a: &Isometry3<f64>, b: &Isometry3<f64>, share: f64) -> Isomet
     )
 }
 
-/// Stamps that differ by no more are the same, ns.
-const ROUNDED: u64 = 1_000;
-
 /// The recent poses of a moving frame, in order of time.
 #[derive(Clone, Debug)]
 pub struct PoseTrack {
@@ -69,24 +66,14 @@ impl PoseTrack {
         }
         let last = self.poses.len();
         let (from, to) = match after {
-            0 => return self.same(stamp),
+            0 => return None,
             _ if after < last => (after - 1, after),
             _ if last >= 2 => (last - 2, last - 1),
-            _ => return self.same(stamp),
+            _ => return None,
         };
         let ((t0, a), (t1, b)) = (&self.poses[from], &self.poses[to]);
         let reach = (t1 - t0).max(stamp - t1);
-        match reach <= self.max_gap {
-            true => Some(interpolate(a, b, to_seconds(stamp - t0) / to_seconds(t1 - t0))),
-            false => self.same(stamp),
-        }
-    }
-
-    /// A pose whose stamp is the same but for what float seconds round.
-    fn same(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
-        let is_same = |(t, _): &&(Nanos, _)| t.abs_diff(stamp) <= ROUNDED;
-        let same = self.poses.iter().rev().find(is_same);
-        same.map(|(_, pose)| *pose)
+        (reach <= self.max_gap).then(|| interpolate(a, b, to_seconds(stamp - t0) / to_seconds(t1 - t0)))
     }
 
     /// The recorded pose whose stamp is nearest, the earlier of two.

@@ -302,3 +302,18 @@ fn a_pose_that_is_due_and_comes_just_behind_the_sweep_counts() {
     );
     assert_eq!(sent.len(), 2);
 }
+
+#[test]
+fn a_pose_for_each_sweep_counts_also_where_float_seconds_have_rounded_its_stamp() {
+    let moved = |by: Nanos| {
+        let mut pose = pose("cav1", 600);
+        pose.header.stamp += by;
+        let mut sync = sync(SyncConfig::default());
+        let (sent, out) = run(&mut sync, [pose, sweep("cav1", 0, 600)]);
+        let mut late = Outputs::at(900 * MS);
+        sync.on_wake(900 * MS, &mut late).unwrap();
+        (sent.len(), out.counted("no_pose") + late.counted("no_pose"))
+    };
+    assert_eq!([-128, 128, 1_000].map(moved), [(2, 0); 3]);
+    assert_eq!(moved(2_000), (0, 1));
+}
