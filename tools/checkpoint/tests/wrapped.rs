@@ -75,7 +75,11 @@ fn assert_plain(converted: &Converted, what: &str) {
     let mut plain = Checkpoint::open(&data("plain.pth")).unwrap();
     let plain = convert(&mut plain, model()).ok().unwrap();
     for (key, _) in expected(&model()) {
-        assert_eq!(converted.weights.tensor(&key), plain.weights.tensor(&key), "{what}: {key}");
+        assert_eq!(
+            converted.weights.tensor(&key),
+            plain.weights.tensor(&key),
+            "{what}: {key}"
+        );
     }
 }
 
@@ -111,7 +115,16 @@ fn what_wrappers_put_before_all_names_is_taken_away() {
 fn with_beside(pickle: &[u8], beside: &[u8]) -> Vec<u8> {
     let body = pickle.strip_prefix(b"\x80\x02").expect("protocol 2");
     let body = body.strip_suffix(b".").expect("it ends");
-    [b"\x80\x02}", &text("state_dict")[..], body, b"s", &text("beside"), beside, b"s."].concat()
+    [
+        b"\x80\x02}",
+        &text("state_dict")[..],
+        body,
+        b"s",
+        &text("beside"),
+        beside,
+        b"s.",
+    ]
+    .concat()
 }
 
 #[test]

@@ -259,7 +259,14 @@ impl Spool {
 
     fn keep(&mut self, header: &Header, packet: &Packet) -> Result<()> {
         let written = self.file.write_all(&packet.bytes);
-        written.wrap_err_with(|| format!("{}", self.path.display()))?;
+        written.map_err(|error| {
+            eyre!(
+                "writing packets beside the log, `{}`, failed after {} bytes: {error}; nothing of it was left: free space there, or \
+                 choose another place",
+                self.path.display(),
+                self.length
+            )
+        })?;
         let sweep = header.trace.first().map_or(header.ready, |stage| stage.input);
         self.kept.push(Kept {
             agent: header.agent.clone(),

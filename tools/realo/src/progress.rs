@@ -183,7 +183,7 @@ impl State {
     fn style(&self) -> ProgressStyle {
         let template = match self.all {
             Some(_) => format!(
-                "{{prefix:>24}} [{{bar:32}}] {{pos}}/{{len}} {}, {{eta}} left {{msg}}",
+                "{{prefix:>24}} [{{bar:32}}] {{pos}}/{{len}} {}, {{per_sec}}, {{eta}} left {{msg}}",
                 self.unit
             ),
             None if self.unit.is_empty() => "{prefix:>24} for {elapsed} {msg}".into(),

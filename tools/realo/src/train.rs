@@ -160,13 +160,11 @@ fn show(progress: &Progress, far: &realo_training::Progress) {
     let point = far.point;
     progress.set((point.step + 1) as f64);
     progress.say(format!(
-        "loss {:.3} (scores {:.3}, boxes {:.3}), {:.2} steps/s, {:.2} s of a step for data, {:.1} min left",
+        "loss {:.3} (scores {:.3}, boxes {:.3}), {:.2} s of a step for data",
         point.loss(),
         point.class,
         point.regression,
-        1.0 / far.seconds_per_step,
         far.waiting,
-        far.left.as_secs_f64() / 60.0
     ));
     for (steps, validation) in far.validations {
         let (pace, waiting) = (far.seconds_per_step, far.waiting);
