@@ -67,8 +67,10 @@ pub(crate) fn findings(log: &Log, agents: &[AgentTimes]) -> Result<Vec<String>, 
         found.extend(poses(times, standing));
         found.extend(joins(times));
     }
-    found.extend(apart(&in_step));
-    found.extend(stops(&in_step));
+    match apart(&in_step) {
+        Some(apart) => found.push(apart),
+        None => found.extend(stops(&in_step)),
+    }
     Ok(found)
 }
 
@@ -126,11 +128,7 @@ fn poses(times: &AgentTimes, standing: bool) -> Option<String> {
     let why = match (poses.len(), median_gap(&poses)) {
         (1, _) => "it has one pose, which holds at all times for roadside units alone".to_string(),
         (_, gap) if gap > MAX_GAP => format!("poses come every {} ms", millis(gap)),
-        _ => format!(
-            "at {} s the nearest lies {} ms away",
-            seconds(first),
-            millis(nearest(&poses, first))
-        ),
+        _ => format!("at {} s {}", seconds(first), around(&poses, first)),
     };
     Some(format!(
         "`{agent}`: {} of {} sweeps have no pose: {why}; at most {} ms are bridged: write poses at 10 Hz or more that span the sweeps, \
@@ -139,6 +137,15 @@ fn poses(times: &AgentTimes, standing: bool) -> Option<String> {
         sweeps.len(),
         millis(MAX_GAP)
     ))
+}
+
+/// Where the poses around a stamp are, in words.
+fn around(poses: &[Nanos], stamp: Nanos) -> String {
+    let next = poses.partition_point(|pose| *pose < stamp);
+    match (next.checked_sub(1).map(|before| poses[before]), poses.get(next)) {
+        (Some(before), Some(after)) => format!("poses lie {} ms apart", millis(after - before)),
+        _ => format!("the nearest lies {} ms away", millis(nearest(poses, stamp))),
+    }
 }
 
 /// Messages whose stamp is that of none that they belong to.
