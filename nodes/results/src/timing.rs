@@ -194,28 +194,36 @@ impl Timing {
     }
 }
 
-/// First and last stamp of a stream of sweeps, and their number.
+/// Sweeps further apart have a pause between them, as where a log is played again, ns.
+const PAUSE: Nanos = 1_400_000_000;
+
+/// How many sweeps a stream has, and the times between them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Pace {
-    span: Option<(Nanos, Nanos)>,
+    last: Option<Nanos>,
+    /// Times between sweeps, and how many: without pauses, and pauses.
+    between: [(Nanos, u64); 2],
     pub count: u64,
 }
 
 impl Pace {
     pub fn add(&mut self, stamp: Nanos) {
-        let (first, last) = self.span.unwrap_or((stamp, stamp));
-        self.span = Some((first.min(stamp), last.max(stamp)));
+        if let Some(step) = self.last.map(|last| stamp - last).filter(|step| *step > 0) {
+            let (sum, number) = &mut self.between[usize::from(step > PAUSE)];
+            (*sum, *number) = (*sum + step, *number + 1);
+        }
+        self.last = self.last.max(Some(stamp));
         self.count += 1;
     }
 
-    /// Log time of all sweeps, each with the mean time to the next; 0 of fewer than two.
+    /// Log time of all sweeps, each with the mean time to the next, pauses left out; 0 of fewer than two.
     pub fn duration(&self) -> Nanos {
-        match self.span {
-            Some((first, last)) if self.count > 1 => {
-                let span = (last - first) as f64;
-                (span * self.count as f64 / (self.count - 1) as f64).round() as Nanos
-            }
-            _ => 0,
+        let [steps, pauses] = self.between;
+        // Where all are far apart, nothing is a pause.
+        let (sum, number) = if steps.1 > 0 { steps } else { pauses };
+        match number {
+            0 => 0,
+            _ => (sum as f64 * self.count as f64 / number as f64).round() as Nanos,
         }
     }
 }
@@ -320,6 +328,20 @@ mod tests {
         };
         assert_eq!(Timing::of(samples).rate_hz, Some(5.0));
         assert_eq!(Timing::default().rate_hz, None);
+    }
+
+    #[test]
+    fn pauses_between_passes_are_no_time_of_sweeps() {
+        let (mut once, mut twice, mut slow) = (Pace::default(), Pace::default(), Pace::default());
+        for i in 0..100 {
+            once.add(i * 100 * MS);
+            slow.add(i * 2_000 * MS);
+        }
+        for pass in 0..2 {
+            (0..50).for_each(|i| twice.add(pass * 8_000 * MS + i * 100 * MS));
+        }
+        assert_eq!(once.duration(), twice.duration());
+        assert_eq!(slow.duration(), 200_000 * MS);
     }
 
     #[test]
