@@ -165,7 +165,7 @@ fn the_header_has_the_stamp_and_the_log_time_says_when_it_is_known() {
         let virtual_time = late_fusion(&published, &format!("{name}-virtual"), MODES[1].1);
         assert_eq!(
             (virtual_time.code, virtual_time.ap("0.5")),
-            (0, 0.975),
+            (3, 0.975),
             "{name}: {virtual_time:?}"
         );
         let logged = changed(&format!("{name}-logged"), &Scene::default(), |message| {
@@ -175,8 +175,17 @@ fn the_header_has_the_stamp_and_the_log_time_says_when_it_is_known() {
             }
         });
         let offline = late_fusion(&logged, &format!("{name}-offline"), MODES[0].1);
-        assert_eq!((offline.code, offline.ap("0.5")), (0, 1.0), "{name}: {offline:?}");
-        assert_eq!(info(&published).1, Some(0), "{}", info(&published).0);
+        assert_eq!((offline.code, offline.ap("0.5")), (3, 1.0), "{name}: {offline:?}");
+        let notes = offline.notes();
+        assert!(
+            notes.contains("publish time that is not the stamp of their header"),
+            "{notes}"
+        );
+        let (said, code) = info(&published);
+        assert!(
+            code == Some(3) && said.contains("the first lies 400.0 ms behind"),
+            "{said}"
+        );
     }
 }
 

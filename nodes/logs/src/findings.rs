@@ -173,14 +173,28 @@ pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
     Ok(problems)
 }
 
-/// The times of a stream, or what is wrong with its first message that is there twice or starts again.
+/// The times of a stream, or what is wrong with it: stamps of two values, or the first message that is there twice or starts
+/// again.
 fn times_of(log: &Log, agent: &str, stream: Stream) -> Result<Result<Times, String>, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
-    let mut times = Times::new();
+    let (mut times, mut apart) = (Times::new(), Vec::new());
     loop {
         match reader.next() {
-            Ok(Some(entry)) => times.push([entry.stamp(), entry.ready()]),
-            Ok(None) => return Ok(Ok(times)),
+            Ok(Some(entry)) => {
+                times.push([entry.stamp(), entry.ready()]);
+                apart.extend(entry.published_apart());
+            }
+            Ok(None) if apart.is_empty() => return Ok(Ok(times)),
+            Ok(None) => {
+                return Ok(Err(format!(
+                    "{}: publish times of {} of {} messages are not the stamps of their headers, the first lies {:.1} ms behind it: \
+                     the header's counts; write the stamp as both",
+                    stream.topic(agent),
+                    apart.len(),
+                    times.len(),
+                    apart[0] as f64 / 1e6
+                )));
+            }
             Err(LogError::Content {
                 topic,
                 log_time,

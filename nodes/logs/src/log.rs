@@ -476,6 +476,12 @@ impl Entry {
         self.stamp
     }
 
+    /// By how much the publish time lies behind the stamp of the header, ns, where the two differ: one of them is wrong.
+    pub fn published_apart(&self) -> Option<Nanos> {
+        let apart = nanos(self.raw.publish_time).saturating_sub(stamp_of(self.stream, &self.raw));
+        (apart.abs() > crate::SAME).then_some(apart)
+    }
+
     /// When it existed on the log's time line, ns.
     pub fn ready(&self) -> Nanos {
         nanos(self.raw.log_time)

@@ -47,6 +47,7 @@ pub const ALL: &[Counter] = &[
     TILTED_POSES,
     CLOCK_OFF,
     CLOCK_AHEAD,
+    STAMPS_DIFFER,
     NO_COMMON_TIME,
     POSES_HELD,
     DETECTIONS_WITHOUT_SWEEP,
@@ -96,6 +97,12 @@ pub const CLOCK_AHEAD: Counter = Counter::log_fault(
     "messages have stamps of a time at which they were logged already, and were played as they are",
     "the agent's clock is ahead of the recorder's: set it, or take that difference from the stamps when the log is written \
      (docs/log-format.md, \"Clocks\")",
+);
+pub const STAMPS_DIFFER: Counter = Counter::log_fault(
+    "stamps_differ",
+    "messages whose publish time is not the stamp of their header, which counts",
+    "messages have a publish time that is not the stamp of their header, and were played as of the header's",
+    "write the stamp as both (docs/log-format.md, \"Frames, units, times\")",
 );
 pub const NO_COMMON_TIME: Counter = Counter::log_fault(
     "no_common_time",

@@ -13,7 +13,8 @@ use realo_schemas::{
 
 use crate::counters::{
     CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED,
-    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, TILTED_POSES, TOO_FAR, TRACKS_DIFFER, TRUTH_WITHOUT_SWEEP,
+    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
+    TRUTH_WITHOUT_SWEEP,
 };
 use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
@@ -388,6 +389,11 @@ impl Feed {
         if self.is_off(entry)? {
             return Ok(());
         }
+        let apart = entry.published_apart();
+        let differ = u64::from(apart.is_some());
+        self.script
+            .counters
+            .lost(&STAMPS_DIFFER, &entry.agent, differ, 1, || apart_words(entry, apart));
         // Detections of another clock match no sweep, which is counted.
         let is_strange = late > 2_000_000_000 && self.sweep_of(entry).is_none();
         if self.script.offline && late > LATENCY && !is_strange {
@@ -521,6 +527,9 @@ impl Feed {
             let (truth, lost): (GroundTruth, _) = self.truth.at(entry.stamp())?;
             self.send(entry, seq, Kind::Truth, [ports::TRUTH; 2], truth);
             self.count_lost_truth(lost);
+            for (agent, (n, words)) in self.truth.take_apart() {
+                self.script.counters.lost(&STAMPS_DIFFER, &agent, n, n, || words);
+            }
         }
         if let Some(recorded) = self.joins.of_sweep(entry) {
             self.send_detections(recorded);
@@ -696,6 +705,12 @@ fn content(entry: &Entry, reason: String) -> LogError {
         log_time: entry.ready(),
         reason,
     }
+}
+
+/// Topic and times of a message whose publish time is not its stamp.
+pub(crate) fn apart_words(entry: &Entry, apart: Option<Nanos>) -> String {
+    let apart = apart.unwrap_or(0) as f64 / 1e6;
+    format!("{}: {apart:.1} ms after the header's", entry.stream.topic(&entry.agent))
 }
 
 /// By how much the number of a sweep, of its detections and of its truth rises from one pass over a log to the next.

@@ -1,6 +1,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
+use crate::feed::apart_words;
 use realo_logs::{Attitude, BoxesInfo, Entry, Log, LogError, LogReader, SAME, Stream, same};
 use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels};
@@ -32,6 +33,8 @@ pub struct TruthJoin {
     viewed: Vec<Stream>,
     others: BTreeMap<Name, VecDeque<Counts>>,
     read_to: Nanos,
+    /// By agent: messages whose publish time is not their stamp, and the first in words.
+    apart: BTreeMap<Name, (u64, String)>,
 }
 
 /// What the log says is around the ego at a sweep.
@@ -104,6 +107,7 @@ impl TruthJoin {
             viewed,
             others,
             read_to: Nanos::MIN,
+            apart: BTreeMap::new(),
         })
     }
 
@@ -159,11 +163,20 @@ impl TruthJoin {
         all || self.read_to > stamp.saturating_add(2 * WINDOW)
     }
 
+    /// By agent: how many messages since the last call have a publish time that is not their stamp, and the first in words.
+    pub fn take_apart(&mut self) -> BTreeMap<Name, (u64, String)> {
+        std::mem::take(&mut self.apart)
+    }
+
     fn read_one(&mut self) -> Result<bool, LogError> {
         let Some(entry) = self.reader.as_mut().map_or(Ok(None), LogReader::next)? else {
             return Ok(false);
         };
         self.read_to = entry.ready();
+        if let Some(apart) = entry.published_apart() {
+            let words = || (0, apart_words(&entry, Some(apart)));
+            self.apart.entry(entry.agent.clone()).or_insert_with(words).0 += 1;
+        }
         let stamp = entry.stamp();
         let key = |array: Stream| (entry.agent.clone(), array, stamp);
         let (key, mut boxes, companion) = match entry.stream {
