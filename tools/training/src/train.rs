@@ -153,8 +153,6 @@ pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> 
 const PILOT: f64 = 0.04;
 /// Share of the time that is left for the last validation.
 const VALIDATING: f64 = 0.1;
-/// A training with fitted steps is stopped after so many times its minutes, if steps became slower.
-const PATIENCE: f64 = 1.5;
 
 /// As many steps as fit into the time.
 fn fitted(options: &TrainOptions) -> Result<TrainOptions, TrainError> {
@@ -162,21 +160,22 @@ fn fitted(options: &TrainOptions) -> Result<TrainOptions, TrainError> {
     let minutes = options
         .minutes
         .ok_or_else(|| option("fit_steps", "minutes to fit them into", "none"))?;
+    let seconds = minutes * 60.0;
+    let left = || seconds * (1.0 - VALIDATING) - begin.elapsed().as_secs_f64();
     let steps = match options.resume {
         true => {
             let model = Model::read(&options.model)?;
             Checkpoint::read(&options.output.join(CHECKPOINT), &model)?.plan.steps
         }
         false => {
-            let seconds = minutes * 60.0;
             let pace = Training::new(options)?.pace(seconds * PILOT)?;
-            let left = seconds * (1.0 - VALIDATING) - begin.elapsed().as_secs_f64();
-            (left / pace).max(1.0) as u64
+            (left() / pace).max(1.0) as u64
         }
     };
     Ok(TrainOptions {
         steps,
-        minutes: Some(minutes * PATIENCE),
+        // Some steps are made however little is left.
+        minutes: Some(left().max(1.0) / 60.0),
         ..options.clone()
     })
 }
@@ -250,6 +249,8 @@ struct Training<'a> {
     filling: Filling,
     state: Checkpoint,
     checkpoint: PathBuf,
+    /// The step that would be due by the time, where steps were fitted into it.
+    due: u64,
     /// Held as long as the folder is written to.
     _lock: File,
 }
@@ -410,6 +411,7 @@ impl<'a> Training<'a> {
             filling,
             state,
             checkpoint,
+            due: 0,
             _lock: lock,
         };
         training.check_classes()?;
@@ -492,8 +494,13 @@ impl<'a> Training<'a> {
         if self.options.from.is_some() && self.state.optimizer.steps == 0 && self.options.validate_every.is_some() {
             validations.push((0, self.validate()?));
         }
+        let first = self.state.optimizer.steps;
         while self.state.optimizer.steps < self.options.steps && budget.is_none_or(|budget| begin.elapsed() < budget) {
             let start = Instant::now();
+            if let (true, Some(budget)) = (self.options.fit_steps, budget) {
+                let share = begin.elapsed().as_secs_f64() / budget.as_secs_f64();
+                self.due = first + ((self.options.steps - first) as f64 * share) as u64;
+            }
             let batch = batches.recv().map_err(|_| TrainError::Stopped)??;
             let waited = start.elapsed().as_secs_f64();
             let point = self.step(&batch, start)?;
@@ -532,10 +539,11 @@ impl<'a> Training<'a> {
         let _ = loader.join();
         let weights = self.save(&self.state)?;
         let steps = self.state.optimizer.steps;
-        if steps >= self.options.steps {
+        // What was fitted into a time ends with it: the learning rate fell with the time.
+        let complete = steps >= self.options.steps || self.options.fit_steps;
+        if complete {
             self.write_sums()?;
         }
-        let complete = steps >= self.options.steps;
         let validation = match complete && self.options.fit_steps {
             true => Some(self.last_validation()?),
             false => None,
@@ -605,7 +613,7 @@ impl<'a> Training<'a> {
                 loss: class + regression,
             });
         }
-        let rate = how.rate_at(step, self.options.steps);
+        let rate = how.rate_at(step.max(self.due), self.options.steps);
         let gradient = optimizer.step(network, &pass.gradients, rate, how)?;
         if !gradient.is_finite() {
             return Err(TrainError::Diverged {

@@ -234,6 +234,21 @@ fn a_time_budget_ends_early_and_a_resume_goes_on() {
 }
 
 #[test]
+fn steps_fitted_into_a_time_end_with_a_validation() {
+    let folder = Folder::new();
+    let mut options = folder.options("truck", "out");
+    (options.minutes, options.fit_steps) = (Some(0.05), true);
+    let mut steps = Vec::new();
+    let trained = train(&options, |progress| steps.push(progress.point.step)).unwrap();
+    assert!(trained.complete && trained.steps <= trained.of_steps, "{trained:?}");
+    assert_eq!(steps, (0..trained.steps).collect::<Vec<u64>>());
+    let (frames, _) = trained.validation.expect("a validation");
+    assert!(frames.contains("frames of the logs themselves"), "{frames}");
+    options.minutes = None;
+    assert!(train(&options, |_| ()).is_err());
+}
+
+#[test]
 fn two_trainings_do_not_share_a_folder() {
     let folder = Folder::new();
     let options = folder.options("truck", "out");
