@@ -69,8 +69,10 @@ pub struct FusionNearest {
     pairing: Pairing,
 }
 
-const FARTHER_BOXES: Counter =
-    Counter::plain("farther_boxes", "boxes dropped because somebody nearer saw the same object");
+const FARTHER_BOXES: Counter = Counter::plain(
+    "farther_boxes",
+    "boxes dropped because somebody nearer saw the same object",
+);
 
 impl Describe for FusionNearest {
     type Config = Config;
@@ -86,8 +88,11 @@ impl Describe for FusionNearest {
         &[PayloadType::Boxes],
         "the joint list, in the ego's frame",
     )];
-    const COUNTERS: &'static [Counter] =
-        &[FARTHER_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES];
+    const COUNTERS: &'static [Counter] = &[
+        FARTHER_BOXES,
+        realo_fusion::OVER_LIMIT_MESSAGES,
+        realo_fusion::REJECTED_MESSAGES,
+    ];
 }
 
 impl Operator for FusionNearest {
