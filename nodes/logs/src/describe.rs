@@ -94,6 +94,15 @@ impl Described {
         }
     }
 
+    /// Whether there is one, or sweeps that cannot be read.
+    pub fn has_problems(&self) -> bool {
+        let unreadable = match self {
+            Described::Log(log) => log.sweeps.values().any(|sweeps| sweeps.problem.is_some()),
+            Described::Recording(_) => false,
+        };
+        unreadable || !self.problems().is_empty()
+    }
+
     /// Where the file was cut, if it was.
     pub fn truncated(&self) -> Option<&Truncation> {
         match self {

@@ -155,6 +155,11 @@ pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
         for stream in Stream::ALL {
             // Sweeps have the stamps of the points, in less bytes.
             let dear = stream == Stream::Points && log.has(&agent.name, Stream::Sweeps);
+            if dear {
+                let first = log.read_all(&[(&agent.name, stream)])?.next();
+                let apart = first.ok().flatten().and_then(|first| first.published_apart());
+                problems.extend(apart.map(|apart| two_values(&stream.topic(&agent.name), "the first message", apart)));
+            }
             if dear || !log.has(&agent.name, stream) {
                 continue;
             }
@@ -173,6 +178,15 @@ pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
     Ok(problems)
 }
 
+/// What is wrong with messages whose publish time lies `apart` ns behind the stamp of their header.
+fn two_values(topic: &str, which: &str, apart: Nanos) -> String {
+    format!(
+        "{topic}: the publish time of {which} is not the stamp of the header, the first lies {:.1} ms behind it: the header's counts; \
+         write the stamp as both",
+        apart as f64 / 1e6
+    )
+}
+
 /// The times of a stream, or what is wrong with it: stamps of two values, or the first message that is there twice or starts
 /// again.
 fn times_of(log: &Log, agent: &str, stream: Stream) -> Result<Result<Times, String>, LogError> {
@@ -186,14 +200,8 @@ fn times_of(log: &Log, agent: &str, stream: Stream) -> Result<Result<Times, Stri
             }
             Ok(None) if apart.is_empty() => return Ok(Ok(times)),
             Ok(None) => {
-                return Ok(Err(format!(
-                    "{}: publish times of {} of {} messages are not the stamps of their headers, the first lies {:.1} ms behind it: \
-                     the header's counts; write the stamp as both",
-                    stream.topic(agent),
-                    apart.len(),
-                    times.len(),
-                    apart[0] as f64 / 1e6
-                )));
+                let which = format!("{} of {} messages", apart.len(), times.len());
+                return Ok(Err(two_values(&stream.topic(agent), &which, apart[0])));
             }
             Err(LogError::Content {
                 topic,

@@ -32,7 +32,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 println!("  dropped   {dropped}");
             }
         }
-        if described.truncated().is_some() || !described.problems().is_empty() {
+        if described.truncated().is_some() || described.has_problems() {
             outcome = Outcome::Partial;
         }
     }

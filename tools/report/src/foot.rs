@@ -77,17 +77,18 @@ pub fn foot(runs: &[(&str, &Run)], table: &str, width: usize) -> String {
     for difference in of_settings(runs) {
         say(difference);
     }
-    say(of_one_log(runs));
     for note in notes(runs) {
         say(note);
     }
+    say(of_one_log(runs));
     text
 }
 
 /// What stands below a table with a column for each run.
 pub fn below(runs: &[(&str, &Run)], table: &str, width: usize) -> String {
-    let mut sentences = vec![explained(table), of_one_log(runs)];
+    let mut sentences = vec![explained(table)];
     sentences.extend(notes(runs));
+    sentences.push(of_one_log(runs));
     let said = sentences.iter().filter(|sentence| !sentence.is_empty());
     said.map(|sentence| paragraph(sentence, width)).collect()
 }
