@@ -155,7 +155,7 @@ pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
         for stream in Stream::ALL {
             // Sweeps have the stamps of the points, in less bytes.
             let dear = stream == Stream::Points && log.has(&agent.name, Stream::Sweeps);
-            if dear {
+            if dear && log.has(&agent.name, stream) {
                 let first = log.read_all(&[(&agent.name, stream)])?.next();
                 let apart = first.ok().flatten().and_then(|first| first.published_apart());
                 problems.extend(apart.map(|apart| two_values(&stream.topic(&agent.name), "the first message", apart)));
