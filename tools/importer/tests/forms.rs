@@ -42,7 +42,7 @@ impl Made {
 
     /// The vehicle's first cloud.
     fn cloud(&self) -> PointCloud {
-        let log = Log::open(&self.folder.path().join("out.mcap")).unwrap();
+        let log = Log::open(self.folder.path().join("out.mcap")).unwrap();
         let mut reader = log.read_all(&[(VEHICLE, Stream::Points)]).unwrap();
         reader.next().unwrap().expect("a sweep").cloud().unwrap()
     }
