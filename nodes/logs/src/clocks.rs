@@ -85,7 +85,7 @@ const AHEAD_TOLERATED: Nanos = 50_000_000;
 /// Stamps that lie farther behind the log time are of another clock, ns.
 const AHEAD_MOST: Nanos = 1_000_000_000;
 /// Sweeps and poses that were logged later than this are of another clock, ns.
-const BEHIND_MOST: Nanos = 2_000_000_000;
+pub const BEHIND_MOST: Nanos = 2_000_000_000;
 
 /// How a stamp lies to the log time of its message, which is when the message existed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

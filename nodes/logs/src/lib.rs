@@ -60,7 +60,7 @@ mod tracks;
 pub mod views;
 
 pub use boxes::BoxesInfo;
-pub use clocks::{PeerClock, Step, clock_words, kind_of_clock};
+pub use clocks::{BEHIND_MOST, PeerClock, Step, clock_words, kind_of_clock};
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use findings::{TrackConflict, track_conflicts, truth_classes};

@@ -2,8 +2,8 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use realo_logs::{
-    Attitudes, Entry, LEVEL, Levelled, Log, LogError, LogReader, Step, Stream, clock_words, kind_of_clock, level_state,
-    levelled_while_played, track_conflicts,
+    Attitudes, BEHIND_MOST, Entry, LEVEL, Levelled, Log, LogError, LogReader, Step, Stream, clock_words, kind_of_clock,
+    level_state, levelled_while_played, track_conflicts,
 };
 use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::tilt_degrees;
@@ -395,7 +395,7 @@ impl Feed {
             .counters
             .lost(&STAMPS_DIFFER, &entry.agent, differ, 1, || apart_words(entry, apart));
         // Detections of another clock match no sweep, which is counted.
-        let is_strange = late > 2_000_000_000 && self.sweep_of(entry).is_none();
+        let is_strange = late > BEHIND_MOST && self.sweep_of(entry).is_none();
         if self.script.offline && late > LATENCY && !is_strange {
             let (late, most) = (to_seconds(late), to_seconds(LATENCY));
             let reason =

@@ -54,7 +54,9 @@ fn dropped_classes(described: &Described) -> Result<Option<String>> {
     let classes = truth_classes(&Log::open(&log.path)?)?;
     let all: u64 = classes.values().sum();
     let dropped = classes.iter().filter(|(class, _)| protocol.class_of(class).is_none());
-    let dropped: Vec<String> = dropped.map(|(class, n)| format!("`{class}` {n}")).collect();
+    let dropped: Vec<String> = dropped
+        .map(|(class, n)| format!("`{}` {n}", class.escape_debug()))
+        .collect();
     Ok((!dropped.is_empty()).then(|| {
         format!(
             "of {all} boxes of ground truth, classes that protocol `{}` does not score: {}; rename them, or choose another protocol",
@@ -62,4 +64,15 @@ fn dropped_classes(described: &Described) -> Result<Option<String>> {
             dropped.join(", ")
         )
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_logs::MAX_GAP;
+    use realo_sync::SyncConfig;
+
+    #[test]
+    fn info_warns_of_the_gaps_that_sync_does_not_bridge() {
+        assert_eq!(MAX_GAP, i64::from(SyncConfig::default().max_gap_ms) * 1_000_000);
+    }
 }

@@ -184,7 +184,7 @@ impl Drop for Folders {
         for (path, file) in self.locks.drain(..) {
             drop(file);
             // It stays where a process of the run is left.
-            if File::open(&path).is_ok_and(|file| file.try_lock().is_ok()) {
+            if File::open(&path).is_ok_and(|file| !is_held(&file)) {
                 let _ = fs::remove_file(path);
             }
         }
