@@ -1,6 +1,9 @@
 """Late fusion: brings collaborators' boxes to the ego's frame and lists them after its own, as `fusion-boxes` does."""
 
-from realo_operator import Message, Operator, Port, geometry, run
+from realo_operator import Counter, Message, Operator, Port, geometry, run
+
+#: A Counter with a note makes a sentence in the results.
+REJECTED = Counter("rejected_messages", "messages could not be fused, because they have no pose", "all agents need poses")
 
 
 class FusionBoxes(Operator):
@@ -29,7 +32,9 @@ class FusionBoxes(Operator):
         # One order whatever the bank's: the result must not depend on who answers first.
         for entry in sorted(message.payload["entries"], key=lambda entry: entry.header.agent):
             map_from_sender = entry.header.map_from_frame
-            if entry.type != "Boxes" or map_from_sender is None or map_from_ego is None:
+            is_rejected = entry.type != "Boxes" or map_from_sender is None or map_from_ego is None
+            out.count(REJECTED, is_rejected, entry.header.agent, of=1)
+            if is_rejected:
                 out.tell(entry.header, "rejected")
                 continue
             out.used(entry.header, ego.header)

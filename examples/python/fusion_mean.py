@@ -1,7 +1,14 @@
 """Intermediate fusion: in each cell the mean of the agents' features, weighted by how strong they are."""
 
 import numpy as np
-from realo_operator import Message, Operator, Port, geometry, run
+from realo_operator import Counter, Message, Operator, Port, geometry, run
+
+#: A Counter with a note makes a sentence in the results.
+REJECTED = Counter(
+    "rejected_messages",
+    "messages could not be fused, because they have no pose or another grid",
+    "all agents need one model and poses",
+)
 
 
 class FusionMean(Operator):
@@ -26,7 +33,9 @@ class FusionMean(Operator):
         # One order whatever the bank's: the result must not depend on who answers first.
         for entry in sorted(message.payload["entries"], key=lambda entry: entry.header.agent):
             poses = ego.header.map_from_frame, entry.header.map_from_frame
-            if any(pose is None for pose in poses) or not geometry.same_grid(ego.payload, entry.payload):
+            is_rejected = any(pose is None for pose in poses) or not geometry.same_grid(ego.payload, entry.payload)
+            out.count(REJECTED, is_rejected, entry.header.agent, of=1)
+            if is_rejected:
                 out.tell(entry.header, "rejected")
                 continue
             features, covered = geometry.warp_map(geometry.relative(*poses), entry.payload)

@@ -19,7 +19,7 @@ of it, reads no clock and does not know which driver runs it. `print` goes to st
 
 import realo_geometry as geometry
 from .message import Header, Message, boxes
-from .operator import Operator, Outputs, Port
+from .operator import Counter, Operator, Outputs, Port
 from .pipe import run
 
-__all__ = ["Header", "Message", "Operator", "Outputs", "Port", "boxes", "geometry", "run"]
+__all__ = ["Counter", "Header", "Message", "Operator", "Outputs", "Port", "boxes", "geometry", "run"]

@@ -31,6 +31,24 @@ class Port:
         return {**words, "types": [self.types] if isinstance(self.types, str) else list(self.types)}
 
 
+@dataclass(frozen=True)
+class Counter:
+    """What a stage counts. With a `note` the count means that data were lost or changed, and the results say so.
+
+    note: goes on after "rsu1: 3 of 20 ", e.g. "boxes were dropped, because they have no extent"; remedy: what to try; log_fault:
+    the log itself is the cause, so that `realo run` exits with 3. `{node}` in both stands for the id of the node.
+    """
+
+    name: str
+    note: str = ""
+    remedy: str = ""
+    log_fault: bool = False
+
+    def __post_init__(self):
+        if bool(self.note) != bool(self.remedy) or (self.log_fault and not self.note):
+            raise ValueError(f"counter `{self.name}`: expected a note and a remedy, or neither")
+
+
 class Operator:
     """A pure stage: messages in, messages out. It reads no clock, socket or environment."""
 
@@ -59,6 +77,7 @@ class Outputs:
 
     def __init__(self, now=0):
         self.now, self.sent, self.rows, self.wakes, self.counts, self.fates = now, [], [], set(), {}, []
+        self.losses = {}
 
     def send(self, port, message: Message):
         """Sends a message whose header derives from those of the inputs that made it. A `ready` before now becomes
@@ -81,6 +100,16 @@ class Outputs:
         """Asks for a call of `on_wake` at `time`, ns; the past means now."""
         self.wakes.add(int(time))
 
-    def count(self, counter, n=1):
-        """Adds to a counter of the node."""
-        self.counts[counter] = self.counts.get(counter, 0) + int(n)
+    def count(self, counter, n=1, agent="", of=0):
+        """Adds to a counter of the node: a `Counter`, or the name of one that means no loss. `agent`: whose data they are; of:
+        `n` of so many (count 0 of them too, so that a note can say how many of how many)."""
+        n, of = int(n), int(of)
+        counter = Counter(counter) if isinstance(counter, str) else counter
+        if n:
+            self.counts[counter.name] = self.counts.get(counter.name, 0) + n
+        if counter.note and (n or of):
+            meaning = "log_fault" if counter.log_fault else "loss"
+            words = {"meaning": meaning, "note": counter.note, "remedy": counter.remedy, "agents": {}}
+            agents = self.losses.setdefault(counter.name, words)["agents"]
+            share = agents.setdefault(agent, {"count": 0, "of": 0})
+            share["count"], share["of"] = share["count"] + n, share["of"] + of

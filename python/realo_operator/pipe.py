@@ -74,7 +74,7 @@ def _answer(stage, call):
         "wakes": pa.array([sorted(out.wakes)], pa.list_(pa.int64())),
         "counters": pa.array([list(out.counts)], pa.list_(pa.string())),
         "counts": pa.array([list(out.counts.values())], pa.list_(pa.uint64())),
-        "told": [json.dumps({"fates": out.fates})],
+        "told": [json.dumps({"fates": out.fates, "losses": out.losses})],
         **{f"message_{i}": row for i, row in enumerate(out.rows)},
     }
 

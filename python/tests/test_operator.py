@@ -8,7 +8,7 @@ import unittest
 
 import numpy as np
 import pyarrow as pa
-from realo_operator import Header, Message, Operator, Outputs, Port, geometry, pipe
+from realo_operator import Counter, Header, Message, Operator, Outputs, Port, geometry, pipe
 from realo_operator.pipe import configuration
 
 
@@ -146,6 +146,41 @@ class TestPipe(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "9 bytes, found 1"):
             pipe.read(io.BytesIO(b"\x09\0\0\0\0\0\0\0x"), pipe.Memory())
         self.assertIsNone(pipe.read(io.BytesIO(), pipe.Memory()))
+
+
+class TestCounters(unittest.TestCase):
+    def test_losses_know_their_words_their_agents_and_how_many_there_were(self):
+        late = Counter("late", "boxes were late", "wait longer")
+        off = Counter("off", "boxes have no pose", "write poses", log_fault=True)
+        out = Outputs()
+        for n in (1, 0, 2):
+            out.count(late, n, "rsu1", 5)
+        out.count(off, 1)
+        out.count("kept", 3)
+        out.count("none", 0)
+        self.assertEqual(out.counts, {"late": 3, "off": 1, "kept": 3})
+        self.assertEqual(
+            out.losses,
+            {
+                "late": {
+                    "meaning": "loss",
+                    "note": "boxes were late",
+                    "remedy": "wait longer",
+                    "agents": {"rsu1": {"count": 3, "of": 15}},
+                },
+                "off": {
+                    "meaning": "log_fault",
+                    "note": "boxes have no pose",
+                    "remedy": "write poses",
+                    "agents": {"": {"count": 1, "of": 0}},
+                },
+            },
+        )
+
+    def test_a_note_without_a_remedy_is_refused(self):
+        for words in [{"note": "boxes were late"}, {"remedy": "wait"}, {"log_fault": True}]:
+            with self.assertRaisesRegex(ValueError, "counter `late`: expected a note and a remedy"):
+                Counter("late", **words)
 
 
 class TestConfiguration(unittest.TestCase):

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::scene::{SWEEP, Scene, rewrite, run};
+use crate::scene::{SWEEP, Scene, T0, rewrite, run};
 
 fn of_classes(name: &str, class: fn(usize) -> &'static str) -> PathBuf {
     Scene {
@@ -56,6 +56,13 @@ fn cooperation_that_added_nothing_is_said_first_and_in_the_table() {
         "{notes}"
     );
     assert!(ran.out.contains("cooperation added nothing"), "{}", ran.out);
+    assert!(ran.out.contains("all (added nothing)"), "{}", ran.out);
+    let first = ran.out.lines().find(|line| line.starts_with("note"));
+    assert!(
+        first.is_some_and(|line| line.contains("mast: no message was used")),
+        "{}",
+        ran.out
+    );
 }
 
 #[test]
@@ -67,6 +74,46 @@ fn what_comes_late_is_a_note_and_no_fault_of_the_log() {
     let notes = ran.notes();
     assert!(notes.starts_with("mast: no message was used"), "{notes}");
     assert!(notes.contains("older than 400 ms"), "{notes}");
+}
+
+#[test]
+fn an_agent_whose_data_stop_midway_is_named() {
+    let base = Scene::default().write("stops-base");
+    let log = rewrite(&base, "stops", |message| {
+        let is_gone = message.parts().0 == "mast" && message.header_stamp() >= T0 + 10 * SWEEP;
+        if is_gone { vec![] } else { vec![message] }
+    });
+    for mode in [&["--offline"][..], &["--mode", "virtual"]] {
+        let ran = run("late_fusion", &log, &format!("stops-{}", mode.len()), mode);
+        assert_eq!(ran.code, 0, "{ran:?}");
+        let notes = ran.notes();
+        assert!(
+            notes.contains("mast: 10 of 20 sweeps are missing: its data have gaps, begin late or stop early (its last is 0.980 s before the last of all)"),
+            "{notes}"
+        );
+    }
+}
+
+#[test]
+fn objects_with_too_few_points_are_a_note_where_they_are_many() {
+    // Nobody has points on half of the objects, as where collaborators' truth has other tracks.
+    let base = Scene::default().write("few-base");
+    let log = rewrite(&base, "few", |message| {
+        let is_truth = message.parts().1.starts_with("ground_truth");
+        if message.parts().0 == "mast" && is_truth {
+            vec![]
+        } else {
+            vec![message]
+        }
+    });
+    let ran = run("late_fusion", &log, "few", &["--offline"]);
+    let notes = ran.notes();
+    assert!(
+        notes.contains(
+            "80 of 160 objects of the ground truth were not scored, because the agents together have too few points"
+        ),
+        "{notes}"
+    );
 }
 
 #[test]

@@ -49,6 +49,7 @@ pub const ALL: &[Counter] = &[
     CLOCK_AHEAD,
     STAMPS_DIFFER,
     NO_COMMON_TIME,
+    SWEEPS_MISSING,
     POSES_HELD,
     DETECTIONS_WITHOUT_SWEEP,
     DETECTIONS_WITHOUT_INFO,
@@ -110,6 +111,13 @@ pub const NO_COMMON_TIME: Counter = Counter::log_fault(
     "sweeps have no time in common with those of the ego",
     "the agents were recorded one after the other, or the clock of one is off: move its stamps and log times when the log is \
      written",
+);
+pub const SWEEPS_MISSING: Counter = Counter::loss(
+    "sweeps_missing",
+    "sweeps that there would be at an agent's rate where it has none: gaps of more than 0.5 s and five periods, before its first \
+     and behind its last while others have some",
+    "sweeps are missing: its data have gaps, begin late or stop early",
+    "look whether its sensor or its recording stopped",
 );
 pub const POSES_HELD: Counter = Counter::plain(
     "poses_held",

@@ -13,9 +13,10 @@ use realo_schemas::{
 
 use crate::counters::{
     CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED,
-    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
+    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, SWEEPS_MISSING, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
     TRUTH_WITHOUT_SWEEP,
 };
+use crate::gaps::{Gaps, Missing};
 use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
 use crate::standing::{Held, STEP};
@@ -75,6 +76,7 @@ pub struct Feed {
     along_ground: BTreeSet<Name>,
     /// By agent and stamp: number and release of recent sweeps.
     sweeps: BTreeMap<Name, BTreeMap<Nanos, (u64, Nanos)>>,
+    gaps: Gaps,
     joins: Joins,
     /// By rank: units whose pose holds at all times.
     held: BTreeMap<usize, Held>,
@@ -295,6 +297,7 @@ impl Feed {
                 .slot
                 .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
             sweeps: BTreeMap::new(),
+            gaps: Gaps::default(),
             joins: Joins::default(),
             held,
             off: BTreeSet::new(),
@@ -359,6 +362,9 @@ impl Feed {
         self.expire(Nanos::MAX);
         let lost = self.truth.finish();
         self.count_lost_truth(lost);
+        for (agent, missing) in self.gaps.end(&self.agents[0]) {
+            self.count_missing(&agent, missing);
+        }
         for (agent, n) in self.script.log.limited_intensities() {
             let counted = self.limited.insert(agent.clone(), n).unwrap_or(0);
             self.script
@@ -501,7 +507,17 @@ impl Feed {
         level.attitudes.sweeps.cloud(entry.stamp(), cloud)
     }
 
+    fn count_missing(&self, agent: &Name, Missing { sweeps, place }: Missing) {
+        self.script
+            .counters
+            .lost(&SWEEPS_MISSING, agent, sweeps, sweeps, || place);
+    }
+
     fn send_sweep(&mut self, entry: &Entry, cloud: PointCloud) -> Result<(), LogError> {
+        if let Some(missing) = self.gaps.sweep(&entry.agent, entry.stamp()) {
+            self.count_missing(&entry.agent, missing);
+        }
+        self.script.counters.add(&SWEEPS_MISSING, &entry.agent, 0, 1);
         let known = self.sweeps.entry(entry.agent.clone()).or_default();
         // Writers may leave `sequence` at 0, and it wraps at 2³²: stamps rise, so the sweeps are counted on.
         let next = known.values().map(|(seq, _)| *seq).max().map_or(0, |last| last + 1);

@@ -20,6 +20,7 @@
 mod ahead;
 mod counters;
 mod feed;
+mod gaps;
 mod joins;
 mod nearest;
 mod plan;

@@ -20,6 +20,7 @@ pub mod refusal;
 pub mod seal;
 pub mod session;
 pub mod station;
+mod unheard;
 
 pub use endpoint::{Endpoint, NoEndpoint};
 pub use node::{Config, Radio};

@@ -26,6 +26,7 @@ use crate::refusal::{self, ALONE, NO_CLOCK, OVERRUN, OVERSIZED, Refusal, Refusal
 use crate::seal::Seal;
 use crate::session::{self, Place};
 use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
+use crate::unheard;
 
 const PACKETS: PortId = PortId(0);
 const STATE: PortId = PortId(1);
@@ -104,6 +105,8 @@ pub struct Radio {
     /// What the network has refused so far.
     counted: Refusals,
     overrun: u64,
+    /// Frames that Zenoh had dropped so far.
+    unheard: u64,
     /// Messages that came whole, and that the graph does not take.
     refused: BTreeMap<Name, Refusals>,
     courses: BTreeMap<Name, Course>,
@@ -226,6 +229,7 @@ impl Gateway for Radio {
             network: None,
             counted: Refusals::new(),
             overrun: 0,
+            unheard: 0,
             refused: BTreeMap::new(),
             courses: BTreeMap::new(),
             reports: Vec::new(),
@@ -233,6 +237,8 @@ impl Gateway for Radio {
     }
 
     fn open(&mut self, waker: Waker) -> Result<(), Error> {
+        unheard::listen();
+        self.unheard = unheard::dropped();
         let (agent, settings) = (self.place.agent.clone(), self.settings.clone());
         let station = Station::new(agent, settings, self.max_bytes, wall() as u64, self.seal.take());
         self.network = Some(Network::join(&self.place, station, waker)?);
@@ -280,6 +286,9 @@ impl Gateway for Radio {
         self.counted = taken.refused;
         out.count(&OVERRUN, "", taken.overrun - self.overrun);
         self.overrun = taken.overrun;
+        let unheard = unheard::dropped();
+        out.count(&OVERSIZED, "", unheard - self.unheard);
+        self.unheard = unheard;
         let passed = passed_over(&taken.events);
         for (event, is_passed) in taken.events.into_iter().zip(passed) {
             match event {

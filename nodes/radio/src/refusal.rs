@@ -86,10 +86,11 @@ const MALFORMED: Counter = Counter::loss(
 );
 pub(crate) const OVERSIZED: Counter = Counter::loss(
     "oversized",
-    "messages above `max_bytes`; boxes of one sweep above 127 KiB, which are not sent. Zenoh drops frames above 128 KiB before \
-     they come here, and nobody counts them",
-    "messages did not cross, because they have more bytes than `{node}.max_bytes`, or are boxes of more than 127 KiB",
-    "`--set {node}.max_bytes=…` where they are received; fewer boxes in a message",
+    "messages above `max_bytes`; boxes of one sweep above 127 KiB, which are not sent; frames above 128 KiB, which Zenoh drops, so \
+     that nobody knows whose they were",
+    "messages did not cross, because they have more bytes than `{node}.max_bytes`, are boxes of more than 127 KiB, or came in frames \
+     of more than 128 KiB",
+    "`--set {node}.max_bytes=…` where they are received; fewer boxes in a message; frames so large are of no realo radio",
 );
 const STRANGERS: Counter = Counter::loss(
     "strangers",

@@ -18,11 +18,7 @@ const CHARACTERS: usize = 400;
 
 /// All notes but those of scores: first whose messages were never used, then what disturbed the run, then what was lost.
 pub fn of(result: &RunResult) -> Vec<String> {
-    let mut notes: Vec<String> = result
-        .cooperation
-        .iter()
-        .flat_map(|cooperation| cooperation.notes(result))
-        .collect();
+    let mut notes = result.notes_of_cooperation();
     notes.extend(result.own_notes());
     notes.extend(losses(result));
     notes
@@ -81,6 +77,15 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 grouped(all)
             ));
         }
+        // Far objects have few points in every log; many of them do not.
+        if dropped.few_points > 0 && 2 * dropped.few_points >= all {
+            said.push(format!(
+                "{} of {} {what} were not scored, because the agents together have too few points on them (`min_points` of protocol \
+                 `{protocol}`); look whether the log has the points of all agents, and whether these give an object one track",
+                grouped(dropped.few_points),
+                grouped(all)
+            ));
+        }
         said
     };
     [
@@ -97,16 +102,21 @@ fn sentence(node: &str, loss: &Loss) -> String {
         let text = text.replace("{node}", node).replace("{agent}", &listed(&names));
         plain(&file::head(&text, CHARACTERS))
     };
-    let found = |agent: &str| {
-        loss.found
-            .get(agent)
-            .map(|words| format!(" ({})", plain(&file::head(words, CHARACTERS))))
+    let found = |agent: &str| match loss.found.get(agent) {
+        Some(words) => format!(" ({})", plain(&file::head(words, CHARACTERS))),
+        None => String::new(),
     };
-    let counts = agents
-        .iter()
-        .map(|(agent, share)| count_of(agent, *share) + &found(agent).unwrap_or_default());
-    let counts: Vec<String> = counts.collect();
-    let (note, remedy) = (words(&loss.note), words(&loss.remedy));
+    let (mut note, remedy) = (words(&loss.note), words(&loss.remedy));
+    let counts: Vec<String> = match agents[..] {
+        [(agent, share)] => {
+            note += &found(agent);
+            vec![count_of(agent, share)]
+        }
+        _ => agents
+            .iter()
+            .map(|(agent, share)| count_of(agent, *share) + &found(agent))
+            .collect(),
+    };
     match remedy.is_empty() {
         true => format!("{} {note}", listed(&counts)),
         false => format!("{} {note}; {remedy}", listed(&counts)),
@@ -160,6 +170,12 @@ pub(crate) fn grouped(n: u64) -> String {
 }
 
 impl RunResult {
+    /// Those of its notes that say whose messages were never used.
+    pub fn notes_of_cooperation(&self) -> Vec<String> {
+        let cooperation = self.cooperation.iter();
+        cooperation.flat_map(|cooperation| cooperation.notes(self)).collect()
+    }
+
     /// Several runs over a cut log (one for each ego) do not make it several.
     fn note_of_cut_logs(&self) -> Option<String> {
         let (cut, all) = (self.logs_cut.len(), self.logs.len());
@@ -255,7 +271,10 @@ impl RunResult {
             );
         }
         for (id, node) in &self.nodes {
-            let is_alone = node.operator == "radio" && node.counters.get("alone").is_some_and(|alone| *alone > 0);
+            // What came and was refused says itself why.
+            let is_alone = node.operator == "radio"
+                && node.counters.get("alone").is_some_and(|alone| *alone > 0)
+                && node.losses.is_empty();
             note(
                 is_alone,
                 format!(
@@ -307,6 +326,29 @@ mod tests {
         result.conclude(&Samples::default());
         let said = "levelled while played, by the poses of the log: a_by_b, which tilts by up to 2.26°; mast, which tilts by up to 0.53°";
         assert_eq!(result.notes, [said]);
+    }
+
+    #[test]
+    fn a_loss_says_whose_how_many_what_was_found_and_what_to_try() {
+        let share = |agent: &str, count, of| (agent.to_string(), Share { count, of });
+        let loss = |agents: &[(String, Share)]| Loss {
+            meaning: Meaning::Loss,
+            note: "sweeps were dropped at `{node}`".into(),
+            remedy: "write poses of {agent}".into(),
+            agents: agents.iter().cloned().collect(),
+            found: [("a".to_string(), "poses 200 ms apart".to_string())].into(),
+            ..Loss::default()
+        };
+        let one = sentence("ego.sync", &loss(&[share("a", 1_200, 2_000)]));
+        assert_eq!(
+            one,
+            "a: 1,200 of 2,000 sweeps were dropped at `ego.sync` (poses 200 ms apart); write poses of a"
+        );
+        let two = sentence("ego.sync", &loss(&[share("a", 1, 0), share("b", 2, 2)]));
+        assert_eq!(
+            two,
+            "b: 2 of 2, a: 1 (poses 200 ms apart) sweeps were dropped at `ego.sync`; write poses of b, a"
+        );
     }
 
     fn run_over(log: &str) -> RunResult {

@@ -309,7 +309,8 @@ impl RunResult {
     pub fn log_faults(&self) -> u64 {
         let losses = self.nodes.values().flat_map(|node| node.losses.values());
         let faults = losses.filter(|loss| loss.meaning == Meaning::LogFault);
-        faults.map(Loss::count).fold(0, u64::saturating_add)
+        let boxes = self.dropped_truths.as_ref().map_or(0, |dropped| dropped.invalid);
+        faults.map(Loss::count).fold(boxes, u64::saturating_add)
     }
 
     /// Fills in all that follows from the samples and from what was counted: scores, ages and notes.

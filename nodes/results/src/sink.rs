@@ -1,11 +1,12 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use realo_operator::{
-    Argument, Books, Decided, Describe, Error, Lane, Loss, Port, PortId, Sink, unexpected, wrong_port,
+    Argument, Books, Decided, Describe, Error, Lane, Loss, Meaning, NodeBooks, Port, PortId, Sink, Tally, unexpected,
+    wrong_port,
 };
 use realo_schemas::report::{self, Fated, Peer, Phase, from_report};
-use realo_schemas::{Boxes, GroundTruth, Header, Message, PayloadType, Report};
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, PayloadType, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -69,6 +70,21 @@ impl Config {
     }
 }
 
+/// Sweeps for which something came, each counted once however often it came.
+#[derive(Default)]
+struct Sweeps {
+    known: BTreeSet<(Name, u64)>,
+    pace: Pace,
+}
+
+impl Sweeps {
+    fn add(&mut self, header: &Header) {
+        if self.known.insert((header.agent.clone(), header.seq)) {
+            self.pace.add(header.stamp);
+        }
+    }
+}
+
 /// The node `results`.
 pub struct Results {
     out: PathBuf,
@@ -78,8 +94,8 @@ pub struct Results {
     samples: Samples,
     timing: TimingSamples,
     ledger: Ledger,
-    boxes: Pace,
-    truth: Pace,
+    boxes: Sweeps,
+    truth: Sweeps,
     realtime: bool,
     /// What the ways from agents on other machines were like.
     courses: BTreeMap<String, Vec<Phase>>,
@@ -143,8 +159,8 @@ impl Sink for Results {
             samples: Samples::default(),
             timing: TimingSamples::default(),
             ledger: Ledger::default(),
-            boxes: Pace::default(),
-            truth: Pace::default(),
+            boxes: Sweeps::default(),
+            truth: Sweeps::default(),
             realtime: false,
             progress: config.told.as_os_str().is_empty().then(Progress::new),
             courses: BTreeMap::new(),
@@ -220,14 +236,14 @@ fn document<T: DeserializeOwned>(message: Message, topic: &str) -> Result<T, Err
 
 impl Results {
     fn take_boxes(&mut self, header: &Header) {
-        self.boxes.add(header.stamp);
+        self.boxes.add(header);
         self.realtime |= header.clock.is_some();
         self.timing.add_way(header);
         add_name(&mut self.result.egos, &header.agent);
     }
 
     fn take_truth(&mut self, header: &Header, truth: &GroundTruth) {
-        self.truth.add(header.stamp);
+        self.truth.add(header);
         self.realtime |= header.clock.is_some();
         self.result.frames.key += u64::from(truth.key);
         add_name(&mut self.result.egos, &header.agent);
@@ -261,18 +277,26 @@ impl Results {
         }
         add_name(&mut result.egos, &settings.ego);
         add_name(&mut result.logs, &self.log);
-        let sweeps = if self.truth.count > 0 { self.truth } else { self.boxes };
-        result.frames.processed = self.boxes.count;
-        result.frames.total = sweeps.count;
-        result.frames.skipped = sweeps.count.saturating_sub(self.boxes.count);
+        // Boxes under the header of another sweep answer none.
+        let (sweeps, processed) = match self.truth.known.is_empty() {
+            true => (&self.boxes, self.boxes.pace.count),
+            false => (
+                &self.truth,
+                self.boxes.known.intersection(&self.truth.known).count() as u64,
+            ),
+        };
+        let (total, duration) = (sweeps.pace.count, sweeps.pace.duration());
+        result.frames.processed = processed;
+        result.frames.total = total;
+        result.frames.skipped = total - processed;
         self.close_links(&mut result, books);
         take_books(&mut result, books);
         result.cooperation = Cooperation::of(&result, books);
         result.conclude(&self.samples);
         let mut timing = std::mem::take(&mut self.timing);
         timing.add_books(books);
-        timing.processed = self.boxes.count;
-        timing.duration_ns = sweeps.duration();
+        timing.processed = processed;
+        timing.duration_ns = duration;
         Run {
             result,
             timing: Timing {
@@ -301,6 +325,8 @@ fn take_books(result: &mut RunResult, books: &Books) {
             losses: node.losses.iter().filter_map(happened).collect(),
             ..NodeSummary::default()
         };
+        let busy = skipped_of_others(node, &result.egos);
+        summary.losses.extend(happened((&"skipped".into(), &busy)));
         for (port, input) in &node.inputs {
             summary.skipped += input.skipped.total();
             summary.unjoined += input.unjoined.total();
@@ -313,6 +339,31 @@ fn take_books(result: &mut RunResult, books: &Books) {
         }
         result.nodes.insert(id.clone(), summary);
     }
+}
+
+/// What a busy node skipped of collaborators' data; sweeps of the ego without boxes are said of the frames.
+fn skipped_of_others(node: &NodeBooks, egos: &[String]) -> Loss {
+    let mut loss = Loss {
+        meaning: Meaning::Loss,
+        note: "messages were skipped at `{node}`, because it was busy".into(),
+        remedy:
+            "`realo latency` says what takes its time; a realtime run slower than the log, `--rate 0.5`, gives it more"
+                .into(),
+        ..Loss::default()
+    };
+    let is_data = |kind: &Kind| matches!(kind, Kind::Points | Kind::Features | Kind::Boxes);
+    let of = |tally: &Tally, agent: &str| -> u64 {
+        let kinds = tally.0.get(agent).into_iter().flatten();
+        kinds.filter(|(kind, _)| is_data(kind)).map(|(_, n)| n).sum()
+    };
+    for input in node.inputs.values() {
+        for agent in input.skipped.0.keys().filter(|agent| !egos.contains(agent)) {
+            let count = of(&input.skipped, agent);
+            let share = loss.agents.entry(agent.clone()).or_default();
+            (share.count, share.of) = (share.count + count, share.of + count + of(&input.received, agent));
+        }
+    }
+    loss
 }
 
 /// A loss without the agents of whom nothing was lost; `None` if that is so of all.

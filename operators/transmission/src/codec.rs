@@ -44,6 +44,8 @@ pub struct Dropped {
     pub out_of_range: u64,
     /// Boxes beyond the number that a CPM may have, the least sure ones.
     pub surplus: u64,
+    /// Boxes whose track another box of the same CPM has, or whose track has the same number of 16 bits.
+    pub tracks: u64,
 }
 
 /// What bytes say; see [`Decoder::decode`].

@@ -114,6 +114,13 @@ const SURPLUS_BOXES: Counter = Counter::loss(
     "boxes were not sent, because a CPM takes no more (`max_objects`); the surest were",
     "`--set {node}.max_objects=…`, up to 255",
 );
+const UNTRACKED_BOXES: Counter = Counter::loss(
+    "untracked_boxes",
+    "boxes that crossed as a CPM without their track: another one of the message has the same `objectId`",
+    "boxes were sent without their track, because another box of the message has the same track, or one with the same number of \
+     16 bits, which is all that a CPM has",
+    "`--set {node}.boxes=plain` sends tracks of 64 bits; tracks up to 65,535 keep their number",
+);
 
 impl Describe for TransmissionEncoder {
     type Config = EncoderConfig;
@@ -179,6 +186,7 @@ impl Describe for TransmissionEncoder {
         LEFT_OUT_CELLS,
         OUT_OF_RANGE_BOXES,
         SURPLUS_BOXES,
+        UNTRACKED_BOXES,
     ];
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Roadside, "roadside")];
 }
@@ -207,6 +215,7 @@ impl Operator for TransmissionEncoder {
         out.count(&LEFT_OUT_CELLS, &agent, dropped.cells);
         out.count_of(&OUT_OF_RANGE_BOXES, &agent, dropped.out_of_range, boxes);
         out.count_of(&SURPLUS_BOXES, &agent, dropped.surplus, boxes);
+        out.count_of(&UNTRACKED_BOXES, &agent, dropped.tracks, boxes);
         // The pose crosses in the bytes only, so that a receiver cannot come to know it in another way.
         let header = Header {
             pose: None,

@@ -173,6 +173,9 @@ fn counter(counter: &Counter) -> Value {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+    use std::path::Path;
+
     use super::*;
 
     #[test]
@@ -188,6 +191,55 @@ mod tests {
             page.contains(&counters(&entries)),
             "the table of docs/results.md is not what `realo operators --counters` prints: {missing:#?}"
         );
+    }
+
+    /// What stands between two texts, each time.
+    fn between<'a>(text: &'a str, from: &str, to: &str) -> Vec<&'a str> {
+        let parts = text.split(from).skip(1);
+        parts.filter_map(|part| part.split(to).next()).collect()
+    }
+
+    /// The sources of a folder, tests at the ends of files left out.
+    fn sources(folder: &Path) -> String {
+        let mut text = String::new();
+        for entry in fs::read_dir(folder).expect("the folder can be read") {
+            let path = entry.expect("the entry can be read").path();
+            if path.is_dir() {
+                text += &sources(&path);
+            } else if path.extension().is_some_and(|kind| kind == "rs") {
+                let whole = fs::read_to_string(&path).expect("the file can be read");
+                text += whole.split("#[cfg(test)]").next().unwrap_or_default();
+            }
+        }
+        text
+    }
+
+    #[test]
+    fn every_counter_of_the_sources_is_in_the_list_of_its_operator() {
+        let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
+        let mut known = 0;
+        for folder in ["operators", "nodes"] {
+            for entry in fs::read_dir(root.join(folder)).expect("the folder can be read") {
+                let path = entry.expect("the entry can be read").path().join("src");
+                let text = if path.is_dir() { sources(&path) } else { continue };
+                let lists = between(&text, "[Counter] = &[", "]").concat();
+                let listed: Vec<&str> = lists.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
+                for counter in between(&text, "const ", ": Counter =") {
+                    // What comes before is of another constant.
+                    let name = counter.rsplit("const ").next().unwrap_or(counter);
+                    if name.chars().all(|c| c.is_ascii_uppercase() || c == '_') {
+                        known += 1;
+                        assert!(
+                            listed.contains(&name),
+                            "{}: {name} is in no list of counters",
+                            path.display()
+                        );
+                    }
+                }
+            }
+        }
+        let registered: usize = registry().0.iter().map(|entry| entry.counters.len()).sum();
+        assert!(known > 50 && registered >= known, "{known} of {registered}");
     }
 
     #[test]

@@ -142,7 +142,7 @@ fn of_one_log(runs: &[(&str, &Run)]) -> String {
     )
 }
 
-/// The notes of runs, each once, with the names of those that have it.
+/// The notes of runs, each once, with the names of those that have it; first whose messages were never used.
 pub fn notes(runs: &[(&str, &Run)]) -> Vec<String> {
     let mut notes: Vec<(&str, Vec<&str>)> = Vec::new();
     for (name, run) in runs {
@@ -153,6 +153,11 @@ pub fn notes(runs: &[(&str, &Run)]) -> Vec<String> {
             }
         }
     }
+    let first: Vec<String> = runs
+        .iter()
+        .flat_map(|(_, run)| run.result.notes_of_cooperation())
+        .collect();
+    notes.sort_by_key(|(note, _)| !first.iter().any(|known| known == note));
     let named = |(note, names): &(&str, Vec<&str>)| match names.len() == runs.len() && runs.len() > 2 {
         true => format!("note (all {}): {note}", runs.len()),
         false => format!("note ({}): {note}", listed(names)),

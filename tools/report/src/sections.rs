@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_results::{END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult, Spread};
+use realo_results::{Cooperation, END_TO_END, FRAMEWORK, Fates, LinkBooks, Run, RunResult, Spread};
 use realo_schemas::Kind;
 use realo_schemas::report::ClockBy;
 use realo_scoring::{Accuracy, Counts, Orders, PointsBin, RangeBin, Table};
@@ -151,7 +151,14 @@ fn settings(rows: &mut Rows, full: bool) {
     let text = |text: &String| (!text.is_empty()).then(|| text.clone());
     rows.add("mode", |run| text(&run.result.settings.mode));
     rows.add("ego", |run| text(&run.result.settings.ego));
-    rows.add("cooperation", |run| text(&run.result.settings.coop));
+    rows.add("cooperation", |run| {
+        let in_vain = run.result.cooperation.as_ref().is_some_and(Cooperation::added_nothing);
+        let who = &run.result.settings.coop;
+        match in_vain {
+            true => Some(format!("{who} (added nothing)").trim_start().to_string()),
+            false => text(who),
+        }
+    });
     // Offline a link does nothing.
     rows.add("link", |run| {
         text(&run.result.settings.link).filter(|_| full || !is_offline(run))

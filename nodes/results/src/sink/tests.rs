@@ -343,6 +343,56 @@ fn without_fusion_there_are_no_links() {
 }
 
 #[test]
+fn what_busy_nodes_skip_of_collaborators_is_a_note() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut books = books(&[channel(Kind::Boxes, 0)]);
+    let tally = |agent: &str, kind: Kind, n: u64| {
+        let mut tally = Tally::default();
+        let mut header = header(0, kind);
+        header.agent = agent.into();
+        (0..n).for_each(|_| tally.add(&Message::new(header.clone(), Boxes(vec![]))));
+        tally
+    };
+    let input = |agent: &str, kind: Kind| InputBooks {
+        received: tally(agent, kind, 15),
+        skipped: tally(agent, kind, 5),
+        ..InputBooks::default()
+    };
+    if let Some(bank) = books.nodes.get_mut("bank") {
+        bank.inputs.insert("maps".into(), input("rsu1", Kind::Features));
+        bank.inputs.insert("states".into(), input("rsu1", Kind::EgoState));
+        bank.inputs.insert("own".into(), input("cav1", Kind::Features));
+    }
+    let messages = vec![
+        (TRUTH, Message::new(header(0, Kind::Truth), truth())),
+        (BOXES, boxes(0)),
+    ];
+    let Run { result, .. } = run_in(folder.path(), messages, &[], &books);
+    let about = |words: &str| result.notes.iter().filter(|note| note.starts_with(words)).count();
+    let found = [about("rsu1: 5 of 20 messages were skipped at `bank`"), about("cav1: ")];
+    assert_eq!(found, [1, 0], "{:?}", result.notes);
+}
+
+#[test]
+fn boxes_that_come_again_answer_no_other_sweep() {
+    let folder = tempfile::tempdir().unwrap();
+    let truths = (0..4).map(|seq| (TRUTH, Message::new(header(seq, Kind::Truth), truth())));
+    let mut messages: Vec<_> = truths.collect();
+    // Of four sweeps one is answered, four times; and one that nobody has measured.
+    messages.extend([1, 1, 1, 1, 9].map(|seq| (BOXES, boxes(seq))));
+    let Run { result, timing, .. } = run_in(folder.path(), messages, &[], &books(&[]));
+    let frames = (result.frames.total, result.frames.processed, result.frames.skipped);
+    assert_eq!(frames, (4, 1, 3));
+    assert_eq!(timing.samples.processed, 1);
+    assert!(
+        result
+            .notes
+            .iter()
+            .any(|note| note == "3 of 4 sweeps of the ego gave no boxes")
+    );
+}
+
+#[test]
 fn says_nothing_about_fates_where_nobody_takes_what_crossed() {
     let folder = tempfile::tempdir().unwrap();
     let mut books = books(&[channel(Kind::Boxes, 5)]);

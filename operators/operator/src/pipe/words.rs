@@ -163,6 +163,7 @@ mod replies;
 mod tests {
     use super::replies::{boxes, reply, whole};
     use super::*;
+    use crate::Meaning;
 
     fn frame(parts: Result<Vec<Buffer>, String>) -> Buffer {
         Buffer::from_vec(whole(parts))
@@ -178,6 +179,22 @@ mod tests {
         for reply in [Reply::default(), reply(0), reply(9)] {
             assert_eq!(Reply::from_bytes(frame(reply.to_parts())).unwrap(), reply);
         }
+    }
+
+    #[test]
+    fn losses_are_what_python_writes() {
+        // As python/tests/test_operator.py has it.
+        let words = r#"{"fates": [], "losses": {"late": {"meaning": "loss", "note": "boxes were late", "remedy": "wait longer",
+            "agents": {"rsu1": {"count": 3, "of": 15}}}, "off": {"meaning": "log_fault", "note": "boxes have no pose", "remedy":
+            "write poses", "agents": {"": {"count": 1, "of": 0}}}}}"#;
+        let told: Told = serde_json::from_str(words).unwrap();
+        let said = |counter: &str| {
+            let loss = &told.losses[counter];
+            let agents = loss.worth_a_note().map(|(agent, share)| (agent, share.count, share.of));
+            (loss.meaning, &*loss.note, agents.collect::<Vec<_>>())
+        };
+        assert_eq!(said("late"), (Meaning::Loss, "boxes were late", vec![("rsu1", 3, 15)]));
+        assert_eq!(said("off"), (Meaning::LogFault, "boxes have no pose", vec![("", 1, 0)]));
     }
 
     #[test]

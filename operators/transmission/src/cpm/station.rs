@@ -15,10 +15,21 @@ pub(crate) fn station_of(agent: &str) -> u32 {
     let told = agent.strip_prefix(STATION).and_then(|number| number.parse().ok());
     // `station-007` and `station-+7` are names as any other.
     let told = told.filter(|station| *agent_of(*station) == *agent);
-    told.unwrap_or_else(|| {
-        let step = |hash: u32, byte: u8| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
-        agent.bytes().fold(0x811c_9dc5, step)
+    told.unwrap_or_else(|| hash_of(agent.as_bytes()))
+}
+
+/// The id of a track in 16 bits: itself where it fits, else its 32-bit FNV-1a hash, upper half xor lower half.
+pub(crate) fn id_of(track: u64) -> u16 {
+    u16::try_from(track).unwrap_or_else(|_| {
+        let hash = hash_of(&track.to_be_bytes());
+        (hash >> 16) as u16 ^ hash as u16
     })
+}
+
+/// FNV-1a of 32 bits.
+fn hash_of(bytes: &[u8]) -> u32 {
+    let step = |hash: u32, byte: &u8| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193);
+    bytes.iter().fold(0x811c_9dc5, step)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Boxes into a CPM.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_2;
 
 use c_its_parser::standards::cdd_2_2_1::etsi_its_cdd::{
@@ -24,7 +24,7 @@ use rasn::types::Any;
 use realo_schemas::geometry::{is_valid, transform_box, yaw_of};
 use realo_schemas::{Box3, Boxes, Header, Name};
 
-use super::station::station_of;
+use super::station::{id_of, station_of};
 use super::units::{CENTI, PLACE_DEG, angle, coordinate, dimension, tenths_of_degree, velocity};
 use super::{FAR_M, Geodetic, MESSAGE, OBJECTS, VERSION, classes, clock};
 use crate::bytes::is_unit;
@@ -117,17 +117,14 @@ impl Writer {
         boxes: &Boxes,
     ) -> (Vec<PerceivedObject>, Dropped) {
         let mut dropped = Dropped::default();
-        let mut objects: Vec<(f32, Option<u16>, PerceivedObject)> = Vec::new();
+        let mut objects: Vec<(f32, Option<u64>, PerceivedObject)> = Vec::new();
         for object in &boxes.0 {
             if !is_sound(object) {
                 dropped.boxes += 1;
                 continue;
             }
             match perceived(&transform_box(reference_from_frame, object)) {
-                Some(perceived) => {
-                    let track = object.track.and_then(|track| u16::try_from(track).ok());
-                    objects.push((object.score, track, perceived));
-                }
+                Some(perceived) => objects.push((object.score, object.track, perceived)),
                 None => dropped.out_of_range += 1,
             }
         }
@@ -142,21 +139,35 @@ impl Writer {
                 .map(|(_, object)| object)
                 .collect();
         }
-        (identified(seq, objects), dropped)
+        let (objects, untracked) = identified(seq, objects);
+        dropped.tracks = untracked;
+        (objects, dropped)
     }
 }
 
-/// Objects with an id each: their track, or where they have none of 16 bits that no other has, one that is theirs in this message
-/// only, which an age of 0 says.
-fn identified(seq: u64, objects: Vec<(f32, Option<u16>, PerceivedObject)>) -> Vec<PerceivedObject> {
-    let mut taken: BTreeSet<u16> = objects.iter().filter_map(|(_, track, _)| *track).collect();
+/// Objects with an id each, and how many have lost their track.
+///
+/// The id is that of the track. Where there is no track, or its id stands for another object of the message, it is one that means
+/// nothing, which an age of 0 says. Tracks that fit 16 bits go before those whose id is a hash.
+fn identified(seq: u64, objects: Vec<(f32, Option<u64>, PerceivedObject)>) -> (Vec<PerceivedObject>, u64) {
+    let mut owners: BTreeMap<u16, usize> = BTreeMap::new();
+    let is_hashed = |track: u64| track > u64::from(u16::MAX);
+    for hashed in [false, true] {
+        for (index, (_, track, _)) in objects.iter().enumerate() {
+            if let Some(track) = track.filter(|track| is_hashed(*track) == hashed) {
+                owners.entry(id_of(track)).or_insert(index);
+            }
+        }
+    }
+    let mut taken: BTreeSet<u16> = owners.keys().copied().collect();
     // Ids that mean nothing do not come again for as long as there are others.
     let mut next = (seq as u16).wrapping_mul(OBJECTS as u16 + 1);
-    let mut used = BTreeSet::new();
-    let objects = objects.into_iter().map(|(_, track, mut object)| {
-        let track = track.filter(|track| used.insert(*track));
-        object.object_age = track.is_none().then_some(DeltaTimeMilliSecondSigned(0));
-        let id = track.unwrap_or_else(|| {
+    let mut untracked = 0;
+    let objects = objects.into_iter().enumerate().map(|(index, (_, track, mut object))| {
+        let id = track.map(id_of).filter(|id| owners.get(id) == Some(&index));
+        untracked += u64::from(track.is_some() && id.is_none());
+        object.object_age = id.is_none().then_some(DeltaTimeMilliSecondSigned(0));
+        let id = id.unwrap_or_else(|| {
             while !taken.insert(next) {
                 next = next.wrapping_add(1);
             }
@@ -165,7 +176,7 @@ fn identified(seq: u64, objects: Vec<(f32, Option<u16>, PerceivedObject)>) -> Ve
         object.object_id = Some(Identifier2B(id));
         object
     });
-    objects.collect()
+    (objects.collect(), untracked)
 }
 
 /// Where the frame of the boxes lies.
