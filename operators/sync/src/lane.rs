@@ -15,6 +15,9 @@ const ROUNDED: u64 = 1_000;
 /// Sweeps that may wait at the same time.
 const WAITING: usize = 8;
 
+/// Sweeps that were given up and of which it is open whether their pose comes late or never; of more the oldest have none.
+const UNPOSED: usize = 64;
+
 type Covariance = Option<Box<[f64; 36]>>;
 
 /// A sweep's pose and the motion during it.
@@ -34,6 +37,16 @@ pub struct PosePoint {
     status: PoseStatus,
 }
 
+/// A sweep that was given up.
+#[derive(Clone, Debug)]
+pub struct Unposed {
+    stamp: Nanos,
+    /// Its pose became known later.
+    pub is_late: bool,
+    /// Why no pose was known, in words.
+    pub lack: String,
+}
+
 /// One agent.
 pub struct Lane {
     track: PoseTrack,
@@ -43,6 +56,8 @@ pub struct Lane {
     pub newest: Option<Nanos>,
     /// Sweeps that wait, with the time at which they came; oldest first.
     pub waiting: VecDeque<(Nanos, Header, PointCloud)>,
+    /// Sweeps that were given up and whose pose may still come.
+    unposed: Vec<Unposed>,
 }
 
 impl Lane {
@@ -55,6 +70,7 @@ impl Lane {
             points,
             newest: None,
             waiting,
+            unposed: Vec::new(),
         }
     }
 
@@ -84,7 +100,7 @@ impl Lane {
     /// Pose and motion for a sweep; `None` while it should wait. One that gives up waiting takes the pose at its stamp
     /// without the motion.
     pub fn pair(&self, stamp: Nanos, span: Option<[i32; 2]>, deskew: bool, gives_up: bool) -> Option<Pairing> {
-        let map_from_body = self.track.at(stamp).or_else(|| self.rounded(stamp))?;
+        let map_from_body = self.at(stamp)?;
         let [first, last] = span.unwrap_or_default().map(Nanos::from);
         let motion = if deskew {
             Motion::new(&self.track, stamp, first, last)
@@ -110,6 +126,46 @@ impl Lane {
             },
             motion,
         })
+    }
+
+    fn at(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
+        self.track.at(stamp).or_else(|| self.rounded(stamp))
+    }
+
+    /// Notes that a sweep is not waited for any more.
+    pub fn give_up(&mut self, stamp: Nanos) {
+        let lack = self.lack(stamp);
+        self.unposed.push(Unposed {
+            stamp,
+            is_late: false,
+            lack,
+        });
+    }
+
+    /// The sweeps that were given up and whose pose is known by now, or can no longer become known.
+    pub fn settled(&mut self) -> Vec<Unposed> {
+        let newest = self.track.newest().unwrap_or(Nanos::MIN);
+        let (mut settled, mut open) = (Vec::new(), Vec::new());
+        for mut sweep in std::mem::take(&mut self.unposed) {
+            sweep.is_late = self.at(sweep.stamp).is_some();
+            let is_over = newest.saturating_sub(self.max_gap) > sweep.stamp;
+            let list = if sweep.is_late || is_over {
+                &mut settled
+            } else {
+                &mut open
+            };
+            list.push(sweep);
+        }
+        // Without poses nobody asks how many there are.
+        let surplus = open.len().saturating_sub(UNPOSED);
+        settled.extend(open.drain(..surplus));
+        self.unposed = open;
+        settled
+    }
+
+    /// All sweeps that were given up, at the end.
+    pub fn unposed(&mut self) -> Vec<Unposed> {
+        std::mem::take(&mut self.unposed)
     }
 
     /// The pose whose stamp is the same but for what float seconds round.

@@ -11,7 +11,7 @@
 //! Poses between two recorded ones are interpolated, and beyond the newest one carried on by its motion, over at most
 //! `max_gap_ms`; so a sweep waits for nothing that it can do without, but 2 ms for a pose that its last points need and that
 //! by the rhythm of the others must be on its way. If its pose cannot be known that way it waits up to `patience_ms`, and is then
-//! dropped and counted as `no_pose`.
+//! dropped and counted as `no_pose`, or as `late_pose` if the pose comes after all.
 //!
 //! A log may have one pose for each sweep and none near it: that pose is exact, but nothing says how the agent moved;
 //! such a sweep passes as it is (`not_deskewed`), without velocity.
@@ -20,7 +20,7 @@
 //! |---|---|
 //! | `nan_points`, `own_body_points` | points dropped from sweeps |
 //! | `duplicate`, `out_of_order` | sweeps dropped: same stamp as the last one, or older |
-//! | `no_pose` | sweeps dropped: the pose did not become known |
+//! | `no_pose`, `late_pose` | sweeps dropped: the pose never became known, or only after `patience_ms` |
 //! | `not_deskewed` | sweeps that passed although the motion during them is not known |
 
 mod clean;

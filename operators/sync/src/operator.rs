@@ -4,6 +4,7 @@ use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port
 use realo_schemas::{EgoState, Header, Kind, Message, Name, Nanos, PayloadType, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
+use crate::lane::Unposed;
 use crate::{Cleaned, Lane, OwnBody, Pairing, clean};
 
 const POSES: PortId = PortId(0);
@@ -35,10 +36,16 @@ const OUT_OF_ORDER: Counter = Counter::log_fault(
 );
 const NO_POSE: Counter = Counter::log_fault(
     "no_pose",
-    "sweeps dropped: their pose did not become known in time",
+    "sweeps dropped: their pose never became known",
     "sweeps were dropped, because no pose was known at their stamps",
     "poses must be at most `max_gap_ms` apart and span the sweeps: record them at 10 Hz or more, or bridge longer gaps with \
      `--set {node}.max_gap_ms=…`",
+);
+const LATE_POSE: Counter = Counter::loss(
+    "late_pose",
+    "sweeps dropped: their pose came, but later than `patience_ms`",
+    "sweeps were dropped, because their poses came too late",
+    "`--set {node}.patience_ms=…` waits longer; in realtime `--rate 0.5` gives a busy machine more time",
 );
 const NOT_DESKEWED: Counter = Counter::loss(
     "not_deskewed",
@@ -131,6 +138,7 @@ impl Describe for Sync {
         DUPLICATE,
         OUT_OF_ORDER,
         NO_POSE,
+        LATE_POSE,
         NOT_DESKEWED,
     ];
 }
@@ -149,6 +157,7 @@ impl Sync {
             .entry(header.agent.clone())
             .or_insert_with(|| Lane::new(max_gap));
         lane.insert(header.stamp, state);
+        settle(&header.agent, lane.settled(), out);
         self.settings.release(lane, out, false);
         Ok(())
     }
@@ -168,11 +177,11 @@ impl Sync {
             return Ok(());
         }
         lane.newest = Some(header.stamp);
-        let now = out.now();
+        let (now, agent) = (out.now(), header.agent.clone());
         if let Some((header, _)) = lane.wait(now, header, cloud) {
-            out.count_of(&NO_POSE, &header.agent, 1, 1);
-            out.found(&NO_POSE, &header.agent, || lane.lack(header.stamp));
+            lane.give_up(header.stamp);
         }
+        settle(&agent, lane.settled(), out);
         self.settings.release(lane, out, false);
         if !lane.waiting.is_empty() {
             out.wake_at(now.saturating_add(OVERTAKING));
@@ -200,10 +209,12 @@ impl SweepRules {
             let Some((_, header, cloud)) = lane.waiting.pop_front() else {
                 break;
             };
-            out.count_of(&NO_POSE, &header.agent, u64::from(pairing.is_none()), 1);
             match pairing {
-                None => out.found(&NO_POSE, &header.agent, || lane.lack(header.stamp)),
-                Some(pairing) => self.send(header, &cloud, pairing, out),
+                None => lane.give_up(header.stamp),
+                Some(pairing) => {
+                    count_pose(&header.agent, [0, 0], out);
+                    self.send(header, &cloud, pairing, out);
+                }
             }
         }
     }
@@ -235,6 +246,23 @@ impl SweepRules {
         );
         out.send(OUT_CLOUDS, Message::new(header, cloud));
     }
+}
+
+/// Counts sweeps that were given up: only what comes later says whether the log has no pose of them, or it was late.
+fn settle(agent: &Name, sweeps: Vec<Unposed>, out: &mut Outputs) {
+    for sweep in sweeps {
+        let late = u64::from(sweep.is_late);
+        count_pose(agent, [1 - late, late], out);
+        if !sweep.is_late {
+            out.found(&NO_POSE, agent, || sweep.lack);
+        }
+    }
+}
+
+/// Counts one sweep whose pose is missing, late or neither.
+fn count_pose(agent: &Name, [missing, late]: [u64; 2], out: &mut Outputs) {
+    out.count_of(&NO_POSE, agent, missing, 1);
+    out.count_of(&LATE_POSE, agent, late, 1);
 }
 
 fn not_ahead(header: &Header, now: Nanos) -> Result<(), Error> {
@@ -310,9 +338,10 @@ impl Operator for Sync {
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        self.lanes
-            .values_mut()
-            .for_each(|lane| self.settings.release(lane, out, true));
+        for (agent, lane) in &mut self.lanes {
+            self.settings.release(lane, out, true);
+            settle(agent, lane.unposed(), out);
+        }
         Ok(())
     }
 }
