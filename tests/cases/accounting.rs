@@ -52,7 +52,7 @@ fn cooperation_that_added_nothing_is_said_first_and_in_the_table() {
     let notes = ran.notes();
     assert!(notes.starts_with("mast: no message was used"), "{notes}");
     assert!(
-        notes.contains("mast: 20 of 20") && notes.contains("no sweep has their stamp"),
+        notes.contains(": 20 of 20 messages") && notes.contains("no sweep has their stamp"),
         "{notes}"
     );
     assert!(ran.out.contains("cooperation added nothing"), "{}", ran.out);

@@ -65,7 +65,7 @@ fn a_lidar_on_another_clock_is_named_with_the_kind_of_clock() {
             let notes = ran.notes();
             assert_eq!(ran.code, 3, "{name} {mode}: {notes}");
             assert!(
-                notes.contains("mast: 20 of ") && notes.contains(kind),
+                notes.contains(": 20 of ") && notes.contains(kind),
                 "{name} {mode}: {notes}"
             );
             assert!(notes.contains("set the sensor's clock"), "{name} {mode}: {notes}");

@@ -482,3 +482,66 @@ fn shipped_graphs_project_as_their_weights_were_trained() {
         assert_eq!(json(&out.join("result.json"))["project"], expected);
     }
 }
+
+#[test]
+fn settings_reach_the_graphs_that_have_the_stage_and_every_format_names_them() {
+    let log = shown(&log());
+    let out = folder("tables_shared");
+    let [alone, fused] = ["no_fusion", "late_fusion"].map(common::graph);
+    let noise = "others.sense.localization.position_noise_m=0.2";
+    let shown_out = shown(&out);
+    let run = |set: &str, format: &str| {
+        let all = [
+            "run",
+            &alone,
+            &fused,
+            "--recorded-detections",
+            "--mode",
+            "virtual",
+            "--link",
+            "delay_ms=90",
+            "--set",
+            set,
+            "--log",
+            &log,
+            "--out",
+            &shown_out,
+            "--format",
+            format,
+        ];
+        realo(all)
+    };
+    let link = "link delay_ms=90 (no_fusion has none)";
+    let set = format!("{noise} (no_fusion has none)");
+    let output = run(noise, "md");
+    let (said, errors) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    for part in [link, &set, "\n- Settings of all runs: virtual; "] {
+        assert!(said.contains(part), "no `{part}` in {said}");
+    }
+    let note = format!(
+        "1 of 1 setting skipped, because this graph has nothing to set there, while another graph of the run has: --set {noise}"
+    );
+    assert!(errors.contains(&format!("realo: no_fusion: {note}")), "{errors}");
+    assert!(said.contains(&format!("note (no_fusion): {note}")), "{said}");
+    assert_eq!(json(&out.join("no_fusion/result.json"))["set"], "");
+    assert_eq!(json(&out.join("late_fusion/result.json"))["set"], noise);
+    let runs = ["no_fusion", "late_fusion"].map(|name| out.join(name));
+    let latex = realo_ok(compare(&runs, &["--format", "latex"]));
+    let comment = latex.lines().find(|line| line.starts_with("% Settings of all runs: "));
+    assert!(
+        comment.is_some_and(|line| line.contains(link) && line.contains(&set)),
+        "{latex}"
+    );
+    let document: Value = serde_json::from_str(&realo_ok(compare(&runs, &["--json"]))).expect("JSON");
+    assert_eq!(document["common"]["link"], "delay_ms=90");
+    assert_eq!(
+        document["common"]["set"]["others.sense.localization.position_noise_m"],
+        "0.2"
+    );
+    // What no graph has is an error of each.
+    let output = run("others.localization.noise_m=0.2", "md");
+    let errors = text(&output.stderr);
+    assert_eq!((output.status.code(), output.stdout.len()), (Some(1), 0), "{errors}");
+    assert!(errors.contains("no node `others.localization`"), "{errors}");
+}

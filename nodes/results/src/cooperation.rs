@@ -1,14 +1,19 @@
 //! Whose messages were fused, and why those of others were not.
 
+use std::cmp::Reverse;
 use std::collections::BTreeSet;
 
-use realo_operator::{Books, Loss, Meaning};
+use realo_operator::{Books, Loss, Meaning, NodeBooks};
 use realo_schemas::Kind;
 use realo_schemas::report::Fate;
 use serde::{Deserialize, Serialize};
 
+use crate::causes::{LossNotes, rank};
 use crate::notes::{grouped, listed};
 use crate::{LinkBooks, RunResult};
+
+/// What is said of an agent whose messages were never used.
+pub const UNUSED: &str = "no message was used";
 
 /// What cooperation came to.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -74,25 +79,48 @@ impl Cooperation {
         self.runs > 0 && self.in_vain == self.runs
     }
 
-    pub(crate) fn notes(&self, result: &RunResult) -> Vec<String> {
+    pub(crate) fn notes(&self, result: &RunResult, losses: &LossNotes) -> Vec<String> {
+        let of_one = |unused: &Unused| {
+            let why = losses.of_unused.get(&unused.agent).unwrap_or(&unused.why);
+            format!("{}: {UNUSED}: {why}", unused.agent)
+        };
         let mut notes: Vec<String> = match result.runs {
-            1 => self
-                .unused
-                .iter()
-                .map(|unused| format!("{}: no message was used: {}", unused.agent, unused.why))
-                .collect(),
+            1 => self.unused.iter().map(of_one).collect(),
             _ => self.pooled().into_iter().collect(),
         };
-        if self.in_vain > 0 {
-            let which = match self.runs {
-                1 => String::new(),
-                runs => format!(" in {} of {runs} runs", self.in_vain),
-            };
-            notes.push(format!(
-                "cooperation added nothing{which}: no message of another agent was used, so these are the numbers of the ego alone"
-            ));
-        }
+        notes.extend(self.verdict(result));
         notes
+    }
+
+    /// What the numbers are where some or all runs used nothing of others.
+    fn verdict(&self, result: &RunResult) -> Option<String> {
+        if self.in_vain == 0 {
+            return None;
+        }
+        let which = match self.runs {
+            1 => String::new(),
+            runs => format!(" in {} of {runs} runs", self.in_vain),
+        };
+        let (total, skipped) = (result.frames.total, result.frames.skipped);
+        let numbers = match skipped {
+            0 => "these are the numbers of the ego alone".to_string(),
+            _ if result.frames.processed == 0 => {
+                "the ego gave no boxes either: these numbers say nothing of fusion".into()
+            }
+            _ => format!(
+                "these are the numbers of the ego alone, which gave no boxes for {} of {} sweeps",
+                grouped(skipped),
+                grouped(total)
+            ),
+        };
+        let link = if result.frames.processed == 0 && skipped > 0 {
+            "and"
+        } else {
+            "so"
+        };
+        Some(format!(
+            "cooperation added nothing{which}: no message of another agent was used, {link} {numbers}"
+        ))
     }
 
     /// Of several runs: who was not used in which of them, and why the first was not.
@@ -150,6 +178,24 @@ fn books_of(result: &RunResult, agent: &str) -> Vec<LinkBooks> {
     kinds.map(|(_, books)| books.clone()).collect()
 }
 
+/// What an agent sent to the egos but for where it is, and what was kept back because it was out of range.
+pub(crate) fn sent_and_kept(result: &RunResult, agent: &str) -> [u64; 2] {
+    let books = books_of(result, agent);
+    let sum = |get: fn(&LinkBooks) -> u64| books.iter().map(get).sum();
+    [sum(|books| books.sent), sum(|books| books.out_of_range)]
+}
+
+/// Messages that were not sent to an ego because somebody's position was not known.
+fn unplaced(agent: &str, books: &Books) -> u64 {
+    let carries = |node: &&NodeBooks| {
+        let mut channels = node.channels.iter();
+        channels.any(|channel| channel.from == agent && channel.kind != Kind::EgoState)
+    };
+    let losses = books.nodes.values().filter(carries);
+    let losses = losses.filter_map(|node| node.losses.get("unplaced")?.agents.get(agent));
+    losses.map(|share| share.count).sum()
+}
+
 fn used(books: &LinkBooks) -> u64 {
     books.accounted.map_or(0, |accounted| accounted.fates.used)
 }
@@ -163,13 +209,19 @@ fn why(agent: &str, books_of: &[LinkBooks], result: &RunResult, books: &Books) -
         let accounted = books_of.iter().filter_map(|books| books.accounted);
         accounted.map(|accounted| get(&accounted.fates)).sum()
     };
+    let out_of_range = sum(|books| books.out_of_range);
+    let unplaced = unplaced(agent, books).min(out_of_range);
     let mut ways = [
         (
-            sum(|books| books.out_of_range),
+            unplaced,
+            "were not sent, because the position of their sender or receiver was not known",
+        ),
+        (
+            out_of_range - unplaced,
             "were not sent, because the agents were out of the link's range",
         ),
         (sum(|books| books.lost), "were lost on the way"),
-        (fate(|fates| fates.skipped), "were passed over by a busy stage"),
+        (fate(|fates| fates.skipped), "were skipped by a busy stage"),
         (
             fate(|fates| fates.over_limit),
             "came when the fusion had taken all that it takes",
@@ -182,7 +234,7 @@ fn why(agent: &str, books_of: &[LinkBooks], result: &RunResult, books: &Books) -
         (fate(|fates| fates.rejected), "were rejected"),
         (fate(|fates| fates.in_flight), "were never asked for"),
     ];
-    ways.sort_by_key(|(n, _)| std::cmp::Reverse(*n));
+    ways.sort_by_key(|(n, _)| Reverse(*n));
     let said: Vec<String> = ways
         .iter()
         .filter(|(n, _)| *n > 0)
@@ -199,8 +251,8 @@ fn cause(agent: &str, result: &RunResult) -> String {
     let losses = result
         .nodes
         .iter()
-        .flat_map(|(id, node)| node.losses.values().map(move |loss| (id, loss)));
-    let lost = |(id, loss): (&String, &Loss)| {
+        .flat_map(|(id, node)| node.losses.iter().map(move |(counter, loss)| (id, counter, loss)));
+    let lost = |(id, counter, loss): (&String, &String, &Loss)| {
         let share = loss.agents.get(agent).filter(|share| share.count > 0)?;
         let note = loss.note.replace("{node}", id).replace("{agent}", agent);
         let found = loss
@@ -208,18 +260,15 @@ fn cause(agent: &str, result: &RunResult) -> String {
             .get(agent)
             .map(|words| format!(" ({words})"))
             .unwrap_or_default();
+        let is_fault = loss.meaning == Meaning::LogFault;
         Some((
-            loss.meaning,
-            share.count,
+            (is_fault, Reverse(rank(counter)), share.count),
             format!(": {} {note}{found}", grouped(share.count)),
         ))
     };
-    // What the log is the cause of goes first, then the most.
-    let most = losses
-        .filter_map(lost)
-        .max_by_key(|(meaning, n, _)| (*meaning == Meaning::LogFault, *n));
-    match most {
-        Some((.., words)) => words,
+    // What the log is the cause of goes first, of that the deepest cause, then the most.
+    match losses.filter_map(lost).max_by_key(|(place, _)| *place) {
+        Some((_, words)) => words,
         None if has_radio(result) => String::from(", or none came"),
         None => String::new(),
     }

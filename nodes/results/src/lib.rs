@@ -16,6 +16,7 @@
 //! sent = used + skipped + over_limit + stale + superseded + lost + rejected + in_flight + unaccounted,
 //! where `unaccounted` is 0 unless dora lost something. No term is found by subtracting the others from `sent`.
 
+mod causes;
 mod cooperation;
 mod distribution;
 mod files;
@@ -28,7 +29,7 @@ mod run;
 mod sink;
 mod timing;
 
-pub use cooperation::{Cooperation, Unused};
+pub use cooperation::{Cooperation, UNUSED, Unused};
 pub use distribution::{Ages, Spread};
 pub use files::{
     FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_result, write_run, write_run_and_courses,

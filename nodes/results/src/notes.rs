@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use realo_operator::{Loss, Meaning, Share};
+use realo_operator::{Loss, Share};
 use realo_schemas::file;
 use realo_scoring::{Counts, Dropped};
 
 use crate::RunResult;
+use crate::causes::{LossNotes, loss_notes};
 use crate::result::LOG_CUT;
 
 /// So many cut logs are named; the field `logs_cut` has all.
@@ -16,24 +17,19 @@ const AGENTS_NAMED: usize = 5;
 /// Characters of a counter's words: those of plug-ins may be of any length.
 const CHARACTERS: usize = 400;
 
-/// All notes but those of scores: first whose messages were never used, then what disturbed the run, then what was lost.
+/// All notes but those of scores: first the faults of the log that concern an ego, then whose messages were never used, then
+/// what else is wrong with the log, what follows from that, what disturbed the run, and what was lost.
 pub fn of(result: &RunResult) -> Vec<String> {
-    let mut notes = result.notes_of_cooperation();
-    notes.extend(result.own_notes());
-    notes.extend(losses(result));
-    notes
-}
-
-/// A note for each loss of each node; those that are the log's fault first.
-fn losses(result: &RunResult) -> Vec<String> {
-    let mut all: Vec<(&String, &Loss)> = result
-        .nodes
-        .iter()
-        .flat_map(|(id, node)| node.losses.values().map(move |loss| (id, loss)))
-        .filter(|(_, loss)| loss.meaning != Meaning::Plain && loss.worth_a_note().next().is_some())
-        .collect();
-    all.sort_by_key(|(_, loss)| loss.meaning != Meaning::LogFault);
-    all.into_iter().map(|(node, loss)| sentence(node, loss)).collect()
+    let losses = loss_notes(result);
+    [
+        losses.of_egos.clone(),
+        result.notes_of_unused(&losses),
+        losses.faults,
+        losses.consequences,
+        result.own_notes(),
+        losses.others,
+    ]
+    .concat()
 }
 
 /// What of the truth and of the detections was not scored, because the protocol has no class for it or it is no box.
@@ -79,9 +75,13 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
         }
         // Far objects have few points in every log; many of them do not.
         if dropped.few_points > 0 && 2 * dropped.few_points >= all {
+            let why = match result.log_faults() {
+                0 => "",
+                _ => "the faults of the log named above may be why; else ",
+            };
             said.push(format!(
                 "{} of {} {what} were not scored, because the agents together have too few points on them (`min_points` of protocol \
-                 `{protocol}`); look whether the log has the points of all agents, and whether these give an object one track",
+                 `{protocol}`); {why}look whether the log has the points of all agents, and whether these give an object one track",
                 grouped(dropped.few_points),
                 grouped(all)
             ));
@@ -95,7 +95,8 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
     .concat()
 }
 
-fn sentence(node: &str, loss: &Loss) -> String {
+/// A loss at a node: whose, how many, why, what to try.
+pub(crate) fn sentence(node: &str, loss: &Loss) -> String {
     let agents: Vec<(&str, Share)> = agents_of(loss);
     let names: Vec<&str> = agents.iter().map(|(agent, _)| *agent).collect();
     let words = |text: &str| {
@@ -170,10 +171,18 @@ pub(crate) fn grouped(n: u64) -> String {
 }
 
 impl RunResult {
-    /// Those of its notes that say whose messages were never used.
-    pub fn notes_of_cooperation(&self) -> Vec<String> {
+    /// Those of its notes that stand first: the faults of the log that concern an ego, then whose messages were never used.
+    pub fn first_notes(&self) -> [Vec<String>; 2] {
+        let losses = loss_notes(self);
+        let unused = self.notes_of_unused(&losses);
+        [losses.of_egos, unused]
+    }
+
+    fn notes_of_unused(&self, losses: &LossNotes) -> Vec<String> {
         let cooperation = self.cooperation.iter();
-        cooperation.flat_map(|cooperation| cooperation.notes(self)).collect()
+        cooperation
+            .flat_map(|cooperation| cooperation.notes(self, losses))
+            .collect()
     }
 
     /// Several runs over a cut log (one for each ego) do not make it several.
@@ -307,6 +316,8 @@ fn levelled(counter: &str) -> Option<(&str, f64)> {
 
 #[cfg(test)]
 mod tests {
+    use realo_operator::Meaning;
+
     use super::*;
     use crate::{NodeSummary, Samples, Settings};
 

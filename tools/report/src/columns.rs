@@ -5,11 +5,12 @@ use realo_scoring::{Accuracy, Orders};
 
 use crate::cells::{NONE, age, count, fraction, kilobytes};
 use crate::sections::{classes, ious};
+use crate::settings::{self, Setting};
 
 /// Offline nothing is late, and computing takes no time.
 pub const OFFLINE: &str = "offline";
 /// The kind of what agents say of where they are.
-const STATE: &str = "ego_state";
+pub const STATE: &str = "ego_state";
 
 /// A value of a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -195,21 +196,19 @@ fn traffic(columns: &mut Columns) {
     });
 }
 
-/// A setting's name, and where a result has it.
-type Setting = (&'static str, fn(&Settings) -> &String);
-
-const SETTINGS: [Setting; 11] = [
+const SETTINGS: [Setting; 12] = [
     ("graph", |settings| &settings.graph),
     ("mode", |settings| &settings.mode),
-    ("cooperation", |settings| &settings.coop),
+    ("coop", |settings| &settings.coop),
     ("ego", |settings| &settings.ego),
-    ("link", |settings| &settings.link),
-    ("compute", |settings| &settings.compute),
-    ("seed", |settings| &settings.seed),
-    ("project", |settings| &settings.project),
-    ("model", |settings| &settings.model),
-    ("isa", |settings| &settings.isa),
-    ("set", |settings| &settings.set),
+    settings::LINK,
+    settings::COMPUTE,
+    settings::SEED,
+    settings::PROJECT,
+    settings::PRECOMPUTED,
+    settings::MODEL,
+    settings::ISA,
+    settings::SET,
 ];
 
 /// The columns for a program: all settings, then all numbers of the main columns.

@@ -1,7 +1,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_results::{Run, RunResult, Settings};
+use realo_results::{Run, RunResult};
 use realo_scoring::{Evaluation, Frame, Protocol, Scene};
+
+use crate::settings::{self, Setting};
 
 /// So many names are listed; what there is beside is counted.
 const NAMED: usize = 5;
@@ -33,91 +35,76 @@ pub fn of_data(runs: &[(&str, &Run)]) -> Vec<String> {
     found
 }
 
-/// A setting: its name, its value, and what stands where it has none; without that, such runs cannot choose it.
-type Named = (&'static str, fn(&Settings) -> &String, Option<&'static str>);
+/// A setting, and what stands where it has no value; without that, such runs cannot choose it.
+type Named = (Setting, Option<&'static str>);
 
 const SETTINGS: [Named; 7] = [
-    ("mode", |settings| &settings.mode, Some("not known")),
-    ("cooperation", |settings| &settings.coop, Some("not known")),
-    ("link", |settings| &settings.link, None),
-    ("seed", |settings| &settings.seed, None),
-    ("compute", |settings| &settings.compute, Some("none")),
-    ("projection", |settings| &settings.project, None),
-    ("precomputed", |settings| &settings.precomputed, Some("none")),
+    (("mode", |settings| &settings.mode), Some("not known")),
+    (("coop", |settings| &settings.coop), Some("not known")),
+    (settings::LINK, None),
+    (settings::SEED, None),
+    (settings::COMPUTE, Some("none")),
+    (settings::PROJECT, None),
+    (settings::PRECOMPUTED, Some("none")),
 ];
 /// What mostly comes with a strategy.
-const OF_STRATEGY: [Named; 2] = [
-    ("model", |settings| &settings.model, None),
-    ("kernels", |settings| &settings.isa, None),
-];
+const OF_STRATEGY: [Named; 2] = [(settings::MODEL, None), (settings::ISA, None)];
+
+/// A setting that differs, by its name, and its value run by run; `None` where a run has none and cannot choose it.
+pub type Differing = (String, Vec<Option<String>>);
 
 /// Every setting that differs.
 fn all_settings(runs: &[(&str, &Run)]) -> Vec<String> {
     let named = SETTINGS.iter().chain(&OF_STRATEGY);
-    let mut found: Vec<String> = named.filter_map(|setting| of_setting(runs, setting)).collect();
-    found.extend(of_changes(runs));
-    found
+    in_words(runs, with_changes(runs, named))
 }
 
 /// The settings that differ beside those that each graph has once.
 pub fn of_settings(runs: &[(&str, &Run)]) -> Vec<String> {
-    let by_graph = |(_, get, _): &&Named| {
+    in_words(runs, values_of_settings(runs))
+}
+
+/// The same as values, run by run.
+pub fn values_of_settings(runs: &[(&str, &Run)]) -> Vec<Differing> {
+    let by_graph = |((_, get), _): &&Named| {
         let mut known = BTreeMap::new();
         runs.iter().all(|(_, run)| {
             let settings = &run.result.settings;
             *known.entry(&settings.graph).or_insert(get(settings)) == get(settings)
         })
     };
-    let named = SETTINGS.iter();
-    let named = named.chain(OF_STRATEGY.iter().filter(|setting| !by_graph(setting)));
-    let mut found: Vec<String> = named.filter_map(|setting| of_setting(runs, setting)).collect();
-    found.extend(of_changes(runs));
+    let of_strategy = OF_STRATEGY.iter().filter(|setting| !by_graph(setting));
+    with_changes(runs, SETTINGS.iter().chain(of_strategy))
+}
+
+fn with_changes<'a>(runs: &[(&str, &Run)], named: impl Iterator<Item = &'a Named>) -> Vec<Differing> {
+    let mut found: Vec<Differing> = named.filter_map(|setting| of_setting(runs, setting)).collect();
+    found.extend(settings::changed_differently(runs));
     found
 }
 
-fn of_setting(runs: &[(&str, &Run)], (name, get, missing): &Named) -> Option<String> {
-    let value = |run: &Run| {
+fn of_setting(runs: &[(&str, &Run)], ((name, get), missing): &Named) -> Option<Differing> {
+    let value = |(_, run): &(&str, &Run)| {
         let value = get(&run.result.settings);
         match value.is_empty() {
             true => missing.map(String::from),
             false => Some(value.clone()),
         }
     };
-    let known = runs.iter().filter_map(|(run_name, run)| Some((*run_name, value(run)?)));
-    differing(name, &known.collect::<Vec<_>>())
+    let values: Vec<Option<String>> = runs.iter().map(value).collect();
+    let known: BTreeSet<&String> = values.iter().flatten().collect();
+    (known.len() > 1).then(|| (name.to_string(), values))
 }
 
-/// Arguments that were changed by hand, one by one.
-fn of_changes(runs: &[(&str, &Run)]) -> Vec<String> {
-    let changes: Vec<BTreeMap<String, String>> =
-        runs.iter().map(|(_, run)| changes(&run.result.settings.set)).collect();
-    let arguments: BTreeSet<&String> = changes.iter().flat_map(BTreeMap::keys).collect();
-    let of_argument = |argument: &&String| {
-        let value = |changes: &BTreeMap<String, String>| changes.get(*argument).cloned();
-        let values = changes.iter().map(|changes| value(changes).unwrap_or("not set".into()));
-        let values: Vec<_> = runs.iter().map(|(name, _)| *name).zip(values).collect();
-        differing(argument, &values)
+/// A sentence for each.
+fn in_words(runs: &[(&str, &Run)], found: Vec<Differing>) -> Vec<String> {
+    let said = |(name, values): Differing| {
+        let of_run = |((run, _), value): (&(&str, &Run), Option<String>)| Some((run.to_string(), value?));
+        let known: Vec<(String, String)> = runs.iter().zip(values).filter_map(of_run).collect();
+        let known: Vec<(&str, String)> = known.iter().map(|(run, value)| (run.as_str(), value.clone())).collect();
+        format!("{name} differs: {}", by_value(&known))
     };
-    arguments.iter().filter_map(of_argument).collect()
-}
-
-/// `a.b=1, c.d=2,3` by its arguments: values may hold commas.
-fn changes(set: &str) -> BTreeMap<String, String> {
-    let mut found: Vec<(String, String)> = Vec::new();
-    for part in set.split(", ").filter(|part| !part.is_empty()) {
-        match (part.split_once('='), found.last_mut()) {
-            (Some((name, value)), _) => found.push((name.into(), value.into())),
-            (None, Some((_, value))) => value.push_str(&format!(", {part}")),
-            (None, None) => found.push((part.into(), String::new())),
-        }
-    }
-    found.into_iter().collect()
-}
-
-fn differing(what: &str, values: &[(&str, String)]) -> Option<String> {
-    let (_, first) = values.first()?;
-    let alike = values.iter().all(|(_, value)| value == first);
-    (!alike).then(|| format!("{what} differs: {}", by_value(values)))
+    found.into_iter().map(said).collect()
 }
 
 /// Which names some runs have and others do not.
@@ -179,6 +166,8 @@ fn by_value(values: &[(&str, String)]) -> String {
     let mut groups: Vec<(&String, Vec<&str>)> = Vec::new();
     for (name, value) in values {
         match groups.iter_mut().find(|(known, _)| *known == value) {
+            // A run may be there twice.
+            Some((_, names)) if names.contains(name) => {}
             Some((_, names)) => names.push(name),
             None => groups.push((value, vec![name])),
         }

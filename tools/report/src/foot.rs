@@ -1,6 +1,6 @@
 //! What stands around a table: what its runs have in common, and what a reader must know.
 
-use realo_results::Run;
+use realo_results::{Run, UNUSED};
 
 use crate::cells::{count, fraction, values};
 use crate::columns::OFFLINE;
@@ -15,45 +15,6 @@ pub const V2X_REAL: &str = "as V2X-Real's evaluator orders detections; only for 
 /// Whether messages were lost that no link lost, or scored frames have no boxes.
 pub fn is_disturbed(run: &Run) -> bool {
     run.result.transport.total_lost > 0 || run.result.frames.key_skipped > 0
-}
-
-/// What all runs were made with: `offline; ego cav1; log demo; protocol default; 20 scored frames`.
-pub fn common(runs: &[&Run]) -> String {
-    let facts: [fn(&Run) -> String; 8] = [
-        |run| run.result.settings.mode.clone(),
-        |run| named("ego", &run.result.settings.ego),
-        |run| match run.result.settings.coop.as_str() {
-            "all" => String::new(),
-            coop => named("cooperation", coop),
-        },
-        |run| match run.result.settings.mode == OFFLINE {
-            true => String::new(),
-            false => named("link", &run.result.settings.link),
-        },
-        |run| named("compute", &run.result.settings.compute),
-        |run| match run.result.logs.len() {
-            0 | 1 => named("log", &run.result.logs.concat()),
-            logs => format!("{logs} logs"),
-        },
-        |run| named("protocol", run.result.protocol.as_deref().unwrap_or_default()),
-        |run| match run.result.frames.key {
-            0 => String::new(),
-            frames => format!("{} scored frames", count(frames)),
-        },
-    ];
-    let same = facts.iter().filter_map(|fact| {
-        let mut values = runs.iter().map(|run| fact(run));
-        let first = values.next()?;
-        (!first.is_empty() && values.all(|value| value == first)).then_some(first)
-    });
-    same.collect::<Vec<_>>().join("; ")
-}
-
-fn named(what: &str, value: &str) -> String {
-    match value.is_empty() {
-        true => String::new(),
-        false => format!("{what} {value}"),
-    }
 }
 
 /// All that stands below a table with a row for each run.
@@ -142,25 +103,61 @@ fn of_one_log(runs: &[(&str, &Run)]) -> String {
     )
 }
 
-/// The notes of runs, each once, with the names of those that have it; first whose messages were never used.
+/// The notes of runs, each once, with the names of those that have it; first the faults of the log that concern an ego, then
+/// whose messages were never used.
 pub fn notes(runs: &[(&str, &Run)]) -> Vec<String> {
-    let mut notes: Vec<(&str, Vec<&str>)> = Vec::new();
-    for (name, run) in runs {
+    let mut notes: Vec<(&str, Vec<usize>)> = Vec::new();
+    for (at, (_, run)) in runs.iter().enumerate() {
         for note in &run.result.notes {
             match notes.iter_mut().find(|(known, _)| known == note) {
-                Some((_, names)) => names.push(name),
-                None => notes.push((note, vec![name])),
+                Some((_, having)) if having.contains(&at) => {}
+                Some((_, having)) => having.push(at),
+                None => notes.push((note, vec![at])),
             }
         }
     }
-    let first: Vec<String> = runs
-        .iter()
-        .flat_map(|(_, run)| run.result.notes_of_cooperation())
+    let notes = with_reasons_once(notes);
+    let first: Vec<[Vec<String>; 2]> = runs.iter().map(|(_, run)| run.result.first_notes()).collect();
+    let place = |note: &str| {
+        let is_in = |part: usize| first.iter().any(|parts| parts[part].iter().any(|known| known == note));
+        (0..2).find(|part| is_in(*part)).unwrap_or(2)
+    };
+    let mut notes: Vec<(usize, &str, Vec<usize>)> = notes
+        .into_iter()
+        .map(|(note, having)| (place(note), note, having))
         .collect();
-    notes.sort_by_key(|(note, _)| !first.iter().any(|known| known == note));
-    let named = |(note, names): &(&str, Vec<&str>)| match names.len() == runs.len() && runs.len() > 2 {
-        true => format!("note (all {}): {note}", runs.len()),
-        false => format!("note ({}): {note}", listed(names)),
+    notes.sort_by_key(|(place, ..)| *place);
+    let named = |(_, note, having): &(usize, &str, Vec<usize>)| {
+        let mut names: Vec<&str> = Vec::new();
+        for at in having {
+            if !names.contains(&runs[*at].0) {
+                names.push(runs[*at].0);
+            }
+        }
+        match having.len() == runs.len() && runs.len() > 2 {
+            true => format!("note (all {}): {note}", runs.len()),
+            false => format!("note ({}): {note}", listed(&names)),
+        }
     };
     notes.iter().map(named).collect()
+}
+
+/// What keeps an agent's messages from the fusion of one run is the same note as the loss in a run without fusion.
+fn with_reasons_once(mut notes: Vec<(&str, Vec<usize>)>) -> Vec<(&str, Vec<usize>)> {
+    let unused = format!(": {UNUSED}: ");
+    for at in 0..notes.len() {
+        let plain = notes[at].0.replacen(&unused, ": ", 1);
+        let same = notes
+            .iter()
+            .position(|(note, _)| *note == plain)
+            .filter(|same| *same != at);
+        if let Some(same) = same {
+            let mut having = [std::mem::take(&mut notes[at].1), std::mem::take(&mut notes[same].1)].concat();
+            having.sort_unstable();
+            having.dedup();
+            notes[at.min(same)] = (notes[at].0, having);
+        }
+    }
+    notes.retain(|(_, having)| !having.is_empty());
+    notes
 }

@@ -4,11 +4,15 @@ use realo_results::Run;
 
 use crate::cells::NONE;
 use crate::columns::{self, Cell, Column};
+use crate::differences::{of_data, values_of_settings};
 use crate::foot::{V2X_REAL, notes};
 use crate::sections::{ious, sections};
+use crate::settings::common;
 
 /// A table: its head and its rows; what is first in a row names it.
 struct Grid {
+    /// So many columns name a row.
+    labels: usize,
     head: Vec<String>,
     rows: Vec<Vec<String>>,
 }
@@ -25,6 +29,7 @@ fn by_run(
         std::iter::once(run.to_string()).chain(cells).collect()
     };
     Grid {
+        labels: 1,
         head: std::iter::once("run".into()).chain(columns.iter().map(name)).collect(),
         rows: runs.iter().enumerate().map(row).collect(),
     }
@@ -43,6 +48,7 @@ fn side_by_side(runs: &[(&str, &Run)]) -> Grid {
         }
     }
     Grid {
+        labels: 2,
         head: ["part".to_string(), "row".into()].into_iter().chain(names).collect(),
         rows,
     }
@@ -58,18 +64,26 @@ fn for_readers(runs: &[(&str, &Run)], full: bool) -> Grid {
         return side_by_side(runs);
     }
     let name = |column: &Column| format!("{} {}", column.head, column.part);
-    by_run(runs, &columns::main(&all(runs)), name, |cell| cell.shown().into())
+    let mut grid = by_run(runs, &columns::main(&all(runs)), name, |cell| cell.shown().into());
+    // What differs is a label of the run.
+    for (at, (name, values)) in values_of_settings(runs).into_iter().enumerate() {
+        grid.head.insert(1 + at, name);
+        for (row, value) in grid.rows.iter_mut().zip(values) {
+            row.insert(1 + at, value.unwrap_or(NONE.into()));
+        }
+        grid.labels += 1;
+    }
+    grid
 }
 
-/// As Markdown, with the runs' notes below.
+/// As Markdown, with the runs' settings and notes below.
 pub fn markdown(runs: &[(&str, &Run)], full: bool) -> String {
     let grid = for_readers(runs, full);
     let line = |cells: &[String]| {
         let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
         format!("| {} |\n", cells.join(" | "))
     };
-    let named = if full { 2 } else { 1 };
-    let align = (0..grid.head.len()).map(|at| if at < named { "---".into() } else { "---:".into() });
+    let align = (0..grid.head.len()).map(|at| if at < grid.labels { "---".into() } else { "---:".into() });
     let mut text = line(&grid.head) + &line(&align.collect::<Vec<String>>());
     text.extend(grid.rows.iter().map(|row| line(row)));
     let said: Vec<String> = below(runs, full).map(|sentence| format!("- {sentence}\n")).collect();
@@ -80,11 +94,18 @@ pub fn markdown(runs: &[(&str, &Run)], full: bool) -> String {
     text
 }
 
-/// What a reader must know: the other order of the scores, and the notes.
+/// What a reader must know: what all runs were made with, what of their data differs, the other order of the scores, and the
+/// notes.
 fn below(runs: &[(&str, &Run)], full: bool) -> impl Iterator<Item = String> {
+    let common = match (common(runs), runs.len()) {
+        (common, _) if common.is_empty() => None,
+        (common, 1) => Some(format!("Settings: {common}.")),
+        (common, _) => Some(format!("Settings of all runs: {common}.")),
+    };
     let scored = !full && !ious(&all(runs)).is_empty();
     let order = scored.then(|| format!("mAP and AP: all detections sorted by score. --full also has AP {V2X_REAL}."));
-    order.into_iter().chain(notes(runs))
+    let data = of_data(runs);
+    common.into_iter().chain(data).chain(order).chain(notes(runs))
 }
 
 /// As comma-separated values (RFC 4180).
@@ -106,15 +127,14 @@ pub fn csv(runs: &[(&str, &Run)], full: bool) -> String {
     std::iter::once(&grid.head).chain(&grid.rows).map(line).collect()
 }
 
-/// As a LaTeX `tabular`, with the runs' notes as comments below.
+/// As a LaTeX `tabular`, with the runs' settings and notes as comments below.
 pub fn latex(runs: &[(&str, &Run)], full: bool) -> String {
     let grid = for_readers(runs, full);
     let line = |cells: &[String]| {
         let cells: Vec<String> = cells.iter().map(|cell| escaped(cell)).collect();
         format!("{} \\\\\n", cells.join(" & "))
     };
-    let named = if full { 2 } else { 1 };
-    let align = "l".repeat(named) + &"r".repeat(grid.head.len() - named);
+    let align = "l".repeat(grid.labels) + &"r".repeat(grid.head.len() - grid.labels);
     let mut text = format!("\\begin{{tabular}}{{{align}}}\n\\hline\n{}\\hline\n", line(&grid.head));
     text.extend(grid.rows.iter().map(|row| line(row)));
     text.push_str("\\hline\n\\end{tabular}\n");

@@ -13,6 +13,7 @@ mod formats;
 mod list;
 mod pool;
 mod sections;
+mod settings;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -76,8 +77,9 @@ pub fn shown(runs: &[(&str, &Run)], options: &Options) -> String {
     }
 }
 
-/// Runs with their names as a JSON document: `{"differences": […], "runs": [{"name", "result", "timing"}]}`, the last two
-/// as in `result.json` and `timing.json`, without the samples; the first as [`differences`] says them.
+/// Runs with their names as a JSON document: `{"common": {…}, "differences": […], "runs": [{"name", "result", "timing"}]}`, the
+/// last two as in `result.json` and `timing.json`, without the samples; `common` has what all runs were made with, and what all
+/// that have such a thing share; `differences` as [`differences`] says them.
 fn json(runs: &[(&str, &Run)]) -> String {
     let run = |(name, run): &(&str, &Run)| {
         let mut timing = serde_json::to_value(&run.timing).unwrap_or_default();
@@ -86,7 +88,10 @@ fn json(runs: &[(&str, &Run)]) -> String {
         }
         value!({"name": name, "result": run.result, "timing": timing})
     };
-    let differences = differences(runs);
+    let (common, differences) = (settings::common_fields(runs), differences(runs));
     let runs: Vec<Value> = runs.iter().map(run).collect();
-    format!("{:#}", value!({"differences": differences, "runs": runs}))
+    format!(
+        "{:#}",
+        value!({"common": common, "differences": differences, "runs": runs})
+    )
 }

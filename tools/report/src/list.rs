@@ -3,8 +3,8 @@
 use realo_results::Run;
 
 use crate::columns::{self, Column};
-use crate::foot;
 use crate::text::{Align, lines, paragraph, width_of, write_row};
+use crate::{foot, settings};
 
 /// Between columns under different heads.
 const GAP: usize = 2;
@@ -21,7 +21,7 @@ pub fn list(runs: &[(&str, &Run)], width: usize) -> String {
     for difference in crate::differences::of_data(runs) {
         head.push_str(&paragraph(&format!("note: {difference}"), width));
     }
-    let common = foot::common(&all);
+    let common = settings::common(runs);
     if !common.is_empty() {
         head.push_str(&paragraph(&common, width));
     }

@@ -2,6 +2,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use realo_results::{Run, RunResult, Samples, Settings, Timing, TimingSamples, add_name};
 
+use crate::settings::{self, Setting};
+
 /// Runs that cannot be pooled.
 #[derive(Debug, thiserror::Error)]
 pub enum PoolError {
@@ -76,20 +78,17 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
     })
 }
 
-/// A setting: its name and its value.
-pub(crate) type Setting = (&'static str, fn(&Settings) -> &String);
-
 fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
     let settings: [Setting; 9] = [
         ("graph", |s| &s.graph),
         ("mode", |s| &s.mode),
         ("coop", |s| &s.coop),
-        ("link", |s| &s.link),
-        ("compute", |s| &s.compute),
-        ("isa", |s| &s.isa),
-        ("model", |s| &s.model),
-        ("project", |s| &s.project),
-        ("set", |s| &s.set),
+        settings::LINK,
+        settings::COMPUTE,
+        settings::ISA,
+        settings::MODEL,
+        settings::PROJECT,
+        settings::SET,
     ];
     let differ = |what, get: fn(&Settings) -> &String| PoolError::Differ {
         what,

@@ -8,9 +8,9 @@ use realo_schemas::report::ClockBy;
 use realo_scoring::{Accuracy, Counts, Orders, PointsBin, RangeBin, Table};
 
 use crate::cells::{NONE, count, fraction, share, spread, values};
-use crate::columns::{OFFLINE, interval};
+use crate::columns::{OFFLINE, STATE, interval};
 use crate::foot::V2X_REAL;
-use crate::pool::Setting;
+use crate::settings::{ISA, MODEL, PRECOMPUTED, PROJECT, SEED, SET, Setting};
 
 /// Rows under a title.
 pub struct Section {
@@ -137,13 +137,7 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Settings that are shown if a run has them.
-const RARE: [Setting; 5] = [
-    ("projected by", |settings| &settings.project),
-    ("precomputed", |settings| &settings.precomputed),
-    ("changed", |settings| &settings.set),
-    ("model", |settings| &settings.model),
-    ("kernels", |settings| &settings.isa),
-];
+const RARE: [Setting; 6] = [PROJECT, PRECOMPUTED, SET, SEED, MODEL, ISA];
 /// So many of them are main ones.
 const MAIN: usize = 3;
 
@@ -151,7 +145,7 @@ fn settings(rows: &mut Rows, full: bool) {
     let text = |text: &String| (!text.is_empty()).then(|| text.clone());
     rows.add("mode", |run| text(&run.result.settings.mode));
     rows.add("ego", |run| text(&run.result.settings.ego));
-    rows.add("cooperation", |run| {
+    rows.add("coop", |run| {
         let in_vain = run.result.cooperation.as_ref().is_some_and(Cooperation::added_nothing);
         let who = &run.result.settings.coop;
         match in_vain {
@@ -490,25 +484,30 @@ fn accounting(rows: &mut Rows, kind: &str) {
     if !rows.runs.iter().any(|run| books(run).is_some()) {
         return;
     }
+    // What stands below `sent` adds up to it; what was not sent stands apart, as do copies.
+    rows.add_counts("not sent: out of range", |run| Some(books(run)?.out_of_range));
+    rows.add_counts("copies made on the way", |run| Some(books(run)?.duplicated));
     rows.add("sent", |run| Some(count(books(run)?.sent)));
-    rows.add("used", |run| fate(|fates| fates.used)(run).map(count));
-    rows.add_counts("skipped", fate(|fates| fates.skipped));
-    rows.add_counts("over limit", fate(|fates| fates.over_limit));
-    rows.add_counts("stale", fate(|fates| fates.stale));
-    rows.add_counts("superseded", fate(|fates| fates.superseded));
-    rows.add_counts("lost", |run| Some(books(run)?.lost));
-    rows.add_counts("rejected", fate(|fates| fates.rejected));
-    rows.add_counts("in flight", fate(|fates| fates.in_flight));
+    rows.add("  used", |run| fate(|fates| fates.used)(run).map(count));
+    rows.add_counts("  skipped", fate(|fates| fates.skipped));
+    rows.add_counts("  over limit", fate(|fates| fates.over_limit));
+    rows.add_counts("  stale", fate(|fates| fates.stale));
+    let superseded = match kind == STATE {
+        true => "  replaced by the next state (normal)",
+        false => "  superseded",
+    };
+    rows.add_counts(superseded, fate(|fates| fates.superseded));
+    rows.add_counts("  lost", |run| Some(books(run)?.lost));
+    rows.add_counts("  rejected", fate(|fates| fates.rejected));
+    rows.add_counts("  in flight", fate(|fates| fates.in_flight));
     if rows
         .runs
         .iter()
         .filter_map(|run| books(run)?.accounted)
         .any(|accounted| accounted.unaccounted != 0)
     {
-        rows.add("! unaccounted", |run| {
+        rows.add("  ! unaccounted", |run| {
             Some(books(run)?.accounted?.unaccounted.to_string())
         });
     }
-    rows.add_counts("out of range, not sent", |run| Some(books(run)?.out_of_range));
-    rows.add_counts("duplicated, not counted", |run| Some(books(run)?.duplicated));
 }

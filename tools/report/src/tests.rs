@@ -335,7 +335,9 @@ fn twelve_runs_are_twelve_rows_at_any_width() {
         // What was set makes no row longer; what differs of it stands below.
         let differing = "others.sense.localization.position_noise_m differs: 0.0 in";
         assert!(width < 80 || text.contains(differing), "{text}");
-        assert!(!text.contains("window_ms"), "what is alike does not differ: {text}");
+        // What is alike stands once, above.
+        assert_eq!(text.matches("fusion.bank.window_ms=400").count(), 1, "{text}");
+        assert!(!text.contains("window_ms differs"), "{text}");
     }
     let full = table(&runs, true, 100);
     assert!(is_as_wide(&full, 100), "{full}");
@@ -362,7 +364,7 @@ fn a_row_for_each_run_as_a_reader_sees_it() {
     };
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(
-        lines[0], "virtual; ego cav1; log a; protocol default; 6 scored frames",
+        lines[0], "virtual; ego cav1; seed 7; log a; protocol default; 6 scored frames",
         "{text}"
     );
     assert_eq!(
@@ -424,12 +426,14 @@ fn every_format_has_every_run_and_the_same_numbers() {
     let cells = |line: &str| line.replace("\\|", "").matches('|').count();
     assert!(lines.iter().all(|line| cells(line) == cells(lines[0])), "{markdown}");
     assert!(
-        lines[0].starts_with("| run | mAP 0.3 | mAP 0.5 | KB per frame | age ms | vehicle 0.3 |"),
+        lines[0].starts_with(
+            "| run | link | others.sense.localization.position_noise_m | mAP 0.3 | mAP 0.5 | KB per frame | age ms | vehicle 0.3 |"
+        ),
         "{markdown}"
     );
     let rows: Vec<&str> = csv.lines().collect();
     assert_eq!(rows.len(), 13, "{csv}");
-    assert!(rows[0].starts_with("run,graph,mode,cooperation,ego,link,"), "{csv}");
+    assert!(rows[0].starts_with("run,graph,mode,coop,ego,link,"), "{csv}");
     assert!(
         rows[1].starts_with("\"a|b, \"\"c\"\" & 100 %_#\",late_fusion,virtual,"),
         "{csv}"
@@ -453,7 +457,7 @@ fn every_format_has_every_run_and_the_same_numbers() {
     );
     assert!(rows[1].starts_with("a|b, \"c\" \\& 100 \\%\\_\\# & "), "{latex}");
     assert!(
-        latex.starts_with("\\begin{tabular}{lrrrr") && latex.contains("\\end{tabular}\n"),
+        latex.starts_with("\\begin{tabular}{lllrrrr") && latex.contains("\\end{tabular}\n"),
         "{latex}"
     );
     for format in [Format::Markdown, Format::Csv, Format::Latex] {
@@ -533,6 +537,11 @@ fn every_setting_that_differs_is_named_by_itself() {
     other.result.settings.set = "fusion.bank.window_ms=400, others.sense.localization.position_noise_m=0.2".into();
     (other.result.settings.seed, other.result.settings.compute) = ("8".into(), "paper".into());
     other.result.settings.model = "lite-1".into();
+    for run in [&mut one, &mut other] {
+        for stage in ["v2x", "fusion.bank", "others.sense.localization"] {
+            run.result.nodes.insert(stage.into(), NodeSummary::default());
+        }
+    }
     let found = differences(&[("one", &one), ("other", &other)]);
     let expected = [
         "link differs: perfect in one; lat100 in other",
@@ -653,4 +662,176 @@ fn a_pooled_run_names_the_log_of_all_its_runs_and_the_cut_ones() {
     assert_eq!(pooled.result.logs_cut, ["a"]);
     runs[1].timing.log_path = Some("/logs/b.mcap".into());
     assert_eq!(pool(&runs).unwrap().timing.log_path, None);
+}
+
+/// A run without cooperation, and two over a link with noise.
+fn delayed() -> [Run; 3] {
+    let mut runs = [run("a", "cav1", 1), run("a", "cav1", 2), run("a", "cav1", 3)];
+    let graphs = ["no_fusion", "late_fusion", "attfuse"];
+    for (run, graph) in runs.iter_mut().zip(graphs) {
+        run.result.settings.graph = graph.into();
+        if graph != "no_fusion" {
+            run.result.settings.link = "delay_ms=90".into();
+            run.result.settings.set = "others.sense.localization.position_noise_m=0.2".into();
+            let localization = NodeSummary::default();
+            run.result
+                .nodes
+                .insert("others.sense.localization".into(), localization);
+        }
+    }
+    runs[2].result.settings.project = "sender".into();
+    runs
+}
+
+#[test]
+fn what_all_share_is_named_in_every_format_also_beside_a_run_that_has_no_such_thing() {
+    let runs = delayed();
+    let runs = [
+        ("no_fusion", &runs[0]),
+        ("late_fusion", &runs[1]),
+        ("attfuse", &runs[2]),
+    ];
+    let said = "virtual; ego cav1; link delay_ms=90 (no_fusion has none); seed 7; project sender (only attfuse has one); \
+                others.sense.localization.position_noise_m=0.2 (no_fusion has none); log a; protocol default; 6 scored frames";
+    let in_format = |format| {
+        shown(
+            &runs,
+            &Options {
+                format,
+                full: false,
+                width: 400,
+            },
+        )
+    };
+    let text = in_format(Format::Text);
+    assert_eq!(text.lines().next(), Some(said));
+    assert!(!text.contains(" differs: "), "{text}");
+    let markdown = in_format(Format::Markdown);
+    assert!(
+        markdown.contains(&format!("\n- Settings of all runs: {said}.\n")),
+        "{markdown}"
+    );
+    let latex = in_format(Format::Latex);
+    assert!(
+        latex.contains(&format!("\n% Settings of all runs: {said}.\n")),
+        "{latex}"
+    );
+    let csv = in_format(Format::Csv);
+    let head: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    for (row, link, set) in [
+        (1, "", ""),
+        (2, "delay_ms=90", "others.sense.localization.position_noise_m=0.2"),
+    ] {
+        let row: Vec<&str> = csv.lines().nth(row).unwrap().split(',').collect();
+        let cell = |name| row[head.iter().position(|field| *field == name).unwrap()];
+        assert_eq!((cell("link"), cell("set")), (link, set), "{csv}");
+    }
+    let document: Value = serde_json::from_str(&in_format(Format::Json)).unwrap();
+    let common = &document["common"];
+    assert_eq!(
+        (&common["link"], &common["mode"]),
+        (&"delay_ms=90".into(), &"virtual".into())
+    );
+    assert_eq!(common["set"]["others.sense.localization.position_noise_m"], "0.2");
+    // One run is named as such.
+    let one = shown(
+        &runs[1..2],
+        &Options {
+            format: Format::Markdown,
+            ..Options::default()
+        },
+    );
+    assert!(
+        one.contains("\n- Settings: virtual; ego cav1; link delay_ms=90; seed 7; "),
+        "{one}"
+    );
+}
+
+#[test]
+fn what_differs_is_a_label_of_the_row() {
+    let [alone, mut fused, other] = delayed();
+    fused.result.settings.link = "perfect".into();
+    fused.result.settings.set.clear();
+    let runs = [("alone", &alone), ("fused", &fused), ("other", &other)];
+    let markdown = shown(
+        &runs,
+        &Options {
+            format: Format::Markdown,
+            ..Options::default()
+        },
+    );
+    let rows: Vec<&str> = markdown.lines().collect();
+    assert!(
+        rows[0].starts_with("| run | link | others.sense.localization.position_noise_m | mAP"),
+        "{markdown}"
+    );
+    assert!(rows[2].starts_with("| alone | – | – |"), "{markdown}");
+    assert!(rows[3].starts_with("| fused | perfect | not set |"), "{markdown}");
+    assert!(rows[4].starts_with("| other | delay_ms=90 | 0.2 |"), "{markdown}");
+    assert!(!markdown.contains("link delay_ms=90"), "{markdown}");
+}
+
+#[test]
+fn what_was_not_sent_is_no_part_of_what_was() {
+    let mut one = run("a", "cav1", 1);
+    let state = LinkBooks {
+        sent: 198,
+        out_of_range: 3,
+        accounted: Some(Accounted {
+            fates: Fates {
+                superseded: 198,
+                ..Fates::default()
+            },
+            unaccounted: 0,
+        }),
+        ..LinkBooks::default()
+    };
+    one.result
+        .links
+        .get_mut("rsu1-cav1")
+        .unwrap()
+        .insert("ego_state".into(), state);
+    let text = table(&[("one", &one)], true, 100);
+    let at = |label: &str| text.find(label).unwrap_or_else(|| panic!("no `{label}` in {text}"));
+    let section = at("messages over links: ego_state");
+    let rows: Vec<&str> = text[section..].lines().skip(1).take(4).collect();
+    let labels = [
+        "  not sent: out of range",
+        "  sent",
+        "    used",
+        "    replaced by the next state (normal)",
+    ];
+    for (row, label) in rows.iter().zip(labels) {
+        assert!(row.starts_with(label), "`{label}`: {text}");
+    }
+    let parts: u64 = rows[2..]
+        .iter()
+        .map(|row| row.split_whitespace().last().unwrap().parse::<u64>().unwrap())
+        .sum();
+    assert_eq!((parts, rows[1].split_whitespace().last()), (198, Some("198")));
+    // Of other kinds it is no matter of course.
+    assert!(!text[at("messages over links: boxes")..section].contains("normal"));
+}
+
+#[test]
+fn a_note_names_a_run_once_and_a_cause_once() {
+    let [mut alone, mut fused, _] = delayed();
+    let cause = "mast: 20 of 60 messages were left out; set its clock";
+    alone.result.notes = vec![cause.into(), "two links say it".into(), "two links say it".into()];
+    fused.result.notes = vec![
+        cause.replace("mast: ", "mast: no message was used: "),
+        "two links say it".into(),
+    ];
+    let said = notes(&[("alone", &alone), ("fused", &fused), ("fused", &fused)]);
+    assert_eq!(
+        said,
+        [
+            "note (all 3): mast: no message was used: 20 of 60 messages were left out; set its clock",
+            "note (all 3): two links say it"
+        ]
+    );
+    assert_eq!(
+        notes(&[("fused", &fused), ("fused", &fused)])[1],
+        "note (fused): two links say it"
+    );
 }

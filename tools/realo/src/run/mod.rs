@@ -1,6 +1,7 @@
 //! `realo run`: prepares graphs, has them run, and checks that the runs are complete.
 
 mod batch;
+mod choices;
 mod compute;
 mod dora;
 mod find;
@@ -18,7 +19,7 @@ mod resume;
 mod signals;
 mod tether;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
@@ -294,11 +295,27 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mode = args.driver()?;
     let names = names(&args.graphs)?;
     let mut batches: Vec<(&String, Batch)> = Vec::new();
+    let there: Vec<PathBuf> = graphs
+        .iter()
+        .filter(|(is_there, _)| *is_there)
+        .map(|(_, path)| path.clone())
+        .collect();
+    let mut fitted = choices::fit(&args.choices, &there).into_iter();
+    let mut skipped: BTreeMap<&str, String> = BTreeMap::new();
     for ((is_there, graph), name) in graphs.iter().zip(&names) {
-        if *is_there {
-            let batch = failures.note(name, prepare::batch(args, mode, graph, name))?;
-            batches.extend(batch.map(|batch| (name, batch)));
+        let Some(fitted) = is_there.then(|| fitted.next()).flatten() else {
+            continue;
+        };
+        if let Some(note) = fitted.note() {
+            eprintln!("realo: {name}: {note}");
+            skipped.insert(name, note);
         }
+        let own = Args {
+            choices: fitted.choices,
+            ..args.clone()
+        };
+        let batch = failures.note(name, prepare::batch(&own, mode, graph, name))?;
+        batches.extend(batch.map(|batch| (name, batch)));
     }
     let mut cells = batches.iter().flat_map(|(_, batch)| batch.cells());
     if args.choices.project.is_some() && !batches.is_empty() && !cells.any(Cell::can_project) {
@@ -324,7 +341,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 eprintln!("realo: {}", ended_early(ending, mode, done.err()));
                 break;
             }
-            (done, _) => done.and_then(|done| pool(args, mode, name, batch, &done)),
+            (done, _) => {
+                let notes = batch.note().into_iter().chain(skipped.get(name.as_str()).cloned());
+                done.and_then(|done| pool(args, mode, name, notes.collect(), &done))
+            }
         };
         let pooled = failures.note(name, done)?;
         runs.extend(pooled.map(|pooled| (name.as_str(), pooled)));
@@ -377,9 +397,9 @@ fn ended_early(ending: signals::Ending, mode: Mode, reason: Option<eyre::Report>
 }
 
 /// Pools the runs of a graph, and writes what they came to.
-fn pool(args: &Args, mode: Mode, name: &str, batch: &Batch, done: &[Run]) -> Result<Run> {
+fn pool(args: &Args, mode: Mode, name: &str, notes: Vec<String>, done: &[Run]) -> Result<Run> {
     let mut pooled = realo_report::pool(done)?;
-    pooled.result.notes.splice(0..0, batch.note());
+    pooled.result.notes.splice(0..0, notes);
     pooled.result.ended_by = signals::first().map(|ending| ending.to_string());
     let dir = dir_of(args, name);
     realo_report::write_run(&dir, &pooled)?;

@@ -124,6 +124,13 @@ fn needed(graph: &FlatGraph, node: &FlatNode) -> String {
     format!("the inputs {inputs} and the outputs {outputs}")
 }
 
+/// Some places of a replacement with what stands there, as the user wrote it.
+pub fn written(replacement: &Replacement, places: &[usize], text: &str) -> String {
+    let places: Vec<String> = places.iter().map(|at| replacement.places[*at].join("+")).collect();
+    let stage = text.split_once('=').map_or("", |(_, stage)| stage);
+    format!("{}={stage}", places.join(","))
+}
+
 /// Replacements as results have them: places, and what stands there; files by their names alone.
 pub fn in_words(texts: &[String]) -> Result<Vec<(String, String)>> {
     let name = |value: &str| {

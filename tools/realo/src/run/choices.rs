@@ -1,0 +1,247 @@
+//! Of several graphs, each gets the settings for which it has a stage.
+
+use std::path::{Path, PathBuf};
+
+use eyre::Result;
+use realo_graph::{FlatGraph, Graph, GraphError, Replacement, Setting};
+use realo_operator::Decided;
+
+use super::nodes::{deciding, given, registration};
+use super::{Choices, replace};
+
+/// The settings of one graph.
+pub struct Fitted {
+    /// Those that the graph can follow.
+    pub choices: Choices,
+    /// The others, as options; another of the graphs can follow each.
+    skipped: Vec<String>,
+    /// How many were asked for.
+    asked: usize,
+}
+
+impl Fitted {
+    /// The settings that the graph was not given, for who reads its results.
+    pub fn note(&self) -> Option<String> {
+        let (skipped, asked) = (self.skipped.len(), self.asked);
+        let what = if asked == 1 { "setting" } else { "settings" };
+        (skipped > 0).then(|| {
+            format!(
+                "{skipped} of {asked} {what} skipped, because this graph has nothing to set there, while another graph of the run has: {}",
+                self.skipped.join("; ")
+            )
+        })
+    }
+}
+
+/// What one graph can follow of the settings of all. What no graph can follow stays, so that each says what is wrong.
+pub fn fit(choices: &Choices, graphs: &[PathBuf]) -> Vec<Fitted> {
+    let mut fitted: Vec<Fitted> = graphs
+        .iter()
+        .map(|_| Fitted {
+            choices: choices.clone(),
+            skipped: Vec::new(),
+            asked: choices.set.len() + choices.replace.len() + usize::from(choices.model.is_some()),
+        })
+        .collect();
+    if graphs.len() < 2 || fitted[0].asked == 0 {
+        return fitted;
+    }
+    // A graph that cannot be read says so later; until then it has everything.
+    let mut known: Vec<Option<FlatGraph>> = graphs.iter().map(|path| flat(path, choices).ok()).collect();
+    for text in &choices.replace {
+        fit_replacement(text, &mut known, &mut fitted);
+    }
+    for text in &choices.set {
+        let Ok(setting) = text.parse::<Setting>() else { continue };
+        let has: Vec<bool> = known
+            .iter()
+            .map(|graph| has_argument(graph.as_ref(), &setting))
+            .collect();
+        skip(&has, &mut fitted, &format!("--set {text}"), |choices| {
+            choices.set.retain(|other| other != text);
+        });
+    }
+    if let Some(model) = &choices.model {
+        let runs_network = |graph: &Option<FlatGraph>| {
+            let mut graph = graph.iter();
+            graph.all(|graph| deciding(graph, Decided::Model).next().is_some())
+        };
+        let has: Vec<bool> = known.iter().map(runs_network).collect();
+        skip(&has, &mut fitted, &format!("--model {}", model.display()), |choices| {
+            choices.model = None;
+        });
+    }
+    fitted
+}
+
+fn flat(path: &Path, choices: &Choices) -> Result<FlatGraph, GraphError> {
+    let graph = Graph::load(path)?;
+    match choices.recorded_detections {
+        true => graph.with_detection("recorded").expand(),
+        false => graph.expand(),
+    }
+}
+
+/// Takes a setting from the graphs that lack its place, where another has it.
+fn skip(has: &[bool], fitted: &mut [Fitted], option: &str, take: impl Fn(&mut Choices)) {
+    if !has.contains(&true) {
+        return;
+    }
+    for (fitted, _) in fitted.iter_mut().zip(has).filter(|(_, has)| !**has) {
+        take(&mut fitted.choices);
+        fitted.skipped.push(option.to_string());
+    }
+}
+
+/// Whether a graph has a stage with such an argument. What a program takes only the program knows.
+fn has_argument(graph: Option<&FlatGraph>, setting: &Setting) -> bool {
+    let Some(graph) = graph else { return true };
+    let Some(node) = graph.node(&setting.node) else {
+        return false;
+    };
+    let Some(known) = registration(node) else { return true };
+    (known.defaults)().contains_key(&setting.key) || given(node, &setting.key).is_some()
+}
+
+/// Leaves each graph the places of a replacement that it has, and makes the replacement.
+fn fit_replacement(text: &str, known: &mut [Option<FlatGraph>], fitted: &mut [Fitted]) {
+    let Ok(replacement) = text.parse::<Replacement>() else {
+        return;
+    };
+    let has_place = |graph: &Option<FlatGraph>, place: &[String]| {
+        let alone = Replacement {
+            places: vec![place.to_vec()],
+            words: replacement.words.clone(),
+        };
+        let tried = graph.clone().map(|mut graph| graph.replace(&alone));
+        !matches!(tried, Some(Err(GraphError::UnknownNode { .. })))
+    };
+    let has: Vec<Vec<bool>> = known
+        .iter()
+        .map(|graph| replacement.places.iter().map(|place| has_place(graph, place)).collect())
+        .collect();
+    for (at, fitted) in fitted.iter_mut().enumerate() {
+        let is_elsewhere = |place: usize| has.iter().any(|has| has[place]);
+        let (left, gone): (Vec<usize>, Vec<usize>) =
+            (0..replacement.places.len()).partition(|place| has[at][*place] || !is_elsewhere(*place));
+        if gone.is_empty() {
+            continue;
+        }
+        let joined = |places: &[usize]| replace::written(&replacement, places, text);
+        fitted.skipped.push(format!("--replace {}", joined(&gone)));
+        let texts = &mut fitted.choices.replace;
+        match (texts.iter().position(|other| other == text), left.is_empty()) {
+            (Some(place), true) => _ = texts.remove(place),
+            (Some(place), false) => texts[place] = joined(&left),
+            (None, _) => {}
+        }
+    }
+    for (graph, has) in known.iter_mut().zip(&has) {
+        let places = replacement.places.iter().zip(has).filter(|(_, has)| **has);
+        let replacement = Replacement {
+            places: places.map(|(place, _)| place.clone()).collect(),
+            words: replacement.words.clone(),
+        };
+        // What is wrong with it is said when it is made.
+        if let Some(graph) = graph {
+            _ = graph.replace(&replacement);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shipped(names: &[&str]) -> Vec<PathBuf> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows");
+        names.iter().map(|name| folder.join(format!("{name}.yml"))).collect()
+    }
+
+    fn choices(set: &[&str], replace: &[&str]) -> Choices {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            choices: Choices,
+        }
+        let options = |name: &'static str, texts: &[&str]| -> Vec<String> {
+            texts
+                .iter()
+                .flat_map(|text| [name.to_string(), text.to_string()])
+                .collect()
+        };
+        let words = [
+            vec!["realo".to_string()],
+            options("--set", set),
+            options("--replace", replace),
+        ]
+        .concat();
+        <Line as clap::Parser>::parse_from(words).choices
+    }
+
+    const NOISE: &str = "others.sense.localization.position_noise_m=0.2";
+
+    #[test]
+    fn a_graph_without_the_stage_is_not_given_the_setting() {
+        let window = "fusion.bank.window_ms=300";
+        let fitted = fit(
+            &choices(&[NOISE, window], &[]),
+            &shipped(&["no_fusion", "late_fusion", "attfuse"]),
+        );
+        assert_eq!(fitted[0].choices.set, [""; 0]);
+        let note = fitted[0].note().expect("a note");
+        assert!(
+            note.starts_with("2 of 2 settings skipped") && note.contains(NOISE),
+            "{note}"
+        );
+        for fitted in &fitted[1..] {
+            assert_eq!(fitted.choices.set, [NOISE, window]);
+            assert_eq!(fitted.note(), None);
+        }
+    }
+
+    #[test]
+    fn an_argument_that_only_one_fusion_has_is_for_that_one() {
+        let set = "fusion.fusion.ego_boxes=false";
+        let fitted = fit(&choices(&[set], &[]), &shipped(&["late_fusion", "attfuse"]));
+        assert_eq!((fitted[0].note(), fitted[1].choices.set.len()), (None, 0));
+        assert!(
+            fitted[1]
+                .note()
+                .is_some_and(|note| note.starts_with("1 of 1 setting skipped"))
+        );
+    }
+
+    #[test]
+    fn what_no_graph_has_stays_for_its_error() {
+        for set in ["others.localization.noise_m=0.2", "fusion.fusion.no_such=1", "no_dot"] {
+            let fitted = fit(&choices(&[set], &[]), &shipped(&["no_fusion", "late_fusion"]));
+            assert!(
+                fitted
+                    .iter()
+                    .all(|fitted| fitted.choices.set == [set] && fitted.note().is_none())
+            );
+        }
+        let alone = fit(&choices(&[NOISE], &[]), &shipped(&["no_fusion"]));
+        assert_eq!(alone[0].choices.set, [NOISE], "of one graph");
+    }
+
+    #[test]
+    fn a_replacement_keeps_the_places_that_a_graph_has() {
+        let text = "ego.nms,others.nms=operator nms threshold=0.4";
+        let fitted = fit(&choices(&[], &[text]), &shipped(&["no_fusion", "late_fusion"]));
+        assert_eq!(fitted[0].choices.replace, ["ego.nms=operator nms threshold=0.4"]);
+        assert!(
+            fitted[0]
+                .note()
+                .is_some_and(|note| note.ends_with(": --replace others.nms=operator nms threshold=0.4"))
+        );
+        assert_eq!(fitted[1].choices.replace, [text]);
+        let fusion = "fusion.fusion=operator fusion-boxes ego_boxes=false";
+        let fitted = fit(&choices(&[], &[fusion]), &shipped(&["no_fusion", "late_fusion"]));
+        assert_eq!(
+            (fitted[0].choices.replace.len(), fitted[1].choices.replace.len()),
+            (0, 1)
+        );
+    }
+}
