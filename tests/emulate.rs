@@ -7,21 +7,13 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::mpsc::RecvTimeoutError;
-use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
 use linkemu::{ADDRESSES, Link, Machines};
 
-use common::machine::decided;
+use common::machine::{decided, half};
 use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
 use serde_json::Value;
-
-/// Runs share the machine's cores with nothing of ours.
-static ALONE: Mutex<()> = Mutex::new(());
-
-fn alone() -> MutexGuard<'static, ()> {
-    ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-}
 
 const NEEDS: &str = "network namespaces and /dev/net/tun, as root or in a user namespace";
 
@@ -129,7 +121,7 @@ fn graphs_meet_on_two_emulated_machines() {
 }
 
 fn meet_between_namespaces() {
-    let _alone = alone();
+    let _share = half();
     let id = std::process::id();
     let names = format!("realo{id}car,realo{id}unit");
     let mut emulated = Emulated::start(&["--delay", "30", "--names", &names]);
@@ -149,7 +141,7 @@ fn graphs_meet_over_a_relay_on_loopback() {
 }
 
 fn meet_over_a_relay() {
-    let _alone = alone();
+    let _share = half();
     let port = free_port().to_string();
     let mut emulated = Emulated::start(&["--loopback", "--delay", "30", "--port", &port]);
     assert!(
@@ -253,7 +245,7 @@ fn a_clock_that_is_set_meanwhile_moves_no_latency() {
 }
 
 fn set_a_clock_meanwhile() {
-    let _alone = alone();
+    let _share = half();
     let link = Link::default();
     assert!(link.set("delay", 40.0));
     let names = ["answers", "asks"].map(|name| format!("realo{}{name}", std::process::id()));
@@ -339,7 +331,7 @@ fn boxes_cross_beside_clouds_between_namespaces() {
 }
 
 fn cross_between_namespaces() {
-    let _alone = alone();
+    let _share = half();
     let Some(found) = bench(&["radio", "--seconds", "2", "--only", "1 % loss, bbr"]) else {
         return;
     };
@@ -358,7 +350,7 @@ fn boxes_cross_beside_clouds_over_a_relay() {
 }
 
 fn cross_over_a_relay() {
-    let _alone = alone();
+    let _share = half();
     let found = bench(&["radio", "--loopback", "--seconds", "2", "--only", "no loss, clouds"]);
     let found = found.expect("it needs no namespaces");
     assert!(
@@ -408,7 +400,7 @@ fn the_ego_goes_on_while_the_link_is_cut() {
 }
 
 fn cut_the_link() {
-    let _alone = alone();
+    let _share = half();
     let Some(row) = row_of("cut for 5 s") else { return };
     assert!(
         count(&row["fates"]["used"]) <= count(&row["sent"]) && count(&row["sent"]) < 190,
@@ -422,7 +414,7 @@ fn graphs_go_on_when_the_clock_of_their_machine_is_set() {
 }
 
 fn set_the_clocks() {
-    let _alone = alone();
+    let _share = half();
     // Of graphs that followed it the vehicle would find a clock that is off, or stand still for an hour.
     for name in [
         "roadside unit's clock set 200 ms ahead, then 200 ms behind",
@@ -441,7 +433,7 @@ fn a_peer_that_comes_back_with_another_clock_is_placed_anew() {
 }
 
 fn come_back_with_another_clock() {
-    let _alone = alone();
+    let _share = half();
     let name = "roadside unit killed, back after 2 s with its clock 200 ms ahead";
     let Some(row) = row_of(name) else { return };
     let off = row["clock_ms"].as_f64().expect("its clock was asked for");

@@ -8,21 +8,13 @@ mod security;
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
-use common::machine::decided;
+use common::machine::{decided, half, whole};
 use common::{
     Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual, simulated, text,
 };
 use serde_json::Value;
-
-/// Realtime runs share the machine's cores with nothing of ours.
-static ALONE: Mutex<()> = Mutex::new(());
-
-fn alone() -> MutexGuard<'static, ()> {
-    ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-}
 
 /// Sweeps of the agents lie at least 15 ms apart, so that no race decides which message is the newest.
 fn log() -> PathBuf {
@@ -49,7 +41,7 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
 }
 
 fn late_fusion_over_zenoh() {
-    let _alone = alone();
+    let _share = whole();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_vehicle"), folder("radio_roadside"));
     let together = ["--recorded-detections", "--ego", "cav1", "--agents", "cav1,rsu1"];
@@ -94,7 +86,7 @@ fn late_fusion_over_zenoh() {
 /// over a perfect one. Two sweeps a second leave time to compute, so that ages are those of the log on any machine; the other agent's lie
 /// 76 ms behind the ego's, which fuses those before.
 fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], banks: &[&str]) {
-    let _alone = alone();
+    let _share = whole();
     let args = "--seed 923 --seconds 5 --phase spread --key-hz 2 --key-sweeps-only --agents cav1,rsu1";
     let (log, port) = (
         simulated("radio_slow", &args.split(' ').collect::<Vec<_>>()),
@@ -200,7 +192,7 @@ fn an_agent_alone_finds_what_it_finds_without_others() {
 }
 
 fn an_agent_alone() {
-    let _alone = alone();
+    let _share = half();
     let (log, near) = (log(), folder("radio_alone"));
     run_virtual(
         "radio_alone_virtual",
@@ -227,7 +219,7 @@ fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
 }
 
 fn kill_a_peer() {
-    let _alone = alone();
+    let _share = half();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_killed"), folder("radio_killed_roadside"));
     let vehicle = std::thread::spawn({
@@ -259,7 +251,7 @@ fn an_agent_that_joins_while_others_send_loses_nothing_of_what_comes() {
 }
 
 fn join_while_others_send() {
-    let _alone = alone();
+    let _share = half();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_joins"), folder("radio_joins_roadside"));
     let _peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
@@ -277,7 +269,7 @@ fn a_roadside_unit_shares_maps_in_the_frame_of_who_fuses_them() {
 }
 
 fn share_maps() {
-    let _alone = alone();
+    let _share = whole();
     let (log, port) = (clouds(), free_port());
     let (near, far) = (folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
     let arguments = |name: &str, out: &Path, set: String| -> Vec<String> {
@@ -358,7 +350,7 @@ fn what_agents_recorded_is_one_log_again_though_a_clock_is_off() {
 }
 
 fn merge_recordings() {
-    let _alone = alone();
+    let _share = half();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_merge_vehicle"), folder("radio_merge_roadside"));
     let roadside = std::thread::spawn({

@@ -1,26 +1,20 @@
 //! Runs on real dora: the same answers as virtual time, and failures that are seen.
 
 mod common;
+#[path = "realtime/daemons.rs"]
+mod daemons;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use common::machine::decided;
+use common::machine::{decided, half, whole};
 use common::{folder, graph, json, realo_ok, run_virtual, simulated, text};
 use realo_schemas::Nanos;
 use realo_schemas::report::Fated;
 use serde_json::Value;
-
-/// Realtime runs share the machine's cores with nothing of ours.
-static ALONE: Mutex<()> = Mutex::new(());
-
-fn alone() -> MutexGuard<'static, ()> {
-    ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-}
 
 /// Sweeps of the agents lie at least 15 ms apart, so that no race decides which message is the newest.
 fn spread() -> PathBuf {
@@ -95,7 +89,7 @@ fn realtime_without_delays_gives_the_boxes_of_virtual_time() {
 }
 
 fn realtime_as_virtual() {
-    let _alone = alone();
+    let _share = half();
     let log = spread();
     let expected = run_virtual(
         "held_virtual",
@@ -238,7 +232,7 @@ fn realised_age_is_that_of_an_independent_calculation() {
 }
 
 fn realised_age() {
-    let _alone = alone();
+    let _share = whole();
     let out = folder("age");
     let file = variant(&folder("age_graph"), "late_fusion", &RECORDED);
     // Without the gate, so that the calculation needs no positions.
@@ -278,7 +272,7 @@ fn a_measured_profile_gives_the_latency_of_each_stage_in_virtual_time() {
 }
 
 fn measured_profile() {
-    let _alone = alone();
+    let _share = whole();
     let log = simulated(
         "measured",
         &["--seed", "908", "--seconds", "2", "--agents", "cav1,rsu1"],
@@ -335,7 +329,7 @@ fn what_the_transport_does_to_messages_is_seen_and_counted() {
 }
 
 fn tampered_transport() {
-    let _alone = alone();
+    let _share = whole();
     let dir = folder("tampered");
     let report = dir.join("tampered.json");
     let out = dir.join("out");
@@ -365,7 +359,7 @@ fn repeated_messages_change_no_box() {
 }
 
 fn repeated_messages() {
-    let _alone = alone();
+    let _share = half();
     let dir = folder("repeated");
     let log = spread();
     run_virtual(
@@ -389,7 +383,7 @@ fn repeated_messages() {
 
 #[test]
 fn an_overloaded_machine_is_reported_beside_the_score() {
-    let _alone = alone();
+    let _share = whole();
     let stop = std::sync::atomic::AtomicBool::new(false);
     let out = folder("overload");
     let result = std::thread::scope(|scope| {
@@ -491,7 +485,7 @@ fn find_process(root: u32, words: &str) -> Option<u32> {
 }
 
 fn kill_in_mid_run(name: &str, words: &str) -> (std::process::Output, PathBuf) {
-    let _alone = alone();
+    let _share = half();
     let out = folder(name);
     let child = start(&out);
     let deadline = Instant::now() + Duration::from_secs(60);

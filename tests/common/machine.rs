@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -14,6 +14,44 @@ const BUSY: f64 = 0.15;
 const LOOK: Duration = Duration::from_millis(250);
 /// Ticks of `/proc` a second, the same on every Linux.
 const TICKS: f64 = 100.0;
+
+/// What runs in real time take of the machine at once, in halves of it.
+static TAKEN: Mutex<usize> = Mutex::new(0);
+static FREED: Condvar = Condvar::new();
+const HALVES: usize = 2;
+
+/// A part of the machine, until it is dropped: tests that hold one together have enough of two cores.
+pub struct Share {
+    halves: usize,
+}
+
+/// For runs that mostly wait: links, clocks, recorded detections. Two of these run at once.
+pub fn half() -> Share {
+    take(1)
+}
+
+/// For runs that compute in real time or measure what the machine does: beside nothing of ours.
+pub fn whole() -> Share {
+    take(HALVES)
+}
+
+fn take(halves: usize) -> Share {
+    let full = |taken: &mut usize| *taken + halves > HALVES;
+    let taken = FREED.wait_while(locked(), full);
+    *taken.unwrap_or_else(|poisoned| poisoned.into_inner()) += halves;
+    Share { halves }
+}
+
+fn locked() -> MutexGuard<'static, usize> {
+    TAKEN.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        *locked() -= self.halves;
+        FREED.notify_all();
+    }
+}
 
 /// Runs a test that needs the machine's time. Where it fails while other programs take much of the machine, nothing is
 /// decided, and it says so; otherwise its failure is one.

@@ -150,6 +150,14 @@ pub enum LogError {
 }
 
 impl LogError {
+    /// What was expected and found, without where.
+    pub fn reason(&self) -> String {
+        match self {
+            LogError::Content { reason, .. } => reason.clone(),
+            error => error.to_string(),
+        }
+    }
+
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> LogError {
         let path = path.to_path_buf();
         move |reason| LogError::Io { path, action, reason }

@@ -56,6 +56,7 @@ mod sweeps;
 mod times;
 mod timing;
 mod topics;
+mod track_faults;
 mod tracks;
 pub mod views;
 
@@ -63,7 +64,7 @@ pub use boxes::BoxesInfo;
 pub use clocks::{BEHIND_MOST, PeerClock, Step, clock_words, kind_of_clock};
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
-pub use findings::{TrackConflict, track_conflicts, truth_classes};
+pub use findings::truth_classes;
 pub use info::{AgentInfo, AgentKind, Levelled, LogInfo, program};
 pub use level::{Attitude, Attitudes, LEVEL, level_state, levelled_while_played, need_level};
 pub use log::{Entry, Log, LogReader};
@@ -79,6 +80,7 @@ pub use schema::Schema;
 pub use stamps::{SAME, same};
 pub use sweeps::{SweepsInfo, intensity_scale};
 pub use topics::Stream;
+pub use track_faults::{TrackFault, TrackFaults, track_faults};
 
 /// Name of the metadata record of a recording of a run.
 pub const RECORDING_RECORD: &str = "realo_recording";

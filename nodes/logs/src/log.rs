@@ -571,7 +571,7 @@ impl Entry {
 
     fn in_frame(&self, expected: &str) -> Result<(), String> {
         let (_, frame) = CdrReader::new(self.data())?.header()?;
-        match bare(frame) == expected {
+        match bare(frame) == bare(expected) {
             true => Ok(()),
             false => Err(format!(
                 "its frame is `{frame}`, expected `{expected}`; write it in that frame"

@@ -83,12 +83,15 @@ pub(crate) fn parts(pose: &Isometry3<f64>) -> [f64; 7] {
     [t.x, t.y, t.z, q.i, q.j, q.k, q.w]
 }
 
+/// Quaternions whose length differs more from 1 are none: angles, or numbers that were lost.
+const UNIT: f64 = 0.01;
+
 /// The pose of seven numbers. A quaternion that has length 1 to rounding is kept as it is, so that poses survive a log.
 pub(crate) fn isometry(numbers: &[f64; 7]) -> Result<Isometry3<f64>, CdrError> {
     let [x, y, z, i, j, k, w] = *numbers;
     let quaternion = Quaternion::new(w, i, j, k);
     let norm = quaternion.norm();
-    if !numbers.iter().all(|v| v.is_finite()) || norm < 1e-9 || !norm.is_finite() {
+    if !numbers.iter().all(|v| v.is_finite()) || !norm.is_finite() || (norm - 1.0).abs() > UNIT {
         return Err(format!(
             "expected a finite position and a quaternion of length 1, found {numbers:?}"
         ));
@@ -131,10 +134,13 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_no_pose_and_normalises_what_is_long() {
+    fn refuses_what_is_no_pose_and_normalises_what_is_rounded() {
         assert!(isometry(&[f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).is_err());
         assert!(isometry(&[0.0; 7]).unwrap_err().contains("quaternion"));
-        let pose = isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 2.0]).unwrap();
+        // Angles in the place of a quaternion.
+        assert!(isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0]).is_err());
+        assert!(isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 2.0]).is_err());
+        let pose = isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.7071, 0.7071]).unwrap();
         assert!((pose.rotation * Vector3::x() - Vector3::y()).norm() < 1e-12);
     }
 }

@@ -8,6 +8,10 @@ use realo_schemas::Nanos;
 pub const REACH: f64 = 1e9;
 /// A sweep takes more, ns: so its length tells the unit.
 const SHORTEST: f64 = 5e6;
+/// All points of a sweep that takes less are of one time, ns: whatever lies between is of a unit that is not known.
+const INSTANT: f64 = 2e5;
+/// A sweep takes at most so many periods.
+const OVERLAP: f64 = 1.5;
 /// Sweeps of fewer points do not tell how long one takes.
 const ENOUGH: usize = 100;
 /// Times that are rounded by more than this say nothing, ns.
@@ -83,10 +87,12 @@ impl TimeRule {
         let usual = Self::usual(kind);
         let spans = looks.iter().filter(|look| look.points >= ENOUGH);
         let span = spans.map(|look| look.ends[1] - look.ends[0]).fold(0.0, f64::max);
+        let longest = longest(looks);
         let as_long_as_a_sweep = |rule: &TimeRule| {
             let length = span * rule.unit;
-            length > SHORTEST && length <= REACH
+            length > SHORTEST && length <= longest
         };
+        let at_once = |rule: &TimeRule| span * rule.unit <= INSTANT;
         let rules = || {
             [Base::Stamp, Base::Epoch, Base::Hour]
                 .into_iter()
@@ -104,7 +110,9 @@ impl TimeRule {
         let fits = |rule: &TimeRule| looks.iter().all(|look| rule.fits(look, kind));
         let told = rules().find(|rule| as_long_as_a_sweep(rule) && fits(rule));
         // Without a span, what lies at the stamp: offsets in the usual unit, times since 1970 in any.
-        told.or_else(|| rules().find(|rule| (rule.base != Base::Stamp || *rule == usual) && fits(rule)))
+        told.or_else(|| {
+            rules().find(|rule| (rule.base != Base::Stamp || *rule == usual) && at_once(rule) && fits(rule))
+        })
     }
 
     fn fits(&self, look: &Look, kind: TimeType) -> bool {
@@ -133,6 +141,17 @@ impl TimeRule {
         // Within ±1 s, so the cast is exact.
         (offset.abs() <= REACH).then(|| offset.round() as i32)
     }
+}
+
+/// How long a sweep takes at most, by the stamps of those that were looked at, ns.
+fn longest(looks: &[Look]) -> f64 {
+    let mut stamps: Vec<Nanos> = looks.iter().map(|look| look.stamp).collect();
+    stamps.sort_unstable();
+    stamps.dedup();
+    let mut periods: Vec<Nanos> = stamps.array_windows().map(|[one, next]| next - one).collect();
+    periods.sort_unstable();
+    let median = periods.get(periods.len() / 2);
+    median.map_or(REACH, |period| (OVERLAP * *period as f64).min(REACH))
 }
 
 #[cfg(test)]
@@ -195,9 +214,30 @@ mod tests {
             (TimeType::Single, [1.7e9, 1.7e9]),
             (TimeType::Double, [0.0, 1.5]),
             (TimeType::Double, [-f64::MAX, f64::MAX]),
+            // In 100 ns: too short for a sweep in ns, too long in µs.
+            (TimeType::Integer, [0.0, 1_200_000.0]),
         ] {
             assert_eq!(TimeRule::of(&[look(ends[0], ends[1])], kind), None, "{kind:?} {ends:?}");
         }
+    }
+
+    #[test]
+    fn no_sweep_is_longer_than_its_period() {
+        let every = |period: Nanos, until: f64| {
+            let look = |k| Look {
+                stamp: STAMP + k * period,
+                ..look(0.0, until)
+            };
+            (0..5).map(look).collect::<Vec<_>>()
+        };
+        // Fractions of a turn, and 100 ns, at 10 Hz.
+        assert_eq!(TimeRule::of(&every(100_000_000, 0.9999), TimeType::Single), None);
+        assert_eq!(TimeRule::of(&every(100_000_000, 999_000.0), TimeType::Integer), None);
+        // A sweep a second that takes as long.
+        let slow = TimeRule::of(&every(1_000_000_000, 0.9999), TimeType::Single);
+        assert_eq!(slow, Some(TimeRule::usual(TimeType::Single)));
+        let usual = TimeRule::of(&every(100_000_000, 0.0999), TimeType::Single);
+        assert_eq!(usual, Some(TimeRule::usual(TimeType::Single)));
     }
 
     #[test]

@@ -163,6 +163,7 @@ fn joins(times: &AgentTimes) -> Vec<String> {
         }
         found.extend(mismatch(times, stream, &lost, own.len(), ("sweep", &sweeps)));
     }
+    found.extend(bare(times).filter(|_| found.is_empty()));
     let pairs = [
         (Stream::DetectionsInfo, Stream::Detections),
         (Stream::GroundTruthInfo, Stream::GroundTruth),
@@ -182,6 +183,23 @@ fn joins(times: &AgentTimes) -> Vec<String> {
         ));
     }
     found
+}
+
+/// Sweeps without detections, of an agent that has some. Those of the last moments may have come after the log ended.
+fn bare(times: &AgentTimes) -> Option<String> {
+    let detections = times.streams.get(&Stream::Detections)?;
+    let end = times.streams.values().flatten().map(|[_, ready]| *ready).max()?;
+    let sweeps = times.sweeps().iter().filter(|[_, ready]| ready + WINDOW < end).copied();
+    let lost = unmatched(&stamps(&sweeps.collect::<Times>()), &stamps(detections));
+    let first = *lost.first()?;
+    Some(format!(
+        "`{}`: {} of {} sweeps have no recorded detections, the first at {} s: write `detections` for every sweep, without boxes where \
+         nothing was found",
+        times.agent,
+        lost.len(),
+        times.sweeps().len(),
+        seconds(first)
+    ))
 }
 
 fn mismatch(
@@ -334,6 +352,24 @@ mod tests {
                 "{said}"
             );
         }
+    }
+
+    #[test]
+    fn sweeps_without_detections_are_named_but_for_the_last() {
+        let said = |times: Times| {
+            joins(&agent(&[
+                (Stream::Sweeps, every(100, 0, 90)),
+                (Stream::Detections, times),
+            ]))
+        };
+        let all = every(100, 0, 150);
+        assert_eq!(said(all[..17].to_vec()), Vec::<String>::new());
+        let holes = [&all[..5], &all[8..]].concat();
+        let said = said(holes);
+        assert!(
+            said[0].starts_with("`car`: 3 of 20 sweeps have no recorded detections"),
+            "{said:?}"
+        );
     }
 
     #[test]

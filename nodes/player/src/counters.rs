@@ -28,6 +28,13 @@ impl Counters {
         self.lock().add_named(counter.to_string(), 1);
     }
 
+    /// What was lost of an agent so far.
+    pub fn of(&self, counter: &'static Counter, agent: &str) -> u64 {
+        let counts = self.lock();
+        let known = counts.losses.get(counter.name).and_then(|loss| loss.agents.get(agent));
+        known.map_or(0, |share| share.count)
+    }
+
     /// All so far.
     pub fn get(&self) -> Counts {
         self.lock().clone()
@@ -55,7 +62,10 @@ pub const ALL: &[Counter] = &[
     DETECTIONS_WITHOUT_INFO,
     TRUTH_WITHOUT_SWEEP,
     INTENSITIES_LIMITED,
+    SWEEPS_WITHOUT_DETECTIONS,
     TRACKS_DIFFER,
+    TRACKS_SPLIT,
+    TRACKS_DOUBLED,
     TOO_FAR,
 ];
 
@@ -73,9 +83,10 @@ pub const LEVELLED: Counter = Counter::plain(
 
 pub const POSES_UNUSABLE: Counter = Counter::log_fault(
     "poses_unusable",
-    "poses of the log with numbers that are not finite, or a rotation of no length; not sent",
-    "poses of the log were left out: expected finite numbers and a quaternion that is not zero",
-    "`realo import log` names the first",
+    "poses of the log in another frame than the map's, with numbers that are not finite or a quaternion that is not of length 1; \
+     not sent",
+    "poses of the log cannot be used and were left out",
+    "`realo info` says how many of which topic",
 );
 pub const TILTED_POSES: Counter = Counter::loss(
     "tilted_poses",
@@ -148,12 +159,33 @@ pub const INTENSITIES_LIMITED: Counter = Counter::loss(
     "intensities of points did not fit and were limited to 0…255",
     "`realo info` says how they are scaled, by the first ten sweeps: write them as bytes",
 );
+pub const SWEEPS_WITHOUT_DETECTIONS: Counter = Counter::log_fault(
+    "sweeps_without_detections",
+    "sweeps without recorded detections, of an agent that has some",
+    "sweeps have no recorded detections, so that there are no boxes of these",
+    "write `detections` for every sweep, without boxes where nothing was found",
+);
 pub const TRACKS_DIFFER: Counter = Counter::log_fault(
     "tracks_differ",
-    "positions of [tracks](log-format.md#tracks) that two agents both have, more than 5 m apart; counted where that is most of them",
+    "positions of [tracks](log-format.md#tracks) that two agents both have, more than 5 m apart; of tracks of which most are, where \
+     these are more than 2 % of all",
     "positions of tracks that both have lie more than 5 m apart: tracks of {agent} name different objects, so that points of \
      collaborators count for the wrong objects",
     "give an object the same track in the truth of all agents",
+);
+pub const TRACKS_SPLIT: Counter = Counter::log_fault(
+    "tracks_split",
+    "positions at which two agents both have an object, within 1 m, with two [tracks](log-format.md#tracks) or none, where these are \
+     more than 2 % of all",
+    "objects that both have are of two tracks or of none, so that points of collaborators do not count for them",
+    "give an object the same track in the truth of all agents",
+);
+pub const TRACKS_DOUBLED: Counter = Counter::log_fault(
+    "tracks_doubled",
+    "objects of ground truth that have the [track](log-format.md#tracks) of another one of the same message, where these are more \
+     than 2 % of all",
+    "objects of the ground truth have the track of another one of the same message, so that points count for the wrong objects",
+    "give each object a track of its own, or none",
 );
 pub const TOO_FAR: Counter = Counter::loss(
     "too_far",

@@ -2,8 +2,8 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use realo_logs::{
-    Attitudes, BEHIND_MOST, Entry, LEVEL, Levelled, Log, LogError, LogReader, Step, Stream, clock_words, kind_of_clock,
-    level_state, levelled_while_played, track_conflicts,
+    Attitudes, BEHIND_MOST, Entry, LEVEL, Levelled, Log, LogError, LogReader, Step, Stream, TrackFault, clock_words,
+    kind_of_clock, level_state, levelled_while_played, track_faults,
 };
 use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::tilt_degrees;
@@ -13,8 +13,8 @@ use realo_schemas::{
 
 use crate::counters::{
     CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED,
-    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, SWEEPS_MISSING, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
-    TRUTH_WITHOUT_SWEEP,
+    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES,
+    TOO_FAR, TRACKS_DIFFER, TRACKS_DOUBLED, TRACKS_SPLIT, TRUTH_WITHOUT_SWEEP,
 };
 use crate::gaps::{Gaps, Missing};
 use crate::joins::{Joins, PATIENCE, Recorded};
@@ -80,6 +80,8 @@ pub struct Feed {
     joins: Joins,
     /// By rank: units whose pose holds at all times.
     held: BTreeMap<usize, Held>,
+    /// By agent: release of the sweeps for which no detections have come.
+    bare: BTreeMap<Name, BTreeMap<Nanos, Nanos>>,
     /// Agents some of whose sweeps are of another clock.
     off: BTreeSet<Name>,
     /// By agent: intensities that did not fit, as they were counted.
@@ -249,21 +251,24 @@ impl Script {
         self.log.read(&wanted, self.from.saturating_sub(LEAD_IN), self.until)
     }
 
-    /// Counts the tracks that two of the agents give to different objects: the points on these cannot be joined.
-    fn count_track_conflicts(&self) -> Result<(), LogError> {
+    /// Counts objects whose tracks do not tell which objects of others they are: the points on these cannot be joined.
+    fn count_track_faults(&self) -> Result<(), LogError> {
         let agents = self.agents();
+        let plays = |name: &String| agents.iter().any(|agent| **agent == **name);
         if agents.len() < 2 {
             return Ok(());
         }
-        for conflict in track_conflicts(&self.log)? {
-            let [one, other] = &conflict.agents;
-            if [one, other]
-                .iter()
-                .all(|name| agents.iter().any(|agent| &**agent == name.as_str()))
-            {
-                self.counters
-                    .add(&TRACKS_DIFFER, &format!("{one} and {other}"), conflict.apart as u64, 0);
-            }
+        for found in track_faults(&self.log)?
+            .iter()
+            .filter(|found| found.agents.iter().all(plays))
+        {
+            let counter = match found.fault {
+                TrackFault::Apart(_) => &TRACKS_DIFFER,
+                TrackFault::Split => &TRACKS_SPLIT,
+                TrackFault::Doubled => &TRACKS_DOUBLED,
+            };
+            let (count, of) = (found.count as u64, found.of as u64);
+            self.counters.add(counter, &found.agents.join(" and "), count, of);
         }
         Ok(())
     }
@@ -285,7 +290,7 @@ impl Feed {
         let mut per_pass: Vec<[u64; 2]> = agents.iter().map(|agent| script.per_pass(agent)).collect();
         held.keys()
             .for_each(|rank| per_pass[*rank][0] = (period / STEP).unsigned_abs() + 1);
-        script.count_track_conflicts()?;
+        script.count_track_faults()?;
         script.count_times_apart(&agents)?;
         Ok(Feed {
             reader: script.open()?,
@@ -300,6 +305,7 @@ impl Feed {
             gaps: Gaps::default(),
             joins: Joins::default(),
             held,
+            bare: BTreeMap::new(),
             off: BTreeSet::new(),
             limited: BTreeMap::new(),
             queue: BinaryHeap::new(),
@@ -365,6 +371,7 @@ impl Feed {
         for (agent, missing) in self.gaps.end(&self.agents[0]) {
             self.count_missing(&agent, missing);
         }
+        self.count_bare();
         for (agent, n) in self.script.log.limited_intensities() {
             let counted = self.limited.insert(agent.clone(), n).unwrap_or(0);
             self.script
@@ -481,7 +488,10 @@ impl Feed {
             return;
         }
         let pose = entry.pose();
-        self.script.count(&POSES_UNUSABLE, &entry.agent, pose.is_err());
+        let lost = u64::from(pose.is_err());
+        self.script.counters.lost(&POSES_UNUSABLE, &entry.agent, lost, 1, || {
+            pose.as_ref().err().map(LogError::reason).unwrap_or_default()
+        });
         if let Ok(state) = pose {
             let state = self.level_pose(entry, state);
             let ports = [ports::EGO_POSES, ports::POSES];
@@ -534,6 +544,10 @@ impl Feed {
             false => entry.ready(),
         };
         known.insert(entry.stamp(), (seq, release));
+        if self.script.detections && self.script.log.has(&entry.agent, Stream::Detections) {
+            let bare = self.bare.entry(entry.agent.clone()).or_default();
+            bare.insert(entry.stamp(), entry.ready());
+        }
         while known.len() > 64 {
             known.pop_first();
         }
@@ -628,6 +642,9 @@ impl Feed {
                 self.nearest_sweep(&entry)
             });
         let Some((seq, sweep)) = sweep else { return };
+        if let Some(bare) = self.bare.get_mut(&entry.agent) {
+            bare.remove(&entry.stamp());
+        }
         if let Some(level) = self.levels.get(&entry.agent) {
             level.attitudes.sweeps.boxes(entry.stamp(), &mut boxes.0);
         }
@@ -641,6 +658,33 @@ impl Feed {
         let ports = [ports::EGO_RECORDED, ports::RECORDED];
         let (port, message) = self.message(from, seq, Kind::Boxes, ports, boxes);
         self.queue((from.0, release), port, message);
+    }
+
+    /// Counts sweeps without detections. Those of the last moments may have come after the log ended.
+    fn count_bare(&mut self) {
+        let end = self
+            .script
+            .log
+            .span()
+            .map_or(self.script.until, |(_, last)| last.min(self.script.until));
+        for (agent, bare) in std::mem::take(&mut self.bare) {
+            let all = self.script.log.count(&agent, self.script.sweep_stream(&agent));
+            let lost: Vec<Nanos> = bare
+                .into_iter()
+                .filter(|(_, ready)| ready.saturating_add(LATENCY) < end)
+                .map(|(stamp, _)| stamp)
+                .collect();
+            // Where their stamps are wrong that is said already.
+            let said = [&DETECTIONS_WITHOUT_SWEEP, &CLOCK_OFF].map(|counter| self.script.counters.of(counter, &agent));
+            let Some(first) = lost.first().filter(|_| said == [0, 0]) else {
+                continue;
+            };
+            let count = lost.len() as u64;
+            let found = || format!("the first at {:.3} s", to_seconds(*first));
+            self.script
+                .counters
+                .lost(&SWEEPS_WITHOUT_DETECTIONS, &agent, count, all, found);
+        }
     }
 
     /// How far a message lies from the nearest sweep of its agent, in words.

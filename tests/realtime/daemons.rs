@@ -1,7 +1,5 @@
 //! One agent's graph on two machines: two of dora's daemons, each with folders of its own.
 
-mod common;
-
 use std::fs::{self, File};
 use std::net::TcpStream;
 use std::os::unix::fs::symlink;
@@ -10,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::machine::decided;
-use common::{Peer, boxes, end, folder, free_port, graph, json, realo, realo_ok, root, simulated, text};
+use crate::common::machine::{decided, half};
+use crate::common::{Peer, boxes, end, folder, free_port, graph, json, realo, realo_ok, root, simulated, text};
 use serde_json::Value;
 
 const GRAPH: &str = "late_fusion.deployed";
@@ -148,6 +146,7 @@ fn a_graph_on_two_daemons_gives_what_it_gives_on_one() {
 }
 
 fn two_daemons() {
+    let _share = half();
     let home = folder("daemons");
     let args = "--seed 903 --seconds 3 --phase spread --key-hz 10 --agents cav1,rsu1";
     let log = simulated("daemons", &args.split(' ').collect::<Vec<_>>());

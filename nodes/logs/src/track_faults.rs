@@ -1,0 +1,311 @@
+//! Tracks that do not say which objects of two agents are one.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use nalgebra::Point2;
+use realo_schemas::geometry::PoseTrack;
+use realo_schemas::{Box3, Nanos};
+
+use crate::{Log, LogError, Standing, Stream};
+
+/// Truths further apart in time are not compared, ns.
+const TOGETHER: Nanos = 200_000_000;
+/// An object that two agents place further apart is two objects, m.
+const APART: f64 = 5.0;
+/// Objects of one class that two agents place nearer than this are one, m.
+const SAME_PLACE: f64 = 1.0;
+/// So many positions of tracks tell whether two agents number objects alike.
+const ENOUGH: usize = 2_000;
+/// Poses further apart say nothing of what lies between, ns.
+const GAP: Nanos = 1_000_000_000;
+/// Of more objects than one in so many a fault is told: labels are made by people.
+const ONE_IN: usize = 50;
+
+/// What is wrong with tracks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TrackFault {
+    /// A track of both agents is of objects that lie more than 5 m apart, in the median so many m.
+    Apart(f64),
+    /// An object that both agents have is of two tracks, or of none.
+    Split,
+    /// A track is of several objects of one message.
+    Doubled,
+}
+
+/// Objects whose tracks do not tell which objects of others they are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrackFaults {
+    /// The agent, or both.
+    pub agents: Vec<String>,
+    /// What is wrong.
+    pub fault: TrackFault,
+    /// How often it was found.
+    pub count: usize,
+    /// Of how many positions of objects.
+    pub of: usize,
+}
+
+impl fmt::Display for TrackFaults {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let TrackFaults { agents, count, of, .. } = self;
+        let agents: Vec<String> = agents.iter().map(|agent| format!("`{agent}`")).collect();
+        let agents = agents.join(" and ");
+        match self.fault {
+            TrackFault::Apart(median) => write!(
+                f,
+                "tracks of {agents} name different objects: of {of} positions of tracks that both have, {count} lie more than {APART} m \
+                 apart (median {median:.1} m)"
+            ),
+            TrackFault::Split => write!(
+                f,
+                "{count} of {of} objects that {agents} both have are of two tracks or of none, so that points of one agent do not count \
+                 for the object of the other"
+            ),
+            TrackFault::Doubled => write!(
+                f,
+                "{count} of {of} objects in the truth of {agents} have the track of another object of the same message"
+            ),
+        }?;
+        f.write_str("; give an object the same track in the truth of all agents, and no other object that track")
+    }
+}
+
+/// An object, where its agent says that it is in the map.
+struct Placed {
+    track: Option<u64>,
+    class: String,
+    place: Point2<f64>,
+}
+
+/// What two agents' truths have in common.
+#[derive(Default)]
+struct Pair {
+    /// By track: how far apart both say that it is, m.
+    shared: BTreeMap<u64, Vec<f64>>,
+    positions: usize,
+    split: usize,
+}
+
+/// What is wrong with the tracks of ground truth that has points: these are joined by tracks.
+///
+/// # Errors
+/// A log that cannot be read.
+pub fn track_faults(log: &Log) -> Result<Vec<TrackFaults>, LogError> {
+    let mut agents = Vec::new();
+    for agent in &log.info().agents {
+        let streams = [Stream::PoseTruth, Stream::Pose];
+        let poses = streams.into_iter().find(|stream| log.has(&agent.name, *stream));
+        if let Some(poses) = poses.filter(|_| log.has(&agent.name, Stream::GroundTruth))
+            && counts_points(log, &agent.name)?
+        {
+            agents.push((agent.name.as_str(), pose_track(log, (&agent.name, poses))?));
+        }
+    }
+    if agents.len() < 2 {
+        return Ok(Vec::new());
+    }
+    let wanted: Vec<(&str, Stream)> = agents.iter().map(|(agent, _)| (*agent, Stream::GroundTruth)).collect();
+    let mut reader = log.read_all(&wanted)?;
+    let mut newest: Vec<Option<(Nanos, Vec<Placed>)>> = agents.iter().map(|_| None).collect();
+    let mut doubled = vec![(0, 0); agents.len()];
+    let mut pairs: BTreeMap<[usize; 2], Pair> = BTreeMap::new();
+    let of_all = agents.len() * (agents.len() - 1) / 2;
+    while let Some(entry) = reader.next()? {
+        let Some(index) = agents.iter().position(|(agent, _)| **agent == *entry.agent) else {
+            continue;
+        };
+        let (Some(map_from_body), Ok(boxes)) = (agents[index].1.at(entry.stamp()), entry.boxes()) else {
+            continue;
+        };
+        doubled[index].0 += repeated(&boxes.0);
+        doubled[index].1 += boxes.0.len();
+        let placed = |object: Box3| Placed {
+            track: object.track,
+            class: object.class.to_lowercase(),
+            place: (map_from_body * nalgebra::Point3::from(object.center)).xy(),
+        };
+        let own: Vec<Placed> = boxes.0.into_iter().map(placed).collect();
+        for (other, known) in newest.iter().enumerate().filter(|(other, _)| *other != index) {
+            let near = |at: Nanos| at.abs_diff(entry.stamp()) <= TOGETHER.unsigned_abs();
+            if let Some((_, known)) = known.as_ref().filter(|(at, _)| near(*at)) {
+                let pair = pairs.entry([index.min(other), index.max(other)]).or_default();
+                pair.compare(&own, known);
+            }
+        }
+        newest[index] = Some((entry.stamp(), own));
+        if pairs.len() == of_all && pairs.values().all(|pair| pair.positions >= ENOUGH) {
+            break;
+        }
+    }
+    let name = |index: &usize| agents[*index].0.to_string();
+    let mut faults = Vec::new();
+    for (index, (count, of)) in doubled.into_iter().enumerate() {
+        let agents = vec![name(&index)];
+        faults.extend(told(agents, TrackFault::Doubled, count, of));
+    }
+    for (pair, known) in pairs {
+        let agents: Vec<String> = pair.iter().map(name).collect();
+        let (apart, median) = known.apart();
+        faults.extend(told(agents.clone(), TrackFault::Apart(median), apart, known.positions));
+        let of = known.positions + known.split;
+        faults.extend(told(agents, TrackFault::Split, known.split, of));
+    }
+    Ok(faults)
+}
+
+fn told(agents: Vec<String>, fault: TrackFault, count: usize, of: usize) -> Option<TrackFaults> {
+    (count * ONE_IN > of).then_some(TrackFaults {
+        agents,
+        fault,
+        count,
+        of,
+    })
+}
+
+/// Whether an agent's truth says how many points it has on objects, by its first message.
+fn counts_points(log: &Log, agent: &str) -> Result<bool, LogError> {
+    if !log.has(agent, Stream::GroundTruthInfo) {
+        return Ok(false);
+    }
+    let first = |stream| log.read_all(&[(agent, stream)])?.next();
+    let (Some(boxes), Some(info)) = (first(Stream::GroundTruth)?, first(Stream::GroundTruthInfo)?) else {
+        return Ok(false);
+    };
+    // What cannot be read is told where it is played.
+    let points = boxes.boxes().and_then(|mut boxes| info.info(&mut boxes));
+    Ok(points.is_ok_and(|info| info.points.is_some()))
+}
+
+/// Objects whose track another one of the message has.
+fn repeated(objects: &[Box3]) -> usize {
+    let mut seen = BTreeMap::new();
+    for track in objects.iter().filter_map(|object| object.track) {
+        *seen.entry(track).or_insert(0) += 1;
+    }
+    seen.values().filter(|count| **count > 1).sum()
+}
+
+impl Pair {
+    /// Takes what two agents have at about one time.
+    fn compare(&mut self, own: &[Placed], others: &[Placed]) {
+        let tracks = |objects: &[Placed]| {
+            objects
+                .iter()
+                .filter_map(|object| object.track)
+                .collect::<BTreeSet<u64>>()
+        };
+        let both: BTreeSet<u64> = &tracks(own) & &tracks(others);
+        let place = |objects: &[Placed], track: u64| {
+            let known = objects.iter().find(|object| object.track == Some(track));
+            known.map(|object| object.place)
+        };
+        for track in &both {
+            if let (Some(one), Some(other)) = (place(own, *track), place(others, *track)) {
+                let far = (one - other).norm();
+                if far.is_finite() {
+                    self.shared.entry(*track).or_default().push(far);
+                    self.positions += 1;
+                }
+            }
+        }
+        let alone = |object: &&Placed| object.track.is_none_or(|track| !both.contains(&track));
+        let (own, others): (Vec<&Placed>, Vec<&Placed>) = (
+            own.iter().filter(alone).collect(),
+            others.iter().filter(alone).collect(),
+        );
+        let mutual = own.iter().filter(|one| {
+            nearest(one, &others)
+                .is_some_and(|other| nearest(other, &own).is_some_and(|back| std::ptr::eq(back, **one)))
+        });
+        self.split += mutual.count();
+    }
+
+    /// Positions of tracks that are of different objects, more than 5 m apart, and the median of these distances, m. A track is if
+    /// most of its positions are apart.
+    fn apart(&self) -> (usize, f64) {
+        let mut apart = Vec::new();
+        for distances in self.shared.values() {
+            let far = distances.iter().copied().filter(|far| *far > APART);
+            let far: Vec<f64> = far.collect();
+            if 2 * far.len() > distances.len() {
+                apart.extend(far);
+            }
+        }
+        apart.sort_by(f64::total_cmp);
+        (apart.len(), apart.get(apart.len() / 2).copied().unwrap_or(0.0))
+    }
+}
+
+/// The nearest of the same class, if that is at the same place.
+fn nearest<'a>(of: &Placed, among: &[&'a Placed]) -> Option<&'a Placed> {
+    let far = |other: &Placed| (other.place - of.place).norm();
+    let alike = among
+        .iter()
+        .filter(|other| other.class == of.class && far(other) <= SAME_PLACE);
+    alike.min_by(|one, other| far(one).total_cmp(&far(other))).copied()
+}
+
+fn pose_track(log: &Log, wanted: (&str, Stream)) -> Result<PoseTrack, LogError> {
+    if let Some(standing) = Standing::read(log, wanted.0, wanted.1)? {
+        let mut track = PoseTrack::new(Nanos::MAX, Nanos::MAX);
+        let pose = standing.state.map_from_body;
+        for time in [0, Nanos::MAX] {
+            track.insert(time, pose);
+        }
+        return Ok(track);
+    }
+    let mut track = PoseTrack::new(Nanos::MAX, GAP);
+    let mut reader = log.read_all(&[wanted])?;
+    while let Some(entry) = reader.next()? {
+        // What is no pose is counted when the log is played.
+        if let Ok(state) = entry.pose() {
+            track.insert(entry.stamp(), state.map_from_body);
+        }
+    }
+    Ok(track)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placed(objects: &[(Option<u64>, f64)]) -> Vec<Placed> {
+        let one = |(track, x): &(Option<u64>, f64)| Placed {
+            track: *track,
+            class: "car".into(),
+            place: Point2::new(*x, 0.0),
+        };
+        objects.iter().map(one).collect()
+    }
+
+    #[test]
+    fn tracks_are_compared_one_by_one() {
+        let own = placed(&[(Some(1), 0.0), (Some(2), 10.0), (Some(3), 20.0), (Some(4), 30.0)]);
+        let mut alike = Pair::default();
+        alike.compare(&own, &placed(&[(Some(4), 30.4), (Some(2), 10.0), (Some(9), 50.0)]));
+        assert_eq!((alike.positions, alike.split, alike.apart().0), (2, 0, 0));
+
+        // One of three has the track of another object, which has one of its own.
+        let mut swapped = Pair::default();
+        swapped.compare(
+            &own,
+            &placed(&[(Some(1), 0.0), (Some(2), 10.0), (Some(4), 20.3), (Some(8), 30.3)]),
+        );
+        assert_eq!((swapped.positions, swapped.split), (3, 0));
+        assert_eq!(swapped.apart().0, 1);
+
+        let mut split = Pair::default();
+        split.compare(
+            &own,
+            &placed(&[(Some(101), 0.2), (None, 10.2), (Some(3), 20.0), (Some(105), 90.0)]),
+        );
+        assert_eq!((split.positions, split.split, split.apart().0), (1, 2, 0));
+    }
+
+    #[test]
+    fn a_fault_is_told_of_more_than_one_object_in_fifty() {
+        let of = |count| told(Vec::new(), TrackFault::Split, count, 1000).is_some();
+        assert_eq!([of(0), of(20), of(21)], [false, false, true]);
+    }
+}
