@@ -61,6 +61,32 @@ fn a_file_that_realo_did_not_write_is_not_replaced() {
 }
 
 #[test]
+fn a_public_key_of_another_program_stays() {
+    let folder = folder("doors-keys");
+    let public = folder.join("id.pub");
+    let ssh = "ssh-ed25519 AAAA me\n";
+    fs::write(&public, ssh).expect("the folder can be written");
+    let place = folder.display().to_string();
+    let new = ["keys", "new", "id", "-o", &place];
+    let refused = realo(new);
+    let said = text(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("refuse to overwrite") && said.contains("id.pub"),
+        "{said}"
+    );
+    assert!(!folder.join("id.key").exists(), "a key that nobody knows");
+    let forced = realo(new.iter().chain(&["--force"]));
+    assert!(forced.status.success(), "{}", text(&forced.stderr));
+    let key = folder.join("id.key").display().to_string();
+    assert!(realo(["keys", "public", &key]).status.success(), "its own is replaced");
+    fs::write(&public, ssh).expect("the folder can be written");
+    assert_eq!(realo(["keys", "public", &key]).status.code(), Some(1));
+    assert_eq!(fs::read_to_string(&public).ok().as_deref(), Some(ssh));
+    assert!(realo(["keys", "public", &key, "--force"]).status.success());
+}
+
+#[test]
 fn weights_with_a_flipped_bit_are_refused() {
     let folder = folder("doors-weights");
     let models = root().join("models");

@@ -1,10 +1,14 @@
 //! Runs that are ended from outside, and machines that are too small.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
+
+use realo_operator::Registration;
+use realo_operator::pipe::{frame, hello};
 
 use crate::common::{REALO, folder, graph, json, root, text};
 use crate::scene::Scene;
@@ -118,6 +122,10 @@ fn hangups_are_ignored() -> bool {
 
 /// A run in virtual time, which ends at once.
 fn offline(log: &Path, out: &Path) -> Output {
+    offline_command(log, out).output().expect("realo can be started")
+}
+
+fn offline_command(log: &Path, out: &Path) -> Command {
     let mut command = Command::new(REALO);
     command.args([
         "run",
@@ -128,7 +136,8 @@ fn offline(log: &Path, out: &Path) -> Output {
         "car",
     ]);
     command.arg("--log").arg(log).arg("--out").arg(out);
-    command.current_dir(root()).output().expect("realo can be started")
+    command.current_dir(root());
+    command
 }
 
 /// The result of the only run in a folder.
@@ -212,6 +221,61 @@ fn a_folder_is_refused_while_nodes_write_there() {
     );
     run.signal("TERM");
     run.end();
+}
+
+/// A program in the place of the fusion that ignores signals, starts another one and answers nothing: not even which ports it
+/// has, or no call.
+fn hanging(folder: &Path, declares_ports: bool) -> PathBuf {
+    let [hello, marker, program] = ["hello", "marker", "plugin.sh"].map(|name| folder.join(name));
+    let own = Registration::operator::<realo_fusion_boxes::FusionBoxes>();
+    let words = hello::write(&own, false).expect("it has ports");
+    frame::write_first(&mut fs::File::create(&hello).expect("a file can be made"), &words).expect("it can be written");
+    let answer = match declares_ports {
+        true => format!("cat '{}'; head -c 1 > '{}'", hello.display(), marker.display()),
+        false => format!("echo > '{}'", marker.display()),
+    };
+    let script = format!(
+        "#!/bin/sh\ntrap '' TERM HUP INT\n{answer}\ntail -f '{}'\n",
+        marker.display()
+    );
+    fs::write(&program, script).expect("a file can be made");
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).expect("it can be made a program");
+    program
+}
+
+#[test]
+fn a_plug_in_that_hangs_ends_with_its_run() {
+    let cases = [
+        ("TERM", false, Some(143), "ended by SIGTERM before anything was run"),
+        ("KILL", false, None, ""),
+        ("INT", true, Some(130), "ended by Ctrl-C before the end of the log"),
+        ("KILL", true, None, ""),
+    ];
+    let log = Scene::default().write("life-hanging");
+    for (signal, declares_ports, code, expected) in cases {
+        let folder = folder(&format!("life-hanging-{signal}-{declares_ports}"));
+        let out = folder.join("out");
+        let earlier = offline(&log, &out);
+        assert!(earlier.status.success(), "{}", text(&earlier.stderr));
+        let program = hanging(&folder, declares_ports);
+        let mut command = offline_command(&log, &out);
+        command.args(["--replace", &format!("fusion.fusion=program {}", program.display())]);
+        command.stdout(Stdio::null()).stderr(Stdio::piped());
+        let child = command.spawn().expect("realo can be started");
+        // In a call once a byte of it has come.
+        until("the plug-in hangs", || {
+            fs::metadata(folder.join("marker")).is_ok_and(|marker| marker.len() > 0)
+        });
+        kill(child.id(), signal);
+        let ended = child.wait_with_output().expect("it was started");
+        let said = text(&ended.stderr);
+        assert_eq!(ended.status.code(), code, "{signal}: {said}");
+        assert!(said.contains(expected), "{signal}: {said}");
+        until("no process is left", || processes(&folder).is_empty());
+        if code.is_some() {
+            assert_eq!(result(&out)["mode"], "offline", "the earlier results are there");
+        }
+    }
 }
 
 #[test]

@@ -40,9 +40,15 @@ pub enum RunError {
 /// Whether runs are to end.
 static ENDED: AtomicBool = AtomicBool::new(false);
 
-/// Ends all runs of this process with their next event: they fail with [`RunError::Ended`].
+/// Ends all runs of this process with their next event: they fail with [`RunError::Ended`]. Plug-ins are not waited for any
+/// longer, and are killed.
 pub fn end_all() {
     ENDED.store(true, Ordering::Relaxed);
+}
+
+/// Whether [`end_all`] was called.
+pub(crate) fn is_ending() -> bool {
+    ENDED.load(Ordering::Relaxed)
 }
 
 /// Sees every message that a stage sends, with the stage's id and the output's name.
@@ -98,6 +104,9 @@ fn simulate(
     for stage in &mut wiring.stages {
         stage.leaves.fill(observer.is_some());
     }
+    if is_ending() {
+        return Err(RunError::Ended);
+    }
     let mut simulation = Simulation {
         engine: Engine::new(&wiring, Servers::PerStream),
         built: stages.build()?,
@@ -109,7 +118,7 @@ fn simulate(
     }
     let mut now = Nanos::MIN;
     while let Some(due) = simulation.engine.next_due() {
-        if ENDED.load(Ordering::Relaxed) {
+        if is_ending() {
             return Err(RunError::Ended);
         }
         now = now.max(due);

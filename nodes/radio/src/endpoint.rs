@@ -1,6 +1,7 @@
 //! Addresses of agents: `tcp/HOST:PORT` or `tls/HOST:PORT`, where the port behind it is taken too.
 
 use std::fmt;
+use std::net::IpAddr;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
@@ -47,6 +48,15 @@ impl Endpoint {
             self.host,
             self.port.saturating_add(after)
         )
+    }
+
+    /// Whether only programs of the same machine reach it.
+    pub fn is_loopback(&self) -> bool {
+        let host = self.host.trim_matches(['[', ']']);
+        host == "localhost"
+            || host
+                .parse::<IpAddr>()
+                .is_ok_and(|host| host.to_canonical().is_loopback())
     }
 
     /// Whether one machine cannot listen at both: each takes two ports.
@@ -113,6 +123,23 @@ mod tests {
         }
         let endpoint: Endpoint = "tcp/[::1]:7447".parse().unwrap();
         assert_eq!(endpoint.text(1), "tcp/[::1]:7448");
+    }
+
+    #[test]
+    fn addresses_of_the_machine_itself_are_known() {
+        for (text, expected) in [
+            ("tcp/127.0.0.1:7447", true),
+            ("tcp/127.8.0.1:7447", true),
+            ("tcp/[::1]:7447", true),
+            ("tls/localhost:7447", true),
+            ("tcp/[::ffff:127.0.0.1]:7447", true),
+            ("tcp/0.0.0.0:7447", false),
+            ("tcp/[::]:7447", false),
+            ("tcp/192.168.1.7:7447", false),
+            ("tcp/car.local:7447", false),
+        ] {
+            assert_eq!(text.parse::<Endpoint>().unwrap().is_loopback(), expected, "{text}");
+        }
     }
 
     #[test]

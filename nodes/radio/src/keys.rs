@@ -207,14 +207,21 @@ impl Trusted {
     /// # Errors
     /// [`KeyError`].
     pub fn read(path: &Path) -> Result<Trusted, KeyError> {
-        let text = read(path)?;
+        Trusted::parse(&read(path)?, path)
+    }
+
+    /// The list that a file holds.
+    ///
+    /// # Errors
+    /// [`KeyError::Content`].
+    pub fn parse(text: &str, path: &Path) -> Result<Trusted, KeyError> {
         let wrong = |field: String, expected, found: String| KeyError::Content {
             path: path.into(),
             field,
             expected,
             found,
         };
-        let file: ListFile = toml::from_str(&text)
+        let file: ListFile = toml::from_str(text)
             .map_err(|error| wrong("list".into(), "[agents] with a key each", error.message().into()))?;
         let mut trusted = BTreeMap::new();
         for (agent, text) in file.agents {

@@ -6,6 +6,7 @@ use eyre::Result;
 use realo_radio::keys::{Own, Trusted};
 
 use crate::Outcome;
+use crate::output::{Force, Output};
 
 /// Makes keys by which agents sign what they send, and lists of those that are trusted
 #[derive(clap::Args)]
@@ -23,11 +24,15 @@ enum Command {
         /// Folder of both files
         #[arg(short, long, default_value = ".")]
         output: PathBuf,
+        #[command(flatten)]
+        force: Force,
     },
     /// Writes AGENT.pub again beside a private key
     Public {
         /// What `realo keys new` made for the agent: AGENT.key
         key: PathBuf,
+        #[command(flatten)]
+        force: Force,
     },
     /// Adds agents to a list of those that are trusted
     Trust {
@@ -43,9 +48,10 @@ enum Command {
 /// Writes the files, and says what they are for.
 pub fn main(args: &Args) -> Result<Outcome> {
     match &args.command {
-        Command::New { agent, output } => {
+        Command::New { agent, output, force } => {
             let own = Own::new(agent)?;
             let private = output.join(format!("{agent}.key"));
+            force.check(&public_of(&own, &private), Output::PublicKey)?;
             own.write(&private)?;
             if let Err(error) = write_public(&own, &private) {
                 // Nobody knows it yet.
@@ -54,7 +60,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
             }
             println!("{}: stays on the machine of {agent}: v2x.key", private.display());
         }
-        Command::Public { key } => write_public(&Own::read(key)?, key)?,
+        Command::Public { key, force } => {
+            let own = Own::read(key)?;
+            force.check(&public_of(&own, key), Output::PublicKey)?;
+            write_public(&own, key)?;
+        }
         Command::Trust { public, list } => {
             let mut trusted = match list.exists() {
                 true => Trusted::read(list)?,
@@ -71,10 +81,15 @@ pub fn main(args: &Args) -> Result<Outcome> {
     Ok(Outcome::Complete)
 }
 
+/// The file with the public key, beside the private one.
+fn public_of(own: &Own, private: &Path) -> PathBuf {
+    private.with_file_name(format!("{}.pub", own.agent))
+}
+
 /// Writes what the others need beside a private key, and says so.
 fn write_public(own: &Own, private: &Path) -> Result<()> {
     let agent = &own.agent;
-    let public = private.with_file_name(format!("{agent}.pub"));
+    let public = public_of(own, private);
     own.public().write(&public)?;
     println!("{}: for the others: realo keys trust {agent}.pub", public.display());
     Ok(())

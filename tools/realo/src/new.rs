@@ -1,5 +1,7 @@
 //! `realo new`: a plug-in of one's own that works, with its test.
 
+mod names;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -94,12 +96,7 @@ const PYTHON_DETECTOR: Template = Template {
 impl Template {
     /// A file's path and text for a plug-in of another name.
     fn renamed(&self, file: &str, text: &str, name: &str, checkout: &Path) -> (String, String) {
-        let module = name.replace('-', "_");
-        let words = name.split(['-', '_']).map(|word| {
-            let (first, rest) = word.split_at(word.len().min(1));
-            first.to_uppercase() + rest
-        });
-        let class: String = words.collect();
+        let (module, class) = module_and_class(name);
         let checkout = checkout.to_string_lossy();
         let text = text
             .replace(self.name, name)
@@ -108,6 +105,15 @@ impl Template {
             .replace("path = \"../../", &format!("path = \"{checkout}/"));
         (file.replace("MODULE", &module), text)
     }
+}
+
+/// The names of a plug-in's module and of its class.
+fn module_and_class(name: &str) -> (String, String) {
+    let words = name.split(['-', '_']).map(|word| {
+        let (first, rest) = word.split_at(word.len().min(1));
+        first.to_uppercase() + rest
+    });
+    (name.replace('-', "_"), words.collect())
 }
 
 /// Writes the plug-in and prints what to do with it.
@@ -125,6 +131,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
     })?;
     let name = args.name.file_name().unwrap_or_default().to_string_lossy();
     check_name(&name)?;
+    let (module, class) = module_and_class(&name);
+    let texts = template.files.iter().map(|(_, text)| *text);
+    names::check(&module, &class, args.python, texts)?;
     write(template, &args.name, &name, &checkout, args.python)?;
     println!("{}: a plug-in that works; it tests and runs by", args.name.display());
     for command in commands(template, &args.name, &name, &checkout, args.python) {

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use eyre::{Result, WrapErr, bail};
 use realo_logs::refuse_foreign;
+use realo_radio::keys::Trusted;
 use realo_schemas::report::Phase;
 
 /// Whether a command may replace any file.
@@ -27,6 +28,8 @@ pub enum Output {
     Png,
     /// A trace of a link.
     Trace,
+    /// The public key of an agent.
+    PublicKey,
 }
 
 impl Output {
@@ -36,6 +39,7 @@ impl Output {
             Output::Svg => "an SVG picture",
             Output::Png => "a PNG picture",
             Output::Trace => "a trace of a link",
+            Output::PublicKey => "the public key of one agent",
         }
     }
 
@@ -45,6 +49,8 @@ impl Output {
             Output::Svg => head.starts_with(b"<svg") || head.starts_with(b"<?xml"),
             Output::Png => head.starts_with(b"\x89PNG\r\n"),
             Output::Trace => head.starts_with(Phase::COLUMNS.as_bytes()),
+            Output::PublicKey => str::from_utf8(head)
+                .is_ok_and(|text| Trusted::parse(text, Path::new("")).is_ok_and(|known| known.0.len() == 1)),
         }
     }
 }
@@ -84,7 +90,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let notes = folder.path().join("notes");
         fs::write(&notes, "what I must not forget").unwrap();
-        for output in [Output::Log, Output::Svg, Output::Png, Output::Trace] {
+        for output in [Output::Log, Output::Svg, Output::Png, Output::Trace, Output::PublicKey] {
             let said = format!("{:#}", Force::default().check(&notes, output).unwrap_err());
             assert!(said.contains("notes") && said.contains("--force"), "{said}");
             Force { force: true }.check(&notes, output).unwrap();

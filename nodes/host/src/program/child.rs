@@ -17,16 +17,29 @@ use realo_operator::pipe::words::{Call, Reply};
 use realo_operator::pipe::{FrameError, frame};
 use realo_operator::{AnyOperator, Counts, Error, Made, Outputs, PortId, Registration};
 
+use super::guard::Guard;
+use crate::virtual_time::is_ending;
+
 /// How long a program may take to exit once it has nothing left to do, and to say why it failed.
 const FAREWELL: Duration = Duration::from_secs(10);
 /// How often a program that is silent is looked after.
-const LOOK: Duration = Duration::from_millis(500);
+const LOOK: Duration = Duration::from_millis(200);
+/// After so long a person reads who is waited for.
+const NOTICE: Duration = Duration::from_secs(10);
+/// How long the last frame of a program that has exited may take.
+const ON_ITS_WAY: Duration = Duration::from_millis(500);
+/// Why a program is not waited for any longer.
+const ENDED: &str = "the run was ended";
 /// What is quoted of its standard error, bytes from the end.
 const QUOTED: usize = 2048;
 
 /// A program that hosts an operator, ready for the next call.
 pub struct Child {
+    /// Its node's id.
+    node: String,
     process: Process,
+    /// Ends the process, and all that it starts.
+    guard: Guard,
     calls: Option<SyncSender<Frame>>,
     written: Receiver<Result<(), FrameError>>,
     replies: Receiver<Result<Buffer, FrameError>>,
@@ -34,6 +47,8 @@ pub struct Child {
     silence: Silence,
     /// Whether it has answered a call.
     answered: bool,
+    /// Whether a person knows that it is waited for.
+    noticed: bool,
     /// Whether it reads shared memory.
     shares: bool,
     listener: JoinHandle<()>,
@@ -59,6 +74,12 @@ impl Child {
     /// Why it is no host of an operator, by the node's id.
     pub fn start(node: &str, mut command: Command, patience: Duration) -> Result<Child, String> {
         let program = command.get_program().to_string_lossy().into_owned();
+        if is_ending() {
+            return Err(format!("node `{node}`: {ENDED}"));
+        }
+        let guard = Guard::start();
+        let guard = guard.map_err(|error| format!("node `{node}`: cannot start sh, which ends plug-ins: {error}"))?;
+        guard.lead(&mut command);
         let spawned = command.spawn();
         let mut process = spawned.map_err(|error| format!("node `{node}`: cannot start {program}: {error}"))?;
         let (Some(mut stdin), Some(mut stdout), Some(stderr)) =
@@ -97,7 +118,9 @@ impl Child {
             move || listen(stderr, &said)
         });
         let mut child = Child {
+            node: node.into(),
             process,
+            guard,
             calls: Some(calls),
             written,
             silence: Silence {
@@ -105,6 +128,7 @@ impl Child {
                 later: patience,
             },
             answered: false,
+            noticed: false,
             shares: false,
             replies,
             said,
@@ -130,9 +154,13 @@ impl Child {
     fn wait_for_hello(&mut self, patience: Duration) -> Result<Hello, String> {
         const MEND: &str = "a plug-in is a program whose main is `realo_operator::run`, or that uses the Python module \
                             `realo_operator`";
-        let frame = match self.replies.recv_timeout(patience) {
+        let frame = match self.wait_for_reply(patience) {
             Ok(Ok(bytes)) => hello::read(bytes),
             Ok(Err(error)) => Err(error.to_string()),
+            Err(RecvTimeoutError::Timeout) if is_ending() => return Err(ENDED.into()),
+            Err(RecvTimeoutError::Timeout) if self.exited(Duration::ZERO).is_some() => {
+                Err("it ended, and a program that it started holds its standard output open".into())
+            }
             Err(RecvTimeoutError::Timeout) => Err(format!("nothing within {} s", patience.as_secs())),
             Err(RecvTimeoutError::Disconnected) => {
                 let reason = self.last_words("it closed its standard output before it said hello");
@@ -172,6 +200,7 @@ impl Child {
             Err(RecvTimeoutError::Timeout) if self.exited(Duration::ZERO).is_some() => {
                 return Err("no reply, and a program that it started holds its standard output open".into());
             }
+            Err(RecvTimeoutError::Timeout) if is_ending() => return Err(ENDED.into()),
             Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", silence.as_secs())),
             Err(RecvTimeoutError::Disconnected) => return Err("it closed its standard output".into()),
         };
@@ -183,19 +212,41 @@ impl Child {
         Reply::from_bytes(reply).map_err(|error| format!("no reply: {error}"))
     }
 
-    /// The next reply; of a program that has exited none is awaited for longer than it may still be on its way.
+    /// The next frame. Of a program that has exited none is awaited for longer than it may still be on its way, and the end of
+    /// all runs ends the wait.
     fn wait_for_reply(&mut self, silence: Duration) -> Result<Result<Buffer, FrameError>, RecvTimeoutError> {
-        let until = Instant::now() + silence;
+        let begun = Instant::now();
         loop {
-            let left = until.saturating_duration_since(Instant::now());
+            let left = silence.saturating_sub(begun.elapsed());
             match self.replies.recv_timeout(left.min(LOOK)) {
-                Err(RecvTimeoutError::Timeout) if left > LOOK => {}
+                Err(RecvTimeoutError::Timeout) if left > LOOK && !is_ending() => {}
                 found => return found,
             }
             if self.exited(Duration::ZERO).is_some() {
-                return self.replies.recv_timeout(LOOK);
+                return self.replies.recv_timeout(ON_ITS_WAY);
+            }
+            if let Some(notice) = self.notice(begun.elapsed(), silence) {
+                eprintln!("realo: {notice}");
             }
         }
+    }
+
+    /// Says once, after some time, who is waited for.
+    fn notice(&mut self, waited: Duration, silence: Duration) -> Option<String> {
+        if self.noticed || waited < NOTICE {
+            return None;
+        }
+        self.noticed = true;
+        let what = match std::ptr::eq(self.registration, &NOBODY) {
+            true => "declare its ports",
+            false => "answer a call",
+        };
+        Some(format!(
+            "waiting for node `{}`: for {} s its program did not {what}; the run fails after {} s",
+            self.node,
+            waited.as_secs(),
+            silence.as_secs()
+        ))
     }
 
     /// Hands a reply on; gives the operator's error.
@@ -257,7 +308,7 @@ impl Child {
         loop {
             match self.process.try_wait() {
                 Ok(Some(status)) => return Some(status),
-                Ok(None) if Instant::now() < until => std::thread::sleep(Duration::from_millis(2)),
+                Ok(None) if Instant::now() < until && !is_ending() => std::thread::sleep(Duration::from_millis(2)),
                 _ => return None,
             }
         }
@@ -285,8 +336,7 @@ impl Child {
     }
 
     fn stop(&mut self) {
-        // One that has exited by itself needs no stopping.
-        let _ = self.process.kill();
+        self.guard.kill();
         let _ = self.process.wait();
     }
 }
@@ -441,6 +491,19 @@ mod tests {
         );
         assert!(error.contains("it was stopped"), "{error}");
         assert!(begun.elapsed() < Duration::from_secs(30));
+    }
+
+    #[test]
+    fn who_is_waited_for_is_said_once() {
+        let mut child = greeting("exec sleep 60");
+        let mut notice = |seconds| child.notice(Duration::from_secs(seconds), Duration::from_secs(600));
+        assert_eq!(notice(9), None);
+        let said = notice(10).unwrap();
+        assert_eq!(
+            said,
+            "waiting for node `fusion`: for 10 s its program did not answer a call; the run fails after 600 s"
+        );
+        assert_eq!(notice(11), None);
     }
 
     #[test]

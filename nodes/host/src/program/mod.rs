@@ -1,6 +1,7 @@
 //! Plug-ins: programs that serve an operator over pipes ([`realo_operator::pipe`]).
 
 mod child;
+mod guard;
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;

@@ -7,7 +7,7 @@ use realo_results::Run;
 
 use super::folders::Folders;
 use super::prepare::Cell;
-use super::{Mode, realtime, replay, resume};
+use super::{Mode, realtime, replay, resume, signals};
 
 /// A log, or a run over it, that failed.
 #[derive(Debug)]
@@ -112,7 +112,7 @@ impl Batch {
             .collect();
         let cells: Vec<&Cell> = open.iter().map(|number| &self.cells[*number]).collect();
         let ended: Vec<Result<()>> = match mode {
-            Mode::Virtual => replay::all(&cells),
+            Mode::Virtual => signals::in_virtual(|| replay::all(&cells)),
             Mode::Realtime => cells.iter().map(|cell| realtime::run(cell, rate)).collect(),
         };
         let mut failed = BTreeSet::new();

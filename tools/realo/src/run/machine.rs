@@ -7,6 +7,7 @@ use eyre::{Result, bail};
 use realo_graph::FlatGraph;
 use realo_host::dora::{OVERLAY, POOL};
 use realo_operator::Decided;
+use realo_radio::Endpoint;
 use rustix::fs::statvfs;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
@@ -164,16 +165,18 @@ fn loopback() -> Check {
     }
 }
 
-/// What a graph that listens to everybody says at its start; nothing where keys are required.
+/// What a graph that others reach says at its start; nothing where it takes messages of trusted agents alone.
 pub fn open_doors(graph: &FlatGraph) -> Vec<String> {
     let radios = graph
         .nodes
         .iter()
         .filter(|node| node.stage() == Some(("node", "radio")));
     let open = radios.filter(|node| {
-        let is_open =
-            given(node, "listen").is_some_and(|listen| listen.contains("/0.0.0.0:") || listen.contains("/[::]:"));
-        is_open && given(node, "key").is_none_or(str::is_empty)
+        let is_reached = given(node, "listen").is_some_and(is_reached);
+        is_reached
+            && ["key", "trust"]
+                .iter()
+                .any(|file| given(node, file).is_none_or(str::is_empty))
     });
     let line = |node: &realo_graph::FlatNode| {
         format!(
@@ -188,9 +191,39 @@ pub fn open_doors(graph: &FlatGraph) -> Vec<String> {
     open.map(line).collect()
 }
 
+/// Whether other machines reach one of these addresses, which commas separate.
+fn is_reached(listen: &str) -> bool {
+    let addresses = listen.split(',').map(|text| text.trim().parse::<Endpoint>());
+    // What is not an address is refused elsewhere.
+    addresses.flatten().any(|address| !address.is_loopback())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_address_that_others_reach_needs_a_key_and_whom_to_trust() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows/late_fusion.vehicle.yml");
+        let said = |settings: &[(&str, &str)]| {
+            let mut graph = FlatGraph::load(&file).unwrap();
+            settings
+                .iter()
+                .for_each(|(key, value)| graph.set("v2x", key, value).unwrap());
+            open_doors(&graph).join("\n")
+        };
+        for listen in [
+            "tcp/0.0.0.0:7447",
+            "tcp/192.168.1.7:7447",
+            "tcp/127.0.0.1:7447,tcp/car.local:7449",
+        ] {
+            assert!(said(&[("listen", listen)]).contains(listen), "{listen}");
+        }
+        assert_eq!(said(&[("listen", "tcp/127.0.0.1:7447,tcp/[::1]:7449")]), "");
+        let key = ("key", "cav1.key");
+        assert!(said(&[key]).contains("v2x.trust=FILE"));
+        assert_eq!(said(&[key, ("trust", "trust.toml")]), "");
+    }
 
     #[test]
     fn sockets_take_the_place_of_shared_memory() {

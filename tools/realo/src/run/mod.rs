@@ -281,6 +281,7 @@ pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
 /// Runs every graph over every log and ego, pools, and prints. A graph that fails takes no other one with it: the table has
 /// the others, and its error follows.
 pub fn main(args: &Args) -> Result<Outcome> {
+    signals::catch()?;
     let mut failures = Failures::of(args.graphs.len());
     let mut graphs = Vec::new();
     for path in &args.graphs {
@@ -321,7 +322,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     if args.choices.project.is_some() && !batches.is_empty() && !cells.any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
-    signals::catch()?;
+    signals::begin();
     let mut folders = Folders::default();
     for (name, batch) in &mut batches {
         folders.lock(&dir_of(args, name))?;

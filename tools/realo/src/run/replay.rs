@@ -1,6 +1,6 @@
 //! Runs in virtual time.
 
-use eyre::{Result, WrapErr, eyre};
+use eyre::{Result, WrapErr, bail, eyre};
 use rayon::prelude::*;
 use realo_graph::FlatGraph;
 use realo_host::{ComputeProfile, Stages, virtual_time};
@@ -8,6 +8,7 @@ use realo_operator::Books;
 use realo_schemas::{Nanos, to_seconds};
 
 use super::prepare::Cell;
+use super::signals;
 use crate::progress::Progress;
 use crate::registry;
 
@@ -18,6 +19,9 @@ pub fn all(cells: &[&Cell]) -> Vec<Result<()>> {
     let done = cells
         .par_iter()
         .map(|cell| {
+            if signals::first().is_some() {
+                bail!("{}: the run had not begun", cell.name);
+            }
             let mut far = Far::new(cell.seconds, &progress);
             let ended = watched(&cell.graph, &cell.compute, None, |now| far.is(now));
             far.ended();

@@ -1,8 +1,11 @@
 //! Which runs are there already, and what a run is known by.
 
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::SystemTime;
 
 use eyre::{Result, WrapErr};
 use realo_graph::FlatGraph;
@@ -11,9 +14,12 @@ use sha2::{Digest, Sha256};
 
 use super::folders;
 use super::prepare::{Cell, TOLD};
+use crate::progress::Progress;
 
-/// Of a log so many bytes are looked at, at its beginning and at its end, where MCAP keeps its index and counts.
-const ENDS: u64 = 1 << 16;
+/// What is read of a log at once, bytes.
+const BLOCK: usize = 1 << 20;
+/// Reading a log of so many bytes may take long.
+const LONG: u64 = 1 << 30;
 
 /// What a folder holds of a run.
 pub enum Earlier {
@@ -77,7 +83,7 @@ pub fn fingerprint(graph: &FlatGraph, log: &Path, out: &Path, decided: &[String]
         }
         add(&format!("{:?}", node.env));
     }
-    add(&ends(log).wrap_err_with(|| log.display().to_string())?);
+    add(&log_content(log).wrap_err_with(|| log.display().to_string())?);
     Ok(hex(&hash.finalize()))
 }
 
@@ -89,19 +95,41 @@ fn content(path: &Path) -> Option<String> {
     std::fs::read(path).ok().map(|bytes| hex(&Sha256::digest(bytes)))
 }
 
-/// A log by its length and its two ends: logs are too long to be read for this.
-fn ends(log: &Path) -> Result<String> {
+/// A hash of a log, which is read once for all runs over it.
+fn log_content(log: &Path) -> Result<String> {
+    static KNOWN: Mutex<BTreeMap<(PathBuf, u64, SystemTime), String>> = Mutex::new(BTreeMap::new());
+    let about = log.metadata()?;
+    let version = (log.canonicalize()?, about.len(), about.modified()?);
+    let known = || KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    let found = known().get(&version).cloned();
+    if let Some(found) = found {
+        return Ok(found);
+    }
+    let hash = hash_of(log)?;
+    known().insert(version, hash.clone());
+    Ok(hash)
+}
+
+fn hash_of(log: &Path) -> Result<String> {
     let mut file = File::open(log)?;
     let length = file.metadata()?.len();
-    let mut hash = Sha256::new();
-    hash.update(length.to_le_bytes());
-    for from in [0, length.saturating_sub(ENDS)] {
-        let mut bytes = Vec::new();
-        file.seek(SeekFrom::Start(from))?;
-        (&mut file).take(ENDS).read_to_end(&mut bytes)?;
-        hash.update(bytes);
+    let progress = (length > LONG).then(|| {
+        let name = log.file_name().unwrap_or_default().to_string_lossy();
+        Progress::new(format!("reading {name}"), "MB", Some(length as f64 / 1e6))
+    });
+    let mut hash = blake3::Hasher::new();
+    let mut block = vec![0; BLOCK];
+    loop {
+        let read = file.read(&mut block)?;
+        if read == 0 {
+            break;
+        }
+        hash.update(&block[..read]);
+        if let Some(progress) = &progress {
+            progress.add(read as f64 / 1e6);
+        }
     }
-    Ok(hex(&hash.finalize()))
+    Ok(hex(hash.finalize().as_bytes()))
 }
 
 fn hex(bytes: &[u8]) -> String {
@@ -116,6 +144,22 @@ mod tests {
 
     fn print(graph: &FlatGraph, folder: &Path, out: &str) -> String {
         fingerprint(graph, &folder.join("log.mcap"), Path::new(out), &["mode".into()]).unwrap()
+    }
+
+    #[test]
+    fn a_log_is_known_by_all_its_bytes_and_not_by_its_name_or_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let hash = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            log_content(&path).unwrap()
+        };
+        let mut bytes = vec![7; 3 * BLOCK + 5];
+        let first = hash("a.mcap", &bytes);
+        assert_eq!(first, hash("copy.mcap", &bytes));
+        // Neither its length nor its ends.
+        bytes[BLOCK + BLOCK / 2] ^= 1;
+        assert_ne!(first, hash("changed.mcap", &bytes));
     }
 
     #[test]

@@ -13,8 +13,14 @@ use signal_hook::iterator::Signals;
 static FIRST: AtomicI32 = AtomicI32::new(0);
 /// Whether another one came.
 static AGAIN: AtomicBool = AtomicBool::new(false);
+/// Whether what a signal ends can end in good order.
+static BEGUN: AtomicBool = AtomicBool::new(false);
+/// Whether runs in virtual time go on.
+static IN_VIRTUAL: AtomicBool = AtomicBool::new(false);
 /// After the second signal, the program ends in so long, whatever it does.
 const AT_LAST: Duration = Duration::from_secs(2);
+/// After the first signal, a run in virtual time has so long to come to its next event.
+const TO_NEXT_EVENT: Duration = Duration::from_millis(2500);
 
 /// The signal that ends a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +43,7 @@ impl fmt::Display for Ending {
     }
 }
 
-/// From now on signals end runs in good order.
+/// From now on a signal ends the program with an exit code of its own, and, after [`begin`], in good order.
 ///
 /// # Errors
 /// A system that refuses.
@@ -51,7 +57,7 @@ pub fn catch() -> Result<()> {
     std::thread::spawn(move || {
         for signal in signals.forever() {
             match FIRST.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed) {
-                Ok(_) => virtual_time::end_all(),
+                Ok(_) => end(signal),
                 Err(first) => {
                     AGAIN.store(true, Ordering::Relaxed);
                     std::thread::sleep(AT_LAST);
@@ -61,6 +67,38 @@ pub fn catch() -> Result<()> {
         }
     });
     Ok(())
+}
+
+/// Ends what goes on. Plug-ins end with this process in any case.
+fn end(signal: i32) {
+    if !BEGUN.load(Ordering::SeqCst) {
+        eprintln!("realo: ended by {} before anything was run", Ending(signal));
+        std::process::exit(128 + signal);
+    }
+    virtual_time::end_all();
+    std::thread::spawn(move || {
+        std::thread::sleep(TO_NEXT_EVENT);
+        if IN_VIRTUAL.load(Ordering::SeqCst) {
+            eprintln!(
+                "realo: ended by {} in the middle of a call: no results of this run; the next run there puts earlier ones back",
+                Ending(signal)
+            );
+            std::process::exit(128 + signal);
+        }
+    });
+}
+
+/// From now on there are folders to put in order.
+pub fn begin() {
+    BEGUN.store(true, Ordering::SeqCst);
+}
+
+/// Calculates in virtual time; a signal does not wait for a call that takes long.
+pub fn in_virtual<T>(calculate: impl FnOnce() -> T) -> T {
+    IN_VIRTUAL.store(true, Ordering::SeqCst);
+    let calculated = calculate();
+    IN_VIRTUAL.store(false, Ordering::SeqCst);
+    calculated
 }
 
 /// The signal that ends the run, if one came.
