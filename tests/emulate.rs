@@ -64,7 +64,10 @@ impl Emulated {
         assert_eq!(named.len(), 2, "{:?}", self.said);
         [0, 1].map(|at| {
             let words: Vec<String> = named[at].split_whitespace().map(String::from).collect();
-            let realo = words.iter().position(|word| word == "realo").expect("a command");
+            let realo = words
+                .iter()
+                .position(|word| word.ends_with("realo"))
+                .expect("a command");
             let set = words.iter().find(|word| word.starts_with("v2x.")).cloned();
             (words[..realo].to_vec(), set)
         })

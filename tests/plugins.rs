@@ -230,7 +230,7 @@ fn a_program_that_fails_in_mid_run_fails_it_on_dora_too() {
     let hangs = scripted("plugin_hangs_on_dora", &format!("{CUT}; exec sleep 120"));
     let babbles = scripted("plugin_babbles_on_dora", &format!("{CUT}; echo 'nonsense, nonsense'"));
     let _alone = alone();
-    fails_in(&dies, &[], &["exit status: 9", "closed its standard output"]);
+    fails_in(&dies, &[], &["exit status: 9", "before it answered a call"]);
     fails_in(&babbles, &[], &["no reply", "\"nons\""]);
     // Without an end the realtime limit of silence ends the run, long before the 10 minutes of virtual time.
     fails_in(&hangs, &[], &["no reply within 10 s", "it was stopped"]);

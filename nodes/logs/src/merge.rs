@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use realo_schemas::{Boxes, Name, Nanos, to_millis};
+use realo_schemas::{Boxes, Name, Nanos, to_millis, to_seconds};
 
 use crate::clocks::Shift;
 use crate::{Entry, Log, LogError, LogInfo, LogReader, LogWriter, PeerClock, Stream};
@@ -102,6 +102,14 @@ impl<'a> Merge<'a> {
     /// # Errors
     /// A log that cannot be read; one of them as the target; why writing failed.
     pub fn write(&self, target: &Path) -> Result<(), LogError> {
+        self.write_with(target, |_, _| ())
+    }
+
+    /// Writes the log, as [`Merge::write`]; `progress` is called with the seconds of the logs that are written, and with all.
+    ///
+    /// # Errors
+    /// Those of [`Merge::write`].
+    pub fn write_with(&self, target: &Path, mut progress: impl FnMut(f64, f64)) -> Result<(), LogError> {
         let same = |log: &&Log| {
             let both = [log.path(), target].map(|path| path.canonicalize().ok());
             both[0].is_some() && both[0] == both[1]
@@ -119,12 +127,18 @@ impl<'a> Merge<'a> {
             .zip(&self.clocks)
             .map(Part::open)
             .collect::<Result<_, _>>()?;
+        let (mut first, until) = (None, self.until());
         loop {
             let next = parts
                 .iter()
                 .enumerate()
                 .filter_map(|(index, part)| Some((part.ready()?, index)));
-            let Some((_, index)) = next.min() else { break };
+            let Some((ready, index)) = next.min() else { break };
+            let from = *first.get_or_insert(ready);
+            progress(
+                to_seconds(ready.saturating_sub(from)),
+                to_seconds(until.saturating_sub(from).max(0)),
+            );
             parts[index].write(&mut writer)?;
         }
         let mut levelled = BTreeMap::new();
@@ -133,6 +147,15 @@ impl<'a> Merge<'a> {
         }
         writer.levelled(levelled);
         writer.finish()
+    }
+
+    /// When the last message of all logs was there, by the clock of the first.
+    fn until(&self) -> Nanos {
+        let last = |(log, clock): (&Log, &Known)| {
+            let (_, last) = log.span()?;
+            Some(last.saturating_add(clock.moves(last)))
+        };
+        self.logs.iter().zip(&self.clocks).filter_map(last).max().unwrap_or(0)
     }
 
     fn info(&self) -> LogInfo {

@@ -42,13 +42,34 @@ pub enum WriteError {
     #[error("{}: is there already: name another file, or say --force to replace it", .0.display())]
     Exists(PathBuf),
     /// A file that cannot be written.
-    #[error("{}: {error}", path.display())]
+    #[error(
+        "cannot write {}: {error}; nothing of it was left, and a file that was there before stays as it was{}; free space there, or \
+         name another place",
+        path.display(),
+        beside(written.as_deref())
+    )]
     Io {
         /// The file.
         path: PathBuf,
         /// What failed.
         error: io::Error,
+        /// The weights, which were written before it.
+        written: Option<PathBuf>,
     },
+}
+
+impl WriteError {
+    /// The same, of a file that was to follow these weights.
+    fn after(self, weights: &Path) -> Self {
+        match self {
+            WriteError::Io { path, error, .. } => WriteError::Io {
+                path,
+                error,
+                written: Some(weights.into()),
+            },
+            other => other,
+        }
+    }
 }
 
 /// Writes weights to `output` and beside them, under the same name, a model file that depends on no other. Where `output` are
@@ -82,7 +103,7 @@ pub fn write(
     };
     write_whole(output, &bytes)?;
     if let Some(text) = &text {
-        write_whole(&model, text.as_bytes())?;
+        write_whole(&model, text.as_bytes()).map_err(|error| error.after(output))?;
     }
     Ok(Written {
         weights: output.into(),
@@ -153,6 +174,43 @@ fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
         WriteError::Io {
             path: path.into(),
             error,
+            written: None,
         }
     })
+}
+
+/// The weights that stay where the model file beside them could not be written.
+fn beside(written: Option<&Path>) -> String {
+    written.map_or_else(String::new, |weights| {
+        format!("; the weights are in {}, without a model file", weights.display())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    #[test]
+    fn a_full_disk_leaves_what_was_there_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mine.safetensors");
+        fs::write(&path, "the weights before").unwrap();
+        symlink("/dev/full", folder.path().join("mine.safetensors.part")).unwrap();
+        let error = write_whole(&path, b"other weights").unwrap_err();
+        let said = error.to_string();
+        for part in [
+            "mine.safetensors",
+            "No space left",
+            "stays as it was",
+            "free space there",
+        ] {
+            assert!(said.contains(part), "{part} is not in {said}");
+        }
+        assert_eq!(fs::read(&path).unwrap(), b"the weights before");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "the part is gone");
+        let model = error.after(&path).to_string();
+        assert!(model.contains("without a model file"), "{model}");
+    }
 }

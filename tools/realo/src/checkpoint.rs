@@ -8,6 +8,7 @@ use realo_checkpoint::{Checkpoint, Written};
 use realo_nn::model::Model;
 
 use crate::Outcome;
+use crate::command::called;
 
 /// Reads checkpoints that PyTorch wrote, without running what is in them
 #[derive(clap::Args)]
@@ -134,7 +135,8 @@ fn next(model: &Model, written: &Written) -> String {
         arch => arch,
     };
     let file = quoted(&written.model);
-    format!("realo run dataflows/{graph}.yml --offline --project sender --model {file}")
+    let realo = called();
+    format!("{realo} run dataflows/{graph}.yml --offline --project sender --model {file}")
 }
 
 /// A path as a shell takes it.

@@ -71,6 +71,14 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command.mut_subcommands(with_negative_numbers)
 }
 
+/// This program as it was called, for commands that are printed: a name on `PATH`, or a path, quoted as a shell takes it.
+/// `cargo run` calls it by a path.
+pub(crate) fn called() -> String {
+    let called = std::env::args_os().next();
+    let called = called.map_or_else(|| "realo".into(), |program| program.to_string_lossy().into_owned());
+    shlex::try_quote(&called).map_or_else(|_| called.clone(), |quoted| quoted.into_owned())
+}
+
 /// The whole `main` of a binary that hosts everything of realo and operators of its own:
 ///
 /// ```no_run

@@ -34,7 +34,57 @@ pub fn main(args: &Args) -> Result<Outcome> {
             }
         }
     }
+    println!("{}", python());
     Ok(outcome)
+}
+
+/// Prints the interpreter, a module of Python a line, and its version or why it cannot be imported.
+const MODULES: &str = "
+import importlib, sys
+print('Python', sys.version.split()[0], sys.executable)
+for name in ('numpy', 'pyarrow', 'realo_operator'):
+    try:
+        module = importlib.import_module(name)
+        print(name, getattr(module, '__version__', '') or module.__file__)
+    except Exception as error:
+        print('missing', name, error)
+";
+
+/// What plug-ins in Python find; nothing else needs it, so nothing fails without.
+fn python() -> String {
+    let output = realo_host::interpreter().args(["-c", MODULES]).output();
+    match output {
+        Ok(output) if output.status.success() => modules(&String::from_utf8_lossy(&output.stdout)),
+        Ok(output) => format!(
+            "note Python plug-ins: the interpreter ended with {}: {}",
+            output.status,
+            String::from_utf8_lossy(&output.stderr).trim()
+        ),
+        Err(error) => format!(
+            "note Python plug-ins: no interpreter `python` or `python3` on PATH ({error}); only plug-ins in Python need one"
+        ),
+    }
+}
+
+/// A line of what the interpreter printed.
+fn modules(printed: &str) -> String {
+    let (missing, there): (Vec<&str>, Vec<&str>) = printed.lines().partition(|line| line.starts_with("missing "));
+    let there = there.join(", ");
+    let names: Vec<&str> = missing.iter().filter_map(|line| line.split(' ').nth(1)).collect();
+    // The module of realo itself fails with those that it imports.
+    let wanted: Vec<&str> = names.iter().copied().filter(|name| *name != "realo_operator").collect();
+    match (&names[..], &wanted[..]) {
+        ([], _) => format!("ok   Python plug-ins: {there}"),
+        (_, []) => format!(
+            "note Python plug-ins: {there}; {}: `pip install CHECKOUT/python`; only plug-ins in Python need it",
+            missing.join("; ")
+        ),
+        _ => format!(
+            "note Python plug-ins: {there}; {} cannot be imported: `python3 -m pip install {}`; only plug-ins in Python need them",
+            wanted.join(" and "),
+            wanted.join(" ")
+        ),
+    }
 }
 
 fn dora() -> Check {
@@ -58,5 +108,35 @@ fn processor() -> Check {
              keep up says which stage holds it up",
             known.join(", ")
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_python_lacks_is_named_with_what_to_install() {
+        let all =
+            "Python 3.12.1 /usr/bin/python3\nnumpy 2.1.0\npyarrow 18.0.0\nrealo_operator /x/python/realo_operator";
+        assert!(
+            modules(all).starts_with("ok   Python plug-ins: Python 3.12.1"),
+            "{}",
+            modules(all)
+        );
+        let bare = "Python 3.12.1 /usr/bin/python3\nnumpy 2.1.0\nmissing pyarrow No module named 'pyarrow'\n\
+                    missing realo_operator No module named 'pyarrow'";
+        let said = modules(bare);
+        assert!(
+            said.starts_with("note ") && said.contains("pip install pyarrow`") && !said.contains("CHECKOUT"),
+            "{said}"
+        );
+        let alone =
+            "Python 3.12.1 /usr/bin/python3\nnumpy 2.1.0\npyarrow 18.0.0\nmissing realo_operator No module named it";
+        assert!(
+            modules(alone).contains("pip install CHECKOUT/python"),
+            "{}",
+            modules(alone)
+        );
     }
 }

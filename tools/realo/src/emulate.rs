@@ -8,6 +8,7 @@ use eyre::{Result, WrapErr, bail};
 use linkemu::{ADDRESSES, Ground, Interrupts, Link, Machines, Relay, Unit};
 
 use crate::Outcome;
+use crate::command::called;
 
 /// Makes two machines of one, joined by a slow link, until it is interrupted
 ///
@@ -126,7 +127,7 @@ fn place(args: &Args, names: [&str; 2], link: &Arc<Link>) -> Result<Place> {
     let [near, far] = relayed(args.port);
     let ways: Vec<_> = near.into_iter().zip(far).collect();
     let relay = Relay::start(link.clone(), &ways).wrap_err("the relay; choose another --port")?;
-    let ([first, second], port) = (names, args.port);
+    let ([first, second], port, realo) = (names, args.port, called());
     println!(
         "a relay on loopback: nothing is lost, comes twice or is overtaken, a full queue holds senders up, congestion control has no work"
     );
@@ -135,11 +136,11 @@ fn place(args: &Args, names: [&str; 2], link: &Arc<Link>) -> Result<Place> {
         far[0], near[0]
     );
     println!(
-        "  realo run dataflows/late_fusion.vehicle.yml --set v2x.listen=tcp/{}",
+        "  {realo} run dataflows/late_fusion.vehicle.yml --set v2x.listen=tcp/{}",
         far[0]
     );
     println!(
-        "  realo run dataflows/late_fusion.roadside.yml --set v2x.connect=tcp/{} --set player.repeat=100",
+        "  {realo} run dataflows/late_fusion.roadside.yml --set v2x.connect=tcp/{} --set player.repeat=100",
         near[0]
     );
     println!("(the ports {port} and {}, which points and features take)", port + 1);
@@ -168,9 +169,10 @@ fn tell_of_namespaces([first, second]: [&str; 2]) -> Result<()> {
         "`{first}` is {}, `{second}` is {}; on them, for example:",
         ADDRESSES[0], ADDRESSES[1]
     );
-    println!("  {enter} {first} realo run dataflows/late_fusion.vehicle.yml");
+    let realo = called();
+    println!("  {enter} {first} {realo} run dataflows/late_fusion.vehicle.yml");
     println!(
-        "  {enter} {second} realo run dataflows/late_fusion.roadside.yml --set v2x.connect=tcp/{}:7447 --set player.repeat=100",
+        "  {enter} {second} {realo} run dataflows/late_fusion.roadside.yml --set v2x.connect=tcp/{}:7447 --set player.repeat=100",
         ADDRESSES[0]
     );
     Ok(())

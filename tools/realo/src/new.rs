@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
 
+use crate::command::called;
 use crate::{Outcome, run};
 
 /// Writes a plug-in that works, with its test, into a new folder
@@ -139,6 +140,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
     for command in commands(template, &args.name, &name, &checkout, args.python) {
         println!("  {command}");
     }
+    if args.python {
+        println!(
+            "Python needs numpy and pyarrow (`python3 -m pip install numpy pyarrow`; `{} doctor` looks)",
+            called()
+        );
+    }
     Ok(Outcome::Complete)
 }
 
@@ -182,22 +189,22 @@ fn write(template: &Template, folder: &Path, name: &str, checkout: &Path, python
 /// How to test and how to run it.
 fn commands(template: &Template, folder: &Path, name: &str, checkout: &Path, python: bool) -> [String; 2] {
     let (folder, checkout, places) = (folder.display(), checkout.display(), template.places);
-    let run = |prefix: &str, program: &str| {
-        format!("{prefix}realo run late_fusion --mode virtual --replace {places}=\"program {program}\"")
+    let run = |program: &str| {
+        let realo = called();
+        format!("{realo} run late_fusion --mode virtual --replace {places}=\"program {program}\"")
     };
     if python {
         let module = name.replace('-', "_");
-        let path = format!("PYTHONPATH={checkout}/python ");
         return [
-            format!("{path}python3 -m unittest discover -s {folder}   # needs numpy and pyarrow"),
-            run(&path, &format!("{folder}/{module}.py")),
+            format!("PYTHONPATH={checkout}/python python3 -m unittest discover -s {folder}"),
+            run(&format!("{folder}/{module}.py")),
         ];
     }
     [
         format!("cargo test --release --manifest-path {folder}/Cargo.toml"),
         format!(
             "cargo build --release --manifest-path {folder}/Cargo.toml && {}",
-            run("", &format!("{folder}/target/release/{name}"))
+            run(&format!("{folder}/target/release/{name}"))
         ),
     ]
 }

@@ -95,6 +95,12 @@ impl Progress {
         self.draw(&state);
     }
 
+    /// Work of so many units begins now.
+    pub fn count(&self, unit: &'static str, all: f64) {
+        open(&self.state).unit = unit;
+        self.begin(0.0, all);
+    }
+
     /// The work is another one from now on.
     pub fn rename(&self, what: impl Into<String>, unit: &'static str) {
         let mut state = open(&self.state);

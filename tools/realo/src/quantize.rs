@@ -2,19 +2,23 @@
 
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use eyre::Result;
-use realo_training::{Data, frames, quantize, validation_frames};
+use realo_training::data::{Frame, Frames};
+use realo_training::{Data, FRAMES_APART, TrainError, frames, quantize, validation_frames};
 
 use crate::Outcome;
 use crate::progress::Progress;
+use crate::run::find_model;
 use crate::train::{scores, seeds};
 
 /// Finds what bytes stand for in each layer, on simulated frames or logs; says how much AP they cost
 #[derive(clap::Args)]
 pub struct Args {
-    /// The model file; `NAME-int8.toml` is written beside it
-    #[arg(default_value = "models/lite.toml")]
+    /// The model file, or the name of a shipped one; `NAME-int8.toml` is written beside it
+    #[arg(default_value = "lite")]
     model: PathBuf,
     /// Logs with ground truth whose sweeps are looked at, instead of simulator seeds
     #[arg(long, conflicts_with = "seeds")]
@@ -39,6 +43,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let logged = |logs: &[PathBuf]| Data::Logged {
         cache: cache.clone(),
         logs: logs.to_vec(),
+        apart: FRAMES_APART,
     };
     let simulated = Data::Simulated {
         cache: cache.clone(),
@@ -54,11 +59,53 @@ pub fn main(args: &Args) -> Result<Outcome> {
         true => validation_frames(&data)?,
         false => frames(&logged(&args.validation_log))?,
     };
-    let progress = Progress::new("quantising", "", None);
-    let quantized = quantize(&args.model, args.force, &frames(&data)?, &validation)?;
-    progress.finish();
+    let frames = frames(&data)?;
+    // Both networks are scored on the frames of the validation.
+    let all = frames.len() + 2 * validation.len();
+    let work = Arc::new(Work {
+        progress: Progress::new("quantising", "frames", Some(all as f64)),
+        begun: AtomicUsize::new(0),
+    });
+    let watched = |frames| -> Arc<dyn Frames> {
+        Arc::new(Watched {
+            frames,
+            work: work.clone(),
+        })
+    };
+    let quantized = quantize(
+        &find_model(&args.model)?,
+        args.force,
+        &watched(frames),
+        &watched(validation),
+    )?;
+    drop(work);
     println!("{} from {} sweeps", quantized.file.display(), quantized.sweeps);
     println!("f32:  {}", scores(&quantized.before));
     println!("int8: {}", scores(&quantized.after));
     Ok(Outcome::Complete)
+}
+
+/// How many frames were looked at.
+struct Work {
+    progress: Progress,
+    begun: AtomicUsize,
+}
+
+/// Frames that count how often they are loaded.
+struct Watched {
+    frames: Arc<dyn Frames>,
+    work: Arc<Work>,
+}
+
+impl Frames for Watched {
+    fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    fn load(&self, index: usize) -> Result<Frame, TrainError> {
+        // Those before it are done.
+        let done = self.work.begun.fetch_add(1, Ordering::Relaxed);
+        self.work.progress.set(done as f64);
+        self.frames.load(index)
+    }
 }

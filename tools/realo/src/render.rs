@@ -49,9 +49,17 @@ pub fn main(args: &Args) -> Result<Outcome> {
         log: args.log.clone(),
         log_folders: log_folders(),
     };
-    let progress = Progress::new("rendering", "", None);
-    let chosen = realo_render::choose_all(&args.runs, &request)?;
-    let mut scenes: Vec<Scene> = chosen.into_iter().map(Scene::of).collect::<Result<_, _>>()?;
+    let progress = Progress::new("rendering", "sweeps", Some(0.0));
+    let chosen = realo_render::choose_all(&args.runs, &request, &|folder, done, all| {
+        progress.rename(format!("choosing a sweep of {}", folder.display()), "sweeps");
+        progress.of(done as f64, all as f64);
+    })?;
+    progress.rename("drawing", "runs");
+    progress.count("runs", chosen.len() as f64);
+    let mut scenes: Vec<Scene> = chosen
+        .into_iter()
+        .map(|chosen| Scene::of(chosen).inspect(|_| progress.add(1.0)))
+        .collect::<Result<_, _>>()?;
     tell_apart(&mut scenes, &names(&args.runs));
     let drawings = scenes.iter().map(realo_render::draw).collect();
     realo_render::write(&args.output, &realo_render::beside(drawings))?;

@@ -4,22 +4,24 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use eyre::{Result, bail};
+use realo_nn::arch::Arch;
 use realo_nn::model::Model;
 use realo_training::data::Augmentation;
 use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
-use realo_training::{Data, TrainOptions, Validation, train};
+use realo_training::{ClassScore, Comparison, Data, FRAMES_APART, TrainOptions, Trained, Validation, train};
 
 use crate::Outcome;
 use crate::progress::Progress;
+use crate::run::find_model;
 
 /// Trains a model on frames drawn straight from simulator seeds, or from logs with ground truth
 #[derive(clap::Args)]
 pub struct Args {
-    /// The model file
-    #[arg(default_value = "models/lite.toml")]
+    /// The model file, or the name of a shipped one
+    #[arg(default_value = "lite")]
     model: PathBuf,
-    /// Begin with the weights of this model file; a V2X-ViT model keeps its encoder
+    /// Begin with the weights of this model file, or shipped model; a V2X-ViT model keeps its encoder
     #[arg(long, value_name = "MODEL")]
     from: Option<PathBuf>,
     /// Folder of the results: checkpoint, weights, curve (CSV and SVG)
@@ -40,6 +42,12 @@ pub struct Args {
     /// Frames of logs instead of simulator seeds
     #[arg(long, conflicts_with_all = ["seeds", "per_seed"])]
     log: Vec<PathBuf>,
+    /// Seconds from one frame of a log to the next, at least
+    #[arg(long, default_value_t = FRAMES_APART)]
+    apart: f64,
+    /// Score on up to 24 frames of these logs [default: of --log, else of simulator seeds 800 to 811]
+    #[arg(long)]
+    validation_log: Vec<PathBuf>,
     /// Simulator seeds, first..end; 0 to 799 are for training
     #[arg(long, default_value = "0..800", value_parser = seeds)]
     seeds: Range<u64>,
@@ -52,17 +60,18 @@ pub struct Args {
     /// Seed of all draws
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Greatest learning rate
-    #[arg(long, default_value_t = 2e-3)]
-    rate: f64,
+    /// Max learning rate [default: 2e-3; 5e-4 for a detector that begins with --from]
+    #[arg(long)]
+    rate: Option<f64>,
     /// Batch norms keep the statistics of the weights of --from, which are then the same for parts of the range and for the whole
-    #[arg(long, requires = "from")]
-    frozen_norms: bool,
+    /// [default: true for a detector that begins with --from]
+    #[arg(long, requires = "from", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    frozen_norms: Option<bool>,
     /// Probability that a step sees parts of the range, of the first two thirds of the steps: squares turned by any angle, at two
     /// fifths of the cost; of a V2X-ViT model half of the range
     #[arg(long, default_value_t = 0.75)]
     parts: f64,
-    /// Steps from one validation (seeds 800 to 811) to the next
+    /// Steps from one validation to the next
     #[arg(long)]
     validate_every: Option<u64>,
     /// Minutes from one checkpoint to the next
@@ -78,6 +87,12 @@ pub struct Args {
 
 /// Steps where neither they nor a time is given.
 const STEPS: u64 = 20_000;
+/// Max learning rate from random numbers, and of a fusion behind an encoder.
+const RATE: f64 = 2e-3;
+/// Max learning rate of a detector that begins with good weights: a few steps at the other one ruin them.
+const TUNING_RATE: f64 = 5e-4;
+/// Mean AP that is lost in silence, for it is not shown.
+const ROUNDING: f64 = 5e-4;
 
 /// Trains and says where the results are.
 pub fn main(args: &Args) -> Result<Outcome> {
@@ -91,23 +106,73 @@ pub fn main(args: &Args) -> Result<Outcome> {
         show(&progress, far);
     })?;
     progress.finish();
+    print!("{}", summary(&trained, args.log.is_empty()));
+    Ok(match trained.complete {
+        true => Outcome::Complete,
+        false => Outcome::Partial,
+    })
+}
+
+/// What a training came to, in lines; the last one says where it made things worse.
+fn summary(trained: &Trained, simulated: bool) -> String {
     let (steps, weights) = (trained.steps, trained.weights.display());
-    if let Some((frames, validation)) = &trained.validation {
-        println!("validation on {frames}: {}", scores(validation));
+    if !trained.complete {
+        return format!(
+            "{steps} of {} steps: weights so far in {weights}, not validated before the last step; add --resume to go on\n",
+            trained.of_steps
+        );
     }
-    if trained.complete {
-        println!("{steps} steps: weights in {weights}");
-        return Ok(Outcome::Complete);
+    let mut lines = String::new();
+    if let Some(Comparison { frames, before, after }) = &trained.comparison {
+        lines += &format!("validation on {frames}");
+        if !simulated {
+            lines += "; --validation-log LOG takes another log, --apart S other times between frames";
+        }
+        lines += "\n";
+        if let Some(before) = before {
+            lines += &format!("before: {}\n", scores(before));
+        }
+        lines += &format!("after:  {}\n", scores(after));
     }
-    println!(
-        "{steps} of {} steps: weights so far in {weights}; add --resume to go on",
-        trained.of_steps
-    );
-    Ok(Outcome::Partial)
+    lines += &format!("{steps} steps: weights in {weights}\n");
+    let change = trained.comparison.as_ref().and_then(change);
+    lines + &change.map_or(String::new(), |change| format!("{change}\n"))
+}
+
+/// How the mean AP changed, with the classes that became worse.
+fn change(comparison: &Comparison) -> Option<String> {
+    let before = comparison.before.as_ref()?;
+    let (Some(was), Some(is)) = (before.mean(), comparison.after.mean()) else {
+        return Some("not compared: there is no object to find on these frames, or no vehicle to see it".into());
+    };
+    let of_class = |(before, after): (&ClassScore, &ClassScore)| {
+        let (was, is) = (before.mean()?, after.mean()?);
+        (is + ROUNDING < was).then(|| format!("{} {was:.3} → {is:.3}", after.name))
+    };
+    let worse: Vec<String> = before
+        .classes
+        .iter()
+        .zip(&comparison.after.classes)
+        .filter_map(of_class)
+        .collect();
+    let worse = worse.join(", ");
+    let mean = format!("mean AP {was:.3} → {is:.3}");
+    Some(match (is + ROUNDING < was, &*worse) {
+        (true, _) => format!(
+            "WORSE than before: {mean} ({worse}). Keep the weights of --from, or try a lower --rate, more --steps, more logs"
+        ),
+        (false, "") => format!("not worse than before: {mean}"),
+        (false, _) => format!("{mean}, but worse: {worse}. A lower --rate, more --steps or more logs may help"),
+    })
 }
 
 impl Args {
     fn options(&self) -> Result<TrainOptions> {
+        let file = find_model(&self.model)?;
+        let from = self.from.as_deref().map(find_model).transpose()?;
+        let model = Model::read(&file)?;
+        // What is behind the encoder of a fusion begins with random numbers.
+        let is_tuned = from.is_some() && !matches!(model.arch, Arch::V2XViT(_));
         let data = if self.log.is_empty() {
             Data::Simulated {
                 cache: self.cache.clone(),
@@ -118,11 +183,12 @@ impl Args {
             Data::Logged {
                 cache: self.cache.clone(),
                 logs: self.log.clone(),
+                apart: self.apart,
             }
         };
         Ok(TrainOptions {
-            model: self.model.clone(),
-            from: self.from.clone(),
+            model: file,
+            from,
             output: self.out.clone(),
             resume: self.resume,
             data,
@@ -132,14 +198,16 @@ impl Args {
             seed: self.seed,
             batch: self.batch,
             parts: self.parts,
-            frozen_norms: self.frozen_norms,
+            frozen_norms: self.frozen_norms.unwrap_or(is_tuned),
             checkpoint_minutes: self.checkpoint_minutes,
             validate_every: self.validate_every,
+            compare: true,
+            validation_logs: self.validation_log.clone(),
             optimizer: OptimizerSettings {
-                rate: self.rate,
+                rate: self.rate.unwrap_or(if is_tuned { TUNING_RATE } else { RATE }),
                 ..OptimizerSettings::default()
             },
-            augmentation: Augmentation::of(&Model::read(&self.model)?),
+            augmentation: Augmentation::of(&model),
             threads: self.threads,
             arithmetic: self.arithmetic,
         })
@@ -181,4 +249,109 @@ pub(crate) fn scores(validation: &Validation) -> String {
         format!("{} AP@{} {reached}", class.name, class.iou)
     });
     class.collect::<Vec<_>>().join("; ")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use clap::Parser;
+
+    use super::*;
+
+    fn score(vehicle: f64, truck: f64) -> Validation {
+        let class = |(name, ap): (&str, f64)| ClassScore {
+            name: name.into(),
+            iou: 0.5,
+            reached: vec![("alone", Some(ap)), ("merged", None)],
+        };
+        Validation {
+            frames: 4,
+            classes: [("vehicle", vehicle), ("truck", truck)].map(class).into(),
+        }
+    }
+
+    fn trained(before: Option<Validation>, after: Validation) -> Trained {
+        Trained {
+            steps: 100,
+            of_steps: 100,
+            complete: true,
+            comparison: Some(Comparison {
+                frames: "4 frames".into(),
+                before,
+                after,
+            }),
+            weights: PathBuf::from("lite.safetensors"),
+        }
+    }
+
+    #[derive(clap::Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn good_weights_are_tuned_with_their_own_norms_and_a_lower_rate() {
+        let options = |words: &[&str]| {
+            let cli = Cli::try_parse_from([&["train"][..], words].concat()).unwrap();
+            let options = cli.args.options().unwrap();
+            (options.frozen_norms, options.optimizer.rate)
+        };
+        assert_eq!(options(&[]), (false, RATE));
+        assert_eq!(options(&["lite", "--from", "lite"]), (true, TUNING_RATE));
+        let asked = ["lite", "--from", "lite", "--frozen-norms=false", "--rate", "1e-3"];
+        assert_eq!(options(&asked), (false, 1e-3));
+        assert_eq!(
+            options(&["lite", "--from", "lite", "--frozen-norms"]),
+            (true, TUNING_RATE)
+        );
+        // The fusion begins with random numbers.
+        assert_eq!(options(&["lite-v2xvit", "--from", "lite"]), (false, RATE));
+    }
+
+    #[test]
+    fn what_became_worse_is_the_last_line() {
+        let last = |before, after| {
+            let said = summary(&trained(Some(before), after), false);
+            assert!(said.contains("before: ") && said.contains("after:  "), "{said}");
+            said.lines().last().unwrap().to_string()
+        };
+        let worse = last(score(0.9, 0.8), score(0.5, 0.9));
+        assert!(
+            worse.starts_with("WORSE than before: mean AP 0.850 → 0.700 (vehicle 0.900 → 0.500)"),
+            "{worse}"
+        );
+        assert!(
+            worse.contains("--rate") && worse.contains("--steps") && worse.contains("more logs"),
+            "{worse}"
+        );
+        let mixed = last(score(0.2, 0.8), score(0.9, 0.7));
+        assert!(
+            mixed.starts_with("mean AP 0.500 → 0.800, but worse: truck 0.800 → 0.700"),
+            "{mixed}"
+        );
+        let better = last(score(0.2, 0.7), score(0.9, 0.7));
+        assert_eq!(better, "not worse than before: mean AP 0.450 → 0.800");
+    }
+
+    #[test]
+    fn without_a_beginning_or_an_end_nothing_is_compared() {
+        let said = summary(&trained(None, score(0.9, 0.8)), true);
+        assert!(
+            said.ends_with("100 steps: weights in lite.safetensors\n") && !said.contains("before"),
+            "{said}"
+        );
+        let cut = Trained {
+            steps: 40,
+            complete: false,
+            comparison: None,
+            ..trained(None, score(0.9, 0.8))
+        };
+        let said = summary(&cut, true);
+        assert!(
+            said.starts_with("40 of 100 steps") && said.contains("not validated"),
+            "{said}"
+        );
+    }
 }

@@ -37,7 +37,7 @@ pub use error::RenderError;
 pub use files::{Format, write};
 pub use judge::{Detected, Judged, There};
 pub use png::png;
-pub use run::{Chosen, Request, choose};
+pub use run::{Chosen, Request, Watch, choose};
 pub use scene::{Agent, Scene};
 pub use several::choose_all;
 pub use style::{Fill, Line, Style};

@@ -71,6 +71,14 @@ pub struct Chosen {
 /// A folder without a complete run or without a recording; a frame or ego that there is not (the error says which there
 /// are); a log that is gone, or of another run.
 pub fn choose(request: &Request) -> Result<Chosen, RenderError> {
+    choose_with(request, &|_, _, _| ())
+}
+
+/// Hears of a run's folder how many of its sweeps were looked at, and how many are to be.
+pub type Watch<'a> = dyn Fn(&Path, usize, usize) + 'a;
+
+/// As [`choose`]; `watch` hears how far it is.
+pub(crate) fn choose_with(request: &Request, watch: &Watch) -> Result<Chosen, RenderError> {
     let mut best: Option<Chosen> = None;
     let mut there = Vec::new();
     for (folder, run) in runs(request)? {
@@ -79,7 +87,7 @@ pub fn choose(request: &Request) -> Result<Chosen, RenderError> {
         if request.ego.as_ref().is_some_and(|ego| *ego != cell.ego) {
             continue;
         }
-        let Some(chosen) = cell.choose(request.frame)? else {
+        let Some(chosen) = cell.choose(request.frame, &|done, all| watch(&folder, done, all))? else {
             continue;
         };
         let gain = |chosen: &Chosen| (chosen.judged.added(), chosen.judged.hits());
@@ -242,7 +250,7 @@ impl Cell {
     }
 
     /// The sweep of this number, or the key frame (without any: the sweep) that shows most.
-    fn choose(self, seq: Option<u64>) -> Result<Option<Chosen>, RenderError> {
+    fn choose(self, seq: Option<u64>, watch: &dyn Fn(usize, usize)) -> Result<Option<Chosen>, RenderError> {
         let candidates: BTreeSet<u64> = match seq {
             Some(seq) => self.sweeps().filter(|known| *known == seq).collect(),
             None if self.keys().next().is_some() => self.keys().collect(),
@@ -251,7 +259,10 @@ impl Cell {
         let mut best: Option<Best> = None;
         // Of equal ones the first: they may come in another order.
         let gain = |judged: &Judged, seq: u64| (judged.added(), judged.hits(), Reverse(seq));
+        let mut looked_at = 0;
         self.each(&candidates, |seq, sweep| {
+            looked_at += 1;
+            watch(looked_at, candidates.len());
             let frame = self.frame(&sweep)?;
             let judged = Judged::of(&frame, &self.protocol, self.protocol.ious[0], self.fused.contains(&seq));
             if best

@@ -2,15 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::run::egos;
-use crate::{Chosen, RenderError, Request, choose};
+use crate::run::{choose_with, egos};
+use crate::{Chosen, RenderError, Request, Watch};
 
 /// Finds the frame that is asked for in several runs: the same sweep of the same ego and log in all. Without a number it is
 /// the one of the run where cooperation added most; without an ego the first by name that all runs have.
 ///
 /// # Errors
-/// As [`choose`]; runs that have no ego in common.
-pub fn choose_all(runs: &[PathBuf], request: &Request) -> Result<Vec<Chosen>, RenderError> {
+/// As [`crate::choose`]; runs that have no ego in common.
+pub fn choose_all(runs: &[PathBuf], request: &Request, watch: &Watch) -> Result<Vec<Chosen>, RenderError> {
     let egos = match &request.ego {
         Some(ego) => vec![ego.clone()],
         None => common_egos(runs)?,
@@ -21,7 +21,7 @@ pub fn choose_all(runs: &[PathBuf], request: &Request) -> Result<Vec<Chosen>, Re
             ego: Some(ego),
             ..request.clone()
         };
-        match same_frame(runs, &of_ego) {
+        match same_frame(runs, &of_ego, watch) {
             // Another ego may have one.
             Err(error @ RenderError::NoFrame { .. }) => missing = missing.or(Some(error)),
             found => return found,
@@ -52,12 +52,13 @@ fn common_egos(runs: &[PathBuf]) -> Result<Vec<String>, RenderError> {
     Ok(common)
 }
 
-fn same_frame(runs: &[PathBuf], request: &Request) -> Result<Vec<Chosen>, RenderError> {
+fn same_frame(runs: &[PathBuf], request: &Request, watch: &Watch) -> Result<Vec<Chosen>, RenderError> {
     let of_run = |run: &Path, request: &Request| {
-        choose(&Request {
+        let request = Request {
             run: run.into(),
             ..request.clone()
-        })
+        };
+        choose_with(&request, watch)
     };
     let mut chosen: Vec<Chosen> = runs.iter().map(|run| of_run(run, request)).collect::<Result<_, _>>()?;
     let gain = |chosen: &Chosen| (chosen.judged.added(), chosen.judged.hits());

@@ -64,19 +64,19 @@ pub fn points_per_second<'a>(sensors: impl IntoIterator<Item = &'a SensorBench>)
 
 /// Casts sweeps of the four usual sensors at every place, usual and dense, on the calling thread, in rounds for about
 /// `seconds` but at least once, and counts the finished points: truth, noise, rounding and recorded detections included,
-/// building the world not.
+/// building the world not. `progress` is called with the seconds that went by, between places.
 ///
 /// # Errors
 /// Those of [`Simulation::new`].
-pub fn bench(seconds: f64) -> Result<Bench, Error> {
+pub fn bench(seconds: f64, progress: impl FnMut(f64)) -> Result<Bench, Error> {
     let places = Scenario::PLACES.map(|scenario| [(scenario, false), (scenario, true)]);
-    measure(places.as_flattened(), seconds)
+    measure(places.as_flattened(), seconds, progress)
 }
 
 /// Of a sensor the points of a round, and the times of all rounds, s.
 type Cast = (usize, Vec<f64>);
 
-fn measure(places: &[(Scenario, bool)], seconds: f64) -> Result<Bench, Error> {
+fn measure(places: &[(Scenario, bool)], seconds: f64, mut progress: impl FnMut(f64)) -> Result<Bench, Error> {
     let seed = 1;
     let simulations = places.iter().map(|(scenario, dense)| {
         Simulation::new(&Options {
@@ -95,6 +95,7 @@ fn measure(places: &[(Scenario, bool)], seconds: f64) -> Result<Bench, Error> {
     let began = Instant::now();
     loop {
         for (simulation, found) in simulations.iter().zip(&mut found) {
+            progress(began.elapsed().as_secs_f64());
             for (agent, (points, times)) in found.iter_mut().enumerate() {
                 let before = cpu_time(began);
                 let cast = SWEEPS.map(|seq| std::hint::black_box(simulation.sweep(agent, seq)).1);
@@ -148,7 +149,7 @@ mod tests {
     #[test]
     fn bench_counts_points_of_every_sensor_of_every_place() {
         let asked = [(Scenario::Corridor, false), (Scenario::Motorway, true)];
-        let bench = measure(&asked, 0.0).unwrap();
+        let bench = measure(&asked, 0.0, |_| ()).unwrap();
         assert_eq!(bench.rounds, 1);
         let places: Vec<_> = bench.places.iter().map(|place| (place.scenario, place.dense)).collect();
         assert_eq!(places, asked);

@@ -17,7 +17,11 @@ pub enum TrainError {
         error: io::Error,
     },
     /// A file cannot be written.
-    #[error("cannot write `{}`: {error}; what was saved before is unharmed", path.display())]
+    #[error(
+        "cannot write `{}`: {error}; nothing of it was left, and a file that was there before stays as it was: {}",
+        path.display(),
+        remedy(error)
+    )]
     Write {
         /// The file or folder.
         path: PathBuf,
@@ -144,4 +148,15 @@ pub enum TrainError {
     /// A layer.
     #[error("layer: {0}")]
     Layer(#[from] candle_core::Error),
+}
+
+/// What to do where a file cannot be written.
+fn remedy(error: &io::Error) -> &'static str {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+    match error.kind() {
+        StorageFull | QuotaExceeded | FileTooLarge => {
+            "free space there, then --resume goes on from the last checkpoint; or choose other folders (--out, --cache)"
+        }
+        _ => "choose another folder (--out, --cache)",
+    }
 }

@@ -22,6 +22,7 @@ use crate::memory::keep_freed_pages;
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
 use crate::random::Stream;
+use crate::scored::{Comparison, FRAMES_APART, Scored};
 use crate::validate::{Validation, decoys, validate, validate_fusion};
 
 /// Simulated frames that are searched for an object of each class before training begins; of logs all are.
@@ -53,8 +54,8 @@ pub struct TrainOptions {
     pub steps: u64,
     /// Stop after so many minutes; the rest is for a later run that resumes.
     pub minutes: Option<f64>,
-    /// Takes as many steps as fit into the minutes, by some that are timed first, and validates at the end. A training
-    /// that is resumed keeps the number that was found.
+    /// Takes as many steps as fit into the minutes, by some that are timed first. A training that is resumed keeps the
+    /// number that was found.
     pub fit_steps: bool,
     /// Of all draws.
     pub seed: u64,
@@ -69,6 +70,10 @@ pub struct TrainOptions {
     pub checkpoint_minutes: f64,
     /// Steps from one validation to the next; none without.
     pub validate_every: Option<u64>,
+    /// Whether the weights that are begun with and the last ones are scored, on the same frames.
+    pub compare: bool,
+    /// Logs on whose frames the network is scored, in place of simulator seeds or of the logs of the training.
+    pub validation_logs: Vec<PathBuf>,
     /// How weights are moved.
     pub optimizer: OptimizerSettings,
     /// How samples are drawn.
@@ -97,6 +102,8 @@ pub enum Data {
         cache: PathBuf,
         /// The logs.
         logs: Vec<PathBuf>,
+        /// Min time between two frames of a log, s.
+        apart: f64,
     },
 }
 
@@ -126,8 +133,8 @@ pub struct Trained {
     pub of_steps: u64,
     /// Whether they are all.
     pub complete: bool,
-    /// Of steps that were fitted into a time: the frames of the last validation, and what it found.
-    pub validation: Option<(String, Validation)>,
+    /// How good it was and is, of a training that is complete and was asked to compare.
+    pub comparison: Option<Comparison>,
     /// The file of weights.
     pub weights: PathBuf,
 }
@@ -144,40 +151,64 @@ pub fn train(options: &TrainOptions, progress: impl FnMut(&Progress) + Send) -> 
         .build()
         .map_err(|error| option("threads", "a number of threads that can be started", error))?;
     pool.install(|| match options.fit_steps {
-        true => Training::new(&fitted(options)?)?.run(progress),
-        false => Training::new(options)?.run(progress),
+        true => {
+            let (options, before) = fitted(options)?;
+            Training::new(&options)?.run(before, progress)
+        }
+        false => {
+            let training = Training::new(options)?;
+            let before = training.before()?;
+            training.run(before, progress)
+        }
     })
 }
 
 /// Share of the time that goes into what is timed first, at each of the two sizes of samples.
 const PILOT: f64 = 0.04;
-/// Share of the time that is left for the last validation.
+/// Share of the time that is left for the last validation where none before it was timed.
 const VALIDATING: f64 = 0.1;
+/// As much more than the first validation is left for the last one: frames that were made lie in the cache then, but the
+/// machine may be busier.
+const RESERVE: f64 = 1.25;
 
-/// As many steps as fit into the time.
-fn fitted(options: &TrainOptions) -> Result<TrainOptions, TrainError> {
+/// As many steps as fit into the time, and the score of the weights that they begin with.
+fn fitted(options: &TrainOptions) -> Result<(TrainOptions, Option<Validation>), TrainError> {
     let begin = Instant::now();
     let minutes = options
         .minutes
         .ok_or_else(|| option("fit_steps", "minutes to fit them into", "none"))?;
     let seconds = minutes * 60.0;
-    let left = || seconds * (1.0 - VALIDATING) - begin.elapsed().as_secs_f64();
-    let steps = match options.resume {
-        true => {
-            let model = Model::read(&options.model)?;
-            Checkpoint::read(&options.output.join(CHECKPOINT), &model)?.plan.steps
-        }
-        false => {
-            let pace = Training::new(options)?.pace(seconds * PILOT)?;
+    let model = Model::read(&options.model)?;
+    let planned = match options.resume {
+        true => Some(Checkpoint::read(&options.output.join(CHECKPOINT), &model)?.plan.steps),
+        false => None,
+    };
+    let options_of_plan = TrainOptions {
+        steps: planned.unwrap_or(options.steps),
+        ..options.clone()
+    };
+    let training = Training::new(&options_of_plan)?;
+    let since = Instant::now();
+    let before = training.before()?;
+    let reserved = match &before {
+        Some(_) => since.elapsed().as_secs_f64() * RESERVE,
+        None => seconds * VALIDATING,
+    };
+    let left = || seconds - reserved - begin.elapsed().as_secs_f64();
+    let steps = match planned {
+        Some(steps) => steps,
+        None => {
+            let pace = training.pace(seconds * PILOT)?;
             (left() / pace).max(1.0) as u64
         }
     };
-    Ok(TrainOptions {
+    let options = TrainOptions {
         steps,
         // Some steps are made however little is left.
         minutes: Some(left().max(1.0) / 60.0),
         ..options.clone()
-    })
+    };
+    Ok((options, before))
 }
 
 pub(crate) fn option(field: &'static str, expected: &'static str, found: impl std::fmt::Display) -> TrainError {
@@ -200,6 +231,11 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     let is_time = |minutes: f64| (0.0..1e9).contains(&minutes);
     if let Some(minutes) = options.minutes.filter(|minutes| *minutes == 0.0 || !is_time(*minutes)) {
         return Err(option("minutes", "a time of more than 0", minutes));
+    }
+    if let Data::Logged { apart, .. } = &options.data
+        && !is_time(*apart)
+    {
+        return Err(option("apart", "seconds", apart));
     }
     if !is_time(options.checkpoint_minutes) {
         return Err(option("checkpoint_minutes", "a time", options.checkpoint_minutes));
@@ -248,6 +284,10 @@ struct Training<'a> {
     recipe: Recipe,
     filling: Filling,
     state: Checkpoint,
+    /// The weights of `from`.
+    start: Option<Arc<Weights>>,
+    /// What the network is scored on.
+    validation: Scored,
     checkpoint: PathBuf,
     /// The step that would be due by the time, where steps were fitted into it.
     due: u64,
@@ -299,8 +339,8 @@ impl Source {
                     missing: Some(frames),
                 })
             }
-            Data::Logged { cache, logs } => {
-                let frames = LoggedFrames::new(cache, logs)?;
+            Data::Logged { cache, logs, apart } => {
+                let frames = LoggedFrames::new(cache, logs, *apart)?;
                 if frames.is_empty() {
                     return Err(option(
                         "logs",
@@ -308,8 +348,12 @@ impl Source {
                         format!("{logs:?}"),
                     ));
                 }
+                let spacing = match *apart == FRAMES_APART {
+                    true => String::new(),
+                    false => format!(", {apart} s apart"),
+                };
                 Ok(Source {
-                    name: format!("logs {logs:?}, {}", frames.identity()),
+                    name: format!("logs {logs:?}, {}{spacing}", frames.identity()),
                     frames: Arc::new(frames),
                     missing: None,
                 })
@@ -404,12 +448,15 @@ impl<'a> Training<'a> {
         filling
             .threads
             .extend(source.missing.map(|frames| frames.fill(filling.stop.clone())));
+        let validation = Scored::of(options, &recipe.frames)?;
         let training = Training {
             options,
             model,
             recipe,
             filling,
             state,
+            start: start.map(|start| start.weights),
+            validation,
             checkpoint,
             due: 0,
             _lock: lock,
@@ -478,7 +525,12 @@ impl<'a> Training<'a> {
         })
     }
 
-    fn run(mut self, mut progress: impl FnMut(&Progress) + Send) -> Result<Trained, TrainError> {
+    /// `before`: the score of the weights that the training began with.
+    fn run(
+        mut self,
+        before: Option<Validation>,
+        mut progress: impl FnMut(&Progress) + Send,
+    ) -> Result<Trained, TrainError> {
         let begin = Instant::now();
         let budget = self
             .options
@@ -492,7 +544,11 @@ impl<'a> Training<'a> {
         let mut validations = Vec::new();
         // What is learnt in addition is measured by where it began.
         if self.options.from.is_some() && self.state.optimizer.steps == 0 && self.options.validate_every.is_some() {
-            validations.push((0, self.validate()?));
+            let first = match &before {
+                Some(before) => before.clone(),
+                None => self.validate(&self.state.network)?,
+            };
+            validations.push((0, first));
         }
         let first = self.state.optimizer.steps;
         while self.state.optimizer.steps < self.options.steps && budget.is_none_or(|budget| begin.elapsed() < budget) {
@@ -513,7 +569,7 @@ impl<'a> Training<'a> {
                 .validate_every
                 .is_some_and(|every| self.state.optimizer.steps.is_multiple_of(every));
             if due {
-                validations.push((self.state.optimizer.steps, self.validate()?));
+                validations.push((self.state.optimizer.steps, self.validate(&self.state.network)?));
                 self.search_decoys()?;
             }
             let steps_left = (self.options.steps - self.state.optimizer.steps) as f64 * pace.seconds;
@@ -544,8 +600,12 @@ impl<'a> Training<'a> {
         if complete {
             self.write_sums()?;
         }
-        let validation = match complete && self.options.fit_steps {
-            true => Some(self.last_validation()?),
+        let comparison = match complete && self.options.compare {
+            true => Some(Comparison {
+                frames: self.validation.name.clone(),
+                before,
+                after: self.validate(&self.state.network)?,
+            }),
             false => None,
         };
         drop(self.filling);
@@ -553,7 +613,7 @@ impl<'a> Training<'a> {
             steps,
             of_steps: self.options.steps,
             complete,
-            validation,
+            comparison,
             weights,
         })
     }
@@ -633,30 +693,25 @@ impl<'a> Training<'a> {
         Ok(point)
     }
 
-    fn validate(&self) -> Result<Validation, TrainError> {
-        let (network, frames) = (&self.state.network, validation_frames(&self.options.data)?);
-        match self.recipe.encoder {
-            Some(_) => validate_fusion(network, &frames),
-            None => validate(network, &frames),
+    /// The score of the weights of `from`, where before and after are compared.
+    fn before(&self) -> Result<Option<Validation>, TrainError> {
+        let Some(start) = self.start.as_ref().filter(|_| self.options.compare) else {
+            return Ok(None);
+        };
+        if self.state.optimizer.steps == 0 {
+            return self.validate(&self.state.network).map(Some);
         }
+        let mut network = beginning(&self.model, start, self.options.seed)?;
+        network.arithmetic = self.state.network.arithmetic;
+        self.validate(&network).map(Some)
     }
 
-    /// On frames of validation seeds; of logs on some of their own.
-    fn last_validation(&self) -> Result<(String, Validation), TrainError> {
-        let Data::Logged { .. } = self.options.data else {
-            return Ok(("simulator seeds 800 to 811".into(), self.validate()?));
-        };
-        let some = SomeFrames {
-            of: self.recipe.frames.clone(),
-            count: self.recipe.frames.len().min(VALIDATED),
-        };
-        let name = format!("{} frames of the logs themselves", some.count);
-        let frames: Arc<dyn Frames> = Arc::new(some);
-        let found = match self.recipe.encoder {
-            Some(_) => validate_fusion(&self.state.network, &frames)?,
-            None => validate(&self.state.network, &frames)?,
-        };
-        Ok((name, found))
+    fn validate(&self, network: &Network) -> Result<Validation, TrainError> {
+        let frames = &self.validation.frames;
+        match self.recipe.encoder {
+            Some(_) => validate_fusion(network, frames),
+            None => validate(network, frames),
+        }
     }
 
     /// Has later samples hold what is now taken for an object and is none.
@@ -707,25 +762,6 @@ fn without_sums(text: &[u8]) -> Vec<u8> {
 /// The files of weights that a model in a folder asks for.
 fn weights(model: &Model, folder: &Path) -> Vec<PathBuf> {
     model.weights_beside(&folder.join(&model.name))
-}
-
-/// Max frames of logs on which a training is validated at its end.
-const VALIDATED: usize = 24;
-
-/// Some frames, evenly spread.
-struct SomeFrames {
-    of: Arc<dyn Frames>,
-    count: usize,
-}
-
-impl Frames for SomeFrames {
-    fn len(&self) -> usize {
-        self.count
-    }
-
-    fn load(&self, index: usize) -> Result<crate::data::Frame, TrainError> {
-        self.of.load(index * self.of.len() / self.count)
-    }
 }
 
 /// The frames of a few validation seeds.

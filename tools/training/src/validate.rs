@@ -32,6 +32,22 @@ pub struct Validation {
     pub classes: Vec<ClassScore>,
 }
 
+impl Validation {
+    /// Mean over classes and ways with objects; `None` without any.
+    pub fn mean(&self) -> Option<f64> {
+        let classes: Vec<f64> = self.classes.iter().filter_map(ClassScore::mean).collect();
+        (!classes.is_empty()).then(|| classes.iter().sum::<f64>() / classes.len() as f64)
+    }
+}
+
+impl ClassScore {
+    /// Mean over the ways with objects; `None` without any.
+    pub fn mean(&self) -> Option<f64> {
+        let reached: Vec<f64> = self.reached.iter().filter_map(|(_, ap)| *ap).collect();
+        (!reached.is_empty()).then(|| reached.iter().sum::<f64>() / reached.len() as f64)
+    }
+}
+
 /// Average precision of one class: all detections by score, the area under the curve made monotonous.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClassScore {

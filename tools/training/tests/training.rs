@@ -11,7 +11,7 @@ use realo_nn::model::Model;
 use realo_nn::weights::Weights;
 use realo_training::data::Augmentation;
 use realo_training::optimizer::OptimizerSettings;
-use realo_training::{Data, TrainError, TrainOptions, train};
+use realo_training::{Data, TrainError, TrainOptions, Validation, train};
 use safetensors::SafeTensors;
 
 const MODEL: &str = r#"
@@ -85,6 +85,8 @@ impl Folder {
             parts: 0.5,
             checkpoint_minutes: 0.0,
             validate_every: None,
+            compare: false,
+            validation_logs: Vec::new(),
             optimizer: OptimizerSettings {
                 rate: 2e-3,
                 ..OptimizerSettings::default()
@@ -237,15 +239,45 @@ fn a_time_budget_ends_early_and_a_resume_goes_on() {
 fn steps_fitted_into_a_time_end_with_a_validation() {
     let folder = Folder::new();
     let mut options = folder.options("truck", "out");
-    (options.minutes, options.fit_steps) = (Some(0.05), true);
+    (options.minutes, options.fit_steps, options.compare) = (Some(0.05), true, true);
     let mut steps = Vec::new();
     let trained = train(&options, |progress| steps.push(progress.point.step)).unwrap();
     assert!(trained.complete && trained.steps <= trained.of_steps, "{trained:?}");
     assert_eq!(steps, (0..trained.steps).collect::<Vec<u64>>());
-    let (frames, _) = trained.validation.expect("a validation");
-    assert_eq!(frames, "simulator seeds 800 to 811");
+    let comparison = trained.comparison.expect("a validation");
+    assert_eq!(comparison.frames, "simulator seeds 800 to 811");
+    assert!(comparison.before.is_none(), "it began with random numbers");
     options.minutes = None;
     assert!(train(&options, |_| ()).is_err());
+}
+
+#[test]
+fn the_weights_of_from_are_scored_on_the_frames_of_the_last_validation() {
+    let folder = Folder::new();
+    train(&folder.options("truck", "first"), |_| ()).unwrap();
+    let mut second = TrainOptions {
+        from: Some(folder.path("first/small.toml")),
+        compare: true,
+        steps: 2,
+        ..folder.options("truck", "second")
+    };
+    second.minutes = Some(1e-6);
+    let cut = train(&second, |_| ()).unwrap();
+    assert!(!cut.complete && cut.comparison.is_none(), "{cut:?}");
+    (second.minutes, second.resume) = (None, true);
+    let found = train(&second, |_| ()).unwrap().comparison.expect("a validation");
+    let before = found.before.expect("weights to begin with");
+    assert_eq!((before.frames, found.after.frames), (12, 12));
+    let names = |of: &Validation| of.classes.iter().map(|class| class.name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&before), names(&found.after));
+    let of_start = TrainOptions {
+        resume: false,
+        steps: 1,
+        output: folder.path("third"),
+        ..second
+    };
+    let again = train(&of_start, |_| ()).unwrap().comparison.expect("a validation");
+    assert_eq!(again.before, Some(before), "resumed or not");
 }
 
 #[test]
@@ -281,7 +313,9 @@ fn a_full_disk_leaves_the_checkpoint_before() {
         }
     })
     .unwrap_err();
-    assert!(error.to_string().contains("No space left on device"), "{error}");
+    for part in ["No space left on device", "stays as it was", "--resume"] {
+        assert!(error.to_string().contains(part), "{part} is not in {error}");
+    }
     assert!(!saved.is_empty() && fs::read(&checkpoint).unwrap() == saved);
     options.resume = true;
     assert_eq!(train(&options, |_| ()).unwrap().steps, 4);

@@ -55,6 +55,20 @@ pub struct Child {
     registration: &'static Registration,
 }
 
+/// Why a call was not answered.
+enum Failure {
+    /// Nothing comes through standard output any more.
+    Closed,
+    /// Anything else, in words.
+    Other(String),
+}
+
+impl From<String> for Failure {
+    fn from(reason: String) -> Self {
+        Failure::Other(reason)
+    }
+}
+
 /// A frame's parts, and whether it may go through shared memory.
 type Frame = (Vec<Buffer>, bool);
 
@@ -156,6 +170,8 @@ impl Child {
                             `realo_operator`";
         let frame = match self.wait_for_reply(patience) {
             Ok(Ok(bytes)) => hello::read(bytes),
+            // It printed before it called `run`: it is a plug-in perhaps.
+            Ok(Err(error @ FrameError::Text { .. })) => return Err(self.last_words(&error.to_string())),
             Ok(Err(error)) => Err(error.to_string()),
             Err(RecvTimeoutError::Timeout) if is_ending() => return Err(ENDED.into()),
             Err(RecvTimeoutError::Timeout) if self.exited(Duration::ZERO).is_some() => {
@@ -163,8 +179,7 @@ impl Child {
             }
             Err(RecvTimeoutError::Timeout) => Err(format!("nothing within {} s", patience.as_secs())),
             Err(RecvTimeoutError::Disconnected) => {
-                let reason = self.last_words("it closed its standard output before it said hello");
-                return Err(format!("{reason}; {MEND}"));
+                return Err(format!("{}; {MEND}", self.farewell("before it declared its ports")));
             }
         };
         frame.map_err(|found| {
@@ -180,36 +195,43 @@ impl Child {
         match answered {
             Ok(None) => Ok(()),
             Ok(Some(error)) => Err(error.into()),
-            Err(reason) => Err(Box::new(Gone(self.last_words(&reason)))),
+            Err(reason) => Err(Box::new(Gone(match reason {
+                Failure::Closed => self.farewell("before it answered a call"),
+                Failure::Other(reason) => self.last_words(&reason),
+            }))),
         }
     }
 
-    fn exchange(&mut self, call: Vec<Buffer>) -> Result<Reply, String> {
+    fn exchange(&mut self, call: Vec<Buffer>) -> Result<Reply, Failure> {
         let silence = if self.answered {
             self.silence.later
         } else {
             self.silence.first
         };
-        let calls = self.calls.as_ref().ok_or("it was called after its end")?;
+        let calls = self.calls.as_ref();
+        let calls = calls.ok_or_else(|| "it was called after its end".to_string())?;
         calls
             .send((call, self.shares))
-            .map_err(|_| "nobody writes to it any more")?;
+            .map_err(|_| "nobody writes to it any more".to_string())?;
         // Whether the program has gone, and how, its answer tells better than the pipe to it.
         let reply = match self.wait_for_reply(silence) {
             Ok(reply) => reply.map_err(|error| format!("no reply: {error}"))?,
             Err(RecvTimeoutError::Timeout) if self.exited(Duration::ZERO).is_some() => {
-                return Err("no reply, and a program that it started holds its standard output open".into());
+                let reason = "no reply, and a program that it started holds its standard output open";
+                return Err(Failure::Other(reason.into()));
             }
-            Err(RecvTimeoutError::Timeout) if is_ending() => return Err(ENDED.into()),
-            Err(RecvTimeoutError::Timeout) => return Err(format!("no reply within {} s", silence.as_secs())),
-            Err(RecvTimeoutError::Disconnected) => return Err("it closed its standard output".into()),
+            Err(RecvTimeoutError::Timeout) if is_ending() => return Err(Failure::Other(ENDED.into())),
+            Err(RecvTimeoutError::Timeout) => {
+                return Err(Failure::Other(format!("no reply within {} s", silence.as_secs())));
+            }
+            Err(RecvTimeoutError::Disconnected) => return Err(Failure::Closed),
         };
         self.answered = true;
         let written = self.written.recv_timeout(silence);
         written
             .map_err(|error| error.to_string())?
             .map_err(|error| error.to_string())?;
-        Reply::from_bytes(reply).map_err(|error| format!("no reply: {error}"))
+        Ok(Reply::from_bytes(reply).map_err(|error| format!("no reply: {error}"))?)
     }
 
     /// The next frame. Of a program that has exited none is awaited for longer than it may still be on its way, and the end of
@@ -250,7 +272,7 @@ impl Child {
     }
 
     /// Hands a reply on; gives the operator's error.
-    fn take(&self, reply: Reply, out: &mut Outputs) -> Result<Option<String>, String> {
+    fn take(&self, reply: Reply, out: &mut Outputs) -> Result<Option<String>, Failure> {
         let sent = reply.sent.into_iter().map(|(name, message)| {
             let port = self.output(&name, &message)?;
             Ok((port, message))
@@ -314,6 +336,19 @@ impl Child {
         }
     }
 
+    /// What is known of a program from which no reply can come: whether it ended or closed its standard output, what it said.
+    fn farewell(&mut self, when: &str) -> String {
+        self.calls = None;
+        if let Some(status) = self.exited(Duration::from_secs(2)) {
+            return self.quoted(format!("it ended with {status} {when}"));
+        }
+        self.stop();
+        self.quoted(format!(
+            "it closed its standard output {when} and went on, so it was stopped: replies go through standard output, leave \
+             it open"
+        ))
+    }
+
     /// What is known of a program that failed: the reason, how it ended, what it said.
     fn last_words(&mut self, reason: &str) -> String {
         self.calls = None;
@@ -324,14 +359,19 @@ impl Child {
                 "it was stopped".into()
             }
         };
+        self.quoted(format!("{reason}; {ended}"))
+    }
+
+    /// What is known, with what the program said on standard error.
+    fn quoted(&self, known: String) -> String {
         let until = Instant::now() + Duration::from_secs(1);
         while !self.listener.is_finished() && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(2));
         }
         let said = self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         match String::from_utf8_lossy(&said).trim() {
-            "" => format!("{reason}; {ended} and said nothing on standard error"),
-            said => format!("{reason}; {ended} and said on standard error: {said}"),
+            "" => format!("{known}; it said nothing on standard error"),
+            said => format!("{known}; it said on standard error: {said}"),
         }
     }
 

@@ -99,7 +99,8 @@ impl Program {
     }
 
     fn command(&self) -> Command {
-        let mut command = match self.path.extension().is_some_and(|extension| extension == "py") {
+        let is_python = self.path.extension().is_some_and(|extension| extension == "py");
+        let mut command = match is_python {
             true => {
                 let mut python = Command::new(python());
                 python.arg("-u").arg(&self.path);
@@ -107,9 +108,12 @@ impl Program {
             }
             false => Command::new(&self.path),
         };
+        if is_python {
+            command.env("PYTHONPATH", python_path(self.env.get("PYTHONPATH")));
+        }
         command
             .args(&self.args)
-            .envs(&self.env)
+            .envs(self.env.iter().filter(|(name, _)| !is_python || *name != "PYTHONPATH"))
             .env(DRIVER_VARIABLE, DRIVER)
             .current_dir(&self.folder)
             .stdin(Stdio::piped())
@@ -128,6 +132,39 @@ fn python() -> &'static str {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let there = std::env::split_paths(&path).any(|folder| folder.join("python").is_file());
     if there { "python" } else { "python3" }
+}
+
+/// A command of the interpreter that runs plug-ins in Python, which finds the modules that they find.
+pub fn interpreter() -> Command {
+    let mut command = Command::new(python());
+    command.env("PYTHONPATH", python_path(None));
+    command
+}
+
+/// Where Python looks for modules first: what `PYTHONPATH` says, in the graph or else in the environment; then `python/` of
+/// the checkout that this program is of, so that nobody has to install `realo_operator`.
+fn python_path(of_graph: Option<&OsString>) -> OsString {
+    let given = of_graph.cloned().or_else(|| std::env::var_os("PYTHONPATH"));
+    let mut path = given.unwrap_or_default();
+    if let Some(folder) = python_folder() {
+        if !path.is_empty() {
+            path.push(":");
+        }
+        path.push(folder);
+    }
+    path
+}
+
+/// `python/` of the checkout that this program lies in, or was built from.
+fn python_folder() -> Option<PathBuf> {
+    let program = std::env::current_exe().and_then(|path| path.canonicalize()).ok();
+    let built = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let above = program
+        .iter()
+        .flat_map(|path| path.ancestors())
+        .chain(built.ancestors());
+    let mut folders = above.map(|folder| folder.join("python"));
+    folders.find(|folder| folder.join("realo_operator/__init__.py").is_file())
 }
 
 /// A value of `env` with its variables replaced, as dora does it; an unset one is empty.

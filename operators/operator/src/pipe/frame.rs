@@ -16,17 +16,20 @@ const SHARED: u32 = u32::MAX;
 /// Why there is no frame.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// A length beyond the limit: most likely text.
+    /// Text in place of a frame.
     #[error(
-        "expected a frame of 1 to {FRAME_LIMIT} bytes, found a length of {length} (as text: {text:?}); \
-         print to standard error, standard output belongs to the protocol"
+        "it printed to standard output, which belongs to the protocol: expected a frame, found text that begins with {text:?}; \
+         print to standard error, in Python by print(…, file=sys.stderr)"
     )]
-    Length {
-        /// The length that the first four bytes give.
-        length: usize,
-        /// The four bytes as text.
+    Text {
+        /// The first four bytes.
         text: String,
     },
+    /// A length beyond the limit.
+    #[error(
+        "expected a frame of 1 to {FRAME_LIMIT} bytes, found a length of {0}; standard output belongs to the protocol"
+    )]
+    Length(usize),
     /// A frame that is none, or too long for one.
     #[error("expected a frame of 1 to {FRAME_LIMIT} bytes, found one of {0}; send less in one message")]
     Size(usize),
@@ -137,10 +140,20 @@ fn prefix(from: &mut impl Read) -> Result<Option<u32>, FrameError> {
 
 /// A length that cannot be is most likely text.
 fn check_prefix(length: u32) -> Result<(), FrameError> {
-    check(length as usize).map_err(|_| FrameError::Length {
-        length: length as usize,
-        text: String::from_utf8_lossy(&length.to_le_bytes()).into(),
+    let bytes = length.to_le_bytes();
+    check(length as usize).map_err(|_| match is_text(&bytes) {
+        true => FrameError::Text {
+            text: String::from_utf8_lossy(&bytes).into(),
+        },
+        false => FrameError::Length(length as usize),
     })
+}
+
+/// Whether bytes may begin a text in UTF-8; a character may be cut at their end.
+fn is_text(bytes: &[u8]) -> bool {
+    let printed = |byte: &u8| !byte.is_ascii_control() || byte.is_ascii_whitespace();
+    let is_utf8 = std::str::from_utf8(bytes).map_or_else(|error| error.error_len().is_none(), |_| true);
+    is_utf8 && bytes.iter().all(printed)
 }
 
 fn in_memory(error: std::io::Error) -> FrameError {
@@ -226,7 +239,11 @@ mod tests {
             error.contains("\"hell\"") && error.contains("standard error"),
             "{error}"
         );
-        assert!(matches!(first(&[0; 4]), Err(FrameError::Length { length: 0, .. })));
+        for text in ["ab\r\n", "Größe", "…..."] {
+            assert!(matches!(first(text.as_bytes()), Err(FrameError::Text { .. })), "{text}");
+        }
+        assert!(matches!(first(&[0; 4]), Err(FrameError::Length(0))));
+        assert!(matches!(first(&[1, 2, 0, 64]), Err(FrameError::Length(_))));
         assert!(matches!(first(&[9, 0]), Err(FrameError::Cut { expected: 4, found: 2 })));
         assert!(matches!(
             first(&[9, 0, 0, 0, 0, 0, 0, 0, 1]),

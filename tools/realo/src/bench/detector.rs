@@ -15,6 +15,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::peer::Peer;
+use crate::progress::Progress;
 
 pub(super) const MODEL: &str = "models/lite.toml";
 const POINTS: usize = 100_000;
@@ -52,7 +53,7 @@ struct PeerStep {
 }
 
 /// Times the pillar step and the pillar net; with an interpreter also spconv's pillar step.
-pub fn bench(python: Option<&Path>) -> Result<Detector> {
+pub fn bench(python: Option<&Path>, progress: &Progress) -> Result<Detector> {
     let model = Model::read(Path::new(MODEL))?;
     let cloud = cloud()?;
     let points = points(&cloud);
@@ -61,6 +62,7 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
 
     let mut peer = python.map(|python| peer(python, &model, &cloud)).transpose()?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    progress.count("rounds", 2.0 * ROUNDS as f64);
     for _ in 0..ROUNDS {
         ours.push(time(|| {
             std::hint::black_box(pillariser.run(&points));
@@ -68,6 +70,7 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
         if let Some(peer) = &mut peer {
             theirs.push(peer.run()?);
         }
+        progress.add(1.0);
     }
     steps.push(step("pillar step, 100,000 points, 1 thread", &ours, None));
     let peer = peer.map(|peer| compared(peer.name.clone(), &ours, &theirs));
@@ -84,7 +87,12 @@ pub fn bench(python: Option<&Path>) -> Result<Detector> {
         z: &z,
         intensity: None,
     });
-    let times: Vec<f64> = (0..ROUNDS).map(|_| time(|| net.run(even, &mut canvas))).collect();
+    let times: Vec<f64> = (0..ROUNDS)
+        .map(|_| {
+            progress.add(1.0);
+            time(|| net.run(even, &mut canvas))
+        })
+        .collect();
     let name = format!("pillar net, {} pillars, 1 thread", even.len());
     steps.push(step(&name, &times, Some(1.5)));
 

@@ -15,6 +15,7 @@ use serde::Serialize;
 
 use super::framework::{demo_log, folder};
 use crate::Outcome;
+use crate::progress::Progress;
 
 /// Of a pass of the demo log, s.
 const PASS: f64 = 10.0;
@@ -245,7 +246,7 @@ const FAULTS: &[Fault] = &[
 ];
 
 /// Runs the faults whose names have `only` in them, in passes of the log: 27 Mbit/s, 20 ms, BBR.
-pub fn bench(seconds: f64, only: &str) -> Result<Faults> {
+pub fn bench(seconds: f64, only: &str, progress: &Progress) -> Result<Faults> {
     let chosen: Vec<&Fault> = FAULTS.iter().filter(|fault| fault.name.contains(only)).collect();
     if chosen.is_empty() {
         let known: Vec<&str> = FAULTS.iter().map(|fault| fault.name).collect();
@@ -275,9 +276,14 @@ pub fn bench(seconds: f64, only: &str) -> Result<Faults> {
     let Some(alone) = accuracy(&out)? else {
         bail!("{}: the log has no ground truth", log.display());
     };
-    let row = |fault: &Fault| match run(fault, passes, &log, &folder) {
-        Ok(row) => row.checked(fault, passes, alone),
-        Err(error) => Row::failed(fault, &error),
+    progress.count("faults", chosen.len() as f64);
+    let row = |fault: &Fault| {
+        let found = run(fault, passes, &log, &folder);
+        progress.add(1.0);
+        match found {
+            Ok(row) => row.checked(fault, passes, alone),
+            Err(error) => Row::failed(fault, &error),
+        }
     };
     let rows = chosen.into_iter().map(row).collect();
     Ok(Faults { alone, passes, rows })

@@ -8,6 +8,7 @@ use realo_schemas::{Nanos, from_seconds};
 use serde::Serialize;
 
 use crate::demo;
+use crate::progress::Progress;
 
 /// Numbers of agents that are measured.
 const SIZES: [usize; 3] = [2, 4, 8];
@@ -33,10 +34,11 @@ struct Measured {
 }
 
 /// Runs late fusion of recorded detections in realtime at 10 Hz with 2, 4 and 8 agents, clouds included.
-pub fn bench(seconds: f64) -> Result<Framework> {
+pub fn bench(seconds: f64, progress: &Progress) -> Result<Framework> {
     let folder = folder()?;
     let demo = demo_log()?;
     let mut runs = Vec::new();
+    progress.count("sizes", SIZES.len() as f64);
     for agents in SIZES {
         let log = folder.join(format!("agents_{agents}.mcap"));
         clone_agents(&demo, &log, agents, seconds)?;
@@ -76,6 +78,7 @@ pub fn bench(seconds: f64) -> Result<Framework> {
             rate_hz: run.timing.rate_hz.unwrap_or(0.0),
             transport_lost: run.result.transport.total_lost,
         });
+        progress.add(1.0);
     }
     Ok(Framework { runs })
 }

@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 use eyre::{Result, WrapErr, bail};
 use serde::Serialize;
 
+use crate::progress::Progress;
+
 /// Time in which a run fills its buffers, s.
 const SETTLE: f64 = 30.0;
 /// Between two looks, s.
@@ -26,7 +28,7 @@ pub struct Memory {
 }
 
 /// Replays the demo log in a loop for `seconds` and watches resident memory.
-pub fn bench(seconds: f64) -> Result<Memory> {
+pub fn bench(seconds: f64, progress: &Progress) -> Result<Memory> {
     if seconds < 2.0 * SETTLE {
         bail!("--seconds: expected at least {}, found {seconds}", 2.0 * SETTLE);
     }
@@ -51,7 +53,7 @@ pub fn bench(seconds: f64) -> Result<Memory> {
         .stderr(Stdio::null())
         .spawn()
         .wrap_err("realo run")?;
-    let samples = watch(&mut child, seconds).inspect_err(|_| {
+    let samples = watch(&mut child, seconds, progress).inspect_err(|_| {
         // Nobody would end it otherwise.
         let _ = child.kill();
     })?;
@@ -84,11 +86,13 @@ pub fn bench(seconds: f64) -> Result<Memory> {
     })
 }
 
-fn watch(child: &mut Child, seconds: f64) -> Result<Vec<(f64, f64)>> {
+fn watch(child: &mut Child, seconds: f64, progress: &Progress) -> Result<Vec<(f64, f64)>> {
+    progress.count("s", seconds);
     let begun = Instant::now();
     let mut samples = Vec::new();
     while child.try_wait()?.is_none() {
         let at = begun.elapsed().as_secs_f64();
+        progress.set(at.round());
         // The last seconds are those of a run that ends.
         if at < seconds - LOOK {
             samples.push((at, resident_mb(child.id())?));

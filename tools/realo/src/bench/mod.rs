@@ -92,25 +92,25 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let only = args.only.as_deref().unwrap_or_default();
     let name = args.name.to_possible_value();
     let name = name.map_or(String::new(), |name| name.get_name().to_string());
-    let _progress = Progress::as_lines(format!("bench {name}"), "", None);
+    let progress = Progress::as_lines(format!("bench {name}"), "", None);
     match args.name {
-        Name::Nms => print(&nms::bench()?, args.json),
-        Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(45.0))?, args.json),
-        Name::Detector => print(&detector::bench(args.python.as_deref())?, args.json),
-        Name::Network => print(&network::bench(args.python.as_deref())?, args.json),
-        Name::Train => print(&train::bench(args.python.as_deref())?, args.json),
-        Name::Transmission => print(&transmission::bench()?, args.json),
-        Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0))?, args.json),
+        Name::Nms => print(&nms::bench(&progress)?, args.json),
+        Name::Simulate => print(&simulate::bench(args.seconds.unwrap_or(45.0), &progress)?, args.json),
+        Name::Detector => print(&detector::bench(args.python.as_deref(), &progress)?, args.json),
+        Name::Network => print(&network::bench(args.python.as_deref(), &progress)?, args.json),
+        Name::Train => print(&train::bench(args.python.as_deref(), &progress)?, args.json),
+        Name::Transmission => print(&transmission::bench(&progress)?, args.json),
+        Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0), &progress)?, args.json),
         Name::Radio => print(
-            &radio::bench(args.seconds.unwrap_or(11.0), only, args.loopback)?,
+            &radio::bench(args.seconds.unwrap_or(11.0), only, args.loopback, &progress)?,
             args.json,
         ),
         Name::Faults => {
-            let found = faults::bench(args.seconds.unwrap_or(20.0), only)?;
+            let found = faults::bench(args.seconds.unwrap_or(20.0), only, &progress)?;
             print(&found, args.json)?;
             Ok(found.check())
         }
-        Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0))?, args.json),
+        Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0), &progress)?, args.json),
     }
 }
 

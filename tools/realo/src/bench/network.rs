@@ -23,6 +23,7 @@ use serde_json::{Value, json};
 
 use super::detector::{cloud, points, spread};
 use super::peer::Peer;
+use crate::progress::Progress;
 
 use boxes::{Agreement, Trained, agreement};
 
@@ -65,14 +66,17 @@ struct Compared {
 }
 
 /// Times networks from sweep to boxes, encoders and whole frames; with an interpreter, others' engines beside them.
-pub fn bench(python: Option<&Path>) -> Result<Networks> {
+pub fn bench(python: Option<&Path>, progress: &Progress) -> Result<Networks> {
     let all = std::thread::available_parallelism().map_or(1, |n| n.get());
+    progress.count("networks", planned(python.is_some(), all) as f64);
     let cloud = cloud()?;
     let points = points(&cloud);
     let mut rows = Vec::new();
-    let mut boxes = vec![lite(&points, all, &mut rows)?];
-    encoders(&points, python, all, &mut rows)?;
-    frames(&points, python, all, &mut rows, &mut boxes)?;
+    let mut boxes = vec![lite(&points, all, &mut rows, progress)?];
+    encoders(&points, python, all, &mut rows, progress)?;
+    for file in FRAMES {
+        boxes.push(frame(file, &points, python, all, &mut rows, progress)?);
+    }
     Ok(Networks {
         points: points.x.len(),
         rows,
@@ -80,18 +84,34 @@ pub fn bench(python: Option<&Path>) -> Result<Networks> {
     })
 }
 
+/// Instruction sets that are measured.
+fn isas() -> impl Iterator<Item = Isa> {
+    Isa::ALL
+        .into_iter()
+        .filter(|isa| isa.is_available() && *isa != Isa::Portable)
+}
+
+/// Numbers of threads that are measured.
+fn thread_counts(all: usize) -> Vec<usize> {
+    if all > 1 { vec![1, all] } else { vec![1] }
+}
+
+/// Measurements in all.
+fn planned(compared: bool, all: usize) -> usize {
+    let of_lite = isas().map(|isa| precisions(isa).len()).sum::<usize>() * thread_counts(all).len();
+    let of_encoders = if compared { 4 } else { 3 };
+    of_lite + of_encoders + FRAMES.len() * precisions(Isa::detect()).len()
+}
+
 /// From a sweep to boxes with the detector that ships, in all that this processor has; and whether int8 finds them.
-fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<Agreement> {
+fn lite(points: &Points, all: usize, rows: &mut Vec<Row>, progress: &Progress) -> Result<Agreement> {
     let loaded = realo_nn::load(Path::new(LITE), realo_nn::Kernels::auto(1))?;
     let weights = loaded.weights;
     let model = calibrated((*loaded.model).clone(), &weights, points)?;
     let anchors = Anchors::of(&model);
-    for isa in Isa::ALL
-        .into_iter()
-        .filter(|isa| isa.is_available() && *isa != Isa::Portable)
-    {
+    for isa in isas() {
         for precision in precisions(isa) {
-            for threads in if all > 1 { vec![1, all] } else { vec![1] } {
+            for threads in thread_counts(all) {
                 let options = NetworkOptions {
                     isa,
                     precision: Some(precision),
@@ -108,6 +128,7 @@ fn lite(points: &Points, all: usize, rows: &mut Vec<Row>) -> Result<Agreement> {
                 })?;
                 let what = format!("lite, sweep to boxes, {}", network.choice());
                 rows.push(row(what, &times, None));
+                progress.add(1.0);
             }
         }
     }
@@ -140,7 +161,13 @@ fn canvas(model: &Model, weights: &Weights, points: &Points) -> Canvas {
 }
 
 /// The encoder of V2X-Real's full size from the canvas, against other engines in the same precision.
-fn encoders(points: &Points, python: Option<&Path>, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
+fn encoders(
+    points: &Points,
+    python: Option<&Path>,
+    threads: usize,
+    rows: &mut Vec<Row>,
+    progress: &Progress,
+) -> Result<()> {
     let (model, weights) = untrained(FULL, points)?;
     let canvas = canvas(&model, &weights, points);
     let layers = Layers::of(&model);
@@ -177,52 +204,53 @@ fn encoders(points: &Points, python: Option<&Path>, threads: usize, rows: &mut V
                 Ok(())
             })?;
             rows.push(measured.row(what.clone(), Some(operations)));
+            progress.add(1.0);
         }
     }
     Ok(())
 }
 
 /// A whole frame of an ego and a collaborator at full size: both encoders, fusion, heads, boxes.
-fn frames(
+fn frame(
+    file: &str,
     points: &Points,
     python: Option<&Path>,
     threads: usize,
     rows: &mut Vec<Row>,
-    boxes: &mut Vec<Agreement>,
-) -> Result<()> {
-    for file in FRAMES {
-        let (model, weights) = untrained(file, points)?;
-        let canvas = canvas(&model, &weights, points);
-        let anchors = Anchors::of(&model);
-        for precision in precisions(Isa::detect()) {
-            let options = NetworkOptions {
-                precision: Some(precision),
-                threads,
-                ..NetworkOptions::default()
-            };
-            let mut network = Network::new(&model, &weights, options)?;
-            let outputs = anchors.classes.len() * model.rotations.len() * (anchors.classes.len() + 7);
-            let told = told(&model, threads, 2, outputs);
-            let peer = python.map(|python| Peer::start(python, &model.arch.to_string(), &told));
-            let measured = against(peer.transpose()?, || {
-                let [ego, other] = [network.encode(&canvas)?, network.encode(&canvas)?];
-                let fused = network.fuse(&[Agent::beside(&ego), Agent::beside(&other)])?;
-                let heads = network.heads(&fused)?;
-                candidates(&anchors, &heads.scores, &heads.deltas, model.score_threshold, MOST);
-                Ok(())
-            })?;
-            rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice()), None));
-            if precision == Precision::Int8 {
-                parts::fusion(&model, &mut network, rows)?;
-            }
+    progress: &Progress,
+) -> Result<Agreement> {
+    let (model, weights) = untrained(file, points)?;
+    let canvas = canvas(&model, &weights, points);
+    let anchors = Anchors::of(&model);
+    for precision in precisions(Isa::detect()) {
+        let options = NetworkOptions {
+            precision: Some(precision),
+            threads,
+            ..NetworkOptions::default()
+        };
+        let mut network = Network::new(&model, &weights, options)?;
+        let outputs = anchors.classes.len() * model.rotations.len() * (anchors.classes.len() + 7);
+        let told = told(&model, threads, 2, outputs);
+        let peer = python.map(|python| Peer::start(python, &model.arch.to_string(), &told));
+        let measured = against(peer.transpose()?, || {
+            let [ego, other] = [network.encode(&canvas)?, network.encode(&canvas)?];
+            let fused = network.fuse(&[Agent::beside(&ego), Agent::beside(&other)])?;
+            let heads = network.heads(&fused)?;
+            candidates(&anchors, &heads.scores, &heads.deltas, model.score_threshold, MOST);
+            Ok(())
+        })?;
+        rows.push(measured.row(format!("frame of {}, 2 agents, {}", model.name, network.choice()), None));
+        if precision == Precision::Int8 {
+            parts::fusion(&model, &mut network, rows)?;
         }
-        boxes.push(agreement(&model, &weights, Trained::No, &canvas, threads)?);
-        if file == FULL {
-            parts::warp(&model, threads, rows)?;
-            parts::compressor(&model, points, threads, rows)?;
-        }
+        progress.add(1.0);
     }
-    Ok(())
+    let agreement = agreement(&model, &weights, Trained::No, &canvas, threads)?;
+    if file == FULL {
+        parts::warp(&model, threads, rows)?;
+        parts::compressor(&model, points, threads, rows)?;
+    }
+    Ok(agreement)
 }
 
 /// Multiplications and additions of the convolutions between two maps.

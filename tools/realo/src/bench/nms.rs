@@ -8,6 +8,8 @@ use realo_nms::{Config, Index, keep};
 use realo_schemas::geometry::Footprint;
 use serde::Serialize;
 
+use crate::progress::Progress;
+
 const BOXES: usize = 1000;
 const ROUNDS: usize = 60;
 const SETS: u64 = 5;
@@ -58,7 +60,7 @@ struct Set {
 ///
 /// # Errors
 /// If two methods keep different boxes.
-pub fn bench() -> Result<Nms> {
+pub fn bench(progress: &Progress) -> Result<Nms> {
     let scenes: [(&str, Place); 3] = [
         ("scattered over 200×80 m", |random, _| {
             [random.range(-100.0, 100.0), random.range(-40.0, 40.0)]
@@ -71,9 +73,10 @@ pub fn bench() -> Result<Nms> {
             [random.range(-0.2, 0.2), random.range(-0.2, 0.2)]
         }),
     ];
+    progress.count("scenes", scenes.len() as f64);
     let scenes = scenes
         .into_iter()
-        .map(|(name, place)| scene(name, place))
+        .map(|(name, place)| scene(name, place).inspect(|_| progress.add(1.0)))
         .collect::<Result<_>>()?;
     Ok(Nms {
         boxes: BOXES,

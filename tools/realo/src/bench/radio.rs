@@ -24,6 +24,7 @@ use zenoh::Wait;
 
 use crate::Outcome;
 use crate::emulate::relayed;
+use crate::progress::Progress;
 
 /// What is offered, ten times a second: kind and bytes.
 const STREAMS: [(Kind, usize); 2] = [(Kind::Boxes, 4_096), (Kind::Points, 3_700_000)];
@@ -103,7 +104,7 @@ struct Came {
 }
 
 /// Runs the cases whose names have `only` in them.
-pub fn bench(seconds: f64, only: &str, loopback: bool) -> Result<Radio> {
+pub fn bench(seconds: f64, only: &str, loopback: bool, progress: &Progress) -> Result<Radio> {
     let relays = loopback
         || Ground::find()
             .inspect_err(|error| eprintln!("realo: {error}; a relay on loopback takes their place"))
@@ -123,7 +124,10 @@ pub fn bench(seconds: f64, only: &str, loopback: bool) -> Result<Radio> {
         false if Ground::find()? == Ground::User => "two network namespaces in a user namespace",
         false => "two network namespaces",
     };
-    let cases = chosen.into_iter().map(|(name, setup)| case(name, *setup));
+    progress.count("cases", chosen.len() as f64);
+    let cases = chosen
+        .into_iter()
+        .map(|(name, setup)| case(name, *setup).inspect(|_| progress.add(1.0)));
     Ok(Radio {
         cases: cases.collect::<Result<_>>()?,
         link,

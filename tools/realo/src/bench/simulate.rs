@@ -4,6 +4,8 @@ use eyre::Result;
 use realo_simulator::{PlaceBench, Scenario, points_per_second};
 use serde::Serialize;
 
+use crate::progress::Progress;
+
 /// How fast the world is cast, on one core.
 #[derive(Serialize)]
 pub struct Simulate {
@@ -42,8 +44,9 @@ impl Rate {
 }
 
 /// Casts sweeps of every place in rounds for about `seconds`.
-pub fn bench(seconds: f64) -> Result<Simulate> {
-    let bench = realo_simulator::bench(seconds)?;
+pub fn bench(seconds: f64, progress: &Progress) -> Result<Simulate> {
+    progress.count("s", seconds);
+    let bench = realo_simulator::bench(seconds, |done| progress.set(done.min(seconds)))?;
     let rate = |scenario: Scenario, dense: bool| {
         let own = |place: &&PlaceBench| place.scenario == scenario && place.dense == dense;
         Rate::of(bench.places.iter().filter(own))

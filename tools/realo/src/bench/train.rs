@@ -11,6 +11,7 @@ use serde_json::json;
 
 use super::detector::spread;
 use super::peer::Peer;
+use crate::progress::Progress;
 
 const MODEL: &str = "models/lite.toml";
 const BATCH: usize = 2;
@@ -41,17 +42,20 @@ struct PeerStep {
 }
 
 /// Times steps of `realo train` at full range, data and all; with an interpreter also PyTorch's of the same network.
-pub fn bench(python: Option<&Path>) -> Result<Train> {
+pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     let folder = super::framework::folder()?;
     let cache = folder.join("frames");
     let frames = SimulatedFrames::new(&cache, SEEDS, 1)?;
     // Before anything is timed.
+    shown.count("frames", frames.len() as f64);
     for index in 0..frames.len() {
         frames.load(index)?;
+        shown.add(1.0);
     }
     let mut peer = python.map(|python| peer(python, threads)).transpose()?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    shown.count("steps", (ROUNDS as u64 * STEPS) as f64);
     for round in 0..ROUNDS {
         let output = folder.join(format!("train_{round}"));
         // A checkpoint of an earlier bench would be gone on from, or refused.
@@ -75,12 +79,15 @@ pub fn bench(python: Option<&Path>) -> Result<Train> {
             parts: 0.0,
             checkpoint_minutes: 60.0,
             validate_every: None,
+            compare: false,
+            validation_logs: Vec::new(),
             optimizer: OptimizerSettings::default(),
             augmentation: Augmentation::default(),
             threads: None,
             arithmetic: None,
         };
         train(&options, |progress| {
+            shown.add(1.0);
             if progress.point.step >= WARM_UP {
                 ours.push(progress.point.seconds);
             }

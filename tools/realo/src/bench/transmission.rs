@@ -14,6 +14,7 @@ use serde::Serialize;
 
 use super::detector::{MODEL, cloud, spread};
 use super::paper::{self, Tables};
+use crate::progress::Progress;
 
 const ROUNDS: usize = 41;
 /// Greatest map that is taken, bytes.
@@ -86,7 +87,7 @@ struct Step {
 }
 
 /// Times the transmission of a simulated sweep, exactly and in whole steps, and of its map in all elements.
-pub fn bench() -> Result<Transmission> {
+pub fn bench(progress: &Progress) -> Result<Transmission> {
     let (sweep, mut encoder) = (sweep()?, pillar_encoder(false)?);
     let mut times = Vec::new();
     let mut sent = None;
@@ -106,7 +107,10 @@ pub fn bench() -> Result<Transmission> {
         (Elements::Int8, false, Some(1)),
         (Elements::Int8, true, Some(1)),
     ];
+    let clouds = [(0.0, None), (0.01, None), (0.01, Some(1)), (0.001, Some(1))];
+    progress.count("codings", (codings.len() + clouds.len()) as f64);
     let codings = codings.map(|(elements, shuffle, zstd)| {
+        progress.add(1.0);
         let config = EncoderConfig {
             elements,
             shuffle,
@@ -116,9 +120,11 @@ pub fn bench() -> Result<Transmission> {
         coding(&sent, &config)
     });
     let cloud = whole_sweep()?;
-    let clouds = [(0.0, None), (0.01, None), (0.01, Some(1)), (0.001, Some(1))];
     let sure = map_of(&mut pillar_encoder(true)?, sweep)?;
-    let clouds = clouds.map(|(step_m, zstd)| cloud_coding(&cloud, step_m, zstd));
+    let clouds = clouds.map(|(step_m, zstd)| {
+        progress.add(1.0);
+        cloud_coding(&cloud, step_m, zstd)
+    });
     Ok(Transmission {
         shape: [map.rows, map.columns, map.channels],
         encoder_ms: spread(&times).1,

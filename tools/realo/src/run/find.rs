@@ -1,4 +1,4 @@
-//! The file of a graph that is given by its name.
+//! The files of graphs and models that are given by their names.
 
 use std::path::{Path, PathBuf};
 
@@ -14,15 +14,54 @@ pub fn graph(path: &Path) -> Result<PathBuf> {
     if path.exists() && !path.is_dir() {
         return Ok(path.into());
     }
-    let found = named(path, &folders());
+    let found = named(path, &folders(), GRAPHS);
     match found {
         Some(found) => {
             eprintln!("realo: {} is {}", path.display(), found.display());
             Ok(found)
         }
-        None => bail!("{}", unknown(path, &folders())),
+        None => bail!("{}", unknown(path, &folders(), GRAPHS)),
     }
 }
+
+/// The model file: the path as it is, or, of a name without a folder, `NAME.toml` here, then that of the shipped models.
+///
+/// # Errors
+/// Neither; with the nearest name, and those of all shipped models.
+pub fn model(path: &Path) -> Result<PathBuf> {
+    if path.exists() && !path.is_dir() {
+        return Ok(path.into());
+    }
+    let beside = |graphs: PathBuf| graphs.with_file_name("models");
+    let folders: Vec<PathBuf> = folders().into_iter().map(beside).collect();
+    match named(path, &folders, MODELS) {
+        Some(found) => Ok(found),
+        None => bail!("{}", unknown(path, &folders, MODELS)),
+    }
+}
+
+/// What a name stands for.
+#[derive(Clone, Copy)]
+struct Shipped {
+    /// The file, in words.
+    file: &'static str,
+    /// All that ship, in words.
+    all: &'static str,
+    /// How file names end, the usual one first.
+    endings: &'static [&'static str],
+}
+
+const GRAPHS: Shipped = Shipped {
+    file: "the file of a graph",
+    all: "shipped graphs",
+    endings: &["yml", "yaml"],
+};
+
+const MODELS: Shipped = Shipped {
+    file: "a model file",
+    all: "shipped models",
+    endings: &["toml"],
+};
 
 /// The checkout whose graphs are meant by their names.
 pub fn checkout() -> Option<PathBuf> {
@@ -49,12 +88,13 @@ fn folders() -> Vec<PathBuf> {
 }
 
 /// The file of a name without a folder.
-fn named(path: &Path, folders: &[PathBuf]) -> Option<PathBuf> {
+fn named(path: &Path, folders: &[PathBuf], shipped: Shipped) -> Option<PathBuf> {
     if path.components().count() != 1 {
         return None;
     }
     let name = path.to_str()?;
-    let names = [name.to_string(), format!("{name}.yml"), format!("{name}.yaml")];
+    let endings = shipped.endings.iter().map(|ending| format!("{name}.{ending}"));
+    let names: Vec<String> = std::iter::once(name.to_string()).chain(endings).collect();
     let here = std::iter::once(Path::new(""));
     let mut all = here.chain(folders.iter().map(PathBuf::as_path));
     all.find_map(|folder| {
@@ -63,21 +103,21 @@ fn named(path: &Path, folders: &[PathBuf]) -> Option<PathBuf> {
     })
 }
 
-/// Names of the graphs in a folder.
-fn names_in(folder: &Path) -> Vec<String> {
+/// Names of the graphs or models in a folder.
+fn names_in(folder: &Path, shipped: Shipped) -> Vec<String> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let files = entries.map(|entry| entry.path()).filter(|path| path.is_file());
-    let graphs = files.filter(|path| path.extension().is_some_and(|ending| ending == "yml"));
-    let mut names: Vec<String> = graphs
+    let named = files.filter(|path| path.extension().is_some_and(|ending| ending == shipped.endings[0]));
+    let mut names: Vec<String> = named
         .filter_map(|path| Some(path.file_stem()?.to_str()?.to_string()))
         .collect();
     names.sort();
     names
 }
 
-fn unknown(path: &Path, folders: &[PathBuf]) -> String {
+fn unknown(path: &Path, folders: &[PathBuf], kind: Shipped) -> String {
     let found = if path.is_dir() { "a folder" } else { "nothing there" };
-    let shipped = folders.first().map(|folder| names_in(folder)).unwrap_or_default();
+    let shipped = folders.first().map(|folder| names_in(folder, kind)).unwrap_or_default();
     let name = path.with_extension("");
     let name = name.file_name().unwrap_or_default().to_string_lossy();
     let parent = path.parent().unwrap_or(Path::new(""));
@@ -86,17 +126,22 @@ fn unknown(path: &Path, folders: &[PathBuf]) -> String {
     } else {
         parent
     };
-    let beside = names_in(beside);
+    let beside = names_in(beside, kind);
     let near = nearest_name(&name, beside.iter().map(String::as_str));
     let hint = match near {
-        Some(near) => format!(" (did you mean `{}`?)", parent.join(format!("{near}.yml")).display()),
+        Some(near) => format!(
+            " (did you mean `{}`?)",
+            parent.join(format!("{near}.{}", kind.endings[0])).display()
+        ),
         None => nearest_name(&name, shipped.iter().map(String::as_str))
             .map(|near| format!(" (did you mean `{near}`?)"))
             .unwrap_or_default(),
     };
     format!(
-        "{}: expected the file of a graph, found {found}{hint}; shipped graphs go by their names: {}",
+        "{}: expected {}, found {found}{hint}; {} go by their names: {}",
         path.display(),
+        kind.file,
+        kind.all,
         shipped.join(", ")
     )
 }
@@ -110,20 +155,43 @@ mod tests {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows");
         let folders = [root.clone()];
         for name in ["late_fusion", "late_fusion.yml"] {
-            assert_eq!(named(Path::new(name), &folders), Some(root.join("late_fusion.yml")));
+            assert_eq!(
+                named(Path::new(name), &folders, GRAPHS),
+                Some(root.join("late_fusion.yml"))
+            );
         }
-        assert_eq!(named(Path::new("x/late_fusion"), &folders), None, "a path is a path");
+        assert_eq!(
+            named(Path::new("x/late_fusion"), &folders, GRAPHS),
+            None,
+            "a path is a path"
+        );
         for (path, expected) in [
             ("late_fuson", "(did you mean `late_fusion`?)"),
             ("dataflow/late_fusion.yml", "(did you mean `late_fusion`?)"),
             ("nothing_like_it", "shipped graphs go by their names: attfuse"),
         ] {
-            let said = unknown(Path::new(path), &folders);
+            let said = unknown(Path::new(path), &folders, GRAPHS);
             assert!(said.contains(expected), "{said}");
         }
         let beside = root.join("attfuze.yml");
-        let said = unknown(&beside, &folders);
+        let said = unknown(&beside, &folders, GRAPHS);
         assert!(said.contains("dataflows/attfuse.yml`?)"), "{said}");
-        assert!(unknown(&root, &folders).contains("found a folder"));
+        assert!(unknown(&root, &folders, GRAPHS).contains("found a folder"));
+    }
+
+    #[test]
+    fn a_name_is_a_shipped_model_and_a_path_is_a_path() {
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/lite.toml");
+        let shipped = shipped.canonicalize().unwrap();
+        for path in [Path::new("lite"), Path::new("lite.toml"), &shipped] {
+            assert_eq!(model(path).unwrap().canonicalize().unwrap(), shipped);
+        }
+        let said = model(Path::new("lit")).unwrap_err().to_string();
+        assert!(
+            said.contains("(did you mean `lite`?)") && said.contains("lite-v2xvit"),
+            "{said}"
+        );
+        let said = model(Path::new("nowhere/lite.toml")).unwrap_err().to_string();
+        assert!(said.contains("expected a model file, found nothing there"), "{said}");
     }
 }

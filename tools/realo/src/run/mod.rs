@@ -37,7 +37,7 @@ use prepare::Cell;
 
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
-pub(crate) use find::{checkout, graph as find_graph};
+pub(crate) use find::{checkout, graph as find_graph, model as find_model};
 pub(crate) use machine::{Check, checks};
 pub(crate) use nodes::{argument, decided_argument};
 pub use prepare::{Lane, lane};
@@ -101,7 +101,7 @@ pub struct Choices {
     /// Agents report the detections that the log recorded
     #[arg(long)]
     pub recorded_detections: bool,
-    /// Model file of every detector [default: each node's own]
+    /// Model file of every detector, or the name of a shipped one, as `lite` [default: each node's own]
     #[arg(long)]
     pub model: Option<PathBuf>,
     /// Kernels of the networks: auto, portable (the same bits on every machine), avx2, avx512, avx512bf16, amx [default: auto]

@@ -59,7 +59,11 @@ pub fn set_model(graph: &mut FlatGraph, path: &Path) -> Result<()> {
         let file = graph.file.display();
         bail!("--model: {file} has no node that runs a network (recorded detections take its place): drop --model");
     }
-    decide(graph, Decided::Model, &std::path::absolute(path)?.to_string_lossy());
+    decide(
+        graph,
+        Decided::Model,
+        &std::path::absolute(super::find::model(path)?)?.to_string_lossy(),
+    );
     Ok(())
 }
 

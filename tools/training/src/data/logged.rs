@@ -14,9 +14,6 @@ use super::frames::Frames;
 use super::simulated::{class_names, deskewed, returns, seen};
 use crate::TrainError;
 
-/// Least time between two frames, ns.
-const APART: Nanos = 1_000_000_000;
-
 /// How far from a frame's time an agent's sweep may lie, ns.
 const NEAR: Nanos = 60_000_000;
 
@@ -34,11 +31,11 @@ pub struct LoggedFrames {
 }
 
 impl LoggedFrames {
-    /// Brings the frames of logs into a folder, as far as they are not there.
+    /// Brings frames of logs, at least so many seconds apart, into a folder, as far as they are not there.
     ///
     /// # Errors
     /// [`TrainError::NoTruth`] for a log without ground truth, [`TrainError::Log`] for one that cannot be read.
-    pub fn new(folder: &Path, logs: &[PathBuf]) -> Result<Self, TrainError> {
+    pub fn new(folder: &Path, logs: &[PathBuf], apart: f64) -> Result<Self, TrainError> {
         std::fs::create_dir_all(folder).map_err(|error| TrainError::Write {
             path: folder.into(),
             error,
@@ -47,7 +44,7 @@ impl LoggedFrames {
         for log in logs {
             let reading = Reading::open(log)?;
             let identity = reading.identity();
-            paths.extend(reading.extract(folder, identity)?);
+            paths.extend(reading.extract(folder, identity, from_seconds(apart))?);
             identities.push(identity);
         }
         Ok(LoggedFrames { paths, identities })
@@ -155,14 +152,14 @@ impl Reading {
         Ok(())
     }
 
-    /// Writes the frames that are missing; returns the paths of all.
-    fn extract(&self, folder: &Path, identity: u64) -> Result<Vec<PathBuf>, TrainError> {
+    /// Writes the frames that are missing; returns the paths of all. `apart`: min time between two, ns.
+    fn extract(&self, folder: &Path, identity: u64, apart: Nanos) -> Result<Vec<PathBuf>, TrainError> {
         let Some((first, labels)) = self.truth.first_key_value() else {
             return Ok(Vec::new());
         };
         let (mut paths, mut last) = (Vec::new(), None);
         for stamp in labels.keys().copied() {
-            if last.is_some_and(|last| stamp - last < APART) {
+            if last.is_some_and(|last| stamp - last < apart) {
                 continue;
             }
             last = Some(stamp);
@@ -367,8 +364,10 @@ mod tests {
     fn labels_of_one_agent_serve_those_without() {
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("cache");
-        let frames = LoggedFrames::new(&cache, &[log(folder.path(), true)]).unwrap();
+        let frames = LoggedFrames::new(&cache, &[log(folder.path(), true)], 1.0).unwrap();
         assert_eq!(frames.len(), 3, "2.5 s hold three frames a second apart");
+        let half = LoggedFrames::new(&cache, &[log(folder.path(), true)], 0.5).unwrap();
+        assert_eq!(half.len(), 5, "and five half a second apart");
         let frame = frames.load(1).unwrap();
         assert_eq!(frame.classes, ["vehicle", "pedestrian", "truck"]);
         let [own, other] = &frame.agents[..] else {
@@ -392,7 +391,7 @@ mod tests {
     fn a_log_that_was_written_anew_gives_frames_anew() {
         let folder = tempfile::tempdir().unwrap();
         let path = log(folder.path(), true);
-        let read = || LoggedFrames::new(&folder.path().join("cache"), std::slice::from_ref(&path)).unwrap();
+        let read = || LoggedFrames::new(&folder.path().join("cache"), std::slice::from_ref(&path), 1.0).unwrap();
         let (one, same) = (read(), read());
         assert_eq!((&one.paths, one.identity()), (&same.paths, same.identity()));
         let file = std::fs::File::options().append(true).open(&path).unwrap();
@@ -409,7 +408,7 @@ mod tests {
         let mut info = LogInfo::new("a test", vec![agent("cav1", AgentKind::Vehicle)]);
         info.protocol = "kitti".into();
         LogWriter::create(&path, &info).unwrap().finish().unwrap();
-        let Err(error) = LoggedFrames::new(folder.path(), std::slice::from_ref(&path)) else {
+        let Err(error) = LoggedFrames::new(folder.path(), std::slice::from_ref(&path), 1.0) else {
             panic!("its classes are not known")
         };
         let said = error.to_string();
@@ -421,7 +420,7 @@ mod tests {
     fn a_log_without_ground_truth_is_refused_by_name() {
         let folder = tempfile::tempdir().unwrap();
         let path = log(folder.path(), false);
-        let Err(error) = LoggedFrames::new(folder.path(), &[path]) else {
+        let Err(error) = LoggedFrames::new(folder.path(), &[path], 1.0) else {
             panic!("nothing to learn from")
         };
         let said = error.to_string();
