@@ -76,8 +76,8 @@ impl Fact {
         let (with, without) = (pick(true), pick(false));
         Some(match (with.len(), without.len()) {
             (_, 0) => said,
-            (1, _) => format!("{said} (only {} has one)", with[0]),
             (_, 1) => format!("{said} ({} has none)", without[0]),
+            (1, _) => format!("{said} (only {} has one)", with[0]),
             (with_it, without_it) if with_it < without_it => format!("{said} (only {} have one)", listed(&with)),
             _ => format!("{said} ({} have none)", listed(&without)),
         })
