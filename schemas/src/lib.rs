@@ -20,4 +20,4 @@ pub use payload::{
     Box3, Boxes, DType, EgoState, Elements, FeatureMap, GroundTruth, OwnLabels, Packet, PointCloud, PoseStatus, Report,
     Selection,
 };
-pub use time::{Nanos, are_one_time_line, from_seconds, to_millis, to_seconds};
+pub use time::{Nanos, SAME_STAMP, are_one_time_line, from_seconds, is_same_stamp, to_millis, to_seconds};

@@ -11,6 +11,14 @@ pub fn to_seconds(nanos: Nanos) -> f64 {
     nanos as f64 * 1e-9
 }
 
+/// Stamps that differ by no more are the same, ns: seconds in double precision are rounded to 238 ns.
+pub const SAME_STAMP: Nanos = 1_000;
+
+/// Whether two stamps are the same but for what float seconds round.
+pub fn is_same_stamp(one: Nanos, other: Nanos) -> bool {
+    one.abs_diff(other) <= SAME_STAMP.unsigned_abs()
+}
+
 /// Time lines that differ by less are taken for one, ns.
 const SAME: Nanos = 1_000_000;
 

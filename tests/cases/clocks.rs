@@ -49,7 +49,7 @@ fn a_lidar_on_another_clock_is_named_with_the_kind_of_clock() {
         (
             "tai-behind",
             -37 * S,
-            "37.090 s behind log times: looks like TAI against UTC",
+            "37.090 s behind log times: looks like UTC against TAI",
         ),
         ("gps", 18 * S, "looks like GPS time against UTC"),
         (

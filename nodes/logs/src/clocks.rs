@@ -138,11 +138,14 @@ const LATENCY: Nanos = 600_000_000;
 const GPS_EPOCH: Nanos = 315_964_800;
 /// What the week number of GPS counts to, s.
 const ROLLOVER: Nanos = 1024 * 7 * 86_400;
-/// Leap seconds and the clocks that differ by them, s.
-const LEAPS: [(Nanos, &str); 3] = [
+/// Seconds by which the clock of the stamps is ahead of the clock of the log times, and what the two are.
+const LEAPS: [(Nanos, &str); 6] = [
     (37, "TAI against UTC, 37 leap seconds (PTP gives TAI)"),
+    (-37, "UTC against TAI, 37 leap seconds (PTP gives TAI)"),
     (18, "GPS time against UTC, 18 leap seconds"),
+    (-18, "UTC against GPS time, 18 leap seconds"),
     (19, "TAI against GPS time, 19 s"),
+    (-19, "GPS time against TAI, 19 s"),
 ];
 
 /// What kind of clock gives `stamp` when that of the log gives `log_time`; `None` where that cannot be told.
@@ -153,21 +156,23 @@ pub fn kind_of_clock(stamp: Nanos, log_time: Nanos) -> Option<String> {
         (-AHEAD_TOLERATED..=LATENCY).contains(&late)
     };
     let leap = |base: Nanos| {
-        let mut known = LEAPS
-            .iter()
-            .flat_map(|(leap, words)| [(*leap, *words), (-leap, *words)]);
-        known.find(|(leap, _)| is_near(base + leap)).map(|(_, words)| words)
+        let known = LEAPS.iter().find(|(leap, _)| is_near(base + leap));
+        known.map(|(_, words)| *words)
     };
     for weeks in [-1, 1, -2, 2] {
         let (base, turns) = (weeks * ROLLOVER, weeks.abs() * 1024);
         if is_near(base) || leap(base).is_some() {
+            let whose = if weeks < 0 { "" } else { "log times of " };
             return Some(format!(
-                "a GPS receiver whose week number has rolled over ({turns} weeks)"
+                "{whose}a GPS receiver whose week number has rolled over ({turns} weeks)"
             ));
         }
     }
     if [0, 18].into_iter().any(|leaps| is_near(leaps - GPS_EPOCH)) {
         return Some("GPS time that counts from 1980".into());
+    }
+    if [0, 18].into_iter().any(|leaps| is_near(GPS_EPOCH - leaps)) {
+        return Some("log times of GPS that count from 1980".into());
     }
     let counts_from_start = |time: Nanos, other: Nanos| (0..10 * YEAR).contains(&time) && other > 30 * YEAR;
     if counts_from_start(stamp, log_time) {
@@ -197,8 +202,13 @@ mod tests {
         let kind = |offset: Nanos, latency: Nanos| kind_of_clock(now + offset, now + latency).unwrap_or_default();
         for latency in [0, 90_000_000, 500_000_000] {
             assert!(kind(37 * SECOND, latency).starts_with("TAI against UTC"));
-            assert!(kind(-37 * SECOND, latency).starts_with("TAI against UTC"));
+            assert!(kind(-37 * SECOND, latency).starts_with("UTC against TAI"));
             assert!(kind(18 * SECOND, latency).starts_with("GPS time against UTC"));
+            assert!(kind(-18 * SECOND, latency).starts_with("UTC against GPS time"));
+            assert!(kind(19 * SECOND, latency).starts_with("TAI against GPS time"));
+            assert!(kind(-19 * SECOND, latency).starts_with("GPS time against TAI"));
+            assert!(kind(1024 * 7 * 86_400 * SECOND, latency).starts_with("log times of a GPS receiver"));
+            assert!(kind(GPS_EPOCH * SECOND, latency).starts_with("log times of GPS"));
             assert!(kind(-1024 * 7 * 86_400 * SECOND, latency).contains("1024 weeks"));
             assert!(kind((18 - 1024 * 7 * 86_400) * SECOND, latency).contains("1024 weeks"));
             assert!(kind((18 - GPS_EPOCH) * SECOND, latency).contains("1980"));

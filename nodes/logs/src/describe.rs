@@ -36,6 +36,8 @@ pub struct Description {
     pub tilted: BTreeMap<String, f64>,
     /// Scored frames per agent, in a finished log.
     pub scored_frames: Option<BTreeMap<String, usize>>,
+    /// Classes of the objects in the ground truth of all agents, and how often each is there.
+    pub truth_classes: BTreeMap<String, u64>,
     /// What a run of it would stumble over, or score wrongly.
     pub problems: Vec<String>,
     /// Where it was cut, if it was.
@@ -150,7 +152,7 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
             sweeps.insert(agent.name.clone(), info);
         }
     }
-    let problems = problems(log)?;
+    let (problems, truth_classes) = problems(log)?;
     // Poses that start again say nothing of how a body tilts.
     let tilted = match problems.is_empty() {
         true => tilts(log)?,
@@ -168,6 +170,7 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
         levelled: log.levelled()?,
         tilted,
         scored_frames: log.key_frames().map(count),
+        truth_classes,
         problems,
         truncated: log.truncation().cloned(),
     })

@@ -8,19 +8,23 @@ use crate::timing::{self, AgentTimes, Times};
 use crate::track_faults::track_faults;
 use crate::{Log, LogError, Stream};
 
-/// What a run of the log would stumble over.
+/// Classes of objects, and how often each is there.
+pub(crate) type Classes = BTreeMap<String, u64>;
+
+/// What a run of the log would stumble over, and the classes of its truth.
 ///
 /// # Errors
 /// A log that cannot be read.
-pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
-    let (mut problems, mut agents) = (Vec::new(), Vec::new());
+pub(crate) fn problems(log: &Log) -> Result<(Vec<String>, Classes), LogError> {
+    let (mut problems, mut unusable) = (Vec::new(), Vec::new());
+    let (mut agents, mut classes) = (Vec::new(), Classes::new());
     for agent in &log.info().agents {
         let mut times = AgentTimes {
             agent: agent.name.clone(),
             ..AgentTimes::default()
         };
         for stream in [Stream::Pose, Stream::PoseTruth] {
-            problems.extend(unusable_poses(log, &agent.name, stream)?);
+            unusable.extend(unusable_poses(log, &agent.name, stream)?);
         }
         for stream in Stream::ALL {
             // Sweeps have the stamps of the points, in less bytes.
@@ -33,7 +37,7 @@ pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
             if dear || !log.has(&agent.name, stream) {
                 continue;
             }
-            match times_of(log, &agent.name, stream)? {
+            match times_of(log, &agent.name, stream, &mut classes)? {
                 Ok(known) => drop(times.streams.insert(stream, known)),
                 Err(problem) => problems.push(problem),
             }
@@ -44,7 +48,8 @@ pub(crate) fn problems(log: &Log) -> Result<Vec<String>, LogError> {
         problems.extend(timing::findings(log, &agents)?);
         problems.extend(track_faults(log)?.iter().map(ToString::to_string));
     }
-    Ok(problems)
+    problems.extend(unusable);
+    Ok((problems, classes))
 }
 
 /// What is wrong with poses that cannot be used.
@@ -75,12 +80,20 @@ fn two_values(topic: &str, which: &str, apart: Nanos) -> String {
 }
 
 /// The times of a stream, or what is wrong with it: stamps of two values, or the first message that is there twice or starts
-/// again.
-fn times_of(log: &Log, agent: &str, stream: Stream) -> Result<Result<Times, String>, LogError> {
+/// again. Classes of ground truth are counted.
+fn times_of(log: &Log, agent: &str, stream: Stream, classes: &mut Classes) -> Result<Result<Times, String>, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
     let (mut times, mut apart) = (Times::new(), Vec::new());
+    let mut next = || {
+        let entry = reader.next()?;
+        let truth = entry.as_ref().filter(|_| stream == Stream::GroundTruth);
+        for object in truth.map(|entry| entry.boxes()).transpose()?.unwrap_or_default().0 {
+            *classes.entry(object.class.to_string()).or_default() += 1;
+        }
+        Ok(entry)
+    };
     loop {
-        match reader.next() {
+        match next() {
             Ok(Some(entry)) => {
                 times.push([entry.stamp(), entry.ready()]);
                 apart.extend(entry.published_apart());
@@ -100,22 +113,4 @@ fn times_of(log: &Log, agent: &str, stream: Stream) -> Result<Result<Times, Stri
             Err(error) => return Err(error),
         }
     }
-}
-
-/// Classes of the objects in the ground truth of all agents, and how often each is there.
-///
-/// # Errors
-/// A log that cannot be read.
-pub fn truth_classes(log: &Log) -> Result<BTreeMap<String, u64>, LogError> {
-    let agents = log.info().agents.iter().map(|agent| agent.name.as_str());
-    let wanted = agents.filter(|agent| log.has(agent, Stream::GroundTruth));
-    let wanted: Vec<(&str, Stream)> = wanted.map(|agent| (agent, Stream::GroundTruth)).collect();
-    let mut classes = BTreeMap::new();
-    let mut reader = log.read_all(&wanted)?;
-    while let Some(entry) = reader.next()? {
-        for object in entry.boxes()?.0 {
-            *classes.entry(object.class.to_string()).or_default() += 1;
-        }
-    }
-    Ok(classes)
 }

@@ -3,7 +3,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use realo_schemas::geometry::View;
-use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus, to_seconds};
+use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus, SAME_STAMP, to_seconds};
 
 use crate::cdr::CdrReader;
 use crate::frames::bare;
@@ -471,7 +471,7 @@ impl Entry {
     }
 
     /// The measurement's reference time, ns: the stamp of the message's header; where that is 0, the publish time. Messages of
-    /// an agent whose stamps differ by at most [`SAME`](crate::SAME) have the first of them.
+    /// an agent whose stamps differ by at most [`SAME_STAMP`] have the first of them.
     pub fn stamp(&self) -> Nanos {
         self.stamp
     }
@@ -479,7 +479,7 @@ impl Entry {
     /// By how much the publish time lies behind the stamp of the header, ns, where the two differ: one of them is wrong.
     pub fn published_apart(&self) -> Option<Nanos> {
         let apart = nanos(self.raw.publish_time).saturating_sub(stamp_of(self.stream, &self.raw));
-        (apart.abs() > crate::SAME).then_some(apart)
+        (apart.abs() > SAME_STAMP).then_some(apart)
     }
 
     /// When it existed on the log's time line, ns.

@@ -1,8 +1,9 @@
 //! Whether an agent's poses reach its sweeps, and roadside units that do not move.
 
-use realo_schemas::{EgoState, Nanos};
+use realo_schemas::geometry::PoseTrack;
+use realo_schemas::{EgoState, Nanos, is_same_stamp};
 
-use crate::{AgentKind, Log, LogError, SAME, Stream};
+use crate::{AgentKind, Log, LogError, Stream};
 
 /// Poses that are farther apart are not bridged by default, ns: the argument `max_gap_ms` of the operator `sync`.
 pub const MAX_GAP: Nanos = 150_000_000;
@@ -60,7 +61,7 @@ fn is_same(one: &EgoState, other: &EgoState) -> bool {
 pub fn is_posed(poses: &[Nanos], stamp: Nanos, max_gap: Nanos) -> bool {
     let next = poses.partition_point(|pose| *pose < stamp);
     let around = &poses[next.saturating_sub(1)..poses.len().min(next + 1)];
-    if around.iter().any(|pose| pose.abs_diff(stamp) <= SAME as u64) {
+    if around.iter().any(|pose| is_same_stamp(*pose, stamp)) {
         return true;
     }
     match (next, poses.len()) {
@@ -68,6 +69,29 @@ pub fn is_posed(poses: &[Nanos], stamp: Nanos, max_gap: Nanos) -> bool {
         (next, all) if next < all => poses[next] - poses[next - 1] <= max_gap,
         (_, all) => (poses[all - 1] - poses[all - 2]).max(stamp - poses[all - 1]) <= max_gap,
     }
+}
+
+/// The poses of an agent, over gaps of at most `max_gap` ns. A roadside unit that does not move is there at all times.
+///
+/// # Errors
+/// A log that cannot be read.
+pub fn pose_track(log: &Log, agent: &str, stream: Stream, max_gap: Nanos) -> Result<PoseTrack, LogError> {
+    let standing = Standing::read(log, agent, stream)?;
+    let max_gap = if standing.is_some() { Nanos::MAX } else { max_gap };
+    let mut track = PoseTrack::new(Nanos::MAX, max_gap);
+    for time in [0, Nanos::MAX] {
+        if let Some(standing) = &standing {
+            track.insert(time, standing.state.map_from_body);
+        }
+    }
+    let mut reader = log.read_all(&[(agent, stream)])?;
+    while let Some(entry) = reader.next()? {
+        // What is no pose is counted when the log is played.
+        if let Ok(state) = entry.pose() {
+            track.insert(entry.stamp(), state.map_from_body);
+        }
+    }
+    Ok(track)
 }
 
 #[cfg(test)]

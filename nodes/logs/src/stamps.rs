@@ -2,14 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_schemas::Nanos;
+use realo_schemas::{Nanos, SAME_STAMP as SAME};
 
 use crate::cdr::CdrReader;
 use crate::log::nanos;
 use crate::{RawMessage, Stream};
 
-/// Stamps that differ by no more are the same, ns: seconds in double precision are rounded to 238 ns.
-pub const SAME: Nanos = 1_000;
 /// So many stamps of an agent are remembered.
 const KEEP: usize = 256;
 

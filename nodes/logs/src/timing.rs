@@ -2,10 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use realo_schemas::Nanos;
+use realo_schemas::{Nanos, SAME_STAMP};
 
 use crate::clocks::seconds;
-use crate::stamps::SAME;
 use crate::{Log, LogError, MAX_GAP, Standing, Step, Stream, clock_words, is_posed, kind_of_clock};
 
 /// Agents whose sweeps are farther apart have no time in common, ns.
@@ -155,12 +154,10 @@ fn joins(times: &AgentTimes) -> Vec<String> {
     let truths = [Stream::GroundTruth, Stream::OwnLabels];
     for stream in truths.into_iter().chain([Stream::Detections]) {
         let own = times.stamps(stream);
-        let mut lost = unmatched(&own, &sweeps);
-        if truths.contains(&stream) {
-            // Truth at more times than sweeps, or at fewer, is no fault; beside sweeps that have none it is.
-            let bare = unmatched(&sweeps, &own);
-            lost.retain(|stamp| !bare.is_empty() && nearest(&bare, *stamp) <= WINDOW);
-        }
+        let lost = match truths.contains(&stream) {
+            true => lost_truth(&own, &sweeps),
+            false => unmatched(&own, &sweeps),
+        };
         found.extend(mismatch(times, stream, &lost, own.len(), ("sweep", &sweeps)));
     }
     found.extend(bare(times).filter(|_| found.is_empty()));
@@ -202,6 +199,102 @@ fn bare(times: &AgentTimes) -> Option<String> {
     ))
 }
 
+/// Truth that belongs to a sweep and has the stamp of none. Truth at more times than sweeps, or at fewer, is not a fault; beside
+/// sweeps that have none it is.
+fn lost_truth(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
+    let bare = unmatched(sweeps, own);
+    let is_near = |stamp: &Nanos| nearest(&bare, *stamp) <= WINDOW;
+    let outside = outside(own, sweeps);
+    let is_outside = |stamp: &Nanos| outside.binary_search(stamp).is_ok();
+    let lost = unmatched(own, sweeps).into_iter();
+    lost.filter(|stamp| is_near(stamp) || is_outside(stamp)).collect()
+}
+
+/// Stamps before the first sweep or behind the last one, where there are sweeps without any at the rhythm of these stamps.
+fn outside(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
+    let (Some(first), Some(last)) = (sweeps.first(), sweeps.last()) else {
+        return Vec::new();
+    };
+    let reach = WINDOW.max(median_gap(own));
+    let inside = *first - WINDOW..=*last + WINDOW;
+    let lacks = |sweep: &Nanos| nearest(own, *sweep) > reach;
+    match sweeps.iter().any(lacks) {
+        true => own.iter().copied().filter(|stamp| !inside.contains(stamp)).collect(),
+        false => Vec::new(),
+    }
+}
+
+/// Where stamps are relative to sweeps of which none has them, in words: the nearest one, and the clock that this looks like.
+fn distance_words(lost: &[Nanos], own: &[Nanos], sweeps: &[Nanos]) -> String {
+    let Some(first) = lost.first().filter(|_| !sweeps.is_empty()) else {
+        return "there is none".into();
+    };
+    let far = nearest(sweeps, *first);
+    let distance = match far < 1_000_000_000 {
+        true => format!("{:.3} ms", far as f64 * 1e-6),
+        false => format!("{} s", seconds(far)),
+    };
+    // The first that is lost belongs to the first sweep without any.
+    let bare = unmatched(sweeps, own);
+    let kind = bare.first().and_then(|sweep| kind_of_clock(*first, *sweep));
+    match kind.filter(|_| far > WINDOW) {
+        Some(kind) => format!("the nearest lies {distance} away: looks like {kind}"),
+        None => format!("the nearest lies {distance} away"),
+    }
+}
+
+/// Messages of an agent before its first sweep or behind its last one, beside sweeps that have none.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outside {
+    /// How many there are.
+    pub count: u64,
+    /// Of so many.
+    pub of: u64,
+    /// Where the nearest sweep is, and the clock that this looks like.
+    pub words: String,
+}
+
+impl Outside {
+    /// Looks at the messages of an agent's stream; `None` without sweeps, and where none are outside.
+    ///
+    /// # Errors
+    /// A log that cannot be read.
+    pub fn read(log: &Log, agent: &str, stream: Stream) -> Result<Option<Self>, LogError> {
+        let sweeps = [Stream::Sweeps, Stream::Points].into_iter();
+        let Some(of) = sweeps.into_iter().find(|stream| log.has(agent, *stream)) else {
+            return Ok(None);
+        };
+        if !log.has(agent, stream) || is_within(log.times(&stream.topic(agent))?, log.times(&of.topic(agent))?) {
+            return Ok(None);
+        }
+        let (own, sweeps) = (read_stamps(log, agent, stream)?, read_stamps(log, agent, of)?);
+        let lost = outside(&own, &sweeps);
+        Ok((!lost.is_empty()).then(|| Outside {
+            count: lost.len() as u64,
+            of: own.len() as u64,
+            words: distance_words(&lost, &own, &sweeps),
+        }))
+    }
+}
+
+/// Whether the log times of messages lie within those of the sweeps, so that none needs to be read.
+fn is_within(own: Option<(Nanos, Nanos)>, sweeps: Option<(Nanos, Nanos)>) -> bool {
+    let (Some(own), Some(sweeps)) = (own, sweeps) else {
+        return true;
+    };
+    own.0 >= sweeps.0 - WINDOW && own.1 <= sweeps.1 + WINDOW
+}
+
+fn read_stamps(log: &Log, agent: &str, stream: Stream) -> Result<Vec<Nanos>, LogError> {
+    let mut reader = log.read_all(&[(agent, stream)])?;
+    let mut stamps = Vec::new();
+    while let Some(entry) = reader.next()? {
+        stamps.push(entry.stamp());
+    }
+    stamps.sort_unstable();
+    Ok(stamps)
+}
+
 fn mismatch(
     times: &AgentTimes,
     stream: Stream,
@@ -209,12 +302,11 @@ fn mismatch(
     all: usize,
     (what, others): (&str, &[Nanos]),
 ) -> Option<String> {
-    let first = *lost.first()?;
+    if lost.is_empty() {
+        return None;
+    }
     let topic = stream.topic(&times.agent);
-    let nearest = match others.is_empty() {
-        true => "there is none".to_string(),
-        false => format!("the nearest lies {:.3} ms away", nearest(others, first) as f64 * 1e-6),
-    };
+    let nearest = distance_words(lost, &times.stamps(stream), others);
     Some(format!(
         "{topic}: {} of {all} messages have the stamp of no {what}: {nearest}; all that is of one sweep needs its stamp (within 1 µs)",
         lost.len()
@@ -273,7 +365,7 @@ fn stops(agents: &[&AgentTimes]) -> Vec<String> {
 
 /// Those that are the same as none of the others, both rising.
 fn unmatched(stamps: &[Nanos], others: &[Nanos]) -> Vec<Nanos> {
-    let is_lost = |stamp: &Nanos| others.is_empty() || nearest(others, *stamp) > SAME;
+    let is_lost = |stamp: &Nanos| others.is_empty() || nearest(others, *stamp) > SAME_STAMP;
     stamps.iter().copied().filter(is_lost).collect()
 }
 
@@ -370,6 +462,35 @@ mod tests {
             said[0].starts_with("`car`: 3 of 20 sweeps have no recorded detections"),
             "{said:?}"
         );
+    }
+
+    #[test]
+    fn truth_on_another_clock_is_found_whole_or_in_part() {
+        let joined = |truth: Times, detections: Times| {
+            joins(&agent(&[
+                (Stream::Sweeps, every(100, 0, 90)),
+                (Stream::GroundTruth, truth),
+                (Stream::Detections, detections),
+            ]))
+        };
+        let off = every(100, 37_000, 90);
+        let said = joined(off.clone(), every(100, 0, 90));
+        assert_eq!(said.len(), 1, "{said:?}");
+        let words =
+            "20 of 20 messages have the stamp of no sweep: the nearest lies 35.100 s away: looks like TAI against UTC";
+        assert!(said[0].contains(words), "{said:?}");
+        assert!(joined(every(100, 0, 90), off.clone())[0].contains(words));
+        // The clock jumps midway, and a clock that is a second behind.
+        let half: Times = [&every(100, 0, 90)[..10], &off[10..]].concat();
+        assert!(joined(half, every(100, 0, 90))[0].contains("10 of 20 messages"));
+        let said = joined(every(100, -37_000, 90), every(100, 0, 90));
+        assert!(said[0].contains("looks like UTC against TAI"), "{said:?}");
+        // Truth that begins earlier and ends later, or comes at 2 Hz, is not a fault.
+        let longer: Times = (-20..40).map(|k| T + k * 100 * MS).map(|t| [t, t + 90 * MS]).collect();
+        let rare: Times = longer.iter().copied().step_by(5).collect();
+        for truth in [longer, rare] {
+            assert_eq!(joined(truth, every(100, 0, 90)), Vec::<String>::new());
+        }
     }
 
     #[test]

@@ -4,10 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use nalgebra::Point2;
-use realo_schemas::geometry::PoseTrack;
 use realo_schemas::{Box3, Nanos};
 
-use crate::{Log, LogError, Standing, Stream};
+use crate::{Log, LogError, Stream, pose_track};
 
 /// Truths further apart in time are not compared, ns.
 const TOGETHER: Nanos = 200_000_000;
@@ -99,7 +98,7 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFaults>, LogError> {
         if let Some(poses) = poses.filter(|_| log.has(&agent.name, Stream::GroundTruth))
             && counts_points(log, &agent.name)?
         {
-            agents.push((agent.name.as_str(), pose_track(log, (&agent.name, poses))?));
+            agents.push((agent.name.as_str(), pose_track(log, &agent.name, poses, GAP)?));
         }
     }
     if agents.len() < 2 {
@@ -244,26 +243,6 @@ fn nearest<'a>(of: &Placed, among: &[&'a Placed]) -> Option<&'a Placed> {
         .iter()
         .filter(|other| other.class == of.class && far(other) <= SAME_PLACE);
     alike.min_by(|one, other| far(one).total_cmp(&far(other))).copied()
-}
-
-fn pose_track(log: &Log, wanted: (&str, Stream)) -> Result<PoseTrack, LogError> {
-    if let Some(standing) = Standing::read(log, wanted.0, wanted.1)? {
-        let mut track = PoseTrack::new(Nanos::MAX, Nanos::MAX);
-        let pose = standing.state.map_from_body;
-        for time in [0, Nanos::MAX] {
-            track.insert(time, pose);
-        }
-        return Ok(track);
-    }
-    let mut track = PoseTrack::new(Nanos::MAX, GAP);
-    let mut reader = log.read_all(&[wanted])?;
-    while let Some(entry) = reader.next()? {
-        // What is no pose is counted when the log is played.
-        if let Ok(state) = entry.pose() {
-            track.insert(entry.stamp(), state.map_from_body);
-        }
-    }
-    Ok(track)
 }
 
 #[cfg(test)]

@@ -35,6 +35,22 @@ impl Counters {
         known.map_or(0, |share| share.count)
     }
 
+    /// Adds one message of an agent to several counters at once, and what is wrong with it by the first that says so.
+    pub fn judged<const N: usize>(
+        &self,
+        agent: &str,
+        wrong: [(&'static Counter, bool); N],
+        found: impl FnOnce() -> String,
+    ) {
+        let mut counts = self.lock();
+        for (counter, is_wrong) in wrong {
+            counts.add(counter, agent, u64::from(is_wrong), 1);
+        }
+        if let Some((counter, _)) = wrong.iter().find(|(_, is_wrong)| *is_wrong) {
+            counts.found(counter, agent, found);
+        }
+    }
+
     /// All so far.
     pub fn get(&self) -> Counts {
         self.lock().clone()
@@ -61,6 +77,7 @@ pub const ALL: &[Counter] = &[
     DETECTIONS_WITHOUT_SWEEP,
     DETECTIONS_WITHOUT_INFO,
     TRUTH_WITHOUT_SWEEP,
+    TRUTH_NOT_JOINED,
     INTENSITIES_LIMITED,
     SWEEPS_WITHOUT_DETECTIONS,
     TRACKS_DIFFER,
@@ -146,6 +163,14 @@ pub const TRUTH_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "messages of the ego's ground truth or own labels whose stamp is that of no sweep, beside sweeps that have none",
     "messages of ground truth were left out, because no sweep or no companion has their stamp",
     "truth and its `_info` need the stamp of the sweep that they label; `realo info` says how far off they are",
+);
+pub const TRUTH_NOT_JOINED: Counter = Counter::log_fault(
+    "truth_not_joined",
+    "sweeps of the ego that were scored without the points that a collaborator has on objects; counted where its truth lies near \
+     none of them",
+    "sweeps of the ego were scored without the truth of {agent}, which has other times: objects that {agent} alone sees are not \
+     counted, so AP is too high",
+    "give the stamps and log times of its truth the clock of the ego; `realo info` says how far off they are",
 );
 pub const DETECTIONS_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "detections_without_sweep",

@@ -2,8 +2,8 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use realo_logs::{
-    Attitudes, BEHIND_MOST, Entry, LEVEL, Levelled, Log, LogError, LogReader, Step, Stream, TrackFault, clock_words,
-    kind_of_clock, level_state, levelled_while_played, track_faults,
+    Attitudes, BEHIND_MOST, Entry, LEVEL, Levelled, Log, LogError, LogReader, Outside, Step, Stream, TrackFault,
+    clock_words, kind_of_clock, level_state, levelled_while_played, track_faults,
 };
 use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::tilt_degrees;
@@ -14,7 +14,7 @@ use realo_schemas::{
 use crate::counters::{
     CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED,
     NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES,
-    TOO_FAR, TRACKS_DIFFER, TRACKS_DOUBLED, TRACKS_SPLIT, TRUTH_WITHOUT_SWEEP,
+    TOO_FAR, TRACKS_DIFFER, TRACKS_DOUBLED, TRACKS_SPLIT, TRUTH_NOT_JOINED, TRUTH_WITHOUT_SWEEP,
 };
 use crate::gaps::{Gaps, Missing};
 use crate::joins::{Joins, PATIENCE, Recorded};
@@ -223,6 +223,16 @@ impl Script {
         Ok(())
     }
 
+    /// Counts truth of the ego before its first sweep or behind its last one, beside sweeps that have none.
+    fn count_truth_outside(&self, ego: &str) -> Result<(), LogError> {
+        for stream in [Stream::GroundTruth, Stream::OwnLabels] {
+            if let Some(Outside { count, of, words }) = Outside::read(&self.log, ego, stream)? {
+                self.counters.lost(&TRUTH_WITHOUT_SWEEP, ego, count, of, || words);
+            }
+        }
+        Ok(())
+    }
+
     fn along_ground(&self) -> Result<BTreeSet<Name>, LogError> {
         let levelled = self.log.levelled()?.into_iter();
         let ground = levelled.filter(|(_, levelled)| levelled.by == Levelled::BY_GROUND);
@@ -292,6 +302,7 @@ impl Feed {
             .for_each(|rank| per_pass[*rank][0] = (period / STEP).unsigned_abs() + 1);
         script.count_track_faults()?;
         script.count_times_apart(&agents)?;
+        script.count_truth_outside(&agents[0])?;
         Ok(Feed {
             reader: script.open()?,
             truth: script.truth(&agents, &levels)?,
@@ -368,6 +379,9 @@ impl Feed {
         self.expire(Nanos::MAX);
         let lost = self.truth.finish();
         self.count_lost_truth(lost);
+        for (agent, sweeps) in self.truth.unjoined() {
+            self.script.counters.add(&TRUTH_NOT_JOINED, &agent, sweeps, sweeps);
+        }
         for (agent, missing) in self.gaps.end(&self.agents[0]) {
             self.count_missing(&agent, missing);
         }
@@ -457,11 +471,10 @@ impl Feed {
             }
             self.off.insert(entry.agent.clone());
         }
+        let [off, ahead] = [Step::Off, Step::Ahead].map(|wrong| step == wrong);
         let counters = &self.script.counters;
-        for (counter, wrong) in [(&CLOCK_OFF, Step::Off), (&CLOCK_AHEAD, Step::Ahead)] {
-            counters.lost(counter, &entry.agent, u64::from(step == wrong), 1, words);
-        }
-        Ok(step == Step::Off)
+        counters.judged(&entry.agent, [(&CLOCK_OFF, off), (&CLOCK_AHEAD, ahead)], words);
+        Ok(off)
     }
 
     /// Sends the poses of units that stand still until a time.

@@ -2,9 +2,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use crate::feed::apart_words;
-use realo_logs::{Attitude, BoxesInfo, Entry, Log, LogError, LogReader, SAME, Stream, same};
+use realo_logs::{Attitude, BoxesInfo, Entry, Log, LogError, LogReader, Stream, same};
 use realo_schemas::geometry::View;
-use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels};
+use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels, SAME_STAMP as SAME};
 
 /// A collaborator's sweep further from the ego's says nothing about the same scene.
 const WINDOW: Nanos = 500_000_000;
@@ -32,6 +32,9 @@ pub struct TruthJoin {
     /// Which of these have views.
     viewed: Vec<Stream>,
     others: BTreeMap<Name, VecDeque<Counts>>,
+    /// Sweeps of the ego whose truth has points, and those of them near which each of the others has truth.
+    counted: u64,
+    joined: BTreeMap<Name, u64>,
     read_to: Nanos,
     /// By agent: messages whose publish time is not their stamp, and the first in words.
     apart: BTreeMap<Name, (u64, String)>,
@@ -106,6 +109,8 @@ impl TruthJoin {
             complete,
             viewed,
             others,
+            counted: 0,
+            joined: BTreeMap::new(),
             read_to: Nanos::MIN,
             apart: BTreeMap::new(),
         })
@@ -132,12 +137,32 @@ impl TruthJoin {
         }
         if let Some((boxes, info)) = known {
             if let Some(own) = &info.points {
+                self.note_joined(stamp);
                 truth.points = self.points(stamp, &boxes.0, own);
             }
             (truth.boxes, truth.key) = (boxes.0, info.key);
             truth.views = self.views_at(Stream::GroundTruthViews, at);
         }
         Ok((truth, lost))
+    }
+
+    /// Others that have truth near none of the ego's sweeps, and how many of these there were.
+    pub fn unjoined(&self) -> BTreeMap<Name, u64> {
+        let others = self.others.keys().filter(|_| self.counted > 0);
+        let unjoined = others.filter(|agent| !self.joined.contains_key(*agent));
+        unjoined.map(|agent| (agent.clone(), self.counted)).collect()
+    }
+
+    fn note_joined(&mut self, stamp: Nanos) {
+        self.counted += 1;
+        let others = self.agents[1..].iter();
+        let near: Vec<Name> = others
+            .filter(|agent| self.nearest(agent, stamp).is_some())
+            .cloned()
+            .collect();
+        for agent in near {
+            *self.joined.entry(agent).or_default() += 1;
+        }
     }
 
     /// How far what is left lay from sweeps that have no truth, ns.

@@ -4,7 +4,7 @@ use std::path::Path;
 use realo_logs::cdr::CdrReader;
 use realo_logs::{BoxesInfo, LogError, McapFile, Messages, RECORDING_RECORD, RawMessage, Schema, boxes, views};
 use realo_schemas::geometry::View;
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, OwnLabels, Pose};
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, OwnLabels, Pose, is_same_stamp};
 use serde_json::Value;
 
 /// The final boxes of a recording, in order of their ready time, bit for bit as the recorder got them.
@@ -213,7 +213,10 @@ impl TruthOf {
     }
 
     fn at(&mut self, agent: &Name, stamp: Nanos) -> Option<&mut GroundTruth> {
-        let growing = self.growing.get_mut(agent).filter(|(header, _)| header.stamp == stamp);
+        let growing = self
+            .growing
+            .get_mut(agent)
+            .filter(|(header, _)| is_same_stamp(header.stamp, stamp));
         growing.map(|(_, truth)| truth)
     }
 

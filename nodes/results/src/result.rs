@@ -310,7 +310,22 @@ impl RunResult {
         let losses = self.nodes.values().flat_map(|node| node.losses.values());
         let faults = losses.filter(|loss| loss.meaning == Meaning::LogFault);
         let boxes = self.dropped_truths.as_ref().map_or(0, |dropped| dropped.invalid);
-        faults.map(Loss::count).fold(boxes, u64::saturating_add)
+        faults
+            .map(Loss::count)
+            .fold(boxes + self.unknown_truths(), u64::saturating_add)
+    }
+
+    /// Objects of the ground truth of classes that the protocol does not score, where it scores none of all.
+    fn unknown_truths(&self) -> u64 {
+        let counts = self
+            .accuracy
+            .iter()
+            .flat_map(|accuracy| accuracy.sorted.counts.values());
+        let is_scored = counts.flat_map(BTreeMap::values).any(|counts| counts.total > 0);
+        match &self.dropped_truths {
+            Some(dropped) if !is_scored => dropped.classes.values().sum(),
+            _ => 0,
+        }
     }
 
     /// Fills in all that follows from the samples and from what was counted: scores, ages and notes.
@@ -338,7 +353,10 @@ impl RunResult {
         self.dropped_detections = Some(scores.dropped_detections);
         self.dropped_truths = Some(scores.dropped_truths);
         self.in_no_view = scores.in_no_view;
-        self.notes.extend(notes::unscored(self));
+        let unscored = notes::unscored(self);
+        // A table without any score says so before all else.
+        let at = if self.unknown_truths() > 0 { 0 } else { self.notes.len() };
+        self.notes.splice(at..at, unscored);
         if scores.boxes_without_truth > 0 {
             let n = scores.boxes_without_truth;
             self.notes.push(format!(

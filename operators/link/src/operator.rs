@@ -50,11 +50,39 @@ impl Default for LinkConfig {
 /// Packets of one sender that may wait for first positions; more are out of range and `unplaced`, the oldest first.
 const EARLY: usize = 16;
 
+/// Packets may come so long before the first positions, as when a graph starts, ns.
+const START: Nanos = 3_000_000_000;
+
 /// A position and when it was measured.
 type Fix = (Nanos, [f64; 2]);
 
 /// A packet, and when it was sent, ns.
 struct Sent(Nanos, Header, Packet);
+
+/// Packets that came before it was known where to; whether that was a start or a fault shows later.
+struct TooEarly {
+    first: Nanos,
+    last: Nanos,
+    count: u64,
+}
+
+impl TooEarly {
+    fn add<K: Ord>(known: &mut BTreeMap<K, TooEarly>, key: K, sent: Nanos) {
+        let early = known.entry(key).or_insert(TooEarly {
+            first: sent,
+            last: sent,
+            count: 0,
+        });
+        (early.last, early.count) = (early.last.max(sent), early.count + 1);
+    }
+
+    /// Counts them once all is known: a short while is how a graph starts, a longer one is a fault.
+    fn settle(&self, fault: &'static Counter, agent: &Name, out: &mut Outputs) {
+        let is_start = self.last.saturating_sub(self.first) <= START;
+        let counter = if is_start { &BEFORE_START } else { fault };
+        out.count_of(counter, agent, self.count, 0);
+    }
+}
 
 /// Carries packets between the ego and the others.
 pub struct Link {
@@ -66,6 +94,10 @@ pub struct Link {
     ego: Option<Name>,
     others: BTreeSet<Name>,
     fixes: BTreeMap<Name, Fix>,
+    /// By sender: packets that came while no ego was known.
+    unreceived: BTreeMap<Name, TooEarly>,
+    /// By sender and receiver: packets that came while the position of one was not known.
+    unplaced: BTreeMap<(Name, Name), TooEarly>,
     /// Packets for the ego that wait for a first position.
     early: BTreeMap<Name, VecDeque<Sent>>,
 }
@@ -75,6 +107,10 @@ const NO_RECEIVER: Counter = Counter::loss(
     "packets that came before any ego was known; not sent",
     "packets were not sent, because no ego was known yet",
     "`--set {node}.ego=NAME` names it from the start",
+);
+const BEFORE_START: Counter = Counter::plain(
+    "before_start",
+    "packets of the first 3 s of a sender, not sent because its position, the ego or the ego's position was not known yet",
 );
 const UNPLACED: Counter = Counter::loss(
     "unplaced",
@@ -147,7 +183,7 @@ impl Describe for Link {
         )
         .of(Lane::EgoReceived),
     ];
-    const COUNTERS: &'static [Counter] = &[NO_RECEIVER, UNPLACED];
+    const COUNTERS: &'static [Counter] = &[NO_RECEIVER, BEFORE_START, UNPLACED];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Ego, "ego"),
         (Decided::Offline, "offline"),
@@ -210,8 +246,11 @@ impl Link {
     /// Carries a packet of another agent, or keeps it for a while.
     fn hear_other(&mut self, sent: Sent, out: &mut Outputs) {
         let Some(ego) = self.ego.clone() else {
-            return out.count(&NO_RECEIVER, &sent.1.agent, 1);
+            return TooEarly::add(&mut self.unreceived, sent.1.agent, sent.0);
         };
+        for (sender, early) in std::mem::take(&mut self.unreceived) {
+            early.settle(&NO_RECEIVER, &sender, out);
+        }
         let sender = sent.1.agent.clone();
         if !self.waits(&sender, &ego) {
             return self.carry(TO_EGO, &ego, &sent, out);
@@ -261,7 +300,15 @@ impl Link {
     fn carry(&mut self, port: PortId, to: &Name, Sent(sent, header, packet): &Sent, out: &mut Outputs) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
-        out.count_of(&UNPLACED, from, u64::from(in_range.is_none()), 1);
+        match in_range {
+            None => TooEarly::add(&mut self.unplaced, (from.clone(), to.clone()), *sent),
+            Some(_) => {
+                if let Some(early) = self.unplaced.remove(&(from.clone(), to.clone())) {
+                    early.settle(&UNPLACED, from, out);
+                }
+            }
+        }
+        out.count_of(&UNPLACED, from, 0, 1);
         if in_range != Some(true) {
             let traffic = Traffic {
                 out_of_range: 1,
@@ -321,6 +368,8 @@ impl Operator for Link {
             ego: (!config.ego.is_empty()).then(|| config.ego.into()),
             others: BTreeSet::new(),
             fixes: BTreeMap::new(),
+            unreceived: BTreeMap::new(),
+            unplaced: BTreeMap::new(),
             early: BTreeMap::new(),
         })
     }
@@ -351,6 +400,13 @@ impl Operator for Link {
         let early = std::mem::take(&mut self.early).into_values().flatten();
         if let Some(ego) = self.ego.clone() {
             early.for_each(|sent| self.carry(TO_EGO, &ego, &sent, out));
+        }
+        // What never became known is not a start.
+        for ((sender, _), early) in std::mem::take(&mut self.unplaced) {
+            out.count_of(&UNPLACED, &sender, early.count, 0);
+        }
+        for (sender, early) in std::mem::take(&mut self.unreceived) {
+            out.count_of(&NO_RECEIVER, &sender, early.count, 0);
         }
         Ok(())
     }

@@ -2,15 +2,12 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::Vector3;
 use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{EgoState, Header, Nanos, PointCloud, PoseStatus};
 
 /// Poses behind the newest one are kept for so long, ns.
 const KEEP: Nanos = 2_000_000_000;
-
-/// Stamps that differ by no more are the same, ns.
-const ROUNDED: u64 = 1_000;
 
 /// Sweeps that may wait at the same time.
 const WAITING: usize = 8;
@@ -100,7 +97,7 @@ impl Lane {
     /// Pose and motion for a sweep; `None` while it should wait. One that gives up waiting takes the pose at its stamp
     /// without the motion.
     pub fn pair(&self, stamp: Nanos, span: Option<[i32; 2]>, deskew: bool, gives_up: bool) -> Option<Pairing> {
-        let map_from_body = self.at(stamp)?;
+        let map_from_body = self.track.at(stamp)?;
         let [first, last] = span.unwrap_or_default().map(Nanos::from);
         let motion = if deskew {
             Motion::new(&self.track, stamp, first, last)
@@ -128,10 +125,6 @@ impl Lane {
         })
     }
 
-    fn at(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
-        self.track.at(stamp).or_else(|| self.rounded(stamp))
-    }
-
     /// Notes that a sweep is not waited for any more.
     pub fn give_up(&mut self, stamp: Nanos) {
         let lack = self.lack(stamp);
@@ -147,7 +140,7 @@ impl Lane {
         let newest = self.track.newest().unwrap_or(Nanos::MIN);
         let (mut settled, mut open) = (Vec::new(), Vec::new());
         for mut sweep in std::mem::take(&mut self.unposed) {
-            sweep.is_late = self.at(sweep.stamp).is_some();
+            sweep.is_late = self.track.at(sweep.stamp).is_some();
             let is_over = newest.saturating_sub(self.max_gap) > sweep.stamp;
             let list = if sweep.is_late || is_over {
                 &mut settled
@@ -166,12 +159,6 @@ impl Lane {
     /// All sweeps that were given up, at the end.
     pub fn unposed(&mut self) -> Vec<Unposed> {
         std::mem::take(&mut self.unposed)
-    }
-
-    /// The pose whose stamp is the same but for what float seconds round.
-    fn rounded(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
-        let near = self.near(stamp).filter(|near| near.stamp.abs_diff(stamp) <= ROUNDED)?;
-        self.track.at(near.stamp)
     }
 
     /// What accompanies the pose nearest to a stamp; of two the earlier one.

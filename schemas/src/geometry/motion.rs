@@ -2,7 +2,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, UnitQuaternion};
 
-use crate::{Nanos, to_seconds};
+use crate::{Nanos, is_same_stamp, to_seconds};
 
 /// The pose at `share` of the way from `a` to `b`: straight in translation, shortest arc in rotation.
 /// A share outside [0, 1] extrapolates.
@@ -56,8 +56,18 @@ impl PoseTrack {
     }
 
     /// The pose at `stamp`: recorded, interpolated between neighbours, or carried on by the motion of the last two
-    /// poses; `None` where that bridges more than the greatest gap.
+    /// poses; `None` where that bridges more than the greatest gap. A pose whose stamp is the same but for rounding is at `stamp`.
     pub fn at(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
+        self.between(stamp).or_else(|| {
+            let after = self.poses.partition_point(|(t, _)| *t < stamp);
+            let mut around = self
+                .poses
+                .range(after.saturating_sub(1)..self.poses.len().min(after + 1));
+            around.find(|(t, _)| is_same_stamp(*t, stamp)).map(|(_, pose)| *pose)
+        })
+    }
+
+    fn between(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
         let after = self.poses.partition_point(|(t, _)| *t < stamp);
         if let Some((t, pose)) = self.poses.get(after)
             && *t == stamp

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use eyre::Result;
-use realo_logs::{Described, Log, truth_classes};
+use realo_logs::Described;
 use realo_scoring::Protocol;
 
 use crate::Outcome;
@@ -24,46 +24,53 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.logs {
         let described = realo_logs::describe_any(path)?;
+        let dropped = dropped_classes(&described);
         if args.json {
             println!("{}", serde_json::to_string_pretty(&described)?);
         } else {
             println!("{described}");
-            if let Some(dropped) = dropped_classes(&described)? {
-                println!("  dropped   {dropped}");
+            if let Some(Dropped { words, is_all }) = &dropped {
+                let head = if *is_all { "PROBLEM:" } else { "dropped  " };
+                println!("  {head} {words}");
             }
         }
-        if described.truncated().is_some() || described.has_problems() {
+        let scores_nothing = dropped.is_some_and(|dropped| dropped.is_all);
+        if described.truncated().is_some() || described.has_problems() || scores_nothing {
             outcome = Outcome::Partial;
         }
     }
     Ok(outcome)
 }
 
-/// Objects of the ground truth that the log's protocol leaves out, by class; `None` if there are none, or it has problems that
-/// must be solved first.
-fn dropped_classes(described: &Described) -> Result<Option<String>> {
-    let Described::Log(log) = described else {
-        return Ok(None);
-    };
-    let Ok(protocol) = Protocol::load(&log.info.protocol) else {
-        return Ok(None);
-    };
+/// Objects of the ground truth that the log's protocol leaves out.
+struct Dropped {
+    words: String,
+    /// Whether these are all objects, so that nothing is scored.
+    is_all: bool,
+}
+
+/// What the log's protocol leaves out, by class; `None` if it scores all classes, or the log has problems that must be solved
+/// first.
+fn dropped_classes(described: &Described) -> Option<Dropped> {
+    let Described::Log(log) = described else { return None };
+    let protocol = Protocol::load(&log.info.protocol).ok()?;
     if !log.problems.is_empty() {
-        return Ok(None);
+        return None;
     }
-    let classes = truth_classes(&Log::open(&log.path)?)?;
-    let all: u64 = classes.values().sum();
+    let classes = &log.truth_classes;
     let dropped = classes.iter().filter(|(class, _)| protocol.class_of(class).is_none());
     let dropped: Vec<String> = dropped
         .map(|(class, n)| format!("`{}` {n}", class.escape_debug()))
         .collect();
-    Ok((!dropped.is_empty()).then(|| {
-        format!(
+    let all: u64 = classes.values().sum();
+    (!dropped.is_empty()).then(|| Dropped {
+        words: format!(
             "of {all} boxes of ground truth, classes that protocol `{}` does not score: {}; rename them, or choose another protocol",
             log.info.protocol,
             dropped.join(", ")
-        )
-    }))
+        ),
+        is_all: dropped.len() == classes.len(),
+    })
 }
 
 #[cfg(test)]

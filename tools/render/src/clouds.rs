@@ -1,7 +1,7 @@
 use nalgebra::{Isometry3, Point3};
-use realo_logs::{Attitude, Entry, Log, LogError, Stream, levelled_while_played};
+use realo_logs::{Attitude, Entry, Log, LogError, Standing, Stream, levelled_while_played, pose_track};
 use realo_schemas::geometry::{Motion, PoseTrack, relative};
-use realo_schemas::{GroundTruth, Nanos, PointCloud};
+use realo_schemas::{GroundTruth, Nanos, PointCloud, is_same_stamp};
 
 /// A sweep further from the ego's says nothing about the same scene.
 const WINDOW: Nanos = 500_000_000;
@@ -24,7 +24,11 @@ pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<PoseTr
     while let Some(entry) = reader.next()? {
         track.insert(entry.stamp(), entry.pose()?.map_from_body);
     }
-    Ok(track)
+    // A unit that does not move is there before its first pose and behind its last one.
+    match track.at(stamp).is_none() && Standing::read(log, agent, stream)?.is_some() {
+        true => pose_track(log, agent, stream, POSES),
+        false => Ok(track),
+    }
 }
 
 /// What makes an agent's frames level as the player does; `None` where they stay as they are.
@@ -85,7 +89,7 @@ fn at(log: &Log, agent: &str, stream: Stream, stamp: Nanos) -> Result<Option<Ent
     let (from, until) = (stamp.saturating_sub(WINDOW), stamp.saturating_add(2 * WINDOW));
     let mut reader = log.read(&[(agent, stream)], from, until)?;
     while let Some(entry) = reader.next()? {
-        if entry.stamp() == stamp {
+        if is_same_stamp(entry.stamp(), stamp) {
             return Ok(Some(entry));
         }
     }

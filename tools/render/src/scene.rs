@@ -1,7 +1,7 @@
 use nalgebra::Isometry3;
 use realo_logs::AgentKind;
 use realo_schemas::geometry::{Region, relative, yaw_of};
-use realo_schemas::{Kind, Nanos};
+use realo_schemas::{Kind, Nanos, is_same_stamp};
 use realo_scoring::same_truth;
 
 use crate::{Chosen, Judged, RenderError, clouds};
@@ -158,7 +158,7 @@ fn agent(
     log.need_agent(name)?;
     let track = clouds::poses(log, name, chosen.stamp, exact)?;
     let is_ego = name == chosen.ego;
-    let at = |stamp: Nanos| match is_ego && stamp == chosen.stamp {
+    let at = |stamp: Nanos| match is_ego && is_same_stamp(stamp, chosen.stamp) {
         true => Some(*map_from_ego_body),
         false => track.at(stamp),
     };

@@ -222,6 +222,19 @@ fn accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option
 
 fn mean_accuracy(rows: &mut Rows, ious: &[String], get: impl Fn(&RunResult) -> Option<&Accuracy>) {
     rows.add("mAP", |run| fractions(ious, &get(&run.result)?.mean_ap));
+    // mAP is of all classes of the protocol; where some have no truth, the mean of the others stands in its place.
+    rows.add("mean of the AP above", |run| {
+        let accuracy = get(&run.result)?;
+        let known = accuracy.ap.values().filter(|ap| ap.values().any(Option::is_some));
+        let known: Vec<_> = known.collect();
+        let is_partial = known.len() > 1 && known.len() < accuracy.ap.len();
+        let mean = |iou: &String| {
+            let values: Option<Vec<f64>> = known.iter().map(|ap| ap.get(iou).copied().flatten()).collect();
+            let values = values?;
+            Some(values.iter().sum::<f64>() / values.len() as f64)
+        };
+        is_partial.then(|| values(ious.iter().map(|iou| fraction(mean(iou)))))
+    });
 }
 
 /// A value for each IoU; nothing where none is known.
@@ -242,6 +255,9 @@ fn intervals(rows: &mut Rows, ious: &[String]) {
 /// What makes a score that of a disturbed run stands beside it.
 fn disturbances(rows: &mut Rows) {
     rows.add_counts("! messages that dora lost", |run| Some(run.result.transport.total_lost));
+    rows.add_counts("! frames without others' truth", |run| {
+        Some(run.result.counter("truth_not_joined"))
+    });
     rows.add_counts("! frames that were skipped", |run| Some(run.result.frames.key_skipped));
 }
 

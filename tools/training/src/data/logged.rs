@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Isometry3;
-use realo_logs::{AgentKind, Log, Stream, need_level};
+use realo_logs::{AgentKind, Log, Stream, need_level, pose_track, same};
 use realo_schemas::geometry::{PoseTrack, transform_box};
 use realo_schemas::{Box3, Boxes, Nanos, PointCloud, from_seconds};
 use realo_scoring::Protocol;
@@ -125,11 +125,7 @@ impl Reading {
         } else {
             Stream::Pose
         };
-        let mut reader = self.log.read_all(&[(agent, stream)])?;
-        let mut track = PoseTrack::new(Nanos::MAX, POSE_GAP);
-        while let Some(entry) = reader.next()? {
-            track.insert(entry.stamp(), entry.pose()?.map_from_body);
-        }
+        let track = pose_track(&self.log, agent, stream, POSE_GAP)?;
         self.tracks.insert(agent.into(), track);
         Ok(())
     }
@@ -242,7 +238,8 @@ impl Reading {
         points: &[[f32; 3]],
         (labelled, labelled_at): (&str, Nanos),
     ) -> Option<Vec<Seen>> {
-        if let Some(labels) = self.truth.get(agent).and_then(|truth| truth.get(&stamp)) {
+        let own = self.truth.get(agent);
+        if let Some(labels) = own.and_then(|truth| truth.get(&same(truth, stamp)?)) {
             return Some(match &labels.points {
                 Some(counts) => seen(&self.protocol, &labels.objects.0, counts.iter().copied()),
                 None => self.counted(&labels.objects.0, points),
