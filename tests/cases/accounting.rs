@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::common;
 use crate::scene::{SWEEP, Scene, T0, rewrite, run};
 
 fn of_classes(name: &str, class: fn(usize) -> &'static str) -> PathBuf {
@@ -92,6 +93,55 @@ fn an_agent_whose_data_stop_midway_is_named() {
             "{notes}"
         );
     }
+}
+
+#[test]
+fn sweeps_without_detections_are_named() {
+    let base = Scene::default().write("hole-base");
+    let log = rewrite(&base, "hole", |message| {
+        let (agent, stream) = message.parts();
+        let sweep = (message.header_stamp() - T0).div_euclid(SWEEP);
+        let is_gone = agent == "mast" && stream.starts_with("detections") && (5..10).contains(&sweep);
+        if is_gone { vec![] } else { vec![message] }
+    });
+    for mode in [&["--offline"][..], &["--mode", "virtual"]] {
+        let ran = run("late_fusion", &log, &format!("hole-{}", mode.len()), mode);
+        assert_eq!(ran.code, 3, "{ran:?}");
+        let notes = ran.notes();
+        assert!(
+            notes.contains("mast: 5 of 20 sweeps have no recorded detections"),
+            "{notes}"
+        );
+    }
+    let info = common::realo(["info", &log.to_string_lossy()]);
+    let said = common::text(&info.stdout);
+    assert!(
+        said.contains("PROBLEM: `mast`: 5 of 20 sweeps have no recorded detections"),
+        "{said}"
+    );
+}
+
+#[test]
+fn poses_in_another_frame_are_named_with_it() {
+    let base = Scene::default().write("odo-base");
+    let log = rewrite(&base, "odo", |mut message| {
+        if message.parts() == ("mast", "pose") {
+            let frame = &mut message.data[16..19];
+            assert_eq!(frame, b"map");
+            frame.copy_from_slice(b"odo");
+        }
+        vec![message]
+    });
+    let ran = run("late_fusion", &log, "odo", &["--offline"]);
+    assert_eq!(ran.code, 3, "{ran:?}");
+    assert!(
+        ran.notes().contains("its frame is `odo`, expected `map`"),
+        "{}",
+        ran.notes()
+    );
+    let info = common::realo(["info", &log.to_string_lossy()]);
+    let said = common::text(&info.stdout);
+    assert!(said.contains("PROBLEM: /mast/pose: "), "{said}");
 }
 
 #[test]

@@ -90,6 +90,48 @@ fn agents_that_number_objects_each_by_itself_are_named() {
     assert_eq!(info.status.code(), Some(3));
 }
 
+#[test]
+fn tracks_that_are_wrong_in_part_are_named() {
+    let told = |name: &str, track: fn(&str, u64) -> String, note: &str, problem: &str| {
+        let log = with_tracks(name, track);
+        let late = run("late_fusion", &log, name, &["--offline"]);
+        assert_eq!(late.code, 3, "{late:?}");
+        assert!(late.notes().contains(note), "{}", late.notes());
+        let info = common::realo(["info", &log.to_string_lossy()]);
+        let said = common::text(&info.stdout);
+        assert!(said.contains(problem) && info.status.code() == Some(3), "{said}");
+    };
+    // Three of eight objects have numbers of the mast's own, or none.
+    let split = "are of two tracks or of none";
+    told(
+        "own-3-of-8",
+        |agent, number| match (agent, number) {
+            ("mast", 6..) => (number + 100).to_string(),
+            _ => number.to_string(),
+        },
+        split,
+        "PROBLEM: 60 of 160 objects that `car` and `mast` both have are of two tracks or of none",
+    );
+    told(
+        "none-of-the-mast",
+        |agent, number| {
+            if agent == "mast" {
+                String::new()
+            } else {
+                number.to_string()
+            }
+        },
+        split,
+        "PROBLEM: 160 of 160 objects",
+    );
+    told(
+        "minus-one",
+        |_, _| "-1".into(),
+        "have the track of another one of the same message",
+        "PROBLEM: 160 of 160 objects in the truth of `car` have the track",
+    );
+}
+
 /// A field of times: its name, its datatype of `PointCloud2`, and the bytes of a stamp and an offset, ns.
 type Times = (&'static str, u8, fn(Nanos, i32) -> Vec<u8>);
 
