@@ -220,9 +220,17 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
 
     let mut link = link("paper");
     assert_eq!(place(&mut link, "rsu1", 0), []);
-    assert_eq!(hear(&mut link, 0, 0..1), 1, "online, nobody waits for the ego");
+    assert_eq!(hear(&mut link, 0, 0..1), 0, "online, nobody waits for the ego");
     link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(MS))
         .unwrap();
+    assert_eq!(at_start, 4, "of whom positions came");
+    let mut out = Outputs::at(2 * MS);
+    link.on_end(&mut out).unwrap();
+    assert_eq!(
+        (out.counted("unplaced"), out.counted("before_start")),
+        (2, 0),
+        "of whom none came"
+    );
     let channels = report(&mut link);
     let told: Vec<_> = channels.iter().map(|c| (&*c.from, c.sent, c.out_of_range)).collect();
     assert_eq!(
