@@ -203,7 +203,12 @@ fn bare(times: &AgentTimes) -> Option<String> {
 /// sweeps that have none it is.
 fn lost_truth(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
     let bare = unmatched(sweeps, own);
-    let is_near = |stamp: &Nanos| nearest(&bare, *stamp) <= WINDOW;
+    let half = median_gap(sweeps) / 2;
+    let is_between = |stamp: &Nanos| {
+        let ends = sweeps.first().zip(sweeps.last());
+        ends.is_some_and(|(first, last)| (*first - half..=*last + half).contains(stamp))
+    };
+    let is_near = |stamp: &Nanos| is_between(stamp) && nearest(&bare, *stamp) <= WINDOW;
     let outside = outside(own, sweeps);
     let is_outside = |stamp: &Nanos| outside.binary_search(stamp).is_ok();
     let lost = unmatched(own, sweeps).into_iter();

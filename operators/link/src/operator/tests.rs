@@ -224,8 +224,9 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(MS))
         .unwrap();
     assert_eq!(at_start, 4, "of whom positions came");
-    let mut out = Outputs::at(2 * MS);
-    link.on_end(&mut out).unwrap();
+    let (mut own, mut out) = (Outputs::at(2 * MS), Outputs::at(2 * MS));
+    link.link.on_end(&mut own).unwrap();
+    link.watch(own, &mut out);
     assert_eq!(
         (out.counted("unplaced"), out.counted("before_start")),
         (2, 0),
