@@ -59,7 +59,13 @@ fn unusable_poses(log: &Log, agent: &str, stream: Stream) -> Result<Option<Strin
     }
     let mut reader = log.read_all(&[(agent, stream)])?;
     let (mut all, mut lost, mut first) = (0, 0, None);
-    while let Some(entry) = reader.next()? {
+    loop {
+        let entry = match reader.next() {
+            Ok(Some(entry)) => entry,
+            // What is there twice is told with its times.
+            Ok(None) | Err(LogError::Content { .. }) => break,
+            Err(error) => return Err(error),
+        };
         all += 1;
         if let Err(error) = entry.pose() {
             lost += 1;
