@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use linkemu::{ADDRESSES, Link, Machines};
 
-use common::machine::{decided, half};
+use common::machine::{decided, half, whole};
 use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
 use serde_json::Value;
 
@@ -403,7 +403,7 @@ fn the_ego_goes_on_while_the_link_is_cut() {
 }
 
 fn cut_the_link() {
-    let _share = half();
+    let _share = whole();
     let Some(row) = row_of("cut for 5 s") else { return };
     assert!(
         count(&row["fates"]["used"]) <= count(&row["sent"]) && count(&row["sent"]) < 190,
@@ -417,7 +417,7 @@ fn graphs_go_on_when_the_clock_of_their_machine_is_set() {
 }
 
 fn set_the_clocks() {
-    let _share = half();
+    let _share = whole();
     // Of graphs that followed it the vehicle would find a clock that is off, or stand still for an hour.
     for name in [
         "roadside unit's clock set 200 ms ahead, then 200 ms behind",
@@ -436,7 +436,7 @@ fn a_peer_that_comes_back_with_another_clock_is_placed_anew() {
 }
 
 fn come_back_with_another_clock() {
-    let _share = half();
+    let _share = whole();
     let name = "roadside unit killed, back after 2 s with its clock 200 ms ahead";
     let Some(row) = row_of(name) else { return };
     let off = row["clock_ms"].as_f64().expect("its clock was asked for");

@@ -266,7 +266,12 @@ fn times_that_no_rule_explains_are_refused_by_name() {
         "{error}"
     );
     let said = common::text(&common::realo(["info", &log.to_string_lossy()]).stdout);
-    for part in ["car", "`t` (uint32)", "within a period of the sweeps", "int32 ns from the stamp"] {
+    for part in [
+        "car",
+        "`t` (uint32)",
+        "within a period of the sweeps",
+        "int32 ns from the stamp",
+    ] {
         assert!(said.contains(part), "no `{part}` in {said}");
     }
 }
