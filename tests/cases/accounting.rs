@@ -178,3 +178,16 @@ fn a_healthy_log_has_no_notes_of_losses() {
         }
     }
 }
+
+#[test]
+fn truth_of_unknown_classes_alone_is_the_first_note() {
+    let log = of_classes("class-unknown", |_| "Tram");
+    let ran = run("no_fusion", &log, "class-unknown", &["--offline"]);
+    assert_eq!(ran.code, 3, "{ran:?}");
+    assert!(
+        ran.notes()
+            .starts_with("160 of 160 objects of the ground truth were not scored"),
+        "{}",
+        ran.notes()
+    );
+}

@@ -354,3 +354,39 @@ fn info_tells_who_stops_and_what_the_protocol_drops() {
         "{said}"
     );
 }
+
+#[test]
+fn truth_or_detections_alone_on_another_clock_are_named() {
+    let off = "looks like TAI against UTC";
+    for (name, agent, stream, by, log_too, kind) in [
+        ("truth-tai", "", "ground_truth", 37 * S, true, off),
+        ("truth-stamp", "", "ground_truth", 37 * S, false, off),
+        (
+            "truth-behind",
+            "",
+            "ground_truth",
+            -37 * S,
+            false,
+            "looks like UTC against TAI",
+        ),
+        ("boxes-tai", "mast", "detections", 37 * S, true, off),
+    ] {
+        let log = changed(name, &Scene::default(), |message| {
+            let (of, topic) = message.parts();
+            let is_moved =
+                topic.starts_with(stream) && !topic.ends_with("markers") && (agent.is_empty() || of == agent);
+            if is_moved {
+                message.shift(by);
+                message.log_time += if log_too { by } else { 0 };
+            }
+        });
+        let (said, code) = info(&log);
+        assert!(said.contains("PROBLEM: ") && said.contains(kind), "{name}: {said}");
+        assert_eq!(code, Some(3), "{name}: {said}");
+        for (mode, options) in MODES {
+            let ran = late_fusion(&log, &format!("{name}-{mode}"), options);
+            assert_eq!(ran.code, 3, "{name} {mode}: {ran:?}");
+            assert!(ran.notes().contains(kind), "{name} {mode}: {}", ran.notes());
+        }
+    }
+}

@@ -148,14 +148,12 @@ impl Cooperation {
 
 /// Who could cooperate with the egos: who is on the air, or who takes part in the log.
 fn collaborators(result: &RunResult) -> BTreeSet<String> {
-    let senders = result.links.keys().filter_map(|link| {
-        let ego = result
-            .egos
-            .iter()
-            .find_map(|ego| link.strip_suffix(&format!("-{ego}")))?;
-        Some(ego.to_string())
-    });
-    let mut others: BTreeSet<String> = senders.collect();
+    // Names may hold a hyphen, so a link is looked up and not taken apart.
+    let sends = |agent: &&String| {
+        let mut egos = result.egos.iter();
+        egos.any(|ego| result.links.contains_key(&format!("{agent}-{ego}")))
+    };
+    let mut others: BTreeSet<String> = result.agents.iter().filter(sends).cloned().collect();
     others.extend(result.peers.iter().map(|peer| peer.name.clone()));
     if !has_radio(result) {
         others.extend(result.agents.iter().cloned());

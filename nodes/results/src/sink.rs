@@ -346,9 +346,8 @@ fn skipped_of_others(node: &NodeBooks, egos: &[String]) -> Loss {
     let mut loss = Loss {
         meaning: Meaning::Loss,
         note: "messages were skipped at `{node}`, because it was busy".into(),
-        remedy:
-            "`realo latency` says what takes its time; a realtime run slower than the log, `--rate 0.5`, gives it more"
-                .into(),
+        remedy: "`realo compare DIR --full` lists the latency of each stage; `--rate 0.5` plays at half the speed"
+            .into(),
         ..Loss::default()
     };
     let is_data = |kind: &Kind| matches!(kind, Kind::Points | Kind::Features | Kind::Boxes);

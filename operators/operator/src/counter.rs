@@ -136,7 +136,10 @@ impl Loss {
 
     /// Those of whom so much was lost that it is worth a note.
     pub fn worth_a_note(&self) -> impl Iterator<Item = (&str, Share)> {
-        let is_quiet = |share: &Share| share.of > 0 && share.count * 100 <= share.of * u64::from(self.quiet_percent);
+        let is_quiet = |share: &Share| {
+            let [count, of] = [share.count, share.of].map(u128::from);
+            of > 0 && count * 100 <= of * u128::from(self.quiet_percent)
+        };
         let lost = self
             .agents
             .iter()
