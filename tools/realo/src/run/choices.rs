@@ -47,7 +47,7 @@ pub fn fit(choices: &Choices, graphs: &[PathBuf]) -> Vec<Fitted> {
         return fitted;
     }
     // A graph that cannot be read says so later; until then it has everything.
-    let mut known: Vec<Option<FlatGraph>> = graphs.iter().map(|path| flat(path, choices).ok()).collect();
+    let mut known: Vec<Option<FlatGraph>> = graphs.iter().map(|path| flat(path, choices)).collect();
     for text in &choices.replace {
         fit_replacement(text, &mut known, &mut fitted);
     }
@@ -74,12 +74,14 @@ pub fn fit(choices: &Choices, graphs: &[PathBuf]) -> Vec<Fitted> {
     fitted
 }
 
-fn flat(path: &Path, choices: &Choices) -> Result<FlatGraph, GraphError> {
-    let graph = Graph::load(path)?;
-    match choices.recorded_detections {
+/// A graph with its modules; what is wrong with it is said when it is made for the run.
+fn flat(path: &Path, choices: &Choices) -> Option<FlatGraph> {
+    let graph = Graph::load(path).ok()?;
+    let graph = match choices.recorded_detections {
         true => graph.with_detection("recorded").expand(),
         false => graph.expand(),
-    }
+    };
+    graph.ok()
 }
 
 /// Takes a setting from the graphs that lack its place, where another has it.
@@ -113,8 +115,8 @@ fn fit_replacement(text: &str, known: &mut [Option<FlatGraph>], fitted: &mut [Fi
             places: vec![place.to_vec()],
             words: replacement.words.clone(),
         };
-        let tried = graph.clone().map(|mut graph| graph.replace(&alone));
-        !matches!(tried, Some(Err(GraphError::UnknownNode { .. })))
+        let Some(mut graph) = graph.clone() else { return true };
+        !matches!(graph.replace(&alone), Err(GraphError::UnknownNode { .. }))
     };
     let has: Vec<Vec<bool>> = known
         .iter()
