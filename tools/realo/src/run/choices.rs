@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use eyre::Result;
 use realo_graph::{FlatGraph, Graph, GraphError, Replacement, Setting};
 use realo_operator::Decided;
 
