@@ -11,6 +11,8 @@ use crate::{Log, LogError, MAX_GAP, Standing, Step, Stream, clock_words, is_pose
 const APART: Nanos = 500_000_000;
 /// Truth farther from a sweep that has none belongs to another one, ns.
 const WINDOW: Nanos = 500_000_000;
+/// A stamp nearer to its log time is of the same clock, ns.
+const IN_STEP: Nanos = 2_000_000_000;
 /// Sweeps that end so much earlier than the others stop midway, ns; or so many periods.
 const STOPS: (Nanos, Nanos) = (500_000_000, 5);
 /// Poses go on for so long behind the last sweep, ns.
@@ -269,7 +271,12 @@ impl Outside {
         let Some(of) = sweeps.into_iter().find(|stream| log.has(agent, *stream)) else {
             return Ok(None);
         };
-        if !log.has(agent, stream) || is_within(log.times(&stream.topic(agent))?, log.times(&of.topic(agent))?) {
+        if !log.has(agent, stream) {
+            return Ok(None);
+        }
+        let first = log.read_all(&[(agent, stream)])?.next()?;
+        let in_step = first.is_none_or(|first| (first.ready() - first.stamp()).abs() <= IN_STEP);
+        if in_step && is_within(log.times(&stream.topic(agent))?, log.times(&of.topic(agent))?) {
             return Ok(None);
         }
         let (own, sweeps) = (read_stamps(log, agent, stream)?, read_stamps(log, agent, of)?);
@@ -282,7 +289,7 @@ impl Outside {
     }
 }
 
-/// Whether the log times of messages lie within those of the sweeps, so that none needs to be read.
+/// Whether the log times of messages lie within those of the sweeps, so that not all need to be read.
 fn is_within(own: Option<(Nanos, Nanos)>, sweeps: Option<(Nanos, Nanos)>) -> bool {
     let (Some(own), Some(sweeps)) = (own, sweeps) else {
         return true;
