@@ -140,7 +140,7 @@ mod tests {
         // Angles in the place of a quaternion.
         assert!(isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0]).is_err());
         assert!(isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 2.0]).is_err());
-        let pose = isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.7071, 0.7071]).unwrap();
+        let pose = isometry(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.71, 0.71]).unwrap();
         assert!((pose.rotation * Vector3::x() - Vector3::y()).norm() < 1e-12);
     }
 }
