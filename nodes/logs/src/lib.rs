@@ -80,7 +80,7 @@ pub use stamps::same;
 pub use sweeps::{SweepsInfo, intensity_scale};
 pub use timing::Outside;
 pub use topics::Stream;
-pub use track_faults::{TrackFault, TrackFaults, track_faults};
+pub use track_faults::{TrackFault, TrackFinding, track_faults};
 
 /// Name of the metadata record of a recording of a run.
 pub const RECORDING_RECORD: &str = "realo_recording";

@@ -34,7 +34,7 @@ pub enum TrackFault {
 
 /// Objects whose tracks do not tell which objects of others they are.
 #[derive(Clone, Debug, PartialEq)]
-pub struct TrackFaults {
+pub struct TrackFinding {
     /// The agent, or both.
     pub agents: Vec<String>,
     /// What is wrong.
@@ -45,9 +45,9 @@ pub struct TrackFaults {
     pub of: usize,
 }
 
-impl fmt::Display for TrackFaults {
+impl fmt::Display for TrackFinding {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let TrackFaults { agents, count, of, .. } = self;
+        let TrackFinding { agents, count, of, .. } = self;
         let agents: Vec<String> = agents.iter().map(|agent| format!("`{agent}`")).collect();
         let agents = agents.join(" and ");
         match self.fault {
@@ -90,7 +90,7 @@ struct Pair {
 ///
 /// # Errors
 /// A log that cannot be read.
-pub fn track_faults(log: &Log) -> Result<Vec<TrackFaults>, LogError> {
+pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
     let mut agents = Vec::new();
     for agent in &log.info().agents {
         let streams = [Stream::PoseTruth, Stream::Pose];
@@ -153,8 +153,8 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFaults>, LogError> {
     Ok(faults)
 }
 
-fn told(agents: Vec<String>, fault: TrackFault, count: usize, of: usize) -> Option<TrackFaults> {
-    (count * ONE_IN > of).then_some(TrackFaults {
+fn told(agents: Vec<String>, fault: TrackFault, count: usize, of: usize) -> Option<TrackFinding> {
+    (count * ONE_IN > of).then_some(TrackFinding {
         agents,
         fault,
         count,

@@ -1,4 +1,4 @@
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use crate::feed::apart_words;
@@ -32,9 +32,9 @@ pub struct TruthJoin {
     /// Which of these have views.
     viewed: Vec<Stream>,
     others: BTreeMap<Name, VecDeque<Counts>>,
-    /// Sweeps of the ego whose truth has points, and those of them near which each of the others has truth.
+    /// Sweeps of the ego whose truth has points, and the others that have truth near one of them.
     counted: u64,
-    joined: BTreeMap<Name, u64>,
+    joined: BTreeSet<Name>,
     read_to: Nanos,
     /// By agent: messages whose publish time is not their stamp, and the first in words.
     apart: BTreeMap<Name, (u64, String)>,
@@ -110,7 +110,7 @@ impl TruthJoin {
             viewed,
             others,
             counted: 0,
-            joined: BTreeMap::new(),
+            joined: BTreeSet::new(),
             read_to: Nanos::MIN,
             apart: BTreeMap::new(),
         })
@@ -149,20 +149,18 @@ impl TruthJoin {
     /// Others that have truth near none of the ego's sweeps, and how many of these there were.
     pub fn unjoined(&self) -> BTreeMap<Name, u64> {
         let others = self.others.keys().filter(|_| self.counted > 0);
-        let unjoined = others.filter(|agent| !self.joined.contains_key(*agent));
+        let unjoined = others.filter(|agent| !self.joined.contains(*agent));
         unjoined.map(|agent| (agent.clone(), self.counted)).collect()
     }
 
     fn note_joined(&mut self, stamp: Nanos) {
         self.counted += 1;
-        let others = self.agents[1..].iter();
-        let near: Vec<Name> = others
+        let waiting = self.agents[1..].iter().filter(|agent| !self.joined.contains(*agent));
+        let near: Vec<Name> = waiting
             .filter(|agent| self.nearest(agent, stamp).is_some())
             .cloned()
             .collect();
-        for agent in near {
-            *self.joined.entry(agent).or_default() += 1;
-        }
+        self.joined.extend(near);
     }
 
     /// How far what is left lay from sweeps that have no truth, ns.
