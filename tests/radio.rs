@@ -86,7 +86,7 @@ fn late_fusion_over_zenoh() {
 /// over a perfect one. Two sweeps a second leave time to compute, so that ages are those of the log on any machine; the other agent's lie
 /// 76 ms behind the ego's, which fuses those before.
 fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], banks: &[&str]) {
-    let _share = whole();
+    let _share = half();
     let args = "--seed 923 --seconds 5 --phase spread --key-hz 2 --key-sweeps-only --agents cav1,rsu1";
     let (log, port) = (
         simulated("radio_slow", &args.split(' ').collect::<Vec<_>>()),

@@ -19,12 +19,12 @@ use serde_json::Value;
 /// Sweeps of the agents lie at least 15 ms apart, so that no race decides which message is the newest.
 fn spread() -> PathBuf {
     simulated(
-        "spread",
+        "spread_second",
         &[
             "--seed",
             "903",
             "--seconds",
-            "3",
+            "1",
             "--phase",
             "spread",
             "--no-clouds",
@@ -105,7 +105,7 @@ fn realtime_as_virtual() {
     );
     assert_eq!(result["accuracy"], expected["accuracy"]);
     let virtual_out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("held_virtual");
-    assert_eq!(frames(&out).as_array().map(Vec::len), Some(30));
+    assert_eq!(frames(&out).as_array().map(Vec::len), Some(10));
     assert!(
         frames(&out) == frames(&virtual_out),
         "the boxes of every frame are the same"

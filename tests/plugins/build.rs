@@ -8,6 +8,9 @@ use std::sync::Mutex;
 
 use crate::common::{REALO, root, text};
 
+/// What plug-ins do is tested, not how fast they are; one level for all, so that nothing is compiled twice.
+pub const OPT_LEVEL: &str = "1";
+
 /// The program of `examples/fusion_nearest`.
 pub fn fusion_nearest() -> PathBuf {
     built("fusion_nearest", "fusion-nearest")
@@ -65,8 +68,7 @@ pub fn cargo(folder: &Path, command: &[&str]) -> String {
         .args(command)
         .current_dir(folder)
         .env("CARGO_NET_OFFLINE", "true")
-        // What plug-ins do is tested, not how fast they are.
-        .env("CARGO_PROFILE_RELEASE_OPT_LEVEL", "1")
+        .env("CARGO_PROFILE_RELEASE_OPT_LEVEL", OPT_LEVEL)
         .output()
         .expect("cargo can be started");
     let (out, err) = (text(&output.stdout), text(&output.stderr));

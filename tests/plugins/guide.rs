@@ -67,7 +67,9 @@ pub fn shell(mine: &Path, section: &str, bin: Option<&Path>) -> String {
             command.env_remove(name);
         }
     }
-    command.env("CARGO_NET_OFFLINE", "true");
+    command
+        .env("CARGO_NET_OFFLINE", "true")
+        .env("CARGO_PROFILE_RELEASE_OPT_LEVEL", build::OPT_LEVEL);
     if let Some(bin) = bin {
         python::first_on_path(&mut command, bin);
     }
@@ -75,4 +77,56 @@ pub fn shell(mine: &Path, section: &str, bin: Option<&Path>) -> String {
     let (out, err) = (text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{out}{err}");
     out + &err
+}
+
+/// Sources below a folder.
+fn sources(dir: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(dir).into_iter().flatten().flatten();
+    let paths = entries.map(|entry| entry.path());
+    paths
+        .flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] })
+        .collect()
+}
+
+/// Whether documentation comments have an example that rustdoc would run.
+fn has_example(text: &str) -> bool {
+    let comments = text.lines().filter_map(|line| {
+        let line = line.trim_start();
+        ["///", "//!"].iter().find_map(|mark| line.strip_prefix(mark))
+    });
+    let fences = comments.filter_map(|comment| comment.trim().strip_prefix("```"));
+    // Every other fence ends what one began.
+    let mut kinds = fences.step_by(2);
+    kinds.any(|kind| {
+        kind.is_empty()
+            || ["rust", "no_run", "should_panic"]
+                .iter()
+                .any(|run| kind.starts_with(run))
+    })
+}
+
+/// Crates without examples spare rustdoc a pass over them; whoever adds the first one has to let it run.
+#[test]
+fn examples_in_the_documentation_of_crates_are_tested() {
+    let mut examples = 0;
+    for group in ["", "operators", "nodes", "tools"] {
+        let crates = fs::read_dir(root().join(group)).expect("the folder is there").flatten();
+        for dir in crates.map(|entry| entry.path()) {
+            let Ok(manifest) = fs::read_to_string(dir.join("Cargo.toml")) else {
+                continue;
+            };
+            let texts = sources(&dir.join("src"))
+                .into_iter()
+                .filter_map(|path| fs::read_to_string(path).ok());
+            let has = texts.filter(|text| has_example(text)).count();
+            examples += has;
+            let left_out = manifest.contains("doctest = false");
+            assert!(
+                has == 0 || !left_out,
+                "{}: `doctest = false`, though it has examples",
+                dir.display()
+            );
+        }
+    }
+    assert!(examples > 2, "there are examples");
 }

@@ -10,7 +10,7 @@ use crate::{VIRTUAL, alone, build, example, python, shipped};
 
 /// Sweeps with points, which lie far enough apart that no race decides which message is the newest.
 fn log() -> PathBuf {
-    let args = "--seed 914 --seconds 2 --phase spread --key-hz 10 --agents cav1,rsu1";
+    let args = "--seed 914 --seconds 1 --phase spread --key-hz 10 --agents cav1,rsu1";
     simulated("plugin_maps", &args.split(' ').collect::<Vec<_>>())
 }
 
@@ -84,7 +84,7 @@ fn a_rust_fusion_of_maps_runs_beside_the_shipped_head() {
     );
     println!("vehicles, true, false and all: mean {fused:?}, alone {alone:?}");
     assert!(fused.0 > alone.0, "cooperation finds more: {fused:?} {alone:?}");
-    assert!(result(&first)["links"]["rsu1-cav1"]["features"]["used"].as_u64() > Some(10));
+    assert!(result(&first)["links"]["rsu1-cav1"]["features"]["used"].as_u64() > Some(5));
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn a_python_fusion_of_maps_runs_on_dora() {
     let _alone = alone();
     let found = result(&run_python(&bin, "maps_python_dora", &["--rate", "0.1"]));
     assert!(
-        found["links"]["rsu1-cav1"]["features"]["used"].as_u64() > Some(10),
+        found["links"]["rsu1-cav1"]["features"]["used"].as_u64() > Some(5),
         "{}",
         found["links"]
     );

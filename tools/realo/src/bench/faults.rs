@@ -245,19 +245,22 @@ const FAULTS: &[Fault] = &[
     },
 ];
 
-/// Runs the faults whose names have `only` in them, in passes of the log: 27 Mbit/s, 20 ms, BBR.
-pub fn bench(seconds: f64, only: &str, progress: &Progress) -> Result<Faults> {
+/// Runs the faults whose names have `only` in them, in passes of the log: 27 Mbit/s, 20 ms, BBR. With the boxes that the log
+/// recorded where `recorded`, with those of the network otherwise.
+pub fn bench(seconds: f64, only: &str, recorded: bool, progress: &Progress) -> Result<Faults> {
     let chosen: Vec<&Fault> = FAULTS.iter().filter(|fault| fault.name.contains(only)).collect();
-    if chosen.is_empty() {
+    let Some(first) = chosen.first() else {
         let known: Vec<&str> = FAULTS.iter().map(|fault| fault.name).collect();
         bail!("--only {only}: no fault is named so; there are: {}", known.join("; "));
-    }
+    };
+    let detections: &[&str] = if recorded { &["--recorded-detections"] } else { &[] };
     let passes = (seconds / PASS).ceil().max(1.0) as u32;
     // While this process has one thread.
     Ground::find()
         .wrap_err("packets are lost and processes are told apart in namespaces alone: run it as root, on Linux")?;
     let (log, folder) = (demo_log()?, folder()?.join("faults"));
-    let out = folder.join("alone");
+    // Another bench beside this one has other faults, and so another folder.
+    let out = folder_of(first, &folder).join("alone");
     let program = std::env::current_exe()?;
     let mut alone = Command::new(&program);
     alone.args([
@@ -269,7 +272,13 @@ pub fn bench(seconds: f64, only: &str, progress: &Progress) -> Result<Faults> {
         "cav1",
         "--log",
     ]);
-    let output = alone.arg(&log).arg("--out").arg(&out).stdin(Stdio::null()).output()?;
+    let output = alone
+        .arg(&log)
+        .arg("--out")
+        .arg(&out)
+        .args(detections)
+        .stdin(Stdio::null())
+        .output()?;
     if !output.status.success() {
         bail!("the ego alone: {}", String::from_utf8_lossy(&output.stderr).trim());
     }
@@ -278,7 +287,7 @@ pub fn bench(seconds: f64, only: &str, progress: &Progress) -> Result<Faults> {
     };
     progress.count("faults", chosen.len() as f64);
     let row = |fault: &Fault| {
-        let found = run(fault, passes, &log, &folder);
+        let found = run(fault, passes, detections, &log, &folder);
         progress.add(1.0);
         match found {
             Ok(row) => row.checked(fault, passes, alone),
@@ -365,6 +374,7 @@ impl Row {
 struct Stage<'a> {
     fault: &'a Fault,
     passes: u32,
+    detections: &'a [&'a str],
     machines: Machines,
     log: &'a Path,
     folder: PathBuf,
@@ -384,7 +394,12 @@ impl Stage<'_> {
         let Fault { graph, set, signed, .. } = self.fault;
         let mut command = self.machines.command(side as usize, std::env::current_exe()?);
         command.args(["run", &format!("dataflows/{graph}.{}.yml", name(side))]);
-        command.arg("--log").arg(self.log).arg("--out").arg(self.out(side));
+        command
+            .arg("--log")
+            .arg(self.log)
+            .arg("--out")
+            .arg(self.out(side))
+            .args(self.detections);
         // A roadside unit plays until it is stopped.
         let passes = if side == Side::Vehicle { self.passes } else { 100 };
         let mut settings = vec![format!("player.repeat={passes}"), "log.points=false".into()];
@@ -457,8 +472,13 @@ fn make_keys(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-fn run(fault: &Fault, passes: u32, log: &Path, folder: &Path) -> Result<Row> {
-    let folder = folder.join(fault.name.replace([' ', '%', ',', '\'', '/'], "_"));
+/// Where a fault's runs lie.
+fn folder_of(fault: &Fault, all: &Path) -> PathBuf {
+    all.join(fault.name.replace([' ', '%', ',', '\'', '/'], "_"))
+}
+
+fn run(fault: &Fault, passes: u32, detections: &[&str], log: &Path, folder: &Path) -> Result<Row> {
+    let folder = folder_of(fault, folder);
     if fault.signed {
         make_keys(&folder)?;
     }
@@ -466,6 +486,7 @@ fn run(fault: &Fault, passes: u32, log: &Path, folder: &Path) -> Result<Row> {
     let stage = Stage {
         fault,
         passes,
+        detections,
         machines,
         log,
         folder,

@@ -40,6 +40,9 @@ pub struct Args {
     /// Without namespaces: over a relay on loopback, which loses nothing (radio)
     #[arg(long)]
     loopback: bool,
+    /// What the log recorded instead of the network, so that little is computed (faults)
+    #[arg(long)]
+    recorded_detections: bool,
     /// Interpreter with the packages that detector (numpy, spconv), network (torch, openvino, nncf, onnxruntime) and train (torch)
     /// are compared with
     #[arg(long)]
@@ -106,7 +109,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             args.json,
         ),
         Name::Faults => {
-            let found = faults::bench(args.seconds.unwrap_or(20.0), only, &progress)?;
+            let found = faults::bench(args.seconds.unwrap_or(20.0), only, args.recorded_detections, &progress)?;
             print(&found, args.json)?;
             Ok(found.check())
         }
