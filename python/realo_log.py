@@ -15,6 +15,7 @@ cut or wrapped. The log appears at its path when the `with` block ends well; an 
 
 import json
 import os
+import re
 import struct
 import zlib
 
@@ -30,6 +31,12 @@ DATATYPE = {"f4": 7, "u1": 2, "u2": 4, "i4": 5}
 BRIGHTEST = 255, 1023, 4095, 65535
 # Nothing that a sensor sees lies farther from its agent, m.
 FARTHEST = 100_000
+# No place lies farther from the origin of a map, m: twice around the Earth.
+WORLD = 80_000_000
+# Names are parts of topics, folders and frames.
+NAME = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_.-]{0,62}[A-Za-z0-9_-])?")
+# From here on floats skip whole numbers.
+SKIPPING = 2**53
 SECOND = 10**9
 # Seconds from 2010 to 2040: a stamp of that size is one in another unit.
 EPOCH = 1_262_304_000, 2_208_988_800
@@ -63,10 +70,19 @@ def refuse(where, name, expected, found, advice):
     raise ValueError(f"{where}: `{name}`: expected {expected}, found {found}; {advice}")
 
 
+def has_bool(values):
+    """Whether a list holds truth values, which numpy would take for 0 and 1."""
+    if isinstance(values, (list, tuple)):
+        return any(has_bool(value) for value in values)
+    return isinstance(values, (bool, np.bool_))
+
+
 def numbers(where, name, values):
     """An array of numbers as it was given; what is not a number, or masked, is refused."""
     if np.ma.is_masked(values):
         refuse(where, name, "an array without masked elements", f"{np.ma.count_masked(values)}", "leave them out, or use .filled")
+    if has_bool(values):
+        refuse(where, name, "numbers", f"truth values ({str(values)[:60]})", "turn them into numbers")
     try:
         array = np.asarray(values)
     except ValueError as error:
@@ -77,12 +93,32 @@ def numbers(where, name, values):
     return array
 
 
-def column_of(where, name, values, n):
-    """One number for each of `n` rows, or one for all."""
+def column_of(where, name, values, n, shape=None):
+    """One number for each of `n` rows, or one for all. `shape`: of organised rows, in whose order the numbers may be too."""
     array = numbers(where, name, values)
-    if array.size != n and array.ndim:
+    if not array.ndim:
+        return np.broadcast_to(array, (n,))
+    if array.size != n:
         refuse(where, name, f"{n} numbers, one a row, or a single one", f"shape {array.shape}", "pass one column")
-    return array.ravel() if array.ndim else np.broadcast_to(array, (n,))
+    if array.ndim > 1 and array.shape not in ((n, 1), (1, n), shape):
+        found, advice = f"shape {array.shape}, whose order is another", f"pass {name}.ravel() if its order is that of the rows"
+        refuse(where, name, f"one column of {n} numbers" + (f", or shape {shape}" if shape else ""), found, advice)
+    return array.ravel()
+
+
+def listed(where, name, values, each):
+    """Texts or tracks as a list: of a list, a tuple, a range or a column of numpy or pandas, whose order is known."""
+    if not isinstance(values, (list, tuple, range)) and getattr(values, "ndim", 0) != 1:
+        found = f"the text {values!r}" if isinstance(values, (str, bytes)) else f"{values!r}"
+        refuse(where, name, each, found[:80], f"pass a list, such as [{values!r}] * n"[:80])
+    return list(values)
+
+
+def flag(where, name, value):
+    """True or False, and nothing that Python takes for one of them, such as the text "False"."""
+    if not isinstance(value, (bool, np.bool_)):
+        refuse(where, name, "True or False", f"{value!r}", "compare with what you mean")
+    return bool(value)
 
 
 def rows_of(where, name, values, width, n=None):
@@ -132,7 +168,7 @@ def doubles(where, name, values, n):
     if array.size != n:
         refuse(where, name, f"{n} numbers", f"shape {array.shape}", "see docs/log-format.md")
     finite(where, name, array)
-    given = [array.dtype] + [v.dtype for v in values if isinstance(v, np.floating)] if np.ndim(values) == 1 else [array.dtype]
+    given = [array.dtype] + [v.dtype for v in values if hasattr(v, "dtype")] if isinstance(values, (list, tuple)) else [array.dtype]
     for dtype in given:
         if dtype.kind == "f" and dtype.itemsize < 8:
             most = float(np.abs(array).max())
@@ -157,6 +193,10 @@ def rotation(where, name, values):
 def nanos(where, name, value):
     """A time as whole ns since 1970: an integer, or numpy's datetime64."""
     if isinstance(value, np.datetime64):
+        # Years first: a far one has no ns in 64 bits. What is no time at all is before 1970.
+        years = int(value.astype("datetime64[Y]").astype(np.int64))
+        if not 0 <= years <= 68:
+            refuse(where, name, "a time from 1970 to 2038", f"{value}", "see whether its unit is another")
         value = value.astype("datetime64[ns]").astype(np.int64)
     found = np.asarray(value)
     if found.ndim or found.dtype.kind not in "iu":
@@ -168,20 +208,43 @@ def nanos(where, name, value):
 
 
 def plain_text(where, name, value):
-    if isinstance(value, bytes):
-        value = value.decode(errors="replace")
-    if not isinstance(value, str) or "\0" in value:
-        refuse(where, name, "text without zeros", f"{value!r}", "give a str")
+    """Text that can be written as UTF-8."""
+    try:
+        value = value.decode() if isinstance(value, bytes) else value
+        fits = isinstance(value, str) and "\0" not in value and value.encode() is not None
+    except UnicodeError:
+        fits = False
+    if not fits:
+        refuse(where, name, "text without zeros", f"{value!r}", "give a str, or bytes in UTF-8")
     return str(value)
 
 
+def some_text(where, name, value):
+    """Text that is not empty."""
+    value = plain_text(where, name, value)
+    if not value.strip():
+        refuse(where, name, "a name", f"{value!r}", "name it")
+    return value
+
+
 def track_text(where, value):
-    """A track as text: a float that is whole (a table of pandas) loses its `.0`; None and NaN are no track."""
-    if value is None or type(value).__name__ in ("NAType", "NaTType"):
+    """A track as text: a float that is whole (a table of pandas) loses its `.0`; None, NaN and what is masked are no track."""
+    if isinstance(value, np.ndarray) and not value.ndim and value is not np.ma.masked:
+        value = value[()]
+    if value is None or value is np.ma.masked or type(value).__name__ in ("NAType", "NaTType"):
         return ""
+    if isinstance(value, (str, bytes)):
+        return plain_text(where, "track", value)
+    if isinstance(value, (bool, np.bool_)) or np.ndim(value) or isinstance(value, (dict, set, frozenset)):
+        refuse(where, "track", "texts or numbers", f"{value!r}", "give each object a text or a number")
     if isinstance(value, (float, np.floating)):
-        value = "" if np.isnan(value) else int(value) if float(value).is_integer() else float(value)
-    return plain_text(where, "track", value if isinstance(value, (str, bytes)) else str(value))
+        if np.isnan(value):
+            return ""
+        if not abs(value) < SKIPPING:
+            advice = "so large floats have lost digits: keep tracks as integers or texts"
+            refuse(where, "track", f"floats below {SKIPPING}", f"{value!r}", advice)
+        value = int(value) if float(value).is_integer() else float(value)
+    return plain_text(where, "track", str(value))
 
 
 def agent(name, kind, footprint=None, sensor="", sensor_position=None):
@@ -196,14 +259,16 @@ def agent(name, kind, footprint=None, sensor="", sensor_position=None):
     if sensor_position is not None:
         sensor_position = doubles(where, "sensor_position", sensor_position, 3).tolist()
     name, sensor = plain_text(where, "name", name), plain_text(where, "sensor", sensor)
+    if not NAME.fullmatch(name) or name in ("tf", "tf_static"):
+        expected = "1 to 64 letters, digits, `_`, `-` or `.`, first a letter, a digit or `_`, last no `.`"
+        refuse(where, "name", expected, f"{name!r}", "rename the agent; `tf` and `tf_static` are taken")
     return {"name": name, "kind": str(kind), "footprint": footprint, "sensor": sensor, "sensor_position": sensor_position}
 
 
 def boxes(center, size, yaw, classes, score=None, velocity=None, track=None, where="boxes"):
     """`center` and `size` (length, width, height) are (n, 3), m; `yaw` (n), rad; `classes` text; `score` 0..1; `velocity` (n, 3),
     m/s, NaN where unknown; `track` any text or number, None where there is none; body frame."""
-    if isinstance(classes, (str, bytes)):
-        refuse(where, "classes", "a list with the class of each box", f"the text {classes!r}", f"pass [{classes!r}] * n")
+    classes = listed(where, "classes", classes, "a list with the class of each box")
     n, fields = len(classes), {}
     fields["center"] = finite(where, "center", rows_of(where, "center", center, 3, n)).astype("<f8")
     advice = "boxes lie in the body frame of their agent: bring them there, in float64"
@@ -213,16 +278,16 @@ def boxes(center, size, yaw, classes, score=None, velocity=None, track=None, whe
     fields["yaw"] = finite(where, "yaw", column_of(where, "yaw", yaw, n)).astype("<f8")
     advice = "degrees become radians by np.radians; wrap turns to -pi..pi"
     between(where, "yaw", fields["yaw"], -4 * np.pi, 4 * np.pi, advice)
-    fields["classes"] = [plain_text(where, "classes", name) for name in classes]
+    fields["classes"] = [some_text(where, "classes", name) for name in classes]
     velocity = np.full((n, 3), np.nan) if velocity is None else rows_of(where, "velocity", velocity, 3, n)
     if np.isinf(velocity).any():
         refuse(where, "velocity", "m/s, or NaN where it is unknown", "infinity", "give NaN there")
     fields["velocity"] = velocity.astype("<f8")
     score = column_of(where, "score", 1.0 if score is None else score, n).astype("<f8")
     fields["score"] = between(where, "score", score, 0, 1, "scale them: per cent are score / 100")
-    track = [""] * n if track is None else track
-    if isinstance(track, (str, bytes)) or np.ndim(track) == 0 or len(track) != n:
-        refuse(where, "track", f"{n} tracks, one a box", f"{track!r}"[:80], "pass a list")
+    track = [""] * n if track is None else listed(where, "track", track, f"{n} tracks, one a box")
+    if len(track) != n:
+        refuse(where, "track", f"{n} tracks, one a box", f"{len(track)}", "give each box one, None where it has none")
     fields["track"] = [track_text(where, one) for one in track]
     return fields
 
@@ -232,15 +297,17 @@ def view(position, quaternion, focal, center, size, margin=0):
     point and size of the image, pixels; how far what was labelled in it may lie beside it at the stamp, m."""
     found = {name: doubles("view", name, values, n) for name, values, n in (
         ("position", position, 3), ("focal", focal, 2), ("center", center, 2), ("size", size, 2), ("margin", [margin], 1))}
+    between("view", "position", found["position"], -FARTHEST, FARTHEST, "it is that of the camera in the body frame, m")
+    between("view", "focal", found["focal"], 1e-6, np.inf, "focal lengths are pixels")
+    between("view", "margin", found["margin"], 0, FARTHEST, "it is metres, 0 where labels fit the image")
     pose = [*found.pop("position"), *rotation("view", "quaternion", quaternion)]
-    if min(found["focal"]) <= 0 or min(found["size"]) < 1 or margin < 0:
-        raise ValueError(f"view: expected focal lengths and a size above 0 and a margin from 0, found {found}")
     return {"pose": pose, **found, "size": whole("view", "size", found["size"], 1, 2**32 - 1)}
 
 
-def bright_bytes(where, values, n, there, known, most):
+def bright_bytes(where, values, shape, there, known, most):
     """Intensities as bytes; `known` has the range that was found for integers and for floats."""
-    array = column_of(where, "intensity", values, n)
+    n = len(there)
+    array = column_of(where, "intensity", values, n, shape)
     seen = array[there]
     finite(where, "intensity", seen)
     between(where, "intensity", seen, 0, np.inf, "shift them so that the darkest is 0")
@@ -263,9 +330,10 @@ def bright_bytes(where, values, n, there, known, most):
     return out
 
 
-def offsets(where, values, n, there, stamp):
+def offsets(where, values, shape, there, stamp):
     """Times of points as ns from the stamp."""
-    array = column_of(where, "time", values, n)
+    n = len(there)
+    array = column_of(where, "time", values, n, shape)
     seen = finite(where, "time", array[there])
     out = np.zeros(n, np.int64)
     if not seen.size:
@@ -282,7 +350,7 @@ def offsets(where, values, n, there, stamp):
         if near(1, 0):
             out[there] = seen
         elif near(1, stamp):
-            out[there] = (seen - np.asarray(stamp, seen.dtype)).astype(np.int64)
+            out[there] = seen.astype(np.int64) - stamp
         else:
             refuse_time(where, seen, stamp)
     elif near(SECOND, 0, 0, 1 + 1e-9):
@@ -381,12 +449,16 @@ class LogWriter:
     """
 
     def __init__(self, path, agents, source, protocol="default", key_frames="all", map_frame="map", force=False, clock="1970"):
-        self.map_frame, self.clock, self.first = plain_text("LogWriter", "map_frame", map_frame), clock, None
+        self.map_frame, self.clock, self.first = some_text("LogWriter", "map_frame", map_frame), clock, None
         if clock not in ("1970", "other"):
             refuse("LogWriter", "clock", "1970 or other", f"{clock!r}", "stamps since 1970 are the rule")
-        self.agents = {a["name"]: {"sweeps": {}, "key_frames": [], "brightest": {}} for a in agents}
-        if len(self.agents) != len(agents):
-            refuse("LogWriter", "agents", "names that differ", f"{[a['name'] for a in agents]}", "rename one")
+        force, made = flag("LogWriter", "force", force), set(agent("a", "vehicle"))
+        if not isinstance(agents, (list, tuple)) or not agents or not all(isinstance(a, dict) and set(a) == made for a in agents):
+            refuse("LogWriter", "agents", "a list of what agent(...) gives", f"{agents!r}"[:80], "pass [agent(name, kind), ...]")
+        self.agents = {a["name"]: {"sweeps": {}, "key_frames": [], "brightest": {}, "written": set()} for a in agents}
+        if len({name.lower() for name in self.agents}) != len(agents):
+            found = f"{[a['name'] for a in agents]}"
+            refuse("LogWriter", "agents", "names that differ by more than upper and lower case", found, "rename one")
         about = {"format": "1", "program": "realo_log.py", "source": source, "protocol": protocol,
                  "agents": json.dumps(agents), "map_frame": map_frame, "key_frames": key_frames}
         about = {key: plain_text("LogWriter", key, value) for key, value in about.items()}
@@ -438,8 +510,23 @@ class LogWriter:
             self.first = found
         return found
 
+    def ready(self, where, stamp, value):
+        """When a message existed: by default at its stamp, and never more than a second before it."""
+        found = stamp if value is None else nanos(where, "ready", value)
+        if found < stamp - SECOND:
+            advice = "a message cannot exist before what it measures; see whether its unit is another"
+            refuse(where, "ready", f"nanoseconds from the stamp {stamp} on", f"{found}", advice)
+        return found
+
+    def once(self, where, agent, stream, stamp):
+        """Refuses a second message of a sweep: the later one would hide the first."""
+        written = self.agents[agent]["written"]
+        if (stream, stamp) in written:
+            refuse(where, "stamp", f"one message of {stream} at each stamp", f"a second one at {stamp}", "write each sweep once")
+        written.add((stream, stamp))
+
     def known(self, agent):
-        if agent not in self.agents:
+        if not isinstance(agent, str) or agent not in self.agents:
             raise ValueError(f"agent `{agent}` is not one of {', '.join(self.agents)}, which the log was made with")
         return self.agents[agent]
 
@@ -450,11 +537,17 @@ class LogWriter:
         where = f"pose of `{agent}` at {stamp}"
         stamp = self.stamp(where, stamp)
         cdr = Cdr(stamp, self.map_frame)
-        cdr.fixed([*doubles(where, "position", position, 3), *rotation(where, "quaternion", quaternion)])
+        position = doubles(where, "position", position, 3)
+        between(where, "position", position, -WORLD, WORLD, "metres in the frame of the map")
+        cdr.fixed([*position, *rotation(where, "quaternion", quaternion)])
         covariance = np.zeros(36) if covariance is None else doubles(where, "covariance", covariance, 36)
         between(where, "covariance", covariance[::7], 0, np.inf, "its diagonal holds variances")
+        square = covariance.reshape(6, 6)
+        if np.abs(square - square.T).max() > 1e-6 * np.abs(square).max():
+            advice = "rows and columns are x, y, z and turns about x, y, z; symmetric as (c + c.T) / 2"
+            refuse(where, "covariance", "a symmetric matrix", f"{np.abs(square - square.T).max()} between its halves", advice)
         cdr.fixed(covariance)
-        self.write(agent, "pose_truth" if truth else "pose", "geometry_msgs/PoseWithCovarianceStamped", stamp, ready, cdr)
+        self.write(agent, "pose_truth" if flag(where, "truth", truth) else "pose", "geometry_msgs/PoseWithCovarianceStamped", stamp, ready, cdr)
 
     def sweep(self, agent, stamp, points, intensity=0, time=0, ring=0, ready=None, intensity_max=None):
         """`points` (n, 3) in the body frame, m; a row with NaN is a direction without a return.
@@ -466,7 +559,8 @@ class LogWriter:
         """
         known, where = self.known(agent), f"sweep of `{agent}` at {stamp}"
         stamp = self.stamp(where, stamp)
-        points = rows_of(where, "points", points, 3)
+        ready, points = self.ready(where, stamp, ready), numbers(where, "points", points)
+        shape, points = points.shape[:-1], rows_of(where, "points", points, 3)
         n, there = len(points), np.isfinite(points).all(axis=1)
         if np.isinf(points).any():
             refuse(where, "points", "metres, or NaN in directions without a return", "infinity", "give NaN there")
@@ -474,9 +568,11 @@ class LogWriter:
         between(where, "points", points[there], -FARTHEST, FARTHEST, advice)
         cloud = np.zeros(n, POINT)
         cloud["x"], cloud["y"], cloud["z"] = points.T
-        cloud["intensity"] = bright_bytes(where, intensity, n, there, known["brightest"], intensity_max)
-        cloud["time"] = offsets(where, time, n, there, stamp)
-        cloud["ring"][there] = whole(where, "ring", column_of(where, "ring", ring, n)[there], 0, 65535)
+        cloud["time"] = offsets(where, time, shape, there, stamp)
+        cloud["ring"][there] = whole(where, "ring", column_of(where, "ring", ring, n, shape)[there], 0, 65535)
+        # Last, since it decides the range of later sweeps.
+        cloud["intensity"] = bright_bytes(where, intensity, shape, there, known["brightest"], intensity_max)
+        self.once(where, agent, "sweeps", stamp)
         cdr = Cdr(stamp, f"{agent}/body")
         cdr.put("III", 1, n, len(POINT.names))
         for name in POINT.names:
@@ -498,7 +594,7 @@ class LogWriter:
         """All objects at the sweep's stamp, the agent's own `points` on each, whether the frame is scored, and the `view`s in
         which objects could be labelled, if not everywhere."""
         self.write_boxes(agent, "ground_truth", stamp, boxes, ready, key, points, views)
-        if key:
+        if flag("truth", "key", key):
             self.agents[agent]["key_frames"].append(nanos("truth", "stamp", stamp))
 
     def own_labels(self, agent, stamp, boxes, points=None, key=True, ready=None, views=()):
@@ -506,7 +602,7 @@ class LogWriter:
         self.write_boxes(agent, "own_labels", stamp, boxes, ready, key, points, views)
 
     def write_views(self, agent, stream, stamp, views, ready):
-        if not views:
+        if not len(views):
             return
         cdr = Cdr(stamp, f"{agent}/body")
         for name, dtype in ("pose", "<f8"), ("focal", "<f8"), ("center", "<f8"), ("size", "<u4"), ("margin", "<f8"):
@@ -515,9 +611,17 @@ class LogWriter:
 
     def write_boxes(self, agent, stream, stamp, b, ready, key, points, views=()):
         sweeps, where, frame = self.known(agent)["sweeps"], f"{stream} of `{agent}` at {stamp}", f"{agent}/body"
-        stamp, b = self.stamp(where, stamp), boxes(**b, where=where)
+        stamp, key = self.stamp(where, stamp), flag(where, "key", key)
+        ready, given = self.ready(where, stamp, ready), set(boxes([], [], [], []))
+        if not isinstance(b, dict) or set(b) != given:
+            refuse(where, "boxes", "what boxes(...) gives", f"{b!r}"[:80], "pass boxes(center, size, yaw, classes)")
+        made = {"pose", "focal", "center", "size", "margin"}
+        if not isinstance(views, (list, tuple)) or not all(isinstance(one, dict) and set(one) == made for one in views):
+            refuse(where, "views", "a list of what view(...) gives", f"{views!r}"[:80], "pass [view(...), ...]")
+        b = boxes(**b, where=where)
         if points is not None:
             points = whole(where, "points", column_of(where, "points", points, len(b["classes"])), 0, 2**32 - 1)
+        self.once(where, agent, stream, stamp)
         self.write_views(agent, stream, stamp, views, ready)
         cdr, info = Cdr(stamp, frame), Cdr(stamp, frame)
         cdr.put("I", len(b["classes"]))
@@ -532,7 +636,7 @@ class LogWriter:
             cdr.fixed(pose + [*b["size"][i]])
             cdr.text(b["track"][i])
         # Boxes of no sweep have the greatest number.
-        info.put("QB", sweeps.get(stamp, 2**64 - 1), bool(key))
+        info.put("QB", sweeps.get(stamp, 2**64 - 1), key)
         for column in [], b["yaw"], b["velocity"], []:
             info.array(column, "<f8")
         info.put("I", int(points is not None))
@@ -543,7 +647,10 @@ class LogWriter:
         self.write(agent, stream + "_info", "realo_msgs/BoxesInfo", stamp, ready, info)
 
     def write(self, agent, stream, schema, stamp, ready, cdr):
-        ready = stamp if ready is None else nanos(f"{stream} of `{agent}` at {stamp}", "ready", ready)
+        where = f"{stream} of `{agent}` at {stamp}"
+        if self.file.closed:
+            refuse(where, "log", "a log that is open", "one that was closed", "write all before `close` or the end of `with`")
+        ready = self.ready(where, stamp, ready)
         bulk, topic = stream == "points", f"/{agent}/{stream}"
         chunk = self.open[bulk] = self.open[bulk] or {"data": bytearray(), "index": {}}
         if topic not in self.channels:

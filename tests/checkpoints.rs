@@ -183,3 +183,23 @@ fn tensors_are_listed_with_shape_type_and_epoch() {
     ]);
     assert!(said.contains("names and shapes are those of model `lite`"), "{said}");
 }
+
+#[test]
+fn a_model_file_beside_that_is_not_of_the_tensors_is_named() {
+    let dir = folder("checkpoint_beside");
+    let file = dir.join("nested.pth");
+    std::fs::copy(data("nested.pth"), &file).expect("the checkpoint can be copied");
+    let beside = file.with_extension("toml");
+    let show = || realo_ok(["checkpoint", "show", &file.to_string_lossy()]);
+    let without = show();
+    assert!(!without.contains("the model file beside it"), "{without}");
+    std::fs::write(&beside, "name = 7").expect("it can be written");
+    let said = show();
+    assert!(
+        said.contains("the model file beside it is not theirs") && said.contains("nested.toml"),
+        "{said}"
+    );
+    std::fs::copy(root().join("models/lite.toml"), &beside).expect("it can be copied");
+    let said = show();
+    assert!(said.contains("is of other tensors, those of `lite`"), "{said}");
+}

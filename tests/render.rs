@@ -400,6 +400,77 @@ fn an_agent_with_rare_poses_is_drawn_by_that_of_its_sweep() {
     assert_eq!(agents, [("cav1", true), ("rsu1", true)]);
 }
 
+#[test]
+fn an_agent_whose_poses_are_too_far_apart_is_named() {
+    let log = log();
+    let sparse = once("render_sparse.mcap", |path| without_poses(&log, path, "rsu1"));
+    let dir = folder("render_sparse_run");
+    let (out, sparse) = (dir.to_string_lossy(), sparse.to_string_lossy());
+    let graph = common::graph("late_fusion");
+    let args = [
+        "run",
+        &graph,
+        "--log",
+        &sparse,
+        "--out",
+        &out,
+        "--mode",
+        "virtual",
+        "--ego",
+        "cav1",
+        "--recorded-detections",
+    ];
+    let said = realo(args);
+    // Sweeps without a pose are a fault of the log.
+    assert_eq!(said.status.code(), Some(3), "{}", text(&said.stderr));
+    let file = dir.join("x.svg");
+    let (code, said) = render(&dir, &file, &["--frame", "10", "--log", &sparse]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("agent `rsu1` is not drawn: the log has no pose of it then") && said.contains("max_gap_ms"),
+        "{said}"
+    );
+    let svg = fs::read_to_string(&file).expect("the drawing is there");
+    assert_eq!(marks(&svg, "agent"), 1);
+}
+
+/// A log of the same sweeps and detections, of which one agent has a pose at the beginning and one at the end, 20 cm further.
+fn without_poses(from: &Path, to: &Path, unposed: &str) {
+    let log = Log::open(from).expect("the log can be read");
+    let mut writer = LogWriter::create_atomic(to, log.info()).expect("the log can be written");
+    for agent in ["cav1", "rsu1"] {
+        let entries = |stream| {
+            let mut reader = log.read_all(&[(agent, stream)]).expect("it has the stream");
+            std::iter::from_fn(move || reader.next().expect("it can be read"))
+        };
+        let mut poses: Vec<_> = entries(Stream::Pose).collect();
+        if agent == unposed {
+            poses.drain(1..poses.len() - 1);
+        }
+        for (at, entry) in poses.iter().enumerate() {
+            let mut pose = entry.pose().expect("a pose");
+            // A unit that moves a little is not known in between.
+            pose.map_from_body.translation.x += 0.2 * at as f64;
+            writer
+                .pose(agent, entry.stamp(), entry.ready(), &pose)
+                .expect("it can be written");
+        }
+        for entry in entries(Stream::Points) {
+            let cloud = entry.cloud().expect("a cloud");
+            writer
+                .cloud(agent, entry.stamp(), entry.ready(), &cloud)
+                .expect("it can be written");
+        }
+        for entry in entries(Stream::Detections) {
+            let boxes = entry.boxes().expect("boxes");
+            writer
+                .detections(agent, entry.stamp(), entry.ready(), &boxes)
+                .expect("it can be written");
+        }
+    }
+    writer.finish().expect("the log can be finished");
+}
+
 const HOUR: Nanos = 3_600_000_000_000;
 
 /// A log of a sweep, its recorded detections and a pose of each agent, so much later than they were.

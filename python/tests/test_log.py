@@ -7,7 +7,7 @@ import unittest
 from pathlib import Path
 
 import numpy as np
-from realo_log import MAGIC, POINT, LogWriter, agent, boxes
+from realo_log import MAGIC, POINT, LogWriter, agent, boxes, view
 
 S = 1_700_000_000_000_000_000
 N = 200
@@ -210,6 +210,133 @@ class TestBoxes(Case):
             self.assertIn(word, str(caught.exception))
         for points, word in ([-1, 3], "-1"), ([np.nan, 3], "nan"), ([1], "2 numbers"), ([2**32, 1], "4294967296"):
             self.refused(lambda log: log.truth("car", S, boxes(**self.given), points=points), "ground_truth of `car`", "`points`", word)
+
+
+class TestArguments(Case):
+    """Values that Python or numpy would take for others."""
+
+    sweep = staticmethod(lambda points=XYZ, **columns: lambda log: log.sweep("car", S, points, **columns))
+
+    def test_truth_values_and_texts_are_no_numbers(self):
+        yes = [True] + [1.0] * (N - 1)
+        for name in "intensity", "time", "ring":
+            for given in yes, SHARE > 0.5, True, "7", np.array("7"), SHARE.astype(str), SHARE * 1j, None, [None] * N:
+                self.refused(self.sweep(**{name: given}), "sweep of `car`", f"`{name}`", "numbers")
+        self.refused(self.sweep(intensity=SHARE, intensity_max=True), "`intensity_max`", "truth values")
+        self.refused(self.sweep(intensity=SHARE, intensity_max=np.nan), "`intensity_max`", "finite")
+        self.refused(self.sweep(intensity=SHARE, intensity_max=-1), "`intensity_max`", "-1")
+        self.refused(lambda log: log.pose("car", S, [0, True, 0], UNIT), "`position`", "truth values")
+        self.refused(lambda log: log.pose("car", S, "000", UNIT), "`position`", "numbers")
+        self.refused(lambda log: log.pose("car", S, [0, 0, 0], [0, 0, 0, True]), "`quaternion`", "truth values")
+        for name in "center", "size", "yaw", "score", "velocity":
+            given = {**TestBoxes.given, name: [[True, 1, 1]] * 2 if name in ("center", "size", "velocity") else [True, 0]}
+            with self.subTest(name), self.assertRaisesRegex(ValueError, f"`{name}`: expected numbers, found truth values"):
+                boxes(**given)
+
+    def test_texts_are_no_truth_values(self):
+        self.refused(lambda log: log.truth("car", S, boxes([], [], [], []), key="False"), "`key`", "True or False")
+        self.refused(lambda log: log.pose("car", S, [0, 0, 0], UNIT, truth="no"), "`truth`", "True or False")
+        with self.assertRaisesRegex(ValueError, "`force`: expected True or False"):
+            self.writer(force="no")
+
+    def test_numbers_without_dimension_are_one_for_all(self):
+        found = self.cloud(intensity=np.array(60), ring=np.uint8(3), time=np.float32(0.0625))
+        self.assertEqual([set(found[name]) for name in ("intensity", "ring", "time")], [{60}, {3}, {62_500_000}])
+        with self.writer() as log:
+            log.pose("car", S, [np.array(1.0), np.float64(2), 3], UNIT)
+        self.assertIn(struct.pack("<3d", 1, 2, 3), Path(self.path).read_bytes())
+        os.remove(self.path)
+        given = [np.array(691_234.25, np.float32), np.array(5_334_567.5, np.float32), 1.0]
+        self.refused(lambda log: log.pose("car", S, given, UNIT), "`position`", "float64")
+
+    def test_columns_of_another_order_are_refused(self):
+        grid, of_grid = XYZ.reshape(10, 20, 3), SHARE.reshape(10, 20)
+        expected = self.cloud(intensity=SHARE)["intensity"]
+        for given in of_grid, np.asfortranarray(of_grid), SHARE[:, None], SHARE[None], SHARE[::-1][::-1], SHARE.astype(">f8"):
+            np.testing.assert_array_equal(self.cloud(grid, intensity=given)["intensity"], expected)
+        os.remove(self.path)
+        self.refused(self.sweep(grid, intensity=of_grid.T), "`intensity`", "(20, 10)", "shape (10, 20)")
+        self.refused(self.sweep(intensity=of_grid), "`intensity`", "(10, 20)")
+        self.refused(self.sweep(intensity=[]), "`intensity`", "(0,)")
+        self.refused(self.sweep([[1, 2, 3], [4, 5]]), "`points`", "rows of one length")
+        self.refused(lambda log: log.truth("car", S, boxes(**TestBoxes.given), points=[[1], [2], [3]]), "`points`", "2 numbers")
+
+    def test_offsets_of_small_unsigned_stamps_do_not_wrap(self):
+        with self.writer(clock="other") as log:
+            log.sweep("car", 2_000_000_000, XYZ, time=(2_000_000_000 - np.arange(N)).astype(np.uint32))
+        cloud = np.zeros(N, POINT)
+        cloud["x"], cloud["y"], cloud["z"] = XYZ.T
+        cloud["time"] = -np.arange(N)
+        self.assertIn(cloud.tobytes(), Path(self.path).read_bytes())
+
+    def test_times_that_no_stamp_holds_are_refused(self):
+        for stamp in np.datetime64("2500-01-01"), np.datetime64("1969-12-31T23", "h"), np.datetime64(10**12, "Y"), 2**70, np.timedelta64(S, "ns"):
+            self.refused(lambda log: log.pose("car", stamp, [0, 0, 0], UNIT), "`stamp`")
+        for ready in S // 10**9, S - 2 * 10**9, True, float(S), "now", [S]:
+            self.refused(lambda log: log.pose("car", S, [0, 0, 0], UNIT, ready=ready), "`ready`")
+            self.refused(lambda log: log.sweep("car", S, XYZ, ready=ready), "`ready`")
+            self.refused(lambda log: log.truth("car", S, boxes([], [], [], []), ready=ready), "`ready`")
+
+    def test_a_second_message_of_a_sweep_is_refused(self):
+        def twice(log, call):
+            call()
+            call()
+        nothing = boxes([], [], [], [])
+        self.refused(lambda log: twice(log, lambda: log.sweep("car", S, XYZ)), "`stamp`", "a second one")
+        for stream in "truth", "detections", "own_labels":
+            self.refused(lambda log: twice(log, lambda: getattr(log, stream)("car", S, nothing)), "`stamp`", "a second one")
+
+    def test_places_and_covariances_are_refused_where_there_can_be_none(self):
+        self.refused(lambda log: log.pose("car", S, [1e300, 0, 0], UNIT), "`position`", "1e+300")
+        order = np.eye(6)
+        order[0, 1] = 0.5
+        self.refused(lambda log: log.pose("car", S, [0, 0, 0], UNIT, covariance=order), "`covariance`", "symmetric", "0.5")
+        order[1, 0] = 0.5 + 1e-9
+        with self.writer() as log:
+            log.pose("car", S, [0, 0, 0], UNIT, covariance=order)
+
+    def test_lists_without_an_order_and_tracks_that_are_cut_are_refused(self):
+        given = TestBoxes.given
+        for name in "classes", "track":
+            for value in {"a", "b"}, {"a": 1, "b": 2}, (one for one in "ab"), 7, "ab", b"ab", np.array([["a", "b"]]):
+                with self.subTest(name), self.assertRaisesRegex(ValueError, f"boxes: `{name}`"):
+                    boxes(**{**given, name: value})
+        for track in True, float("inf"), 2.0**53, [1], {"id": 1}, b"\xff", "a\0", "\udc80":
+            with self.subTest(track), self.assertRaisesRegex(ValueError, "boxes: `track`"):
+                boxes(**given, track=[track, None])
+        self.assertEqual(boxes(**given, track=[np.array(1.0), np.ma.masked])["track"], ["1", ""])
+        for name in "", " ", b"\xff", None, True:
+            with self.assertRaisesRegex(ValueError, "boxes: `classes`"):
+                boxes(**{**given, "classes": ["car", name]})
+
+    def test_what_is_made_otherwise_is_refused(self):
+        for call, name in (
+            (lambda log: log.truth("car", S, []), "boxes"), (lambda log: log.truth("car", S, {"center": []}), "boxes"),
+            (lambda log: log.detections("car", S, None), "boxes"),
+            (lambda log: log.truth("car", S, boxes([], [], [], []), views=view([0] * 3, UNIT, [1, 1], [1, 1], [2, 2])), "views"),
+            (lambda log: log.truth("car", S, boxes([], [], [], []), views=None), "views"),
+        ):
+            self.refused(call, f"`{name}`")
+        for agents in [], ["car"], agent("car", "vehicle"), [{"name": "car"}], [agent("car", "vehicle"), agent("Car", "vehicle")]:
+            with self.assertRaisesRegex(ValueError, "`agents`"):
+                LogWriter(self.path, agents, source="a test")
+        for name in "", "a b", "a/b", ".a", "a.", "tf", "x" * 65, 7:
+            with self.assertRaisesRegex(ValueError, "`name`"):
+                agent(name, "vehicle")
+        good = {"position": [0] * 3, "quaternion": UNIT, "focal": [900, 900], "center": [960, 540], "size": [1920, 1080]}
+        self.assertEqual(view(**good)["size"].tolist(), [1920, 1080])
+        for name, value in (
+            ("position", [np.nan] * 3), ("quaternion", [0] * 4), ("focal", [0, 900]), ("center", [np.inf, 0]), ("size", [0, 1080]),
+            ("size", [19.5, 1080]), ("margin", -1), ("margin", np.nan), ("margin", [1, 2]), ("focal", [True, 900]),
+        ):
+            with self.subTest(name), self.assertRaisesRegex(ValueError, f"view: `{name}`"):
+                view(**{**good, name: value})
+
+    def test_what_is_written_after_the_end_is_refused(self):
+        with self.writer() as log:
+            log.pose("car", S, [0, 0, 0], UNIT)
+        with self.assertRaisesRegex(ValueError, "open, found one that was closed"):
+            log.pose("car", S + 1, [0, 0, 0], UNIT)
 
 
 class TestFile(Case):

@@ -30,6 +30,8 @@ pub struct Listing {
     pub epoch: Option<i64>,
     /// The model that has these tensors, in words.
     pub model: Option<String>,
+    /// Why the model file beside it is not that of these tensors, if there is one.
+    pub not_beside: Option<String>,
 }
 
 /// A tensor.
@@ -79,8 +81,20 @@ pub fn list(path: &Path) -> Result<Listing, ListError> {
     let weights = listing.rows.iter().filter(|row| !is_counter(&row.name));
     let shapes: HashMap<&str, &[usize]> = weights.map(|row| (&*row.name, &*row.shape)).collect();
     let beside = path.with_extension("toml");
-    let own = Model::read(&beside).ok().filter(|model| fits(model, &shapes));
-    listing.model = match own {
+    let (own, not_beside) = match Model::read(&beside) {
+        Ok(model) if fits(&model, &shapes) => (Some(model), None),
+        Ok(model) => (
+            None,
+            Some(format!(
+                "{} is of other tensors, those of `{}`",
+                beside.display(),
+                model.name
+            )),
+        ),
+        Err(error) if beside.exists() => (None, Some(error.to_string())),
+        Err(_) => (None, None),
+    };
+    let model = match own {
         Some(model) => Some(format!("those of model `{}`, {}", model.name, beside.display())),
         None => fitting(&shapes).map(|mut model| {
             let compression = model.arch.compression_mut().map_or(0, |compression| *compression);
@@ -91,6 +105,7 @@ pub fn list(path: &Path) -> Result<Listing, ListError> {
             format!("those of --arch {} at V2X-Real's full size{compressor}", model.arch)
         }),
     };
+    (listing.model, listing.not_beside) = (model, not_beside);
     Ok(listing)
 }
 
@@ -106,14 +121,20 @@ fn of_checkpoint(checkpoint: &Checkpoint) -> Listing {
         within: checkpoint.within().map(str::to_string),
         epoch: checkpoint.epoch(),
         model: None,
+        not_beside: None,
     }
 }
 
 fn of_safetensors(path: &Path) -> Result<Listing, ListError> {
     let read = || -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        File::open(path)?.take(MOST_BYTES).read_to_end(&mut bytes)?;
-        Ok(bytes)
+        File::open(path)?.take(MOST_BYTES + 1).read_to_end(&mut bytes)?;
+        match bytes.len() as u64 > MOST_BYTES {
+            true => Err(io::Error::other(
+                "expected at most 2 GiB of weights, found more; list its parts one by one",
+            )),
+            false => Ok(bytes),
+        }
     };
     let bytes = read().map_err(|error| ListError::Io {
         path: path.into(),
@@ -136,6 +157,7 @@ fn of_safetensors(path: &Path) -> Result<Listing, ListError> {
         within: None,
         epoch: None,
         model: None,
+        not_beside: None,
     })
 }
 
@@ -171,12 +193,17 @@ impl fmt::Display for Listing {
         if let Some(epoch) = self.epoch {
             write!(f, ", epoch {epoch}")?;
         }
-        match &self.model {
-            Some(model) => write!(f, "\nnames and shapes are {model}"),
-            None => write!(
+        match (&self.model, &self.not_beside) {
+            (Some(model), _) => write!(f, "\nnames and shapes are {model}")?,
+            (None, Some(_)) => write!(f, "\nnames and shapes are those of no network of V2X-Real at full size")?,
+            (None, None) => write!(
                 f,
                 "\nnames and shapes are those of no network of V2X-Real at full size, and no model file lies beside it"
-            ),
+            )?,
+        }
+        match &self.not_beside {
+            Some(reason) => write!(f, "\nthe model file beside it is not theirs: {reason}"),
+            None => Ok(()),
         }
     }
 }

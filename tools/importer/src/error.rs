@@ -22,15 +22,26 @@ pub enum ImportError {
         /// Field, expected and found.
         reason: String,
     },
-    /// Files and entries that are missing, all of them.
+    /// Lists of a data set that cannot be read, all of them.
     #[error(
-        "`{}`: {incomplete} of {pairs} pairs are incomplete; missing:\n{missing}\n{}",
+        "`{}`: its lists cannot be read:\n{reasons}\nmend them, and see whether DIR is `cooperative-vehicle-infrastructure`",
+        .path.display()
+    )]
+    Lists {
+        /// The data set.
+        path: PathBuf,
+        /// A line each.
+        reasons: String,
+    },
+    /// Files and entries that are missing or damaged, all of them.
+    #[error(
+        "`{}`: {incomplete} of {pairs} pairs are incomplete; missing or damaged:\n{missing}\n{}",
         .path.display(), advice(*.some)
     )]
     Incomplete {
         /// The data set.
         path: PathBuf,
-        /// Pairs of which something is missing.
+        /// Pairs of which something is missing or damaged.
         incomplete: usize,
         /// All pairs.
         pairs: usize,
@@ -46,9 +57,9 @@ pub enum ImportError {
 
 fn advice(some_are_complete: bool) -> &'static str {
     match some_are_complete {
-        true => "add what is missing, or leave these pairs out with --skip-incomplete",
+        true => "add what is missing, replace what is damaged, or leave these pairs out with --skip-incomplete",
         false => {
-            "no pair is complete: add what is missing, and see whether DIR is `cooperative-vehicle-infrastructure`"
+            "no pair is complete: add what is missing, replace what is damaged, and see whether DIR is `cooperative-vehicle-infrastructure`"
         }
     }
 }

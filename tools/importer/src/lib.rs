@@ -9,7 +9,7 @@ mod level;
 mod pcd;
 mod relevel;
 
-pub use dair::{DairOptions, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, dair_with, lidar_height};
+pub use dair::{DairOptions, DairStep, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, dair_with, lidar_height};
 pub use error::ImportError;
 pub use level::{Level, Plane};
 pub use pcd::{PcdCloud, parse_pcd, read_pcd};

@@ -1,12 +1,17 @@
 //! PCD files as PCL, Open3D and DAIR-V2X-C write them: `DATA binary_compressed` (LZF, fields one after another), `binary` or
 //! `ascii`; fields of any numeric type, padding, and counts above 1.
 
+mod head;
+mod lzf;
+
 use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 
 use realo_logs::intensity_scale;
 
+use self::head::{Data, Field, Head, split_head};
+use self::lzf::decompress_body;
 use crate::ImportError;
 
 /// Points of a PCD file in its frame, in single precision.
@@ -20,8 +25,26 @@ pub struct PcdCloud {
     pub z: Vec<f32>,
     /// 0–255, scaled by the rule of clouds in logs ([`intensity_scale`]) and the brightest of the file.
     pub intensity: Vec<u8>,
+    /// Intensities that were limited to 0…255 after they were scaled.
+    pub limited_intensities: usize,
     /// Time of each point, s since the epoch, where the file has it.
     pub timestamp: Option<Vec<f64>>,
+}
+
+/// Nothing that a LiDAR sees lies farther from it, m; single precision holds it to a centimetre.
+pub(crate) const SEEN: f64 = 1e5;
+
+/// Refuses a point farther away than a LiDAR sees; what is not a number is no return and stays.
+pub(crate) fn seen(point: [f64; 3]) -> Result<[f64; 3], String> {
+    match point.iter().any(|metres| metres.abs() > SEEN) {
+        true => {
+            let [u, v, w] = point;
+            Err(format!(
+                "expected points within {SEEN} m of the LiDAR, in its frame, found one at {u}, {v}, {w}; bring them there in doubles"
+            ))
+        }
+        false => Ok(point),
+    }
 }
 
 /// Points of a PCD file as it holds them.
@@ -59,6 +82,17 @@ impl Intensities {
         };
         let bright = values.iter().copied().filter(|value| value.is_finite() && *value > 0.0);
         bright.max_by(f32::total_cmp)
+    }
+
+    /// None of them, of the same type.
+    pub fn without_values(&self) -> Self {
+        match self {
+            Intensities::Bytes(_) => Intensities::default(),
+            Intensities::Others { kind, .. } => Intensities::Others {
+                kind,
+                values: Vec::new(),
+            },
+        }
     }
 
     /// The rule by which they become bytes, in words.
@@ -111,7 +145,7 @@ pub fn read_pcd(path: &Path) -> Result<PcdCloud, ImportError> {
 /// Reads the bytes of a PCD file. What they claim is compared with how many they are before anything is allocated.
 ///
 /// # Errors
-/// A head, a field or a length that does not fit, by name.
+/// A head, a field or a length that does not fit, by name; points farther away than a LiDAR sees.
 pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
     let Points {
         x,
@@ -120,24 +154,24 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
         intensity,
         timestamp,
     } = parse_points(bytes)?;
+    for ((x, y), z) in x.iter().zip(&y).zip(&z) {
+        seen([*x, *y, *z])?;
+    }
     let single = |column: Vec<f64>| column.into_iter().map(|metres| metres as f32).collect();
     let scale = intensity.scale(intensity.brightest().unwrap_or(0.0));
+    let (intensity, limited_intensities) = intensity.to_bytes(scale);
     Ok(PcdCloud {
         x: single(x),
         y: single(y),
         z: single(z),
-        intensity: intensity.to_bytes(scale).0,
+        intensity,
+        limited_intensities,
         timestamp,
     })
 }
 
-/// Reads a PCD file as it is.
-pub(crate) fn read_points(path: &Path) -> Result<Points, ImportError> {
-    let bytes = fs::read(path).map_err(ImportError::io(path))?;
-    parse_points(&bytes).map_err(|reason| ImportError::content(path, reason))
-}
-
-fn parse_points(bytes: &[u8]) -> Result<Points, String> {
+/// Reads the bytes of a PCD file as they are.
+pub(crate) fn parse_points(bytes: &[u8]) -> Result<Points, String> {
     let (text, body) = split_head(bytes)?;
     let head = Head::parse(text)?;
     let Head { fields, points, .. } = &head;
@@ -177,155 +211,6 @@ fn parse_points(bytes: &[u8]) -> Result<Points, String> {
         compressed,
     };
     columns(fields, &binary)
-}
-
-/// How the points are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Data {
-    Ascii,
-    Binary,
-    Compressed,
-}
-
-struct Head {
-    fields: Vec<Field>,
-    points: usize,
-    /// Bytes of a point.
-    point_size: usize,
-    data: Data,
-}
-
-struct Field {
-    name: String,
-    size: usize,
-    kind: char,
-    /// Numbers of a point.
-    count: usize,
-    /// Bytes and numbers of a point before it.
-    before: usize,
-    numbers_before: usize,
-}
-
-impl Field {
-    /// As [`intensity_scale`] names types; none that PCD does not have.
-    fn type_name(&self) -> Option<&'static str> {
-        Some(match (self.kind, self.size) {
-            ('I', 1) => "int8",
-            ('U', 1) => "uint8",
-            ('I', 2) => "int16",
-            ('U', 2) => "uint16",
-            ('I', 4) => "int32",
-            ('U', 4) => "uint32",
-            ('I', 8) => "int64",
-            ('U', 8) => "uint64",
-            ('F', 4) => "float32",
-            ('F', 8) => "float64",
-            _ => return None,
-        })
-    }
-}
-
-impl Head {
-    fn parse(head: &str) -> Result<Head, String> {
-        let words = |key: &str| -> Result<Vec<&str>, String> {
-            let line = head.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
-            let found = line.into_iter().find(|words| words.first() == Some(&key));
-            found
-                .map(|words| words[1..].to_vec())
-                .ok_or_else(|| format!("the PCD head has no line `{key}`"))
-        };
-        let number = |key: &str, text: &str| {
-            text.parse::<usize>()
-                .map_err(|_| format!("{key}: expected a number, found `{text}`"))
-        };
-        let one = |key: &str| number(key, words(key)?.first().copied().unwrap_or_default());
-        let all = |key: &str| -> Result<Vec<usize>, String> {
-            words(key)?.into_iter().map(|text| number(key, text)).collect()
-        };
-        let points = match (words("POINTS").is_ok(), words("WIDTH").is_ok(), words("HEIGHT").is_ok()) {
-            (false, ..) => one("WIDTH")?.saturating_mul(one("HEIGHT")?),
-            (true, true, true) => {
-                let [points, width, height] = [one("POINTS")?, one("WIDTH")?, one("HEIGHT")?];
-                if width.checked_mul(height) != Some(points) {
-                    return Err(format!(
-                        "POINTS: expected WIDTH {width} × HEIGHT {height}, found {points}; write the head anew"
-                    ));
-                }
-                points
-            }
-            (true, ..) => one("POINTS")?,
-        };
-        let (names, sizes, kinds) = (words("FIELDS")?, all("SIZE")?, words("TYPE")?);
-        let counts = match words("COUNT") {
-            Ok(_) => all("COUNT")?,
-            Err(_) => vec![1; names.len()],
-        };
-        if [sizes.len(), kinds.len(), counts.len()] != [names.len(); 3] {
-            return Err(format!(
-                "{} FIELDS, {} SIZE, {} TYPE, {} COUNT: expected as many of each",
-                names.len(),
-                sizes.len(),
-                kinds.len(),
-                counts.len()
-            ));
-        }
-        if let Some(size) = sizes.iter().find(|size| !matches!(size, 1 | 2 | 4 | 8)) {
-            return Err(format!("SIZE: expected 1, 2, 4 or 8 for every field, found {size}"));
-        }
-        let (mut fields, mut before, mut numbers_before) = (Vec::new(), 0, 0);
-        for (((name, size), kind), count) in names.into_iter().zip(sizes).zip(kinds).zip(counts) {
-            if !(1..=MOST_COUNT).contains(&count) {
-                return Err(format!(
-                    "COUNT: expected 1 to {MOST_COUNT} for every field, found {count} of `{name}`"
-                ));
-            }
-            fields.push(Field {
-                name: name.into(),
-                size,
-                kind: kind.chars().next().filter(|_| kind.len() == 1).unwrap_or('?'),
-                count,
-                before,
-                numbers_before,
-            });
-            before += size * count;
-            numbers_before += count;
-        }
-        let data = match words("DATA")?.first().copied() {
-            Some("ascii") => Data::Ascii,
-            Some("binary") => Data::Binary,
-            Some("binary_compressed") => Data::Compressed,
-            other => {
-                return Err(format!(
-                    "DATA: expected ascii, binary or binary_compressed, found `{}`; save the cloud as one of these",
-                    other.unwrap_or_default()
-                ));
-            }
-        };
-        Ok(Head {
-            fields,
-            points,
-            point_size: before,
-            data,
-        })
-    }
-}
-
-/// Numbers of a field in a point, at most; histograms of features have some hundreds.
-const MOST_COUNT: usize = 4096;
-
-/// Lines of a head, at most: it has a dozen, and comments.
-const MOST_LINES: usize = 1024;
-
-fn split_head(bytes: &[u8]) -> Result<(&str, &[u8]), String> {
-    let mut at = 0;
-    for line in bytes.split_inclusive(|byte| *byte == b'\n').take(MOST_LINES) {
-        at += line.len();
-        if line.trim_ascii_start().starts_with(b"DATA") {
-            let head = std::str::from_utf8(&bytes[..at]).map_err(|_| "the PCD head is not text".to_string())?;
-            return Ok((head.trim_start_matches('\u{feff}'), &bytes[at..]));
-        }
-    }
-    Err("expected a PCD file, found no line `DATA`".into())
 }
 
 /// Where the numbers of fields are.
@@ -429,9 +314,13 @@ fn text_values(body: &[u8], fields: &[Field], points: usize) -> Result<Text, Str
 
 fn columns(fields: &[Field], values: &impl Values) -> Result<Points, String> {
     let find = |name: &str| -> Result<Option<(&Field, &'static str)>, String> {
-        let Some(field) = fields.iter().find(|field| field.name == name) else {
+        let mut found = fields.iter().filter(|field| field.name == name);
+        let Some(field) = found.next() else {
             return Ok(None);
         };
+        if found.next().is_some() {
+            return Err(format!("field `{name}`: expected one, found several; name them apart"));
+        }
         if field.count != 1 {
             return Err(format!("field `{name}`: expected COUNT 1, found {}", field.count));
         }
@@ -478,67 +367,6 @@ fn bytes(name: &str, column: Vec<f64>) -> Result<Vec<u8>, String> {
         )),
     };
     column.into_iter().map(byte).collect()
-}
-
-/// What follows the compressed bytes is padding: the size in front of them counts, not that of the file.
-fn decompress_body(body: &[u8], total: usize) -> Result<Vec<u8>, String> {
-    let size_at = |at: usize| {
-        let bytes: Option<[u8; 4]> = body.get(at..at + 4).and_then(|bytes| bytes.try_into().ok());
-        bytes
-            .map(|bytes| u32::from_le_bytes(bytes) as usize)
-            .ok_or("the compressed sizes are missing".to_string())
-    };
-    let (packed, unpacked) = (size_at(0)?, size_at(4)?);
-    if unpacked != total {
-        return Err(format!(
-            "expected {total} bytes of points, the file unpacks to {unpacked}"
-        ));
-    }
-    let packed = body[8..]
-        .get(..packed)
-        .ok_or_else(|| format!("expected {packed} compressed bytes, found {}", body.len() - 8))?;
-    lzf(packed, total)
-}
-
-/// Most bytes that one of LZF makes: three say how 264 are copied.
-const LZF_RATIO: usize = 88;
-
-/// Undoes LZF (Marc Lehmann's format): literal runs, and copies from at most 8 KiB back.
-fn lzf(packed: &[u8], size: usize) -> Result<Vec<u8>, String> {
-    if size > packed.len().saturating_mul(LZF_RATIO) {
-        return Err(format!(
-            "expected {size} bytes of points, {} compressed bytes cannot hold them",
-            packed.len()
-        ));
-    }
-    let mut out = Vec::with_capacity(size);
-    let mut bytes = packed.iter().copied();
-    let mut next = || bytes.next().ok_or("the compressed points end early".to_string());
-    while out.len() < size {
-        let control = usize::from(next()?);
-        if control < 32 {
-            for _ in 0..=control {
-                out.push(next()?);
-            }
-            continue;
-        }
-        let mut length = control >> 5;
-        if length == 7 {
-            length += usize::from(next()?);
-        }
-        let distance = ((control & 31) << 8 | usize::from(next()?)) + 1;
-        let from = out
-            .len()
-            .checked_sub(distance)
-            .ok_or("the compressed points refer to bytes before their start")?;
-        for at in from..from + length + 2 {
-            out.push(out[at]);
-        }
-    }
-    match out.len() == size {
-        true => Ok(out),
-        false => Err(format!("expected {size} bytes of points, unpacked {}", out.len())),
-    }
 }
 
 #[cfg(test)]
@@ -662,23 +490,6 @@ mod tests {
         ))
         .unwrap();
         assert!(nothing.x.is_empty());
-    }
-
-    #[test]
-    fn unpacks_overlapping_copies() {
-        assert_eq!(lzf(&[1, b'a', b'b', 0x60, 1], 7).unwrap(), b"abababa");
-        assert_eq!(lzf(&[0, b'x', 0xe0, 3, 0], 13).unwrap(), b"xxxxxxxxxxxxx");
-        assert!(lzf(&[0x20, 0], 3).unwrap_err().contains("before their start"));
-        assert!(lzf(&[0], 1).unwrap_err().contains("end early"));
-        let longest = [&[0, b'x'][..], &[0xe0, 255, 0].repeat(3)].concat();
-        assert_eq!(lzf(&longest, 793).unwrap(), [b'x'; 793]);
-        assert!(lzf(&longest, 11 * 88).unwrap_err().contains("end early"));
-        assert!(
-            lzf(&longest, 11 * 88 + 1)
-                .unwrap_err()
-                .contains("11 compressed bytes cannot hold them")
-        );
-        assert!(lzf(&[1, 1, 2], 1).unwrap_err().contains("unpacked 2"));
     }
 
     #[test]

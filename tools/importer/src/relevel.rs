@@ -21,7 +21,8 @@ const HIGHEST_GROUND: f64 = 1.0;
 /// frame, and poses keep their heading alone.
 ///
 /// # Errors
-/// A log that cannot be read or has packets; an agent without poses; a sweep without ground.
+/// A log that cannot be read or has packets; an agent without poses; a sweep without ground; boxes without their companion, or
+/// companions without their boxes, unless the log was cut.
 pub fn relevel(from: &Path, to: &Path, level: Level) -> Result<BTreeMap<String, Levelled>, ImportError> {
     relevel_with(from, to, level, |_, _| {})
 }
@@ -60,7 +61,8 @@ pub fn relevel_with(
         from: from.into(),
         reader: reader(&log)?,
         writer: LogWriter::create_atomic(to, log.info())?,
-        boxes: BTreeMap::new(),
+        arrays: BTreeMap::new(),
+        companions: BTreeMap::new(),
         bare: lacking(Stream::Points),
         without_info: lacking(Stream::DetectionsInfo),
         agents,
@@ -70,6 +72,9 @@ pub fn relevel_with(
     while let Some(entry) = copy.reader.next()? {
         progress(seconds(entry.stamp() - start).max(0.0), seconds(end - start));
         copy.take(&entry)?;
+    }
+    if log.truncation().is_none() {
+        copy.check_complete()?;
     }
     let mut before = log.levelled()?;
     let levelled: BTreeMap<String, Levelled> = copy
@@ -219,13 +224,18 @@ struct LevelCopy {
     reader: LogReader,
     writer: LogWriter,
     agents: BTreeMap<Name, Leveller>,
-    /// Boxes that wait for their companion, by agent and stream.
-    boxes: BTreeMap<(Name, Stream), Boxes>,
+    /// Boxes that wait for their companion, by agent, stream and stamp, with their ready times.
+    arrays: BTreeMap<Waiting, (Boxes, Nanos)>,
+    /// Companions that wait for their boxes, by the stream of these.
+    companions: BTreeMap<Waiting, Entry>,
     /// Agents without points.
     bare: Vec<Name>,
     /// Agents whose detections have no companion.
     without_info: Vec<Name>,
 }
+
+/// Agent, stream of boxes, and stamp.
+type Waiting = (Name, Stream, Nanos);
 
 impl LevelCopy {
     fn take(&mut self, entry: &Entry) -> Result<(), ImportError> {
@@ -254,24 +264,22 @@ impl LevelCopy {
                 self.writer.detections(agent, stamp, ready, &boxes)?;
             }
             Stream::Detections | Stream::GroundTruth | Stream::OwnLabels => {
-                self.boxes.insert((entry.agent.clone(), entry.stream), entry.boxes()?);
+                let waiting = (entry.agent.clone(), entry.stream, stamp);
+                match self.companions.remove(&waiting) {
+                    Some(companion) => self.complete(&companion, &waiting, entry.boxes()?, ready)?,
+                    None => _ = self.arrays.insert(waiting, (entry.boxes()?, ready)),
+                }
             }
             Stream::DetectionsInfo | Stream::GroundTruthInfo | Stream::OwnLabelsInfo => {
-                let (array, exact) = match entry.stream {
-                    Stream::DetectionsInfo => (Stream::Detections, false),
-                    Stream::GroundTruthInfo => (Stream::GroundTruth, true),
-                    _ => (Stream::OwnLabels, true),
+                let array = match entry.stream {
+                    Stream::DetectionsInfo => Stream::Detections,
+                    Stream::GroundTruthInfo => Stream::GroundTruth,
+                    _ => Stream::OwnLabels,
                 };
-                let mut boxes = self.boxes.remove(&(entry.agent.clone(), array)).unwrap_or_default();
-                let info = entry.info(&mut boxes)?;
-                transform_boxes(&leveller.at(stamp, exact).map_err(bad)?, &mut boxes.0);
-                let points = info.points.as_deref();
-                match array {
-                    Stream::Detections => self.writer.detections(agent, stamp, ready, &boxes)?,
-                    Stream::GroundTruth => self.writer.truth(agent, stamp, ready, &boxes.0, points, info.key)?,
-                    _ => self
-                        .writer
-                        .own_labels(agent, stamp, ready, &boxes.0, points, info.key)?,
+                let waiting = (entry.agent.clone(), array, stamp);
+                match self.arrays.remove(&waiting) {
+                    Some((boxes, ready)) => self.complete(entry, &waiting, boxes, ready)?,
+                    None => _ = self.companions.insert(waiting, entry.clone()),
                 }
             }
             Stream::GroundTruthViews | Stream::OwnLabelsViews => {
@@ -285,5 +293,46 @@ impl LevelCopy {
             Stream::Sweeps | Stream::GroundTruthMarkers | Stream::Packets => {}
         }
         Ok(())
+    }
+
+    /// Writes boxes whose companion is there. `ready`: when the boxes were.
+    fn complete(
+        &mut self,
+        companion: &Entry,
+        (agent, array, stamp): &Waiting,
+        mut boxes: Boxes,
+        ready: Nanos,
+    ) -> Result<(), ImportError> {
+        let info = companion.info(&mut boxes)?;
+        let Some(leveller) = self.agents.get(agent) else {
+            return Ok(());
+        };
+        let level = leveller.at(*stamp, *array != Stream::Detections);
+        let level = level.map_err(|reason| at_entry(&self.from, companion, reason))?;
+        transform_boxes(&level, &mut boxes.0);
+        let (ready, points) = (ready.max(companion.ready()), info.points.as_deref());
+        match array {
+            Stream::Detections => self.writer.detections(agent, *stamp, ready, &boxes)?,
+            Stream::GroundTruth => self.writer.truth(agent, *stamp, ready, &boxes.0, points, info.key)?,
+            _ => self
+                .writer
+                .own_labels(agent, *stamp, ready, &boxes.0, points, info.key)?,
+        }
+        Ok(())
+    }
+
+    /// Refuses boxes that would be lost.
+    fn check_complete(&self) -> Result<(), ImportError> {
+        let alone = self.arrays.keys().chain(self.companions.keys()).min();
+        let Some((agent, stream, stamp)) = alone else {
+            return Ok(());
+        };
+        let (arrays, companions) = (self.arrays.len(), self.companions.len());
+        let reason = format!(
+            "{arrays} messages of boxes are without their companion and {companions} companions without their boxes, the first \
+             at {stamp} ns for {}: expected both with one stamp (within 1 µs); write them so where the log is made",
+            stream.topic(agent)
+        );
+        Err(ImportError::content(&self.from, reason))
     }
 }

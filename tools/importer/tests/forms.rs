@@ -90,13 +90,104 @@ fn all_that_is_missing_is_listed_at_once_or_left_out() {
     );
     let said = summary.to_string();
     assert!(
-        said.contains("left out: 4 incomplete pairs") && said.contains("000202.pcd"),
+        said.contains("left out: 4 pairs; missing or damaged:") && said.contains("000202.pcd"),
         "{said}"
     );
     fs::remove_file(made.folder.path().join("out.mcap")).unwrap();
     fs::remove_dir_all(data.join("vehicle-side/velodyne")).unwrap();
     let error = made.import(true).unwrap_err();
     assert!(error.contains("no pair is complete"), "{error}");
+}
+
+/// Damages one file in each of three of five pairs, and two of the fourth.
+fn damage(data: &Path) {
+    let cloud = data.join("vehicle-side/velodyne/000100.pcd");
+    let bytes = fs::read(&cloud).unwrap();
+    fs::write(&cloud, &bytes[..bytes.len() / 2]).unwrap();
+    fs::write(data.join("infrastructure-side/label/virtuallidar/000201.json"), "[{").unwrap();
+    let place = data.join("vehicle-side/calib/novatel_to_world/000102.json");
+    fs::write(&place, r#"{"rotation": "none", "translation": [[0], [0], [0]]}"#).unwrap();
+    fs::remove_file(data.join("infrastructure-side/velodyne/000203.pcd")).unwrap();
+    let truth = data.join("cooperative/label_world/000103.json");
+    fs::write(&truth, r#"{"type": "Car"}"#).unwrap();
+}
+
+#[test]
+fn all_that_is_damaged_is_listed_with_all_that_is_missing_or_left_out() {
+    let made = Made::new();
+    let data = made.data();
+    make(&data, 5);
+    let [together, ..] = lists(&data);
+    damage(&data);
+    let error = made.import(false).unwrap_err();
+    for line in [
+        "4 of 5 pairs are incomplete; missing or damaged:",
+        "1 × damaged calibration\n    vehicle-side/calib/novatel_to_world/000102.json: invalid type: string \"none\"",
+        "1 × damaged cloud\n    vehicle-side/velodyne/000100.pcd: expected 4800 bytes for 300 points, found 2",
+        "2 × damaged labels\n",
+        "infrastructure-side/label/virtuallidar/000201.json: EOF",
+        "cooperative/label_world/000103.json: invalid type: map",
+        "1 × no such file\n    infrastructure-side/velodyne/000203.pcd\n",
+        "--skip-incomplete",
+    ] {
+        assert!(error.contains(line), "{line} is not in\n{error}");
+    }
+    let summary = made.import(true).unwrap();
+    assert_eq!((summary.pairs, summary.incomplete_pairs), (1, 4));
+    assert_eq!(summary.missing.values().flatten().count(), 5);
+    let said = summary.to_string();
+    assert!(
+        said.contains("left out: 4 pairs; missing or damaged:") && said.contains("2 × damaged labels"),
+        "{said}"
+    );
+    let log = Log::open(made.folder.path().join("out.mcap")).unwrap();
+    assert_eq!(log.span(), log.info().start.zip(log.info().end));
+    // Entries that can be read and say nothing usable.
+    edit(&together, |list| {
+        list[4]["system_error_offset"]["delta_x"] = "nan".into();
+    });
+    fs::remove_file(made.folder.path().join("out.mcap")).unwrap();
+    let error = made.import(true).unwrap_err();
+    assert!(
+        error.contains("5 of 5 pairs") && error.contains("system_error_offset: expected metres within ±1000"),
+        "{error}"
+    );
+}
+
+#[test]
+fn lists_that_cannot_be_read_are_named_together() {
+    let made = Made::new();
+    let [together, vehicle, roadside] = lists(&made.data());
+    fs::write(&together, "[").unwrap();
+    fs::remove_file(&roadside).unwrap();
+    let error = made.import(true).unwrap_err();
+    for name in [&together, &roadside] {
+        assert!(error.contains(&name.display().to_string()), "{error}");
+    }
+    assert!(!error.contains(&vehicle.display().to_string()), "{error}");
+}
+
+#[test]
+fn clouds_at_one_time_and_sizes_below_zero_are_no_sweeps_and_no_placeholders() {
+    let made = Made::new();
+    let data = made.data();
+    let [_, vehicle, _] = lists(&data);
+    edit(&vehicle, |list| {
+        list[1]["pointcloud_timestamp"] = list[0]["pointcloud_timestamp"].clone();
+    });
+    edit(&data.join("vehicle-side/label/lidar/000102.json"), |list| {
+        list[0]["3d_dimensions"]["l"] = (-4.4).into();
+        list[1]["3d_dimensions"]["l"] = 0.into();
+    });
+    let error = made.import(false).unwrap_err();
+    assert!(
+        error.contains("2 of 4 pairs")
+            && error.contains("000101.pcd: pointcloud_timestamp: expected one cloud at each time")
+            && error.contains("000102.json: label 0 (`Car`)"),
+        "{error}"
+    );
+    let summary = made.import(true).unwrap();
+    assert_eq!((summary.pairs, summary.placeholders_dropped), (2, 0));
 }
 
 #[test]

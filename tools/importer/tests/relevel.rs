@@ -254,9 +254,17 @@ fn config(log: &Path) -> Config {
 
 /// A copy without the messages of a topic.
 fn without(topic: &str, from: &Path, to: &Path) {
+    rewritten(from, to, |known, time| (known != topic).then_some(time));
+}
+
+/// A copy whose messages have other log times, given by their topic and their own, or are left out.
+fn rewritten(from: &Path, to: &Path, time: impl Fn(&str, u64) -> Option<u64>) {
     let file = McapFile::open(from).unwrap();
     let mut mcap = McapWriter::new(File::create(to).unwrap(), "x", "realo", &file.metadata()["realo"]).unwrap();
-    let stays = file.channels().iter().filter(|(_, channel)| channel.topic != topic);
+    let stays = file
+        .channels()
+        .iter()
+        .filter(|(_, channel)| time(&channel.topic, 1).is_some());
     let channels: std::collections::BTreeMap<_, _> = stays
         .map(|(id, channel)| {
             let schema = Schema::named(&channel.schema).unwrap();
@@ -265,9 +273,11 @@ fn without(topic: &str, from: &Path, to: &Path) {
         .collect();
     let mut messages = file.messages(channels.keys().copied().collect(), 0..u64::MAX).unwrap();
     while let Some(raw) = messages.next().unwrap() {
-        let to = channels[&raw.channel];
-        mcap.copy(to, raw.sequence, raw.log_time, raw.publish_time, raw.data())
-            .unwrap();
+        let (to, topic) = (channels[&raw.channel], &file.channels()[&raw.channel].topic);
+        if let Some(log_time) = time(topic, raw.log_time) {
+            mcap.copy(to, raw.sequence, log_time, raw.publish_time, raw.data())
+                .unwrap();
+        }
     }
     mcap.finish().unwrap();
 }
@@ -381,4 +391,58 @@ fn says_what_it_cannot_level() {
     );
     assert!(error(Level::None, &raw).contains("the log that is read"));
     assert!(!out.exists());
+}
+
+/// All boxes of a log, with their companions, by topic and stamp.
+fn all_boxes(path: &Path) -> Vec<(Stream, Nanos, Vec<Box3>)> {
+    let log = Log::open(path).unwrap();
+    let mut found = Vec::new();
+    for (array, info) in [
+        (Stream::Detections, Stream::DetectionsInfo),
+        (Stream::GroundTruth, Stream::GroundTruthInfo),
+        (Stream::OwnLabels, Stream::OwnLabelsInfo),
+    ] {
+        let read = |stream| {
+            let mut reader = log.read_all(&[("car", stream)]).unwrap();
+            std::iter::from_fn(move || reader.next().unwrap())
+        };
+        for (entry, info) in read(array).zip(read(info)) {
+            let mut boxes = entry.boxes().unwrap();
+            info.info(&mut boxes).unwrap();
+            found.push((array, entry.stamp(), boxes.0));
+        }
+    }
+    found
+}
+
+#[test]
+fn boxes_are_joined_by_their_stamps_and_none_is_lost() {
+    let dir = tempfile::tempdir().unwrap();
+    let [plain, before, early, lost, level] =
+        ["plain", "before", "early", "lost", "level"].map(|name| dir.path().join(name).with_extension("mcap"));
+    make(&plain, true);
+    relevel(&plain, &level, Level::Pose).unwrap();
+    let expected = all_boxes(&level);
+    assert!(expected.len() >= 15, "{} messages", expected.len());
+    // Companions that are in the log before their boxes, or an earlier sweep's boxes.
+    for (path, earlier) in [(&before, MS), (&early, 150 * MS)] {
+        rewritten(&plain, path, |topic, time| match topic.ends_with("_info") {
+            true => Some(time.saturating_sub(earlier as u64)),
+            false => Some(time),
+        });
+        relevel(path, &level, Level::Pose).unwrap();
+        assert_eq!(all_boxes(&level), expected, "{earlier} ns");
+    }
+    let third = expected[2].1;
+    let cut = third as u64 + 50 * MS as u64;
+    rewritten(&plain, &lost, |topic, time| {
+        (topic != "/car/ground_truth_info" || time <= 1 || time > cut).then_some(time)
+    });
+    std::fs::remove_file(&level).unwrap();
+    let error = relevel(&lost, &level, Level::Pose).unwrap_err().to_string();
+    assert!(
+        error.contains("lost.mcap") && error.contains("without their companion") && error.contains("/car/ground_truth"),
+        "{error}"
+    );
+    assert!(!level.exists());
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
 use eyre::Result;
-use realo_importer::DairOptions;
+use realo_importer::{DairOptions, DairStep};
 use realo_logs::Log;
 
 use crate::Outcome;
@@ -37,7 +37,7 @@ enum Source {
         /// sensor, or not at all
         #[arg(long, value_enum, default_value = "pose")]
         level: Level,
-        /// Leave out pairs of which a cloud, a label, a calibration or an entry is missing, and count them
+        /// Leave out pairs of which a cloud, a label, a calibration or an entry is missing or damaged, and say how many and why
         #[arg(long)]
         skip_incomplete: bool,
     },
@@ -101,9 +101,15 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 level: level.of_importer(),
                 skip_incomplete: *skip_incomplete,
             };
-            let progress = Progress::new("importing", "pairs", Some(0.0));
-            let summary =
-                realo_importer::dair_with(dir, output, options, |done, all| progress.of(done as f64, all as f64));
+            let progress = Progress::new("checking", "pairs", Some(0.0));
+            let mut at = DairStep::Checking;
+            let summary = realo_importer::dair_with(dir, output, options, |step, done, all| {
+                if std::mem::replace(&mut at, step) != step {
+                    progress.rename("importing", "pairs");
+                    progress.begin(done as f64, all as f64);
+                }
+                progress.of(done as f64, all as f64);
+            });
             progress.finish();
             println!("{}", summary?);
             output

@@ -6,13 +6,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use eyre::Result;
-use realo_training::data::{Frame, Frames};
-use realo_training::{Data, FRAMES_APART, TrainError, frames, quantize, validation_frames};
+use realo_training::data::{Frame, Frames, LeftOut, LoggedData};
+use realo_training::{Data, FRAMES_APART, MAX_GAP_MS, TrainError, frames, quantize, validation_frames};
 
 use crate::Outcome;
 use crate::progress::Progress;
 use crate::run::find_model;
-use crate::train::{scores, seeds};
+use crate::train::{left_out_lines, scores, seeds};
 
 /// Finds what bytes stand for in each layer, on simulated frames or logs; says how much AP they cost
 #[derive(clap::Args)]
@@ -29,6 +29,9 @@ pub struct Args {
     /// Logs with ground truth on which AP is measured [default: simulator seeds 800..812]
     #[arg(long)]
     validation_log: Vec<PathBuf>,
+    /// Longest gap between an agent's poses in a log that is bridged, ms, as `max_gap_ms` of the operator `sync`
+    #[arg(long, default_value_t = MAX_GAP_MS)]
+    max_gap_ms: u32,
     /// Folder of the frames; what is missing is made
     #[arg(long, default_value = "target/realo/frames")]
     cache: PathBuf,
@@ -42,8 +45,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let cache = &args.cache;
     let logged = |logs: &[PathBuf]| Data::Logged {
         cache: cache.clone(),
-        logs: logs.to_vec(),
-        apart: FRAMES_APART,
+        logged: LoggedData {
+            logs: logs.to_vec(),
+            apart: FRAMES_APART,
+            max_gap_ms: args.max_gap_ms,
+        },
     };
     let simulated = Data::Simulated {
         cache: cache.clone(),
@@ -60,6 +66,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
         false => frames(&logged(&args.validation_log))?,
     };
     let frames = frames(&data)?;
+    left_out_lines(frames.left_out());
+    left_out_lines(validation.left_out());
     // Both networks are scored on the frames of the validation.
     let all = frames.len() + 2 * validation.len();
     let work = Arc::new(Work {
@@ -107,5 +115,9 @@ impl Frames for Watched {
         let done = self.work.begun.fetch_add(1, Ordering::Relaxed);
         self.work.progress.set(done as f64);
         self.frames.load(index)
+    }
+
+    fn left_out(&self) -> &[LeftOut] {
+        self.frames.left_out()
     }
 }

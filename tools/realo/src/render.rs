@@ -51,7 +51,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
     };
     let progress = Progress::new("rendering", "sweeps", Some(0.0));
     let chosen = realo_render::choose_all(&args.runs, &request, &|folder, done, all| {
-        progress.rename(format!("choosing a sweep of {}", folder.display()), "sweeps");
+        // Each folder has its own pace.
+        if done <= 1 {
+            progress.rename(format!("choosing a sweep of {}", folder.display()), "sweeps");
+            progress.begin(0.0, all as f64);
+        }
         progress.of(done as f64, all as f64);
     })?;
     progress.rename("drawing", "runs");
@@ -65,6 +69,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
     realo_render::write(&args.output, &realo_render::beside(drawings))?;
     progress.finish();
     for scene in &scenes {
+        for line in &scene.left_out {
+            eprintln!("realo: {}, sweep {}: {line}", scene.log, scene.seq);
+        }
         println!("{}: {}", args.output.display(), in_words(scene));
     }
     Ok(Outcome::Complete)

@@ -6,10 +6,12 @@ use std::path::PathBuf;
 use eyre::{Result, bail};
 use realo_nn::arch::Arch;
 use realo_nn::model::Model;
-use realo_training::data::Augmentation;
+use realo_training::data::{Augmentation, LeftOut, LoggedData};
 use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
-use realo_training::{ClassScore, Comparison, Data, FRAMES_APART, TrainOptions, Trained, Validation, train};
+use realo_training::{
+    Before, ClassScore, Comparison, Data, FRAMES_APART, MAX_GAP_MS, News, TrainOptions, Trained, Validation, train_with,
+};
 
 use crate::Outcome;
 use crate::progress::Progress;
@@ -45,6 +47,9 @@ pub struct Args {
     /// Seconds from one frame of a log to the next, at least
     #[arg(long, default_value_t = FRAMES_APART)]
     apart: f64,
+    /// Longest gap between an agent's poses in a log that is bridged, ms, as `max_gap_ms` of the operator `sync`
+    #[arg(long, default_value_t = MAX_GAP_MS)]
+    max_gap_ms: u32,
     /// Score on up to 24 frames of these logs [default: of --log, else of simulator seeds 800 to 811]
     #[arg(long)]
     validation_log: Vec<PathBuf>,
@@ -98,12 +103,17 @@ const ROUNDING: f64 = 5e-4;
 pub fn main(args: &Args) -> Result<Outcome> {
     let progress = Progress::new("preparing to train", "", None);
     let mut begun = false;
-    let trained = train(&args.options()?, |far| {
-        if !std::mem::replace(&mut begun, true) {
-            progress.rename("training", "steps");
-            progress.begin(far.point.step as f64, far.steps as f64);
+    let options = args.options()?;
+    let trained = train_with(&options, |news| match news {
+        News::LeftOut(left_out) => progress.beside(|| left_out_lines(left_out)),
+        News::Before(before) => progress.beside(|| println!("{}", opening(before))),
+        News::Step(far) => {
+            if !std::mem::replace(&mut begun, true) {
+                progress.rename("training", "steps");
+                progress.begin(far.point.step as f64, far.steps as f64);
+            }
+            show(&progress, far);
         }
-        show(&progress, far);
     })?;
     progress.finish();
     print!("{}", summary(&trained, args.log.is_empty()));
@@ -111,6 +121,22 @@ pub fn main(args: &Args) -> Result<Outcome> {
         true => Outcome::Complete,
         false => Outcome::Partial,
     })
+}
+
+/// Says what of logs is not learnt from.
+pub(crate) fn left_out_lines(left_out: &[LeftOut]) {
+    for line in left_out {
+        eprintln!("realo: {line}");
+    }
+}
+
+/// The score that a training is compared with, before it begins.
+fn opening(before: &Before) -> String {
+    let whose = match before.begins {
+        true => "before",
+        false => "the weights beside the model file, with which this training does not begin (--from begins with them)",
+    };
+    format!("{whose}, on {}: {}", before.frames, scores(&before.score))
 }
 
 /// What a training came to, in lines; the last one says where it made things worse.
@@ -130,7 +156,12 @@ fn summary(trained: &Trained, simulated: bool) -> String {
         }
         lines += "\n";
         if let Some(before) = before {
-            lines += &format!("before: {}\n", scores(before));
+            let whose = if before.begins {
+                "before: "
+            } else {
+                "beside the model file: "
+            };
+            lines += &format!("{whose}{}\n", scores(&before.score));
         }
         lines += &format!("after:  {}\n", scores(after));
     }
@@ -141,7 +172,9 @@ fn summary(trained: &Trained, simulated: bool) -> String {
 
 /// How the mean AP changed, with the classes that became worse.
 fn change(comparison: &Comparison) -> Option<String> {
-    let before = comparison.before.as_ref()?;
+    let Before {
+        begins, score: before, ..
+    } = comparison.before.as_ref()?;
     let (Some(was), Some(is)) = (before.mean(), comparison.after.mean()) else {
         return Some("not compared: there is no object to find on these frames, or no vehicle to see it".into());
     };
@@ -157,11 +190,19 @@ fn change(comparison: &Comparison) -> Option<String> {
         .collect();
     let worse = worse.join(", ");
     let mean = format!("mean AP {was:.3} → {is:.3}");
-    Some(match (is + ROUNDING < was, &*worse) {
-        (true, _) => format!(
-            "WORSE than before: {mean} ({worse}). Keep the weights of --from, or try a lower --rate, more --steps, more logs"
+    let (than, remedy) = match begins {
+        true => (
+            "before",
+            "Keep the weights of --from, or try a lower --rate, more --steps, more logs",
         ),
-        (false, "") => format!("not worse than before: {mean}"),
+        false => (
+            "the weights beside the model file",
+            "This training began with random numbers: begin with those weights (--from), or train far longer (20000 steps)",
+        ),
+    };
+    Some(match (is + ROUNDING < was, &*worse) {
+        (true, _) => format!("WORSE than {than}: {mean} ({worse}). {remedy}"),
+        (false, "") => format!("not worse than {than}: {mean}"),
         (false, _) => format!("{mean}, but worse: {worse}. A lower --rate, more --steps or more logs may help"),
     })
 }
@@ -182,8 +223,11 @@ impl Args {
         } else {
             Data::Logged {
                 cache: self.cache.clone(),
-                logs: self.log.clone(),
-                apart: self.apart,
+                logged: LoggedData {
+                    logs: self.log.clone(),
+                    apart: self.apart,
+                    max_gap_ms: self.max_gap_ms,
+                },
             }
         };
         Ok(TrainOptions {
@@ -278,7 +322,11 @@ mod tests {
             complete: true,
             comparison: Some(Comparison {
                 frames: "4 frames".into(),
-                before,
+                before: before.map(|score| Before {
+                    frames: "4 frames".into(),
+                    begins: true,
+                    score,
+                }),
                 after,
             }),
             weights: PathBuf::from("lite.safetensors"),
@@ -333,6 +381,26 @@ mod tests {
         );
         let better = last(score(0.2, 0.7), score(0.9, 0.7));
         assert_eq!(better, "not worse than before: mean AP 0.450 → 0.800");
+    }
+
+    #[test]
+    fn what_is_worse_than_the_weights_that_were_there_says_how_to_begin_with_them() {
+        let mut trained = trained(Some(score(0.995, 0.995)), score(0.7, 0.77));
+        let before = trained.comparison.as_mut().and_then(|found| found.before.as_mut());
+        before.expect("a score").begins = false;
+        let said = summary(&trained, true);
+        let last = said.lines().last().unwrap();
+        assert!(
+            last.starts_with("WORSE than the weights beside the model file: mean AP 0.995 → 0.735")
+                && last.contains("--from"),
+            "{last}"
+        );
+        let before = trained.comparison.and_then(|found| found.before).expect("a score");
+        let line = opening(&before);
+        assert!(
+            line.contains("on 4 frames: vehicle AP@0.5 alone 0.995") && line.contains("--from"),
+            "{line}"
+        );
     }
 
     #[test]

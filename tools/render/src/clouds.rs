@@ -1,34 +1,45 @@
 use nalgebra::{Isometry3, Point3};
-use realo_logs::{Attitude, Entry, Log, LogError, Standing, Stream, levelled_while_played, pose_track};
+use realo_logs::{Attitude, Entry, Log, LogError, MAX_GAP, Standing, Stream, levelled_while_played, pose_track};
 use realo_schemas::geometry::{Motion, PoseTrack, relative};
 use realo_schemas::{GroundTruth, Nanos, PointCloud, is_same_stamp};
 
 /// A sweep further from the ego's says nothing about the same scene.
 const WINDOW: Nanos = 500_000_000;
-/// Poses are read this far around a sweep's stamp, and bridged over such gaps.
+/// Poses are read this far around a sweep's stamp at least.
 const POSES: Nanos = 1_000_000_000;
 
-/// The poses of an agent around a stamp: exact ones if wanted and there, else what it believed.
-pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool) -> Result<PoseTrack, LogError> {
+/// The longest gap between poses that a run bridged, ns: what was set by hand, else the default of the operator `sync`. `set`: the
+/// arguments that were changed, as a result has them.
+pub fn max_gap(set: &str) -> Nanos {
+    let of_setting = |setting: &str| {
+        let (key, value) = setting.trim().split_once('=')?;
+        let millis: u32 = value.parse().ok()?;
+        key.ends_with(".max_gap_ms").then_some(Nanos::from(millis) * 1_000_000)
+    };
+    set.split(',').filter_map(of_setting).max().unwrap_or(MAX_GAP)
+}
+
+/// The poses of an agent around a stamp, exact ones if wanted and there, else what it believed: as a run joins them, with gaps
+/// of at most `max_gap` ns, and those of a roadside unit that does not move at all times.
+pub fn poses(log: &Log, agent: &str, stamp: Nanos, exact: bool, max_gap: Nanos) -> Result<PoseTrack, LogError> {
     let stream = pose_stream(log, agent, exact);
-    let mut track = PoseTrack::new(4 * POSES, POSES);
+    let reach = max_gap.max(POSES) + WINDOW;
+    let mut track = PoseTrack::new(4 * reach, max_gap);
     if !log.has(agent, stream) {
         return Ok(track);
     }
-    let reach = POSES + WINDOW;
-    let mut reader = log.read(
-        &[(agent, stream)],
-        stamp.saturating_sub(reach),
-        stamp.saturating_add(reach),
-    )?;
+    if Standing::read(log, agent, stream)?.is_some() {
+        return pose_track(log, agent, stream, max_gap);
+    }
+    let (from, until) = (stamp.saturating_sub(reach), stamp.saturating_add(reach));
+    let mut reader = log.read(&[(agent, stream)], from, until)?;
     while let Some(entry) = reader.next()? {
-        track.insert(entry.stamp(), entry.pose()?.map_from_body);
+        // What is no pose was counted when the log was played.
+        if let Ok(state) = entry.pose() {
+            track.insert(entry.stamp(), state.map_from_body);
+        }
     }
-    // A unit that does not move is there before its first pose and behind its last one.
-    match track.at(stamp).is_none() && Standing::read(log, agent, stream)?.is_some() {
-        true => pose_track(log, agent, stream, POSES),
-        false => Ok(track),
-    }
+    Ok(track)
 }
 
 /// What makes an agent's frames level as the player does; `None` where they stay as they are.
@@ -141,5 +152,22 @@ fn at_stamp(cloud: &PointCloud, stamp: Nanos, track: &PoseTrack) -> [Vec<f32>; 3
     match motion {
         Some(motion) => motion.at_stamp([&cloud.x, &cloud.y, &cloud.z], &cloud.time),
         None => [cloud.x.to_vec(), cloud.y.to_vec(), cloud.z.to_vec()],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gap_that_a_run_bridged_is_that_of_its_settings() {
+        for (set, millis) in [
+            ("", 150),
+            ("fusion.bank.window_ms=300", 150),
+            ("v2x.link.range_m=1000, sync.max_gap_ms=400", 400),
+            ("ego.sync.max_gap_ms=250, others.sync.max_gap_ms=500", 500),
+        ] {
+            assert_eq!(max_gap(set), millis * 1_000_000, "{set}");
+        }
     }
 }

@@ -50,6 +50,13 @@ pub fn about_boxes(scene: &Scene, left_out: usize) -> Vec<String> {
         scene.has_truth && !scene.judged.knows_points(),
         "The log does not count points on objects: what only cooperation saw is not known.".into(),
     );
+    note(
+        !scene.left_out.is_empty(),
+        format!(
+            "Not drawn for want of a pose: {} of the agents or their points.",
+            scene.left_out.len()
+        ),
+    );
     note(left_out > 0, format!("{left_out} labels found no room."));
     notes
 }

@@ -1,7 +1,7 @@
 use nalgebra::Isometry3;
 use realo_logs::AgentKind;
-use realo_schemas::geometry::{Region, relative, yaw_of};
-use realo_schemas::{Kind, Nanos, is_same_stamp};
+use realo_schemas::geometry::{PoseTrack, Region, relative, yaw_of};
+use realo_schemas::{Kind, Nanos, is_same_stamp, to_millis};
 use realo_scoring::same_truth;
 
 use crate::{Chosen, Judged, RenderError, clouds};
@@ -33,8 +33,10 @@ pub struct Scene {
     pub seen_points: u64,
     /// Where objects count.
     pub region: Region,
-    /// The agents of the mode, ego first; those without a known pose are left out.
+    /// The agents of the mode, ego first, whose pose is known.
     pub agents: Vec<Agent>,
+    /// Agents, or points of agents, that are not drawn, each with the cause and a remedy.
+    pub left_out: Vec<String>,
     /// What was detected and what is there.
     pub judged: Judged,
 }
@@ -54,6 +56,8 @@ pub struct Agent {
     pub yaw: f64,
     /// The points of its sweep nearest the ego's stamp, m.
     pub points: Vec<[f32; 3]>,
+    /// Whether the pose at that sweep is known; without it the points are not.
+    pub is_posed: bool,
     /// That sweep's stamp minus the ego's, ns; `None` where the log holds no points of it.
     pub sweep_offset: Option<Nanos>,
     /// Ages of its messages that were fused, ns from their stamps to when the ego asked; empty for the ego.
@@ -67,17 +71,26 @@ impl Scene {
     /// A log that cannot be read; a log that does not hold the ego's sweep of that stamp.
     pub fn of(chosen: Chosen) -> Result<Self, RenderError> {
         check_log(&chosen)?;
-        let exact = chosen.result.settings.mode == "offline";
+        let settings = &chosen.result.settings;
+        let exact = settings.mode == "offline";
+        let max_gap = clouds::max_gap(&settings.set);
         let level_from_body = level_from_body(&chosen, exact)?;
-        let map_from_ego = ego_pose(&chosen, exact, &level_from_body)?;
+        let map_from_ego = ego_pose(&chosen, exact, max_gap, &level_from_body)?;
         // Points are drawn from the log, as its bodies lie.
         let map_from_body = map_from_ego * level_from_body;
-        let mut agents = Vec::new();
+        let (mut agents, mut left_out) = (Vec::new(), Vec::new());
         for name in &chosen.agents {
-            agents.extend(agent(&chosen, name, exact, [&map_from_ego, &map_from_body])?);
+            let track = clouds::poses(&chosen.log, name, chosen.stamp, exact, max_gap)?;
+            let Some(found) = agent(&chosen, name, &track, [&map_from_ego, &map_from_body])? else {
+                left_out.push(unposed(&format!("agent `{name}` is not drawn"), max_gap));
+                continue;
+            };
+            if found.sweep_offset.is_some() && !found.is_posed {
+                left_out.push(unposed(&format!("the points of agent `{name}` are not drawn"), max_gap));
+            }
+            agents.push(found);
         }
         let start = chosen.log.span().map_or(chosen.stamp, |(first, _)| first);
-        let settings = &chosen.result.settings;
         Ok(Scene {
             graph: settings.graph.clone(),
             log: chosen.result.logs.join(", "),
@@ -92,9 +105,19 @@ impl Scene {
             seen_points: chosen.protocol.seen_points,
             region: chosen.protocol.region,
             agents,
+            left_out,
             judged: chosen.judged,
         })
     }
+}
+
+/// Why something is not drawn, with the remedy. `max_gap`: longest gap between poses that was bridged, ns.
+fn unposed(what: &str, max_gap: Nanos) -> String {
+    format!(
+        "{what}: the log has no pose of it then; poses must be at most {} ms apart and span the sweeps: record them at 10 Hz or \
+         more, or run with `--set NODE.max_gap_ms=…` of the node `sync`",
+        to_millis(max_gap)
+    )
 }
 
 fn how(mode: &str, link: &str) -> String {
@@ -107,11 +130,16 @@ fn how(mode: &str, link: &str) -> String {
 }
 
 /// Where the run placed the ego; else where the log does.
-fn ego_pose(chosen: &Chosen, exact: bool, level_from_body: &Isometry3<f64>) -> Result<Isometry3<f64>, RenderError> {
+fn ego_pose(
+    chosen: &Chosen,
+    exact: bool,
+    max_gap: Nanos,
+    level_from_body: &Isometry3<f64>,
+) -> Result<Isometry3<f64>, RenderError> {
     if let Some(pose) = chosen.header.pose.as_ref().filter(|_| chosen.processed) {
         return Ok(pose.map_from_frame);
     }
-    let track = clouds::poses(&chosen.log, &chosen.ego, chosen.stamp, exact)?;
+    let track = clouds::poses(&chosen.log, &chosen.ego, chosen.stamp, exact, max_gap)?;
     let pose = track
         .at(chosen.stamp)
         .ok_or_else(|| other_log(chosen, "it has no pose of the ego"))?;
@@ -151,12 +179,11 @@ fn other_log(chosen: &Chosen, what: &str) -> RenderError {
 fn agent(
     chosen: &Chosen,
     name: &str,
-    exact: bool,
+    track: &PoseTrack,
     [map_from_ego, map_from_ego_body]: [&Isometry3<f64>; 2],
 ) -> Result<Option<Agent>, RenderError> {
     let log = &chosen.log;
     log.need_agent(name)?;
-    let track = clouds::poses(log, name, chosen.stamp, exact)?;
     let is_ego = name == chosen.ego;
     let at = |stamp: Nanos| match is_ego && is_same_stamp(stamp, chosen.stamp) {
         true => Some(*map_from_ego_body),
@@ -168,8 +195,10 @@ fn agent(
     let Some(map_from_agent) = at(chosen.stamp).or_else(|| at(stamp?)) else {
         return Ok(None);
     };
-    let points = match sweep.as_ref().zip(sweep.as_ref().and_then(|sweep| at(sweep.stamp()))) {
-        Some((sweep, pose)) => clouds::in_ego_frame(&sweep.cloud()?, sweep.stamp(), &track, map_from_ego, &pose),
+    let posed = sweep.as_ref().zip(sweep.as_ref().and_then(|sweep| at(sweep.stamp())));
+    let is_posed = posed.is_some();
+    let points = match posed {
+        Some((sweep, pose)) => clouds::in_ego_frame(&sweep.cloud()?, sweep.stamp(), track, map_from_ego, &pose),
         None => Vec::new(),
     };
     let info = log.info().agent(name);
@@ -182,6 +211,7 @@ fn agent(
         position: [ego_from_agent.translation.x, ego_from_agent.translation.y],
         yaw: yaw_of(&ego_from_agent.rotation),
         points,
+        is_posed,
         sweep_offset: stamp.map(|stamp| stamp - chosen.stamp),
         fused: ages.map(|(message, age)| (message.kind, *age)).collect(),
     }))

@@ -5,6 +5,8 @@ use realo_logs::LogError;
 use realo_nn::model::ModelError;
 use realo_nn::weights::WeightsError;
 
+use crate::data::LeftOut;
+
 /// Why there is no training, or no more of it. What was saved before stays.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
@@ -106,6 +108,14 @@ pub enum TrainError {
         /// The agent.
         agent: String,
     },
+    /// Logs of which all is left out.
+    #[error("no frame is left of {}:{}", listed(logs), reasons(left_out))]
+    NoFrames {
+        /// The logs.
+        logs: Vec<PathBuf>,
+        /// Why.
+        left_out: Vec<LeftOut>,
+    },
     /// A log whose classes are not known.
     #[error("`{}`: {error}; import or simulate it again with a protocol that is known", path.display())]
     Protocol {
@@ -148,6 +158,16 @@ pub enum TrainError {
     /// A layer.
     #[error("layer: {0}")]
     Layer(#[from] candle_core::Error),
+}
+
+fn listed(logs: &[PathBuf]) -> String {
+    let names: Vec<String> = logs.iter().map(|log| format!("`{}`", log.display())).collect();
+    names.join(", ")
+}
+
+/// A line each.
+fn reasons(left_out: &[LeftOut]) -> String {
+    left_out.iter().map(|reason| format!("\n  {reason}")).collect()
 }
 
 /// What to do where a file cannot be written.

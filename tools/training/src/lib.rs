@@ -24,6 +24,6 @@ pub use checkpoint::{Checkpoint, TrainingPlan, write_weights};
 pub use curve::{Curve, Point};
 pub use error::TrainError;
 pub use quantize::{Quantized, quantize};
-pub use scored::{Comparison, FRAMES_APART};
-pub use train::{Data, Progress, TrainOptions, Trained, frames, train, validation_frames};
+pub use scored::{Before, Comparison, FRAMES_APART, MAX_GAP_MS};
+pub use train::{Data, News, Progress, TrainOptions, Trained, frames, train, train_with, validation_frames};
 pub use validate::{ClassScore, Validation, validate};

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::TrainError;
-use crate::data::Frames;
+use crate::data::{Frames, LeftOut, LoggedData};
 use crate::train::{Data, TrainOptions, frames, validation_frames};
 use crate::validate::Validation;
 
@@ -12,10 +12,21 @@ use crate::validate::Validation;
 pub struct Comparison {
     /// The frames, in words.
     pub frames: String,
-    /// The weights that the training began with; none where these were random numbers.
-    pub before: Option<Validation>,
+    /// What it is compared with; none where the training began with random numbers and the model file has no weights.
+    pub before: Option<Before>,
     /// The weights that it made.
     pub after: Validation,
+}
+
+/// A score that a training is compared with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Before {
+    /// The frames, in words.
+    pub frames: String,
+    /// Whether the training begins with these weights; otherwise they are those beside the model file.
+    pub begins: bool,
+    /// How good they are.
+    pub score: Validation,
 }
 
 /// Max frames of logs on which a training is validated.
@@ -23,6 +34,9 @@ const VALIDATED: usize = 24;
 
 /// Usual time between two frames of a log, s.
 pub const FRAMES_APART: f64 = 1.0;
+
+/// Greatest gap between poses that is usually bridged, ms: that of the operator `sync`.
+pub const MAX_GAP_MS: u32 = (realo_logs::MAX_GAP / 1_000_000) as u32;
 
 /// Frames on which the network is scored.
 pub(crate) struct Scored {
@@ -36,14 +50,17 @@ impl Scored {
     pub fn of(options: &TrainOptions, trained: &Arc<dyn Frames>) -> Result<Self, TrainError> {
         let (of, whose, apart) = match &options.data {
             Data::Simulated { cache, .. } | Data::Logged { cache, .. } if !options.validation_logs.is_empty() => {
-                let apart = match options.data {
-                    Data::Logged { apart, .. } => apart,
-                    Data::Simulated { .. } => FRAMES_APART,
+                let (apart, max_gap_ms) = match &options.data {
+                    Data::Logged { logged, .. } => (logged.apart, logged.max_gap_ms),
+                    Data::Simulated { .. } => (FRAMES_APART, MAX_GAP_MS),
                 };
                 let of = frames(&Data::Logged {
                     cache: cache.clone(),
-                    logs: options.validation_logs.clone(),
-                    apart,
+                    logged: LoggedData {
+                        logs: options.validation_logs.clone(),
+                        apart,
+                        max_gap_ms,
+                    },
                 })?;
                 (of, "the validation logs", apart)
             }
@@ -53,7 +70,7 @@ impl Scored {
                     name: "simulator seeds 800 to 811".into(),
                 });
             }
-            Data::Logged { apart, .. } => (trained.clone(), "the logs of the training itself", *apart),
+            Data::Logged { logged, .. } => (trained.clone(), "the logs of the training itself", logged.apart),
         };
         let some = SomeFrames {
             count: of.len().min(VALIDATED),
@@ -83,5 +100,9 @@ impl Frames for SomeFrames {
 
     fn load(&self, index: usize) -> Result<crate::data::Frame, TrainError> {
         self.of.load(index * self.of.len() / self.count)
+    }
+
+    fn left_out(&self) -> &[LeftOut] {
+        self.of.left_out()
     }
 }

@@ -11,7 +11,7 @@ use realo_nn::model::Model;
 use realo_nn::weights::Weights;
 use realo_training::data::Augmentation;
 use realo_training::optimizer::OptimizerSettings;
-use realo_training::{Data, TrainError, TrainOptions, Validation, train};
+use realo_training::{Data, News, TrainError, TrainOptions, Validation, train, train_with};
 use safetensors::SafeTensors;
 
 const MODEL: &str = r#"
@@ -267,9 +267,10 @@ fn the_weights_of_from_are_scored_on_the_frames_of_the_last_validation() {
     (second.minutes, second.resume) = (None, true);
     let found = train(&second, |_| ()).unwrap().comparison.expect("a validation");
     let before = found.before.expect("weights to begin with");
-    assert_eq!((before.frames, found.after.frames), (12, 12));
+    assert!(before.begins);
+    assert_eq!((before.score.frames, found.after.frames), (12, 12));
     let names = |of: &Validation| of.classes.iter().map(|class| class.name.clone()).collect::<Vec<_>>();
-    assert_eq!(names(&before), names(&found.after));
+    assert_eq!(names(&before.score), names(&found.after));
     let of_start = TrainOptions {
         resume: false,
         steps: 1,
@@ -278,6 +279,26 @@ fn the_weights_of_from_are_scored_on_the_frames_of_the_last_validation() {
     };
     let again = train(&of_start, |_| ()).unwrap().comparison.expect("a validation");
     assert_eq!(again.before, Some(before), "resumed or not");
+}
+
+#[test]
+fn weights_beside_the_model_file_are_scored_before_the_first_step_where_they_are_not_begun_with() {
+    let folder = Folder::new();
+    train(&folder.options("truck", "first"), |_| ()).unwrap();
+    let again = TrainOptions {
+        model: folder.path("first/small.toml"),
+        compare: true,
+        steps: 2,
+        ..folder.options("truck", "second")
+    };
+    let mut news = Vec::new();
+    let trained = train_with(&again, |said| match said {
+        News::Before(before) => news.push(Some((*before).clone())),
+        _ => news.push(None),
+    });
+    let before = trained.unwrap().comparison.and_then(|found| found.before);
+    assert!(before.as_ref().is_some_and(|before| !before.begins), "{before:?}");
+    assert_eq!(news, [before, None, None]);
 }
 
 #[test]

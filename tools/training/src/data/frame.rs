@@ -13,6 +13,9 @@ use crate::TrainError;
 /// Coordinates are kept in units of 1/256 m: 4 mm steps, up to 128 m from the sensor.
 const UNIT: f32 = 1.0 / 256.0;
 
+/// Frames hold points up to so far along x, y and z, m.
+pub(crate) const REACH: f64 = 128.0;
+
 const MAGIC: &[u8; 8] = b"realofr2";
 
 /// Bytes of a return in a file.

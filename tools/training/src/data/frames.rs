@@ -9,6 +9,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread::JoinHandle;
 
 use super::frame::Frame;
+use super::left_out::LeftOut;
 use super::simulated;
 use crate::TrainError;
 
@@ -35,6 +36,11 @@ pub trait Frames: Send + Sync {
     /// # Errors
     /// [`TrainError`] if it can be neither read nor made.
     fn load(&self, index: usize) -> Result<Frame, TrainError>;
+
+    /// What there was and is in no frame.
+    fn left_out(&self) -> &[LeftOut] {
+        &[]
+    }
 }
 
 /// Frames of simulator seeds, kept in a folder. What is missing is made when it is asked for, and meanwhile by threads

@@ -137,7 +137,8 @@ fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
         let counts = sweep.points.iter().copied();
         let objects = seen(&protocol, &sweep.truth, counts);
         let roadside = info.kind == AgentKind::Roadside;
-        let still = deskewed(&sweep.cloud, track, sweep.stamp, roadside).expect(covered);
+        let (still, is_deskewed) = cleaned(&sweep.cloud, track, sweep.stamp, roadside);
+        assert!(is_deskewed, "{covered}");
         AgentSweep::new(&info.name, roadside, pose, returns(&still), objects)
     });
     Frame {
@@ -147,21 +148,19 @@ fn frame(simulation: &Simulation, tracks: &[PoseTrack], seq: u64) -> Frame {
     }
 }
 
-/// The points of a sweep as `sync` passes them on: in the body frame at its stamp, without a vehicle's own body; `None`
-/// where the track does not cover the sweep.
-pub(crate) fn deskewed(cloud: &PointCloud, track: &PoseTrack, stamp: Nanos, roadside: bool) -> Option<PointCloud> {
+/// The points of a sweep as `sync` passes them on: in the body frame at its stamp, without a vehicle's own body; and whether the
+/// track covers the sweep. Where it does not, points stay where they were recorded.
+pub(crate) fn cleaned(cloud: &PointCloud, track: &PoseTrack, stamp: Nanos, roadside: bool) -> (PointCloud, bool) {
+    if roadside {
+        return (clean(cloud, None, None).cloud, true);
+    }
     let (first, last) = cloud
         .time
         .iter()
         .fold((0, 0), |(first, last), t| (first.min(*t), last.max(*t)));
-    let cleaned = match roadside {
-        true => clean(cloud, None, None),
-        false => {
-            let motion = Motion::new(track, stamp, first.into(), last.into())?;
-            clean(cloud, Some(OwnBody::V2X_REAL), Some(&motion))
-        }
-    };
-    Some(cleaned.cloud)
+    let motion = Motion::new(track, stamp, first.into(), last.into());
+    let cleaned = clean(cloud, Some(OwnBody::V2X_REAL), motion.as_ref());
+    (cleaned.cloud, motion.is_some())
 }
 
 /// The points of a cloud, m, and the numbers of their beams.
