@@ -247,11 +247,13 @@ fn what_cannot_be_fused_with_the_egos_data_is_rejected_in_the_books() {
         types.insert("messages".into(), "realo/v1/PointCloud".into());
     });
     let output = run_rewired(&path);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
     let result = json(&path.with_file_name("out").join("result.json"));
     let books = &result["links"]["rsu1-cav1"]["points"];
     assert!(books["sent"].as_u64().is_some_and(|sent| sent > 0), "{result}");
     assert_eq!(books["rejected"], books["sent"], "{books}");
+    let first = result["notes"][0].as_str().unwrap_or_default();
+    assert!(first.starts_with("fusion.bank (feature-bank) failed on "), "{first}");
 }
 
 #[test]

@@ -322,6 +322,16 @@ fn bytes_of_a_map(result: &Value) -> u64 {
     count("bytes") / count("sent")
 }
 
+/// Runs a shipped graph of which a stage fails on its messages, into an own folder, and returns `result.json` of it.
+fn run_failing(out: &str, name: &str, log: &Path, args: &[&str]) -> Value {
+    let out = folder(out);
+    let (graph, log, dir) = (graph(name), log.to_string_lossy(), out.to_string_lossy());
+    let fixed = ["run", &graph, "--log", &log, "--out", &dir];
+    let output = realo(fixed.iter().chain(args));
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
+    json(&out.join("result.json"))
+}
+
 #[test]
 fn boxes_cross_as_cpms_and_late_fusion_sees_as_much() {
     let log = shared();
@@ -355,7 +365,9 @@ fn boxes_cross_as_cpms_and_late_fusion_sees_as_much() {
         assert!((cpm - plain).abs() < 0.02, "AP {cpm} as CPMs, {plain} as they are");
     }
     // A receiver that takes the map for another place than the sender does refuses what it gets.
-    let lost = run("boxes_lost", &["others.sender.boxes=cpm", origins[0]]);
+    let settings = ["--set", "others.sender.boxes=cpm", "--set", origins[0]];
+    let all = [&["--ego", "cav1", "--offline"], &settings[..]].concat();
+    let lost = run_failing("boxes_lost", "late_fusion", &log, &all);
     let books = &lost["links"]["cav2-cav1"]["boxes"];
     assert_eq!(
         (&books["used"], &books["rejected"]),
@@ -445,9 +457,20 @@ fn a_few_sure_cells_are_worth_the_map() {
         "--set",
         "others.sender.budget_bytes=60000",
     ];
-    let refused = run("attfuse", "unknown", &unknown);
-    let sender = &refused["nodes"]["others.sender"];
-    assert!(sender["errors"].as_u64() > Some(0), "{sender}");
+    let settings = [
+        "--ego",
+        "cav1",
+        "--mode",
+        "virtual",
+        "--set",
+        "others.encoder.confidence=true",
+    ];
+    let refused = run_failing("cells_unknown", "attfuse", &log, &[&settings[..], &unknown].concat());
+    let first = refused["notes"][0].as_str().unwrap_or_default();
+    assert!(
+        first.starts_with("others.sender (transmission-encoder) failed on "),
+        "{refused}"
+    );
 }
 
 #[test]

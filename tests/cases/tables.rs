@@ -545,3 +545,33 @@ fn settings_reach_the_graphs_that_have_the_stage_and_every_format_names_them() {
     assert_eq!((output.status.code(), output.stdout.len()), (Some(1), 0), "{errors}");
     assert!(errors.contains("no node `others.localization`"), "{errors}");
 }
+
+#[test]
+fn folders_that_cannot_be_compared_do_not_take_the_table_of_the_others() {
+    let log = Scene::default().write("compare-broken");
+    let at = |name: &str| common::folder(&format!("compare-broken-{name}"));
+    let whole = ["one", "two"].map(|name| {
+        crate::scene::run("late_fusion", &log, &format!("compare-{name}"), &["--offline"]);
+        PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("ran-compare-{name}-late_fusion"))
+    });
+    let (empty, broken) = (at("empty"), at("broken"));
+    fs::write(broken.join("result.json"), "{").expect("the folder can be written");
+    let all = [whole[0].clone(), empty.clone(), whole[1].clone(), broken.clone()];
+    let output = realo(compare(&all, &[]));
+    let (said, errors) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(3), "{errors}");
+    for name in ["ran-compare-one-late_fusion", "ran-compare-two-late_fusion"] {
+        assert!(said.contains(name), "{said}");
+    }
+    for named in [&empty, &broken] {
+        assert!(errors.contains(&*named.to_string_lossy()), "{errors}");
+    }
+    assert!(errors.contains("the table has 2 of 4 runs"), "{errors}");
+    let output = realo(compare(&[empty, broken], &[]));
+    assert_eq!(
+        (output.status.code(), output.stdout.len()),
+        (Some(1), 0),
+        "{}",
+        text(&output.stderr)
+    );
+}

@@ -193,15 +193,19 @@ impl Stage {
         for channel in std::mem::take(&mut called.made.traffic) {
             self.books.carried(channel);
         }
-        for error in std::mem::take(&mut called.errors) {
-            self.books.errors += 1;
-            self.books.first_error.get_or_insert_with(|| error.clone());
-            if self.books.errors <= TOLD_ERRORS {
-                lines.push(format!("{} ({}): {error}", self.id, self.registration.name));
-            }
-            if self.books.errors == TOLD_ERRORS {
-                lines.push(format!("{}: further errors are counted, not printed", self.id));
-            }
+        let errors = std::mem::take(&mut called.errors);
+        let Some(first) = errors.first() else { return lines };
+        // A set of which several parts fail is one failure.
+        self.books.errors += 1;
+        self.books.first_error.get_or_insert_with(|| first.clone());
+        if self.books.errors <= TOLD_ERRORS {
+            let said = errors
+                .iter()
+                .map(|error| format!("{} ({}): {error}", self.id, self.registration.name));
+            lines.extend(said);
+        }
+        if self.books.errors == TOLD_ERRORS {
+            lines.push(format!("{}: further errors are counted, not printed", self.id));
         }
         lines
     }

@@ -4,10 +4,11 @@
 //! gives the same bits each time. Time is the log's; computing takes what the [`ComputeProfile`] says. A plug-in runs as a
 //! child process and answers one call at a time, so it changes nothing in that order.
 
+use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
+use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task, Wired};
 use realo_operator::{Books, Built, Outputs, Role};
 use realo_schemas::{Message, Nanos};
 
@@ -37,10 +38,14 @@ pub enum RunError {
     },
 }
 
+/// Frames that [`pace`] plays before it measures.
+const UNMEASURED: usize = 2;
+
 /// Whether runs are to end.
 static ENDED: AtomicBool = AtomicBool::new(false);
 
-/// Ends all runs of this process with their next event: they fail with [`RunError::Ended`]. Plug-ins are not waited for any
+/// Ends all runs of this process with their next event: they fail with [`RunError::Ended`], but where sinks already write what
+/// the whole run came to. Plug-ins are not waited for any
 /// longer, and are killed.
 pub fn end_all() {
     ENDED.store(true, Ordering::Relaxed);
@@ -84,44 +89,87 @@ pub fn measure(stages: &Stages, observer: Option<Observer>) -> Result<Books, Run
     simulate(stages, None, observer, |_| {})
 }
 
+/// What the calls of a graph took on this machine over some frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pace {
+    /// Frames that were played.
+    pub frames: usize,
+    /// Log time that they span, ns.
+    pub span: Nanos,
+    /// What the calls of each stage took together, ns, by id; one call was made at a time.
+    pub took: Vec<(String, Nanos)>,
+    /// Time of all cores that this process took meanwhile, ns.
+    pub computed: Nanos,
+}
+
+/// Plays up to so many frames in virtual time, in which computing takes none, and measures what their calls take on this
+/// machine. Plays fewer when `patience` is over or the log is. The first frames, in which many a stage prepares, are played
+/// and not measured. `is_frame` knows the message of a source that begins a frame, by stage and message.
+///
+/// # Errors
+/// As [`run`]; `None` of a log with too few frames.
+pub fn pace(
+    stages: &Stages,
+    frames: usize,
+    patience: Duration,
+    is_frame: impl Fn(&str, &Message) -> bool,
+) -> Result<Option<Pace>, RunError> {
+    let stamps: RefCell<Vec<Nanos>> = RefCell::default();
+    let observer: Observer = Box::new(|stage, _, message| {
+        if is_frame(stage, message) {
+            stamps.borrow_mut().push(message.header.stamp);
+        }
+    });
+    let compute = ComputeProfile::default();
+    let mut simulation = Simulation::begin(stages, Some(&compute), Some(observer))?;
+    let (mut known, mut begun, mut found) = (0, None, None);
+    while let Some(now) = simulation.due()? {
+        simulation.step(now)?;
+        let count = stamps.borrow().len();
+        if count == known || count <= UNMEASURED {
+            continue;
+        }
+        known = count;
+        let (since, computed) = *begun.get_or_insert_with(|| {
+            simulation.took.fill(0);
+            (Instant::now(), computed())
+        });
+        let played = count - UNMEASURED - 1;
+        if played == 0 {
+            continue;
+        }
+        let stamps = stamps.borrow();
+        found = Some(Pace {
+            frames: played,
+            span: stamps[count - 1] - stamps[UNMEASURED],
+            took: simulation.took_by_stage(),
+            computed: self::computed() - computed,
+        });
+        if played >= frames || since.elapsed() > patience {
+            break;
+        }
+    }
+    Ok(found)
+}
+
+/// Time of all cores that this process has taken, ns; 0 where the system does not say.
+fn computed() -> Nanos {
+    const TICK: Nanos = 10_000_000;
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The name before them may hold spaces.
+    let fields = stat.rsplit_once(')').map_or("", |(_, rest)| rest).split_whitespace();
+    let own = fields.skip(11).take(2);
+    own.filter_map(|ticks| ticks.parse::<Nanos>().ok()).sum::<Nanos>() * TICK
+}
+
 fn simulate(
     stages: &Stages,
     compute: Option<&ComputeProfile>,
     observer: Option<Observer>,
     mut far: impl FnMut(Nanos),
 ) -> Result<Books, RunError> {
-    let mut wiring = stages.wiring.clone();
-    if let Some(stage) = wiring
-        .stages
-        .iter()
-        .find(|stage| stage.registration.role == Role::Gateway)
-    {
-        return Err(RunError::Outside {
-            node: stage.id.to_string(),
-            name: stage.registration.name,
-        });
-    }
-    for stage in &mut wiring.stages {
-        stage.leaves.fill(observer.is_some());
-    }
-    if is_ending() {
-        return Err(RunError::Ended);
-    }
-    let mut simulation = Simulation {
-        engine: Engine::new(&wiring, Servers::PerStream),
-        built: stages.build()?,
-        compute,
-        observer,
-    };
-    for stage in 0..wiring.stages.len() {
-        simulation.pull(stage, Nanos::MIN)?;
-    }
-    let mut now = Nanos::MIN;
-    while let Some(due) = simulation.engine.next_due() {
-        if is_ending() {
-            return Err(RunError::Ended);
-        }
-        now = now.max(due);
+    let mut simulation = Simulation::begin(stages, compute, observer)?;
+    while let Some(now) = simulation.due()? {
         far(now);
         simulation.step(now)?;
     }
@@ -134,9 +182,69 @@ struct Simulation<'a> {
     /// `None`: as measured.
     compute: Option<&'a ComputeProfile>,
     observer: Option<Observer<'a>>,
+    /// Time of the last event.
+    now: Nanos,
+    /// What the calls of each stage took on this machine, ns.
+    took: Vec<Nanos>,
+    /// A sink has been told that all is over: what the others write has to come as well.
+    concludes: bool,
 }
 
-impl Simulation<'_> {
+impl<'a> Simulation<'a> {
+    /// Builds the stages, and asks sources for their first messages.
+    fn begin(
+        stages: &Stages,
+        compute: Option<&'a ComputeProfile>,
+        observer: Option<Observer<'a>>,
+    ) -> Result<Self, RunError> {
+        let mut wiring = stages.wiring.clone();
+        let is_gateway = |stage: &&Wired| stage.registration.role == Role::Gateway;
+        if let Some(stage) = wiring.stages.iter().find(is_gateway) {
+            return Err(RunError::Outside {
+                node: stage.id.to_string(),
+                name: stage.registration.name,
+            });
+        }
+        for stage in &mut wiring.stages {
+            stage.leaves.fill(observer.is_some());
+        }
+        if is_ending() {
+            return Err(RunError::Ended);
+        }
+        let mut simulation = Simulation {
+            engine: Engine::new(&wiring, Servers::PerStream),
+            built: stages.build()?,
+            compute,
+            observer,
+            now: Nanos::MIN,
+            took: vec![0; wiring.stages.len()],
+            concludes: false,
+        };
+        for stage in 0..wiring.stages.len() {
+            simulation.pull(stage, Nanos::MIN)?;
+        }
+        Ok(simulation)
+    }
+
+    /// The time of the next event, which never falls; `None` at the end.
+    fn due(&mut self) -> Result<Option<Nanos>, RunError> {
+        let Some(due) = self.engine.next_due() else {
+            return Ok(None);
+        };
+        if is_ending() && !self.concludes {
+            return Err(RunError::Ended);
+        }
+        self.now = self.now.max(due);
+        Ok(Some(self.now))
+    }
+
+    fn took_by_stage(&self) -> Vec<(String, Nanos)> {
+        let stages = self.took.iter().enumerate();
+        stages
+            .map(|(stage, took)| (self.engine.id(stage).to_string(), *took))
+            .collect()
+    }
+
     fn step(&mut self, now: Nanos) -> Result<(), EngineError> {
         match self.engine.step(now)? {
             Some(Step::Released(stage)) => self.pull(stage, now)?,
@@ -159,6 +267,7 @@ impl Simulation<'_> {
 
     fn call(&mut self, Task { ticket, call, fates }: Task, now: Nanos) -> Result<(), EngineError> {
         let registration = self.engine.registration(ticket.stage);
+        self.concludes |= ticket.is_end() && registration.role == Role::Sink;
         let begun = Instant::now();
         let called = call.make(
             &mut self.built[ticket.stage],
@@ -166,11 +275,13 @@ impl Simulation<'_> {
             Outputs::at(ticket.start),
             &fates,
         );
+        let measured = Nanos::try_from(begun.elapsed().as_nanos()).unwrap_or(Nanos::MAX);
+        self.took[ticket.stage] = self.took[ticket.stage].saturating_add(measured);
         let trigger = called.trigger(ticket.cause, registration);
         let took = match self.compute {
             _ if ticket.is_end() => 0,
             Some(profile) => profile.of(self.engine.id(ticket.stage), &trigger),
-            None => Nanos::try_from(begun.elapsed().as_nanos()).unwrap_or(Nanos::MAX),
+            None => measured,
         };
         let done = ticket.start + took;
         self.engine.complete(&ticket, called, done, took)?;

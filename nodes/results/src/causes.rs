@@ -6,7 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use realo_operator::{Loss, Meaning, Share};
 
 use crate::cooperation::sent_and_kept;
-use crate::notes::sentence;
+use crate::notes::{LEVELLED, RADIO_ALONE, RUNS_ALONE, sentence};
+use crate::result::LOG_CUT;
 use crate::{NodeSummary, RunResult};
 
 /// Counters of faults of a log that explain other losses, the deepest first, each with the counters that it explains.
@@ -35,6 +36,17 @@ const CAUSES: [(&str, &[&str]); 4] = [
 ];
 /// Counters for which both ends of a link must have a position: they may be due to an agent other than their own.
 const OF_TWO_AGENTS: [&str; 2] = ["unplaced", "no_ego_state"];
+
+/// The counters of operators and nodes that notes know by their names; `levelled_` goes on.
+pub fn named_counters() -> BTreeSet<&'static str> {
+    let causes = CAUSES
+        .iter()
+        .flat_map(|(cause, explained)| explained.iter().chain([cause]));
+    let others = OF_TWO_AGENTS
+        .iter()
+        .chain(&[LOG_CUT, LEVELLED, RUNS_ALONE, RADIO_ALONE]);
+    causes.chain(others).copied().collect()
+}
 
 /// How deep a cause is; the deepest is 0.
 pub fn rank(counter: &str) -> usize {

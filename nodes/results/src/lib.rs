@@ -29,6 +29,7 @@ mod run;
 mod sink;
 mod timing;
 
+pub use causes::named_counters;
 pub use cooperation::{Cooperation, UNUSED, Unused};
 pub use distribution::{Ages, Spread};
 pub use files::{

@@ -1,27 +1,35 @@
 //! The sentences that a reader must know.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use realo_operator::{Loss, Share};
 use realo_schemas::file;
 use realo_scoring::{Counts, Dropped};
 
-use crate::RunResult;
 use crate::causes::{LossNotes, loss_notes};
 use crate::result::LOG_CUT;
+use crate::{NodeSummary, RunResult};
 
 /// So many cut logs are named; the field `logs_cut` has all.
 const CUT_NAMED: usize = 5;
 /// So many agents are named in a note.
 const AGENTS_NAMED: usize = 5;
+/// The player's counter of runs in which nobody may cooperate.
+pub(crate) const RUNS_ALONE: &str = "runs_alone";
+/// How the player's counters of sweeps that it levelled begin: `levelled_AGENT_by_DEGREES`.
+pub(crate) const LEVELLED: &str = "levelled_";
+/// The radio's counter of runs in which nothing came of other agents.
+pub(crate) const RADIO_ALONE: &str = "alone";
 /// Characters of a counter's words: those of plug-ins may be of any length.
 const CHARACTERS: usize = 400;
 
-/// All notes but those of scores: first the faults of the log that concern an ego, then whose messages were never used, then
-/// what else is wrong with the log, what follows from that, what disturbed the run, and what was lost.
+/// All notes but those of scores: first which stages failed on messages, then the faults of the log that concern an ego, then
+/// whose messages were never used, then what else is wrong with the log, what follows from that, what disturbed the run, and what was lost.
 pub fn of(result: &RunResult) -> Vec<String> {
     let losses = loss_notes(result);
     [
+        result.notes_of_failures(),
         losses.of_egos.clone(),
         result.notes_of_unused(&losses),
         losses.faults,
@@ -171,11 +179,20 @@ pub(crate) fn grouped(n: u64) -> String {
 }
 
 impl RunResult {
-    /// Those of its notes that stand first: the faults of the log that concern an ego, then whose messages were never used.
-    pub fn first_notes(&self) -> [Vec<String>; 2] {
+    /// Those of its notes that stand first: which stages failed on messages, then the faults of the log that concern an ego,
+    /// then whose messages were never used.
+    pub fn first_notes(&self) -> [Vec<String>; 3] {
         let losses = loss_notes(self);
         let unused = self.notes_of_unused(&losses);
-        [losses.of_egos, unused]
+        [self.notes_of_failures(), losses.of_egos, unused]
+    }
+
+    /// A sentence for each stage that failed on messages; those that failed on most first.
+    fn notes_of_failures(&self) -> Vec<String> {
+        let failed = self.nodes.iter().filter(|(_, node)| node.errors > 0);
+        let mut failed: Vec<(&String, &NodeSummary)> = failed.collect();
+        failed.sort_by_key(|(_, node)| Reverse((node.failed_runs, node.errors)));
+        failed.into_iter().map(|(id, node)| failure(id, node)).collect()
     }
 
     fn notes_of_unused(&self, losses: &LossNotes) -> Vec<String> {
@@ -248,7 +265,7 @@ impl RunResult {
         );
         let cut = self.note_of_cut_logs();
         note(cut.is_some(), cut.unwrap_or_default());
-        let alone = self.counter("runs_alone");
+        let alone = self.counter(RUNS_ALONE);
         note(
             alone > 0,
             format!(
@@ -265,24 +282,10 @@ impl RunResult {
             skipped > 0,
             format!("{skipped} of {} sweeps of the ego gave no boxes", self.frames.total),
         );
-        for (id, node) in self.nodes.iter().filter(|(_, node)| node.errors > 0) {
-            let first = node
-                .first_error
-                .as_deref()
-                .map(|error| format!("; the first: {}", file::shown(error)));
-            let first = first.unwrap_or_default();
-            note(
-                true,
-                format!(
-                    "node {id} ({}) could not take {} messages{first}",
-                    node.operator, node.errors
-                ),
-            );
-        }
         for (id, node) in &self.nodes {
             // What came and was refused says itself why.
             let is_alone = node.operator == "radio"
-                && node.counters.get("alone").is_some_and(|alone| *alone > 0)
+                && node.counters.get(RADIO_ALONE).is_some_and(|alone| *alone > 0)
                 && node.losses.is_empty();
             note(
                 is_alone,
@@ -307,9 +310,34 @@ impl RunResult {
     }
 }
 
+/// What a stage failed on: how many, the first and why, what to try.
+fn failure(id: &str, node: &NodeSummary) -> String {
+    let (all, what) = match (node.calls, node.wakes) {
+        // What is no operator is not called by messages alone.
+        (0, 0) => (0, "messages"),
+        (calls, 0) => (calls, "messages"),
+        (calls, wakes) => (calls + wakes, "calls (messages and wakes)"),
+    };
+    let of = match all {
+        0 => String::new(),
+        // The end of the stream is a call too.
+        all => format!(" of {}", grouped(all.max(node.errors))),
+    };
+    let first = node.first_error.as_deref().map(|error| {
+        let words = plain(&file::head(error, CHARACTERS));
+        format!("; the first: {}", words.trim_end())
+    });
+    let first = first.unwrap_or_default();
+    let operator = &node.operator;
+    format!(
+        "{id} ({operator}) failed on {}{of} {what}{first}; correct the operator, or what it is given",
+        grouped(node.errors)
+    )
+}
+
 /// Agent and degrees of the player's counter of sweeps that it levelled, `levelled_AGENT_by_DEGREES`.
 fn levelled(counter: &str) -> Option<(&str, f64)> {
-    let (agent, degrees) = counter.strip_prefix("levelled_")?.rsplit_once("_by_")?;
+    let (agent, degrees) = counter.strip_prefix(LEVELLED)?.rsplit_once("_by_")?;
     let degrees: f64 = degrees.parse().ok()?;
     degrees.is_finite().then_some((agent, degrees))
 }
@@ -319,7 +347,7 @@ mod tests {
     use realo_operator::Meaning;
 
     use super::*;
-    use crate::{NodeSummary, Samples, Settings};
+    use crate::{Samples, Settings};
 
     #[test]
     fn agents_that_were_levelled_are_named_with_their_greatest_tilt() {
@@ -337,6 +365,42 @@ mod tests {
         result.conclude(&Samples::default());
         let said = "levelled while played, by the poses of the log: a_by_b, which tilts by up to 2.26°; mast, which tilts by up to 0.53°";
         assert_eq!(result.notes, [said]);
+    }
+
+    #[test]
+    fn stages_that_failed_are_named_first_with_the_first_error_and_what_to_try() {
+        let failed = |id: &str, errors, calls, wakes, runs| {
+            let node = NodeSummary {
+                operator: "mine".into(),
+                errors,
+                first_error: Some("input `selections`, cav1 3: no boxes".into()),
+                calls,
+                wakes,
+                failed_runs: runs,
+                ..NodeSummary::default()
+            };
+            (id.to_string(), node)
+        };
+        let mut result = RunResult::new(Settings::default());
+        result.frames.total = 20;
+        result.frames.skipped = 20;
+        result.nodes = [
+            failed("a", 3, 1_000, 500, 0),
+            failed("fusion.fusion", 20, 20, 0, 1),
+            failed("v2x", 2, 0, 0, 0),
+        ]
+        .into();
+        result.conclude(&Samples::default());
+        let ending = "; the first: input `selections`, cav1 3: no boxes; correct the operator, or what it is given";
+        let expected = [
+            format!("fusion.fusion (mine) failed on 20 of 20 messages{ending}"),
+            format!("a (mine) failed on 3 of 1,500 calls (messages and wakes){ending}"),
+            format!("v2x (mine) failed on 2 messages{ending}"),
+            "20 of 20 sweeps of the ego gave no boxes".to_string(),
+        ];
+        assert_eq!(result.notes, expected);
+        assert_eq!(result.first_notes().concat(), expected[..3]);
+        assert!(result.has_failed_stages());
     }
 
     #[test]

@@ -237,11 +237,21 @@ impl Transport {
 pub struct NodeSummary {
     /// Operator or node name.
     pub operator: String,
-    /// Messages that it could not take.
+    /// Calls that failed: by a message that the operator could not take (several that it takes together are one call), a wake
+    /// or the end of the stream.
     pub errors: u64,
     /// The first of them, and why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_error: Option<String>,
+    /// Calls by messages, of an operator.
+    #[serde(default)]
+    pub calls: u64,
+    /// Calls by wakes, of an operator.
+    #[serde(default)]
+    pub wakes: u64,
+    /// Runs in which the operator failed on half of its calls or more, or failed and sent nothing at all.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub failed_runs: u64,
     /// Messages that it passed over because it was busy.
     pub skipped: u64,
     /// Parts of sets that never became complete.
@@ -253,12 +263,19 @@ pub struct NodeSummary {
     pub losses: BTreeMap<String, Loss>,
 }
 
+fn is_zero(number: &u64) -> bool {
+    *number == 0
+}
+
 impl NodeSummary {
     /// Adds what the same node counted in another run.
     pub fn add(&mut self, other: &NodeSummary) {
         self.operator.clone_from(&other.operator);
         self.errors += other.errors;
         self.first_error = self.first_error.take().or_else(|| other.first_error.clone());
+        self.calls += other.calls;
+        self.wakes += other.wakes;
+        self.failed_runs += other.failed_runs;
         self.skipped += other.skipped;
         self.unjoined += other.unjoined;
         for (counter, n) in &other.counters {
@@ -303,6 +320,11 @@ impl RunResult {
             nodes: BTreeMap::new(),
             notes: Vec::new(),
         }
+    }
+
+    /// Whether an operator failed on half of its calls or more in some run, or failed and sent nothing at all.
+    pub fn has_failed_stages(&self) -> bool {
+        self.nodes.values().any(|node| node.failed_runs > 0)
     }
 
     /// How much was lost because of what the logs hold.

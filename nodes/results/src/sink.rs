@@ -321,6 +321,9 @@ fn take_books(result: &mut RunResult, books: &Books) {
             operator: node.name.clone(),
             errors: node.errors,
             first_error: node.first_error.clone(),
+            calls: calls(node, |trigger| !is_wake(trigger)),
+            wakes: calls(node, is_wake),
+            failed_runs: u64::from(has_failed(node)),
             counters: node.counters.clone(),
             losses: node.losses.iter().filter_map(happened).collect(),
             ..NodeSummary::default()
@@ -339,6 +342,24 @@ fn take_books(result: &mut RunResult, books: &Books) {
         }
         result.nodes.insert(id.clone(), summary);
     }
+}
+
+/// The calls of an operator by what triggered them.
+fn calls(node: &NodeBooks, wanted: impl Fn(&str) -> bool) -> u64 {
+    let triggers = node.compute.iter().filter(|(trigger, _)| wanted(trigger));
+    triggers.map(|(_, durations)| durations.count()).sum()
+}
+
+/// Whether a trigger is a wake that the operator asked for.
+fn is_wake(trigger: &str) -> bool {
+    trigger.split(" > ").next() == Some("wake")
+}
+
+/// Whether little or nothing came of an operator because its calls failed.
+fn has_failed(node: &NodeBooks) -> bool {
+    let calls = calls(node, |_| true);
+    let is_silent = node.outputs.values().all(|sent| sent.total() == 0);
+    node.errors > 0 && calls > 0 && (2 * node.errors >= calls || is_silent)
 }
 
 /// What a busy node skipped of collaborators' data; sweeps of the ego without boxes are said of the frames.

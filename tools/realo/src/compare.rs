@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use eyre::Result;
-use realo_results::run_folder;
+use eyre::{Result, bail};
+use realo_results::{Run, run_folder};
 
 use crate::Outcome;
 use crate::tables::Show;
@@ -19,17 +19,37 @@ pub struct Args {
     show: Show,
 }
 
-/// Prints the table of the runs.
+/// Prints the table of the runs that can be read, and names the others.
+///
+/// # Errors
+/// Why the first cannot be read, where none can.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let names = names(&args.runs);
-    let runs: Vec<realo_results::Run> = args
-        .runs
-        .iter()
-        .map(realo_results::read_run)
-        .collect::<Result<_, _>>()?;
-    let named: Vec<(&str, &realo_results::Run)> = names.iter().map(String::as_str).zip(&runs).collect();
+    let mut runs: Vec<(String, Run)> = Vec::new();
+    let mut broken = Vec::new();
+    for (name, folder) in names(&args.runs).into_iter().zip(&args.runs) {
+        match realo_results::read_run(folder) {
+            Ok(run) => runs.push((name, run)),
+            Err(error) => broken.push(error),
+        }
+    }
+    let all = args.runs.len();
+    if runs.is_empty()
+        && let Some(first) = broken.first()
+    {
+        broken[1..].iter().for_each(|error| eprintln!("realo: {error}"));
+        bail!("{first}");
+    }
+    let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (name.as_str(), run)).collect();
     args.show.print(&named);
-    Ok(Outcome::Complete)
+    if broken.is_empty() {
+        return Ok(Outcome::Complete);
+    }
+    broken.iter().for_each(|error| eprintln!("realo: {error}"));
+    eprintln!(
+        "realo: the table has {} of {all} runs; run the others again, or leave them out",
+        runs.len()
+    );
+    Ok(Outcome::Partial)
 }
 
 /// A name for each run: its folder's, with as many of the folders above as it takes to tell them apart.

@@ -6,21 +6,28 @@ use eyre::Result;
 use realo_graph::FlatGraph;
 
 use crate::Outcome;
-use crate::run::{Check, checks, dora_on_this_machine};
+use crate::run::{Check, Choices, Pace, checks, dora_on_this_machine, find_graph, pace};
 
-/// Looks at this machine: shared memory, file descriptors, network, dora, processor
+/// Looks at this machine: shared memory, file descriptors, threads, network, dora, processor, and the rate that it does of a graph
 #[derive(clap::Args)]
 pub struct Args {
-    /// Graph that is to run
+    /// Graph that is to run, or the name of a shipped one
     graph: Option<PathBuf>,
+    /// Plays some frames of this log, and says what this machine does of the graph's rate
+    #[arg(long, requires = "graph")]
+    log: Option<PathBuf>,
+    /// The ego [default: the first of the log]
+    #[arg(long, requires = "log")]
+    ego: Option<String>,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    choices: Choices,
 }
 
 /// Prints what was found, a line for each thing.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let graph = match &args.graph {
-        Some(file) => Some(FlatGraph::load(file)?),
-        None => None,
-    };
+    let path = args.graph.as_deref().map(find_graph).transpose()?;
+    let graph = path.as_deref().map(FlatGraph::load).transpose()?;
     let mut all = checks(graph.as_ref());
     all.push(dora());
     all.push(processor());
@@ -35,7 +42,23 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     println!("{}", python());
+    match (&path, &args.log) {
+        (Some(graph), Some(log)) => {
+            let pace = pace(graph, log, args.ego.as_deref(), &args.choices)?;
+            println!("{}", pace_in_words(&pace));
+        }
+        (Some(_), None) => println!("note rate: not measured: add --log LOG, and some frames of it are played"),
+        (None, _) => println!(
+            "note rate: not measured: name a graph and a log (`realo doctor GRAPH --log LOG`), and some frames are played"
+        ),
+    }
     Ok(outcome)
+}
+
+/// What the machine does of a graph's rate; `note` where it does not keep up.
+fn pace_in_words(pace: &Pace) -> String {
+    let word = if pace.keeps_up() { "ok  " } else { "note" };
+    format!("{word} rate: {pace}")
 }
 
 /// Prints the interpreter, a module of Python a line, and its version or why it cannot be imported.
@@ -104,9 +127,10 @@ fn processor() -> Check {
     Check {
         what: "processor",
         found: Ok(format!(
-            "{cores} cores; kernels {}; a graph's detectors need about a core for each lane at 10 Hz, and a run that does not \
-             keep up says which stage holds it up",
-            known.join(", ")
+            "{cores} cores; kernels {}, of which {} is taken; a realtime run that does not keep up says within ten seconds which \
+             stage holds it up",
+            known.join(", "),
+            realo_nn::conv::Isa::detect()
         )),
     }
 }

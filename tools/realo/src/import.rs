@@ -7,9 +7,9 @@ use eyre::Result;
 use realo_importer::{DairOptions, DairStep};
 use realo_logs::Log;
 
-use crate::Outcome;
 use crate::output::{Force, Output};
 use crate::progress::Progress;
+use crate::{Outcome, unfinished};
 
 /// Imports a data set
 #[derive(clap::Args)]
@@ -93,6 +93,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             skip_incomplete,
         } => {
             force.check(output, Output::Log)?;
+            unfinished::end_with_signals(output);
             let options = DairOptions {
                 roadside_stamp: match roadside_stamp {
                     Stamp::Start => realo_importer::RoadsideStamp::Start,
@@ -121,6 +122,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             level,
         } => {
             force.check(output, Output::Log)?;
+            unfinished::end_with_signals(output);
             let progress = Progress::new("levelling", "s of the log", Some(0.0));
             let done =
                 realo_importer::relevel_with(log, output, level.of_importer(), |done, all| progress.of(done, all));

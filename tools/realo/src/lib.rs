@@ -31,6 +31,7 @@ pub mod simulate;
 mod statistics;
 mod tables;
 pub mod train;
+mod unfinished;
 pub mod validate;
 
 pub use command::main_with;

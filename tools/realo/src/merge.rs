@@ -6,9 +6,9 @@ use eyre::{Result, bail, eyre};
 use realo_logs::{Log, Merge};
 use realo_schemas::{Nanos, to_millis};
 
-use crate::Outcome;
 use crate::output::{Force, Output};
 use crate::progress::Progress;
+use crate::{Outcome, unfinished};
 
 /// Joins the logs that several agents recorded of one drive, by the clock of the first
 #[derive(clap::Args)]
@@ -40,6 +40,7 @@ fn clock(text: &str) -> Result<(String, Nanos), String> {
 /// Merges, and says what was moved; of a log that was cut what is left is merged, and the command ends with 3.
 pub fn main(args: &Args) -> Result<Outcome> {
     args.force.check(&args.output, Output::Log)?;
+    unfinished::end_with_signals(&args.output);
     let logs: Vec<Log> = args.logs.iter().map(Log::open).collect::<Result<_, _>>()?;
     let first = &logs[0];
     let agents = || args.clock.iter().map(|(agent, _)| agent);

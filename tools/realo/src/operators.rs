@@ -243,6 +243,17 @@ mod tests {
     }
 
     #[test]
+    fn counters_that_notes_know_by_their_names_are_counted() {
+        let counters: Vec<&Counter> = registry().0.iter().flat_map(|entry| entry.counters).collect();
+        let named = realo_results::named_counters();
+        assert!(named.len() > 10, "{named:?}");
+        for name in named {
+            let is_counted = counters.iter().any(|counter| counter.name_is(name));
+            assert!(is_counted, "no operator or node counts `{name}`");
+        }
+    }
+
+    #[test]
     fn counters_have_names_of_their_own_and_losses_have_words() {
         for entry in registry().0 {
             for (place, counter) in entry.counters.iter().enumerate() {

@@ -14,7 +14,7 @@ use crate::output::{Force, Output};
 use crate::progress::Progress;
 use crate::run::{self, Lane};
 use crate::tables::Show;
-use crate::{Outcome, demo, registry};
+use crate::{Outcome, demo, registry, unfinished};
 
 /// Adds to a log what agents send, so that a run computes for its ego alone
 #[derive(clap::Args)]
@@ -46,6 +46,7 @@ pub struct Args {
 /// Computes, and writes the copy.
 pub fn main(args: &Args) -> Result<Outcome> {
     args.force.check(&args.output, Output::Log)?;
+    unfinished::end_with_signals(&args.output);
     if args.log.ends_with(demo::FILE) && !args.log.exists() {
         demo::make(&args.log)?;
     }

@@ -13,7 +13,7 @@ use realo_simulator::{Options, Phase, PoseSample, Scenario, Sensor, Simulation, 
 
 use crate::output::{Force, Output};
 use crate::progress::Progress;
-use crate::{Outcome, statistics};
+use crate::{Outcome, statistics, unfinished};
 
 /// Simulates a place, its traffic and the agents that record it
 #[derive(clap::Args)]
@@ -150,6 +150,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         return statistics::print(&args.statistics, args.like.as_deref());
     };
     args.force.check(output, Output::Log)?;
+    unfinished::end_with_signals(output);
     write(&args.options()?, output)?;
     println!("{}", realo_logs::describe(output)?);
     Ok(Outcome::Complete)
@@ -164,6 +165,7 @@ pub fn write(options: &Options, output: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).wrap_err_with(|| format!("{}", folder.display()))?;
     }
     let simulation = Simulation::new(options)?;
+    unfinished::note(output);
     let mut writer = LogWriter::create_atomic(output, &log_info(&simulation))?;
     let progress = Progress::new("simulating", "sweeps", Some(simulation.sweep_count() as f64));
     let mut poses: Vec<(String, VecDeque<PoseSample>)> = simulation

@@ -103,8 +103,8 @@ fn of_one_log(runs: &[(&str, &Run)]) -> String {
     )
 }
 
-/// The notes of runs, each once, with the names of those that have it; first the faults of the log that concern an ego, then
-/// whose messages were never used.
+/// The notes of runs, each once, with the names of those that have it; first which stages failed on messages, then the faults
+/// of the log that concern an ego, then whose messages were never used.
 pub fn notes(runs: &[(&str, &Run)]) -> Vec<String> {
     let mut notes: Vec<(&str, Vec<usize>)> = Vec::new();
     for (at, (_, run)) in runs.iter().enumerate() {
@@ -117,10 +117,10 @@ pub fn notes(runs: &[(&str, &Run)]) -> Vec<String> {
         }
     }
     let notes = with_reasons_once(notes);
-    let first: Vec<[Vec<String>; 2]> = runs.iter().map(|(_, run)| run.result.first_notes()).collect();
+    let first: Vec<[Vec<String>; 3]> = runs.iter().map(|(_, run)| run.result.first_notes()).collect();
     let place = |note: &str| {
         let is_in = |part: usize| first.iter().any(|parts| parts[part].iter().any(|known| known == note));
-        (0..2).find(|part| is_in(*part)).unwrap_or(2)
+        (0..3).find(|part| is_in(*part)).unwrap_or(3)
     };
     let mut notes: Vec<(usize, &str, Vec<usize>)> = notes
         .into_iter()

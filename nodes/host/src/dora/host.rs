@@ -16,7 +16,7 @@ use crate::{Stages, running_time};
 
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox, Nudge};
-use super::load::{Load, SLOW};
+use super::load::Load;
 use super::marks::{End, Fates, Hello};
 use super::{HostError, source};
 
@@ -237,8 +237,9 @@ impl State {
     /// Says once which stage does not keep up.
     fn tell_load(&mut self) {
         let State { engine, load, .. } = self;
-        if let Some((stage, what)) = load.slow(|stage| engine.skipped(stage)) {
-            eprintln!("{SLOW}node `{}` {what}", engine.id(stage));
+        let slow = load.slow(|stage| engine.skipped(stage), |stage| engine.id(stage).to_string());
+        if let Some(slow) = slow {
+            eprintln!("{}", slow.to_line());
         }
     }
 

@@ -26,7 +26,7 @@ use realo_operator::Registry;
 
 use crate::Stages;
 use inbox::Inbox;
-pub use load::SLOW;
+pub use load::Slow;
 pub use memory::{POOL, POOL_VARIABLE};
 use plan::Plan;
 pub use queues::{OVERLAY, OVERLAY_VARIABLE};
@@ -68,7 +68,7 @@ pub enum HostError {
         reason: String,
     },
     /// The run was stopped before its end.
-    #[error("{id}: stopped before the end of the stream")]
+    #[error("{id}: dora stopped it before the end of its data")]
     Stopped {
         /// Id of the process.
         id: String,

@@ -1,5 +1,6 @@
 //! Releases a source's messages by the wall clock.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use realo_operator::{AnySource, Error};
@@ -27,6 +28,7 @@ pub(super) fn run(shared: &Shared, stage: usize, source: Box<dyn AnySource>) {
 
 fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result<(), HostError> {
     let mut opened = false;
+    let mut sent = BTreeSet::new();
     loop {
         let next = source.next().map_err(|error: Error| {
             let id = shared.lock().engine.id(stage).clone();
@@ -39,6 +41,9 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
         if !opened {
             open_routes(shared)?;
             opened = true;
+            if is_ending() {
+                break;
+            }
             let clock = source.clock(time).unwrap_or_else(|| Clock {
                 wall_origin: wall_now(),
                 log_origin: time,
@@ -58,8 +63,20 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
         state.engine.release(stage, port, message, time, now);
         let leaving = state.engine.take_leaving();
         shared.follow(&mut state, now);
+        // Whoever reads the log knows from when on the run plays.
+        let is_first = sent.insert(port);
+        let first = is_first.then(|| {
+            let output = state.engine.registration(stage).outputs[port.0].name;
+            format!(
+                "node `{}`: the first message of `{output}` was sent",
+                state.engine.id(stage)
+            )
+        });
         drop(state);
         shared.send_all(leaving)?;
+        if let Some(first) = first {
+            eprintln!("{first}");
+        }
     }
     let mut state = shared.lock();
     let now = state.log_now();

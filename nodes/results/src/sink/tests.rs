@@ -254,7 +254,7 @@ fn accounts_for_every_message() {
         result
             .notes
             .iter()
-            .any(|note| note.contains("decoder (transmission-decoder) could not take 1"))
+            .any(|note| note.starts_with("decoder (transmission-decoder) failed on 1 of 1 messages"))
     );
 }
 
@@ -423,7 +423,7 @@ fn tells_what_dora_lost_and_what_is_missing_for_it() {
     assert_eq!((result.transport.total_lost, result.transport.edges.len()), (2, 1));
     assert_eq!(result.transport.edges["bank.ego"], edge);
     assert_eq!(result.links["rsu1-cav1"]["boxes"].accounted.unwrap().unaccounted, 2);
-    assert!(result.notes[0].contains("dora lost 2 messages"), "{:?}", result.notes);
+    assert!(result.notes[1].contains("dora lost 2 messages"), "{:?}", result.notes);
     assert!(
         result
             .notes
@@ -498,4 +498,41 @@ fn describes_every_argument() {
     let names: Vec<_> = Results::ARGUMENTS.iter().map(|argument| argument.name).collect();
     let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
     assert_eq!(names, keys);
+}
+
+#[test]
+fn a_stage_fails_where_half_of_its_calls_do_or_nothing_came_of_the_others() {
+    let node = |errors, calls: &[(&str, u64)], sends: bool| {
+        let mut node = NodeBooks {
+            errors,
+            ..NodeBooks::default()
+        };
+        for (trigger, count) in calls {
+            let durations = node.compute.entry(trigger.to_string()).or_default();
+            (0..*count).for_each(|_| durations.record(MS));
+        }
+        if sends {
+            let message = Message::new(header(0, Kind::Boxes), Boxes::default());
+            node.outputs.entry("boxes".into()).or_default().add(&message);
+        }
+        node
+    };
+    let messages = [("ego > boxes", 8), ("ego", 12)];
+    for (books, expected) in [
+        (node(20, &[("ego", 20)], false), true),
+        (node(12, &messages, true), true),
+        (node(9, &messages, true), false),
+        // What it did not fail on gave nothing.
+        (node(9, &[("ego", 9), ("states", 11)], false), true),
+        (node(0, &[("ego", 20)], false), false),
+        // A node that is no operator is not called by messages alone.
+        (node(3, &[], false), false),
+    ] {
+        assert_eq!(has_failed(&books), expected, "{books:?}");
+    }
+    let woken = node(1, &[("ego > boxes", 8), ("wake", 3), ("wake > boxes", 4)], true);
+    assert_eq!(
+        (calls(&woken, |trigger| !is_wake(trigger)), calls(&woken, is_wake)),
+        (8, 7)
+    );
 }

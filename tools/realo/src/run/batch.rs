@@ -1,6 +1,8 @@
 //! The runs of a graph over its logs and egos: which are there already, which failed, and what the others came to.
 
 use std::collections::BTreeSet;
+use std::error::Error;
+use std::fmt;
 
 use eyre::{Report, Result, bail};
 use realo_results::Run;
@@ -42,7 +44,21 @@ pub struct Batch {
     /// Numbers of the cells that an earlier batch brought to their end.
     taken: BTreeSet<usize>,
     failed: Vec<Failed>,
+    /// Names of those that a signal kept from their end.
+    unfinished: Vec<String>,
 }
+
+/// Why a run that a signal ended gave no results.
+#[derive(Debug)]
+pub struct Unfinished(pub String);
+
+impl fmt::Display for Unfinished {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}: it had not come to the end of its log", self.0)
+    }
+}
+
+impl Error for Unfinished {}
 
 impl Batch {
     /// The runs that were prepared, and the logs of which none could be.
@@ -57,6 +73,7 @@ impl Batch {
             cells,
             taken: BTreeSet::new(),
             failed,
+            unfinished: Vec::new(),
         })
     }
 
@@ -112,19 +129,26 @@ impl Batch {
             .collect();
         let cells: Vec<&Cell> = open.iter().map(|number| &self.cells[*number]).collect();
         let ended: Vec<Result<()>> = match mode {
-            Mode::Virtual => signals::in_virtual(|| replay::all(&cells)),
+            Mode::Virtual => replay::all(&cells)?,
             Mode::Realtime => cells.iter().map(|cell| realtime::run(cell, rate)).collect(),
         };
         let mut failed = BTreeSet::new();
+        let mut last = None;
         for (number, ended) in open.into_iter().zip(ended) {
-            if let Err(reason) = ended {
-                let name = self.cells[number].name.clone();
-                self.failed.push(Failed { name, reason });
-                failed.insert(number);
+            let Err(reason) = ended else { continue };
+            failed.insert(number);
+            let name = self.cells[number].name.clone();
+            match reason.is::<Unfinished>() {
+                true => {
+                    self.unfinished.push(name);
+                    last = Some(reason);
+                }
+                false => self.failed.push(Failed { name, reason }),
             }
         }
         if failed.len() == self.cells.len() {
-            return Err(all_failed(std::mem::take(&mut self.failed)));
+            let reasons = std::mem::take(&mut self.failed);
+            return Err(last.unwrap_or_else(|| all_failed(reasons)));
         }
         let done = (0..self.cells.len()).filter(|number| !failed.contains(number));
         let done = done.map(|number| realo_results::read_run(&self.cells[number].out));
@@ -137,16 +161,27 @@ impl Batch {
     }
 
     /// What was not played, for who reads the results; nothing where all was.
-    pub fn note(&self) -> Option<String> {
+    pub fn notes(&self) -> Vec<String> {
         let names: Vec<&str> = self.failed.iter().map(|failed| failed.name.as_str()).collect();
-        (!names.is_empty()).then(|| {
+        let failed = (!names.is_empty()).then(|| {
             format!(
                 "{} could not be played and {} not in these numbers: {}",
                 count(names.len(), "run or log", "runs or logs"),
                 if names.len() == 1 { "is" } else { "are" },
                 names.join("; ")
             )
-        })
+        });
+        let ending = signals::first().filter(|_| !self.unfinished.is_empty());
+        let unfinished = ending.map(|ending| {
+            format!(
+                "{} of {} had not come to the end of the log when {ending} ended the batch, and {} not in these numbers; the same \
+                 command with --resume goes on",
+                self.unfinished.len(),
+                count(self.cells.len(), "run", "runs"),
+                if self.unfinished.len() == 1 { "is" } else { "are" },
+            )
+        });
+        failed.into_iter().chain(unfinished).collect()
     }
 
     /// The same with the reasons, a line for each.

@@ -32,6 +32,30 @@ impl Fitted {
     }
 }
 
+/// Of several settings of one argument keeps the last, as whoever adds to a command expects; says so of each.
+pub fn keep_last(set: &mut Vec<String>) -> Vec<String> {
+    let mut notes = Vec::new();
+    let read: Vec<Option<Setting>> = set.iter().map(|text| text.parse().ok()).collect();
+    let mut is_last = vec![true; set.len()];
+    for (at, earlier) in read.iter().enumerate() {
+        // What is no setting is refused when it is read.
+        let Some(earlier) = earlier else { continue };
+        let mut later = read[at + 1..].iter().flatten();
+        let same = |later: &&Setting| (&later.node, &later.key) == (&earlier.node, &earlier.key);
+        let Some(last) = later.rfind(same) else { continue };
+        is_last[at] = false;
+        if last.value != earlier.value {
+            notes.push(format!(
+                "--set {}.{} is there more than once: the last one counts, {}, not {}",
+                earlier.node, earlier.key, last.value, earlier.value
+            ));
+        }
+    }
+    let mut kept = is_last.into_iter();
+    set.retain(|_| kept.next().unwrap_or(true));
+    notes
+}
+
 /// What one graph can follow of the settings of all. What no graph can follow stays, so that each says what is wrong.
 pub fn fit(choices: &Choices, graphs: &[PathBuf]) -> Vec<Fitted> {
     let mut fitted: Vec<Fitted> = graphs
@@ -178,6 +202,22 @@ mod tests {
         ]
         .concat();
         <Line as clap::Parser>::parse_from(words).choices
+    }
+
+    #[test]
+    fn the_last_of_several_settings_of_one_argument_counts() {
+        let mut set: Vec<String> = ["a.b.x=1", "a.b.y=2", "a.b.x=3", "junk", "a.b.y=2", "a.b.x=4", "junk"]
+            .map(String::from)
+            .into();
+        let notes = keep_last(&mut set);
+        assert_eq!(set, ["junk", "a.b.y=2", "a.b.x=4", "junk"]);
+        assert_eq!(
+            notes,
+            [
+                "--set a.b.x is there more than once: the last one counts, 4, not 1",
+                "--set a.b.x is there more than once: the last one counts, 4, not 3"
+            ]
+        );
     }
 
     const NOISE: &str = "others.sense.localization.position_noise_m=0.2";

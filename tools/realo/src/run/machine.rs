@@ -1,7 +1,11 @@
 //! What a machine must have for a realtime run: looked at before anything starts.
 
+use std::fs::File;
 use std::net::{TcpListener, TcpStream};
-use std::path::Path;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use eyre::{Result, bail};
 use realo_graph::FlatGraph;
@@ -18,6 +22,16 @@ use super::prepare::Cell;
 const SHARED: &str = "/dev/shm";
 /// File descriptors of dora and of a node at most, as measured with six nodes, and as many again.
 const DESCRIPTORS: u64 = 256;
+/// Threads of dora and of a process of a graph beside those for each core, as measured, and a few more.
+const THREADS_OF_DORA: usize = 16;
+const THREADS_OF_A_PROCESS: usize = 24;
+/// Threads that each of them has for each core.
+const THREADS_OF_A_CORE: usize = 2;
+/// Threads of a run in virtual time beside one for each core.
+const THREADS_OF_VIRTUAL: usize = 8;
+/// What helps where no thread can be had.
+pub const MORE_PROCESSES: &str = "raise the limit of processes and threads (`ulimit -u`; a service: TasksMax=; docker: \
+                                  --pids-limit), or end other programs of this user";
 /// Shared memory of a process with networks beside its pool, bytes: maps and messages under way.
 const WITH_NETWORKS: u64 = 48 << 20;
 /// Pool of a process whose messages go through sockets: none, and dora takes the heap.
@@ -26,6 +40,10 @@ const NO_POOL: u64 = 0;
 const PROCESSES: u64 = 6;
 
 const MIB: u64 = 1 << 20;
+/// Stack of a thread that only waits, bytes.
+const STACK: usize = 64 << 10;
+/// Files in shared memory are locked so long after they were made at the latest.
+const NEW: Duration = Duration::from_millis(100);
 
 /// What was found of one thing.
 pub struct Check {
@@ -68,11 +86,16 @@ impl Memory {
 /// # Errors
 /// What keeps the run from running, with what helps.
 pub fn prepare(cell: &Cell) -> Result<Memory> {
-    for check in [descriptors(), loopback()] {
+    for check in [
+        descriptors(),
+        threads(threads_of(cell.graph.processes().len())),
+        loopback(),
+    ] {
         if let Err(reason) = check.found {
             bail!("{}: nothing was started: {reason}", cell.name);
         }
     }
+    free_orphans();
     let needed = shared_memory_of(&cell.graph);
     Ok(match free_shared() {
         Some(free) if free >= needed => Memory::Shared,
@@ -86,7 +109,9 @@ pub fn prepare(cell: &Cell) -> Result<Memory> {
 /// All that `realo doctor` looks at on the machine.
 pub fn checks(graph: Option<&FlatGraph>) -> Vec<Check> {
     let needed = graph.map_or(PROCESSES * (POOL as u64 + WITH_NETWORKS), shared_memory_of);
-    let free = free_shared();
+    // The next run frees what processes that are gone have left.
+    let left: u64 = orphans().iter().map(|orphan| orphan.bytes).sum();
+    let free = free_shared().map(|free| free + left);
     let shared = Check {
         what: "shared memory",
         found: Ok(match free {
@@ -94,7 +119,8 @@ pub fn checks(graph: Option<&FlatGraph>) -> Vec<Check> {
             free => through_sockets(free, needed),
         }),
     };
-    vec![shared, descriptors(), loopback()]
+    let needed = threads_of(graph.map_or(PROCESSES as usize, |graph| graph.processes().len()));
+    vec![shared, descriptors(), threads(needed), loopback()]
 }
 
 fn through_sockets(free: Option<u64>, needed: u64) -> String {
@@ -117,6 +143,101 @@ fn free_shared() -> Option<u64> {
     std::fs::File::create(&probe).ok()?;
     let _ = std::fs::remove_file(&probe);
     Some(found.f_bavail * found.f_frsize)
+}
+
+/// Shared memory of Zenoh that no process has open.
+struct Orphan {
+    path: PathBuf,
+    /// Bytes that it holds.
+    bytes: u64,
+}
+
+/// What processes that were killed left in shared memory. Zenoh takes such files away when it makes the first of its own, which it
+/// does not where messages go through sockets because these files fill the memory.
+fn orphans() -> Vec<Orphan> {
+    let entries = std::fs::read_dir(SHARED).into_iter().flatten().flatten();
+    let found = entries.filter_map(|entry| {
+        let path = entry.path();
+        let is_zenoh = path.extension().is_some_and(|kind| kind == "zenoh");
+        path.file_stem()?.to_str()?.parse::<u64>().ok().filter(|_| is_zenoh)?;
+        let file = File::options().read(true).write(true).open(&path).ok()?;
+        let about = file.metadata().ok()?;
+        // Whoever has just made it may not have locked it yet.
+        let is_new = about.modified().ok()?.elapsed().is_ok_and(|age| age < NEW);
+        // All that use it hold a shared lock.
+        let is_orphan = !is_new && file.try_lock().is_ok();
+        is_orphan.then_some(Orphan {
+            path,
+            bytes: about.blocks() * 512,
+        })
+    });
+    found.collect()
+}
+
+/// Frees shared memory of Zenoh that no process has open.
+pub fn free_orphans() {
+    for orphan in orphans() {
+        // What is not ours stays.
+        let _ = std::fs::remove_file(orphan.path);
+    }
+}
+
+/// Refuses a system that has too few threads for runs in virtual time.
+///
+/// # Errors
+/// What helps.
+pub fn threads_of_virtual() -> Result<()> {
+    match threads(cores() + THREADS_OF_VIRTUAL).found {
+        Ok(_) => Ok(()),
+        Err(reason) => bail!("nothing was run: {reason}"),
+    }
+}
+
+/// Threads that a graph of so many processes has on dora.
+fn threads_of(processes: usize) -> usize {
+    let of_cores = THREADS_OF_A_CORE * cores();
+    THREADS_OF_DORA + of_cores + processes * (THREADS_OF_A_PROCESS + of_cores)
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Whether so many threads can be had now, by starting them: limits of users, services and containers all count.
+fn threads(needed: usize) -> Check {
+    let (hold, held) = std::sync::mpsc::channel::<()>();
+    let held = Arc::new(Mutex::new(held));
+    let mut started = Vec::new();
+    let mut refused = None;
+    for _ in 0..needed {
+        let held = held.clone();
+        let wait = move || {
+            let held = held.lock().unwrap_or_else(PoisonError::into_inner);
+            // Ends when nothing more is tried.
+            let _ = held.recv();
+        };
+        match std::thread::Builder::new().stack_size(STACK).spawn(wait) {
+            Ok(thread) => started.push(thread),
+            Err(error) => {
+                refused = Some(error);
+                break;
+            }
+        }
+    }
+    let could = started.len();
+    drop(hold);
+    for thread in started {
+        let _ = thread.join();
+    }
+    Check {
+        what: "threads",
+        found: match refused {
+            None => Ok(format!("{needed} can be started")),
+            Some(error) => Err(format!(
+                "{needed} threads are needed, {could} can be started ({error}): {MORE_PROCESSES}"
+            )),
+        },
+    }
 }
 
 /// Bytes of shared memory that the processes of a graph may take.

@@ -11,6 +11,7 @@ mod limit;
 mod machine;
 mod networks;
 mod nodes;
+mod pace;
 mod prepare;
 mod realtime;
 mod replace;
@@ -19,7 +20,7 @@ mod resume;
 mod signals;
 mod tether;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
@@ -40,9 +41,11 @@ pub(crate) use dora::on_this_machine as dora_on_this_machine;
 pub(crate) use find::{checkout, graph as find_graph, model as find_model};
 pub(crate) use machine::{Check, checks};
 pub(crate) use nodes::{argument, decided_argument};
+pub(crate) use pace::{Pace, pace};
 pub use prepare::{Lane, lane};
 pub(crate) use replace::apply as replace_stages;
 pub use replay::replay;
+pub(crate) use signals::{Ending, wanted as wanted_signals};
 pub use tether::{TetheredArgs, tethered};
 
 /// Runs graphs over logs and prints what came out, side by side
@@ -278,58 +281,101 @@ pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
     .collect()
 }
 
+/// The runs of one graph.
+struct Planned<'a> {
+    /// The graph's name.
+    name: &'a str,
+    batch: Batch,
+    /// Settings that the graph was not given, for who reads its results.
+    skipped: Option<String>,
+}
+
 /// Runs every graph over every log and ego, pools, and prints. A graph that fails takes no other one with it: the table has
 /// the others, and its error follows.
 pub fn main(args: &Args) -> Result<Outcome> {
     signals::catch()?;
-    let mut failures = Failures::of(args.graphs.len());
-    let mut graphs = Vec::new();
-    for path in &args.graphs {
-        let found = failures.note(&path.display().to_string(), find::graph(path))?;
-        // One that is not there keeps its place, so that results of the others go where they always do.
-        graphs.push((found.is_some(), found.unwrap_or_else(|| path.clone())));
-    }
-    let args = &Args {
-        graphs: graphs.iter().map(|(_, path)| path.clone()).collect(),
-        ..args.clone()
-    };
+    let mut args = args.clone();
     let mode = args.driver()?;
+    machine::threads_of_virtual()?;
+    let notes = choices::keep_last(&mut args.choices.set);
+    notes.iter().for_each(|note| eprintln!("realo: {note}"));
+    let mut failures = Failures::of(args.graphs.len());
+    let is_there = find_graphs(&mut args.graphs, &mut failures)?;
+    let args = &args;
     let names = names(&args.graphs)?;
-    let mut batches: Vec<(&String, Batch)> = Vec::new();
-    let there: Vec<PathBuf> = graphs
-        .iter()
-        .filter(|(is_there, _)| *is_there)
-        .map(|(_, path)| path.clone())
+    let mut planned = plan(args, mode, &names, &is_there, &mut failures)?;
+    signals::begin();
+    let mut folders = Folders::default();
+    for Planned { name, batch, .. } in &mut planned {
+        folders.lock(&dir_of(args, name))?;
+        batch.claim(&mut folders, args.resume)?;
+    }
+    let runs = play(args, mode, &mut planned, &mut failures)?;
+    // What did not come to its end has the files of the run before again.
+    if runs.len() == names.len() {
+        folders.keep_new();
+    }
+    show(args, &runs);
+    Ok(conclude(&planned, &runs, &failures))
+}
+
+/// Puts the files of graphs in the place of their names; says which are there. One that is not keeps its place, so that
+/// results of the others go where they always do.
+fn find_graphs(graphs: &mut [PathBuf], failures: &mut Failures) -> Result<Vec<bool>> {
+    let mut is_there = Vec::new();
+    for path in graphs {
+        let found = failures.note(&path.display().to_string(), find::graph(path))?;
+        is_there.push(found.is_some());
+        if let Some(found) = found {
+            *path = found;
+        }
+    }
+    Ok(is_there)
+}
+
+/// The runs of all graphs that are there, each with the settings that it has a place for.
+fn plan<'a>(
+    args: &Args,
+    mode: Mode,
+    names: &'a [String],
+    is_there: &[bool],
+    failures: &mut Failures,
+) -> Result<Vec<Planned<'a>>> {
+    let there = args.graphs.iter().zip(names).zip(is_there);
+    let there: Vec<(&PathBuf, &String)> = there
+        .filter(|(_, is_there)| **is_there)
+        .map(|(graph, _)| graph)
         .collect();
-    let mut fitted = choices::fit(&args.choices, &there).into_iter();
-    let mut skipped: BTreeMap<&str, String> = BTreeMap::new();
-    for ((is_there, graph), name) in graphs.iter().zip(&names) {
-        let Some(fitted) = is_there.then(|| fitted.next()).flatten() else {
-            continue;
-        };
-        if let Some(note) = fitted.note() {
+    let graphs: Vec<PathBuf> = there.iter().map(|(graph, _)| graph.to_path_buf()).collect();
+    let mut planned: Vec<Planned> = Vec::new();
+    for (fitted, (graph, name)) in choices::fit(&args.choices, &graphs).into_iter().zip(there) {
+        let skipped = fitted.note();
+        if let Some(note) = &skipped {
             eprintln!("realo: {name}: {note}");
-            skipped.insert(name, note);
         }
         let own = Args {
             choices: fitted.choices,
             ..args.clone()
         };
         let batch = failures.note(name, prepare::batch(&own, mode, graph, name))?;
-        batches.extend(batch.map(|batch| (name, batch)));
+        planned.extend(batch.map(|batch| Planned { name, batch, skipped }));
     }
-    let mut cells = batches.iter().flat_map(|(_, batch)| batch.cells());
-    if args.choices.project.is_some() && !batches.is_empty() && !cells.any(Cell::can_project) {
+    let mut cells = planned.iter().flat_map(|planned| planned.batch.cells());
+    if args.choices.project.is_some() && !planned.is_empty() && !cells.any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
-    signals::begin();
-    let mut folders = Folders::default();
-    for (name, batch) in &mut batches {
-        folders.lock(&dir_of(args, name))?;
-        batch.claim(&mut folders, args.resume)?;
-    }
-    let mut runs: Vec<(&str, Run)> = Vec::new();
-    for (name, batch) in &mut batches {
+    Ok(planned)
+}
+
+/// Has the runs run, graph by graph, and pools what those of each came to, until a signal comes.
+fn play<'a>(
+    args: &Args,
+    mode: Mode,
+    planned: &mut [Planned<'a>],
+    failures: &mut Failures,
+) -> Result<Vec<(&'a str, Run)>> {
+    let mut runs = Vec::new();
+    for Planned { name, batch, skipped } in planned {
         if mode == Mode::Realtime
             && let Some(cell) = batch.cells().first()
         {
@@ -338,25 +384,26 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 .for_each(|line| eprintln!("realo: {line}"));
         }
         let done = match (batch.run(mode, args.rate.unwrap_or(1.0)), signals::first()) {
-            (done, Some(ending)) if mode == Mode::Virtual || done.is_err() => {
-                eprintln!("realo: {}", ended_early(ending, mode, done.err()));
+            (Err(reason), Some(ending)) => {
+                eprintln!("realo: {}", ended_early(ending, mode, &reason));
                 break;
             }
-            (done, _) => {
-                let notes = batch.note().into_iter().chain(skipped.get(name.as_str()).cloned());
-                done.and_then(|done| pool(args, mode, name, notes.collect(), &done))
-            }
+            (done, _) => done.and_then(|done| {
+                let notes = batch.notes().into_iter().chain(skipped.clone());
+                pool(args, mode, name, notes.collect(), &done)
+            }),
         };
         let pooled = failures.note(name, done)?;
-        runs.extend(pooled.map(|pooled| (name.as_str(), pooled)));
+        runs.extend(pooled.map(|pooled| (*name, pooled)));
         if signals::first().is_some() {
             break;
         }
     }
-    // What did not come to its end has the files of the run before again.
-    if runs.len() == names.len() {
-        folders.keep_new();
-    }
+    Ok(runs)
+}
+
+/// Prints the table, and where the results are.
+fn show(args: &Args, runs: &[(&str, Run)]) {
     let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (*name, run)).collect();
     if !named.is_empty() {
         args.show.print(&named);
@@ -366,7 +413,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
             .iter()
             .for_each(|(name, _)| println!("results in {}", dir_of(args, name).display()));
     }
-    let not_played: BTreeSet<String> = batches.iter().flat_map(|(_, batch)| batch.reasons()).collect();
+}
+
+/// Says what was not played and what failed; how the command ends.
+fn conclude(planned: &[Planned], runs: &[(&str, Run)], failures: &Failures) -> Outcome {
+    let batches = || planned.iter().map(|planned| &planned.batch);
+    let not_played: BTreeSet<String> = batches().flat_map(Batch::reasons).collect();
     not_played
         .iter()
         .for_each(|reason| eprintln!("realo: not played: {reason}"));
@@ -375,22 +427,26 @@ pub fn main(args: &Args) -> Result<Outcome> {
         if !runs.is_empty() {
             eprintln!("realo: ended by {ending}; these are the results until then");
         }
-        return Ok(Outcome::Ended(ending.number()));
+        return Outcome::Ended(ending.number());
     }
-    let has_faults = runs.iter().any(|(_, run)| run.result.log_faults() > 0);
-    let is_partial = has_faults || batches.iter().any(|(_, batch)| batch.is_partial());
-    Ok(match (has_failed, is_partial) {
+    let results = || runs.iter().map(|(_, run)| &run.result);
+    let failed_stages = || results().filter(|result| result.has_failed_stages());
+    // Of a run whose stages failed and that gave no boxes there is nothing to score.
+    let gave_nothing = failed_stages().any(|result| result.frames.processed == 0);
+    let has_faults = results().any(|result| result.log_faults() > 0);
+    let is_partial = has_faults || failed_stages().next().is_some() || batches().any(Batch::is_partial);
+    match (has_failed || gave_nothing, is_partial) {
         (true, _) => Outcome::Failed,
         (false, true) => Outcome::Partial,
         (false, false) => Outcome::Complete,
-    })
+    }
 }
 
 /// What a run that a signal ended without results leaves.
-fn ended_early(ending: signals::Ending, mode: Mode, reason: Option<eyre::Report>) -> String {
-    match (mode, reason) {
-        (Mode::Realtime, Some(reason)) => format!("ended by {ending}: {reason:#}"),
-        _ => format!(
+fn ended_early(ending: Ending, mode: Mode, reason: &Report) -> String {
+    match mode {
+        Mode::Realtime => format!("ended by {ending}: {reason:#}"),
+        Mode::Virtual => format!(
             "ended by {ending} before the end of the log: no results of this run; earlier ones stay, and --resume goes on \
              with a batch"
         ),

@@ -8,6 +8,7 @@ use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_operator::Decided;
+use realo_player::PlannedRun;
 use realo_results::{Settings, Told as ToldFile};
 use realo_scoring::Protocol;
 
@@ -18,7 +19,7 @@ use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
     set_model, takers, values,
 };
-use super::{Args, Mode, compute, dir_of, limit, replace, resume};
+use super::{Args, Mode, choices, compute, dir_of, limit, replace, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry};
 
@@ -91,100 +92,158 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
         tell_of_machines(&graph, path);
     }
     let graph = graph.on_one_machine();
-    let compute = compute::profile(args.compute.as_deref(), &graph)?;
+    let own = values(&graph, Decided::Own, str::to_string);
+    if !own.is_empty() && !args.agents.is_empty() {
+        bail!(
+            "--agents: {} is the graph of one agent, {own}, and the others have graphs of their own: start those that take part, and \
+             say by --ego whose this one is",
+            path.display()
+        );
+    }
     let logs = logs(args, &graph)?;
+    distinct(&logs)?;
+    let mut planner = Planner {
+        compute: compute::profile(args.compute.as_deref(), &graph)?,
+        args,
+        mode,
+        name,
+        graph,
+        own,
+        set,
+        logs,
+        networks: Networks::default(),
+        unplayable: Unplayable::default(),
+    };
     let mut cells = Vec::new();
-    let mut networks = Networks::default();
-    let mut names = Vec::new();
-    let mut unplayable = Unplayable::default();
-    for log_path in &logs {
-        let stem = log_path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        if names.contains(&stem) {
-            bail!("two logs are named `{stem}`: rename one, so that their results can be told apart");
+    for log_path in planner.logs.clone() {
+        cells.extend(planner.cells_of(&log_path)?);
+    }
+    Batch::new(cells, planner.unplayable)
+}
+
+/// Refuses logs of one name: the folders of their results would be the same.
+fn distinct(logs: &[PathBuf]) -> Result<()> {
+    let mut names: Vec<String> = Vec::new();
+    for log in logs {
+        let name = stem(log);
+        if names.contains(&name) {
+            bail!("two logs are named `{name}`: rename one, so that their results can be told apart");
         }
-        names.push(stem.clone());
-        let Some(log) = unplayable.check(&stem, Log::open(log_path)) else {
-            continue;
+        names.push(name);
+    }
+    Ok(())
+}
+
+/// What makes the runs of one graph.
+struct Planner<'a> {
+    args: &'a Args,
+    mode: Mode,
+    /// The graph's name.
+    name: &'a str,
+    /// The graph with what `--set` and `--replace` say.
+    graph: FlatGraph,
+    /// The agent whose graph it is; empty where it is everybody's.
+    own: String,
+    set: Vec<Setting>,
+    compute: ComputeProfile,
+    logs: Vec<PathBuf>,
+    networks: Networks,
+    unplayable: Unplayable,
+}
+
+impl Planner<'_> {
+    /// The runs over one log; a log that cannot be played has none, and its reason is kept.
+    fn cells_of(&mut self, log_path: &Path) -> Result<Vec<Cell>> {
+        let stem = stem(log_path);
+        let Some(log) = self.unplayable.check(&stem, Log::open(log_path)) else {
+            return Ok(Vec::new());
         };
         if let Some(cut) = log.truncation() {
             eprintln!("realo: {}: {cut}", log_path.display());
         }
+        let args = self.args;
         let coop = args.coop.map_or(realo_player::Coop::All, super::Coop::for_player);
-        let own = values(&graph, Decided::Own, str::to_string);
-        if !own.is_empty() && !args.agents.is_empty() {
-            bail!(
-                "--agents: {} is the graph of one agent, {own}, and the others have graphs of their own: start those that take part, and \
-                 say by --ego whose this one is",
-                path.display()
-            );
-        }
-        let ego = args.ego.as_deref().unwrap_or(&own);
+        let ego = args.ego.as_deref().unwrap_or(&self.own);
         let plan = realo_player::plan(&log, ego, coop, &args.agents);
-        let Some(plan) = unplayable.check(&stem, plan) else {
-            continue;
+        let Some(plan) = self.unplayable.check(&stem, plan) else {
+            return Ok(Vec::new());
         };
+        let mut cells = Vec::new();
         for planned in plan.runs {
-            let ego = planned.ego.clone();
             if planned.collaborators.is_empty() {
+                let ego = &planned.ego;
                 eprintln!("realo: {stem}: no agent can collaborate with {ego} in mode {coop}: it runs alone");
             }
-            let out = std::path::absolute(dir_of(args, name).join(&stem).join(&ego))?;
-            let told = Told {
-                args,
-                mode,
-                graph: name,
-                log_path,
-                log: &log,
-                ego: &ego,
-                coop: coop.as_str(),
-                out: &out,
-            };
-            let (graph, mut settings) = told.to(&graph, &set)?;
-            let words = networks.check(&graph)?;
-            (settings.isa, settings.model) = (words.kernels, words.models);
-            let run = format!("{name}, {stem}, {ego}");
-            let played = fitting_protocols(&graph, &log, &ego)
-                .and_then(|()| lane::precomputed(&graph, &log, &planned, args.offline, &mut networks));
-            let Some(played) = unplayable.check(&run, played) else {
-                continue;
-            };
-            let graph = match played {
-                Some((played, words)) => {
-                    settings.precomputed = words;
-                    played
-                }
-                None => graph,
-            };
-            let mut graph = graph;
-            if mode == Mode::Virtual && args.compute.is_none() && settings.precomputed.is_empty() {
-                limit::leave_out_too_far(&mut graph, args.offline, &mut networks)?;
-            }
-            spare(&graph, &logs)?;
-            check(&graph)?;
-            if mode == Mode::Realtime {
-                // In virtual time nothing is started before all are built.
-                super::check_nodes(&graph).map_err(|error| eyre!("{} cannot run:\n  {error}", path.display()))?;
-            }
-            let decided = [serde_json::to_string(&settings)?, format!("{compute:?}")];
-            let fingerprint = resume::fingerprint(&graph, log_path, &out, &decided)?;
-            cells.push(Cell {
-                name: run,
-                graph,
-                seconds: log
-                    .span()
-                    .map_or(0.0, |(first, last)| realo_schemas::to_seconds(last - first)),
-                truncated: log.truncation().is_some(),
-                compute: compute.clone(),
-                told: ToldFile {
-                    log: log_path.to_string_lossy().into_owned(),
-                    settings,
-                    fingerprint,
-                },
-                out,
-            });
+            cells.extend(self.cell(log_path, &log, &planned, coop.as_str())?);
         }
+        Ok(cells)
     }
-    Batch::new(cells, unplayable)
+
+    /// The run of one ego; `None`, with its reason kept, where the log cannot give it.
+    fn cell(&mut self, log_path: &Path, log: &Log, planned: &PlannedRun, coop: &str) -> Result<Option<Cell>> {
+        let (args, stem) = (self.args, stem(log_path));
+        let out = std::path::absolute(dir_of(args, self.name).join(&stem).join(&planned.ego))?;
+        let told = Told {
+            args,
+            mode: self.mode,
+            graph: self.name,
+            log_path,
+            log,
+            ego: &planned.ego,
+            coop,
+            out: &out,
+        };
+        let (graph, mut settings) = told.to(&self.graph, &self.set)?;
+        let words = self.networks.check(&graph)?;
+        (settings.isa, settings.model) = (words.kernels, words.models);
+        let name = format!("{}, {stem}, {}", self.name, planned.ego);
+        let played = fitting_protocols(&graph, log, &planned.ego)
+            .and_then(|()| lane::precomputed(&graph, log, planned, args.offline, &mut self.networks));
+        let Some(played) = self.unplayable.check(&name, played) else {
+            return Ok(None);
+        };
+        let graph = match played {
+            Some((played, words)) => {
+                settings.precomputed = words;
+                played
+            }
+            None => graph,
+        };
+        let graph = self.checked(graph, &settings)?;
+        let decided = [serde_json::to_string(&settings)?, serde_json::to_string(&self.compute)?];
+        let fingerprint = resume::fingerprint(&graph, log_path, &out, &decided)?;
+        Ok(Some(Cell {
+            name,
+            graph,
+            seconds: log
+                .span()
+                .map_or(0.0, |(first, last)| realo_schemas::to_seconds(last - first)),
+            truncated: log.truncation().is_some(),
+            compute: self.compute.clone(),
+            told: ToldFile {
+                log: log_path.to_string_lossy().into_owned(),
+                settings,
+                fingerprint,
+            },
+            out,
+        }))
+    }
+
+    /// The graph as it runs; refused where it cannot.
+    fn checked(&mut self, mut graph: FlatGraph, settings: &Settings) -> Result<FlatGraph> {
+        let takes_no_time = self.args.compute.is_none() && settings.precomputed.is_empty();
+        if self.mode == Mode::Virtual && takes_no_time {
+            limit::leave_out_too_far(&mut graph, self.args.offline, &mut self.networks)?;
+        }
+        spare(&graph, &self.logs)?;
+        check(&graph)?;
+        if self.mode == Mode::Realtime {
+            // In virtual time nothing is started before all are built.
+            let checked = super::check_nodes(&graph);
+            checked.map_err(|error| eyre!("{} cannot run:\n  {error}", self.graph.file.display()))?;
+        }
+        Ok(graph)
+    }
 }
 
 /// Refuses protocols that cannot score the ego of the log.
@@ -299,7 +358,10 @@ fn setting(text: &str) -> Result<Setting> {
 
 /// What `--set` says.
 fn settings(args: &Args) -> Result<Vec<Setting>> {
-    args.choices.set.iter().map(|text| setting(text)).collect()
+    let mut set = args.choices.set.clone();
+    let notes = choices::keep_last(&mut set);
+    notes.iter().for_each(|note| eprintln!("realo: {note}"));
+    set.iter().map(|text| setting(text)).collect()
 }
 
 fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {

@@ -8,12 +8,16 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use eyre::{Result, WrapErr, bail};
-use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, SLOW};
+use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
+use realo_operator::Decided;
+use realo_results::Run;
 
+use super::batch::Unfinished;
+use super::nodes::deciding;
 use super::prepare::Cell;
 use super::signals::{self, Ending};
 use super::tether::Tether;
-use super::{dora, machine};
+use super::{dora, machine, pace};
 use crate::progress::Progress;
 
 /// From a signal to the end of all processes at most; what is left then is killed.
@@ -27,12 +31,12 @@ const TO_TELL: Duration = Duration::from_millis(1500);
 /// Which node failed, or what is missing; dora's own words are in `dora.log`.
 pub fn run(cell: &Cell, rate: f64) -> Result<()> {
     if signals::first().is_some() {
-        bail!("{}: the run had not begun", cell.name);
+        return Err(Unfinished(cell.name.clone()).into());
     }
+    let memory = machine::prepare(cell)?;
     let dora = dora::find()?;
     let graph = write_graph(cell)?;
     let overlay = graph.with_file_name("zenoh.json5");
-    let memory = machine::prepare(cell)?;
     fs::write(&overlay, memory.overlay())?;
     let log_path = cell.out.join("dora.log");
     let log = File::create(&log_path).wrap_err_with(|| format!("{}", log_path.display()))?;
@@ -51,6 +55,8 @@ pub fn run(cell: &Cell, rate: f64) -> Result<()> {
         }
     })?;
     let ended = watch(tether, child, cell, rate, &log_path)?;
+    // What was killed could not do it.
+    machine::free_orphans();
     match signals::first() {
         Some(ending) => conclude(cell, ending, ended.killed),
         None => check(cell, &ended, &log_path),
@@ -82,14 +88,23 @@ fn conclude(cell: &Cell, ending: Ending, killed: bool) -> Result<()> {
         );
     }
     let mut run = realo_results::read_run(&cell.out)?;
-    let samples = &run.timing.samples;
-    if samples.compute.is_empty() && samples.late.is_empty() {
+    if has_nothing(cell, &run) {
         // An earlier run's results are worth more.
         realo_results::claim(&cell.out)?;
-        bail!("{}: no results: it ended before the first message", cell.name);
+        bail!("{}: no results: it ended before the first sweep", cell.name);
     }
     run.result.ended_by = Some(ending.to_string());
     Ok(realo_results::write_result(&cell.out, &run.result)?)
+}
+
+/// Whether a run that a signal ended had no sweep of the ego yet; where none is scored, whether nothing had been played.
+fn has_nothing(cell: &Cell, run: &Run) -> bool {
+    let mut results = deciding(&cell.graph, Decided::Out);
+    let (frames, samples) = (&run.result.frames, &run.timing.samples);
+    match results.any(|node| ["boxes", "truth"].iter().any(|port| node.inputs.contains_key(*port))) {
+        true => frames.total + frames.processed == 0,
+        false => samples.compute.is_empty() && samples.late.is_empty(),
+    }
 }
 
 /// Writes the expanded graph with this very program behind every stage, and its types beside it.
@@ -181,7 +196,7 @@ fn check(cell: &Cell, ended: &Ended, log: &Path) -> Result<()> {
     }
     if !cell.out.join(realo_results::RESULT_FILE).exists() {
         bail!(
-            "{}: the run ended without results (was it stopped?); see {}",
+            "{}: the run ended without results, and no node says why: another program may have stopped dora; see {}",
             cell.name,
             log.display()
         );
@@ -223,23 +238,16 @@ impl Follower {
         if self.culprit.is_none() {
             self.culprit = text.lines().find_map(failed);
         }
-        let slow = text.lines().filter_map(|line| said(line).1.split_once(SLOW));
-        slow.map(|(_, what)| keeping_up(what, self.rate)).collect()
+        let slow = text.lines().filter_map(Slow::from_line);
+        slow.map(|slow| keeping_up(&slow, self.rate)).collect()
     }
 }
 
-/// What the notes of a stage that is too slow say, with what to do.
-fn keeping_up(what: &str, rate: f64) -> String {
-    // A host ends its line with the share of its input that the stage takes.
-    let (what, share) = what.rsplit_once(" share=").unwrap_or((what, ""));
-    let slower = share
-        .parse::<f64>()
-        .ok()
-        .map(|share| (share * rate * 9.0).floor() / 10.0);
-    let slower = slower.filter(|rate| *rate > 0.0).unwrap_or(0.5 * rate);
+/// What a stage that is too slow means, with what to do.
+fn keeping_up(slow: &Slow, rate: f64) -> String {
     format!(
-        "this machine does not keep up: {what}; play slower (--rate {slower}), take a model of int8 (--model, docs/networks.md), \
-         recorded detections (--recorded-detections), or --mode virtual"
+        "this machine does not keep up: {slow}; {}",
+        pace::remedies(slow.share * rate)
     )
 }
 
@@ -367,8 +375,16 @@ mod tests {
 
     #[test]
     fn a_machine_that_does_not_keep_up_is_told_what_to_do() {
-        let told = keeping_up("node `ego.encoder` takes 170 ms a call share=0.58", 1.0);
-        assert!(told.contains("170 ms a call; play slower (--rate 0.5)"), "{told}");
+        let slow = Slow {
+            node: "ego.encoder".into(),
+            call_ms: 170.0,
+            share: 0.58,
+        };
+        let told = keeping_up(&slow, 1.0);
+        assert!(
+            told.contains("node `ego.encoder` takes 170 ms a call and does 58 % of what comes; play with `--rate 0.5`"),
+            "{told}"
+        );
     }
 
     #[test]

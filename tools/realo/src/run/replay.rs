@@ -1,35 +1,76 @@
 //! Runs in virtual time.
 
-use eyre::{Result, WrapErr, bail, eyre};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+use eyre::{Report, Result, WrapErr, eyre};
 use rayon::prelude::*;
 use realo_graph::FlatGraph;
 use realo_host::{ComputeProfile, Stages, virtual_time};
 use realo_operator::Books;
 use realo_schemas::{Nanos, to_seconds};
 
+use super::batch::Unfinished;
 use super::prepare::Cell;
 use super::signals;
 use crate::progress::Progress;
 use crate::registry;
 
+/// After a signal, runs have so long to come to their next event. Who is in the middle of a call then is not waited for, and
+/// ends with this process.
+const TO_NEXT_EVENT: Duration = Duration::from_millis(1000);
+/// How often a signal is looked for.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// What a run says while it goes on.
+enum Said {
+    /// So many seconds of its log more are played.
+    Played(f64),
+    /// The run of this number has ended.
+    Ended(usize, Result<()>),
+}
+
 /// Runs all cells, several at a time; they do not know of each other. Gives how each ended.
-pub fn all(cells: &[&Cell]) -> Vec<Result<()>> {
+///
+/// # Errors
+/// A system without threads.
+pub fn all(cells: &[&Cell]) -> Result<Vec<Result<()>>> {
     let seconds = cells.iter().map(|cell| cell.seconds).sum();
     let progress = Progress::new(format!("replaying {}", runs(cells.len())), "s of logs", Some(seconds));
-    let done = cells
-        .par_iter()
-        .map(|cell| {
-            if signals::first().is_some() {
-                bail!("{}: the run had not begun", cell.name);
-            }
-            let mut far = Far::new(cell.seconds, &progress);
-            let ended = watched(&cell.graph, &cell.compute, None, |now| far.is(now));
-            far.ended();
-            ended.map(drop).wrap_err_with(|| cell.name.clone())
-        })
-        .collect();
+    let (sender, said) = channel();
+    let replays: Vec<Replay> = cells.iter().map(|cell| Replay::of(cell)).collect();
+    // Threads of their own: who waits here can leave a call that takes long.
+    let playing = std::thread::Builder::new().spawn(move || {
+        replays
+            .into_par_iter()
+            .enumerate()
+            .for_each_with(sender, |sender, (number, replay)| {
+                let ended = replay.run(sender);
+                // After a signal nobody may listen any more.
+                let _ = sender.send(Said::Ended(number, ended));
+            });
+    });
+    playing.map_err(signals::no_thread)?;
+    let mut ended: Vec<Option<Result<()>>> = cells.iter().map(|_| None).collect();
+    while ended.iter().any(Option::is_none) {
+        match said.recv_timeout(LOOK) {
+            Ok(Said::Played(seconds)) => progress.add(seconds),
+            Ok(Said::Ended(number, how)) => ended[number] = Some(how),
+            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        if signals::came_again() || signals::since().is_some_and(|since| since > TO_NEXT_EVENT) {
+            break;
+        }
+    }
     progress.finish();
-    done
+    let left = |cell: &Cell| -> Result<()> {
+        // Results without all that belongs to them are none.
+        realo_results::claim(&cell.out)?;
+        Err(Unfinished(cell.name.clone()).into())
+    };
+    let named = ended.into_iter().zip(cells);
+    Ok(named.map(|(ended, cell)| ended.unwrap_or_else(|| left(cell))).collect())
 }
 
 fn runs(count: usize) -> String {
@@ -39,9 +80,43 @@ fn runs(count: usize) -> String {
     }
 }
 
+/// What one run needs.
+struct Replay {
+    name: String,
+    graph: FlatGraph,
+    compute: ComputeProfile,
+    seconds: f64,
+}
+
+impl Replay {
+    fn of(cell: &Cell) -> Self {
+        Replay {
+            name: cell.name.clone(),
+            graph: cell.graph.clone(),
+            compute: cell.compute.clone(),
+            seconds: cell.seconds,
+        }
+    }
+
+    fn run(self, said: &Sender<Said>) -> Result<()> {
+        let unfinished = || Report::from(Unfinished(self.name.clone()));
+        if signals::first().is_some() {
+            return Err(unfinished());
+        }
+        let mut far = Far::new(self.seconds, said);
+        let ended = watched(&self.graph, &self.compute, None, |now| far.is(now));
+        far.ended();
+        match ended {
+            // What else fails then fails because of it.
+            Err(_) if signals::first().is_some() => Err(unfinished()),
+            ended => ended.map(drop).wrap_err_with(|| self.name.clone()),
+        }
+    }
+}
+
 /// How far one of several runs is.
 struct Far<'a> {
-    progress: &'a Progress,
+    said: &'a Sender<Said>,
     /// Length of its log.
     seconds: f64,
     begin: Option<Nanos>,
@@ -52,9 +127,9 @@ impl<'a> Far<'a> {
     /// Seconds of a log from one report to the next.
     const STEP: f64 = 0.1;
 
-    fn new(seconds: f64, progress: &'a Progress) -> Self {
+    fn new(seconds: f64, said: &'a Sender<Said>) -> Self {
         Far {
-            progress,
+            said,
             seconds,
             begin: None,
             done: 0.0,
@@ -65,13 +140,18 @@ impl<'a> Far<'a> {
         let begin = *self.begin.get_or_insert(now);
         let done = to_seconds(now - begin).min(self.seconds);
         if done >= self.done + Self::STEP {
-            self.progress.add(done - self.done);
+            self.say(done - self.done);
             self.done = done;
         }
     }
 
     fn ended(self) {
-        self.progress.add(self.seconds - self.done);
+        self.say(self.seconds - self.done);
+    }
+
+    fn say(&self, seconds: f64) {
+        // After a signal nobody may listen any more.
+        let _ = self.said.send(Said::Played(seconds));
     }
 }
 

@@ -81,7 +81,7 @@ pub fn fingerprint(graph: &FlatGraph, log: &Path, out: &Path, decided: &[String]
         for (port, input) in &node.inputs {
             add(&format!("{port} {}", input.source));
         }
-        add(&format!("{:?}", node.env));
+        add(&serde_json::to_string(&node.env).wrap_err_with(|| format!("node `{}`: env", node.id))?);
     }
     add(&log_content(log).wrap_err_with(|| log.display().to_string())?);
     Ok(hex(&hash.finalize()))

@@ -1,13 +1,17 @@
 //! Signals that end a run.
 
 use std::fmt;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use eyre::{Result, WrapErr};
+use eyre::{Report, Result, WrapErr, eyre};
 use realo_host::virtual_time;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
+
+use super::machine;
+use crate::unfinished;
 
 /// The first signal; 0: none yet.
 static FIRST: AtomicI32 = AtomicI32::new(0);
@@ -15,18 +19,21 @@ static FIRST: AtomicI32 = AtomicI32::new(0);
 static AGAIN: AtomicBool = AtomicBool::new(false);
 /// Whether what a signal ends can end in good order.
 static BEGUN: AtomicBool = AtomicBool::new(false);
-/// Whether runs in virtual time go on.
-static IN_VIRTUAL: AtomicBool = AtomicBool::new(false);
+/// When the first one came.
+static CAME: OnceLock<Instant> = OnceLock::new();
 /// After the second signal, the program ends in so long, whatever it does.
 const AT_LAST: Duration = Duration::from_secs(2);
-/// After the first signal, a run in virtual time has so long to come to its next event.
-const TO_NEXT_EVENT: Duration = Duration::from_millis(2500);
 
 /// The signal that ends a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ending(i32);
 
 impl Ending {
+    /// The signal of a number.
+    pub fn of(signal: i32) -> Self {
+        Ending(signal)
+    }
+
     /// Its number.
     pub fn number(self) -> u8 {
         u8::try_from(self.0).unwrap_or(0)
@@ -48,13 +55,8 @@ impl fmt::Display for Ending {
 /// # Errors
 /// A system that refuses.
 pub fn catch() -> Result<()> {
-    let mut wanted = vec![SIGINT, SIGTERM];
-    // `nohup` has it ignored: the run goes on when its terminal closes.
-    if !is_ignored(SIGHUP) {
-        wanted.push(SIGHUP);
-    }
-    let mut signals = Signals::new(wanted).wrap_err("cannot catch signals")?;
-    std::thread::spawn(move || {
+    let mut signals = wanted()?;
+    let caught = std::thread::Builder::new().spawn(move || {
         for signal in signals.forever() {
             match FIRST.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed) {
                 Ok(_) => end(signal),
@@ -66,26 +68,37 @@ pub fn catch() -> Result<()> {
             }
         }
     });
-    Ok(())
+    caught.map(drop).map_err(no_thread)
+}
+
+/// The signals that end a command.
+///
+/// # Errors
+/// A system that refuses.
+pub fn wanted() -> Result<Signals> {
+    let mut wanted = vec![SIGINT, SIGTERM];
+    // `nohup` has it ignored: the run goes on when its terminal closes.
+    if !is_ignored(SIGHUP) {
+        wanted.push(SIGHUP);
+    }
+    Signals::new(wanted).wrap_err("cannot catch signals")
+}
+
+/// A system that has no thread left.
+pub fn no_thread(error: std::io::Error) -> Report {
+    eyre!("no thread can be started ({error}): {}", machine::MORE_PROCESSES)
 }
 
 /// Ends what goes on. Plug-ins end with this process in any case.
 fn end(signal: i32) {
+    let _ = CAME.set(Instant::now());
     if !BEGUN.load(Ordering::SeqCst) {
+        // The demo log may be on its way.
+        unfinished::remove();
         eprintln!("realo: ended by {} before anything was run", Ending(signal));
         std::process::exit(128 + signal);
     }
     virtual_time::end_all();
-    std::thread::spawn(move || {
-        std::thread::sleep(TO_NEXT_EVENT);
-        if IN_VIRTUAL.load(Ordering::SeqCst) {
-            eprintln!(
-                "realo: ended by {} in the middle of a call: no results of this run; the next run there puts earlier ones back",
-                Ending(signal)
-            );
-            std::process::exit(128 + signal);
-        }
-    });
 }
 
 /// From now on there are folders to put in order.
@@ -93,18 +106,15 @@ pub fn begin() {
     BEGUN.store(true, Ordering::SeqCst);
 }
 
-/// Calculates in virtual time; a signal does not wait for a call that takes long.
-pub fn in_virtual<T>(calculate: impl FnOnce() -> T) -> T {
-    IN_VIRTUAL.store(true, Ordering::SeqCst);
-    let calculated = calculate();
-    IN_VIRTUAL.store(false, Ordering::SeqCst);
-    calculated
-}
-
 /// The signal that ends the run, if one came.
 pub fn first() -> Option<Ending> {
     let first = FIRST.load(Ordering::Relaxed);
     (first != 0).then_some(Ending(first))
+}
+
+/// How long ago the signal that ends the run came.
+pub fn since() -> Option<Duration> {
+    CAME.get().map(Instant::elapsed)
 }
 
 /// Whether somebody will not wait any longer.

@@ -32,7 +32,7 @@ pub fn tethered(args: &TetheredArgs) -> Result<Outcome> {
     set_parent_process_death_signal(Some(Signal::KILL))?;
     // It may have died before.
     if getppid().map(Pid::as_raw_pid) != Some(args.parent) {
-        bail!("who started this is gone");
+        bail!("the `realo run` that started this process has ended, so nothing is started");
     }
     let error = Command::new(&args.program).args(&args.args).exec();
     Err(error).wrap_err_with(|| format!("{}", args.program.display()))
