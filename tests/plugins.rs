@@ -405,6 +405,33 @@ fn a_new_fusion_in_python_takes_a_stage_of_any_graph() {
 }
 
 #[test]
+fn boxes_of_a_python_stage_that_no_object_can_have_are_named() {
+    let Some(bin) = python::bin() else {
+        return;
+    };
+    let shipped = std::fs::read_to_string(example("python/fusion_boxes.py")).expect("the example");
+    let absurd = shipped.replace(
+        "        low = fused",
+        "        fused[\"x\"][:1] = 1e30\n        low = fused",
+    );
+    assert_ne!(absurd, shipped);
+    let program = folder("absurd_boxes").join("absurd.py");
+    std::fs::write(&program, absurd).expect("the folder can be written");
+    let replace = format!("fusion.fusion=program {}", program.display());
+    let out = folder("absurd_boxes_run");
+    let args = run_args(&out, "late_fusion", &["--mode", "virtual", "--replace", &replace]);
+    let output = python::with(&bin, common::REALO, &args);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let notes = json(&out.join("result.json"))["notes"].to_string();
+    for part in [
+        "boxes were left out by fusion.nms, because no object can have such numbers (the first has a distance of 1.000e30 m)",
+        "mend the stage that sends them to fusion.nms",
+    ] {
+        assert!(notes.contains(part), "no `{part}` in\n{notes}");
+    }
+}
+
+#[test]
 fn a_stage_is_replaced_on_dora_as_in_virtual_time() {
     decided(|| {
         let program = fusion_nearest();

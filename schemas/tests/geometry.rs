@@ -143,6 +143,36 @@ fn a_valid_box_is_finite_has_extents_and_a_score() {
 }
 
 #[test]
+fn a_plausible_box_is_no_farther_and_no_larger_than_anything_that_is_seen() {
+    let good = object(1.0, 2.0, 3.0);
+    let at = |x: f64| Box3 {
+        center: [x, 0.0, 0.0],
+        ..good.clone()
+    };
+    assert!(is_plausible(&at(10_000.0)) && is_valid(&at(10_001.0)) && !is_plausible(&at(-10_001.0)));
+    let long = |length: f64| Box3 { length, ..good.clone() };
+    assert!(is_plausible(&long(100.0)) && !is_valid(&long(100.1)));
+    assert_eq!(box_fault(&good), None);
+    for (bad, words) in [
+        (at(1e30), "a distance of 1.000e30 m"),
+        (at(1e300), "a distance of inf m"),
+        (at(f64::NAN), "not finite"),
+        (long(0.0), "a size of 0.000 × 2.000 × 1.500 m"),
+        (long(1e30), "a size of 1.000e30 × "),
+        (
+            Box3 {
+                score: 1.5,
+                ..good.clone()
+            },
+            "a score of 1.5",
+        ),
+    ] {
+        let said = box_fault(&bad).unwrap_or_default();
+        assert!(!is_plausible(&bad) && said.contains(words), "{said}");
+    }
+}
+
+#[test]
 fn a_region_contains_its_edges() {
     let region = Region {
         x: [-10.0, 20.0],

@@ -1,9 +1,18 @@
 //! What is dropped is said in the notes.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use realo_logs::boxes;
+use realo_schemas::Box3;
 
 use crate::common;
-use crate::scene::{SWEEP, Scene, T0, rewrite, run};
+use crate::scene::{SWEEP, Scene, T0, rewrite, run, run_ego};
+
+/// What `realo info` says of a log, and its exit code.
+fn info(log: &Path) -> (String, Option<i32>) {
+    let output = common::realo(["info", &log.to_string_lossy()]);
+    (common::text(&output.stdout), output.status.code())
+}
 
 fn of_classes(name: &str, class: fn(usize) -> &'static str) -> PathBuf {
     Scene {
@@ -86,13 +95,118 @@ fn an_agent_whose_data_stop_midway_is_named() {
     });
     for mode in [&["--offline"][..], &["--mode", "virtual"]] {
         let ran = run("late_fusion", &log, &format!("stops-{}", mode.len()), mode);
-        assert_eq!(ran.code, 0, "{ran:?}");
+        assert_eq!(ran.code, 3, "{ran:?}");
         let notes = ran.notes();
+        let words = "10 of 20 sweeps are missing: its data have gaps, begin late or stop early";
+        let said = format!("mast: {words} (its last is 0.980 s earlier than the last of all)");
+        assert!(notes.contains(&said), "{notes}");
+    }
+    let (said, code) = info(&log);
+    assert!(
+        said.contains("PROBLEM: `mast`: 10 of 20 sweeps are missing") && code == Some(3),
+        "{said}"
+    );
+}
+
+#[test]
+fn gaps_in_the_middle_are_the_same_for_info_and_run() {
+    let base = Scene::default().write("gap-base");
+    let log = rewrite(&base, "gap", |message| {
+        let (agent, stream) = message.parts();
+        let sweep = (message.header_stamp() - T0).div_euclid(SWEEP);
+        let is_gone = agent == "mast" && stream != "pose" && (6..14).contains(&sweep);
+        if is_gone { vec![] } else { vec![message] }
+    });
+    let words = "8 of 20 sweeps are missing: its data have gaps, begin late or stop early (none for 0.900 s, 0.500 s after its first)";
+    let ran = run("late_fusion", &log, "gap", &["--offline"]);
+    assert_eq!(ran.code, 3, "{ran:?}");
+    assert!(ran.notes().contains(&format!("mast: {words}")), "{}", ran.notes());
+    let (said, code) = info(&log);
+    assert!(
+        said.contains(&format!("PROBLEM: `mast`: {words}")) && code == Some(3),
+        "{said}"
+    );
+}
+
+/// A box of each message of an agent's topic, changed.
+fn with_boxes(name: &str, topic: &str, change: impl Fn(&mut Box3)) -> PathBuf {
+    let base = Scene::default().write(&format!("{name}-base"));
+    rewrite(&base, name, |mut message| {
+        if message.topic == topic {
+            let frame = format!("{}/body", message.parts().0);
+            let (stamp, mut found) = boxes::decode(&message.data).expect("boxes");
+            change(&mut found.0[1]);
+            message.data.clear();
+            boxes::encode(&mut message.data, stamp, &frame, &found.0);
+        }
+        vec![message]
+    })
+}
+
+#[test]
+fn boxes_at_absurd_places_or_of_absurd_sizes_are_named() {
+    let far: fn(&mut Box3) = |object| object.center[0] = 1e30;
+    let large: fn(&mut Box3) = |object| object.length = 101.0;
+    let detections = "mast: 20 of 80 recorded detections were left out, because no object can have such numbers";
+    let truth = "car: 20 of 160 objects of the ground truth were not scored, because no object can have such numbers";
+    for (name, topic, change, words, fault) in [
+        (
+            "far-boxes",
+            "/mast/detections",
+            far,
+            detections,
+            "a distance of 1.000e30 m",
+        ),
+        (
+            "large-boxes",
+            "/mast/detections",
+            large,
+            detections,
+            "a size of 1.010e2 × ",
+        ),
+        ("far-truth", "/car/ground_truth", far, truth, "a distance of 1.000e30 m"),
+    ] {
+        let log = with_boxes(name, topic, change);
+        for mode in [&["--offline"][..], &["--mode", "virtual"]] {
+            let ran = run("late_fusion", &log, &format!("{name}-{}", mode.len()), mode);
+            assert_eq!(ran.code, 3, "{name}: {ran:?}");
+            let said = format!("{words} (the first has {fault}");
+            let notes = ran.notes();
+            assert!(notes.contains(&said), "{name}: {notes}");
+            assert_eq!(notes.matches("no object can have").count(), 1, "{name}: {notes}");
+        }
+        let (said, code) = info(&log);
+        let problem = format!("PROBLEM: {topic}: 20 of ");
         assert!(
-            notes.contains("mast: 10 of 20 sweeps are missing: its data have gaps, begin late or stop early (its last is 0.980 s before the last of all)"),
-            "{notes}"
+            said.contains(&problem) && said.contains(fault) && code == Some(3),
+            "{name}: {said}"
         );
     }
+}
+
+#[test]
+fn a_truck_trailer_and_a_box_at_the_edge_of_sight_are_fine() {
+    let log = with_boxes("long-boxes", "/mast/detections", |object| {
+        object.center[0] = 9_000.0;
+        object.length = 60.0;
+    });
+    let ran = run("late_fusion", &log, "long-boxes", &["--offline"]);
+    assert_eq!(ran.code, 0, "{ran:?}");
+    assert!(!ran.notes().contains("no object can have"), "{}", ran.notes());
+}
+
+#[test]
+fn agents_whose_names_hold_hyphens_cooperate() {
+    let scene = Scene {
+        agents: ["car-1", "mast-1-car"],
+        ..Scene::default()
+    };
+    let log = scene.write("hyphens");
+    let ran = run_ego("car-1", "late_fusion", &log, "hyphens", &["--offline"]);
+    assert_eq!((ran.code, ran.ap("0.5")), (0, 1.0), "{}", ran.notes());
+    let cooperation = &ran.result.as_ref().expect("a result")["cooperation"];
+    assert_eq!((&cooperation["runs"], &cooperation["in_vain"]), (&1.into(), &0.into()));
+    assert!(!ran.notes().contains("no message was used"), "{}", ran.notes());
 }
 
 #[test]

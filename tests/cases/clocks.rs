@@ -3,7 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use realo_schemas::Nanos;
+use realo_logs::{cloud, pose};
+use realo_schemas::{Nanos, PoseStatus};
 
 use crate::common;
 use crate::scene::{Ran, Raw, Scene, T0, rewrite, run};
@@ -40,16 +41,23 @@ fn late_fusion(log: &Path, name: &str, mode: &[&str]) -> Ran {
     run("late_fusion", log, name, mode)
 }
 
+/// The first note where scores lack the mast's truth.
+const WITHOUT_TRUTH: &str = "mast: 20 of 20 sweeps of the ego were scored without the truth of mast";
+
 const WEEKS: Nanos = 1024 * 7 * 86_400 * S;
 
 #[test]
 fn a_lidar_on_another_clock_is_named_with_the_kind_of_clock() {
     for (name, by, kind) in [
-        ("tai", 37 * S, "36.910 s ahead of log times: looks like TAI against UTC"),
         (
-            "tai-behind",
+            "tai",
+            37 * S,
+            "36.910 s later than log times: looks like TAI against UTC",
+        ),
+        (
+            "tai-earlier",
             -37 * S,
-            "37.090 s behind log times: looks like UTC against TAI",
+            "37.090 s earlier than log times: looks like UTC against TAI",
         ),
         ("gps", 18 * S, "looks like GPS time against UTC"),
         (
@@ -87,7 +95,7 @@ fn a_lidar_on_another_clock_is_named_in_realtime() {
         let ran = late_fusion(&log, "tai-realtime", &["--mode", "realtime"]);
         assert_eq!(ran.code, 3, "{ran:?}");
         assert!(
-            ran.notes().contains("36.910 s ahead of log times: looks like TAI"),
+            ran.notes().contains("36.910 s later than log times: looks like TAI"),
             "{}",
             ran.notes()
         );
@@ -101,6 +109,34 @@ fn an_ego_on_another_clock_is_refused() {
         let ran = late_fusion(&log, &format!("ego-boot-{mode}"), options);
         assert_eq!(ran.code, 1, "{ran:?}");
         assert!(ran.err.contains("the clock of `car`, the ego, is off"), "{}", ran.err);
+    }
+}
+
+#[test]
+fn one_sweep_of_the_ego_on_another_clock_is_left_out_and_counted() {
+    for (name, lost) in [("ego-first-off", 0..1), ("ego-few-off", 0..9)] {
+        let log = changed(name, &Scene::default(), |message| {
+            let is_sweep = ["points", "sweeps"].contains(&message.parts().1);
+            let number = (message.header_stamp() - T0).div_euclid(100 * MS);
+            if message.parts().0 == "car" && is_sweep && lost.contains(&number) {
+                message.shift(-37 * S);
+            }
+        });
+        for (mode, options) in MODES {
+            let ran = late_fusion(&log, &format!("{name}-{mode}"), options);
+            assert_eq!(ran.code, 3, "{name} {mode}: {ran:?}");
+            let notes = ran.notes();
+            let said = format!("car: {} of ", lost.end);
+            assert!(
+                notes.starts_with(&said) && notes.contains("looks like UTC against TAI"),
+                "{name} {mode}: {notes}"
+            );
+            let result = ran.result.as_ref().expect("a result");
+            assert_eq!(result["frames"]["total"], 20 - lost.end, "{name} {mode}");
+        }
+        let (said, code) = info(&log);
+        assert!(said.contains("PROBLEM: `car`: ") && code == Some(3), "{said}");
+        assert_eq!(said.matches("PROBLEM").count(), 1, "it is said once: {said}");
     }
 }
 
@@ -125,13 +161,24 @@ fn an_agent_that_is_moved_as_a_whole_is_named() {
             "no time in common",
             "have no time in common",
         ),
-        ("all-200", 200 * MS, false, "0.200 s ahead of log times", "`mast`: "),
+        ("all-200", 200 * MS, false, "0.200 s later than log times", "`mast`: "),
     ] {
         let log = moved(name, by, log_too);
         for (mode, options) in MODES {
             let ran = late_fusion(&log, &format!("{name}-{mode}"), options);
             assert_eq!(ran.code, 3, "{name} {mode}: {ran:?}");
-            assert!(ran.notes().contains(words), "{name} {mode}: {}", ran.notes());
+            let notes = ran.notes();
+            assert!(notes.contains(words), "{name} {mode}: {notes}");
+            // Half of the objects have points of the mast alone: without its truth AP would read 1.0.
+            assert_eq!(
+                notes.starts_with(WITHOUT_TRUTH),
+                by > S,
+                "{name} {mode}, first of all: {notes}"
+            );
+            assert!(
+                by < S || notes.contains("mast: no message was used"),
+                "{name} {mode}: {notes}"
+            );
         }
         let (said, code) = info(&log);
         assert!(
@@ -183,7 +230,7 @@ fn the_header_has_the_stamp_and_the_log_time_says_when_it_is_known() {
         );
         let (said, code) = info(&published);
         assert!(
-            code == Some(3) && said.contains("the first lies 400.0 ms behind"),
+            code == Some(3) && said.contains("the first is 0.400 s later than it"),
             "{said}"
         );
     }
@@ -341,7 +388,10 @@ fn info_tells_who_stops_and_what_the_protocol_drops() {
     });
     let (said, code) = info(&log);
     assert!(
-        said.contains("PROBLEM: `mast`: sweeps stop 1.080 s before the others do") && code == Some(3),
+        said.contains(
+            "PROBLEM: `mast`: 11 of 20 sweeps are missing: its data have gaps, begin late or stop early (its last is 1.080 s earlier \
+             than the last of all)"
+        ) && code == Some(3),
         "{said}"
     );
     let unicorn = Scene {
@@ -362,7 +412,7 @@ fn truth_or_detections_alone_on_another_clock_are_named() {
         ("truth-tai", "", "ground_truth", 37 * S, true, off),
         ("truth-stamp", "", "ground_truth", 37 * S, false, off),
         (
-            "truth-behind",
+            "truth-earlier",
             "",
             "ground_truth",
             -37 * S,
@@ -396,4 +446,123 @@ fn truth_or_detections_alone_on_another_clock_are_named() {
             assert!(is_told, "{name} {mode}: {notes}");
         }
     }
+}
+
+#[test]
+fn truth_of_one_agent_alone_on_another_clock_is_the_first_note() {
+    let truth_of = |agent: &'static str, log_too: bool| {
+        move |message: &mut Raw| {
+            let (of, topic) = message.parts();
+            if of == agent && topic.starts_with("ground_truth") && !topic.ends_with("markers") {
+                message.shift(37 * S);
+                message.log_time += if log_too { 37 * S } else { 0 };
+            }
+        }
+    };
+    let of_ego = "car: 20 of 20 messages of ground truth were left out";
+    for (name, agent, log_too, first) in [
+        ("mast-truth-tai", "mast", false, WITHOUT_TRUTH),
+        ("mast-truth-logged", "mast", true, WITHOUT_TRUTH),
+        ("car-truth-logged", "car", true, of_ego),
+    ] {
+        let log = changed(name, &Scene::default(), truth_of(agent, log_too));
+        let (said, code) = info(&log);
+        let problem = format!("PROBLEM: /{agent}/ground_truth: ");
+        let is_named = said.contains(&problem) || said.contains(&format!("PROBLEM: `{agent}`: "));
+        assert!(
+            is_named && said.contains("looks like TAI") && code == Some(3),
+            "{name}: {said}"
+        );
+        for (mode, options) in MODES {
+            let ran = late_fusion(&log, &format!("{name}-{mode}"), options);
+            assert_eq!(ran.code, 3, "{name} {mode}: {ran:?}");
+            assert!(ran.notes().starts_with(first), "{name} {mode}: {}", ran.notes());
+        }
+    }
+}
+
+#[test]
+fn two_stamps_of_one_message_hide_nothing_else() {
+    let log = changed("two-stamps-and-truth", &Scene::default(), |message| {
+        match message.parts() {
+            ("car", "pose") => message.publish_time += 400 * MS,
+            ("mast", stream) if stream.starts_with("detections") => message.shift(12 * MS),
+            _ => {}
+        }
+    });
+    let (said, code) = info(&log);
+    for part in [
+        "PROBLEM: /car/pose: the publish time of ",
+        "PROBLEM: /mast/detections: 20 of 20 messages have the stamp of no sweep",
+    ] {
+        assert!(said.contains(part), "no `{part}` in {said}");
+    }
+    assert_eq!(code, Some(3));
+}
+
+#[test]
+fn a_map_frame_may_begin_with_a_slash() {
+    let slashed = |message: &mut Raw| {
+        if message.parts().1 == "pose" {
+            let (stamp, state) = pose::decode(&message.data, PoseStatus::Recorded).expect("a pose");
+            message.data.clear();
+            pose::encode(&mut message.data, stamp, "/map", &state);
+        }
+    };
+    let log = changed("slashed-map", &Scene::default(), slashed);
+    for ((mode, options), right) in MODES.into_iter().zip([1.0, 0.975]) {
+        let ran = late_fusion(&log, &format!("slashed-map-{mode}"), options);
+        assert_eq!((ran.code, ran.ap("0.5")), (0, right), "{mode}: {}", ran.notes());
+    }
+    let (said, code) = info(&log);
+    assert!(!said.contains("PROBLEM") && code == Some(0), "{said}");
+}
+
+#[test]
+fn transforms_bridge_no_longer_gaps_than_poses() {
+    // Points of the car in the map; /tf, where the poses are too, lacks half a second.
+    let base = Scene::default().write("tf-gap-base");
+    let log = rewrite(&base, "tf-gap", |mut message| {
+        let is_gone = message.topic == "/tf" && (T0 + 450 * MS..T0 + 950 * MS).contains(&message.log_time);
+        if message.parts() == ("car", "points") {
+            let (stamp, points) = cloud::decode(&message.data).expect("a cloud");
+            message.data.clear();
+            cloud::encode(&mut message.data, stamp, "map", &points);
+        }
+        if is_gone { vec![] } else { vec![message] }
+    });
+    let out = common::folder("tf-gap-run");
+    let graph = common::graph("no_fusion");
+    let (path, folder) = (log.to_string_lossy(), out.to_string_lossy());
+    let args = [
+        "run",
+        &graph,
+        "--log",
+        &path,
+        "--ego",
+        "car",
+        "--offline",
+        "--out",
+        &folder,
+    ];
+    let output = common::realo(args);
+    assert_eq!(output.status.code(), Some(3), "{}", common::text(&output.stderr));
+    let result = common::json(&out.join("result.json"));
+    let notes = result["notes"].to_string();
+    let gap = "transforms of `car/body` on /tf are 550 ms apart there, at most 150 ms are bridged";
+    for part in ["car: 5 of 20 sweeps were left out, because no transform brings", gap] {
+        assert!(notes.contains(part), "no `{part}` in {notes}");
+    }
+    let frames = &result["frames"];
+    assert_eq!(
+        (&frames["total"], &frames["skipped"]),
+        (&20.into(), &5.into()),
+        "{frames}"
+    );
+    let (said, code) = info(&log);
+    let problem = "PROBLEM: `car`: 5 of 20 sweeps have no pose in the body frame";
+    assert!(
+        said.contains(problem) && said.contains(gap) && code == Some(3),
+        "{said}"
+    );
 }

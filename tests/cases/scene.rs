@@ -20,7 +20,7 @@ use crate::common;
 pub const T0: Nanos = 1_700_000_000_000_000_000;
 /// Time between sweeps.
 pub const SWEEP: Nanos = 100_000_000;
-/// The mast's sweeps lie this much behind the car's.
+/// The mast's sweeps are this much later than the car's.
 pub const MAST_LATER: Nanos = 20_000_000;
 /// Sweeps of each agent.
 pub const SWEEPS: i64 = 20;
@@ -49,6 +49,8 @@ pub struct Scene {
     pub class: fn(usize) -> &'static str,
     /// Adds `realo_log`'s own points of each sweep; otherwise sweeps are empty.
     pub points: bool,
+    /// Names of the car and of the mast.
+    pub agents: [&'static str; 2],
 }
 
 impl Default for Scene {
@@ -57,6 +59,7 @@ impl Default for Scene {
             pose_hz: [20, 20],
             class: |_| "Car",
             points: true,
+            agents: AGENTS,
         }
     }
 }
@@ -65,7 +68,8 @@ impl Scene {
     /// Writes the scene as a log into the tests' folder and returns its path.
     pub fn write(&self, name: &str) -> PathBuf {
         let path = common::folder(&format!("scene-{name}")).join(format!("{name}.mcap"));
-        let agents = vec![agent("car", AgentKind::Vehicle), agent("mast", AgentKind::Roadside)];
+        let [car, mast] = self.agents;
+        let agents = vec![agent(car, AgentKind::Vehicle), agent(mast, AgentKind::Roadside)];
         let mut log = LogWriter::create(&path, &LogInfo::new("a made-up scene", agents)).expect("the log is created");
         for (stamp, what, who) in self.events() {
             self.event(&mut log, stamp, what, who);
@@ -89,7 +93,7 @@ impl Scene {
     }
 
     fn event(&self, log: &mut LogWriter, stamp: Nanos, what: What, who: usize) {
-        let name = AGENTS[who];
+        let name = self.agents[who];
         let seconds = (stamp - T0) as f64 / 1e9;
         if what == What::Pose {
             let written = log.pose(name, stamp, stamp, &state_of(who, seconds));
@@ -340,6 +344,11 @@ impl Ran {
 
 /// Runs a shipped graph over a log with the car as ego and recorded detections, with these options more.
 pub fn run(graph: &str, log: &Path, name: &str, more: &[&str]) -> Ran {
+    run_ego("car", graph, log, name, more)
+}
+
+/// The same with another ego.
+pub fn run_ego(ego: &str, graph: &str, log: &Path, name: &str, more: &[&str]) -> Ran {
     let out = common::folder(&format!("ran-{name}-{graph}"));
     let graph = common::graph(graph);
     let (log, folder) = (log.to_string_lossy(), out.to_string_lossy());
@@ -349,7 +358,7 @@ pub fn run(graph: &str, log: &Path, name: &str, more: &[&str]) -> Ran {
         "--log",
         &log,
         "--ego",
-        "car",
+        ego,
         "--recorded-detections",
         "--out",
         &folder,

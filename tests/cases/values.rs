@@ -337,6 +337,52 @@ fn a_looped_bag_and_doubled_messages_are_named() {
 }
 
 #[test]
+fn a_log_that_goes_on_after_its_end_is_refused_with_what_to_do() {
+    let log = Scene::default().write("whole");
+    let whole = fs::read(&log).expect("the log can be read");
+    let other = fs::read(Scene::default().write("other")).expect("the log can be read");
+    let folder = common::folder("goes-on");
+    let end = whole.len();
+    let junk: &[u8] = b"\0\0\0\0 not of the log \x89MCAP0\r\n";
+    for (name, more, expected) in [
+        ("twice", &whole[..], "another MCAP file of"),
+        ("another", &other, "another MCAP file of"),
+        ("junk", junk, "B, is not of an MCAP file"),
+        ("one", b"\0", "what follows, 1 B, is not of an MCAP file"),
+    ] {
+        let path = folder.join(format!("{name}.mcap"));
+        fs::write(&path, [&whole[..], more].concat()).expect("the folder can be written");
+        let shown = path.to_string_lossy();
+        let ran = run("late_fusion", &path, &format!("goes-on-{name}"), &["--offline"]);
+        let info = common::realo(["info", &shown]);
+        assert!(
+            ran.code == 1 && ran.result.is_none() && info.status.code() == Some(1),
+            "{name}: {ran:?}"
+        );
+        let parts = [
+            format!("goes on after its end at byte {end}"),
+            expected.into(),
+            format!("head -c {end} {shown}"),
+        ];
+        for said in [ran.err, common::text(&info.stderr)] {
+            // Messages are wrapped to the terminal's width.
+            let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+            for part in &parts {
+                assert!(said.contains(part.as_str()), "{name}: no `{part}` in {said}");
+            }
+        }
+    }
+    // What the message says to do mends it.
+    let mended = folder.join("mended.mcap");
+    let twice = fs::read(folder.join("twice.mcap")).expect("the file can be read");
+    fs::write(&mended, &twice[..end]).expect("the folder can be written");
+    assert_eq!(
+        run("late_fusion", &mended, "goes-on-mended", &["--offline"]).ap("0.5"),
+        1.0
+    );
+}
+
+#[test]
 fn files_of_other_programs_are_named() {
     let folder = common::folder("foreign-files");
     let bag = folder.join("bag");

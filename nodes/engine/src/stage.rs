@@ -170,7 +170,7 @@ impl Stage {
         let declared = self.registration.counters;
         let is_new = |name: &&str| !declared.is_empty() && !self.books.counters.contains_key(*name);
         let new = counts.counters.keys().map(|name| &**name).filter(is_new);
-        let undeclared = new.filter(|name| !declared.iter().any(|counter| counter.name_is(name)));
+        let undeclared = new.filter(|name| !declared.iter().any(|counter| counter.name == *name));
         let lines = undeclared.map(|name| {
             let (id, operator) = (&self.id, self.registration.name);
             format!("{id} ({operator}): it counts `{name}`, which is not among its COUNTERS: no note can say what that means")

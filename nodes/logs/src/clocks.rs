@@ -4,6 +4,7 @@ use realo_schemas::{Nanos, are_one_time_line};
 use serde::{Deserialize, Serialize};
 
 use crate::Stream;
+use crate::words::{seconds, side};
 
 /// How far another agent's clock lies from the clock of a log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -80,9 +81,9 @@ impl Shift {
     }
 }
 
-/// Stamps may lie so far behind the log time, ns: clocks of sensors and of the recorder are not exactly in step.
+/// Stamps may be so much later than the log time, ns: clocks of sensors and of the recorder are not exactly in step.
 const AHEAD_TOLERATED: Nanos = 50_000_000;
-/// Stamps that lie farther behind the log time are of another clock, ns.
+/// Stamps that are this much later than the log time are of another clock, ns.
 const AHEAD_MOST: Nanos = 1_000_000_000;
 /// Sweeps and poses that were logged later than this are of another clock, ns.
 pub const BEHIND_MOST: Nanos = 2_000_000_000;
@@ -90,9 +91,9 @@ pub const BEHIND_MOST: Nanos = 2_000_000_000;
 /// How a stamp lies to the log time of its message, which is when the message existed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Before it, as it must, or at most 50 ms behind it.
+    /// Earlier, as it must, or at most 50 ms later.
     InStep,
-    /// Up to 1 s behind it.
+    /// Up to 1 s later.
     Ahead,
     /// So far away that the stamps are of another clock.
     Off,
@@ -114,20 +115,14 @@ impl Step {
     }
 }
 
-/// How far a stamp lies from its log time and what clock that looks like, e.g. "stamps 36.910 s ahead of log times, …".
+/// How far a stamp lies from its log time and what clock that looks like, e.g. "stamps 36.910 s later than log times: …".
 pub fn clock_words(stamp: Nanos, ready: Nanos) -> String {
     let ahead = stamp.saturating_sub(ready);
-    let side = if ahead < 0 { "behind" } else { "ahead of" };
-    let far = format!("stamps {} s {side} log times", seconds(ahead));
+    let far = format!("stamps {} s {} log times", seconds(ahead), side(ahead));
     match kind_of_clock(stamp, ready) {
         Some(kind) => format!("{far}: looks like {kind}"),
         None => far,
     }
-}
-
-/// Seconds to the millisecond, without a sign.
-pub(crate) fn seconds(time: Nanos) -> String {
-    format!("{:.3}", time.unsigned_abs() as f64 * 1e-9)
 }
 
 const SECOND: Nanos = 1_000_000_000;
@@ -219,7 +214,7 @@ mod tests {
         assert!(kind_of_clock(now, 4_280 * SECOND).unwrap().contains("recorder"));
         assert!(
             clock_words(now + 37 * SECOND, now + 90_000_000)
-                .starts_with("stamps 36.910 s ahead of log times: looks like TAI")
+                .starts_with("stamps 36.910 s later than log times: looks like TAI")
         );
     }
 

@@ -96,6 +96,16 @@ pub enum LogError {
         /// What is wrong.
         reason: String,
     },
+    /// A file that goes on after its end.
+    #[error("`{}` goes on after its end at byte {offset}: {reason}", .path.display())]
+    GoesOn {
+        /// The file.
+        path: PathBuf,
+        /// Where it ends.
+        offset: u64,
+        /// What follows, and what to do.
+        reason: String,
+    },
     /// An agent that the log does not have.
     #[error("`{}` has no agent `{agent}`; it has: {has}", .path.display())]
     MissingAgent {
@@ -128,6 +138,16 @@ pub enum LogError {
         /// Expected and found.
         reason: String,
     },
+    /// A sweep that no transform brings to its agent's body frame at its time, while some do at other times.
+    #[error("message on `{topic}` at {:.3} s: {reason}", to_seconds(*.log_time))]
+    Unplaced {
+        /// Its topic.
+        topic: String,
+        /// Its log time, ns.
+        log_time: Nanos,
+        /// Where the transforms are.
+        reason: String,
+    },
     /// Logs that cannot be one.
     #[error("the logs cannot be merged: {0}")]
     Merge(String),
@@ -153,7 +173,7 @@ impl LogError {
     /// What was expected and found, without where.
     pub fn reason(&self) -> String {
         match self {
-            LogError::Content { reason, .. } => reason.clone(),
+            LogError::Content { reason, .. } | LogError::Unplaced { reason, .. } => reason.clone(),
             error => error.to_string(),
         }
     }

@@ -3,17 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Isometry3;
-use realo_schemas::{Nanos, to_seconds};
+use realo_schemas::geometry::interpolate;
+use realo_schemas::{Nanos, is_same_stamp, to_seconds};
 
 use crate::pose::decode_transforms;
-use crate::{LogError, McapFile, Schema};
+use crate::words::millis;
+use crate::{LogError, MAX_GAP, McapFile, Schema};
 
 /// Topics of transforms; what is on the first holds for all times.
 const STATIC: &str = "/tf_static";
 const TOPICS: [&str; 2] = [STATIC, "/tf"];
-/// Before the first and behind the last transform of a frame, these hold for so long.
-const REACH: Nanos = 100_000_000;
-
 /// Frames of a log by their name.
 #[derive(Debug, Default)]
 pub(crate) struct Frames {
@@ -35,6 +34,15 @@ struct Edge {
 
 /// Transforms that differ by less are one: texts and single precision round by less, m and rad.
 const SAME: [f64; 2] = [1e-3, 1e-4];
+
+/// Why no way leads from a frame to another.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum NoWay {
+    /// At this time no transform is near enough, in words.
+    Gap(String),
+    /// At no time, in words.
+    Never(String),
+}
 
 /// The way from a frame to another.
 #[derive(Debug, PartialEq)]
@@ -89,7 +97,7 @@ impl Frames {
     }
 
     /// How to bring what lies in `from` into `to`, at a time.
-    pub fn way(&self, to: &str, from: &str, stamp: Nanos) -> Result<Way, String> {
+    pub fn way(&self, to: &str, from: &str, stamp: Nanos) -> Result<Way, NoWay> {
         let (up, down) = (self.ancestors(from, stamp), self.ancestors(to, stamp));
         let common = up
             .iter()
@@ -98,7 +106,7 @@ impl Frames {
             let stopped = [up, down]
                 .into_iter()
                 .find_map(|steps| steps.into_iter().find_map(|step| step.stopped));
-            return Err(stopped.unwrap_or_else(|| self.tree()));
+            return Err(stopped.unwrap_or_else(|| NoWay::Never(self.tree())));
         };
         Ok(Way {
             to_from_from: down.this_from_start.inv_mul(&up.this_from_start),
@@ -160,7 +168,12 @@ struct Step<'a> {
     this_from_start: Isometry3<f64>,
     by: BTreeSet<&'static str>,
     /// Why the way does not go on from here.
-    stopped: Option<String>,
+    stopped: Option<NoWay>,
+}
+
+fn is_same(one: &Isometry3<f64>, other: &Isometry3<f64>) -> bool {
+    let apart = (one.translation.vector - other.translation.vector).norm();
+    apart <= SAME[0] && one.rotation.angle_to(&other.rotation) <= SAME[1]
 }
 
 impl Edge {
@@ -172,12 +185,11 @@ impl Edge {
         }?;
         let apart = (pose.translation.vector - known.translation.vector).norm();
         let turned = known.rotation.angle_to(&pose.rotation);
-        let same = apart <= SAME[0] && turned <= SAME[1];
         let place = |p: &Isometry3<f64>| {
             let [x, y, z] = p.translation.vector.into();
             format!("({x:.3}, {y:.3}, {z:.3}) m")
         };
-        (!same).then(|| {
+        (!is_same(known, pose)).then(|| {
             format!(
                 "`{}` → `{child}` has two values, {} on {} and {} on {topic}, {apart:.3} m and {:.2}° apart; two publishers tell \
                  it: leave one of them in the log",
@@ -190,32 +202,70 @@ impl Edge {
         })
     }
 
-    fn pose(&self, child: &str, stamp: Nanos) -> Result<Isometry3<f64>, String> {
+    /// The pose at a stamp by the rule of recorded poses: interpolated over gaps of at most [`MAX_GAP`], and carried on for as long
+    /// by the last two. Between two equal transforms a frame does not move, so a gap of any length is bridged.
+    fn pose(&self, child: &str, stamp: Nanos) -> Result<Isometry3<f64>, NoWay> {
         if let Some(other) = &self.other {
-            return Err(format!("`{child}` has two parents, `{}` and `{other}`", self.parent));
+            let reason = format!("`{child}` has two parents, `{}` and `{other}`", self.parent);
+            return Err(NoWay::Never(reason));
         }
         if let Some(reason) = &self.contradiction {
-            return Err(reason.clone());
+            return Err(NoWay::Never(reason.clone()));
         }
-        let before = self.at.range(..=stamp).next_back();
-        let after = self.at.range(stamp..).next();
-        match (before, after) {
-            (Some((_, only)), _) | (_, Some((_, only))) if self.topic == STATIC => Ok(*only),
-            (Some((t0, a)), Some((t1, b))) if t1 > t0 => {
-                let part = (stamp - t0) as f64 / (t1 - t0) as f64;
-                // Opposite headings have no middle.
-                Ok(a.try_lerp_slerp(b, part, 1e-9)
-                    .unwrap_or(if part < 0.5 { *a } else { *b }))
-            }
-            (Some((at, near)), _) | (_, Some((at, near))) if stamp.abs_diff(*at) <= REACH as u64 => Ok(*near),
-            (Some((at, _)), _) | (_, Some((at, _))) => Err(format!(
-                "the transform of `{child}` on {} nearest to {:.3} s is of {:.3} s",
-                self.topic,
-                to_seconds(stamp),
-                to_seconds(*at)
+        if self.topic == STATIC {
+            let only = self.at.values().next().copied();
+            return only.ok_or_else(|| NoWay::Never(format!("`{child}` has no transform")));
+        }
+        let mut earlier = self.at.range(..=stamp).rev();
+        let mut later = self.at.range(stamp..);
+        let (before, after) = (earlier.next(), later.next());
+        let is_here = |(at, _): &(&Nanos, &Isometry3<f64>)| is_same_stamp(**at, stamp);
+        if let Some((_, here)) = before.into_iter().chain(after).find(is_here) {
+            return Ok(*here);
+        }
+        let (from, to) = match (before, after) {
+            (Some(before), Some(after)) => (Some(before), Some(after)),
+            (Some(last), None) => (earlier.next(), Some(last)),
+            (None, first) => (first, later.next()),
+        };
+        let (Some((t0, a)), Some((t1, b))) = (from, to) else {
+            return Err(self.gap(child, stamp));
+        };
+        let step = t1.saturating_sub(*t0);
+        let beyond = stamp.saturating_sub(*t1).max(t0.saturating_sub(stamp));
+        let is_still = is_same(a, b);
+        let bridged = match after {
+            Some(_) if before.is_some() => is_still || step <= MAX_GAP,
+            // What stands still goes on as its transforms came.
+            _ if is_still => beyond <= MAX_GAP.max(step),
+            None => step.max(beyond) <= MAX_GAP,
+            Some(_) => false,
+        };
+        match bridged {
+            true => Ok(interpolate(
+                a,
+                b,
+                to_seconds(stamp.saturating_sub(*t0)) / to_seconds(step),
             )),
-            (None, None) => Err(format!("`{child}` has no transform")),
+            false => Err(self.gap(child, stamp)),
         }
+    }
+
+    /// Where the transforms around a stamp are.
+    fn gap(&self, child: &str, stamp: Nanos) -> NoWay {
+        let before = self.at.range(..=stamp).next_back().map(|(at, _)| *at);
+        let after = self.at.range(stamp..).next().map(|(at, _)| *at);
+        let place = match (before, after) {
+            (Some(before), Some(after)) => format!("are {} ms apart there", millis(after.saturating_sub(before))),
+            (Some(last), None) => format!("end {} ms earlier", millis(stamp.saturating_sub(last))),
+            (None, Some(first)) => format!("begin {} ms later", millis(first.saturating_sub(stamp))),
+            (None, None) => "are missing".into(),
+        };
+        NoWay::Gap(format!(
+            "transforms of `{child}` on {} {place}, at most {} ms are bridged",
+            self.topic,
+            millis(MAX_GAP)
+        ))
     }
 }
 
@@ -239,15 +289,22 @@ mod tests {
         )
     }
 
-    /// map → base → lidar, base → body; base moves by 10 m/s.
+    /// map → base → lidar, base → body; base moves by 10 m/s and tells so every 100 ms for 2 s, but not between 0.5 and 0.9 s.
     fn frames() -> Frames {
         let mut frames = Frames::default();
         frames.add("/tf_static", 5, "base", "lidar", pose(1.0, std::f64::consts::FRAC_PI_2));
         frames.add("/tf_static", 5, "base", "body", pose(-2.0, 0.0));
-        for second in 0..3 {
-            frames.add("/tf", second * SECOND, "map", "base", pose(10.0 * second as f64, 0.0));
+        for tenth in (0..=20).filter(|tenth| !(6..9).contains(tenth)) {
+            frames.add("/tf", tenth * SECOND / 10, "map", "base", pose(tenth as f64, 0.0));
         }
         frames
+    }
+
+    fn reason(found: Result<Way, NoWay>) -> String {
+        match found {
+            Err(NoWay::Gap(reason) | NoWay::Never(reason)) => reason,
+            Ok(way) => panic!("{way:?}"),
+        }
     }
 
     #[test]
@@ -263,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn moving_frames_are_interpolated_and_reach_a_tenth_of_a_second() {
+    fn moving_frames_are_interpolated_and_carried_on_over_the_gaps_of_poses() {
         let x = |stamp: Nanos| {
             let way = frames()
                 .way("map", "lidar", stamp)
@@ -272,13 +329,38 @@ mod tests {
         };
         assert_eq!(x(SECOND / 4), Ok((3.5, 2)));
         assert_eq!(x(SECOND), Ok((11.0, 2)));
-        assert_eq!(x(2 * SECOND + REACH), Ok((21.0, 2)));
-        assert_eq!(x(-REACH), Ok((1.0, 2)));
-        for stamp in [2 * SECOND + REACH + 1, -REACH - 1] {
-            let error = x(stamp).unwrap_err();
-            assert!(error.contains("transform of `base` on /tf nearest to"), "{error}");
+        assert_eq!(x(SECOND / 2 + 500), Ok((6.0, 2)), "a stamp that was rounded");
+        assert_eq!(x(2 * SECOND + MAX_GAP), Ok((22.5, 2)), "it goes on as it moved");
+        for (stamp, words) in [
+            (7 * SECOND / 10, "transforms of `base` on /tf are 400 ms apart there"),
+            (
+                2 * SECOND + 2 * MAX_GAP,
+                "end 300 ms earlier, at most 150 ms are bridged",
+            ),
+            (-SECOND / 100, "begin 10 ms later"),
+        ] {
+            match x(stamp) {
+                Err(NoWay::Gap(reason)) => assert!(reason.contains(words), "{reason}"),
+                other => panic!("{stamp}: {other:?}"),
+            }
         }
         assert!(x(Nanos::MIN).is_err() && x(Nanos::MAX).is_err());
+    }
+
+    #[test]
+    fn a_frame_that_does_not_move_is_there_between_its_transforms() {
+        let mut mount = Frames::default();
+        for second in [1, 2] {
+            mount.add("/tf", second * SECOND, "body", "lidar", pose(1.0, 0.0));
+        }
+        let is_known = |tenths: Nanos| mount.way("body", "lidar", tenths * SECOND / 10).is_ok();
+        assert_eq!(
+            [-1, 0, 5, 15, 25, 30, 31].map(is_known),
+            [false, true, true, true, true, true, false]
+        );
+        let mut once = Frames::default();
+        once.add("/tf", SECOND, "body", "lidar", pose(1.0, 0.0));
+        assert!(once.way("body", "lidar", SECOND).is_ok() && once.way("body", "lidar", SECOND + 2_000).is_err());
     }
 
     #[test]
@@ -296,7 +378,7 @@ mod tests {
         ] {
             let mut two = frames();
             two.add(topic, stamp, parent, child, pose(x, 0.0));
-            let error = two.way("map", "lidar", SECOND).unwrap_err();
+            let error = reason(two.way("map", "lidar", SECOND));
             let names = format!("`{parent}` → `{child}` has two values");
             assert!(error.contains(&names) && error.contains("leave one"), "{error}");
         }
@@ -304,16 +386,16 @@ mod tests {
 
     #[test]
     fn says_where_the_tree_does_not_lead() {
-        let error = frames().way("rsu1/body", "lidar", 0).unwrap_err();
+        let error = reason(frames().way("rsu1/body", "lidar", 0));
         assert!(
             error.contains("have only map → base, base → body, base → lidar"),
             "{error}"
         );
-        let error = Frames::default().way("body", "lidar", 0).unwrap_err();
+        let error = reason(Frames::default().way("body", "lidar", 0));
         assert_eq!(error, "/tf_static and /tf hold no transform");
         let mut two = frames();
         two.add("/tf", 0, "map", "lidar", pose(0.0, 0.0));
-        let error = two.way("body", "lidar", 0).unwrap_err();
+        let error = reason(two.way("body", "lidar", 0));
         assert_eq!(error, "`lidar` has two parents, `base` and `map`");
         let mut ring = Frames::default();
         ring.add("/tf_static", 0, "a", "b", pose(1.0, 0.0));

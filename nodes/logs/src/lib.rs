@@ -36,8 +36,10 @@ mod error;
 mod findings;
 mod foreign;
 mod frames;
+mod gaps;
 mod info;
 mod level;
+pub mod limits;
 mod log;
 mod log_writer;
 mod mcap_file;
@@ -59,11 +61,13 @@ mod topics;
 mod track_faults;
 mod tracks;
 pub mod views;
+mod words;
 
 pub use boxes::BoxesInfo;
 pub use clocks::{BEHIND_MOST, PeerClock, Step, clock_words, kind_of_clock};
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
+pub use gaps::{Bare, Gaps, Lack, Missing, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
 pub use info::{AgentInfo, AgentKind, Levelled, LogInfo, program};
 pub use level::{Attitude, Attitudes, LEVEL, level_state, levelled_while_played, need_level};
 pub use log::{Entry, Log, LogReader};
@@ -78,9 +82,10 @@ pub use precomputed::{LaneStage, LogCopy, Precomputed};
 pub use schema::Schema;
 pub use stamps::same;
 pub use sweeps::{SweepsInfo, intensity_scale};
-pub use timing::Outside;
+pub use timing::{Outside, no_common_time};
 pub use topics::Stream;
 pub use track_faults::{TrackFault, TrackFinding, track_faults};
+pub use words::{nearest_words, side};
 
 /// Name of the metadata record of a recording of a run.
 pub const RECORDING_RECORD: &str = "realo_recording";

@@ -13,7 +13,7 @@ use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 use crate::packets::{self, SentPacket};
 use crate::repeats::Repeats;
 use crate::stamps::{Stamps, stamp_of};
-use crate::sweeps::{Context, SweepsInfo};
+use crate::sweeps::{Context, NoCloud, SweepsInfo};
 use crate::{BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Stream, boxes, foreign, pose, views};
 
 /// An open log.
@@ -199,6 +199,25 @@ impl Log {
             Some(channels) => self.context.describe(channels[0], agent),
             None => Ok(None),
         }
+    }
+
+    /// How many of an agent's sweeps, by their stamps, no transform brings to its body frame, and why the first is not.
+    ///
+    /// # Errors
+    /// Bytes that contradict the format.
+    pub(crate) fn unplaced(&self, agent: &str, stamps: &[Nanos]) -> Result<Option<(usize, Nanos, String)>, LogError> {
+        let Some(info) = self.sweeps_info(agent)? else {
+            return Ok(None);
+        };
+        let unplaced = |stamp: &Nanos| match self.context.way(agent, &info.frame, *stamp) {
+            Err(NoCloud::Unplaced(reason)) => Some((*stamp, reason)),
+            _ => None,
+        };
+        let mut all = stamps.iter().filter_map(unplaced);
+        let Some((first, reason)) = all.next() else {
+            return Ok(None);
+        };
+        Ok(Some((1 + all.count(), first, reason)))
     }
 
     /// How many intensities of the sweeps read so far did not fit into 0…255 and were limited, by agent.
@@ -476,7 +495,7 @@ impl Entry {
         self.stamp
     }
 
-    /// By how much the publish time lies behind the stamp of the header, ns, where the two differ: one of them is wrong.
+    /// By how much the publish time is later than the stamp of the header, ns, where the two differ: one of them is wrong.
     pub fn published_apart(&self) -> Option<Nanos> {
         let apart = nanos(self.raw.publish_time).saturating_sub(stamp_of(self.stream, &self.raw));
         (apart.abs() > SAME_STAMP).then_some(apart)
@@ -496,12 +515,20 @@ impl Entry {
     /// 0…1 are scaled to 0…255.
     ///
     /// # Errors
-    /// Bytes that are no such message; points in a frame from which the log has no transform into the body frame.
+    /// Bytes that are no such message; points in a frame from which the log has no transform into the body frame;
+    /// [`LogError::Unplaced`] where it has some, but none near this time.
     pub fn cloud(&self) -> Result<PointCloud, LogError> {
         let cloud = self
             .context
             .cloud(self.raw.channel, &self.agent, self.stamp(), self.data());
-        cloud.map_err(|reason| self.bad(reason))
+        cloud.map_err(|no_cloud| match no_cloud {
+            NoCloud::Unreadable(reason) => self.bad(reason),
+            NoCloud::Unplaced(reason) => LogError::Unplaced {
+                topic: self.stream.topic(&self.agent),
+                log_time: self.ready(),
+                reason,
+            },
+        })
     }
 
     /// A pose ([`Stream::Pose`], [`Stream::PoseTruth`]).

@@ -400,8 +400,10 @@ struct Scan {
     metadata: BTreeMap<String, BTreeMap<String, String>>,
     spans: Vec<Span>,
     lanes: BTreeMap<Lane, Reach>,
-    /// Whether the record behind the last message was found.
+    /// Whether the record after the last message was found.
     all_data: bool,
+    /// Where the file ends by its closing record.
+    end: Option<u64>,
 }
 
 /// How far the messages of a lane reach.
@@ -438,6 +440,7 @@ impl Scan {
             spans: Vec::new(),
             lanes: BTreeMap::new(),
             all_data: false,
+            end: None,
         }
     }
 
@@ -461,6 +464,9 @@ impl Scan {
                 Err(reason) => break Some(reason),
             }
         };
+        if let Some(end) = self.end.filter(|end| self.size > *end) {
+            return Err(self.goes_on(end));
+        }
         let mut channels = BTreeMap::new();
         for (id, (mut info, schema)) in std::mem::take(&mut self.channels) {
             info.schema = self.schemas.get(&schema).cloned().unwrap_or_default();
@@ -494,6 +500,30 @@ impl Scan {
         })
     }
 
+    /// Why a file is refused that goes on after its end: what follows would be lost in silence.
+    fn goes_on(&mut self, end: u64) -> LogError {
+        let mut head = [0; MAGIC.len()];
+        let read = self
+            .file
+            .seek(SeekFrom::Start(end))
+            .and_then(|_| self.file.read_exact(&mut head));
+        let (path, more) = (self.path.display(), self.size - end);
+        let reason = match read.is_ok() && head == MAGIC {
+            true => format!(
+                "another MCAP file of {more} B follows, as where two files were written into one; keep the first by `head -c {end} \
+                 {path} > first.mcap`, the other by `tail -c {more} {path} > second.mcap`"
+            ),
+            false => format!(
+                "what follows, {more} B, is not of an MCAP file; leave it out by `head -c {end} {path} > mended.mcap`"
+            ),
+        };
+        LogError::GoesOn {
+            path: self.path.clone(),
+            offset: end,
+            reason,
+        }
+    }
+
     /// Reads a record; false after the last one, an error where the file is cut.
     fn step(&mut self) -> Result<bool, String> {
         let mut head = [0; HEAD];
@@ -509,7 +539,10 @@ impl Scan {
             return Err("the file ends within a record".into());
         }
         match opcode {
-            op::FOOTER => return Ok(false),
+            op::FOOTER => {
+                self.end = Some(self.at + RECORD_HEAD + length + MAGIC.len() as u64);
+                return Ok(false);
+            }
             // Behind the data, an index that was not believed repeats the definitions.
             op::CHUNK | op::MESSAGE | op::SCHEMA | op::CHANNEL | op::METADATA | op::DATA_END if !self.all_data => {
                 let mut body = vec![0; length as usize];

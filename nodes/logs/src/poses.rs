@@ -12,7 +12,7 @@ const STILL: f64 = 0.05;
 /// Neither do its rotations, degrees.
 const STILL_DEGREES: f64 = 0.05;
 
-/// A roadside unit all of whose poses are the same: it is there before the first and behind the last too.
+/// A roadside unit all of whose poses are the same: it is there before the first and after the last too.
 #[derive(Clone, Debug)]
 pub struct Standing {
     /// Where it is.

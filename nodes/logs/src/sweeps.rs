@@ -7,7 +7,7 @@ use realo_schemas::{Nanos, PointCloud};
 use serde::Serialize;
 
 use crate::cloud::{CloudReader, Reading};
-use crate::frames::{Frames, Way, bare};
+use crate::frames::{Frames, NoWay, Way, bare};
 use crate::log_writer::body;
 use crate::stamps::stamp_of;
 use crate::times::TimeRule;
@@ -64,7 +64,7 @@ impl Context {
     }
 
     /// The points of a message in its agent's body frame.
-    pub fn cloud(&self, channel: u16, agent: &str, stamp: Nanos, payload: &[u8]) -> Result<PointCloud, String> {
+    pub fn cloud(&self, channel: u16, agent: &str, stamp: Nanos, payload: &[u8]) -> Result<PointCloud, NoCloud> {
         let mut reader = CloudReader::new(payload)?;
         reader.stamp = stamp;
         let rules = self.rules(channel, &reader).map_err(|error| error.to_string())?;
@@ -81,7 +81,7 @@ impl Context {
     }
 
     /// How to bring what lies in `frame` into the agent's body frame; `None` if it lies there.
-    fn way(&self, agent: &str, frame: &str, stamp: Nanos) -> Result<Option<Way>, String> {
+    pub fn way(&self, agent: &str, frame: &str, stamp: Nanos) -> Result<Option<Way>, NoCloud> {
         let to = body(agent);
         if bare(frame) == to {
             return Ok(None);
@@ -91,13 +91,14 @@ impl Context {
             .get_or_init(|| Frames::read(&self.file).map_err(|error| error.to_string()));
         let way = frames
             .as_ref()
-            .map_err(String::clone)
+            .map_err(|reason| NoWay::Never(reason.clone()))
             .and_then(|frames| frames.way(&to, bare(frame), stamp));
-        way.map(Some).map_err(|reason| {
-            format!(
+        way.map(Some).map_err(|no_way| match no_way {
+            NoWay::Gap(reason) => NoCloud::Unplaced(reason),
+            NoWay::Never(reason) => NoCloud::Unreadable(format!(
                 "its frame is `{frame}`, expected `{to}`, and no transform leads there: {reason}; put the transform from \
                  `{to}` to `{frame}` on /tf_static (tf2_msgs/msg/TFMessage), or write the points in `{to}`"
-            )
+            )),
         })
     }
 
@@ -157,8 +158,27 @@ impl Context {
             }),
             intensity: reader.intensity().map(str::to_string),
             intensity_scale: rules.scale,
-            problem: self.cloud(channel, agent, stamp, first.data()).err(),
+            problem: match self.cloud(channel, agent, stamp, first.data()) {
+                // The others may be placed: how many are not is said with the poses.
+                Ok(_) | Err(NoCloud::Unplaced(_)) => None,
+                Err(NoCloud::Unreadable(reason)) => Some(reason),
+            },
         }))
+    }
+}
+
+/// Why the points of a message cannot be had.
+#[derive(Clone, Debug)]
+pub(crate) enum NoCloud {
+    /// No transform brings them to the body frame at their time, in words.
+    Unplaced(String),
+    /// Its bytes or its frame are wrong, in words.
+    Unreadable(String),
+}
+
+impl From<String> for NoCloud {
+    fn from(reason: String) -> Self {
+        NoCloud::Unreadable(reason)
     }
 }
 

@@ -2,21 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use realo_schemas::{Nanos, SAME_STAMP};
+use realo_schemas::{Name, Nanos, SAME_STAMP};
 
-use crate::clocks::seconds;
+use crate::gaps::{Bare, Gaps, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
+use crate::limits::{APART, TRUTH_WINDOW};
+use crate::words::{millis, nearest_words, seconds, side};
 use crate::{Log, LogError, MAX_GAP, Standing, Step, Stream, clock_words, is_posed, kind_of_clock};
 
-/// Agents whose sweeps are farther apart have no time in common, ns.
-const APART: Nanos = 500_000_000;
-/// Truth farther from a sweep that has none belongs to another one, ns.
-const WINDOW: Nanos = 500_000_000;
 /// A stamp nearer to its log time is of the same clock, ns.
 const IN_STEP: Nanos = 2_000_000_000;
-/// Sweeps that end so much earlier than the others stop midway, ns; or so many periods.
-const STOPS: (Nanos, Nanos) = (500_000_000, 5);
-/// Poses go on for so long behind the last sweep, ns.
-const POSES_MORE: Nanos = 1_000_000_000;
 
 /// Stamp and log time of each message of a stream.
 pub(crate) type Times = Vec<[Nanos; 2]>;
@@ -26,6 +20,8 @@ pub(crate) type Times = Vec<[Nanos; 2]>;
 pub(crate) struct AgentTimes {
     pub agent: String,
     pub streams: BTreeMap<Stream, Times>,
+    /// Messages of each stream that are of another clock and left out here.
+    pub off: BTreeMap<Stream, usize>,
 }
 
 impl AgentTimes {
@@ -46,11 +42,11 @@ fn stamps(times: &[[Nanos; 2]]) -> Vec<Nanos> {
     stamps
 }
 
-/// All that is found.
+/// All that is found; `end`: the last log time.
 ///
 /// # Errors
 /// A log that cannot be read.
-pub(crate) fn findings(log: &Log, agents: &[AgentTimes]) -> Result<Vec<String>, LogError> {
+pub(crate) fn findings(log: &Log, agents: &[AgentTimes], end: Nanos) -> Result<Vec<String>, LogError> {
     let mut found = Vec::new();
     let mut in_step = Vec::new();
     for times in agents {
@@ -58,30 +54,65 @@ pub(crate) fn findings(log: &Log, agents: &[AgentTimes]) -> Result<Vec<String>, 
         for stream in [Stream::Pose, Stream::PoseTruth] {
             standing |= Standing::read(log, &times.agent, stream)?.is_some();
         }
-        let (clock, is_off) = clock(times, standing);
-        found.extend(clock);
+        found.extend(clock(times, standing));
+        let (times, is_off) = times.without_off(standing);
         // What follows would say the same again.
         if is_off {
             continue;
         }
+        found.extend(poses(&times, standing));
+        found.extend(unplaced(log, &times)?);
+        found.extend(joins(&times, end));
         in_step.push(times);
-        found.extend(poses(times, standing));
-        found.extend(joins(times));
     }
-    match apart(&in_step) {
-        Some(apart) => found.push(apart),
-        None => found.extend(stops(&in_step)),
-    }
+    let apart = apart(&in_step);
+    found.extend(gaps(&in_step, apart.is_empty()));
+    found.extend(apart);
     Ok(found)
 }
 
+fn is_pose(stream: Stream) -> bool {
+    matches!(stream, Stream::Pose | Stream::PoseTruth)
+}
+
+fn is_sweep(stream: Stream) -> bool {
+    matches!(stream, Stream::Sweeps | Stream::Points)
+}
+
+impl AgentTimes {
+    /// The times that are of the log's clock, and whether most sweeps or poses are not. The poses of a unit that stands still may
+    /// have any stamp.
+    fn without_off(&self, standing: bool) -> (AgentTimes, bool) {
+        let is_off = |stream: Stream, [stamp, ready]: &[Nanos; 2]| {
+            !(standing && is_pose(stream)) && Step::of(stream, *stamp, *ready) == Step::Off
+        };
+        let mut rest = AgentTimes {
+            agent: self.agent.clone(),
+            ..AgentTimes::default()
+        };
+        let mut is_mostly_off = false;
+        for (stream, times) in &self.streams {
+            let (off, known): (Times, Times) = times.iter().copied().partition(|time| is_off(*stream, time));
+            is_mostly_off |= (is_pose(*stream) || is_sweep(*stream)) && off.len() > known.len();
+            rest.off.insert(*stream, off.len());
+            rest.streams.insert(*stream, known);
+        }
+        (rest, is_mostly_off)
+    }
+
+    /// Sweeps that are of another clock.
+    fn off_sweeps(&self) -> usize {
+        let off = self.off.iter().filter(|(stream, _)| is_sweep(**stream));
+        off.map(|(_, count)| *count).max().unwrap_or(0)
+    }
+}
+
 /// Whether an agent's stamps are of another clock than its log times.
-fn clock(times: &AgentTimes, standing: bool) -> (Option<String>, bool) {
-    let is_pose = |stream: &Stream| matches!(stream, Stream::Pose | Stream::PoseTruth);
+fn clock(times: &AgentTimes, standing: bool) -> Option<String> {
     let streams = times
         .streams
         .iter()
-        .filter(|(stream, _)| !(standing && is_pose(stream)));
+        .filter(|(stream, _)| !(standing && is_pose(**stream)));
     let messages = streams.flat_map(|(stream, times)| times.iter().map(move |time| (*stream, time)));
     let messages: Vec<(Stream, &[Nanos; 2])> = messages.collect();
     for wrong in [Step::Off, Step::Ahead] {
@@ -92,7 +123,7 @@ fn clock(times: &AgentTimes, standing: bool) -> (Option<String>, bool) {
         };
         let mut topics: Vec<&str> = lost.iter().map(|(stream, _)| stream.as_str()).collect();
         topics.dedup();
-        let said = format!(
+        return Some(format!(
             "`{}`: {} of {} messages ({}) are of another clock than the log times: {}; set the clock of that sensor or computer, or \
              take the difference from its stamps when the log is written; log times say when messages existed, on the same clock",
             times.agent,
@@ -100,10 +131,9 @@ fn clock(times: &AgentTimes, standing: bool) -> (Option<String>, bool) {
             messages.len(),
             topics.join(", "),
             clock_words(*stamp, *ready)
-        );
-        return (Some(said), wrong == Step::Off);
+        ));
     }
-    (None, false)
+    None
 }
 
 /// Sweeps that get no pose.
@@ -145,14 +175,28 @@ fn around(poses: &[Nanos], stamp: Nanos) -> String {
     let next = poses.partition_point(|pose| *pose < stamp);
     match (next.checked_sub(1).map(|before| poses[before]), poses.get(next)) {
         (Some(before), Some(after)) => format!("poses lie {} ms apart", millis(after - before)),
-        _ => format!("the nearest lies {} ms away", millis(nearest(poses, stamp))),
+        _ => nearest_words(Some(nearest(poses, stamp))),
     }
 }
 
+/// Sweeps whose points lie in another frame than the body, and that no transform brings there at their time.
+fn unplaced(log: &Log, times: &AgentTimes) -> Result<Option<String>, LogError> {
+    let (agent, sweeps) = (&times.agent, stamps(times.sweeps()));
+    let lost = log.unplaced(agent, &sweeps)?;
+    Ok(lost.map(|(count, first, reason)| {
+        format!(
+            "`{agent}`: {count} of {} sweeps have no pose in the body frame: at {} s {reason}: write transforms on /tf at 10 Hz or more \
+             that span the sweeps, or points in `{agent}/body`",
+            sweeps.len(),
+            seconds(first)
+        )
+    }))
+}
+
 /// Messages whose stamp is that of none that they belong to.
-fn joins(times: &AgentTimes) -> Vec<String> {
+fn joins(times: &AgentTimes, end: Nanos) -> Vec<String> {
     let sweeps = stamps(times.sweeps());
-    let mut found = Vec::new();
+    let (mut found, mut elsewhere) = (Vec::new(), 0);
     let truths = [Stream::GroundTruth, Stream::OwnLabels];
     for stream in truths.into_iter().chain([Stream::Detections]) {
         let own = times.stamps(stream);
@@ -160,9 +204,15 @@ fn joins(times: &AgentTimes) -> Vec<String> {
             true => lost_truth(&own, &sweeps),
             false => unmatched(&own, &sweeps),
         };
-        found.extend(mismatch(times, stream, &lost, own.len(), ("sweep", &sweeps)));
+        if stream == Stream::Detections {
+            elsewhere = lost.len() + times.off.get(&stream).copied().unwrap_or(0);
+        }
+        // What belongs to sweeps of another clock is named with these.
+        if lost.len() > times.off_sweeps() {
+            found.extend(mismatch(times, stream, &lost, own.len(), ("sweep", &sweeps)));
+        }
     }
-    found.extend(bare(times).filter(|_| found.is_empty()));
+    found.extend(bare(times, end, elsewhere as u64));
     let pairs = [
         (Stream::DetectionsInfo, Stream::Detections),
         (Stream::GroundTruthInfo, Stream::GroundTruth),
@@ -184,20 +234,21 @@ fn joins(times: &AgentTimes) -> Vec<String> {
     found
 }
 
-/// Sweeps without detections, of an agent that has some. Those of the last moments may have come after the log ended.
-fn bare(times: &AgentTimes) -> Option<String> {
+/// Sweeps without detections, of an agent that has some.
+fn bare(times: &AgentTimes, end: Nanos, elsewhere: u64) -> Option<String> {
     let detections = times.streams.get(&Stream::Detections)?;
-    let end = times.streams.values().flatten().map(|[_, ready]| *ready).max()?;
-    let sweeps = times.sweeps().iter().filter(|[_, ready]| ready + WINDOW < end).copied();
-    let lost = unmatched(&stamps(&sweeps.collect::<Times>()), &stamps(detections));
-    let first = *lost.first()?;
+    let mut bare = Bare::default();
+    for [stamp, ready] in times.sweeps() {
+        bare.sweep(*stamp, *ready);
+    }
+    for [stamp, _] in detections {
+        bare.detections(*stamp);
+    }
+    let lack = bare.end(end, elsewhere)?;
+    let [note, remedy] = SWEEPS_WITHOUT_DETECTIONS;
     Some(format!(
-        "`{}`: {} of {} sweeps have no recorded detections, the first at {} s: write `detections` for every sweep, without boxes where \
-         nothing was found",
-        times.agent,
-        lost.len(),
-        times.sweeps().len(),
-        seconds(first)
+        "`{}`: {} of {} {note} ({}); {remedy}",
+        times.agent, lack.count, lack.of, lack.place
     ))
 }
 
@@ -210,20 +261,20 @@ fn lost_truth(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
         let ends = sweeps.first().zip(sweeps.last());
         ends.is_some_and(|(first, last)| (*first - half..=*last + half).contains(stamp))
     };
-    let is_near = |stamp: &Nanos| is_between(stamp) && nearest(&bare, *stamp) <= WINDOW;
+    let is_near = |stamp: &Nanos| is_between(stamp) && nearest(&bare, *stamp) <= TRUTH_WINDOW;
     let outside = outside(own, sweeps);
     let is_outside = |stamp: &Nanos| outside.binary_search(stamp).is_ok();
     let lost = unmatched(own, sweeps).into_iter();
     lost.filter(|stamp| is_near(stamp) || is_outside(stamp)).collect()
 }
 
-/// Stamps before the first sweep or behind the last one, where there are sweeps without any at the rhythm of these stamps.
+/// Stamps before the first sweep or after the last one, where there are sweeps without any at the rhythm of these stamps.
 fn outside(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
     let (Some(first), Some(last)) = (sweeps.first(), sweeps.last()) else {
         return Vec::new();
     };
-    let reach = WINDOW.max(median_gap(own));
-    let inside = *first - WINDOW..=*last + WINDOW;
+    let reach = TRUTH_WINDOW.max(median_gap(own));
+    let inside = *first - TRUTH_WINDOW..=*last + TRUTH_WINDOW;
     let lacks = |sweep: &Nanos| nearest(own, *sweep) > reach;
     match sweeps.iter().any(lacks) {
         true => own.iter().copied().filter(|stamp| !inside.contains(stamp)).collect(),
@@ -234,23 +285,20 @@ fn outside(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
 /// Where stamps are relative to sweeps of which none has them, in words: the nearest one, and the clock that this looks like.
 fn distance_words(lost: &[Nanos], own: &[Nanos], sweeps: &[Nanos]) -> String {
     let Some(first) = lost.first().filter(|_| !sweeps.is_empty()) else {
-        return "there is none".into();
+        return nearest_words(None);
     };
     let far = nearest(sweeps, *first);
-    let distance = match far < 1_000_000_000 {
-        true => format!("{:.3} ms", far as f64 * 1e-6),
-        false => format!("{} s", seconds(far)),
-    };
+    let words = nearest_words(Some(far));
     // The first that is lost belongs to the first sweep without any.
     let bare = unmatched(sweeps, own);
     let kind = bare.first().and_then(|sweep| kind_of_clock(*first, *sweep));
-    match kind.filter(|_| far > WINDOW) {
-        Some(kind) => format!("the nearest lies {distance} away: looks like {kind}"),
-        None => format!("the nearest lies {distance} away"),
+    match kind.filter(|_| far > TRUTH_WINDOW) {
+        Some(kind) => format!("{words}: looks like {kind}"),
+        None => words,
     }
 }
 
-/// Messages of an agent before its first sweep or behind its last one, beside sweeps that have none.
+/// Messages of an agent before its first sweep or after its last one, beside sweeps that have none.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outside {
     /// How many there are.
@@ -294,7 +342,7 @@ fn is_within(own: Option<(Nanos, Nanos)>, sweeps: Option<(Nanos, Nanos)>) -> boo
     let (Some(own), Some(sweeps)) = (own, sweeps) else {
         return true;
     };
-    own.0 >= sweeps.0 - WINDOW && own.1 <= sweeps.1 + WINDOW
+    own.0 >= sweeps.0 - TRUTH_WINDOW && own.1 <= sweeps.1 + TRUTH_WINDOW
 }
 
 fn read_stamps(log: &Log, agent: &str, stream: Stream) -> Result<Vec<Nanos>, LogError> {
@@ -325,54 +373,71 @@ fn mismatch(
     ))
 }
 
-/// Agents of whom no sweep lies in the time of another's.
-fn apart(agents: &[&AgentTimes]) -> Option<String> {
-    let spans = agents.iter().filter_map(|times| {
-        let sweeps = stamps(times.sweeps());
-        Some((&times.agent, *sweeps.first()?, *sweeps.last()?))
-    });
-    let spans: Vec<_> = spans.collect();
-    let pairs = spans
-        .iter()
-        .enumerate()
-        .flat_map(|(i, one)| spans[i + 1..].iter().map(move |other| (one, other)));
-    let mut apart = pairs.filter(|(one, other)| (other.1 - one.2).max(one.1 - other.2) > APART);
-    let ((one, first, _), (other, begin, _)) = apart.next()?;
-    let kind = kind_of_clock(*begin, *first).map(|kind| format!(": looks like {kind}"));
-    let side = if begin > first { "behind" } else { "before" };
-    Some(format!(
-        "`{one}` and `{other}` have no time in common: sweeps of `{other}` begin {} s {side} those of `{one}`{}; move stamps and log times \
-         of one of them when the log is written",
-        seconds(begin - first),
-        kind.unwrap_or_default()
-    ))
+/// How far the sweeps of two agents, each from its first to its last, are apart, in words; `None` where they have a time in common.
+/// The words are about the second agent.
+pub fn no_common_time([first, last]: [Nanos; 2], [begin, end]: [Nanos; 2], of_first: &str) -> Option<String> {
+    if (begin - last).max(first - end) <= APART {
+        return None;
+    }
+    let by = begin - first;
+    let words = format!("they begin {} s {} {of_first}", seconds(by), side(by));
+    Some(match kind_of_clock(begin, first) {
+        Some(kind) => format!("{words}: looks like {kind}"),
+        None => words,
+    })
 }
 
-/// Agents whose sweeps stop before those of others, or before their own poses.
-fn stops(agents: &[&AgentTimes]) -> Vec<String> {
-    let last = |times: &[[Nanos; 2]]| times.iter().map(|[_, ready]| *ready).max();
-    let Some(end) = agents.iter().filter_map(|times| last(times.sweeps())).max() else {
-        return Vec::new();
+/// Agents whose sweeps have no time in common with those of an agent before them.
+fn apart(agents: &[AgentTimes]) -> Vec<String> {
+    let spans = agents.iter().filter_map(|times| {
+        let sweeps = stamps(times.sweeps());
+        Some((&times.agent, [*sweeps.first()?, *sweeps.last()?]))
+    });
+    let spans: Vec<_> = spans.collect();
+    let of = |index: usize| {
+        let (other, span) = spans[index];
+        let mut before = spans[..index].iter();
+        let (one, words) = before.find_map(|(one, own)| {
+            let words = no_common_time(*own, span, &format!("those of `{one}`"))?;
+            Some((one, words))
+        })?;
+        Some(format!(
+            "`{one}` and `{other}` have no time in common: the sweeps of `{other}` are apart, {words}; move stamps and log times of one \
+             of them when the log is written"
+        ))
     };
-    let stop = |times: &&AgentTimes| {
-        let own = last(times.sweeps())?;
-        let poses = times
-            .streams
-            .get(&Stream::Pose)
-            .and_then(|poses| last(poses))
-            .unwrap_or(own);
-        let end = end.max(poses - POSES_MORE);
-        let most = STOPS.0.max(STOPS.1 * median_gap(&stamps(times.sweeps())));
-        (end - own > most).then(|| {
-            format!(
-                "`{}`: sweeps stop {} s before the others do, at {} s: look whether its recording ended early",
-                times.agent,
-                seconds(end - own),
-                seconds(own)
-            )
-        })
+    (0..spans.len()).filter_map(of).collect()
+}
+
+/// Sweeps that are missing: in the middle of each agent's, and, where all have a time in common, at their beginning and end.
+fn gaps(agents: &[AgentTimes], with_ends: bool) -> Vec<String> {
+    let (mut gaps, mut found) = (Gaps::default(), Vec::new());
+    for times in agents {
+        let agent = Name::from(times.agent.as_str());
+        let missing = stamps(times.sweeps())
+            .into_iter()
+            .filter_map(|stamp| gaps.sweep(&agent, stamp));
+        let missing: Vec<_> = missing.collect();
+        found.extend(missing.into_iter().map(|missing| (agent.clone(), missing)));
+        let streams = [Stream::Pose, Stream::PoseTruth].into_iter();
+        let poses = streams.into_iter().flat_map(|stream| times.stamps(stream).pop());
+        poses.for_each(|stamp| gaps.pose(&agent, stamp));
+    }
+    if with_ends {
+        found.extend(gaps.end(None));
+    }
+    let [note, remedy] = SWEEPS_MISSING;
+    let of_agent = |times: &AgentTimes| {
+        let own: Vec<_> = found.iter().filter(|(agent, _)| **agent == *times.agent).collect();
+        let (_, first) = own.first()?;
+        let lost: u64 = own.iter().map(|(_, missing)| missing.sweeps).sum();
+        let all = lost + times.sweeps().len() as u64;
+        let agent = &times.agent;
+        Some(format!("`{agent}`: {lost} of {all} {note} ({}); {remedy}", first.place))
     };
-    agents.iter().filter_map(stop).collect()
+    // Where some sweeps are of another clock, that is said already.
+    let known = agents.iter().filter(|times| times.off_sweeps() == 0);
+    known.filter_map(of_agent).collect()
 }
 
 /// Those that are the same as none of the others, both rising.
@@ -398,16 +463,13 @@ fn median_gap(stamps: &[Nanos]) -> Nanos {
     gaps.get(gaps.len() / 2).copied().unwrap_or(0)
 }
 
-fn millis(time: Nanos) -> Nanos {
-    (time + 500_000) / 1_000_000
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     const T: Nanos = 1_700_000_000_000_000_000;
     const MS: Nanos = 1_000_000;
+    const END: Nanos = T + 2_050 * MS;
 
     /// Twenty messages, 0.1 s apart, moved by `stamp` and logged `late` after that, ms.
     fn every(period: Nanos, stamp: Nanos, late: Nanos) -> Times {
@@ -421,6 +483,7 @@ mod tests {
         AgentTimes {
             agent: "car".into(),
             streams: streams.iter().cloned().collect(),
+            ..AgentTimes::default()
         }
     }
 
@@ -432,20 +495,25 @@ mod tests {
             (Stream::Detections, every(100, 0, 150)),
             (Stream::GroundTruth, every(200, 0, 90)),
         ]);
-        assert_eq!(clock(&healthy, false), (None, false));
-        assert_eq!((poses(&healthy, false), joins(&healthy)), (None, Vec::new()));
-        assert_eq!((apart(&[&healthy, &healthy]), stops(&[&healthy])), (None, Vec::new()));
+        assert_eq!(clock(&healthy, false), None);
+        assert!(!healthy.without_off(false).1);
+        assert_eq!((poses(&healthy, false), joins(&healthy, END)), (None, Vec::new()));
+        let two = [healthy, agent(&[(Stream::Sweeps, every(100, 20, 90))])];
+        assert_eq!((apart(&two), gaps(&two, true)), (Vec::new(), Vec::new()));
     }
 
     #[test]
     fn stamps_that_match_nothing_say_how_far_the_nearest_is() {
         let off = |by: Nanos| {
             let moved = |times: Times| times.into_iter().map(|[stamp, ready]| [stamp + by, ready]).collect();
-            joins(&agent(&[
-                (Stream::Sweeps, every(100, 0, 90)),
-                (Stream::GroundTruth, moved(every(100, 0, 90))),
-                (Stream::Detections, moved(every(100, 0, 90))),
-            ]))
+            joins(
+                &agent(&[
+                    (Stream::Sweeps, every(100, 0, 90)),
+                    (Stream::GroundTruth, moved(every(100, 0, 90))),
+                    (Stream::Detections, moved(every(100, 0, 90))),
+                ]),
+                END,
+            )
         };
         assert_eq!(off(-128), Vec::<String>::new());
         let said = off(12 * MS);
@@ -461,10 +529,8 @@ mod tests {
     #[test]
     fn sweeps_without_detections_are_named_but_for_the_last() {
         let said = |times: Times| {
-            joins(&agent(&[
-                (Stream::Sweeps, every(100, 0, 90)),
-                (Stream::Detections, times),
-            ]))
+            let streams = [(Stream::Sweeps, every(100, 0, 90)), (Stream::Detections, times)];
+            joins(&agent(&streams), END)
         };
         let all = every(100, 0, 150);
         assert_eq!(said(all[..17].to_vec()), Vec::<String>::new());
@@ -479,11 +545,12 @@ mod tests {
     #[test]
     fn truth_on_another_clock_is_found_whole_or_in_part() {
         let joined = |truth: Times, detections: Times| {
-            joins(&agent(&[
+            let streams = [
                 (Stream::Sweeps, every(100, 0, 90)),
                 (Stream::GroundTruth, truth),
                 (Stream::Detections, detections),
-            ]))
+            ];
+            joins(&agent(&streams), END)
         };
         let off = every(100, 37_000, 90);
         let said = joined(off.clone(), every(100, 0, 90));
@@ -492,7 +559,7 @@ mod tests {
             "20 of 20 messages have the stamp of no sweep: the nearest lies 35.100 s away: looks like TAI against UTC";
         assert!(said[0].contains(words), "{said:?}");
         assert!(joined(every(100, 0, 90), off.clone())[0].contains(words));
-        // The clock jumps midway, and a clock that is a second behind.
+        // The clock jumps midway; a clock is late.
         let half: Times = [&every(100, 0, 90)[..10], &off[10..]].concat();
         assert!(joined(half, every(100, 0, 90))[0].contains("10 of 20 messages"));
         let said = joined(every(100, -37_000, 90), every(100, 0, 90));
@@ -524,16 +591,52 @@ mod tests {
 
     #[test]
     fn clocks_and_ends_are_named() {
-        let (said, is_off) = clock(&agent(&[(Stream::Points, every(100, 37_000, -36_910))]), false);
-        assert!(is_off && said.unwrap().contains("TAI"));
-        let (said, is_off) = clock(&agent(&[(Stream::Points, every(100, 200, -110))]), false);
-        assert!(!is_off && said.unwrap().contains("0.110 s ahead"));
-        let (one, other) = (
-            agent(&[(Stream::Sweeps, every(100, 0, 90))]),
-            agent(&[(Stream::Sweeps, every(100, 37_000, 90))]),
+        let off = agent(&[(Stream::Points, every(100, 37_000, -36_910))]);
+        assert!(off.without_off(false).1 && clock(&off, false).unwrap().contains("TAI"));
+        let ahead = agent(&[(Stream::Points, every(100, 200, -110))]);
+        assert!(!ahead.without_off(false).1 && clock(&ahead, false).unwrap().contains("0.110 s later than log times"));
+        let named = |name: &str, times: Times| AgentTimes {
+            agent: name.into(),
+            ..agent(&[(Stream::Sweeps, times)])
+        };
+        let one = || named("one", every(100, 0, 90));
+        let said = apart(&[one(), named("other", every(100, 37_000, 90))]);
+        assert!(
+            said[0].contains("`one` and `other` have no time in common") && said.len() == 1,
+            "{said:?}"
         );
-        assert!(apart(&[&one, &other]).unwrap().contains("begin 37.000 s behind"));
-        let short = agent(&[(Stream::Sweeps, every(100, 0, 90)[..10].to_vec())]);
-        assert!(stops(&[&one, &short])[0].contains("sweeps stop 1.000 s before"));
+        assert!(
+            said[0].contains("begin 37.000 s later than those of `one`: looks like TAI"),
+            "{said:?}"
+        );
+        let said = gaps(&[one(), named("other", every(100, 0, 90)[..10].to_vec())], true);
+        assert!(
+            said.len() == 1 && said[0].starts_with("`other`: 10 of 20 sweeps are missing"),
+            "{said:?}"
+        );
+        let holes = [&every(100, 0, 90)[..5], &every(100, 0, 90)[12..]].concat();
+        let said = gaps(&[one(), named("other", holes)], false);
+        assert!(
+            said[0].contains("7 of 20") && said[0].contains("none for 0.800 s"),
+            "{said:?}"
+        );
+    }
+
+    #[test]
+    fn one_sweep_of_another_clock_hides_nothing_else() {
+        let mut sweeps = every(100, 0, 90);
+        sweeps[0][0] -= 37_000 * MS;
+        let mut detections = every(100, 0, 150);
+        detections[0][0] = sweeps[0][0];
+        detections.drain(4..7);
+        let times = agent(&[(Stream::Sweeps, sweeps), (Stream::Detections, detections)]);
+        assert!(clock(&times, false).unwrap().contains("1 of 37 messages (sweeps)"));
+        let (rest, is_off) = times.without_off(false);
+        assert!(!is_off);
+        let said = joins(&rest, END);
+        assert!(
+            said.len() == 1 && said[0].starts_with("`car`: 3 of 19 sweeps have no"),
+            "{said:?}"
+        );
     }
 }

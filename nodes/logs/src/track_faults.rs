@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use nalgebra::Point2;
+use realo_schemas::geometry::is_plausible;
 use realo_schemas::{Box3, Nanos};
 
 use crate::{Log, LogError, Stream, pose_track};
@@ -124,7 +125,7 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
             class: object.class.to_lowercase(),
             place: (map_from_body * nalgebra::Point3::from(object.center)).xy(),
         };
-        let own: Vec<Placed> = boxes.0.into_iter().map(placed).collect();
+        let own: Vec<Placed> = boxes.0.into_iter().filter(is_plausible).map(placed).collect();
         for (other, known) in newest.iter().enumerate().filter(|(other, _)| *other != index) {
             let near = |at: Nanos| at.abs_diff(entry.stamp()) <= TOGETHER.unsigned_abs();
             if let Some((_, known)) = known.as_ref().filter(|(at, _)| near(*at)) {

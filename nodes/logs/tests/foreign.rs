@@ -158,15 +158,15 @@ fn sweeps_of_the_sensor_are_brought_to_the_body_by_tf_static() {
 fn moving_transforms_hold_at_the_sweeps_stamp() {
     let at = |x: f64| Isometry3::translation(x, 0.0, 0.0);
     let made = made(TWO, |writer| {
-        for k in 0..3 {
-            let stamp = START + k * 1000 * MS;
-            transform(writer, "/tf", stamp, ["map", "alice/body"], &at(7.0 * k as f64));
-            transform(writer, "/tf", stamp, ["map", "alice/lidar"], &at(10.0 * k as f64));
+        for k in 0..20 {
+            let stamp = START + k * 100 * MS;
+            transform(writer, "/tf", stamp, ["map", "alice/body"], &at(0.7 * k as f64));
+            transform(writer, "/tf", stamp, ["map", "alice/lidar"], &at(k as f64));
         }
-        one_sweep(writer, "alice", START + 500 * MS, "alice/lidar", &[]);
+        one_sweep(writer, "alice", START + 550 * MS, "alice/lidar", &[]);
     });
     let x = points(&made.path, "alice").unwrap()[0].x.to_vec();
-    assert!((x[0] - 2.5).abs() < 1e-5 && (x[1] - 1.5).abs() < 1e-5, "{x:?}");
+    assert!((x[0] - 2.65).abs() < 1e-5 && (x[1] - 1.65).abs() < 1e-5, "{x:?}");
     assert!(shown(&made.path).contains("by /tf;"));
 }
 

@@ -23,11 +23,6 @@ impl Counters {
         }
     }
 
-    /// Adds one to a counter that has an agent and a number in its name.
-    pub fn add_named(&self, counter: &str) {
-        self.lock().add_named(counter.to_string(), 1);
-    }
-
     /// What was lost of an agent so far.
     pub fn of(&self, counter: &'static Counter, agent: &str) -> u64 {
         let counts = self.lock();
@@ -66,6 +61,7 @@ pub const ALL: &[Counter] = &[
     LOG_TRUNCATED,
     RUNS_ALONE,
     POSES_UNUSABLE,
+    NO_POSE,
     LEVELLED,
     TILTED_POSES,
     CLOCK_OFF,
@@ -78,6 +74,7 @@ pub const ALL: &[Counter] = &[
     DETECTIONS_WITHOUT_INFO,
     TRUTH_WITHOUT_SWEEP,
     TRUTH_NOT_JOINED,
+    INVALID_TRUTH,
     INTENSITIES_LIMITED,
     SWEEPS_WITHOUT_DETECTIONS,
     TRACKS_DIFFER,
@@ -92,12 +89,19 @@ pub const LOG_TRUNCATED: Counter = Counter::plain(
     "1 if the log is cut; summed over pooled runs, while `logs_cut` names each log once",
 );
 pub const RUNS_ALONE: Counter = Counter::plain("runs_alone", "1 if no agent of the log may collaborate with the ego");
-pub const LEVELLED: Counter = Counter::plain(
-    "levelled_AGENT_by_DEGREES",
-    "sweeps of an agent that were [levelled while played](log-format.md#level-frames); the degrees by which its poses tilt \
-     at most are part of the name",
-);
 
+pub const LEVELLED: Counter = Counter::loss(
+    "levelled",
+    "sweeps of agents whose body frames tilt, [levelled while played](log-format.md#level-frames)",
+    "sweeps were levelled while played, by the poses of the log",
+    "`realo import log` makes a level copy",
+);
+pub const NO_POSE: Counter = Counter::log_fault(
+    "no_pose",
+    "sweeps not sent: their points are in another frame than the body, and no transform on `/tf` is near enough to bring them there",
+    "sweeps were left out, because no transform brings their points to the body frame at their stamps",
+    "write transforms on /tf at 10 Hz or more, from before the first sweep to after the last, or points in the body frame",
+);
 pub const POSES_UNUSABLE: Counter = Counter::log_fault(
     "poses_unusable",
     "poses of the log in another frame than the map's, with numbers that are not finite or a quaternion that is not of length 1; \
@@ -122,30 +126,30 @@ pub const CLOCK_OFF: Counter = Counter::log_fault(
 );
 pub const CLOCK_AHEAD: Counter = Counter::log_fault(
     "clock_ahead",
-    "messages played although their stamps lie 50 ms to 1 s behind their [log times](log-format.md#clocks)",
-    "messages have stamps of a time at which they were logged already, and were played as they are",
-    "the agent's clock is ahead of the recorder's: set it, or take that difference from the stamps when the log is written \
-     (docs/log-format.md, \"Clocks\")",
+    "messages played although their stamps are 50 ms to 1 s later than their [log times](log-format.md#clocks)",
+    "messages were played although their stamps are later than the times at which they were logged",
+    "no message is logged before it is measured, so the agent's clock is ahead of the recorder's: set it, or take that difference \
+     from the stamps when the log is written (docs/log-format.md, \"Clocks\")",
 );
 pub const STAMPS_DIFFER: Counter = Counter::log_fault(
     "stamps_differ",
     "messages whose publish time is not the stamp of their header, which counts",
-    "messages have a publish time that is not the stamp of their header, and were played as of the header's",
+    "messages have a publish time that is not the stamp of their header, which was used",
     "write the stamp as both (docs/log-format.md, \"Frames, units, times\")",
 );
 pub const NO_COMMON_TIME: Counter = Counter::log_fault(
     "no_common_time",
     "sweeps of a collaborator that has no sweep while the ego has some",
-    "sweeps have no time in common with those of the ego",
-    "the agents were recorded one after the other, or the clock of one is off: move its stamps and log times when the log is \
+    "sweeps have no time in common with those of the ego, so that none of them can be fused",
+    "record the agents at the same time; if they were, the clock of one is off: move its stamps and log times when the log is \
      written",
 );
-pub const SWEEPS_MISSING: Counter = Counter::loss(
+pub const SWEEPS_MISSING: Counter = Counter::log_fault(
     "sweeps_missing",
     "sweeps that there would be at an agent's rate where it has none: gaps of more than 0.5 s and five periods, before its first \
-     and behind its last while others have some",
-    "sweeps are missing: its data have gaps, begin late or stop early",
-    "look whether its sensor or its recording stopped",
+     and after its last while others have some or its own poses go on",
+    realo_logs::SWEEPS_MISSING[0],
+    realo_logs::SWEEPS_MISSING[1],
 );
 pub const POSES_HELD: Counter = Counter::plain(
     "poses_held",
@@ -155,8 +159,9 @@ pub const POSES_HELD: Counter = Counter::plain(
 pub const DETECTIONS_WITHOUT_INFO: Counter = Counter::log_fault(
     "detections_without_info",
     "recorded detections whose companion (`detections_info`) has another stamp, played without it",
-    "messages of recorded detections were played without what their companions say, because none has their stamp",
-    "write `detections` and `detections_info` with one stamp",
+    "messages of recorded detections were played without velocities and covariances, because no message of `detections_info` has \
+     their stamp",
+    "write the `detections` and the `detections_info` of a sweep with the same stamp",
 );
 pub const TRUTH_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "truth_without_sweep",
@@ -171,6 +176,14 @@ pub const TRUTH_NOT_JOINED: Counter = Counter::log_fault(
     "sweeps of the ego were scored without the truth of {agent}, which has other times: objects that {agent} alone sees are not \
      counted, so AP is too high",
     "give the stamps and log times of its truth the clock of the ego; `realo info` says how far off they are",
+);
+pub const INVALID_TRUTH: Counter = Counter::log_fault(
+    "invalid_truth",
+    "boxes of the ego's ground truth and own labels that are not scored: not finite, without extent or above 100 m, more than 10 km \
+     away, or with a score outside [0, 1]",
+    "objects of the ground truth were not scored, because no object can have such numbers",
+    "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1: mend \
+     the program that wrote them",
 );
 pub const DETECTIONS_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "detections_without_sweep",
@@ -187,16 +200,16 @@ pub const INTENSITIES_LIMITED: Counter = Counter::loss(
 pub const SWEEPS_WITHOUT_DETECTIONS: Counter = Counter::log_fault(
     "sweeps_without_detections",
     "sweeps without recorded detections, of an agent that has some",
-    "sweeps have no recorded detections, so that there are no boxes of these",
-    "write `detections` for every sweep, without boxes where nothing was found",
+    realo_logs::SWEEPS_WITHOUT_DETECTIONS[0],
+    realo_logs::SWEEPS_WITHOUT_DETECTIONS[1],
 );
 pub const TRACKS_DIFFER: Counter = Counter::log_fault(
     "tracks_differ",
     "positions of [tracks](log-format.md#tracks) that two agents both have, more than 5 m apart; of tracks of which most are, where \
      these are more than 2 % of all",
-    "positions of tracks that both have lie more than 5 m apart: tracks of {agent} name different objects, so that points of \
-     collaborators count for the wrong objects",
-    "give an object the same track in the truth of all agents",
+    "positions of tracks that both agents have are more than 5 m apart, so that points of one agent count for wrong objects of the other",
+    "tracks of {agent} name different objects: give an object the same track in the truth of all agents, and no other object that \
+     track",
 );
 pub const TRACKS_SPLIT: Counter = Counter::log_fault(
     "tracks_split",
@@ -215,6 +228,6 @@ pub const TRACKS_DOUBLED: Counter = Counter::log_fault(
 pub const TOO_FAR: Counter = Counter::loss(
     "too_far",
     "sweeps that were not computed, because as many others as the fusion takes were nearer to the ego (`fused_at_most`)",
-    "sweeps were not computed, and are in no books, because as many others as the fusion takes were nearer to the ego",
-    "the player's `fused_at_most=null` computes them",
+    "sweeps were not computed and do not count as sent, because as many other agents as the fusion takes were nearer to the ego",
+    "`--set {node}.fused_at_most=null` computes them too",
 );

@@ -2,21 +2,22 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use realo_logs::{
-    Attitudes, BEHIND_MOST, Entry, LEVEL, Levelled, Log, LogError, LogReader, Outside, Step, Stream, TrackFault,
-    clock_words, kind_of_clock, level_state, levelled_while_played, track_faults,
+    Attitudes, BEHIND_MOST, Bare, Entry, Gaps, LEVEL, Lack, Levelled, Log, LogError, LogReader, Missing, Outside, Step,
+    Stream, TrackFault, clock_words, level_state, levelled_while_played, nearest_words, no_common_time, side,
+    track_faults,
 };
 use realo_operator::{Counter, PortId};
-use realo_schemas::geometry::tilt_degrees;
+use realo_schemas::geometry::{box_fault, tilt_degrees};
 use realo_schemas::{
     EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
 };
 
 use crate::counters::{
     CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED,
-    NO_COMMON_TIME, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES,
-    TOO_FAR, TRACKS_DIFFER, TRACKS_DOUBLED, TRACKS_SPLIT, TRUTH_NOT_JOINED, TRUTH_WITHOUT_SWEEP,
+    INVALID_TRUTH, LEVELLED, NO_COMMON_TIME, NO_POSE, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, SWEEPS_MISSING,
+    SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES, TOO_FAR, TRACKS_DIFFER, TRACKS_DOUBLED, TRACKS_SPLIT, TRUTH_NOT_JOINED,
+    TRUTH_WITHOUT_SWEEP,
 };
-use crate::gaps::{Gaps, Missing};
 use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
 use crate::standing::{Held, STEP};
@@ -25,8 +26,6 @@ use crate::{PlannedRun, ports};
 
 /// Offline, messages leave in order of stamp, which may lie this much before they were ready.
 const LATENCY: Nanos = 500_000_000;
-/// Detections of sweeps may come so long after these: at the end of a log some are missing, ns.
-const UNFINISHED: Nanos = 500_000_000;
 /// Poses from so long before the first sweep are sent too, so that it has some.
 const LEAD_IN: Nanos = 500_000_000;
 /// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
@@ -82,10 +81,12 @@ pub struct Feed {
     joins: Joins,
     /// By rank: units whose pose holds at all times.
     held: BTreeMap<usize, Held>,
-    /// By agent: release of the sweeps for which no detections have come.
-    bare: BTreeMap<Name, BTreeMap<Nanos, Nanos>>,
+    /// By agent: the sweeps for which no detections have come.
+    bare: BTreeMap<Name, Bare>,
     /// Agents some of whose sweeps are of another clock.
     off: BTreeSet<Name>,
+    /// Whether it was looked how many of the ego's sweeps are of another clock.
+    is_ego_checked: bool,
     /// By agent: intensities that did not fit, as they were counted.
     limited: BTreeMap<String, u64>,
     queue: BinaryHeap<Reverse<Queued>>,
@@ -96,8 +97,8 @@ pub struct Feed {
 /// How an agent's body frames are made level.
 struct Levelling {
     attitudes: Attitudes,
-    /// Counts its sweeps, and says by how much its body tilts.
-    counter: String,
+    /// How far its body tilts at most by all poses, degrees.
+    tilt: f64,
 }
 
 struct Queued {
@@ -167,7 +168,7 @@ impl Script {
             if let Some(tilt) = tilts.get(agent) {
                 let level = Levelling {
                     attitudes: Attitudes::read(&self.log, agent, self.pose_stream(agent))?,
-                    counter: format!("levelled_{agent}_by_{tilt:.2}"),
+                    tilt: *tilt,
                 };
                 levels.insert(agent.into(), level);
             }
@@ -213,25 +214,16 @@ impl Script {
         };
         for agent in &agents[1..] {
             let Some((first, last)) = span(agent)? else { continue };
-            let gap = (first - ego_last).max(ego_first - last);
+            let apart = no_common_time([ego_first, ego_last], [first, last], "those of the ego");
             let sweeps = self.log.count(agent, self.sweep_stream(agent));
-            let lost = if gap > LATENCY { sweeps } else { 0 };
-            self.counters.lost(&NO_COMMON_TIME, agent, lost, sweeps, || {
-                let side = if first > ego_last { "behind" } else { "before" };
-                let far = format!(
-                    "they begin {:.3} s {side} those of the ego",
-                    to_seconds((first - ego_first).abs())
-                );
-                match kind_of_clock(first, ego_first) {
-                    Some(kind) => format!("{far}: looks like {kind}"),
-                    None => far,
-                }
-            });
+            let lost = if apart.is_some() { sweeps } else { 0 };
+            let words = || apart.unwrap_or_default();
+            self.counters.lost(&NO_COMMON_TIME, agent, lost, sweeps, words);
         }
         Ok(())
     }
 
-    /// Counts truth of the ego before its first sweep or behind its last one, beside sweeps that have none.
+    /// Counts truth of the ego before its first sweep or after its last one, beside sweeps that have none.
     fn count_truth_outside(&self, ego: &str) -> Result<(), LogError> {
         for stream in [Stream::GroundTruth, Stream::OwnLabels] {
             if let Some(Outside { count, of, words }) = Outside::read(&self.log, ego, stream)? {
@@ -239,6 +231,21 @@ impl Script {
             }
         }
         Ok(())
+    }
+
+    /// Whether most of an agent's sweeps are of another clock than the log.
+    fn is_mostly_off(&self, agent: &str) -> Result<bool, LogError> {
+        let streams = [Stream::Sweeps, self.sweep_stream(agent)].into_iter();
+        let Some(stream) = streams.into_iter().find(|stream| self.log.has(agent, *stream)) else {
+            return Ok(false);
+        };
+        let mut reader = self.log.read(&[(agent, stream)], self.from, self.until)?;
+        let (mut off, mut all) = (0, 0);
+        while let Some(entry) = reader.next()? {
+            all += 1;
+            off += u64::from(Step::of(stream, entry.stamp(), entry.ready()) == Step::Off);
+        }
+        Ok(2 * off > all)
     }
 
     fn along_ground(&self) -> Result<BTreeSet<Name>, LogError> {
@@ -286,7 +293,14 @@ impl Script {
                 TrackFault::Doubled => &TRACKS_DOUBLED,
             };
             let (count, of) = (found.count as u64, found.of as u64);
-            self.counters.add(counter, &found.agents.join(" and "), count, of);
+            let agents = found.agents.join(" and ");
+            match found.fault {
+                TrackFault::Apart(median) => {
+                    let words = || format!("{median:.1} m in the median");
+                    self.counters.lost(counter, &agents, count, of, words);
+                }
+                _ => self.counters.add(counter, &agents, count, of),
+            }
         }
         Ok(())
     }
@@ -326,6 +340,7 @@ impl Feed {
             held,
             bare: BTreeMap::new(),
             off: BTreeSet::new(),
+            is_ego_checked: false,
             limited: BTreeMap::new(),
             queue: BinaryHeap::new(),
             ended: false,
@@ -395,7 +410,7 @@ impl Feed {
         for (agent, sweeps) in unjoined {
             self.script.counters.add(&TRUTH_NOT_JOINED, &agent, sweeps, sweeps);
         }
-        for (agent, missing) in self.gaps.end(&self.agents[0]) {
+        for (agent, missing) in self.gaps.end(Some(&self.agents[0])) {
             self.count_missing(&agent, missing);
         }
         self.count_bare();
@@ -447,14 +462,10 @@ impl Feed {
             Stream::Pose | Stream::PoseTruth => self.send_pose(entry),
             _ if !playing => {}
             Stream::Points => {
-                let cloud = if self.script.wants_points(&entry.agent) {
-                    entry.cloud()?
-                } else {
-                    PointCloud::empty()
-                };
+                let cloud = self.cloud(entry)?;
                 self.send_sweep(entry, cloud)?;
             }
-            Stream::Sweeps => self.send_sweep(entry, PointCloud::empty())?,
+            Stream::Sweeps => self.send_sweep(entry, Some(PointCloud::empty()))?,
             Stream::Detections => self.take_detections(entry)?,
             Stream::DetectionsInfo => self.take_info(entry)?,
             Stream::Packets => self.send_packet(entry)?,
@@ -463,7 +474,26 @@ impl Feed {
         Ok(())
     }
 
-    /// Whether a message is of another clock than the log. An ego of whom nothing is of the log's clock is an error.
+    /// The points of a sweep; `None` where no transform brings them to the body frame, which is counted.
+    fn cloud(&self, entry: &Entry) -> Result<Option<PointCloud>, LogError> {
+        if !self.script.wants_points(&entry.agent) {
+            return Ok(Some(PointCloud::empty()));
+        }
+        let counters = &self.script.counters;
+        match entry.cloud() {
+            Ok(cloud) => {
+                counters.add(&NO_POSE, &entry.agent, 0, 1);
+                Ok(Some(cloud))
+            }
+            Err(LogError::Unplaced { reason, .. }) => {
+                counters.lost(&NO_POSE, &entry.agent, 1, 1, || reason);
+                Ok(None)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Whether a message is of another clock than the log. An ego of whom most sweeps are is an error.
     fn is_off(&mut self, entry: &Entry) -> Result<bool, LogError> {
         let is_pose = matches!(entry.stream, Stream::Pose | Stream::PoseTruth);
         let is_sweep = matches!(entry.stream, Stream::Points | Stream::Sweeps);
@@ -473,7 +503,8 @@ impl Feed {
         let step = Step::of(entry.stream, entry.stamp(), entry.ready());
         let words = || clock_words(entry.stamp(), entry.ready());
         if is_sweep && step == Step::Off {
-            if self.rank(entry) == 0 && !self.sweeps.contains_key(&entry.agent) {
+            let is_unchecked = self.rank(entry) == 0 && !std::mem::replace(&mut self.is_ego_checked, true);
+            if is_unchecked && self.script.is_mostly_off(&entry.agent)? {
                 let reason = format!(
                     "the clock of `{}`, the ego, is off: {}; {}",
                     entry.agent,
@@ -514,6 +545,7 @@ impl Feed {
             return;
         }
         let pose = entry.pose();
+        self.gaps.pose(&entry.agent, entry.stamp());
         let lost = u64::from(pose.is_err());
         self.script.counters.lost(&POSES_UNUSABLE, &entry.agent, lost, 1, || {
             pose.as_ref().err().map(LogError::reason).unwrap_or_default()
@@ -539,7 +571,8 @@ impl Feed {
         let Some(level) = self.levels.get(&entry.agent) else {
             return cloud;
         };
-        self.script.counters.add_named(&level.counter);
+        let found = || format!("its body tilts by up to {:.2}°", level.tilt);
+        self.script.counters.lost(&LEVELLED, &entry.agent, 1, 1, found);
         level.attitudes.sweeps.cloud(entry.stamp(), cloud)
     }
 
@@ -549,7 +582,8 @@ impl Feed {
             .lost(&SWEEPS_MISSING, agent, sweeps, sweeps, || place);
     }
 
-    fn send_sweep(&mut self, entry: &Entry, cloud: PointCloud) -> Result<(), LogError> {
+    /// Sends a sweep and its truth; without `cloud` the truth alone.
+    fn send_sweep(&mut self, entry: &Entry, cloud: Option<PointCloud>) -> Result<(), LogError> {
         if let Some(missing) = self.gaps.sweep(&entry.agent, entry.stamp()) {
             self.count_missing(&entry.agent, missing);
         }
@@ -572,15 +606,18 @@ impl Feed {
         known.insert(entry.stamp(), (seq, release));
         if self.script.detections && self.script.log.has(&entry.agent, Stream::Detections) {
             let bare = self.bare.entry(entry.agent.clone()).or_default();
-            bare.insert(entry.stamp(), entry.ready());
+            bare.sweep(entry.stamp(), entry.ready());
         }
         while known.len() > 64 {
             known.pop_first();
         }
-        let cloud = self.level_cloud(entry, cloud);
-        self.send(entry, seq, Kind::Points, [ports::EGO_CLOUDS, ports::CLOUDS], cloud);
+        if let Some(cloud) = cloud {
+            let cloud = self.level_cloud(entry, cloud);
+            self.send(entry, seq, Kind::Points, [ports::EGO_CLOUDS, ports::CLOUDS], cloud);
+        }
         if entry.agent == self.agents[0] {
             let (truth, lost): (GroundTruth, _) = self.truth.at(entry.stamp())?;
+            self.count_invalid(&entry.agent, &truth);
             self.send(entry, seq, Kind::Truth, [ports::TRUTH; 2], truth);
             self.count_lost_truth(lost);
             for (agent, (n, words)) in self.truth.take_apart() {
@@ -591,6 +628,16 @@ impl Feed {
             self.send_detections(recorded);
         }
         Ok(())
+    }
+
+    /// Counts objects of the truth that no object can be.
+    fn count_invalid(&self, ego: &Name, truth: &GroundTruth) {
+        let objects = || truth.boxes.iter().chain(truth.own.iter().flat_map(|own| &own.boxes));
+        let faults: Vec<String> = objects().filter_map(box_fault).collect();
+        let (lost, all) = (faults.len() as u64, objects().count() as u64);
+        self.script.counters.lost(&INVALID_TRUTH, ego, lost, all, || {
+            format!("the first has {}", faults[0])
+        });
     }
 
     fn send_packet(&mut self, entry: &Entry) -> Result<(), LogError> {
@@ -669,7 +716,7 @@ impl Feed {
             });
         let Some((seq, sweep)) = sweep else { return };
         if let Some(bare) = self.bare.get_mut(&entry.agent) {
-            bare.remove(&entry.stamp());
+            bare.detections(entry.stamp());
         }
         if let Some(level) = self.levels.get(&entry.agent) {
             level.attitudes.sweeps.boxes(entry.stamp(), &mut boxes.0);
@@ -694,41 +741,31 @@ impl Feed {
             .span()
             .map_or(self.script.until, |(_, last)| last.min(self.script.until));
         for (agent, bare) in std::mem::take(&mut self.bare) {
-            let all = self.script.log.count(&agent, self.script.sweep_stream(&agent));
-            let lost: Vec<Nanos> = bare
-                .into_iter()
-                .filter(|(_, ready)| ready.saturating_add(UNFINISHED) < end)
-                .map(|(stamp, _)| stamp)
-                .collect();
+            let counters = &self.script.counters;
             // Where their stamps are wrong that is said already.
-            let said = [&DETECTIONS_WITHOUT_SWEEP, &CLOCK_OFF].map(|counter| self.script.counters.of(counter, &agent));
-            let Some(first) = lost.first().filter(|_| said == [0, 0]) else {
-                continue;
-            };
-            let count = lost.len() as u64;
-            let found = || format!("the first at {:.3} s", to_seconds(*first));
-            self.script
-                .counters
-                .lost(&SWEEPS_WITHOUT_DETECTIONS, &agent, count, all, found);
+            let said = [&DETECTIONS_WITHOUT_SWEEP, &CLOCK_OFF].map(|counter| counters.of(counter, &agent));
+            if let Some(Lack { count, of, place }) = bare.end(end, said.into_iter().sum()) {
+                counters.lost(&SWEEPS_WITHOUT_DETECTIONS, &agent, count, of, || place);
+            }
         }
     }
 
     /// How far a message lies from the nearest sweep of its agent, in words.
     fn nearest_sweep(&self, entry: &Entry) -> String {
         let stamps = self.sweeps.get(&entry.agent).into_iter().flat_map(BTreeMap::keys);
-        match stamps.map(|stamp| stamp.abs_diff(entry.stamp())).min() {
-            Some(far) => format!("the nearest lies {:.3} ms away", far as f64 * 1e-6),
-            None => "there is none".into(),
-        }
+        nearest_words(
+            stamps
+                .map(|stamp| stamp.saturating_sub(entry.stamp()).saturating_abs())
+                .min(),
+        )
     }
 
     /// Counts truth that was joined to no sweep, by how far the nearest sweep without any lies.
     fn count_lost_truth(&self, lost: Vec<Nanos>) {
         let ego = &self.agents[0];
         for far in lost {
-            self.script.counters.lost(&TRUTH_WITHOUT_SWEEP, ego, 1, 0, || {
-                format!("the nearest lies {:.3} ms away", far as f64 * 1e-6)
-            });
+            let words = || nearest_words(Some(far));
+            self.script.counters.lost(&TRUTH_WITHOUT_SWEEP, ego, 1, 0, words);
         }
     }
 
@@ -795,8 +832,9 @@ fn content(entry: &Entry, reason: String) -> LogError {
 
 /// Topic and times of a message whose publish time is not its stamp.
 pub(crate) fn apart_words(entry: &Entry, apart: Option<Nanos>) -> String {
-    let apart = apart.unwrap_or(0) as f64 / 1e6;
-    format!("{}: {apart:.1} ms after the header's", entry.stream.topic(&entry.agent))
+    let apart = apart.unwrap_or(0);
+    let (topic, far) = (entry.stream.topic(&entry.agent), apart.abs() as f64 / 1e6);
+    format!("the first on {topic} is {far:.1} ms {} the header's", side(apart))
 }
 
 /// By how much the number of a sweep, of its detections and of its truth rises from one pass over a log to the next.

@@ -20,7 +20,6 @@
 mod ahead;
 mod counters;
 mod feed;
-mod gaps;
 mod joins;
 mod nearest;
 mod plan;

@@ -2,12 +2,10 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use crate::feed::apart_words;
+use realo_logs::limits::TRUTH_WINDOW as WINDOW;
 use realo_logs::{Attitude, BoxesInfo, Entry, Log, LogError, LogReader, Stream, same};
 use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels, SAME_STAMP as SAME};
-
-/// A collaborator's sweep further from the ego's says nothing about the same scene.
-const WINDOW: Nanos = 500_000_000;
 
 /// Joins the ground truth of the ego's sweeps with the points that the others have on the same objects.
 ///

@@ -580,7 +580,7 @@ fn who_tilts_is_levelled_and_who_is_level_passes_bit_for_bit() {
             repeat,
             ..config(&path)
         });
-        let counters = BTreeMap::from([("levelled_cav1_by_3.00".into(), 10 * u64::from(repeat))]);
+        let counters = BTreeMap::from([("levelled".into(), 10 * u64::from(repeat))]);
         assert_eq!(player.counts().counters, counters);
         assert!(tilt_on(&played, "ego_poses") < 1e-9);
         assert!((tilt_on(&played, "poses") - 0.2).abs() < 1e-9);

@@ -22,7 +22,7 @@ use crate::keys::{KeyError, NAME, Own, Trusted, is_name};
 use crate::network::Network;
 use crate::offset::{Basis, Estimate};
 use crate::protocol::{Arrived, Offer, Settings, is_bulk};
-use crate::refusal::{self, ALONE, NO_CLOCK, OVERRUN, OVERSIZED, Refusal, Refusals};
+use crate::refusal::{self, ALONE, NO_CLOCK, OVERRUN, OVERSIZED_FRAMES, Refusal, Refusals, UNSENT_BOXES};
 use crate::seal::Seal;
 use crate::session::{self, Place};
 use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
@@ -261,7 +261,7 @@ impl Gateway for Radio {
         }
         let bytes = body::to_bytes(&packet, out.now())?;
         if !is_bulk(header.kind) && bytes.len() > MOST_SMALL {
-            out.count(&OVERSIZED, &self.place.agent, 1);
+            out.count(&UNSENT_BOXES, &self.place.agent, 1);
             return Ok(());
         }
         let age = (out.now() - header.stamp).max(0);
@@ -287,7 +287,7 @@ impl Gateway for Radio {
         out.count(&OVERRUN, "", taken.overrun - self.overrun);
         self.overrun = taken.overrun;
         let unheard = unheard::dropped();
-        out.count(&OVERSIZED, "", unheard - self.unheard);
+        out.count(&OVERSIZED_FRAMES, "", unheard - self.unheard);
         self.unheard = unheard;
         let passed = passed_over(&taken.events);
         for (event, is_passed) in taken.events.into_iter().zip(passed) {

@@ -23,7 +23,7 @@ pub enum Refusal {
     Future,
     /// Of a time line that has nothing to do with this agent's.
     OtherTimeLine,
-    /// More words about its messages than an agent has.
+    /// More reports about its messages than an agent can have.
     Flood,
 }
 
@@ -66,6 +66,8 @@ impl Refusal {
 pub(crate) const COUNTERS: &[Counter] = &[
     MALFORMED,
     OVERSIZED,
+    UNSENT_BOXES,
+    OVERSIZED_FRAMES,
     STRANGERS,
     UNSIGNED,
     FORGED,
@@ -80,17 +82,27 @@ pub(crate) const COUNTERS: &[Counter] = &[
 
 const MALFORMED: Counter = Counter::loss(
     "malformed",
-    "frames, questions, sheets of books and packets that are none",
-    "frames were refused, because they are none of this radio's",
+    "frames, questions, sheets of books and packets that cannot be read",
+    "frames were refused, because they cannot be read as frames of a realo radio",
     "both machines need the same version of realo, and keys (`{node}.key`, `{node}.trust`) on both or on neither",
 );
-pub(crate) const OVERSIZED: Counter = Counter::loss(
+const OVERSIZED: Counter = Counter::loss(
     "oversized",
-    "messages above `max_bytes`; boxes of one sweep above 127 KiB, which are not sent; frames above 128 KiB, which Zenoh drops, so \
-     that nobody knows whose they were",
-    "messages did not cross, because they have more bytes than `{node}.max_bytes`, are boxes of more than 127 KiB, or came in frames \
-     of more than 128 KiB",
-    "`--set {node}.max_bytes=…` where they are received; fewer boxes in a message; frames so large are of no realo radio",
+    "messages of peers above `max_bytes`",
+    "messages were refused, because they have more bytes than `{node}.max_bytes` here",
+    "`--set {node}.max_bytes=…` takes larger ones",
+);
+pub(crate) const UNSENT_BOXES: Counter = Counter::loss(
+    "unsent_boxes",
+    "messages of boxes or states that were not sent, because they are above 127 KiB",
+    "messages were not sent, because the boxes of one sweep take more than 127 KiB",
+    "send fewer boxes in a message: raise the min score or lower the max boxes of the stages before {node}",
+);
+pub(crate) const OVERSIZED_FRAMES: Counter = Counter::loss(
+    "oversized_frames",
+    "frames above 128 KiB, which Zenoh drops, so that nobody knows whose they were",
+    "frames were dropped, because they have more than 128 KiB, which no realo radio sends",
+    "look which other program publishes on `{node}.site`, and choose another site",
 );
 const STRANGERS: Counter = Counter::loss(
     "strangers",
@@ -124,9 +136,9 @@ const FUTURE: Counter = Counter::loss(
 );
 const OTHER_TIME_LINE: Counter = Counter::loss(
     "other_time_line",
-    "messages of peers whose time is more than 10 s off",
-    "messages were refused, because their sender's time is more than 10 s off",
-    "synchronise the machines' clocks; whoever plays a log needs `player.clock=wall`",
+    "messages of peers whose time is more than 10 s away from the time here",
+    "messages were refused, because their sender's time is more than 10 s away from the time here",
+    "synchronise the machines' clocks; on a machine that plays a log set `player.clock=wall`",
 );
 pub(crate) const OVERRUN: Counter = Counter::loss(
     "overrun",
@@ -136,15 +148,16 @@ pub(crate) const OVERRUN: Counter = Counter::loss(
 );
 const FLOOD: Counter = Counter::loss(
     "flood",
-    "words of peers about more messages than an agent has",
-    "words about messages were refused, because no agent has so many",
-    "do not trust that agent: it is not a realo radio, or lies",
+    "reports of peers about more messages than an agent can have",
+    "reports about messages were refused, because their sender reports on more messages than an agent can have",
+    "no realo radio does that: take that agent's key out of `{node}.trust`, and look what runs there",
 );
 pub(crate) const NO_CLOCK: Counter = Counter::loss(
     "no_clock",
     "messages that waited for their sender's time to become known until newer ones came; they count as superseded",
-    "messages were not used, because their sender's time did not become known",
-    "questions about the time must be answered: keys (`{node}.key`, `{node}.trust`) on both machines or on neither",
+    "messages were not used, because the difference between their sender's clock and the clock here did not become known in time",
+    "the radios measure it by questions and answers: look whether messages pass in both directions, and give keys (`{node}.key`, \
+     `{node}.trust`) to both machines or to neither",
 );
 /// Results have the note.
 pub(crate) const ALONE: Counter = Counter::plain("alone", "1 where no message of another agent came");

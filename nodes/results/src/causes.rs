@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use realo_operator::{Loss, Meaning, Share};
 
 use crate::cooperation::sent_and_kept;
-use crate::notes::{LEVELLED, RADIO_ALONE, RUNS_ALONE, sentence};
+use crate::notes::{RADIO_ALONE, RUNS_ALONE, sentence};
 use crate::result::LOG_CUT;
 use crate::{NodeSummary, RunResult};
 
@@ -34,17 +34,20 @@ const CAUSES: [(&str, &[&str]); 4] = [
     ),
     ("no_pose", &["late_pose", "not_deskewed", "unplaced", "no_ego_state"]),
 ];
+/// Faults of a log that make scores wrong: their notes stand first, and they are never why an agent was not used.
+const OF_SCORES: [&str; 1] = ["truth_not_joined"];
 /// Counters for which both ends of a link must have a position: they may be due to an agent other than their own.
 const OF_TWO_AGENTS: [&str; 2] = ["unplaced", "no_ego_state"];
 
-/// The counters of operators and nodes that notes know by their names; `levelled_` goes on.
+/// The counters of operators and nodes that notes know by their names.
 pub fn named_counters() -> BTreeSet<&'static str> {
     let causes = CAUSES
         .iter()
         .flat_map(|(cause, explained)| explained.iter().chain([cause]));
-    let others = OF_TWO_AGENTS
+    let others = OF_SCORES
         .iter()
-        .chain(&[LOG_CUT, LEVELLED, RUNS_ALONE, RADIO_ALONE]);
+        .chain(&OF_TWO_AGENTS)
+        .chain(&[LOG_CUT, RUNS_ALONE, RADIO_ALONE]);
     causes.chain(others).copied().collect()
 }
 
@@ -57,7 +60,7 @@ pub fn rank(counter: &str) -> usize {
 /// The notes of all losses, by their place among the other notes.
 #[derive(Default)]
 pub struct LossNotes {
-    /// Faults of the log that concern an ego.
+    /// Faults of the log that make scores wrong, then those that concern an ego.
     pub of_egos: Vec<String>,
     /// By collaborator of whom no message was used: the fault of the log that is the reason, without the agent's name.
     pub of_unused: BTreeMap<String, String>,
@@ -121,9 +124,10 @@ pub fn loss_notes(result: &RunResult) -> LossNotes {
         picked.into_iter().map(|(_, entry)| entry).collect()
     };
     let is_cause = |entry: &Entry| entry.is_fault() && entry.cause.is_none();
+    let of_scores = |entry: &Entry| is_cause(entry) && OF_SCORES.contains(&entry.counter);
     let of_ego = |entry: &Entry| is_cause(entry) && rank(entry.counter) < CAUSES.len() && egos.contains(entry.agent);
-    notes.of_egos = sentences(&pick(&of_ego));
-    notes.faults = sentences(&pick(&|entry| is_cause(entry) && !of_ego(entry)));
+    notes.of_egos = [sentences(&pick(&of_scores)), sentences(&pick(&of_ego))].concat();
+    notes.faults = sentences(&pick(&|entry| is_cause(entry) && !of_scores(entry) && !of_ego(entry)));
     // Of an agent of whom nothing was used that is said already.
     let unused = result.cooperation.iter().flat_map(|cooperation| &cooperation.unused);
     let unused: BTreeSet<&str> = unused.map(|unused| unused.agent.as_str()).collect();
@@ -184,7 +188,8 @@ fn reasons_of_unused<'a>(result: &'a RunResult, entries: &[Entry]) -> BTreeMap<&
                     [0, _] => rank(entry.counter) < CAUSES.len(),
                     _ => entry.counter == "no_common_time",
                 };
-                entry.agent == agent && entry.is_fault() && entry.cause.is_none() && explains
+                let is_fault = entry.is_fault() && !OF_SCORES.contains(&entry.counter);
+                entry.agent == agent && is_fault && entry.cause.is_none() && explains
             });
             let deepest = faults.min_by_key(|(_, entry)| (rank(entry.counter), std::cmp::Reverse(entry.share.count)));
             Some((agent, deepest?.0))
@@ -319,6 +324,24 @@ mod tests {
             "3 of 20 sweeps of the ego gave no boxes",
         ];
         assert_eq!(result.notes, expected);
+    }
+
+    #[test]
+    fn truth_that_scores_lack_stands_first_and_is_no_reason_for_unused_messages() {
+        let result = run(
+            &[
+                ("player", "player", "clock_off", LogFault, &[("car", 1, 60)]),
+                ("player", "player", "truth_not_joined", LogFault, &[("mast", 20, 20)]),
+            ],
+            &["mast"],
+            0,
+        );
+        let expected = [
+            "mast: 20 of 20 truth_not_joined happened; look there",
+            "car: 1 of 60 clock_off happened; look there",
+            "mast: no message was used: 20 were too old",
+        ];
+        assert_eq!(result.notes[..3], expected);
     }
 
     #[test]

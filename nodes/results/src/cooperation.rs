@@ -222,7 +222,7 @@ fn why(agent: &str, books_of: &[LinkBooks], result: &RunResult, books: &Books) -
         (fate(|fates| fates.skipped), "were skipped by a busy stage"),
         (
             fate(|fates| fates.over_limit),
-            "came when the fusion had taken all that it takes",
+            "were left out, because others were nearer and the fusion takes no more (`max_collaborators`)",
         ),
         (fate(|fates| fates.stale), stale),
         (
@@ -230,7 +230,7 @@ fn why(agent: &str, books_of: &[LinkBooks], result: &RunResult, books: &Books) -
             "were superseded by newer ones before they were asked for",
         ),
         (fate(|fates| fates.rejected), "were rejected"),
-        (fate(|fates| fates.in_flight), "were never asked for"),
+        (fate(|fates| fates.in_flight), "arrived after the ego's last sweep"),
     ];
     ways.sort_by_key(|(n, _)| Reverse(*n));
     let said: Vec<String> = ways
@@ -269,5 +269,31 @@ fn cause(agent: &str, result: &RunResult) -> String {
         Some((_, words)) => words,
         None if has_radio(result) => String::from(", or none came"),
         None => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{NodeSummary, Settings};
+
+    #[test]
+    fn names_with_hyphens_are_found_by_their_links() {
+        let mut result = RunResult::new(Settings::default());
+        result.egos = vec!["car-1".into()];
+        result.agents = ["car-1", "rsu-1", "rsu", "1"].map(String::from).to_vec();
+        result.links.insert("rsu-1-car-1".into(), Default::default());
+        let found = |result: &RunResult| collaborators(result).into_iter().collect::<Vec<_>>();
+        assert_eq!(
+            found(&result),
+            ["1", "rsu", "rsu-1"],
+            "without a radio all of the log may take part"
+        );
+        let radio = NodeSummary {
+            operator: "radio".into(),
+            ..NodeSummary::default()
+        };
+        result.nodes.insert("v2x".into(), radio);
+        assert_eq!(found(&result), ["rsu-1"], "with one, who is on the air");
     }
 }

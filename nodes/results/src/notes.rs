@@ -1,10 +1,10 @@
 //! The sentences that a reader must know.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
 
 use realo_operator::{Loss, Share};
 use realo_schemas::file;
+use realo_schemas::geometry::PLAUSIBLE_BOX;
 use realo_scoring::{Counts, Dropped};
 
 use crate::causes::{LossNotes, loss_notes};
@@ -17,8 +17,6 @@ const CUT_NAMED: usize = 5;
 const AGENTS_NAMED: usize = 5;
 /// The player's counter of runs in which nobody may cooperate.
 pub(crate) const RUNS_ALONE: &str = "runs_alone";
-/// How the player's counters of sweeps that it levelled begin: `levelled_AGENT_by_DEGREES`.
-pub(crate) const LEVELLED: &str = "levelled_";
 /// The radio's counter of runs in which nothing came of other agents.
 pub(crate) const RADIO_ALONE: &str = "alone";
 /// Characters of a counter's words: those of plug-ins may be of any length.
@@ -54,7 +52,12 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
         )
     });
     let protocol = result.protocol.as_deref().unwrap_or_default();
-    let of = |what: &str, dropped: &Option<Dropped>, scored: u64| {
+    let egos: Vec<String> = result.egos.iter().map(|ego| plain(&file::shown(ego))).collect();
+    let whose = match egos.is_empty() {
+        true => String::new(),
+        false => format!("{}: ", listed(&egos).trim_end_matches(':')),
+    };
+    let of = |[what, producer]: [&str; 2], dropped: &Option<Dropped>, scored: u64, is_named: bool| {
         let Some(dropped) = dropped else { return Vec::new() };
         let strange: u64 = dropped.classes.values().sum();
         let all = scored + strange + dropped.invalid + dropped.outside + dropped.own_body + dropped.few_points;
@@ -74,9 +77,9 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 listed(&classes).trim_end_matches(':')
             ));
         }
-        if dropped.invalid > 0 {
+        if dropped.invalid > 0 && !is_named {
             said.push(format!(
-                "{} of {} {what} were not scored, because they have no extent or numbers that are not finite; look at who writes them",
+                "{whose}{} of {} {what} were not scored, because no object can have such numbers; {PLAUSIBLE_BOX}: mend {producer}",
                 grouped(dropped.invalid),
                 grouped(all)
             ));
@@ -97,10 +100,26 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
         said
     };
     [
-        of("objects of the ground truth", &result.dropped_truths, objects),
-        of("detections", &result.dropped_detections, detections),
+        of(
+            ["objects of the ground truth", "the program that wrote the log"],
+            &result.dropped_truths,
+            objects,
+            names_invalid_truth(result),
+        ),
+        of(
+            ["detections", "the stage that makes the final boxes"],
+            &result.dropped_detections,
+            detections,
+            false,
+        ),
     ]
     .concat()
+}
+
+/// Whether the player counted objects of the truth that no object can be: their note is that counter's.
+fn names_invalid_truth(result: &RunResult) -> bool {
+    let mut losses = result.nodes.values().flat_map(|node| node.losses.iter());
+    losses.any(|(counter, loss)| counter == "invalid_truth" && loss.count() > 0)
 }
 
 /// A loss at a node: whose, how many, why, what to try.
@@ -221,31 +240,17 @@ impl RunResult {
         Some(format!("{which}: what lies before the cut was played"))
     }
 
-    /// Which agents the player levelled, and by how much their bodies tilt in any log.
-    fn note_of_levelled_agents(&self) -> Option<String> {
-        let counters = self.nodes.values().flat_map(|node| node.counters.keys());
-        let mut agents: BTreeMap<&str, f64> = BTreeMap::new();
-        for (agent, tilt) in counters.filter_map(|counter| levelled(counter)) {
-            let most = agents.entry(agent).or_default();
-            *most = most.max(tilt);
-        }
-        let said: Vec<String> = agents
-            .iter()
-            .map(|(agent, most)| format!("{agent}, which tilts by up to {most:.2}°"))
-            .collect();
-        (!said.is_empty()).then(|| format!("levelled while played, by the poses of the log: {}", said.join("; ")))
-    }
-
-    /// Whose messages came to a fusion that had taken all that it takes.
+    /// Whose messages a fusion left out, because it takes no more.
     fn note_of_limit(&self) -> Option<String> {
         let over = self.channels().filter_map(|(link, _, books)| {
             let over = books.accounted?.fates.over_limit;
-            (over > 0).then(|| format!("{link} ({over} of {})", books.sent))
+            (over > 0).then(|| format!("{} of {} of {link}", grouped(over), grouped(books.sent)))
         });
         let said: Vec<String> = over.collect();
         (!said.is_empty()).then(|| {
             format!(
-                "beyond the collaborators that the fusion takes (`max_collaborators`, or the agents of its model), which are the nearest to the ego: {}",
+                "messages were not fused, because they are beyond the collaborators that the fusion takes (`max_collaborators`, or the agents of \
+                 its model) and others were nearer to the ego: {}; a higher `max_collaborators` takes more, up to the agents of the model",
                 said.join(", ")
             )
         })
@@ -273,8 +278,6 @@ impl RunResult {
                 self.runs
             ),
         );
-        let levelled = self.note_of_levelled_agents();
-        note(levelled.is_some(), levelled.unwrap_or_default());
         let beyond = self.note_of_limit();
         note(beyond.is_some(), beyond.unwrap_or_default());
         let skipped = self.frames.skipped;
@@ -335,37 +338,12 @@ fn failure(id: &str, node: &NodeSummary) -> String {
     )
 }
 
-/// Agent and degrees of the player's counter of sweeps that it levelled, `levelled_AGENT_by_DEGREES`.
-fn levelled(counter: &str) -> Option<(&str, f64)> {
-    let (agent, degrees) = counter.strip_prefix(LEVELLED)?.rsplit_once("_by_")?;
-    let degrees: f64 = degrees.parse().ok()?;
-    degrees.is_finite().then_some((agent, degrees))
-}
-
 #[cfg(test)]
 mod tests {
     use realo_operator::Meaning;
 
     use super::*;
     use crate::{Samples, Settings};
-
-    #[test]
-    fn agents_that_were_levelled_are_named_with_their_greatest_tilt() {
-        let mut result = RunResult::new(Settings::default());
-        let counters = [
-            "levelled_a_by_b_by_0.40",
-            "levelled_a_by_b_by_2.26",
-            "levelled_mast_by_0.53",
-        ];
-        let player = NodeSummary {
-            counters: counters.map(|counter| (counter.to_string(), 20)).into(),
-            ..NodeSummary::default()
-        };
-        result.nodes.insert("player".into(), player);
-        result.conclude(&Samples::default());
-        let said = "levelled while played, by the poses of the log: a_by_b, which tilts by up to 2.26°; mast, which tilts by up to 0.53°";
-        assert_eq!(result.notes, [said]);
-    }
 
     #[test]
     fn stages_that_failed_are_named_first_with_the_first_error_and_what_to_try() {

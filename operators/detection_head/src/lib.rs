@@ -135,9 +135,9 @@ const OVER_LIMIT_BOXES: Counter = Counter::plain(
 );
 const INVALID_BOXES: Counter = Counter::loss(
     "invalid_boxes",
-    "decoded boxes dropped: without extent, not finite, a score outside [0, 1]",
-    "decoded boxes were left out, because they are not finite or have no extent",
-    "look at the weights of the model",
+    "decoded boxes dropped: not finite, without extent or above 100 m, or with a score outside [0, 1]",
+    "decoded boxes were left out, because they are not finite, or have no size or one above 100 m",
+    "the network makes such boxes: look at its weights, or train it again",
 );
 
 impl Describe for DetectionHead {

@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 
 use grid::Neighbours;
 use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected};
-use realo_schemas::geometry::{Footprint, Region, is_valid};
+use realo_schemas::geometry::{Footprint, Region, box_fault, is_plausible};
 use realo_schemas::{Box3, Boxes, Header, Message, PayloadType};
 use serde::{Deserialize, Serialize};
 
@@ -73,7 +73,7 @@ pub struct Outcome {
     pub kept: Vec<u32>,
     /// The kept boxes, after the vote.
     pub boxes: Vec<Box3>,
-    /// Boxes with NaN, without extent, or with a score outside [0, 1].
+    /// Boxes that no object can have: see [`is_plausible`].
     pub invalid: u64,
     /// Boxes outside the region.
     pub outside: u64,
@@ -90,7 +90,7 @@ pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome 
     let mut outcome = Outcome::default();
     let mut candidates: Vec<u32> = Vec::with_capacity(boxes.len());
     for (object, index) in boxes.iter().zip(0u32..) {
-        if !is_valid(object) {
+        if !is_plausible(object) {
             outcome.invalid += 1;
         } else if region.is_some_and(|region| !region.contains_box(object)) {
             outcome.outside += 1;
@@ -168,9 +168,10 @@ pub struct Nms {
 
 const INVALID_BOXES: Counter = Counter::loss(
     "invalid_boxes",
-    "boxes dropped: without extent, not finite, a score outside [0, 1]",
-    "boxes were left out by {node}, because they are not finite, have no extent or a score outside [0, 1]",
-    "mend the stage that makes them",
+    "boxes dropped: not finite, without extent or above 100 m, more than 10 km away, or with a score outside [0, 1]",
+    "boxes were left out by {node}, because no object can have such numbers",
+    "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1: mend \
+     the stage that sends them to {node}",
 );
 const OUTSIDE_BOXES: Counter = Counter::plain("outside_boxes", "boxes dropped: not wholly in the region");
 const LOW_SCORE_BOXES: Counter = Counter::plain("low_score_boxes", "boxes dropped: below the min score");
@@ -266,6 +267,12 @@ impl Operator for Nms {
         let outcome = nms(&boxes, &self.config, self.region.as_ref());
         let (agent, all) = (header.agent.clone(), boxes.len() as u64);
         out.count_of(&INVALID_BOXES, &agent, outcome.invalid, all);
+        if outcome.invalid > 0 {
+            let first = boxes.iter().find_map(box_fault);
+            out.found(&INVALID_BOXES, &agent, || {
+                format!("the first has {}", first.unwrap_or_default())
+            });
+        }
         out.count(&OUTSIDE_BOXES, &agent, outcome.outside);
         out.count(&LOW_SCORE_BOXES, &agent, outcome.low_score);
         out.count_of(&OVER_LIMIT_BOXES, &agent, outcome.over_limit, all);
@@ -386,10 +393,15 @@ mod tests {
             yaw: f64::INFINITY,
             ..car(0.0, 0.0, 1.0)
         });
+        bad.push(car(1e30, 0.0, 0.5));
+        bad.push(Box3 {
+            length: 101.0,
+            ..car(0.0, 0.0, 1.0)
+        });
         bad.push(car(0.0, 0.0, 0.5));
         let (kept, out) = run(Config::default(), bad);
         assert_eq!(kept, [car(0.0, 0.0, 0.5)]);
-        assert_eq!(out.counted("invalid_boxes"), 7);
+        assert_eq!(out.counted("invalid_boxes"), 9);
     }
 
     #[test]

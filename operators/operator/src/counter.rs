@@ -66,14 +66,6 @@ impl Counter {
     pub const fn quiet_up_to(self, quiet_percent: u8) -> Self {
         Counter { quiet_percent, ..self }
     }
-
-    /// Whether the counter has this name; from its first capital on a declared name stands for anything, as `levelled_AGENT`.
-    pub fn name_is(&self, name: &str) -> bool {
-        match self.name.find(|c: char| c.is_ascii_uppercase()) {
-            Some(fixed) => name.starts_with(&self.name[..fixed]),
-            None => name == self.name,
-        }
-    }
 }
 
 /// What a stage counted.

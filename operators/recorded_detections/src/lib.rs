@@ -6,7 +6,7 @@
 //! | `recorded` | in, latest, set `sweep` | Boxes | what the log says was detected in the sweep |
 //! | `boxes` | out | Boxes | the same with the sweep's header and pose |
 //!
-//! Boxes without extent or with numbers that are not finite are dropped and counted (`invalid_boxes`).
+//! Boxes that no object can have, such as those without extent or more than 10 km away, are dropped and counted (`invalid_boxes`).
 
 mod operator;
 

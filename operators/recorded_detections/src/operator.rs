@@ -8,9 +8,10 @@ const BOXES: PortId = PortId(0);
 
 const INVALID_BOXES: Counter = Counter::log_fault(
     "invalid_boxes",
-    "boxes dropped: without extent, not finite, a score outside [0, 1]",
-    "recorded detections were left out, because they are not finite, have no extent or a score outside [0, 1]",
-    "mend what wrote them",
+    "boxes dropped: not finite, without extent or above 100 m, more than 10 km away, or with a score outside [0, 1]",
+    "recorded detections were left out, because no object can have such numbers",
+    "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1: mend \
+     the program that wrote them",
 );
 
 /// Recorded detections have no settings.
@@ -18,24 +19,22 @@ const INVALID_BOXES: Counter = Counter::log_fault(
 #[serde(default, deny_unknown_fields)]
 pub struct RecordedDetectionsConfig {}
 
-/// The boxes that a detector could have found, in their order: with extents above 0, a score in [0, 1] and finite
-/// numbers.
+/// The boxes that a detector could have found, in their order: plausible ([`geometry::is_plausible`]) and with finite motions.
 pub fn sound(boxes: Boxes) -> Boxes {
-    let finite = |object: &Box3| {
-        let motion = object
-            .velocity
-            .iter()
-            .flatten()
-            .chain(object.covariance.iter().flatten());
-        motion.copied().all(f64::is_finite)
-    };
-    Boxes(
-        boxes
-            .0
-            .into_iter()
-            .filter(|object| geometry::is_valid(object) && finite(object))
-            .collect(),
-    )
+    Boxes(boxes.0.into_iter().filter(is_sound).collect())
+}
+
+fn is_sound(object: &Box3) -> bool {
+    let velocity = object.velocity.iter().flatten();
+    let mut motion = velocity.chain(object.covariance.iter().flatten());
+    geometry::is_plausible(object) && motion.all(|number| number.is_finite())
+}
+
+/// What is wrong with the first box that is not sound, in words.
+fn first_fault(boxes: &Boxes) -> Option<String> {
+    let first = boxes.0.iter().find(|object| !is_sound(object))?;
+    let fault = geometry::box_fault(first);
+    Some(fault.unwrap_or("a velocity or covariance that is not finite".into()))
 }
 
 /// Replays the detections that a log recorded.
@@ -85,10 +84,13 @@ impl Operator for RecordedDetections {
                     let found = format!("stamp {} ns and frame {}", recorded.stamp, recorded.frame);
                     return Err(format!("recorded boxes: expected the sweep's {expected}, found {found}").into());
                 }
-                let before = boxes.0.len();
+                let (before, fault) = (boxes.0.len(), first_fault(&boxes));
                 let boxes = sound(boxes);
                 let invalid = (before - boxes.0.len()) as u64;
                 out.count_of(&INVALID_BOXES, &recorded.agent, invalid, before as u64);
+                if let Some(fault) = fault {
+                    out.found(&INVALID_BOXES, &recorded.agent, || format!("the first has {fault}"));
+                }
                 out.send(
                     BOXES,
                     Message::new(
@@ -160,7 +162,8 @@ mod tests {
             score: f32::NAN,
             ..object(1.0)
         };
-        let recorded = Boxes(vec![flat, object(2.0), nan, fast, certain, object(3.0)]);
+        let far = object(1e30);
+        let recorded = Boxes(vec![flat, object(2.0), nan, fast, certain, object(3.0), far]);
         let mut operator = RecordedDetections::new(RecordedDetectionsConfig {}).unwrap();
         let mut out = Outputs::at(150);
         operator.on_input(CLOUDS, sweep(), &mut out).unwrap();
@@ -175,7 +178,7 @@ mod tests {
             out.take_sent(),
             [(BOXES, Message::new(expected, Boxes(vec![object(2.0), object(3.0)])))]
         );
-        assert_eq!(out.counted("invalid_boxes"), 4);
+        assert_eq!(out.counted("invalid_boxes"), 5);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use realo_schemas::geometry::{View, is_valid};
+use realo_schemas::geometry::{View, is_plausible};
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Name, Nanos};
 
 use crate::{Detection, Dropped, Evaluation, Frame, InNoView, Labels, Outline, OutsideViews, Protocol, Scene, Truth};
@@ -293,7 +293,7 @@ fn comparable(truth: &TruthPart, stamp: Nanos, frame: Name, header: &Header) -> 
 
 /// The class of a box that counts by itself and by its place.
 fn counted(object: &Box3, protocol: &Protocol, dropped: &mut Dropped) -> Option<u8> {
-    if !is_valid(object) {
+    if !is_plausible(object) {
         dropped.invalid += 1;
         return None;
     }

@@ -193,7 +193,7 @@ pub struct Ignored {
 /// Boxes of scored frames that do not count, and why.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Dropped {
-    /// Not finite, or without extent.
+    /// Boxes that no object can have: not finite, without extent or above 100 m, more than 10 km away.
     pub invalid: u64,
     /// Outside the region.
     pub outside: u64,

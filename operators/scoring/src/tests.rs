@@ -246,6 +246,7 @@ fn drops_what_the_protocol_does_not_count() {
             length: 0.0,
             ..car(30.0, 0.9)
         },
+        car(1e30, 0.9),
     ];
     let key = GroundTruth {
         ego_footprint: footprint,
@@ -254,7 +255,7 @@ fn drops_what_the_protocol_does_not_count() {
     let report = run("default", vec![with_truth(0, key), with_boxes(0, detections)]);
     assert_eq!(counts(&report.scores, "vehicle", "0.5"), (1, 0, 1));
     let dropped = &report.scores.dropped_detections;
-    assert_eq!((dropped.invalid, dropped.outside, dropped.own_body), (1, 1, 1));
+    assert_eq!((dropped.invalid, dropped.outside, dropped.own_body), (2, 1, 1));
     assert_eq!(dropped.classes, [("traffic_light".to_string(), 1)].into());
     let dropped = &report.scores.dropped_truths;
     assert_eq!((dropped.invalid, dropped.outside, dropped.own_body), (1, 1, 0));

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{EgoState, Header, Nanos, PointCloud, PoseStatus};
 
-/// Poses behind the newest one are kept for so long, ns.
+/// Poses older than the newest one are kept for so long, ns.
 const KEEP: Nanos = 2_000_000_000;
 
 /// Sweeps that may wait at the same time.
@@ -185,7 +185,7 @@ impl Lane {
         let at = |index: usize| self.points.get(index).map(|point| point.stamp);
         match (after.checked_sub(1).and_then(at), at(after)) {
             (None, None) => "no poses came".into(),
-            (None, Some(first)) => format!("the first pose lies {} ms behind the sweep", millis(first - stamp)),
+            (None, Some(first)) => format!("the first pose is {} ms later than the sweep", millis(first - stamp)),
             (Some(from), Some(to)) => format!("poses {} ms apart, max_gap_ms={bridged}", millis(to - from)),
             (Some(_), None) if after == 1 => "one pose came so far, at least two are needed".into(),
             (Some(last), None) => {
@@ -194,7 +194,7 @@ impl Lane {
                 match period > self.max_gap {
                     true => format!("poses {} ms apart, max_gap_ms={bridged}", millis(period)),
                     false => format!(
-                        "the last pose lies {} ms before the sweep, max_gap_ms={bridged}",
+                        "the last pose is {} ms earlier than the sweep, max_gap_ms={bridged}",
                         millis(since)
                     ),
                 }

@@ -50,8 +50,8 @@ const LATE_POSE: Counter = Counter::loss(
 const NOT_DESKEWED: Counter = Counter::loss(
     "not_deskewed",
     "sweeps passed on although the motion during them is not known",
-    "sweeps were not freed of the agent's motion, because poses do not span them",
-    "poses before and after each sweep are needed, at 10 Hz or more",
+    "sweeps keep the distortion by the agent's motion, because no poses are known before and after them",
+    "write poses at 10 Hz or more, from before the first sweep to after the last",
 );
 
 /// Settings of sync.

@@ -155,7 +155,7 @@ fn read_box(bytes: &mut Reader, classes: &[Name]) -> Result<Box3, DecodeError> {
     };
     if !geometry::is_valid(&object) {
         let found = format!("{length} × {width} × {height} m, score {score}");
-        let expected = "extents above 0 and a score in [0, 1]";
+        let expected = "extents above 0 and up to 100 m, and a score in [0, 1]";
         return Err(DecodeError::Value {
             field: "box",
             expected,

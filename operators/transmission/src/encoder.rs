@@ -88,9 +88,10 @@ const BYTES: Counter = Counter::plain(
 const NAN_POINTS: Counter = Counter::plain("nan_points", "points that were not sent: not finite");
 const INVALID_BOXES: Counter = Counter::loss(
     "invalid_boxes",
-    "boxes that were not sent: without extent, not finite, a score outside [0, 1]",
-    "boxes were not sent, because they are not finite, have no extent or a score outside [0, 1]",
-    "mend the stage that makes them",
+    "boxes that were not sent: not finite, without extent or above 100 m, or with a score outside [0, 1]",
+    "boxes were not sent, because no object can have such numbers: they are not finite, their size is not 0 to 100 m or their score \
+     not 0 to 1",
+    "mend the stage that sends them to {node}",
 );
 const BOUNDED_FEATURES: Counter = Counter::loss(
     "bounded_features",

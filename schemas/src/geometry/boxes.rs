@@ -84,15 +84,45 @@ pub fn footprint_contains(object: &Box3, [x, y]: [f64; 2]) -> bool {
     (dx * cos + dy * sin).abs() <= object.length / 2.0 && (dy * cos - dx * sin).abs() <= object.width / 2.0
 }
 
-/// Whether every number is finite, every extent positive and the score in [0, 1].
+/// Beyond this distance from the agent whose frame it is in, a box is a mistake of its producer, m.
+pub const FARTHEST_M: f64 = 10_000.0;
+/// Above this length, width or height a box is a mistake of its producer, m.
+pub const LARGEST_M: f64 = 100.0;
+
+/// What a plausible box is, in words for messages.
+pub const PLAUSIBLE_BOX: &str = "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and \
+                                 scores of 0 to 1";
+
+/// Whether every number is finite, every extent above 0 and at most [`LARGEST_M`], and the score in [0, 1].
 pub fn is_valid(object: &Box3) -> bool {
     let extents = [object.length, object.width, object.height];
-    object
-        .center
-        .iter()
-        .chain(&extents)
-        .chain([&object.yaw])
-        .all(|v| v.is_finite())
-        && extents.iter().all(|v| *v > 0.0)
+    object.center.iter().chain([&object.yaw]).all(|v| v.is_finite())
+        && extents.iter().all(|v| *v > 0.0 && *v <= LARGEST_M)
         && (0.0..=1.0).contains(&object.score)
+}
+
+/// Whether a box in an agent's frame can be an object that somebody saw: it [`is_valid`], at most [`FARTHEST_M`] away.
+pub fn is_plausible(object: &Box3) -> bool {
+    is_valid(object) && Vector3::from(object.center).norm() <= FARTHEST_M
+}
+
+/// Why a box in an agent's frame is not plausible, in words; `None` where it [`is_plausible`].
+pub fn box_fault(object: &Box3) -> Option<String> {
+    if is_plausible(object) {
+        return None;
+    }
+    let extents = [object.length, object.width, object.height];
+    let all = object.center.iter().chain(&extents).chain([&object.yaw]);
+    let [l, w, h] = extents;
+    Some(if !all.copied().all(f64::is_finite) {
+        "a number that is not finite".into()
+    } else if extents.iter().any(|v| *v <= 0.0) {
+        format!("a size of {l:.3} × {w:.3} × {h:.3} m")
+    } else if extents.iter().any(|v| *v > LARGEST_M) {
+        format!("a size of {l:.3e} × {w:.3e} × {h:.3e} m")
+    } else if (0.0..=1.0).contains(&object.score) {
+        format!("a distance of {:.3e} m", Vector3::from(object.center).norm())
+    } else {
+        format!("a score of {}", object.score)
+    })
 }

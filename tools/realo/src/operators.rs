@@ -248,7 +248,7 @@ mod tests {
         let named = realo_results::named_counters();
         assert!(named.len() > 10, "{named:?}");
         for name in named {
-            let is_counted = counters.iter().any(|counter| counter.name_is(name));
+            let is_counted = counters.iter().any(|counter| counter.name == name);
             assert!(is_counted, "no operator or node counts `{name}`");
         }
     }

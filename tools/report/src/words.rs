@@ -36,7 +36,7 @@ const WORDS: &[(&str, &str)] = &[
     ("stale", "too old when the ego asked"),
     ("superseded", "a newer message of its sender took its place"),
     ("over limit", "of more collaborators than the fusion takes"),
-    ("in flight", "never asked for, after the ego's last frame"),
+    ("in flight", "arrived after the ego's last sweep"),
     ("rejected", "invalid, or of no use to the fusion"),
 ];
 

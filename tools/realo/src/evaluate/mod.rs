@@ -235,7 +235,7 @@ fn not_of_log(args: &Args, log: &Log, misfit: Misfit) -> eyre::Report {
     // Of a log that was cut the beginning fits, or nothing is left to tell by.
     let cut = log.truncation().filter(|_| misfit.fitted > 0 || misfit.beyond);
     let what = match cut {
-        Some(cut) => format!("{path} is {cut}: {recording} goes on behind the cut; give the whole log that was played"),
+        Some(cut) => format!("{path} is {cut}: {recording} goes on after the cut; give the whole log that was played"),
         None => format!("{recording} is a recording of another log than {path}; give the log that was played"),
     };
     misfit.reason.wrap_err(what)

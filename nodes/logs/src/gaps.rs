@@ -1,0 +1,296 @@
+//! Sweeps that are missing, and sweeps without detections: gaps in an agent's data, and where these begin late or stop early.
+
+use std::collections::BTreeMap;
+
+use realo_schemas::{Name, Nanos};
+
+use crate::limits::{POSES_MORE, SHORTEST_GAP, SHORTEST_GAP_PERIODS, UNFINISHED};
+use crate::words::seconds;
+
+/// What is said of sweeps that are missing, after how many of how many: what happened, and what to try.
+pub const SWEEPS_MISSING: [&str; 2] = [
+    "sweeps are missing: its data have gaps, begin late or stop early",
+    "look whether its sensor or its recording stopped, and cut the log to the time that all agents have",
+];
+/// What is said of sweeps without detections, likewise.
+pub const SWEEPS_WITHOUT_DETECTIONS: [&str; 2] = [
+    "sweeps have no recorded detections, so that no boxes are fused or scored for them",
+    "write `detections` for every sweep, without boxes where nothing was found",
+];
+
+/// The sweeps and poses of a pass so far.
+#[derive(Default)]
+pub struct Gaps {
+    spans: BTreeMap<Name, Span>,
+    /// By agent: stamp of the newest pose.
+    poses: BTreeMap<Name, Nanos>,
+}
+
+/// The sweeps of an agent.
+struct Span {
+    first: Nanos,
+    last: Nanos,
+    /// Times between sweeps without gaps, and how many.
+    steps: (Nanos, Nanos),
+}
+
+/// Sweeps that are missing.
+#[derive(Debug, PartialEq)]
+pub struct Missing {
+    /// How many there would be.
+    pub sweeps: u64,
+    /// Where, in words.
+    pub place: String,
+}
+
+impl Span {
+    fn period(&self) -> Option<Nanos> {
+        self.steps.0.checked_div(self.steps.1).filter(|period| *period > 0)
+    }
+}
+
+/// How many sweeps of a period fit into a time in which there is none.
+fn missing(period: Nanos, gap: Nanos) -> Option<u64> {
+    let is_gap = gap > SHORTEST_GAP.max(period.saturating_mul(SHORTEST_GAP_PERIODS));
+    is_gap.then(|| (gap + period / 2).div_euclid(period).max(1).unsigned_abs())
+}
+
+impl Gaps {
+    /// Takes a sweep; says what is missing since the one before.
+    pub fn sweep(&mut self, agent: &Name, stamp: Nanos) -> Option<Missing> {
+        let span = self.spans.entry(agent.clone()).or_insert(Span {
+            first: stamp,
+            last: stamp,
+            steps: (0, 0),
+        });
+        let (step, since) = (stamp - span.last, span.last - span.first);
+        if step <= 0 {
+            return None;
+        }
+        span.last = stamp;
+        let found = span.period().and_then(|period| {
+            let sweeps = missing(period, step)?.saturating_sub(1).max(1);
+            let place = format!("none for {} s, {} s after its first", seconds(step), seconds(since));
+            Some(Missing { sweeps, place })
+        });
+        if found.is_none() {
+            span.steps = (span.steps.0 + step, span.steps.1 + 1);
+        }
+        found
+    }
+
+    /// Takes a pose.
+    pub fn pose(&mut self, agent: &Name, stamp: Nanos) {
+        let newest = self.poses.entry(agent.clone()).or_insert(stamp);
+        *newest = stamp.max(*newest);
+    }
+
+    /// What is missing before the first and after the last sweeps of agents that have some while `ego` has, or of all; forgets
+    /// all. An agent's own poses tell too that its sweeps stopped.
+    pub fn end(&mut self, ego: Option<&Name>) -> Vec<(Name, Missing)> {
+        let Gaps { mut spans, poses } = std::mem::take(self);
+        if let Some(ego) = ego {
+            let Some((begin, end)) = spans.get(ego).map(|span| (span.first, span.last)) else {
+                return Vec::new();
+            };
+            spans.retain(|_, span| span.first <= end && span.last >= begin);
+        }
+        let first = spans.values().map(|span| span.first).min().unwrap_or_default();
+        let last = spans.values().map(|span| span.last).max().unwrap_or_default();
+        let shortest = spans.values().filter_map(Span::period).min();
+        let mut found = Vec::new();
+        for (agent, span) in &spans {
+            let Some(period) = span.period().or(shortest) else {
+                continue;
+            };
+            let newest_pose = poses.get(agent).copied().unwrap_or(last);
+            let by_poses = newest_pose.saturating_sub(POSES_MORE);
+            let early = match by_poses > last {
+                true => {
+                    let more = seconds(newest_pose - span.last);
+                    (
+                        by_poses - span.last,
+                        format!("its last is {more} s earlier than its last pose"),
+                    )
+                }
+                false => {
+                    let gap = last - span.last;
+                    (
+                        gap,
+                        format!("its last is {} s earlier than the last of all", seconds(gap)),
+                    )
+                }
+            };
+            let begins = span.first - first;
+            let late = (
+                begins,
+                format!("its first is {} s later than the first of all", seconds(begins)),
+            );
+            for (gap, place) in [early, late] {
+                if let Some(sweeps) = missing(period, gap) {
+                    found.push((agent.clone(), Missing { sweeps, place }));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// The sweeps of an agent for which no detections have come yet.
+#[derive(Default)]
+pub struct Bare {
+    /// When each is ready, by its stamp.
+    open: BTreeMap<Nanos, Nanos>,
+    all: u64,
+}
+
+/// Sweeps without detections.
+#[derive(Debug, PartialEq)]
+pub struct Lack {
+    /// How many.
+    pub count: u64,
+    /// Of so many.
+    pub of: u64,
+    /// Which is the first, in words.
+    pub place: String,
+}
+
+impl Bare {
+    /// Takes a sweep.
+    pub fn sweep(&mut self, stamp: Nanos, ready: Nanos) {
+        self.open.insert(stamp, ready);
+        self.all += 1;
+    }
+
+    /// Takes detections.
+    pub fn detections(&mut self, stamp: Nanos) {
+        if let Some(at) = crate::same(&self.open, stamp) {
+            self.open.remove(&at);
+        }
+    }
+
+    /// What is missing when all messages until a log time were taken. Of the last sweeps detections may have come later. `elsewhere`:
+    /// detections of the agent that belong to no sweep, of which that is said already.
+    pub fn end(&self, end: Nanos, elsewhere: u64) -> Option<Lack> {
+        let is_over = |(_, ready): &(&Nanos, &Nanos)| ready.saturating_add(UNFINISHED) < end;
+        let mut lost = self.open.iter().filter(is_over).map(|(stamp, _)| *stamp);
+        let first = lost.next()?;
+        let count = 1 + lost.count() as u64;
+        (count > elsewhere).then(|| Lack {
+            count,
+            of: self.all,
+            place: format!("the first at {} s", seconds(first)),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_schemas::SAME_STAMP;
+
+    use super::*;
+
+    const MS: Nanos = 1_000_000;
+
+    /// What is missing of agents with sweeps at these times, ms.
+    fn found(agents: &[(&str, Vec<Nanos>)]) -> Vec<(String, u64, String)> {
+        let mut gaps = Gaps::default();
+        let mut found = Vec::new();
+        for (agent, times) in agents {
+            let name = Name::from(*agent);
+            found.extend(
+                times
+                    .iter()
+                    .filter_map(|time| gaps.sweep(&name, time * MS))
+                    .map(|gap| (name.clone(), gap)),
+            );
+        }
+        found.extend(gaps.end(Some(&agents[0].0.into())));
+        let plain = |(agent, gap): (Name, Missing)| (agent.to_string(), gap.sweeps, gap.place);
+        found.into_iter().map(plain).collect()
+    }
+
+    fn every(period: Nanos, from: Nanos, until: Nanos) -> Vec<Nanos> {
+        (from / period..until / period).map(|k| k * period).collect()
+    }
+
+    #[test]
+    fn regular_sweeps_of_any_rate_have_no_gaps() {
+        let slow = every(500, 0, 10_000);
+        let some_lost: Vec<Nanos> = every(100, 0, 10_000)
+            .into_iter()
+            .filter(|time| time % 400 != 0)
+            .collect();
+        assert_eq!(
+            found(&[("ego", every(100, 0, 10_000)), ("slow", slow), ("lossy", some_lost)]),
+            []
+        );
+        assert_eq!(found(&[("ego", vec![0])]), []);
+    }
+
+    #[test]
+    fn gaps_and_ends_say_how_much_is_missing_and_where() {
+        let ego = ("ego", every(100, 0, 10_000));
+        let mut broken = every(100, 0, 3_000);
+        broken.extend(every(100, 5_000, 10_000));
+        let said = found(&[ego.clone(), ("rsu1", broken)]);
+        assert_eq!(
+            said,
+            [("rsu1".into(), 20, "none for 2.100 s, 2.900 s after its first".into())]
+        );
+        let said = found(&[ego.clone(), ("rsu1", every(100, 2_000, 6_000))]);
+        let expected = [
+            (
+                "rsu1".into(),
+                40,
+                "its last is 4.000 s earlier than the last of all".into(),
+            ),
+            (
+                "rsu1".into(),
+                20,
+                "its first is 2.000 s later than the first of all".into(),
+            ),
+        ];
+        assert_eq!(said, expected);
+        // Those that have no time in common are named elsewhere; one sweep has the period of others.
+        assert_eq!(found(&[ego.clone(), ("rsu1", every(100, 37_000, 40_000))]), []);
+        assert_eq!(found(&[ego, ("rsu1", vec![0])])[0].1, 99);
+    }
+
+    #[test]
+    fn an_agents_own_poses_tell_that_its_sweeps_stopped() {
+        let said = |poses_until: Nanos| {
+            let (mut gaps, ego) = (Gaps::default(), Name::from("ego"));
+            every(100, 0, 2_000)
+                .into_iter()
+                .for_each(|time| drop(gaps.sweep(&ego, time * MS)));
+            every(50, 0, poses_until)
+                .into_iter()
+                .for_each(|time| gaps.pose(&ego, time * MS));
+            gaps.end(None)
+        };
+        assert_eq!(said(3_000), []);
+        let found = said(4_000);
+        assert_eq!((found.len(), found[0].1.sweeps), (1, 11));
+        assert_eq!(found[0].1.place, "its last is 2.050 s earlier than its last pose");
+    }
+
+    #[test]
+    fn sweeps_without_detections_are_counted_but_for_the_last() {
+        let lack = |has: fn(&Nanos) -> bool, elsewhere: u64| {
+            let mut bare = Bare::default();
+            for time in every(100, 0, 2_000) {
+                bare.sweep(time * MS, (time + 90) * MS);
+            }
+            for time in every(100, 0, 2_000).into_iter().filter(has) {
+                bare.detections(time * MS + SAME_STAMP);
+            }
+            bare.end(2_000 * MS, elsewhere)
+                .map(|lack| (lack.count, lack.of, lack.place))
+        };
+        assert_eq!(lack(|time| *time < 1_500, 0), None);
+        let holes: fn(&Nanos) -> bool = |time| !(500..800).contains(time);
+        assert_eq!(lack(holes, 2), Some((3, 20, "the first at 0.500 s".into())));
+        assert_eq!(lack(holes, 3), None, "these are said already");
+    }
+}
