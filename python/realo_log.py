@@ -515,7 +515,8 @@ class LogWriter:
         found = stamp if value is None else nanos(where, "ready", value)
         if found < stamp - SECOND:
             advice = "a message cannot exist before what it measures; see whether its unit is another"
-            refuse(where, "ready", f"nanoseconds from the stamp {stamp} on", f"{found}", advice)
+            expected = f"nanoseconds from {stamp - SECOND} on, at most 1 s before the stamp"
+            refuse(where, "ready", expected, f"{found}", advice)
         return found
 
     def once(self, where, agent, stream, stamp):

@@ -196,10 +196,13 @@ fn a_model_file_beside_that_is_not_of_the_tensors_is_named() {
     std::fs::write(&beside, "name = 7").expect("it can be written");
     let said = show();
     assert!(
-        said.contains("the model file beside it is not theirs") && said.contains("nested.toml"),
+        said.contains("the model file beside it cannot be read: ") && said.contains("nested.toml"),
         "{said}"
     );
     std::fs::copy(root().join("models/lite.toml"), &beside).expect("it can be copied");
     let said = show();
-    assert!(said.contains("is of other tensors, those of `lite`"), "{said}");
+    assert!(
+        said.contains("nested.toml, is for other tensors: those of `lite`"),
+        "{said}"
+    );
 }

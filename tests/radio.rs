@@ -12,7 +12,8 @@ use std::time::Duration;
 
 use common::machine::{decided, half, whole};
 use common::{
-    Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual, simulated, text,
+    Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual,
+    run_virtual_faulty, simulated, text,
 };
 use serde_json::Value;
 
@@ -380,7 +381,7 @@ fn merge_recordings() {
 
     // Agents start at a multiple of 5 s: where one comes later, the log has fewer of its sweeps.
     let together = ["--recorded-detections", "--ego", "cav1"];
-    let result = run_virtual("radio_merged", "late_fusion", Path::new(&merged), &together);
+    let result = run_virtual_faulty("radio_merged", "late_fusion", Path::new(&merged), &together);
     assert_eq!(result["frames"]["processed"], 90);
     let books = &result["links"]["rsu1-cav1"]["boxes"];
     assert!(books["used"].as_u64() >= Some(28) && books["rejected"] == 0, "{books}");

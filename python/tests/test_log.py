@@ -277,6 +277,14 @@ class TestArguments(Case):
             self.refused(lambda log: log.sweep("car", S, XYZ, ready=ready), "`ready`")
             self.refused(lambda log: log.truth("car", S, boxes([], [], [], []), ready=ready), "`ready`")
 
+    def test_ready_may_be_a_second_before_the_stamp(self):
+        with self.writer() as log:
+            log.pose("car", S, [0, 0, 0], UNIT, ready=S - 10**9)
+        self.assertIn(struct.pack("<QQ", S - 10**9, S), Path(self.path).read_bytes())
+        os.remove(self.path)
+        words = f"nanoseconds from {S - 10**9} on, at most 1 s before the stamp"
+        self.refused(lambda log: log.pose("car", S, [0, 0, 0], UNIT, ready=S - 10**9 - 1), "`ready`", words)
+
     def test_a_second_message_of_a_sweep_is_refused(self):
         def twice(log, call):
             call()

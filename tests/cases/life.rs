@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use realo_operator::Registration;
 use realo_operator::pipe::{frame, hello};
 
-use crate::common::machine::{decided, half};
+use crate::common::machine::{decided, half, whole};
 use crate::common::{REALO, folder, graph, json, root, text};
 use crate::scene::Scene;
 
@@ -68,6 +68,27 @@ impl Run {
                 "--rate",
                 "0.04",
             ])
+            .arg("--log")
+            .arg(&log)
+            .arg("--out")
+            .arg(&out)
+            .current_dir(root())
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let child = command.spawn().expect("realo can be started");
+        Run { child, out }
+    }
+
+    /// A roadside unit on dora that scores nothing, and would send for minutes to nobody.
+    fn start_roadside(name: &str) -> Run {
+        let log = Scene::default().write(name);
+        let out = folder(name);
+        let mut command = Command::new(REALO);
+        command
+            .args(["run", &graph("attfuse.roadside"), "--ego", "mast"])
+            .args(["--set", "player.repeat=100", "--set", "v2x.connect=tcp/127.0.0.1:1"])
             .arg("--log")
             .arg(&log)
             .arg("--out")
@@ -204,6 +225,25 @@ fn early_signal() {
         "{said}"
     );
     assert!(!run.out.join(".running").exists() && !run.out.join(".earlier").exists());
+}
+
+#[test]
+fn a_signal_leaves_the_results_of_a_graph_that_scores_nothing() {
+    // A machine that others keep busy may have to kill what is left.
+    decided(roadside_signal);
+}
+
+fn roadside_signal() {
+    let _share = whole();
+    let run = Run::start_roadside("life-roadside").play();
+    run.signal("INT");
+    let (output, out) = run.end();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    assert!(!said.contains("no results: "), "{said}");
+    let ended = result(&out);
+    assert_eq!(ended["ended_by"], "Ctrl-C", "{said}");
+    assert_eq!(ended["frames"]["total"], 0, "it scores nothing");
 }
 
 #[test]
@@ -436,6 +476,15 @@ fn few_threads_are_said_before_anything_starts() {
         assert!(said.contains(said_of_it) && said.contains("ulimit -u"), "{said}");
         assert!(!out.join("run").exists(), "{said}");
     }
+}
+
+#[test]
+fn the_doctor_refuses_settings_that_change_nothing() {
+    let output = Command::new(REALO).args(["doctor", "--set", "fusion.iou=0.3"]).output();
+    let output = output.expect("realo can be started");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("--set needs --log: "), "{said}");
 }
 
 #[test]

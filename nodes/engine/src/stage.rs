@@ -33,6 +33,8 @@ pub struct Called {
     pub(crate) made: Made,
     /// What the operator could not take: the place, the reason.
     pub(crate) errors: Vec<String>,
+    /// How many of the errors are of a wake or of the end of the stream.
+    pub(crate) other_errors: u64,
     /// Why the stage cannot be called again.
     pub(crate) gone: Option<Error>,
 }
@@ -94,7 +96,10 @@ impl Called {
     fn note(&mut self, place: &str, done: Result<(), Error>) {
         match done {
             Err(error) if error.is::<Gone>() => self.gone = Some(error),
-            Err(error) => self.errors.push(format!("{place}: {}", words_of(&error))),
+            Err(error) => {
+                self.other_errors += 1;
+                self.errors.push(format!("{place}: {}", words_of(&error)));
+            }
             Ok(()) => {}
         }
     }
@@ -197,12 +202,14 @@ impl Stage {
         let Some(first) = errors.first() else { return lines };
         // A set of which several parts fail is one failure.
         self.books.errors += 1;
+        self.books.other_errors += called.other_errors;
         self.books.first_error.get_or_insert_with(|| first.clone());
         if self.books.errors <= TOLD_ERRORS {
-            let said = errors
-                .iter()
-                .map(|error| format!("{} ({}): {error}", self.id, self.registration.name));
-            lines.extend(said);
+            let more = match errors.len() {
+                1 => String::new(),
+                all => format!(" (and {} more of this set)", all - 1),
+            };
+            lines.push(format!("{} ({}): {first}{more}", self.id, self.registration.name));
         }
         if self.books.errors == TOLD_ERRORS {
             lines.push(format!("{}: further errors are counted, not printed", self.id));
@@ -350,6 +357,7 @@ mod tests {
     fn wakes_and_the_end_are_calls_like_others() {
         let woken = call(Call::Wake);
         assert_eq!(woken.errors, ["wake at 7 ns: tired"]);
+        assert_eq!(woken.other_errors, 1);
         assert_eq!(woken.made.counts.get("wakes"), 7);
         assert_eq!(woken.trigger("wake", &PORTS), "wake");
         let ended = call(Call::End(Box::default()));

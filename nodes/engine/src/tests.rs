@@ -207,6 +207,7 @@ impl<'a> Rig<'a> {
                 steps: answer.steps,
             },
             errors: answer.errors.into_iter().map(str::to_string).collect(),
+            other_errors: 0,
             gone: answer.gone,
         };
         let done = ticket.start + took;
@@ -1059,8 +1060,8 @@ fn errors_are_counted_and_the_first_five_are_told() {
     rig.rest();
     let complaints = rig.engine.take_complaints();
     let expected = [
-        "s (relay): e",
-        "s (relay): f",
+        "s (relay): e (and 1 more of this set)",
+        "s (relay): g",
         "s (relay): g",
         "s (relay): g",
         "s (relay): g",

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task, Wired};
 use realo_operator::{Books, Built, Outputs, Role};
 use realo_schemas::{Message, Nanos};
+use rustix::time::{ClockId, clock_gettime};
 
 use crate::{BuildError, ComputeProfile, Stages};
 
@@ -59,6 +60,15 @@ pub(crate) fn is_ending() -> bool {
 /// Sees every message that a stage sends, with the stage's id and the output's name.
 pub type Observer<'a> = Box<dyn FnMut(&str, &str, &Message) + 'a>;
 
+/// What a run reports to whoever watches it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// The time of the next event, which never falls.
+    At(Nanos),
+    /// The first sink is about to write what the whole run came to: from now on [`end_all`] does not end the run.
+    Concludes,
+}
+
 /// Runs a graph to its end and returns the books of all stages.
 ///
 /// # Errors
@@ -67,7 +77,7 @@ pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>
     simulate(stages, Some(compute), observer, |_| {})
 }
 
-/// As [`run`]; calls `far` with the time of each event, which never falls.
+/// As [`run`]; calls `watch` before each event, and before the results are written.
 ///
 /// # Errors
 /// As [`run`].
@@ -75,9 +85,9 @@ pub fn run_watched(
     stages: &Stages,
     compute: &ComputeProfile,
     observer: Option<Observer>,
-    far: impl FnMut(Nanos),
+    watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
-    simulate(stages, Some(compute), observer, far)
+    simulate(stages, Some(compute), observer, watch)
 }
 
 /// As [`run`], but a call takes in virtual time what it takes on this machine, on which the calls are made one by one. What
@@ -98,16 +108,19 @@ pub struct Pace {
     pub span: Nanos,
     /// What the calls of each stage took together, ns, by id; one call was made at a time.
     pub took: Vec<(String, Nanos)>,
-    /// Time of all cores that this process took meanwhile, ns.
+    /// Time of all cores that this process took meanwhile, without plug-ins, ns.
     pub computed: Nanos,
 }
 
 /// Plays up to so many frames in virtual time, in which computing takes none, and measures what their calls take on this
-/// machine. Plays fewer when `patience` is over or the log is. The first frames, in which many a stage prepares, are played
-/// and not measured. `is_frame` knows the message of a source that begins a frame, by stage and message.
+/// machine. The first frames, in which many a stage prepares, are played and not measured. `is_frame` knows the message of a
+/// source that begins a frame, by stage and message.
+///
+/// Plays fewer frames where the log has fewer. Measures no longer than `patience`, and prepares no longer than that either.
+/// Returns `None` where too few frames came.
 ///
 /// # Errors
-/// As [`run`]; `None` of a log with too few frames.
+/// As [`run`].
 pub fn pace(
     stages: &Stages,
     frames: usize,
@@ -122,26 +135,36 @@ pub fn pace(
     });
     let compute = ComputeProfile::default();
     let mut simulation = Simulation::begin(stages, Some(&compute), Some(observer))?;
+    let started = Instant::now();
     let (mut known, mut begun, mut found) = (0, None, None);
     while let Some(now) = simulation.due()? {
-        simulation.step(now)?;
+        simulation.step(now, &mut |_| {})?;
         let count = stamps.borrow().len();
-        if count == known || count <= UNMEASURED {
+        let waited = started.elapsed();
+        if count == known {
+            // No frame comes, or none any more.
+            if (count == 0 && waited > patience) || waited > 2 * patience {
+                break;
+            }
             continue;
         }
         known = count;
-        let (since, computed) = *begun.get_or_insert_with(|| {
+        // On a slow machine fewer frames prepare.
+        if begun.is_none() && count <= UNMEASURED && waited <= patience {
+            continue;
+        }
+        let (first, since, computed) = *begun.get_or_insert_with(|| {
             simulation.took.fill(0);
-            (Instant::now(), computed())
+            (count - 1, Instant::now(), computed())
         });
-        let played = count - UNMEASURED - 1;
+        let played = count - first - 1;
         if played == 0 {
             continue;
         }
         let stamps = stamps.borrow();
         found = Some(Pace {
             frames: played,
-            span: stamps[count - 1] - stamps[UNMEASURED],
+            span: stamps[count - 1] - stamps[first],
             took: simulation.took_by_stage(),
             computed: self::computed() - computed,
         });
@@ -152,26 +175,22 @@ pub fn pace(
     Ok(found)
 }
 
-/// Time of all cores that this process has taken, ns; 0 where the system does not say.
+/// Time of all cores that the threads of this process have taken, ns; its child processes are not part of it.
 fn computed() -> Nanos {
-    const TICK: Nanos = 10_000_000;
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The name before them may hold spaces.
-    let fields = stat.rsplit_once(')').map_or("", |(_, rest)| rest).split_whitespace();
-    let own = fields.skip(11).take(2);
-    own.filter_map(|ticks| ticks.parse::<Nanos>().ok()).sum::<Nanos>() * TICK
+    let taken = clock_gettime(ClockId::ProcessCPUTime);
+    taken.tv_sec * 1_000_000_000 + taken.tv_nsec
 }
 
 fn simulate(
     stages: &Stages,
     compute: Option<&ComputeProfile>,
     observer: Option<Observer>,
-    mut far: impl FnMut(Nanos),
+    mut watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
     let mut simulation = Simulation::begin(stages, compute, observer)?;
     while let Some(now) = simulation.due()? {
-        far(now);
-        simulation.step(now)?;
+        watch(Progress::At(now));
+        simulation.step(now, &mut watch)?;
     }
     Ok(simulation.engine.books())
 }
@@ -245,10 +264,10 @@ impl<'a> Simulation<'a> {
             .collect()
     }
 
-    fn step(&mut self, now: Nanos) -> Result<(), EngineError> {
+    fn step(&mut self, now: Nanos, watch: &mut dyn FnMut(Progress)) -> Result<(), EngineError> {
         match self.engine.step(now)? {
             Some(Step::Released(stage)) => self.pull(stage, now)?,
-            Some(Step::Call(task)) => self.call(task, now)?,
+            Some(Step::Call(task)) => self.call(task, now, watch)?,
             None => {}
         }
         for line in self.engine.take_complaints() {
@@ -265,9 +284,17 @@ impl<'a> Simulation<'a> {
         Ok(())
     }
 
-    fn call(&mut self, Task { ticket, call, fates }: Task, now: Nanos) -> Result<(), EngineError> {
+    fn call(
+        &mut self,
+        Task { ticket, call, fates }: Task,
+        now: Nanos,
+        watch: &mut dyn FnMut(Progress),
+    ) -> Result<(), EngineError> {
         let registration = self.engine.registration(ticket.stage);
-        self.concludes |= ticket.is_end() && registration.role == Role::Sink;
+        if !self.concludes && ticket.is_end() && registration.role == Role::Sink {
+            self.concludes = true;
+            watch(Progress::Concludes);
+        }
         let begun = Instant::now();
         let called = call.make(
             &mut self.built[ticket.stage],

@@ -1,4 +1,5 @@
 //! Sweeps that are missing, and sweeps without detections: gaps in an agent's data, and where these begin late or stop early.
+//! A time in which no agent has sweeps is none: the recording paused.
 
 use std::collections::BTreeMap;
 
@@ -24,6 +25,20 @@ pub struct Gaps {
     spans: BTreeMap<Name, Span>,
     /// By agent: stamp of the newest pose.
     poses: BTreeMap<Name, Nanos>,
+    holes: Vec<Hole>,
+}
+
+/// A long time between two sweeps of an agent.
+struct Hole {
+    agent: Name,
+    /// Stamps of the two sweeps, ns.
+    from: Nanos,
+    until: Nanos,
+    /// The agent's time between sweeps, ns.
+    period: Nanos,
+    /// Whether the agent has poses in it.
+    has_poses: bool,
+    missing: Missing,
 }
 
 /// The sweeps of an agent.
@@ -32,10 +47,12 @@ struct Span {
     last: Nanos,
     /// Times between sweeps without gaps, and how many.
     steps: (Nanos, Nanos),
+    /// The first pose that is later than the newest sweep by more than a period.
+    pose_since: Option<Nanos>,
 }
 
 /// Sweeps that are missing.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Missing {
     /// How many there would be.
     pub sweeps: u64,
@@ -56,49 +73,85 @@ fn missing(period: Nanos, gap: Nanos) -> Option<u64> {
 }
 
 impl Gaps {
-    /// Takes a sweep; says what is missing since the one before.
-    pub fn sweep(&mut self, agent: &Name, stamp: Nanos) -> Option<Missing> {
+    /// Takes a sweep.
+    pub fn sweep(&mut self, agent: &Name, stamp: Nanos) {
         let span = self.spans.entry(agent.clone()).or_insert(Span {
             first: stamp,
             last: stamp,
             steps: (0, 0),
+            pose_since: None,
         });
-        let (step, since) = (stamp - span.last, span.last - span.first);
+        let (from, step, since) = (span.last, stamp - span.last, span.last - span.first);
         if step <= 0 {
-            return None;
+            return;
         }
         span.last = stamp;
+        let pose = span.pose_since.take();
         let found = span.period().and_then(|period| {
             let sweeps = missing(period, step)?.saturating_sub(1).max(1);
             let place = format!("none for {} s, {} s after its first", seconds(step), seconds(since));
-            Some(Missing { sweeps, place })
+            Some(Hole {
+                agent: agent.clone(),
+                from,
+                until: stamp,
+                period,
+                has_poses: pose.is_some_and(|pose| pose < stamp - period),
+                missing: Missing { sweeps, place },
+            })
         });
-        if found.is_none() {
-            span.steps = (span.steps.0 + step, span.steps.1 + 1);
+        match found {
+            Some(hole) => self.holes.push(hole),
+            None => span.steps = (span.steps.0 + step, span.steps.1 + 1),
         }
-        found
     }
 
     /// Takes a pose.
     pub fn pose(&mut self, agent: &Name, stamp: Nanos) {
         let newest = self.poses.entry(agent.clone()).or_insert(stamp);
         *newest = stamp.max(*newest);
+        let Some(span) = self.spans.get_mut(agent) else { return };
+        if span.period().is_some_and(|period| stamp > span.last + period) {
+            span.pose_since.get_or_insert(stamp);
+        }
     }
 
-    /// What is missing before the first and after the last sweeps of agents that have some while `ego` has, or of all; forgets
-    /// all. An agent's own poses tell too that its sweeps stopped.
+    /// What is missing between sweeps of an agent while others have some or its own poses go on.
+    pub fn middle(&self) -> Vec<(Name, Missing)> {
+        let is_lost = |hole: &&Hole| hole.has_poses || self.spans.keys().any(|other| self.goes_on(other, hole));
+        let lost = self.holes.iter().filter(is_lost);
+        lost.map(|hole| (hole.agent.clone(), hole.missing.clone())).collect()
+    }
+
+    /// Whether another agent has sweeps in a hole.
+    fn goes_on(&self, other: &Name, hole: &Hole) -> bool {
+        if *other == hole.agent {
+            return false;
+        }
+        let covers = |own: &Hole| {
+            let slack = hole.period.max(own.period);
+            own.agent == *other && own.from <= hole.from + slack && own.until >= hole.until - slack
+        };
+        self.spans.get(other).is_some_and(|span| {
+            span.first < hole.until - hole.period
+                && span.last > hole.from + hole.period
+                && !self.holes.iter().any(covers)
+        })
+    }
+
+    /// What is missing in the [middle](Gaps::middle), and before the first and after the last sweeps of agents that have some
+    /// while `ego` has, or of all; forgets all. An agent's own poses tell too that its sweeps stopped.
     pub fn end(&mut self, ego: Option<&Name>) -> Vec<(Name, Missing)> {
-        let Gaps { mut spans, poses } = std::mem::take(self);
+        let mut found = self.middle();
+        let Gaps { mut spans, poses, .. } = std::mem::take(self);
         if let Some(ego) = ego {
             let Some((begin, end)) = spans.get(ego).map(|span| (span.first, span.last)) else {
-                return Vec::new();
+                return found;
             };
             spans.retain(|_, span| span.first <= end && span.last >= begin);
         }
         let first = spans.values().map(|span| span.first).min().unwrap_or_default();
         let last = spans.values().map(|span| span.last).max().unwrap_or_default();
         let shortest = spans.values().filter_map(Span::period).min();
-        let mut found = Vec::new();
         for (agent, span) in &spans {
             let Some(period) = span.period().or(shortest) else {
                 continue;
@@ -195,17 +248,11 @@ mod tests {
     /// What is missing of agents with sweeps at these times, ms.
     fn found(agents: &[(&str, Vec<Nanos>)]) -> Vec<(String, u64, String)> {
         let mut gaps = Gaps::default();
-        let mut found = Vec::new();
         for (agent, times) in agents {
             let name = Name::from(*agent);
-            found.extend(
-                times
-                    .iter()
-                    .filter_map(|time| gaps.sweep(&name, time * MS))
-                    .map(|gap| (name.clone(), gap)),
-            );
+            times.iter().for_each(|time| gaps.sweep(&name, time * MS));
         }
-        found.extend(gaps.end(Some(&agents[0].0.into())));
+        let found = gaps.end(Some(&agents[0].0.into()));
         let plain = |(agent, gap): (Name, Missing)| (agent.to_string(), gap.sweeps, gap.place);
         found.into_iter().map(plain).collect()
     }
@@ -258,12 +305,43 @@ mod tests {
     }
 
     #[test]
+    fn a_pause_of_the_recording_is_no_gap_but_of_agents_whose_poses_go_on() {
+        let with_pause = |period: Nanos, from: Nanos| -> Vec<Nanos> {
+            let all = every(period, 0, 10_000).into_iter();
+            all.filter(|time| *time < from || *time >= from + 2_300).collect()
+        };
+        let both = [("ego", with_pause(100, 3_000)), ("rsu1", with_pause(50, 3_040))];
+        assert_eq!(found(&both), []);
+        assert_eq!(found(&both[..1]), []);
+        // Who pauses longer than the others misses sweeps, and so does who has none while only one of them pauses.
+        let longer = [("ego", with_pause(100, 3_000)), ("rsu1", with_pause(50, 4_000))];
+        assert_eq!(found(&longer).len(), 2);
+
+        let ego = Name::from("ego");
+        let of_poses = |poses: &[Nanos]| {
+            let mut gaps = Gaps::default();
+            for time in every(10, 0, 10_000) {
+                if poses.contains(&time) {
+                    gaps.pose(&ego, time * MS);
+                }
+                if time % 100 == 0 && !(3_000..5_300).contains(&time) {
+                    gaps.sweep(&ego, time * MS);
+                }
+            }
+            gaps.end(None).len()
+        };
+        assert_eq!(of_poses(&every(100, 0, 3_000)), 0);
+        assert_eq!(of_poses(&[2_900, 5_250, 5_300]), 0);
+        assert_eq!(of_poses(&every(10, 0, 10_000)), 1);
+    }
+
+    #[test]
     fn an_agents_own_poses_tell_that_its_sweeps_stopped() {
         let said = |poses_until: Nanos| {
             let (mut gaps, ego) = (Gaps::default(), Name::from("ego"));
             every(100, 0, 2_000)
                 .into_iter()
-                .for_each(|time| drop(gaps.sweep(&ego, time * MS)));
+                .for_each(|time| gaps.sweep(&ego, time * MS));
             every(50, 0, poses_until)
                 .into_iter()
                 .for_each(|time| gaps.pose(&ego, time * MS));

@@ -411,21 +411,27 @@ fn apart(agents: &[AgentTimes]) -> Vec<String> {
 
 /// Sweeps that are missing: in the middle of each agent's, and, where all have a time in common, at their beginning and end.
 fn gaps(agents: &[AgentTimes], with_ends: bool) -> Vec<String> {
-    let (mut gaps, mut found) = (Gaps::default(), Vec::new());
+    let mut gaps = Gaps::default();
     for times in agents {
         let agent = Name::from(times.agent.as_str());
-        let missing = stamps(times.sweeps())
-            .into_iter()
-            .filter_map(|stamp| gaps.sweep(&agent, stamp));
-        let missing: Vec<_> = missing.collect();
-        found.extend(missing.into_iter().map(|missing| (agent.clone(), missing)));
+        let sweeps = stamps(times.sweeps()).into_iter().map(|stamp| (stamp, true));
         let streams = [Stream::Pose, Stream::PoseTruth].into_iter();
-        let poses = streams.into_iter().flat_map(|stream| times.stamps(stream).pop());
-        poses.for_each(|stamp| gaps.pose(&agent, stamp));
+        let poses = streams
+            .flat_map(|stream| times.stamps(stream))
+            .map(|stamp| (stamp, false));
+        let mut all: Vec<(Nanos, bool)> = sweeps.chain(poses).collect();
+        all.sort_unstable();
+        for (stamp, is_sweep) in all {
+            match is_sweep {
+                true => gaps.sweep(&agent, stamp),
+                false => gaps.pose(&agent, stamp),
+            }
+        }
     }
-    if with_ends {
-        found.extend(gaps.end(None));
-    }
+    let found = match with_ends {
+        true => gaps.end(None),
+        false => gaps.middle(),
+    };
     let [note, remedy] = SWEEPS_MISSING;
     let of_agent = |times: &AgentTimes| {
         let own: Vec<_> = found.iter().filter(|(agent, _)| **agent == *times.agent).collect();

@@ -146,8 +146,8 @@ pub const NO_COMMON_TIME: Counter = Counter::log_fault(
 );
 pub const SWEEPS_MISSING: Counter = Counter::log_fault(
     "sweeps_missing",
-    "sweeps that there would be at an agent's rate where it has none: gaps of more than 0.5 s and five periods, before its first \
-     and after its last while others have some or its own poses go on",
+    "sweeps that there would be at an agent's rate where it has none while others have some or its own poses go on: gaps of more \
+     than 0.5 s and five periods, before its first and after its last",
     realo_logs::SWEEPS_MISSING[0],
     realo_logs::SWEEPS_MISSING[1],
 );

@@ -584,9 +584,7 @@ impl Feed {
 
     /// Sends a sweep and its truth; without `cloud` the truth alone.
     fn send_sweep(&mut self, entry: &Entry, cloud: Option<PointCloud>) -> Result<(), LogError> {
-        if let Some(missing) = self.gaps.sweep(&entry.agent, entry.stamp()) {
-            self.count_missing(&entry.agent, missing);
-        }
+        self.gaps.sweep(&entry.agent, entry.stamp());
         self.script.counters.add(&SWEEPS_MISSING, &entry.agent, 0, 1);
         let known = self.sweeps.entry(entry.agent.clone()).or_default();
         // Writers may leave `sequence` at 0, and it wraps at 2³²: stamps rise, so the sweeps are counted on.

@@ -316,7 +316,7 @@ impl RunResult {
 /// What a stage failed on: how many, the first and why, what to try.
 fn failure(id: &str, node: &NodeSummary) -> String {
     let (all, what) = match (node.calls, node.wakes) {
-        // What is no operator is not called by messages alone.
+        // Gateways are also called by the network, so calls are not counted for them.
         (0, 0) => (0, "messages"),
         (calls, 0) => (calls, "messages"),
         (calls, wakes) => (calls + wakes, "calls (messages and wakes)"),

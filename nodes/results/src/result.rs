@@ -249,7 +249,7 @@ pub struct NodeSummary {
     /// Calls by wakes, of an operator.
     #[serde(default)]
     pub wakes: u64,
-    /// Runs in which the operator failed on half of its calls or more, or failed and sent nothing at all.
+    /// Runs in which the operator failed on half of its messages or more, or failed and sent nothing at all.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub failed_runs: u64,
     /// Messages that it passed over because it was busy.
@@ -322,7 +322,7 @@ impl RunResult {
         }
     }
 
-    /// Whether an operator failed on half of its calls or more in some run, or failed and sent nothing at all.
+    /// Whether an operator failed on half of its messages or more in some run, or failed and sent nothing at all.
     pub fn has_failed_stages(&self) -> bool {
         self.nodes.values().any(|node| node.failed_runs > 0)
     }

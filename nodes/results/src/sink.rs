@@ -357,9 +357,12 @@ fn is_wake(trigger: &str) -> bool {
 
 /// Whether little or nothing came of an operator because its calls failed.
 fn has_failed(node: &NodeBooks) -> bool {
-    let calls = calls(node, |_| true);
+    let is_operator = calls(node, |_| true) > 0;
     let is_silent = node.outputs.values().all(|sent| sent.total() == 0);
-    node.errors > 0 && calls > 0 && (2 * node.errors >= calls || is_silent)
+    let by_messages = calls(node, |trigger| !is_wake(trigger));
+    let failed = node.errors.saturating_sub(node.other_errors);
+    let fails_often = failed > 0 && 2 * failed >= by_messages;
+    node.errors > 0 && is_operator && (fails_often || is_silent)
 }
 
 /// What a busy node skipped of collaborators' data; sweeps of the ego without boxes are said of the frames.

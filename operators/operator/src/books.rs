@@ -40,9 +40,13 @@ pub struct NodeBooks {
     /// What fates mean at this node.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub explained: BTreeMap<Fate, String>,
-    /// Messages that the operator could not take.
+    /// Calls that failed: by a message or a set of them that the operator could not take, by a wake, or by the end of the
+    /// stream.
     pub errors: u64,
-    /// The first of them: its place and why.
+    /// Failed calls by a wake or by the end of the stream; part of `errors`.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub other_errors: u64,
+    /// The first error: its place and why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_error: Option<String>,
     /// Time that its calls took, ns, by what triggered them (an input's name or `wake`; ` > OUTPUTS` follows for calls
@@ -55,6 +59,10 @@ pub struct NodeBooks {
     pub late: Durations,
     /// What crossed the channels of a link.
     pub channels: Vec<Channel>,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 impl NodeBooks {

@@ -30,7 +30,7 @@ pub struct Listing {
     pub epoch: Option<i64>,
     /// The model that has these tensors, in words.
     pub model: Option<String>,
-    /// Why the model file beside it is not that of these tensors, if there is one.
+    /// The sentence that says why the model file beside it is not used, if there is one.
     pub not_beside: Option<String>,
 }
 
@@ -86,12 +86,12 @@ pub fn list(path: &Path) -> Result<Listing, ListError> {
         Ok(model) => (
             None,
             Some(format!(
-                "{} is of other tensors, those of `{}`",
+                "the model file beside it, {}, is for other tensors: those of `{}`",
                 beside.display(),
                 model.name
             )),
         ),
-        Err(error) if beside.exists() => (None, Some(error.to_string())),
+        Err(error) if beside.exists() => (None, Some(format!("the model file beside it cannot be read: {error}"))),
         Err(_) => (None, None),
     };
     let model = match own {
@@ -202,7 +202,7 @@ impl fmt::Display for Listing {
             )?,
         }
         match &self.not_beside {
-            Some(reason) => write!(f, "\nthe model file beside it is not theirs: {reason}"),
+            Some(sentence) => write!(f, "\n{sentence}"),
             None => Ok(()),
         }
     }

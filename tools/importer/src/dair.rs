@@ -89,7 +89,7 @@ pub enum DairStep {
 /// vehicle's ground truth are the cooperative labels. Every frame is scored, without point counts, and has its views.
 ///
 /// # Errors
-/// All that is missing or damaged, at once.
+/// All that is missing or damaged of pairs, at once. Entries that no pair needs are in the [`Summary`].
 pub fn dair(dir: &Path, out: &Path, options: DairOptions) -> Result<Summary, ImportError> {
     dair_with(dir, out, options, |_, _, _| {})
 }
@@ -106,8 +106,7 @@ pub fn dair_with(
 ) -> Result<Summary, ImportError> {
     let reader = Reader::new(dir, options.level);
     let checked = reader.check(|done, all| progress(DairStep::Checking, done, all))?;
-    let has_faults = !checked.faults.by_cause.is_empty();
-    if has_faults && (!options.skip_incomplete || checked.pairs.is_empty()) {
+    if checked.incomplete > 0 && (!options.skip_incomplete || checked.pairs.is_empty()) {
         return Err(ImportError::Incomplete {
             path: dir.into(),
             incomplete: checked.incomplete,
@@ -124,6 +123,7 @@ pub fn dair_with(
         pairs,
         incomplete,
         faults,
+        unneeded,
         brightest,
     } = checked;
     let rules = [VEHICLE, ROADSIDE].into_iter().zip(&brightest);
@@ -133,6 +133,7 @@ pub fn dair_with(
         summary: Summary {
             incomplete_pairs: incomplete,
             missing: faults.by_cause,
+            unneeded: unneeded.by_cause,
             intensities: rules
                 .map(|(agent, brightest)| format!("of `{agent}`: {}", brightest.rule()))
                 .collect(),

@@ -10,7 +10,7 @@ use made_up::{POINTS, cloud, edit, head, lists, make, place, write};
 use realo_importer::{DairOptions, Summary, VEHICLE, dair};
 use realo_logs::{Log, Stream};
 use realo_schemas::PointCloud;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 const FIRST: &str = "vehicle-side/velodyne/000100.pcd";
 
@@ -68,7 +68,7 @@ fn all_that_is_missing_is_listed_at_once_or_left_out() {
     let error = made.import(false).unwrap_err();
     for line in [
         "4 of 5 pairs are incomplete",
-        "1 × entry of cooperative/data_info.json that cannot be read\n    entry 4: missing field `cooperative_label_path`",
+        "1 × entry of cooperative/data_info.json that is not usable\n    entry 4: missing field `cooperative_label_path`",
         "3 × no such file\n",
         "infrastructure-side/velodyne/000202.pcd\n",
         "cooperative/label_world/000102.json\n",
@@ -168,6 +168,64 @@ fn lists_that_cannot_be_read_are_named_together() {
 }
 
 #[test]
+fn entries_that_no_pair_needs_are_noted_and_needed_ones_are_listed_once_by_their_place() {
+    let made = Made::new();
+    let [together, vehicle, roadside] = lists(&made.data());
+    edit(&vehicle, |list| {
+        let mut double = list[0].clone();
+        double["pointcloud_timestamp"] = "1600000000000000".into();
+        list.insert(0, json!({}));
+        list.push(double);
+    });
+    let summary = made.import(false).unwrap();
+    assert_eq!(
+        (summary.pairs, summary.incomplete_pairs, summary.missing.len()),
+        (4, 0, 0)
+    );
+    let said = summary.to_string();
+    for line in [
+        "note: entries that were skipped, and that no pair needs:\n  2 × entry of vehicle-side/data_info.json that is not usable",
+        "    entry 0: missing field `pointcloud_path`",
+        "    entry 5 (vehicle-side/velodyne/000100.pcd): expected one entry of this cloud, found two that differ",
+    ] {
+        assert!(said.contains(line), "{line} is not in\n{said}");
+    }
+    fs::remove_file(made.folder.path().join("out.mcap")).unwrap();
+    edit(&roadside, |list| {
+        drop(list[2].as_object_mut().unwrap().remove("label_lidar_std_path"));
+    });
+    edit(&together, |list| {
+        list.insert(0, json!({}));
+        list[2]["system_error_offset"]["delta_x"] = "nan".into();
+    });
+    let error = made.import(false).unwrap_err();
+    for line in [
+        "3 of 5 pairs are incomplete",
+        "2 × entry of cooperative/data_info.json that is not usable\n    entry 0: missing field",
+        "    entry 2 (vehicle-side/velodyne/000101.pcd): system_error_offset: expected metres",
+        "1 × entry of infrastructure-side/data_info.json that is not usable\n    entry 2 (infrastructure-side/velodyne/000202.pcd): \
+         missing field `label_lidar_std_path`",
+    ] {
+        assert!(error.contains(line), "{line} is not in\n{error}");
+    }
+    for absent in ["in no entry of", "vehicle-side/data_info.json"] {
+        assert!(!error.contains(absent), "{absent} is in\n{error}");
+    }
+    let summary = made.import(true).unwrap();
+    assert_eq!((summary.pairs, summary.incomplete_pairs), (2, 3));
+    // An entry that does not say its cloud may be the one that a pair needs.
+    edit(&vehicle, |list| drop(list.remove(4)));
+    fs::remove_file(made.folder.path().join("out.mcap")).unwrap();
+    let error = made.import(false).unwrap_err();
+    for line in [
+        "1 × in no entry of vehicle-side/data_info.json\n    vehicle-side/velodyne/000103.pcd",
+        "1 × entry of vehicle-side/data_info.json that is not usable\n    entry 0: missing field `pointcloud_path`",
+    ] {
+        assert!(error.contains(line), "{line} is not in\n{error}");
+    }
+}
+
+#[test]
 fn clouds_at_one_time_and_sizes_below_zero_are_no_sweeps_and_no_placeholders() {
     let made = Made::new();
     let data = made.data();
@@ -182,7 +240,8 @@ fn clouds_at_one_time_and_sizes_below_zero_are_no_sweeps_and_no_placeholders() {
     let error = made.import(false).unwrap_err();
     assert!(
         error.contains("2 of 4 pairs")
-            && error.contains("000101.pcd: pointcloud_timestamp: expected one cloud at each time")
+            && error.contains("entry 1 (vehicle-side/velodyne/000101.pcd): pointcloud_timestamp: expected one cloud")
+            && !error.contains("in no entry of")
             && error.contains("000102.json: label 0 (`Car`)"),
         "{error}"
     );

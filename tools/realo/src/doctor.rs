@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use eyre::Result;
+use eyre::{Result, bail};
 use realo_graph::FlatGraph;
 
 use crate::Outcome;
-use crate::run::{Check, Choices, Pace, checks, dora_on_this_machine, find_graph, pace};
+use crate::run::{Check, Choices, Pace, checks, cores, dora_on_this_machine, find_graph, pace};
 
 /// Looks at this machine: shared memory, file descriptors, threads, network, dora, processor, and the rate that it does of a graph
 #[derive(clap::Args)]
@@ -26,6 +26,9 @@ pub struct Args {
 
 /// Prints what was found, a line for each thing.
 pub fn main(args: &Args) -> Result<Outcome> {
+    if let (None, Some(option)) = (&args.log, first_choice(&args.choices)) {
+        bail!("{option} needs --log: settings only change the rate that is measured");
+    }
     let path = args.graph.as_deref().map(find_graph).transpose()?;
     let graph = path.as_deref().map(FlatGraph::load).transpose()?;
     let mut all = checks(graph.as_ref());
@@ -53,6 +56,38 @@ pub fn main(args: &Args) -> Result<Outcome> {
         ),
     }
     Ok(outcome)
+}
+
+/// The first option that changes the graph.
+fn first_choice(choices: &Choices) -> Option<&'static str> {
+    let Choices {
+        link,
+        recorded_detections,
+        model,
+        isa,
+        precision,
+        device,
+        project,
+        seed,
+        set,
+        replace,
+    } = choices;
+    let given = [
+        ("--link", link.is_some()),
+        ("--recorded-detections", *recorded_detections),
+        ("--model", model.is_some()),
+        ("--isa", isa.is_some()),
+        ("--precision", precision.is_some()),
+        ("--device", device.is_some()),
+        ("--project", project.is_some()),
+        ("--seed", seed.is_some()),
+        ("--set", !set.is_empty()),
+        ("--replace", !replace.is_empty()),
+    ];
+    given
+        .into_iter()
+        .find(|(_, is_given)| *is_given)
+        .map(|(option, _)| option)
 }
 
 /// What the machine does of a graph's rate; `note` where it does not keep up.
@@ -118,7 +153,7 @@ fn dora() -> Check {
 }
 
 fn processor() -> Check {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = cores();
     let known: Vec<String> = realo_nn::conv::Isa::ALL
         .iter()
         .filter(|isa| isa.is_available())

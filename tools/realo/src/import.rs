@@ -112,7 +112,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 progress.of(done as f64, all as f64);
             });
             progress.finish();
-            println!("{}", summary?);
+            let summary = summary?;
+            unfinished::done(output);
+            println!("{summary}");
             output
         }
         Source::Log {
@@ -128,6 +130,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 realo_importer::relevel_with(log, output, level.of_importer(), |done, all| progress.of(done, all));
             progress.finish();
             done?;
+            unfinished::done(output);
             if let Some(cut) = Log::open(log)?.truncation() {
                 eprintln!("realo: {}: {cut}", log.display());
                 outcome = Outcome::Partial;

@@ -77,6 +77,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     }
     let progress = Progress::new("merging", "s of the logs", Some(0.0));
     merge.write_with(&args.output, |done, all| progress.of(done, all))?;
+    unfinished::done(&args.output);
     progress.finish();
     let merged = Log::open(&args.output)?;
     let (from, until) = merged

@@ -101,6 +101,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     })?;
     progress.finish();
     let sent = write(copy, spool)?;
+    unfinished::done(&args.output);
     for agent in &agents {
         let (packets, bytes, nanos) = sent.get(&**agent).copied().unwrap_or_default();
         let mean = |sum: f64| if packets == 0 { 0.0 } else { sum / packets as f64 };

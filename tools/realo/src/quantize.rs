@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use eyre::Result;
-use realo_training::data::{Frame, Frames, LeftOut, LoggedData};
+use realo_training::data::{Frame, Frames, LeftOut, LoggedData, left_out_once};
 use realo_training::{Data, FRAMES_APART, MAX_GAP_MS, TrainError, frames, quantize, validation_frames};
 
 use crate::Outcome;
@@ -66,8 +66,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         false => frames(&logged(&args.validation_log))?,
     };
     let frames = frames(&data)?;
-    left_out_lines(frames.left_out());
-    left_out_lines(validation.left_out());
+    left_out_lines(&left_out_once(&*frames, &*validation));
     // Both networks are scored on the frames of the validation.
     let all = frames.len() + 2 * validation.len();
     let work = Arc::new(Work {

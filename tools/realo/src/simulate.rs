@@ -184,6 +184,7 @@ pub fn write(options: &Options, output: &Path) -> Result<()> {
     }
     write_poses(&mut writer, &mut poses, Nanos::MAX)?;
     writer.finish()?;
+    unfinished::done(output);
     progress.finish();
     Ok(())
 }

@@ -214,6 +214,11 @@ impl Args {
         let model = Model::read(&file)?;
         // What is behind the encoder of a fusion begins with random numbers.
         let is_tuned = from.is_some() && !matches!(model.arch, Arch::V2XViT(_));
+        let logged = |logs: &[PathBuf]| LoggedData {
+            logs: logs.to_vec(),
+            apart: self.apart,
+            max_gap_ms: self.max_gap_ms,
+        };
         let data = if self.log.is_empty() {
             Data::Simulated {
                 cache: self.cache.clone(),
@@ -223,11 +228,7 @@ impl Args {
         } else {
             Data::Logged {
                 cache: self.cache.clone(),
-                logged: LoggedData {
-                    logs: self.log.clone(),
-                    apart: self.apart,
-                    max_gap_ms: self.max_gap_ms,
-                },
+                logged: logged(&self.log),
             }
         };
         Ok(TrainOptions {
@@ -246,7 +247,7 @@ impl Args {
             checkpoint_minutes: self.checkpoint_minutes,
             validate_every: self.validate_every,
             compare: true,
-            validation_logs: self.validation_log.clone(),
+            validation: (!self.validation_log.is_empty()).then(|| logged(&self.validation_log)),
             optimizer: OptimizerSettings {
                 rate: self.rate.unwrap_or(if is_tuned { TUNING_RATE } else { RATE }),
                 ..OptimizerSettings::default()
@@ -356,6 +357,24 @@ mod tests {
         );
         // The fusion begins with random numbers.
         assert_eq!(options(&["lite-v2xvit", "--from", "lite"]), (false, RATE));
+    }
+
+    #[test]
+    fn validation_logs_have_their_own_frames_beside_a_training_on_the_simulator() {
+        let options = |words: &[&str]| {
+            let cli = Cli::try_parse_from([&["train"][..], words].concat()).unwrap();
+            cli.args.options().unwrap()
+        };
+        assert_eq!(options(&[]).validation, None);
+        let asked = ["--validation-log", "a.mcap", "--max-gap-ms", "400", "--apart", "0.5"];
+        let found = options(&asked);
+        assert!(matches!(found.data, Data::Simulated { .. }));
+        let expected = LoggedData {
+            logs: vec!["a.mcap".into()],
+            apart: 0.5,
+            max_gap_ms: 400,
+        };
+        assert_eq!(found.validation, Some(expected));
     }
 
     #[test]

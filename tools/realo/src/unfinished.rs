@@ -19,6 +19,12 @@ pub fn note(target: &Path) {
     }
 }
 
+/// What was written for this target is complete.
+pub fn done(target: &Path) {
+    let mut targets = TARGETS.lock().unwrap_or_else(PoisonError::into_inner);
+    targets.retain(|known| known != target);
+}
+
 /// As [`note`]; SIGINT, SIGTERM and SIGHUP end this process with an exit code of their own, and without such files.
 ///
 /// Where signals cannot be caught, they end the process as they always do.
@@ -31,17 +37,22 @@ pub fn end_with_signals(target: &Path) {
             let Some(signal) = signals.forever().next() else {
                 return;
             };
-            let targets = remove();
-            let named: Vec<String> = targets.iter().map(|target| target.display().to_string()).collect();
-            let ending = Ending::of(signal);
-            eprintln!(
-                "realo: ended by {ending} before {} was complete; nothing of it was left",
-                named.join(", ")
-            );
+            eprintln!("realo: ended by {}{}", Ending::of(signal), left_of(&remove()));
             std::process::exit(128 + signal);
         };
         let _ = std::thread::Builder::new().spawn(wait);
     });
+}
+
+/// What becomes of unfinished files, as the end of a sentence; empty without any.
+fn left_of(targets: &[PathBuf]) -> String {
+    let named: Vec<String> = targets.iter().map(|target| target.display().to_string()).collect();
+    let named = named.join(", ");
+    match targets.len() {
+        0 => String::new(),
+        1 => format!(" before {named} was complete; nothing of it was left"),
+        _ => format!(" before {named} were complete; nothing of them was left"),
+    }
 }
 
 /// Takes the unfinished files of this process away; gives what they were to become.
@@ -71,6 +82,25 @@ fn remove_of(target: &Path) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn files_that_are_complete_are_not_said_to_be_lost() {
+        assert_eq!(left_of(&[]), "");
+        assert_eq!(
+            left_of(&["a.mcap".into()]),
+            " before a.mcap was complete; nothing of it was left"
+        );
+        assert_eq!(
+            left_of(&["a.mcap".into(), "b.mcap".into()]),
+            " before a.mcap, b.mcap were complete; nothing of them was left"
+        );
+        let [known, other] = ["known.mcap", "other.mcap"].map(Path::new);
+        note(known);
+        note(other);
+        done(known);
+        let targets = TARGETS.lock().unwrap();
+        assert!(!targets.iter().any(|target| target == known) && targets.iter().any(|target| target == other));
+    }
 
     #[test]
     fn only_the_unfinished_files_of_this_process_are_taken_away() {

@@ -8,15 +8,23 @@ const WINDOW: Nanos = 500_000_000;
 /// Poses are read this far around a sweep's stamp at least.
 const POSES: Nanos = 1_000_000_000;
 
-/// The longest gap between poses that a run bridged, ns: what was set by hand, else the default of the operator `sync`. `set`: the
-/// arguments that were changed, as a result has them.
-pub fn max_gap(set: &str) -> Nanos {
-    let of_setting = |setting: &str| {
-        let (key, value) = setting.trim().split_once('=')?;
-        let millis: u32 = value.parse().ok()?;
-        key.ends_with(".max_gap_ms").then_some(Nanos::from(millis) * 1_000_000)
-    };
-    set.split(',').filter_map(of_setting).max().unwrap_or(MAX_GAP)
+/// The longest gap between an agent's poses that a run bridged, ns: what was set of the agent's lane, else the max of what was set
+/// where the lane is unknown, else the default of the operator `sync`. `set`: the arguments that were changed, as a result has them.
+pub fn max_gap(set: &str, is_ego: bool) -> Nanos {
+    let [own, other] = if is_ego { ["ego", "others"] } else { ["others", "ego"] };
+    let gaps = || set.split(',').filter_map(gap_of_lane);
+    let of_own = gaps().filter(|(lane, _)| *lane == own).map(|(_, gap)| gap).max();
+    let unknown = gaps().filter(|(lane, _)| ![own, other].contains(lane));
+    let of_unknown = unknown.map(|(_, gap)| gap).max();
+    of_own.or(of_unknown).unwrap_or(MAX_GAP)
+}
+
+/// The first part of a stage's name and its `max_gap_ms`, ns, if the setting is one.
+fn gap_of_lane(setting: &str) -> Option<(&str, Nanos)> {
+    let (key, value) = setting.trim().split_once('=')?;
+    let stage = key.strip_suffix(".max_gap_ms")?;
+    let millis: u32 = value.parse().ok()?;
+    Some((stage.split('.').next()?, Nanos::from(millis) * 1_000_000))
 }
 
 /// The poses of an agent around a stamp, exact ones if wanted and there, else what it believed: as a run joins them, with gaps
@@ -160,14 +168,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_gap_that_a_run_bridged_is_that_of_its_settings() {
-        for (set, millis) in [
-            ("", 150),
-            ("fusion.bank.window_ms=300", 150),
-            ("v2x.link.range_m=1000, sync.max_gap_ms=400", 400),
-            ("ego.sync.max_gap_ms=250, others.sync.max_gap_ms=500", 500),
+    fn the_gap_that_a_run_bridged_is_that_of_the_settings_of_the_agents_lane() {
+        for (set, ego, others) in [
+            ("", 150, 150),
+            ("fusion.bank.window_ms=300", 150, 150),
+            ("v2x.link.range_m=1000, sync.max_gap_ms=400", 400, 400),
+            ("ego.sync.max_gap_ms=250, others.sync.max_gap_ms=500", 250, 500),
+            ("ego.sense.sync.max_gap_ms=250", 250, 150),
+            ("others.sense.sync.max_gap_ms=100", 150, 100),
+            ("sync.max_gap_ms=400, ego.sync.max_gap_ms=200", 200, 400),
         ] {
-            assert_eq!(max_gap(set), millis * 1_000_000, "{set}");
+            let found = [true, false].map(|is_ego| max_gap(set, is_ego) / 1_000_000);
+            assert_eq!(found, [ego, others], "{set}");
         }
     }
 }

@@ -73,13 +73,13 @@ impl Scene {
         check_log(&chosen)?;
         let settings = &chosen.result.settings;
         let exact = settings.mode == "offline";
-        let max_gap = clouds::max_gap(&settings.set);
         let level_from_body = level_from_body(&chosen, exact)?;
-        let map_from_ego = ego_pose(&chosen, exact, max_gap, &level_from_body)?;
+        let map_from_ego = ego_pose(&chosen, exact, clouds::max_gap(&settings.set, true), &level_from_body)?;
         // Points are drawn from the log, as its bodies lie.
         let map_from_body = map_from_ego * level_from_body;
         let (mut agents, mut left_out) = (Vec::new(), Vec::new());
         for name in &chosen.agents {
+            let max_gap = clouds::max_gap(&settings.set, *name == chosen.ego);
             let track = clouds::poses(&chosen.log, name, chosen.stamp, exact, max_gap)?;
             let Some(found) = agent(&chosen, name, &track, [&map_from_ego, &map_from_body])? else {
                 left_out.push(unposed(&format!("agent `{name}` is not drawn"), max_gap));

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::TrainError;
-use crate::data::{Frames, LeftOut, LoggedData};
+use crate::data::{Frames, LeftOut};
 use crate::train::{Data, TrainOptions, frames, validation_frames};
 use crate::validate::Validation;
 
@@ -12,7 +12,8 @@ use crate::validate::Validation;
 pub struct Comparison {
     /// The frames, in words.
     pub frames: String,
-    /// What it is compared with; none where the training began with random numbers and the model file has no weights.
+    /// What it is compared with; none where the training began with random numbers and no other weights are beside the
+    /// model file.
     pub before: Option<Before>,
     /// The weights that it made.
     pub after: Validation,
@@ -35,7 +36,7 @@ const VALIDATED: usize = 24;
 /// Usual time between two frames of a log, s.
 pub const FRAMES_APART: f64 = 1.0;
 
-/// Greatest gap between poses that is usually bridged, ms: that of the operator `sync`.
+/// Max gap between poses that is usually bridged, ms: the default of the operator `sync`.
 pub const MAX_GAP_MS: u32 = (realo_logs::MAX_GAP / 1_000_000) as u32;
 
 /// Frames on which the network is scored.
@@ -48,29 +49,21 @@ pub(crate) struct Scored {
 impl Scored {
     /// Frames of validation logs; else of validation seeds, or of logs some that the training is of: `trained`.
     pub fn of(options: &TrainOptions, trained: &Arc<dyn Frames>) -> Result<Self, TrainError> {
-        let (of, whose, apart) = match &options.data {
-            Data::Simulated { cache, .. } | Data::Logged { cache, .. } if !options.validation_logs.is_empty() => {
-                let (apart, max_gap_ms) = match &options.data {
-                    Data::Logged { logged, .. } => (logged.apart, logged.max_gap_ms),
-                    Data::Simulated { .. } => (FRAMES_APART, MAX_GAP_MS),
-                };
+        let (of, whose, apart) = match (&options.validation, &options.data) {
+            (Some(logged), Data::Simulated { cache, .. } | Data::Logged { cache, .. }) => {
                 let of = frames(&Data::Logged {
                     cache: cache.clone(),
-                    logged: LoggedData {
-                        logs: options.validation_logs.clone(),
-                        apart,
-                        max_gap_ms,
-                    },
+                    logged: logged.clone(),
                 })?;
-                (of, "the validation logs", apart)
+                (of, "the validation logs", logged.apart)
             }
-            Data::Simulated { .. } => {
+            (None, Data::Simulated { .. }) => {
                 return Ok(Scored {
                     frames: validation_frames(&options.data)?,
                     name: "simulator seeds 800 to 811".into(),
                 });
             }
-            Data::Logged { logged, .. } => (trained.clone(), "the logs of the training itself", logged.apart),
+            (None, Data::Logged { logged, .. }) => (trained.clone(), "the logs of the training itself", logged.apart),
         };
         let some = SomeFrames {
             count: of.len().min(VALIDATED),

@@ -61,8 +61,8 @@ pub struct TrainOptions {
     pub validate_every: Option<u64>,
     /// Whether the weights that are begun with and the last ones are scored, on the same frames.
     pub compare: bool,
-    /// Logs on whose frames the network is scored, in place of simulator seeds or of the logs of the training.
-    pub validation_logs: Vec<PathBuf>,
+    /// Frames of logs on which the network is scored, in place of simulator seeds or of the logs of the training.
+    pub validation: Option<LoggedData>,
     /// How weights are moved.
     pub optimizer: OptimizerSettings,
     /// How samples are drawn.
@@ -247,9 +247,12 @@ fn check(options: &TrainOptions) -> Result<(), TrainError> {
     if let Some(minutes) = options.minutes.filter(|minutes| *minutes == 0.0 || !is_time(*minutes)) {
         return Err(option("minutes", "a time of more than 0", minutes));
     }
-    if let Data::Logged { logged, .. } = &options.data
-        && !is_time(logged.apart)
-    {
+    let trained = match &options.data {
+        Data::Logged { logged, .. } => Some(logged),
+        Data::Simulated { .. } => None,
+    };
+    let mut logged = trained.into_iter().chain(&options.validation);
+    if let Some(logged) = logged.find(|logged| !is_time(logged.apart)) {
         return Err(option("apart", "seconds", logged.apart));
     }
     if !is_time(options.checkpoint_minutes) {

@@ -86,7 +86,7 @@ impl Folder {
             checkpoint_minutes: 0.0,
             validate_every: None,
             compare: false,
-            validation_logs: Vec::new(),
+            validation: None,
             optimizer: OptimizerSettings {
                 rate: 2e-3,
                 ..OptimizerSettings::default()
@@ -299,6 +299,26 @@ fn weights_beside_the_model_file_are_scored_before_the_first_step_where_they_are
     let before = trained.unwrap().comparison.and_then(|found| found.before);
     assert!(before.as_ref().is_some_and(|before| !before.begins), "{before:?}");
     assert_eq!(news, [before, None, None]);
+}
+
+#[test]
+fn a_resumed_training_is_not_compared_with_its_own_weights() {
+    let folder = Folder::new();
+    let first = TrainOptions {
+        compare: true,
+        minutes: Some(1e-6),
+        ..folder.options("truck", "out")
+    };
+    assert!(!train(&first, |_| ()).unwrap().complete);
+    assert!(folder.path("out/small.safetensors").exists());
+    let again = TrainOptions {
+        model: folder.path("out/small.toml"),
+        minutes: None,
+        resume: true,
+        ..first
+    };
+    let found = train(&again, |_| ()).unwrap().comparison.expect("a validation");
+    assert_eq!(found.before, None);
 }
 
 #[test]

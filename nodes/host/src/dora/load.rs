@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-/// How a line begins that says in JSON which stage does not keep up.
+/// How a line begins that says which stage does not keep up, in words and then in JSON.
 const SLOW: &str = "realo: does not keep up: ";
 /// What is measured at a time: short enough to be told within ten seconds.
 const WINDOW: Duration = Duration::from_secs(4);
@@ -28,13 +28,15 @@ pub struct Slow {
 impl Slow {
     /// The line of a process's standard error that says so.
     pub fn to_line(&self) -> String {
-        format!("{SLOW}{}", serde_json::to_string(self).expect("its fields are JSON"))
+        let json = serde_json::to_string(self).expect("its fields are JSON");
+        format!("{SLOW}{self} {json}")
     }
 
     /// What a line says; `None` of any other line.
     pub fn from_line(line: &str) -> Option<Self> {
         let (_, said) = line.split_once(SLOW)?;
-        serde_json::from_str(said.trim()).ok()
+        let mut begins = said.match_indices('{').map(|(at, _)| said[at..].trim());
+        begins.find_map(|json| serde_json::from_str(json).ok())
     }
 }
 
@@ -132,6 +134,7 @@ mod tests {
             "node `stage 1` takes 400 ms a call and does 50 % of what comes"
         );
         let line = format!("17:48:16 stdout ego: {}", slow.to_line());
+        assert!(line.contains(&format!("does not keep up: {slow} {{")), "{line}");
         assert_eq!(Slow::from_line(&line), Some(slow));
         assert_eq!(Slow::from_line("realo: does not keep up: {}"), None);
         assert_eq!(measured(WINDOW / 10, 0), None, "it skips nothing");

@@ -501,7 +501,7 @@ fn describes_every_argument() {
 }
 
 #[test]
-fn a_stage_fails_where_half_of_its_calls_do_or_nothing_came_of_the_others() {
+fn a_stage_fails_where_it_fails_on_half_of_its_messages_or_gave_nothing() {
     let node = |errors, calls: &[(&str, u64)], sends: bool| {
         let mut node = NodeBooks {
             errors,
@@ -530,6 +530,11 @@ fn a_stage_fails_where_half_of_its_calls_do_or_nothing_came_of_the_others() {
     ] {
         assert_eq!(has_failed(&books), expected, "{books:?}");
     }
+    let wakes_failed = NodeBooks {
+        other_errors: 12,
+        ..node(12, &[("ego > boxes", 20), ("wake", 12)], true)
+    };
+    assert!(!has_failed(&wakes_failed), "wakes are not messages");
     let woken = node(1, &[("ego > boxes", 8), ("wake", 3), ("wake > boxes", 4)], true);
     assert_eq!(
         (calls(&woken, |trigger| !is_wake(trigger)), calls(&woken, is_wake)),

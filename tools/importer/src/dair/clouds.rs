@@ -70,7 +70,7 @@ impl BodyCloud {
 /// The brightest intensity of a side's first clouds, and by what rule all of them are scaled.
 #[derive(Default)]
 pub struct Brightest {
-    /// The greatest finite intensity.
+    /// Max finite intensity.
     pub most: f32,
     clouds: usize,
     first: Option<Intensities>,

@@ -77,6 +77,11 @@ impl Faults {
         }
     }
 
+    /// Whether a cause has this name.
+    pub fn contains(&self, cause: &str, name: &str) -> bool {
+        self.seen.contains(&(cause.to_string(), name.to_string()))
+    }
+
     /// Adds the faults of a sweep in the data set `dir`.
     pub fn extend(&mut self, dir: &Path, faults: FaultsOfSweep) {
         for Fault { kind, error } in faults.0 {

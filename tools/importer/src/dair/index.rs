@@ -1,16 +1,19 @@
 //! The lists of the data set: which sweeps there are, and which make a pair.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use realo_schemas::Nanos;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 use super::faults::Faults;
 use super::files::{Number, local, read_json};
 use crate::ImportError;
 
+const COOPERATIVE: &str = "cooperative";
 const VEHICLE_SIDE: &str = "vehicle-side";
 const ROADSIDE_SIDE: &str = "infrastructure-side";
 
@@ -23,11 +26,11 @@ const MOST_OFFSET: f64 = 1000.0;
 /// The files of a sweep, below the data set's folder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Of the sweep, ns.
+    /// Stamp of the sweep, ns.
     pub stamp: Nanos,
     /// Its points.
     pub cloud: PathBuf,
-    /// Of the LiDAR.
+    /// Calibrations of the LiDAR.
     pub calibrations: Vec<PathBuf>,
     /// Of the camera: where it lies to the LiDAR, and what is in its image. Older lists name none.
     pub camera: Option<[PathBuf; 2]>,
@@ -51,12 +54,14 @@ pub struct Listed {
 
 /// What the lists say.
 pub struct Index {
-    /// Pairs whose entry can be read.
+    /// Pairs whose entry is usable.
     pub pairs: Vec<Listed>,
-    /// Pairs whose entry cannot be read.
+    /// Pairs whose entry is not usable.
     pub broken: usize,
-    /// What is wrong with entries.
+    /// What is wrong with entries of pairs, and with entries of sweeps that pairs need.
     pub faults: Faults,
+    /// What is wrong with other entries.
+    pub unneeded: Faults,
 }
 
 impl Index {
@@ -65,9 +70,9 @@ impl Index {
     /// # Errors
     /// All lists that cannot be read; a list without pairs.
     pub fn read(dir: &Path) -> Result<Self, ImportError> {
-        let list = Path::new("cooperative").join(LIST);
+        let list = Path::new(COOPERATIVE).join(LIST);
         let (infos, vehicles, roadsides) = (
-            entries::<PairInfo>(dir, &list),
+            entries::<PairInfo>(dir, COOPERATIVE),
             Side::read::<VehicleInfo>(dir, VEHICLE_SIDE),
             Side::read::<RoadsideInfo>(dir, ROADSIDE_SIDE),
         );
@@ -86,13 +91,16 @@ impl Index {
             pairs: Vec::new(),
             broken: broken.len(),
             faults: Faults::default(),
+            unneeded: Faults::default(),
         };
-        index.faults_of_list(&list, broken);
-        index.faults_of_list(&vehicles.list, vehicles.broken.clone());
-        index.faults_of_list(&roadsides.list, roadsides.broken.clone());
-        for (number, info) in infos.into_iter().enumerate() {
+        for entry in broken {
+            index.faults.add(unusable(&list), entry.text);
+        }
+        for (number, info) in infos {
             index.pair(&list, number, info, [&vehicles, &roadsides]);
         }
+        index.entries_of_no_pair(&vehicles);
+        index.entries_of_no_pair(&roadsides);
         match index.pairs.is_empty() && index.broken == 0 {
             true => Err(ImportError::content(
                 &dir.join(list),
@@ -102,35 +110,28 @@ impl Index {
         }
     }
 
-    fn faults_of_list(&mut self, list: &Path, entries: Vec<String>) {
-        let cause = format!("entry of {} that cannot be read", list.display());
-        entries.into_iter().for_each(|entry| self.faults.add(&cause, entry));
-    }
-
+    /// `number`: of the entry in its list.
     fn pair(&mut self, list: &Path, number: usize, info: PairInfo, sides: [&Side; 2]) {
+        let clouds = [info.vehicle_pointcloud_path, info.infrastructure_pointcloud_path].map(local);
+        let mut alone = Vec::new();
+        let [vehicle, roadside] = [0, 1].map(|index| {
+            let (cloud, side) = (&clouds[index], sides[index]);
+            let frame = side.frames.get(cloud).cloned();
+            if frame.is_none() {
+                self.sweep_without_entry(cloud, side);
+                alone.push(cloud.clone());
+            }
+            frame
+        });
         let offset = match info.system_error_offset.meters() {
             Ok(offset) => offset,
             Err(reason) => {
                 self.broken += 1;
-                let cloud = info.vehicle_pointcloud_path.display();
-                return self.faults_of_list(list, vec![format!("entry {number} ({cloud}): {reason}")]);
+                let [vehicle, _] = clouds;
+                let entry = Unusable::new(number, Some(vehicle), reason);
+                return self.faults.add(unusable(list), entry.text);
             }
         };
-        let clouds = [info.vehicle_pointcloud_path, info.infrastructure_pointcloud_path].map(local);
-        let mut alone = Vec::new();
-        let mut frames = clouds.into_iter().zip(sides).map(|(cloud, side)| {
-            let frame = side.frames.get(&cloud).cloned();
-            if frame.is_none() {
-                self.faults.add(
-                    format!("in no entry of {}", side.list.display()),
-                    cloud.display().to_string(),
-                );
-                alone.push(cloud);
-            }
-            frame
-        });
-        let (vehicle, roadside) = (frames.next().flatten(), frames.next().flatten());
-        drop(frames);
         self.pairs.push(Listed {
             vehicle,
             roadside,
@@ -139,6 +140,58 @@ impl Index {
             offset,
         });
     }
+
+    /// Adds what is wrong with the entries of a sweep that a pair needs, or that there is none.
+    fn sweep_without_entry(&mut self, cloud: &Path, side: &Side) {
+        let of_cloud = |entry: &&Unusable| entry.cloud.as_deref() == Some(cloud);
+        let mut entries = side.unusable.iter().filter(of_cloud).peekable();
+        if entries.peek().is_none() {
+            self.faults.add(in_no_entry(&side.list), cloud.display().to_string());
+        }
+        for entry in entries {
+            self.faults.add(unusable(&side.list), &entry.text);
+        }
+    }
+
+    /// Adds what is wrong with the other entries of a side. One that does not say its cloud may be what a pair needs.
+    fn entries_of_no_pair(&mut self, side: &Side) {
+        let cause = unusable(&side.list);
+        let is_one_missing = self.faults.by_cause.contains_key(&in_no_entry(&side.list));
+        for entry in &side.unusable {
+            if entry.cloud.is_none() && is_one_missing {
+                self.faults.add(&cause, &entry.text);
+            } else if !self.faults.contains(&cause, &entry.text) {
+                self.unneeded.add(&cause, &entry.text);
+            }
+        }
+    }
+}
+
+fn unusable(list: &Path) -> String {
+    format!("entry of {} that is not usable", list.display())
+}
+
+fn in_no_entry(list: &Path) -> String {
+    format!("in no entry of {}", list.display())
+}
+
+/// An entry of a list that is not usable.
+struct Unusable {
+    /// The cloud that it names, below the data set's folder, if it names one.
+    cloud: Option<PathBuf>,
+    /// Which entry it is, and what is wrong with it.
+    text: String,
+}
+
+impl Unusable {
+    /// `number`: of the entry in its list.
+    fn new(number: usize, cloud: Option<PathBuf>, reason: impl Display) -> Self {
+        let text = match &cloud {
+            Some(cloud) => format!("entry {number} ({}): {reason}", cloud.display()),
+            None => format!("entry {number}: {reason}"),
+        };
+        Unusable { cloud, text }
+    }
 }
 
 /// The sweeps of a side.
@@ -146,21 +199,21 @@ struct Side {
     list: PathBuf,
     /// By their clouds.
     frames: BTreeMap<PathBuf, Frame>,
-    /// What is wrong with other entries.
-    broken: Vec<String>,
+    /// Other entries.
+    unusable: Vec<Unusable>,
 }
 
 impl Side {
     fn read<T: SideInfo>(dir: &Path, side: &str) -> Result<Self, ImportError> {
         let list = Path::new(side).join(LIST);
-        let (infos, broken) = entries::<T>(dir, &list)?;
+        let (infos, unusable) = entries::<T>(dir, side)?;
         let mut found = Side {
             list,
             frames: BTreeMap::new(),
-            broken,
+            unusable,
         };
         let mut stamps = BTreeMap::new();
-        for info in infos {
+        for (number, info) in infos {
             let Files {
                 cloud,
                 stamp,
@@ -169,60 +222,63 @@ impl Side {
                 labels,
             } = info.files();
             let below = |path: PathBuf| Path::new(side).join(local(path));
+            let cloud = below(cloud);
             let stamp = match nanos(&stamp) {
                 Ok(stamp) => stamp,
                 Err(reason) => {
-                    let cloud = cloud.display();
-                    found.broken.push(format!("{cloud}: pointcloud_timestamp: {reason}"));
+                    let reason = format!("pointcloud_timestamp: {reason}");
+                    found.unusable.push(Unusable::new(number, Some(cloud), reason));
                     continue;
                 }
             };
             let frame = Frame {
                 stamp,
-                cloud: below(cloud),
+                cloud,
                 calibrations: calibrations.into_iter().map(below).collect(),
                 camera: camera.map(|files| files.map(below)),
                 labels: below(labels),
             };
-            found.add(frame, &mut stamps);
+            found.add(number, frame, &mut stamps);
         }
         Ok(found)
     }
 
     /// Takes a sweep, if no other has its cloud or its stamp.
-    fn add(&mut self, frame: Frame, stamps: &mut BTreeMap<Nanos, PathBuf>) {
-        let name = frame.cloud.display();
-        if self.frames.get(&frame.cloud).is_some_and(|known| *known != frame) {
-            let reason =
-                format!("{name}: expected one entry of this cloud, found two that differ; the first was taken");
-            return self.broken.push(reason);
-        }
-        match stamps.get(&frame.stamp).filter(|known| **known != frame.cloud) {
-            Some(known) => self.broken.push(format!(
-                "{name}: pointcloud_timestamp: expected one cloud at each time, found that of {} too",
+    fn add(&mut self, number: usize, frame: Frame, stamps: &mut BTreeMap<Nanos, PathBuf>) {
+        let is_other = self.frames.get(&frame.cloud).is_some_and(|known| *known != frame);
+        let at_its_stamp = stamps.get(&frame.stamp).filter(|known| **known != frame.cloud);
+        let reason = match (is_other, at_its_stamp) {
+            (true, _) => "expected one entry of this cloud, found two that differ; the first was taken".to_string(),
+            (false, Some(known)) => format!(
+                "pointcloud_timestamp: expected one cloud at each time, found that of {} too",
                 known.display()
-            )),
-            None => {
+            ),
+            (false, None) => {
                 stamps.insert(frame.stamp, frame.cloud.clone());
                 self.frames.insert(frame.cloud.clone(), frame);
+                return;
             }
-        }
+        };
+        self.unusable.push(Unusable::new(number, Some(frame.cloud), reason));
     }
 }
 
-/// The entries of a list, and what is wrong with those that cannot be read.
-fn entries<T: DeserializeOwned>(dir: &Path, list: &Path) -> Result<(Vec<T>, Vec<String>), ImportError> {
-    let (mut entries, mut broken) = (Vec::new(), Vec::new());
-    for (index, value) in read_json::<Vec<serde_json::Value>>(&dir.join(list))?
-        .into_iter()
-        .enumerate()
-    {
+/// Entries with their numbers in a list, and entries that cannot be read.
+type Entries<T> = (Vec<(usize, T)>, Vec<Unusable>);
+
+/// The entries of the list in a folder of the data set `dir`.
+fn entries<T: DeserializeOwned>(dir: &Path, folder: &str) -> Result<Entries<T>, ImportError> {
+    let (mut entries, mut unusable) = (Vec::new(), Vec::new());
+    let values: Vec<Value> = read_json(&dir.join(folder).join(LIST))?;
+    for (number, value) in values.into_iter().enumerate() {
+        let cloud = value.get("pointcloud_path").and_then(Value::as_str);
+        let cloud = cloud.map(|cloud| Path::new(folder).join(local(cloud.into())));
         match serde_json::from_value(value) {
-            Ok(entry) => entries.push(entry),
-            Err(error) => broken.push(format!("entry {index}: {error}")),
+            Ok(entry) => entries.push((number, entry)),
+            Err(error) => unusable.push(Unusable::new(number, cloud, error)),
         }
     }
-    Ok((entries, broken))
+    Ok((entries, unusable))
 }
 
 /// A stamp in ns, of one that is written in µs.

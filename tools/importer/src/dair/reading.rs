@@ -66,8 +66,10 @@ pub struct Checked {
     pub pairs: Vec<Pair>,
     /// Other pairs.
     pub incomplete: usize,
-    /// What is missing or damaged.
+    /// What is missing or damaged of them.
     pub faults: Faults,
+    /// What is wrong with entries that no pair needs.
+    pub unneeded: Faults,
     /// The brightest intensities of the vehicle and of the roadside unit.
     pub brightest: [Brightest; 2],
 }
@@ -88,6 +90,7 @@ impl Reader {
             pairs: Vec::new(),
             incomplete: index.broken,
             faults: index.faults,
+            unneeded: index.unneeded,
             brightest: Default::default(),
         };
         let mut listed = index.pairs;

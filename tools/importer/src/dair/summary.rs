@@ -17,6 +17,8 @@ pub struct Summary {
     pub incomplete_pairs: usize,
     /// What is missing or damaged of them, by cause.
     pub missing: BTreeMap<String, Vec<String>>,
+    /// What is wrong with entries of lists that no pair needs, by cause.
+    pub unneeded: BTreeMap<String, Vec<String>>,
     /// Points of all clouds.
     pub points: usize,
     /// Labels of the vehicle's sweeps.
@@ -58,13 +60,17 @@ impl fmt::Display for Summary {
                 "\nlimited: {limited} intensities below 0 or brighter than those of the first {LOOKED_AT} pairs"
             )?;
         }
-        match self.incomplete_pairs {
-            0 => Ok(()),
-            pairs => write!(
-                f,
-                "\nleft out: {pairs} pairs; missing or damaged:\n{}",
-                listed(&self.missing)
-            ),
+        if self.incomplete_pairs > 0 {
+            let (pairs, missing) = (self.incomplete_pairs, listed(&self.missing));
+            write!(f, "\nleft out: {pairs} pairs; missing or damaged:\n{missing}")?;
         }
+        if !self.unneeded.is_empty() {
+            let entries = listed(&self.unneeded);
+            write!(
+                f,
+                "\nnote: entries that were skipped, and that no pair needs:\n{entries}"
+            )?;
+        }
+        Ok(())
     }
 }

@@ -80,7 +80,7 @@ pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
             checkpoint_minutes: 60.0,
             validate_every: None,
             compare: false,
-            validation_logs: Vec::new(),
+            validation: None,
             optimizer: OptimizerSettings::default(),
             augmentation: Augmentation::default(),
             threads: None,

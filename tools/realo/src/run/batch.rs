@@ -50,11 +50,26 @@ pub struct Batch {
 
 /// Why a run that a signal ended gave no results.
 #[derive(Debug)]
-pub struct Unfinished(pub String);
+pub struct Unfinished {
+    /// Graph, log and ego.
+    pub name: String,
+    /// What it had not done yet.
+    pub reason: String,
+}
+
+impl Unfinished {
+    /// A run that had not come to the end of its log.
+    pub fn of(name: &str) -> Self {
+        Unfinished {
+            name: name.into(),
+            reason: "it had not come to the end of its log".into(),
+        }
+    }
+}
 
 impl fmt::Display for Unfinished {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "{}: it had not come to the end of its log", self.0)
+        write!(f, "{}: {}", self.name, self.reason)
     }
 }
 
@@ -122,7 +137,8 @@ impl Batch {
     /// running.
     ///
     /// # Errors
-    /// If every run failed; results that cannot be read.
+    /// If every run failed: [`Unfinished`] where a signal ended one of them, and [`Batch::reasons`] has the others; results that
+    /// cannot be read.
     pub fn run(&mut self, mode: Mode, rate: f64) -> Result<Vec<Run>> {
         let open: Vec<usize> = (0..self.cells.len())
             .filter(|number| !self.taken.contains(number))
@@ -133,7 +149,7 @@ impl Batch {
             Mode::Realtime => cells.iter().map(|cell| realtime::run(cell, rate)).collect(),
         };
         let mut failed = BTreeSet::new();
-        let mut last = None;
+        let mut unfinished = None;
         for (number, ended) in open.into_iter().zip(ended) {
             let Err(reason) = ended else { continue };
             failed.insert(number);
@@ -141,14 +157,13 @@ impl Batch {
             match reason.is::<Unfinished>() {
                 true => {
                     self.unfinished.push(name);
-                    last = Some(reason);
+                    unfinished = unfinished.or(Some(reason));
                 }
                 false => self.failed.push(Failed { name, reason }),
             }
         }
         if failed.len() == self.cells.len() {
-            let reasons = std::mem::take(&mut self.failed);
-            return Err(last.unwrap_or_else(|| all_failed(reasons)));
+            return Err(unfinished.unwrap_or_else(|| all_failed(std::mem::take(&mut self.failed))));
         }
         let done = (0..self.cells.len()).filter(|number| !failed.contains(number));
         let done = done.map(|number| realo_results::read_run(&self.cells[number].out));
@@ -158,6 +173,11 @@ impl Batch {
     /// Whether something is missing from what the runs came to, because of a log.
     pub fn is_partial(&self) -> bool {
         !self.failed.is_empty() || self.cells.iter().any(|cell| cell.truncated)
+    }
+
+    /// Whether a signal kept a run from its end.
+    pub fn has_unfinished(&self) -> bool {
+        !self.unfinished.is_empty()
     }
 
     /// What was not played, for who reads the results; nothing where all was.

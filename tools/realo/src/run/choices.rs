@@ -32,8 +32,14 @@ impl Fitted {
     }
 }
 
-/// Of several settings of one argument keeps the last, as whoever adds to a command expects; says so of each.
-pub fn keep_last(set: &mut Vec<String>) -> Vec<String> {
+/// Keeps the last of several settings of one argument, as whoever adds to a command expects; says so of each.
+pub fn settle(set: &mut Vec<String>) {
+    let notes = keep_last(set);
+    notes.iter().for_each(|note| eprintln!("realo: {note}"));
+}
+
+/// Keeps the last of several settings of one argument; returns what is to be said of the others.
+fn keep_last(set: &mut Vec<String>) -> Vec<String> {
     let mut notes = Vec::new();
     let read: Vec<Option<Setting>> = set.iter().map(|text| text.parse().ok()).collect();
     let mut is_last = vec![true; set.len()];

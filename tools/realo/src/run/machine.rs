@@ -43,7 +43,7 @@ const MIB: u64 = 1 << 20;
 /// Stack of a thread that only waits, bytes.
 const STACK: usize = 64 << 10;
 /// Files in shared memory are locked so long after they were made at the latest.
-const NEW: Duration = Duration::from_millis(100);
+const NEW: Duration = Duration::from_secs(2);
 
 /// What was found of one thing.
 pub struct Check {
@@ -150,6 +150,8 @@ struct Orphan {
     path: PathBuf,
     /// Bytes that it holds.
     bytes: u64,
+    /// Is locked, so that nobody begins to use it before it is removed.
+    _lock: File,
 }
 
 /// What processes that were killed left in shared memory. Zenoh takes such files away when it makes the first of its own, which it
@@ -169,6 +171,7 @@ fn orphans() -> Vec<Orphan> {
         is_orphan.then_some(Orphan {
             path,
             bytes: about.blocks() * 512,
+            _lock: file,
         })
     });
     found.collect()
@@ -178,7 +181,7 @@ fn orphans() -> Vec<Orphan> {
 pub fn free_orphans() {
     for orphan in orphans() {
         // What is not ours stays.
-        let _ = std::fs::remove_file(orphan.path);
+        let _ = std::fs::remove_file(&orphan.path);
     }
 }
 
@@ -199,7 +202,8 @@ fn threads_of(processes: usize) -> usize {
     THREADS_OF_DORA + of_cores + processes * (THREADS_OF_A_PROCESS + of_cores)
 }
 
-fn cores() -> usize {
+/// Cores that this process may use.
+pub(crate) fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 

@@ -31,7 +31,7 @@ use realo_results::Run;
 
 use crate::tables::Show;
 use crate::{Outcome, registry};
-use batch::Batch;
+use batch::{Batch, Unfinished};
 use folders::Folders;
 use networks::Networks;
 use prepare::Cell;
@@ -39,7 +39,7 @@ use prepare::Cell;
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
 pub(crate) use find::{checkout, graph as find_graph, model as find_model};
-pub(crate) use machine::{Check, checks};
+pub(crate) use machine::{Check, checks, cores};
 pub(crate) use nodes::{argument, decided_argument};
 pub(crate) use pace::{Pace, pace};
 pub use prepare::{Lane, lane};
@@ -297,8 +297,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mut args = args.clone();
     let mode = args.driver()?;
     machine::threads_of_virtual()?;
-    let notes = choices::keep_last(&mut args.choices.set);
-    notes.iter().for_each(|note| eprintln!("realo: {note}"));
+    choices::settle(&mut args.choices.set);
     let mut failures = Failures::of(args.graphs.len());
     let is_there = find_graphs(&mut args.graphs, &mut failures)?;
     let args = &args;
@@ -390,7 +389,7 @@ fn play<'a>(
             }
             (done, _) => done.and_then(|done| {
                 let notes = batch.notes().into_iter().chain(skipped.clone());
-                pool(args, mode, name, notes.collect(), &done)
+                pool(args, mode, name, notes.collect(), batch.has_unfinished(), &done)
             }),
         };
         let pooled = failures.note(name, done)?;
@@ -431,8 +430,11 @@ fn conclude(planned: &[Planned], runs: &[(&str, Run)], failures: &Failures) -> O
     }
     let results = || runs.iter().map(|(_, run)| &run.result);
     let failed_stages = || results().filter(|result| result.has_failed_stages());
-    // Of a run whose stages failed and that gave no boxes there is nothing to score.
-    let gave_nothing = failed_stages().any(|result| result.frames.processed == 0);
+    // A graph that scores nothing has no frames.
+    let gave_nothing = failed_stages().any(|result| result.frames.total > 0 && result.frames.processed == 0);
+    if gave_nothing {
+        eprintln!("realo: no boxes to score, because a stage failed on its messages; the first note says which");
+    }
     let has_faults = results().any(|result| result.log_faults() > 0);
     let is_partial = has_faults || failed_stages().next().is_some() || batches().any(Batch::is_partial);
     match (has_failed || gave_nothing, is_partial) {
@@ -445,19 +447,22 @@ fn conclude(planned: &[Planned], runs: &[(&str, Run)], failures: &Failures) -> O
 /// What a run that a signal ended without results leaves.
 fn ended_early(ending: Ending, mode: Mode, reason: &Report) -> String {
     match mode {
-        Mode::Realtime => format!("ended by {ending}: {reason:#}"),
-        Mode::Virtual => format!(
+        Mode::Virtual if reason.is::<Unfinished>() => format!(
             "ended by {ending} before the end of the log: no results of this run; earlier ones stay, and --resume goes on \
              with a batch"
         ),
+        Mode::Virtual | Mode::Realtime => format!("ended by {ending}: {reason:#}"),
     }
 }
 
-/// Pools the runs of a graph, and writes what they came to.
-fn pool(args: &Args, mode: Mode, name: &str, notes: Vec<String>, done: &[Run]) -> Result<Run> {
+/// Pools the runs of a graph, and writes what they came to; `has_unfinished`: a signal kept others from their end.
+fn pool(args: &Args, mode: Mode, name: &str, notes: Vec<String>, has_unfinished: bool, done: &[Run]) -> Result<Run> {
     let mut pooled = realo_report::pool(done)?;
     pooled.result.notes.splice(0..0, notes);
-    pooled.result.ended_by = signals::first().map(|ending| ending.to_string());
+    // A signal that comes when all is done ends nothing.
+    let is_cut_short = has_unfinished || done.iter().any(|run| run.result.ended_by.is_some());
+    let ending = signals::first().filter(|_| is_cut_short);
+    pooled.result.ended_by = ending.map(|ending| ending.to_string());
     let dir = dir_of(args, name);
     realo_report::write_run(&dir, &pooled)?;
     if mode == Mode::Realtime {

@@ -1,4 +1,4 @@
-//! What a machine does of a graph's rate, known before a run.
+//! Measures which share of a graph's rate this machine reaches.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -7,11 +7,12 @@ use std::time::Duration;
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::FlatGraph;
 use realo_host::{Stages, virtual_time};
+use realo_logs::{Log, Stream};
 use realo_operator::{Decided, Role};
 use realo_schemas::{Kind, to_millis, to_seconds};
 
 use super::nodes::{argument, decided_argument, deciding, registration};
-use super::{Args, Choices, Mode, prepare};
+use super::{Args, Choices, Mode, machine, prepare};
 use crate::registry;
 use crate::tables::Show;
 
@@ -32,7 +33,7 @@ pub struct Pace {
     slowest: String,
     /// What it takes for each frame, ms.
     slowest_ms: f64,
-    /// What all stages take of each frame of all cores, ms.
+    /// Processor time that all stages without plug-ins take for each frame, of all cores together, ms.
     all_ms: f64,
     cores: usize,
     frames: usize,
@@ -73,7 +74,7 @@ impl fmt::Display for Pace {
         }
         write!(
             f,
-            " ({} frames of {}: all stages take {:.0} ms of processor time a frame on {} cores; the slowest, `{}`, takes {:.0} ms)",
+            " ({} frames of {}: all stages without plug-ins take {:.0} ms of processor time a frame on {} cores; the slowest, `{}`, takes {:.0} ms)",
             self.frames, self.ego, self.all_ms, self.cores, self.slowest, self.slowest_ms
         )
     }
@@ -96,7 +97,7 @@ pub fn remedies(share: f64) -> String {
 /// Plays some frames of a log in virtual time, and measures.
 ///
 /// # Errors
-/// As a run; a graph that runs in realtime only; a log with too few frames.
+/// As a run; a graph that runs in realtime only; a log without points of the ego, or with too few frames.
 pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> Result<Pace> {
     let folder = Folder::new()?;
     let args = Args {
@@ -125,18 +126,24 @@ pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> R
     let ego =
         deciding(&cell.graph, Decided::Ego).find_map(|node| argument(node, decided_argument(node, Decided::Ego)?));
     let ego = ego.ok_or_else(|| eyre!("{}: no node has an ego", graph.display()))?;
+    if Log::open(log)?.count(&ego, Stream::Points) == 0 {
+        bail!(
+            "{} has no points of `{ego}`, by which frames are counted; measure with a log that has clouds",
+            log.display()
+        );
+    }
     let sources = sources(&cell.graph);
     let stages = Stages::of(&cell.graph, &registry()).map_err(|error| eyre!(error))?;
     let measured = virtual_time::pace(&stages, FRAMES, PATIENCE, |stage, message| {
         let header = &message.header;
         header.kind == Kind::Points && *header.agent == *ego && sources.iter().any(|source| source == stage)
     })?;
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let pace = measured.and_then(|measured| Pace::of(&measured, cores, &ego));
+    let pace = measured.and_then(|measured| Pace::of(&measured, machine::cores(), &ego));
     pace.ok_or_else(|| {
         eyre!(
-            "{}: too few sweeps of {ego} to measure a rate: expected 4 or more",
-            log.display()
+            "{}: too few sweeps of {ego} to measure a rate: expected 4 or more in the log, and 2 or more played in {} s",
+            log.display(),
+            2 * PATIENCE.as_secs()
         )
     })
 }
@@ -186,7 +193,7 @@ mod tests {
             "{said}"
         );
         assert!(
-            said.ends_with("(20 frames of car: all stages take 150 ms of processor time a frame on 2 cores; the slowest, `b`, takes 147 ms)"),
+            said.ends_with("(20 frames of car: all stages without plug-ins take 150 ms of processor time a frame on 2 cores; the slowest, `b`, takes 147 ms)"),
             "{said}"
         );
         assert!(!slow.keeps_up());

@@ -359,8 +359,7 @@ fn setting(text: &str) -> Result<Setting> {
 /// What `--set` says.
 fn settings(args: &Args) -> Result<Vec<Setting>> {
     let mut set = args.choices.set.clone();
-    let notes = choices::keep_last(&mut set);
-    notes.iter().for_each(|note| eprintln!("realo: {note}"));
+    choices::settle(&mut set);
     set.iter().map(|text| setting(text)).collect()
 }
 

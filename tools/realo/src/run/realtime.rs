@@ -1,15 +1,15 @@
 //! Runs on dora.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use eyre::{Result, WrapErr, bail};
+use eyre::{Report, Result, WrapErr, bail};
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
-use realo_operator::Decided;
+use realo_operator::{Decided, Durations};
 use realo_results::Run;
 
 use super::batch::Unfinished;
@@ -31,7 +31,7 @@ const TO_TELL: Duration = Duration::from_millis(1500);
 /// Which node failed, or what is missing; dora's own words are in `dora.log`.
 pub fn run(cell: &Cell, rate: f64) -> Result<()> {
     if signals::first().is_some() {
-        return Err(Unfinished(cell.name.clone()).into());
+        return Err(Unfinished::of(&cell.name).into());
     }
     let memory = machine::prepare(cell)?;
     let dora = dora::find()?;
@@ -75,26 +75,34 @@ struct Ended {
 /// Says in a run's result what ended it.
 fn conclude(cell: &Cell, ending: Ending, killed: bool) -> Result<()> {
     if !cell.out.join(realo_results::RESULT_FILE).exists() {
-        bail!(
-            "{}: no results: {}",
-            cell.name,
-            match killed {
+        return Err(no_results(
+            cell,
+            &match killed {
                 true => format!(
                     "the graph did not end within {:.1} s, and was killed",
                     TO_END.as_secs_f64()
                 ),
                 false => "the run had not begun".into(),
-            }
-        );
+            },
+        ));
     }
     let mut run = realo_results::read_run(&cell.out)?;
     if has_nothing(cell, &run) {
         // An earlier run's results are worth more.
         realo_results::claim(&cell.out)?;
-        bail!("{}: no results: it ended before the first sweep", cell.name);
+        return Err(no_results(cell, "it ended before the first sweep"));
     }
     run.result.ended_by = Some(ending.to_string());
     Ok(realo_results::write_result(&cell.out, &run.result)?)
+}
+
+/// The error of a run that a signal ended without results.
+fn no_results(cell: &Cell, why: &str) -> Report {
+    let unfinished = Unfinished {
+        name: cell.name.clone(),
+        reason: format!("no results: {why}"),
+    };
+    unfinished.into()
 }
 
 /// Whether a run that a signal ended had no sweep of the ego yet; where none is scored, whether nothing had been played.
@@ -103,8 +111,16 @@ fn has_nothing(cell: &Cell, run: &Run) -> bool {
     let (frames, samples) = (&run.result.frames, &run.timing.samples);
     match results.any(|node| ["boxes", "truth"].iter().any(|port| node.inputs.contains_key(*port))) {
         true => frames.total + frames.processed == 0,
-        false => samples.compute.is_empty() && samples.late.is_empty(),
+        false => {
+            let mut calls = samples.compute.values().flat_map(BTreeMap::values);
+            let mut sent = samples.late.values();
+            calls.all(is_empty) && sent.all(is_empty) && run.result.peers.is_empty()
+        }
     }
+}
+
+fn is_empty(durations: &Durations) -> bool {
+    durations.count() == 0
 }
 
 /// Writes the expanded graph with this very program behind every stage, and its types beside it.

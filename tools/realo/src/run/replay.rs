@@ -1,5 +1,6 @@
 //! Runs in virtual time.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
@@ -16,9 +17,11 @@ use super::signals;
 use crate::progress::Progress;
 use crate::registry;
 
-/// After a signal, runs have so long to come to their next event. Who is in the middle of a call then is not waited for, and
-/// ends with this process.
+/// After a signal, runs have so long to come to their next event. A run inside a call is not waited for then, and ends with
+/// this process.
 const TO_NEXT_EVENT: Duration = Duration::from_millis(1000);
+/// After a signal, runs that write their results have so long to end.
+const TO_CONCLUDE: Duration = Duration::from_millis(2500);
 /// How often a signal is looked for.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -26,6 +29,8 @@ const LOOK: Duration = Duration::from_millis(50);
 enum Said {
     /// So many seconds of its log more are played.
     Played(f64),
+    /// The run of this number is about to write its results.
+    Concluding(usize),
     /// The run of this number has ended.
     Ended(usize, Result<()>),
 }
@@ -45,32 +50,53 @@ pub fn all(cells: &[&Cell]) -> Result<Vec<Result<()>>> {
             .into_par_iter()
             .enumerate()
             .for_each_with(sender, |sender, (number, replay)| {
-                let ended = replay.run(sender);
+                let name = replay.name.clone();
+                let ended = catch_unwind(AssertUnwindSafe(|| replay.run(number, sender)));
+                let ended = ended.unwrap_or_else(|_| Err(panicked(&name)));
                 // After a signal nobody may listen any more.
                 let _ = sender.send(Said::Ended(number, ended));
             });
     });
     playing.map_err(signals::no_thread)?;
     let mut ended: Vec<Option<Result<()>>> = cells.iter().map(|_| None).collect();
+    let mut is_concluding = vec![false; cells.len()];
     while ended.iter().any(Option::is_none) {
         match said.recv_timeout(LOOK) {
             Ok(Said::Played(seconds)) => progress.add(seconds),
+            Ok(Said::Concluding(number)) => is_concluding[number] = true,
             Ok(Said::Ended(number, how)) => ended[number] = Some(how),
             Err(RecvTimeoutError::Disconnected) => break,
             Err(RecvTimeoutError::Timeout) => {}
         }
-        if signals::came_again() || signals::since().is_some_and(|since| since > TO_NEXT_EVENT) {
+        let mut open = ended.iter().zip(&is_concluding).filter(|(ended, _)| ended.is_none());
+        let patience = match open.any(|(_, is_concluding)| *is_concluding) {
+            true => TO_CONCLUDE,
+            false => TO_NEXT_EVENT,
+        };
+        if signals::came_again() || signals::since().is_some_and(|since| since > patience) {
             break;
         }
     }
     progress.finish();
-    let left = |cell: &Cell| -> Result<()> {
-        // Results without all that belongs to them are none.
-        realo_results::claim(&cell.out)?;
-        Err(Unfinished(cell.name.clone()).into())
+    let left = |cell: &Cell, is_concluding: bool| -> Result<()> {
+        // Partial results must not be taken for a run. A run that still writes them writes last what makes them one.
+        if !is_concluding {
+            realo_results::claim(&cell.out)?;
+        }
+        match signals::first() {
+            Some(_) => Err(Unfinished::of(&cell.name).into()),
+            None => Err(panicked(&cell.name)),
+        }
     };
-    let named = ended.into_iter().zip(cells);
-    Ok(named.map(|(ended, cell)| ended.unwrap_or_else(|| left(cell))).collect())
+    let named = ended.into_iter().zip(is_concluding).zip(cells);
+    Ok(named
+        .map(|((ended, is_concluding), cell)| ended.unwrap_or_else(|| left(cell, is_concluding)))
+        .collect())
+}
+
+/// The error of a run in which the code of a stage panicked.
+fn panicked(name: &str) -> Report {
+    eyre!("{name}: a stage panicked; its message is above")
 }
 
 fn runs(count: usize) -> String {
@@ -98,13 +124,19 @@ impl Replay {
         }
     }
 
-    fn run(self, said: &Sender<Said>) -> Result<()> {
-        let unfinished = || Report::from(Unfinished(self.name.clone()));
+    fn run(self, number: usize, said: &Sender<Said>) -> Result<()> {
+        let unfinished = || Report::from(Unfinished::of(&self.name));
         if signals::first().is_some() {
             return Err(unfinished());
         }
         let mut far = Far::new(self.seconds, said);
-        let ended = watched(&self.graph, &self.compute, None, |now| far.is(now));
+        let ended = watched(&self.graph, &self.compute, None, |progress| match progress {
+            virtual_time::Progress::At(now) => far.is(now),
+            virtual_time::Progress::Concludes => {
+                // After a signal nobody may listen any more.
+                let _ = said.send(Said::Concluding(number));
+            }
+        });
         far.ended();
         match ended {
             // What else fails then fails because of it.
@@ -167,7 +199,7 @@ fn watched(
     graph: &FlatGraph,
     compute: &ComputeProfile,
     observer: Option<virtual_time::Observer>,
-    far: impl FnMut(Nanos),
+    watch: impl FnMut(virtual_time::Progress),
 ) -> Result<Books> {
     let stages = Stages::of(graph, &registry()).map_err(|error| eyre!(error))?;
     if let Some(stranger) = compute.stranger(|id| graph.node(id).is_some()) {
@@ -178,5 +210,5 @@ fn watched(
             known.join(", ")
         ));
     }
-    Ok(virtual_time::run_watched(&stages, compute, observer, far)?)
+    Ok(virtual_time::run_watched(&stages, compute, observer, watch)?)
 }

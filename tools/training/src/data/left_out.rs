@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use realo_schemas::{Nanos, to_millis};
 use serde::{Deserialize, Serialize};
 
+use super::frames::Frames;
 use super::logged::NEAR;
 
 /// What of a log is not learnt from, or not scored on. Its text is a sentence with the remedy.
@@ -35,14 +36,14 @@ pub enum Cause {
     NoSweep,
     /// The agent's pose is not known at its sweep.
     NoPose {
-        /// Greatest gap between poses that is bridged, ms.
+        /// Max gap between poses that is bridged, ms.
         max_gap_ms: u32,
     },
     /// Neither labels of its own at its sweep, nor a pose that brings others' there.
     NoLabels,
     /// Points that stay as they were recorded, since poses do not tell the motion during the sweep.
     NotDeskewed,
-    /// Pose messages that are no poses.
+    /// Pose messages that do not hold a valid pose.
     BadPoses {
         /// What is wrong with the first.
         reason: String,
@@ -105,6 +106,17 @@ impl fmt::Display for LeftOut {
     }
 }
 
+/// What is left out of the frames of a training and of its validation, each once.
+pub fn left_out_once(trained: &dyn Frames, validation: &dyn Frames) -> Vec<LeftOut> {
+    let mut left_out = trained.left_out().to_vec();
+    for more in validation.left_out() {
+        if !left_out.contains(more) {
+            left_out.push(more.clone());
+        }
+    }
+    left_out
+}
+
 /// What was left out of one log.
 #[derive(Debug, Default)]
 pub(super) struct Account {
@@ -134,7 +146,7 @@ impl Account {
     }
 }
 
-/// Greatest gap between poses that is bridged, ns.
+/// Max gap between poses that is bridged, ns.
 pub(super) fn gap(max_gap_ms: u32) -> Nanos {
     Nanos::from(max_gap_ms) * 1_000_000
 }

@@ -32,7 +32,7 @@ pub struct LoggedData {
     pub logs: Vec<PathBuf>,
     /// Min time between two frames of a log, s.
     pub apart: f64,
-    /// Greatest gap between poses that is bridged, ms: the argument of the operator `sync`.
+    /// Max gap between poses that is bridged, ms: the argument of the operator `sync`.
     pub max_gap_ms: u32,
 }
 
@@ -238,10 +238,8 @@ impl Reading {
         let mut account = Account::default();
         self.count_poses(&mut account)?;
         self.count_classes(&mut account);
-        let Some((agent, labels)) = self.truth.first_key_value() else {
-            let (stamps, left_out) = (Vec::new(), Vec::new());
-            return Ok(Extracted { stamps, left_out });
-        };
+        let first = self.truth.first_key_value();
+        let (agent, labels) = first.expect("a log without ground truth is not opened");
         let (mut wanted, mut stamps) = (Vec::new(), Vec::new());
         for stamp in labels.keys().copied() {
             if wanted.last().is_none_or(|last| stamp - last >= apart) {
@@ -265,7 +263,7 @@ impl Reading {
         })
     }
 
-    /// Counts messages that are no poses.
+    /// Counts messages that do not hold a valid pose.
     fn count_poses(&self, account: &mut Account) -> Result<(), TrainError> {
         for agent in self.tracks.keys() {
             let stream = self.pose_stream(agent);

@@ -19,7 +19,7 @@ pub use frame::{AgentSweep, Earlier, Frame, Return, Seen};
 pub(crate) use frame::{REACH, write_whole};
 pub(crate) use frames::world;
 pub use frames::{Frames, SimulatedFrames};
-pub use left_out::{Cause, LeftOut};
+pub use left_out::{Cause, LeftOut, left_out_once};
 pub use loader::{Batch, Input, Recipe};
 pub(crate) use loader::{LATER, gather};
 pub use logged::{LoggedData, LoggedFrames};

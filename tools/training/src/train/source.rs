@@ -64,9 +64,9 @@ impl Source {
 /// Threads that make frames; they end with the training.
 #[derive(Default)]
 pub struct Filling {
-    /// Whether they are to end.
+    /// Tells the threads to end.
     pub stop: Arc<AtomicBool>,
-    /// Them.
+    /// Threads that make frames.
     pub threads: Vec<std::thread::JoinHandle<Result<(), TrainError>>>,
 }
 

@@ -16,7 +16,7 @@ use super::{Data, News, Observer, Progress, TrainOptions, Trained};
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
-use crate::data::{Batch, Frames, Input, LATER, LeftOut, MapEncoder, REACH, Recipe, Supply, write_whole};
+use crate::data::{Batch, Frames, Input, LATER, MapEncoder, REACH, Recipe, Supply, left_out_once, write_whole};
 use crate::fusing::{beginning, learns_to_fuse, start};
 use crate::layers::Arithmetic;
 use crate::network::Network;
@@ -76,21 +76,23 @@ fn lock(folder: &Path) -> Result<File, TrainError> {
 pub(crate) fn check_frames_suit(model: &Model) -> Result<(), TrainError> {
     let reason = match model {
         _ if model.frame != Frame::Body => {
-            "its frame is `lidar`, and frames of training data are those of the agents' bodies"
+            "its frame is `lidar`, and frames of training data are those of the agents' bodies".to_string()
         }
-        _ if model.pillars.intensity => "it looks at intensity, which frames of training data do not hold",
+        _ if model.pillars.intensity => "it looks at intensity, which frames of training data do not hold".to_string(),
         _ if [model.grid.x, model.grid.y]
             .as_flattened()
             .iter()
             .any(|metres| metres.abs() > REACH) =>
         {
-            "its grid reaches beyond 128 m from the agent, where frames of training data hold no points: make it smaller"
+            format!(
+                "its grid reaches beyond {REACH} m from the agent, where frames of training data hold no points: make it smaller"
+            )
         }
         _ => return Ok(()),
     };
     Err(TrainError::Model {
         model: model.name.clone(),
-        reason: reason.into(),
+        reason,
     })
 }
 
@@ -406,7 +408,7 @@ impl<'a> Training<'a> {
     }
 
     /// The score that the training is compared with, if it is: of the weights of `from`; of a training that begins with random
-    /// numbers, of the weights beside the model file, where there are some.
+    /// numbers, of the weights beside the model file, where there are some that this training does not write.
     pub fn before(&self, observer: &mut Observer) -> Result<Option<Before>, TrainError> {
         if !self.options.compare {
             return Ok(None);
@@ -414,6 +416,7 @@ impl<'a> Training<'a> {
         let before = match &self.start {
             Some(_) if self.state.optimizer.steps == 0 => Some(self.scored(&self.state.network, true)?),
             Some(start) => Some(self.scored(&self.network_of(start)?, true)?),
+            None if self.writes_beside_model() => None,
             // Weights that cannot be loaded are not what the user would lose.
             None => match realo_nn::load(&self.options.model, Kernels::auto(1)) {
                 Ok(loaded) => Some(self.scored(&self.network_of(&loaded.weights)?, false)?),
@@ -424,6 +427,17 @@ impl<'a> Training<'a> {
             observer(&News::Before(before));
         }
         Ok(before)
+    }
+
+    /// Whether weights beside the model file are what this training writes: a resumed one may be given its own copy of the model.
+    fn writes_beside_model(&self) -> bool {
+        let found = |paths: Vec<PathBuf>| -> Vec<PathBuf> {
+            let paths = paths.iter();
+            paths.filter_map(|path| path.canonicalize().ok()).collect()
+        };
+        let own = found(weights(&self.model, &self.options.output));
+        let beside = found(self.model.weights_beside(&self.options.model));
+        beside.iter().any(|path| own.contains(path))
     }
 
     /// Has the frames made on which the network is scored, if it is.
@@ -553,10 +567,7 @@ fn state(
 
 /// Says what of the frames of training and validation is left out, each once.
 fn say_left_out(trained: &Arc<dyn Frames>, validation: &Scored, observer: &mut Observer) {
-    let mut left_out = trained.left_out().to_vec();
-    let more = validation.frames.left_out().iter();
-    let more: Vec<LeftOut> = more.filter(|one| !left_out.contains(one)).cloned().collect();
-    left_out.extend(more);
+    let left_out = left_out_once(&**trained, &*validation.frames);
     if !left_out.is_empty() {
         observer(&News::LeftOut(&left_out));
     }
