@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use common::machine::{decided, half, whole};
 use common::{
-    Peer, REALO, arguments, boxes, folder, free_port, graph, json, realo, realo_ok, root, run_virtual,
+    Peer, REALO, arguments, boxes, files_below, folder, free_port, graph, json, realo, realo_ok, root, run_virtual,
     run_virtual_faulty, simulated, text,
 };
 use serde_json::Value;
@@ -65,7 +65,9 @@ fn late_fusion_over_zenoh() {
             peer["clock_ms"].as_f64().is_some_and(|clock| clock.abs() < 2.0),
             "{peer}"
         );
-        let trace = walk(&near).into_iter().find(|path| path.ends_with("channels/rsu1.csv"));
+        let trace = files_below(&near)
+            .into_iter()
+            .find(|path| path.ends_with("channels/rsu1.csv"));
         let trace = std::fs::read_to_string(trace.expect("what the way from rsu1 was like")).expect("a file");
         assert!(
             trace.starts_with("seconds,bits_per_second,") && trace.lines().count() > 2,
@@ -324,16 +326,8 @@ fn share_maps() {
 /// The log that an agent's graph recorded.
 fn recorded(out: &Path, agent: &str) -> String {
     let name = format!("{agent}.mcap");
-    let found = walk(out).into_iter().find(|path| path.ends_with(&name));
+    let found = files_below(out).into_iter().find(|path| path.ends_with(&name));
     found.expect("the agent's log").display().to_string()
-}
-
-fn walk(dir: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
-    let paths = entries.map(|entry| entry.path());
-    paths
-        .flat_map(|path| if path.is_dir() { walk(&path) } else { vec![path] })
-        .collect()
 }
 
 /// Milliseconds that `realo merge` says a log was moved by at its beginning.

@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use common::machine::{decided, half, whole};
-use common::{folder, graph, json, realo_ok, run_virtual, simulated, text};
+use common::{files_below, folder, graph, json, realo_ok, run_virtual, simulated, text};
 use realo_schemas::Nanos;
 use realo_schemas::report::Fated;
 use serde_json::Value;
@@ -245,7 +245,9 @@ fn realised_age() {
         let noise = noise.join().expect("sleeping does not panic");
         (result.unwrap_or_else(|panic| std::panic::resume_unwind(panic)), noise)
     });
-    let recording = walk(&out).into_iter().find(|path| path.ends_with("recording.mcap"));
+    let recording = files_below(&out)
+        .into_iter()
+        .find(|path| path.ends_with("recording.mcap"));
     let recording = recording.expect("there is a recording");
     let (made, fused) = (made(&recording), fused(&recording));
     let (differences, others) = differences(&made, &fused);
@@ -489,7 +491,11 @@ fn kill_in_mid_run(name: &str, words: &str) -> (std::process::Output, PathBuf) {
     let out = folder(name);
     let child = start(&out);
     let deadline = Instant::now() + Duration::from_secs(60);
-    let recording = || walk(&out).into_iter().find(|path| path.ends_with("recording.mcap"));
+    let recording = || {
+        files_below(&out)
+            .into_iter()
+            .find(|path| path.ends_with("recording.mcap"))
+    };
     let running = || recording().is_some_and(|path| fs::metadata(path).is_ok_and(|meta| meta.len() > 100_000));
     while !running() && Instant::now() < deadline {
         std::thread::sleep(Duration::from_millis(100));
@@ -503,27 +509,16 @@ fn kill_in_mid_run(name: &str, words: &str) -> (std::process::Output, PathBuf) {
     (child.wait_with_output().expect("realo ends"), out)
 }
 
-fn walk(dir: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(dir)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.path());
-    entries
-        .flat_map(|path| if path.is_dir() { walk(&path) } else { vec![path] })
-        .collect()
-}
-
 #[test]
 fn a_node_killed_in_mid_run_fails_the_run_by_name_and_the_recording_can_be_read() {
     let (output, out) = kill_in_mid_run("killed_node", "fuse.boxes.yml");
     assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("`fusion`"), "{}", text(&output.stderr));
     assert!(
-        walk(&out).iter().all(|path| !path.ends_with("result.json")),
+        files_below(&out).iter().all(|path| !path.ends_with("result.json")),
         "no results of a run that failed"
     );
-    let recording = walk(&out)
+    let recording = files_below(&out)
         .into_iter()
         .find(|path| path.ends_with("recording.mcap"))
         .expect("there is a recording");

@@ -1,6 +1,7 @@
 //! What is dropped is said in the notes.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use realo_logs::boxes;
 use realo_schemas::Box3;
@@ -45,6 +46,67 @@ fn classes_that_the_protocol_drops_are_named_with_how_many() {
     assert_eq!(ran.code, 0, "the protocol says so: {ran:?}");
     let notes = ran.notes();
     assert!(notes.contains("tram\u{e9}") && notes.contains("40 of 160"), "{notes}");
+}
+
+#[test]
+fn detections_of_classes_that_the_protocol_lacks_are_no_table() {
+    let base = Scene::default().write("class-foreign-base");
+    for (name, agents, code) in [("class-foreign", &["car", "mast"][..], 3), ("class-half", &["mast"], 0)] {
+        let log = rewrite(&base, name, |mut message| {
+            let (agent, stream) = message.parts();
+            if agents.contains(&agent) && stream == "detections" {
+                let places = 0..message.data.len() - 3;
+                let cars: Vec<usize> = places.filter(|at| message.data[*at..].starts_with(b"Car")).collect();
+                cars.iter()
+                    .for_each(|at| message.data[*at..*at + 3].copy_from_slice(b"Foo"));
+            }
+            vec![message]
+        });
+        let ran = run("late_fusion", &log, name, &["--offline"]);
+        assert_eq!(ran.code, code, "{ran:?}");
+        let notes = ran.notes();
+        assert!(
+            notes.contains("detections were not scored") && notes.contains("`Foo` ("),
+            "{notes}"
+        );
+        let (said, of_info) = info(&log);
+        assert!(
+            said.contains("of 160 recorded detections, classes that protocol `default` does not score: `Foo`"),
+            "{said}"
+        );
+        assert_eq!((of_info, said.contains("PROBLEM")), (Some(code), code == 3), "{said}");
+    }
+}
+
+#[test]
+fn a_log_of_boxes_alone_is_told_how_to_play_them() {
+    let log = Scene {
+        points: false,
+        ..Scene::default()
+    }
+    .write("boxes-alone");
+    let late = common::graph("late_fusion");
+    let played = |name: &str, more: &[&str]| {
+        let out = common::folder(name);
+        let output = Command::new(common::REALO)
+            .args(["run", &late, "--ego", "car", "--offline"])
+            .args(more)
+            .arg("--log")
+            .arg(&log)
+            .arg("--out")
+            .arg(&out)
+            .output();
+        let code = output.expect("realo can be started").status.code();
+        (code, common::json(&out.join("result.json"))["notes"][0].to_string())
+    };
+    let (code, first) = played("boxes-alone-detector", &[]);
+    assert_eq!(code, Some(3), "{first}");
+    assert!(
+        first.contains("car: 20 of 20 (the first has no points)") && first.contains("--recorded-detections"),
+        "{first}"
+    );
+    let (code, _) = played("boxes-alone-recorded", &["--recorded-detections"]);
+    assert_eq!(code, Some(0));
 }
 
 #[test]

@@ -175,12 +175,14 @@ fn a_signal_ends_a_run_in_good_order_with_the_table_so_far() {
 
 fn signals_end_a_run() {
     let _share = half();
+    let log = Scene::default().write("life-complete");
     for (signal, code, name) in [("TERM", 143, "SIGTERM"), ("INT", 130, "Ctrl-C"), ("HUP", 129, "SIGHUP")] {
         if signal == "HUP" && hangups_are_ignored() {
             skipped::skip("a process that inherits SIGHUP as `nohup` leaves it, ignored, is not ended by it");
             continue;
         }
-        let run = Run::start(&format!("life-{signal}")).play();
+        let earlier = |out: &Path| assert!(offline(&log, out).status.success());
+        let run = Run::start_after(&format!("life-{signal}"), earlier).play();
         run.signal(signal);
         let (output, out) = run.end();
         let said = text(&output.stderr);
@@ -190,6 +192,15 @@ fn signals_end_a_run() {
         let ended = result(&out);
         assert_eq!(ended["ended_by"], name);
         assert!(ended["frames"]["total"].as_u64() > Some(0), "{ended}");
+        let first = ended["notes"][0].to_string();
+        assert!(first.contains(&format!("{name} ended the run early")), "{first}");
+        // What came to its end before is worth more.
+        let kept = out.join("complete-run-before");
+        assert!(said.contains(&format!("are kept in {}", kept.display())), "{said}");
+        assert_eq!(
+            (&result(&kept)["mode"], result(&kept).get("ended_by")),
+            (&"offline".into(), None)
+        );
         assert!(!out.join(".running").exists() && !out.join(".earlier").exists());
     }
 }
@@ -508,28 +519,35 @@ fn few_file_descriptors_are_said_before_anything_starts() {
     );
 }
 
-#[test]
-fn messages_go_through_sockets_where_shared_memory_is_small() {
-    let out = folder("life-shm-out");
-    let script = format!(
-        "mount -t tmpfs -o size=1m tmpfs /dev/shm && exec {REALO} run {} --recorded-detections --ego car --rate 0.5 --log {} \
-         --out {}",
-        graph("late_fusion"),
-        Scene::default().write("life-shm").display(),
-        out.display()
-    );
+/// Runs a script with a small shared memory of its own, of so many MB; `None` where that needs what is not here.
+fn with_shared_memory(megabytes: u32, script: &str) -> Option<Output> {
     let tried = Command::new("unshare")
         .args(["-m", "mount", "-t", "tmpfs", "tmpfs", "/dev/shm"])
         .output();
     if !tried.is_ok_and(|tried| tried.status.success()) {
         skipped::skip("small shared memory: mounting needs root");
-        return;
+        return None;
     }
+    let script = format!("mount -t tmpfs -o size={megabytes}m tmpfs /dev/shm && {script}");
     let output = Command::new("unshare")
         .args(["-m", "sh", "-c", &script])
         .current_dir(root())
         .output();
-    let output = output.expect("there is unshare");
+    Some(output.expect("there is unshare"))
+}
+
+#[test]
+fn messages_go_through_sockets_where_shared_memory_is_small() {
+    let out = folder("life-shm-out");
+    let script = format!(
+        "exec {REALO} run {} --recorded-detections --ego car --rate 0.5 --log {} --out {}",
+        graph("late_fusion"),
+        Scene::default().write("life-shm").display(),
+        out.display()
+    );
+    let Some(output) = with_shared_memory(1, &script) else {
+        return;
+    };
     let said = text(&output.stderr);
     assert!(output.status.success(), "{said}");
     assert!(
@@ -544,25 +562,16 @@ fn shared_memory_that_killed_processes_left_is_freed() {
     let out = folder("life-orphan-out");
     // What Zenoh names so and nobody has locked is of no process; a file of somebody else stays.
     let script = format!(
-        "mount -t tmpfs -o size=256m tmpfs /dev/shm && head -c 200M /dev/zero > /dev/shm/123456.zenoh && \
-         touch -d '1 hour ago' /dev/shm/123456.zenoh && touch -d '1 hour ago' /dev/shm/mine.zenoh && \
+        "head -c 200M /dev/zero > /dev/shm/123456.zenoh && touch -d '1 hour ago' /dev/shm/123456.zenoh && \
+         touch -d '1 hour ago' /dev/shm/mine.zenoh && \
          {{ {REALO} run {} --recorded-detections --ego car --rate 0.5 --log {} --out {}; code=$?; ls /dev/shm; exit $code; }}",
         graph("late_fusion"),
         Scene::default().write("life-orphan").display(),
         out.display()
     );
-    let tried = Command::new("unshare")
-        .args(["-m", "mount", "-t", "tmpfs", "tmpfs", "/dev/shm"])
-        .output();
-    if !tried.is_ok_and(|tried| tried.status.success()) {
-        skipped::skip("shared memory of killed processes: mounting needs root");
+    let Some(output) = with_shared_memory(256, &script) else {
         return;
-    }
-    let output = Command::new("unshare")
-        .args(["-m", "sh", "-c", &script])
-        .current_dir(root())
-        .output();
-    let output = output.expect("there is unshare");
+    };
     let (left, said) = (text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{said}");
     assert!(!said.contains("go through sockets"), "{said}");

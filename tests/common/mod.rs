@@ -227,3 +227,12 @@ pub fn boxes(out: &Path) -> Vec<Value> {
     let frames = frames.as_array().expect("frames");
     frames.iter().map(|frame| frame["detections"].clone()).collect()
 }
+
+/// All files below a folder; none where there is no folder.
+pub fn files_below(dir: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(dir).into_iter().flatten().flatten();
+    let paths = entries.map(|entry| entry.path());
+    paths
+        .flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] })
+        .collect()
+}

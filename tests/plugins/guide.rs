@@ -5,7 +5,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::common::{root, text};
+use crate::common::{files_below, root, text};
 use crate::{build, python};
 
 fn guide() -> String {
@@ -79,15 +79,6 @@ pub fn shell(mine: &Path, section: &str, bin: Option<&Path>) -> String {
     out + &err
 }
 
-/// Sources below a folder.
-fn sources(dir: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(dir).into_iter().flatten().flatten();
-    let paths = entries.map(|entry| entry.path());
-    paths
-        .flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] })
-        .collect()
-}
-
 /// Whether documentation comments have an example that rustdoc would run.
 fn has_example(text: &str) -> bool {
     let comments = text.lines().filter_map(|line| {
@@ -115,7 +106,7 @@ fn examples_in_the_documentation_of_crates_are_tested() {
             let Ok(manifest) = fs::read_to_string(dir.join("Cargo.toml")) else {
                 continue;
             };
-            let texts = sources(&dir.join("src"))
+            let texts = files_below(&dir.join("src"))
                 .into_iter()
                 .filter_map(|path| fs::read_to_string(path).ok());
             let has = texts.filter(|text| has_example(text)).count();

@@ -38,6 +38,8 @@ pub struct Description {
     pub scored_frames: Option<BTreeMap<String, usize>>,
     /// Classes of the objects in the ground truth of all agents, and how often each is there.
     pub truth_classes: BTreeMap<String, u64>,
+    /// Classes of the recorded detections of all agents, and how often each is there.
+    pub detection_classes: BTreeMap<String, u64>,
     /// What a run of it would stumble over, or score wrongly.
     pub problems: Vec<String>,
     /// Where it was cut, if it was.
@@ -152,7 +154,7 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
             sweeps.insert(agent.name.clone(), info);
         }
     }
-    let (problems, truth_classes) = problems(log)?;
+    let (problems, classes) = problems(log)?;
     // Poses that start again say nothing of how a body tilts.
     let tilted = match problems.is_empty() {
         true => tilts(log)?,
@@ -170,7 +172,8 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
         levelled: log.levelled()?,
         tilted,
         scored_frames: log.key_frames().map(count),
-        truth_classes,
+        truth_classes: classes.truth,
+        detection_classes: classes.detections,
         problems,
         truncated: log.truncation().cloned(),
     })

@@ -10,16 +10,22 @@ use crate::track_faults::track_faults;
 use crate::words::{seconds, side};
 use crate::{Entry, Log, LogError, Stream};
 
-/// Classes of objects, and how often each is there.
-pub(crate) type Classes = BTreeMap<String, u64>;
+/// Classes of the boxes of all agents, and how often each is there.
+#[derive(Default)]
+pub(crate) struct Classes {
+    /// Of the ground truth.
+    pub truth: BTreeMap<String, u64>,
+    /// Of recorded detections.
+    pub detections: BTreeMap<String, u64>,
+}
 
-/// What a run of the log would stumble over, and the classes of its truth.
+/// What a run of the log would stumble over, and the classes of its boxes.
 ///
 /// # Errors
 /// A log that cannot be read.
 pub(crate) fn problems(log: &Log) -> Result<(Vec<String>, Classes), LogError> {
     let (mut problems, mut unusable) = (Vec::new(), Vec::new());
-    let (mut agents, mut classes) = (Vec::new(), Classes::new());
+    let (mut agents, mut classes) = (Vec::new(), Classes::default());
     let mut is_readable = true;
     for agent in &log.info().agents {
         let mut times = AgentTimes {
@@ -98,7 +104,7 @@ struct Looked {
 }
 
 /// Looks at a stream, or at its first message: stamps of two values, boxes that no object can have, and the first message that
-/// cannot be read, is there twice or starts again. Classes of ground truth are counted.
+/// cannot be read, is there twice or starts again. Classes of ground truth and detections are counted.
 fn look(log: &Log, agent: &str, stream: Stream, only_first: bool, classes: &mut Classes) -> Result<Looked, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
     let (mut times, mut apart, mut implausible) = (Times::new(), Vec::new(), Implausible::default());
@@ -118,9 +124,15 @@ fn look(log: &Log, agent: &str, stream: Stream, only_first: bool, classes: &mut 
                 times.push([entry.stamp(), entry.ready()]);
                 apart.extend(entry.published_apart());
                 implausible.note(entry.stamp(), &boxes);
-                let truth = boxes.0.iter().filter(|_| stream == Stream::GroundTruth);
-                for object in truth {
-                    *classes.entry(object.class.to_string()).or_default() += 1;
+                let counts = match stream {
+                    Stream::GroundTruth => Some(&mut classes.truth),
+                    Stream::Detections => Some(&mut classes.detections),
+                    _ => None,
+                };
+                if let Some(counts) = counts {
+                    for object in &boxes.0 {
+                        *counts.entry(object.class.to_string()).or_default() += 1;
+                    }
                 }
                 if only_first {
                     break true;

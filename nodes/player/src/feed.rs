@@ -410,8 +410,10 @@ impl Feed {
         for (agent, sweeps) in unjoined {
             self.script.counters.add(&TRUTH_NOT_JOINED, &agent, sweeps, sweeps);
         }
-        for (agent, missing) in self.gaps.end(Some(&self.agents[0])) {
-            self.count_missing(&agent, missing);
+        for (agent, Missing { sweeps, place }) in self.gaps.end(Some(&self.agents[0])) {
+            self.script
+                .counters
+                .lost(&SWEEPS_MISSING, &agent, sweeps, sweeps, || place);
         }
         self.count_bare();
         for (agent, n) in self.script.log.limited_intensities() {
@@ -574,12 +576,6 @@ impl Feed {
         let found = || format!("its body tilts by up to {:.2}°", level.tilt);
         self.script.counters.lost(&LEVELLED, &entry.agent, 1, 1, found);
         level.attitudes.sweeps.cloud(entry.stamp(), cloud)
-    }
-
-    fn count_missing(&self, agent: &Name, Missing { sweeps, place }: Missing) {
-        self.script
-            .counters
-            .lost(&SWEEPS_MISSING, agent, sweeps, sweeps, || place);
     }
 
     /// Sends a sweep and its truth; without `cloud` the truth alone.

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use realo_operator::{Loss, Meaning, Share};
 
 use crate::cooperation::sent_and_kept;
-use crate::notes::{RADIO_ALONE, RUNS_ALONE, sentence};
+use crate::notes::{INVALID_TRUTH, RADIO_ALONE, RUNS_ALONE, sentence};
 use crate::result::LOG_CUT;
 use crate::{NodeSummary, RunResult};
 
@@ -47,7 +47,7 @@ pub fn named_counters() -> BTreeSet<&'static str> {
     let others = OF_SCORES
         .iter()
         .chain(&OF_TWO_AGENTS)
-        .chain(&[LOG_CUT, RUNS_ALONE, RADIO_ALONE]);
+        .chain(&[INVALID_TRUTH, LOG_CUT, RUNS_ALONE, RADIO_ALONE]);
     causes.chain(others).copied().collect()
 }
 

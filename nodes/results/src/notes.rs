@@ -17,6 +17,8 @@ const CUT_NAMED: usize = 5;
 const AGENTS_NAMED: usize = 5;
 /// The player's counter of runs in which nobody may cooperate.
 pub(crate) const RUNS_ALONE: &str = "runs_alone";
+/// The player's counter of objects of the truth that no object can be.
+pub(crate) const INVALID_TRUTH: &str = "invalid_truth";
 /// The radio's counter of runs in which nothing came of other agents.
 pub(crate) const RADIO_ALONE: &str = "alone";
 /// Characters of a counter's words: those of plug-ins may be of any length.
@@ -64,7 +66,7 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
         let mut said = Vec::new();
         if strange > 0 {
             let mut classes: Vec<(&String, &u64)> = dropped.classes.iter().collect();
-            classes.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+            classes.sort_by_key(|(_, count)| Reverse(**count));
             let classes: Vec<String> = classes
                 .iter()
                 .map(|(class, count)| format!("`{}` ({})", plain(&file::shown(class)), grouped(**count)))
@@ -119,7 +121,7 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
 /// Whether the player counted objects of the truth that no object can be: their note is that counter's.
 fn names_invalid_truth(result: &RunResult) -> bool {
     let mut losses = result.nodes.values().flat_map(|node| node.losses.iter());
-    losses.any(|(counter, loss)| counter == "invalid_truth" && loss.count() > 0)
+    losses.any(|(counter, loss)| counter == INVALID_TRUTH && loss.count() > 0)
 }
 
 /// A loss at a node: whose, how many, why, what to try.
@@ -154,7 +156,7 @@ pub(crate) fn sentence(node: &str, loss: &Loss) -> String {
 /// Whom something was lost of; most first.
 fn agents_of(loss: &Loss) -> Vec<(&str, Share)> {
     let mut agents: Vec<(&str, Share)> = loss.worth_a_note().collect();
-    agents.sort_by_key(|(_, share)| std::cmp::Reverse(share.count));
+    agents.sort_by_key(|(_, share)| Reverse(share.count));
     agents
 }
 

@@ -334,20 +334,23 @@ impl RunResult {
         let boxes = self.dropped_truths.as_ref().map_or(0, |dropped| dropped.invalid);
         faults
             .map(Loss::count)
-            .fold(boxes + self.unknown_truths(), u64::saturating_add)
+            .fold(boxes + self.unknown_classes(), u64::saturating_add)
     }
 
-    /// Objects of the ground truth of classes that the protocol does not score, where it scores none of all.
-    fn unknown_truths(&self) -> u64 {
+    /// Objects of the ground truth, and detections, of classes that the protocol does not score, where it scores none of all.
+    fn unknown_classes(&self) -> u64 {
         let counts = self
             .accuracy
             .iter()
             .flat_map(|accuracy| accuracy.sorted.counts.values());
-        let is_scored = counts.flat_map(BTreeMap::values).any(|counts| counts.total > 0);
-        match &self.dropped_truths {
+        let counts = || counts.clone().flat_map(BTreeMap::values);
+        let objects = counts().any(|counts| counts.total > 0);
+        let detections = counts().any(|counts| counts.true_positives + counts.false_positives > 0);
+        let unknown = |dropped: &Option<Dropped>, is_scored: bool| match dropped {
             Some(dropped) if !is_scored => dropped.classes.values().sum(),
             _ => 0,
-        }
+        };
+        unknown(&self.dropped_truths, objects) + unknown(&self.dropped_detections, detections)
     }
 
     /// Fills in all that follows from the samples and from what was counted: scores, ages and notes.
@@ -377,7 +380,11 @@ impl RunResult {
         self.in_no_view = scores.in_no_view;
         let unscored = notes::unscored(self);
         // A table without any score says so before all else.
-        let at = if self.unknown_truths() > 0 { 0 } else { self.notes.len() };
+        let at = if self.unknown_classes() > 0 {
+            0
+        } else {
+            self.notes.len()
+        };
         self.notes.splice(at..at, unscored);
         if scores.boxes_without_truth > 0 {
             let n = scores.boxes_without_truth;

@@ -1,4 +1,4 @@
-//! Profiles in a word: `delay_ms=100,loss=0.05`, and changes of a profile: `paper,boxes.loss=0.05`.
+//! Profiles in a word: `delay_ms=90,loss=0.05`, and changes of a profile: `paper,boxes.loss=0.05`.
 
 use std::path::Path;
 

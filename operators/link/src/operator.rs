@@ -126,7 +126,7 @@ impl Describe for Link {
     const ARGUMENTS: &'static [Argument] = &[
         Argument {
             name: "profile",
-            about: "channel model: perfect, paper, a .toml or .yml file, or settings: delay_ms=100,loss=0.05",
+            about: "channel model: perfect, paper, a .toml or .yml file, or settings: delay_ms=90,loss=0.05",
         },
         Argument {
             name: "range_m",

@@ -100,7 +100,7 @@ pub enum ProfileError {
     /// Neither a built-in name nor a file's.
     #[error(
         "unknown link profile `{name}`{hint}; built in: {}; or a file that ends in .toml, .yml or .yaml, or settings: \
-         delay_ms=100,loss=0.05",
+         delay_ms=90,loss=0.05",
         names()
     )]
     Unknown {
@@ -155,7 +155,7 @@ fn names() -> String {
 
 impl Profile {
     /// A built-in profile, one from a TOML or YAML file, or settings in a word, also behind one of these:
-    /// `delay_ms=100,loss=0.05`, `paper,loss=0.05`.
+    /// `delay_ms=90,loss=0.05`, `paper,loss=0.05`.
     ///
     /// # Errors
     /// [`ProfileError`] names the file, the field and what was expected.

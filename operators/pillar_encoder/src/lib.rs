@@ -7,6 +7,7 @@
 //!
 //! | counter | meaning |
 //! |---|---|
+//! | `empty_sweeps` | sweeps without a point in the model's volume |
 //! | `nan_points`, `out_of_range_points` | points that are no numbers, or outside the model's volume |
 //! | `over_points`, `over_pillars` | points beyond what a pillar takes, or of pillars beyond what a sweep may have |
 //!
@@ -72,6 +73,13 @@ pub struct PillarEncoder {
 const CLOUDS: PortId = PortId(0);
 const FEATURES: PortId = PortId(0);
 
+const EMPTY_SWEEPS: Counter = Counter::log_fault(
+    "empty_sweeps",
+    "sweeps that have no point in the model's grid, so that nothing can be found in them",
+    "sweeps have no point in the range of the model, so that nothing was found in them",
+    "where the log has detections in place of points, play these (`--recorded-detections`); else points are expected in metres, in \
+     the body frame of their agent (docs/log-format.md)",
+);
 const NAN_POINTS: Counter = Counter::plain("nan_points", "points left out: not finite");
 const OUT_OF_RANGE_POINTS: Counter = Counter::plain("out_of_range_points", "points left out: outside the model's grid");
 const OVER_POINTS: Counter = Counter::plain(
@@ -110,7 +118,7 @@ impl Describe for PillarEncoder {
     const INPUTS: &'static [Port] =
         &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the agent's body frame").latest()];
     const OUTPUTS: &'static [Port] = &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps")];
-    const COUNTERS: &'static [Counter] = &[NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS];
+    const COUNTERS: &'static [Counter] = &[EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS];
     const DECIDED: &'static [(Decided, &'static str)] = &[
         (Decided::Model, "model"),
         (Decided::Isa, "isa"),
@@ -143,6 +151,15 @@ impl Operator for PillarEncoder {
         let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
         let (map, dropped) = self.encode(&cloud, out.steps())?;
         let agent = header.agent.clone();
+        let unusable = dropped.not_finite + dropped.out_of_range;
+        let is_empty = unusable == cloud.len() as u64;
+        out.count_of(&EMPTY_SWEEPS, &agent, u64::from(is_empty), 1);
+        if is_empty {
+            out.found(&EMPTY_SWEEPS, &agent, || match cloud.len() {
+                0 => "the first has no points".into(),
+                all => format!("the first has {all} points, all beyond the range or not finite"),
+            });
+        }
         out.count(&NAN_POINTS, &agent, dropped.not_finite);
         out.count(&OUT_OF_RANGE_POINTS, &agent, dropped.out_of_range);
         out.count(&OVER_POINTS, &agent, dropped.over_points);

@@ -134,12 +134,14 @@ fn modules(printed: &str) -> String {
     match (&names[..], &wanted[..]) {
         ([], _) => format!("ok   Python plug-ins: {there}"),
         (_, []) => format!(
-            "note Python plug-ins: {there}; {}: `pip install CHECKOUT/python`; only plug-ins in Python need it",
-            missing.join("; ")
+            "note Python plug-ins: {there}; {}: `{} -m pip install CHECKOUT/python`; only plug-ins in Python need it",
+            missing.join("; "),
+            realo_host::python()
         ),
         _ => format!(
-            "note Python plug-ins: {there}; {} cannot be imported: `python3 -m pip install {}`; only plug-ins in Python need them",
+            "note Python plug-ins: {there}; {} cannot be imported: `{} -m pip install {}`; only plug-ins in Python need them",
             wanted.join(" and "),
+            realo_host::python(),
             wanted.join(" ")
         ),
     }

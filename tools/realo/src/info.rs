@@ -1,5 +1,6 @@
 //! `realo info`: what a log or a recording holds.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use eyre::Result;
@@ -29,12 +30,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
             println!("{}", serde_json::to_string_pretty(&described)?);
         } else {
             println!("{described}");
-            if let Some(Dropped { words, is_all }) = &dropped {
+            for Dropped { words, is_all } in &dropped {
                 let head = if *is_all { "PROBLEM:" } else { "dropped  " };
                 println!("  {head} {words}");
             }
         }
-        let scores_nothing = dropped.is_some_and(|dropped| dropped.is_all);
+        let scores_nothing = dropped.iter().any(|dropped| dropped.is_all);
         if described.truncated().is_some() || described.has_problems() || scores_nothing {
             outcome = Outcome::Partial;
         }
@@ -42,35 +43,43 @@ pub fn main(args: &Args) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// Objects of the ground truth that the log's protocol leaves out.
+/// Boxes of a log that its protocol leaves out.
 struct Dropped {
     words: String,
-    /// Whether these are all objects, so that nothing is scored.
+    /// Whether these are all boxes, so that nothing is scored.
     is_all: bool,
 }
 
-/// What the log's protocol leaves out, by class; `None` if it scores all classes, or the log has problems that must be solved
-/// first.
-fn dropped_classes(described: &Described) -> Option<Dropped> {
-    let Described::Log(log) = described else { return None };
-    let protocol = Protocol::load(&log.info.protocol).ok()?;
+/// What the log's protocol leaves out of the ground truth and of recorded detections, by class; nothing if it scores all classes, or
+/// the log has problems that must be solved first.
+fn dropped_classes(described: &Described) -> Vec<Dropped> {
+    let Described::Log(log) = described else {
+        return Vec::new();
+    };
+    let Ok(protocol) = Protocol::load(&log.info.protocol) else {
+        return Vec::new();
+    };
     if !log.problems.is_empty() {
-        return None;
+        return Vec::new();
     }
-    let classes = &log.truth_classes;
-    let dropped = classes.iter().filter(|(class, _)| protocol.class_of(class).is_none());
-    let dropped: Vec<String> = dropped
-        .map(|(class, n)| format!("`{}` {n}", class.escape_debug()))
-        .collect();
-    let all: u64 = classes.values().sum();
-    (!dropped.is_empty()).then(|| Dropped {
-        words: format!(
-            "of {all} boxes of ground truth, classes that protocol `{}` does not score: {}; rename them, or choose another protocol",
-            log.info.protocol,
-            dropped.join(", ")
-        ),
-        is_all: dropped.len() == classes.len(),
-    })
+    let of = |what: &str, classes: &BTreeMap<String, u64>| {
+        let dropped = classes.iter().filter(|(class, _)| protocol.class_of(class).is_none());
+        let dropped: Vec<String> = dropped
+            .map(|(class, n)| format!("`{}` {n}", class.escape_debug()))
+            .collect();
+        let all: u64 = classes.values().sum();
+        (!dropped.is_empty()).then(|| Dropped {
+            words: format!(
+                "of {all} {what}, classes that protocol `{}` does not score: {}; rename them, or choose another protocol",
+                log.info.protocol,
+                dropped.join(", ")
+            ),
+            is_all: dropped.len() == classes.len(),
+        })
+    };
+    let truth = of("boxes of ground truth", &log.truth_classes);
+    let detections = of("recorded detections", &log.detection_classes);
+    truth.into_iter().chain(detections).collect()
 }
 
 #[cfg(test)]

@@ -128,7 +128,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     };
     let checkout = run::checkout().ok_or_else(|| {
-        eyre!("expected the checkout of realo, whose code plug-ins use, above this program or the current folder, found none")
+        eyre!("expected the checkout of realo, whose code plug-ins use, above this program, above the current folder, or where this program was built; found none")
     })?;
     let name = args.name.file_name().unwrap_or_default().to_string_lossy();
     check_name(&name)?;
@@ -142,7 +142,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
     }
     if args.python {
         println!(
-            "Python needs numpy and pyarrow (`python3 -m pip install numpy pyarrow`; `{} doctor` looks)",
+            "Python needs numpy and pyarrow (`{} -m pip install numpy pyarrow`; `{} doctor` looks)",
+            realo_host::python(),
             called()
         );
     }
@@ -196,7 +197,10 @@ fn commands(template: &Template, folder: &Path, name: &str, checkout: &Path, pyt
     if python {
         let module = name.replace('-', "_");
         return [
-            format!("PYTHONPATH={checkout}/python python3 -m unittest discover -s {folder}"),
+            format!(
+                "PYTHONPATH={checkout}/python {} -m unittest discover -s {folder}",
+                realo_host::python()
+            ),
             run(&format!("{folder}/{module}.py")),
         ];
     }

@@ -12,7 +12,7 @@ use realo_training::{Data, FRAMES_APART, MAX_GAP_MS, TrainError, frames, quantiz
 use crate::Outcome;
 use crate::progress::Progress;
 use crate::run::find_model;
-use crate::train::{left_out_lines, scores, seeds};
+use crate::train::{print_left_out, scores, seeds};
 
 /// Finds what bytes stand for in each layer, on simulated frames or logs; says how much AP they cost
 #[derive(clap::Args)]
@@ -66,7 +66,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         false => frames(&logged(&args.validation_log))?,
     };
     let frames = frames(&data)?;
-    left_out_lines(&left_out_once(&*frames, &*validation));
+    print_left_out(&left_out_once(&*frames, &*validation));
     // Both networks are scored on the frames of the validation.
     let all = frames.len() + 2 * validation.len();
     let work = Arc::new(Work {

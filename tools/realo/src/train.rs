@@ -1,6 +1,6 @@
 //! `realo train`: the detector, or V2X-ViT's fusion behind one, on the CPU.
 
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 use std::path::PathBuf;
 
 use eyre::{Result, bail};
@@ -15,7 +15,7 @@ use realo_training::{
 
 use crate::Outcome;
 use crate::progress::Progress;
-use crate::run::find_model;
+use crate::run::{find_model, signals};
 
 /// Trains a model on frames drawn straight from simulator seeds, or from logs with ground truth
 #[derive(clap::Args)]
@@ -99,32 +99,44 @@ const TUNING_RATE: f64 = 5e-4;
 /// Mean AP that is lost in silence, for it is not shown.
 const ROUNDING: f64 = 5e-4;
 
-/// Trains and says where the results are.
+/// Trains and says where the results are. A signal ends the training after its step, for a later one that resumes.
 pub fn main(args: &Args) -> Result<Outcome> {
+    signals::catch()?;
     let progress = Progress::new("preparing to train", "", None);
     let mut begun = false;
     let options = args.options()?;
-    let trained = train_with(&options, |news| match news {
-        News::LeftOut(left_out) => progress.beside(|| left_out_lines(left_out)),
-        News::Before(before) => progress.beside(|| println!("{}", opening(before))),
-        News::Step(far) => {
-            if !std::mem::replace(&mut begun, true) {
-                progress.rename("training", "steps");
-                progress.begin(far.point.step as f64, far.steps as f64);
+    let trained = train_with(&options, |news| {
+        match news {
+            News::LeftOut(left_out) => progress.beside(|| print_left_out(left_out)),
+            News::Before(before) => progress.beside(|| println!("{}", opening(before))),
+            News::Step(far) => {
+                if !std::mem::replace(&mut begun, true) {
+                    signals::begin();
+                    progress.rename("training", "steps");
+                    progress.begin(far.point.step as f64, far.steps as f64);
+                }
+                show(&progress, far);
             }
-            show(&progress, far);
+        }
+        match signals::first() {
+            Some(_) => ControlFlow::Break(()),
+            None => ControlFlow::Continue(()),
         }
     })?;
     progress.finish();
     print!("{}", summary(&trained, args.log.is_empty()));
-    Ok(match trained.complete {
-        true => Outcome::Complete,
-        false => Outcome::Partial,
+    Ok(match (trained.complete, signals::first()) {
+        (true, _) => Outcome::Complete,
+        (false, Some(ending)) => {
+            eprintln!("realo: ended by {ending}; --resume goes on from there");
+            Outcome::Ended(ending.number())
+        }
+        (false, None) => Outcome::Partial,
     })
 }
 
 /// Says what of logs is not learnt from.
-pub(crate) fn left_out_lines(left_out: &[LeftOut]) {
+pub(crate) fn print_left_out(left_out: &[LeftOut]) {
     for line in left_out {
         eprintln!("realo: {line}");
     }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, Once, PoisonError};
 
-use crate::run::{Ending, wanted_signals};
+use crate::run::signals::{self, Ending};
 
 /// How names of unfinished files end: of a log, and of packets on their way to one.
 const UNFINISHED: [&str; 2] = [".partial", ".packets"];
@@ -32,7 +32,7 @@ pub fn end_with_signals(target: &Path) {
     static CAUGHT: Once = Once::new();
     note(target);
     CAUGHT.call_once(|| {
-        let Ok(mut signals) = wanted_signals() else { return };
+        let Ok(mut signals) = signals::wanted() else { return };
         let wait = move || {
             let Some(signal) = signals.forever().next() else {
                 return;

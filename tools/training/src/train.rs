@@ -4,6 +4,7 @@ mod source;
 mod time;
 mod training;
 
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -137,7 +138,7 @@ pub enum News<'a> {
     Step(&'a Progress<'a>),
 }
 
-type Observer<'a> = dyn FnMut(&News) + Send + 'a;
+type Observer<'a> = dyn FnMut(&News) -> ControlFlow<()> + Send + 'a;
 
 /// Trains until the last step or the end of the time.
 ///
@@ -148,14 +149,18 @@ pub fn train(options: &TrainOptions, mut progress: impl FnMut(&Progress) + Send)
         if let News::Step(far) = news {
             progress(far);
         }
+        ControlFlow::Continue(())
     })
 }
 
-/// As [`train`]; `observer` hears all that there is to say.
+/// As [`train`]; `observer` hears all that there is to say, and may end the training after a step, for a later run that resumes.
 ///
 /// # Errors
 /// As [`train`].
-pub fn train_with(options: &TrainOptions, mut observer: impl FnMut(&News) + Send) -> Result<Trained, TrainError> {
+pub fn train_with(
+    options: &TrainOptions,
+    mut observer: impl FnMut(&News) -> ControlFlow<()> + Send,
+) -> Result<Trained, TrainError> {
     check(options)?;
     keep_freed_pages();
     let pool = rayon::ThreadPoolBuilder::new()
@@ -166,7 +171,7 @@ pub fn train_with(options: &TrainOptions, mut observer: impl FnMut(&News) + Send
         true => {
             let (options, before) = fitted(options, &mut observer)?;
             // What is left out was said.
-            Training::new(&options, &mut |_| ())?.run(before, &mut observer)
+            Training::new(&options, &mut |_| ControlFlow::Continue(()))?.run(before, &mut observer)
         }
         false => {
             let training = Training::new(options, &mut observer)?;

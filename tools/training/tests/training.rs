@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::ops::ControlFlow;
 use std::os::unix::fs::symlink;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -292,13 +293,44 @@ fn weights_beside_the_model_file_are_scored_before_the_first_step_where_they_are
         ..folder.options("truck", "second")
     };
     let mut news = Vec::new();
-    let trained = train_with(&again, |said| match said {
-        News::Before(before) => news.push(Some((*before).clone())),
-        _ => news.push(None),
+    let trained = train_with(&again, |said| {
+        news.push(match said {
+            News::Before(before) => Some((*before).clone()),
+            _ => None,
+        });
+        ControlFlow::Continue(())
     });
     let before = trained.unwrap().comparison.and_then(|found| found.before);
     assert!(before.as_ref().is_some_and(|before| !before.begins), "{before:?}");
     assert_eq!(news, [before, None, None]);
+}
+
+#[test]
+fn a_training_that_is_ended_after_a_step_goes_on_where_it_was() {
+    let folder = Folder::new();
+    for fit_steps in [false, true] {
+        let out = format!("ended-{fit_steps}");
+        let options = TrainOptions {
+            fit_steps,
+            minutes: fit_steps.then_some(0.05),
+            ..folder.options("truck", &out)
+        };
+        let ended = train_with(&options, |said| match said {
+            News::Step(_) => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
+        });
+        let ended = ended.unwrap();
+        assert_eq!(ended.steps, 1, "{ended:?}");
+        // Into a time in which the machine does no more, one step is fitted.
+        assert_eq!(ended.complete, ended.of_steps == 1, "{ended:?}");
+        let again = TrainOptions {
+            resume: true,
+            ..options
+        };
+        let mut first = None;
+        let trained = train(&again, |far| _ = first.get_or_insert(far.point.step)).unwrap();
+        assert!(trained.complete && (first == Some(1) || ended.complete), "{trained:?}");
+    }
 }
 
 #[test]

@@ -79,8 +79,16 @@ fn plug_in(node: &FlatNode, answer: Answer, findings: &mut Findings) -> Option<&
     match answer {
         Some(Ok(registration)) => return Some(registration),
         Some(Err(reason)) => {
-            let mend = "build it, or correct the path, which is seen from the graph's folder";
-            findings.node(Severity::Error, node, "a program that hosts an operator", reason, mend);
+            let mend = "mend it, or name another program";
+            // The finding names the node.
+            let own = reason.strip_prefix(&format!("node `{}`: ", node.id)).unwrap_or(&reason);
+            findings.node(
+                Severity::Error,
+                node,
+                "a program that hosts an operator",
+                own.into(),
+                mend,
+            );
         }
         None => {
             let mend = "its ports are not known without starting it";

@@ -661,7 +661,7 @@ fn other_programs_are_noted_and_plug_ins_asked() {
     assert_eq!(paths, ["bin/mine"]);
     assert_eq!(found.len(), 1, "{found:?}");
     assert!(found[0].starts_with("note: node `mine`") && found[0].contains("without starting it"));
-    let (found, _) = asked(plug_in, Some(Err("it said nothing".into())));
+    let (found, _) = asked(plug_in, Some(Err("node `mine`: it said nothing".into())));
     assert_eq!(found.len(), 1, "{found:?}");
     assert!(
         found[0].starts_with("error: node `mine`: expected a program that hosts an operator, found it said nothing"),

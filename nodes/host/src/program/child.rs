@@ -95,7 +95,11 @@ impl Child {
         let guard = guard.map_err(|error| format!("node `{node}`: cannot start sh, which ends plug-ins: {error}"))?;
         guard.lead(&mut command);
         let spawned = command.spawn();
-        let mut process = spawned.map_err(|error| format!("node `{node}`: cannot start {program}: {error}"))?;
+        let mut process = spawned.map_err(|error| {
+            format!(
+                "node `{node}`: cannot start {program}: {error}; build it, or correct the path, which is seen from the graph's folder"
+            )
+        })?;
         let (Some(mut stdin), Some(mut stdout), Some(stderr)) =
             (process.stdin.take(), process.stdout.take(), process.stderr.take())
         else {
@@ -179,7 +183,9 @@ impl Child {
             }
             Err(RecvTimeoutError::Timeout) => Err(format!("nothing within {} s", patience.as_secs())),
             Err(RecvTimeoutError::Disconnected) => {
-                return Err(format!("{}; {MEND}", self.farewell("before it declared its ports")));
+                let reason = self.farewell("before it declared its ports");
+                let mend = missing_module(&reason).unwrap_or(MEND.into());
+                return Err(format!("{reason}; {mend}"));
             }
         };
         frame.map_err(|found| {
@@ -369,7 +375,13 @@ impl Child {
             std::thread::sleep(Duration::from_millis(2));
         }
         let said = self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        match String::from_utf8_lossy(&said).trim() {
+        let said = String::from_utf8_lossy(&said);
+        let said = match self.registration.name {
+            // Whoever starts it sees all of it above.
+            "" => said.trim().lines().next_back().unwrap_or_default(),
+            _ => said.trim(),
+        };
+        match said {
             "" => format!("{known}; it said nothing on standard error"),
             said => format!("{known}; it said on standard error: {said}"),
         }
@@ -409,6 +421,20 @@ impl AnyOperator for Child {
         self.dismiss()?;
         ended
     }
+}
+
+/// What to do about a module that Python does not find, if that is what a program said last.
+fn missing_module(said: &str) -> Option<String> {
+    let (_, rest) = said.split_once("ModuleNotFoundError: No module named '")?;
+    let (module, _) = rest.split_once('\'')?;
+    let package = module.split('.').next().unwrap_or(module);
+    let python = super::python();
+    Some(match package {
+        "realo_operator" | "realo_geometry" => {
+            format!("it lies in `python/` of a checkout of realo: `{python} -m pip install CHECKOUT/python`")
+        }
+        _ => format!("`{python} -m pip install {package}` installs it; `realo doctor` says for which Python"),
+    })
 }
 
 /// Passes on what a program says on standard error, and keeps the end of it.

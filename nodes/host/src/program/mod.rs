@@ -127,8 +127,8 @@ impl Program {
     }
 }
 
-/// The interpreter on `PATH`, under the name that dora tries first.
-fn python() -> &'static str {
+/// The name of the interpreter on `PATH` that plug-ins in Python are started by: the one that dora tries first.
+pub fn python() -> &'static str {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let there = std::env::split_paths(&path).any(|folder| folder.join("python").is_file());
     if there { "python" } else { "python3" }

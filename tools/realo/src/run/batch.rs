@@ -9,7 +9,11 @@ use realo_results::Run;
 
 use super::folders::Folders;
 use super::prepare::Cell;
-use super::{Mode, realtime, replay, resume, signals};
+use super::signals::{self, Ending};
+use super::{Mode, realtime, replay, resume};
+
+/// Names that a note has at most.
+const NAMED: usize = 5;
 
 /// A log, or a run over it, that failed.
 #[derive(Debug)]
@@ -44,8 +48,10 @@ pub struct Batch {
     /// Numbers of the cells that an earlier batch brought to their end.
     taken: BTreeSet<usize>,
     failed: Vec<Failed>,
-    /// Names of those that a signal kept from their end.
+    /// Names of those that a signal kept from results.
     unfinished: Vec<String>,
+    /// Those that a signal ended after they had results, with how far they came.
+    cut_short: Vec<String>,
 }
 
 /// Why a run that a signal ended gave no results.
@@ -89,6 +95,7 @@ impl Batch {
             taken: BTreeSet::new(),
             failed,
             unfinished: Vec::new(),
+            cut_short: Vec::new(),
         })
     }
 
@@ -165,9 +172,25 @@ impl Batch {
         if failed.len() == self.cells.len() {
             return Err(unfinished.unwrap_or_else(|| all_failed(std::mem::take(&mut self.failed))));
         }
-        let done = (0..self.cells.len()).filter(|number| !failed.contains(number));
-        let done = done.map(|number| realo_results::read_run(&self.cells[number].out));
-        Ok(done.collect::<Result<_, _>>()?)
+        let done = self
+            .cells
+            .iter()
+            .enumerate()
+            .filter(|(number, _)| !failed.contains(number));
+        let mut runs = Vec::new();
+        for (_, cell) in done {
+            let run = realo_results::read_run(&cell.out)?;
+            if run.result.ended_by.is_some() {
+                let sweeps = run.result.frames.total as usize;
+                self.cut_short.push(format!(
+                    "{} after {} of its ego",
+                    cell.name,
+                    count(sweeps, "sweep", "sweeps")
+                ));
+            }
+            runs.push(run);
+        }
+        Ok(runs)
     }
 
     /// Whether something is missing from what the runs came to, because of a log.
@@ -175,39 +198,67 @@ impl Batch {
         !self.failed.is_empty() || self.cells.iter().any(|cell| cell.truncated)
     }
 
-    /// Whether a signal kept a run from its end.
-    pub fn has_unfinished(&self) -> bool {
-        !self.unfinished.is_empty()
+    /// The signal that kept a run from its end.
+    pub fn ended_by(&self) -> Option<Ending> {
+        let all_ended = self.unfinished.is_empty() && self.cut_short.is_empty();
+        signals::first().filter(|_| !all_ended)
     }
 
-    /// What was not played, for who reads the results; nothing where all was.
+    /// What was not played, or not to its end, for who reads the results; nothing where all was.
     pub fn notes(&self) -> Vec<String> {
         let names: Vec<&str> = self.failed.iter().map(|failed| failed.name.as_str()).collect();
         let failed = (!names.is_empty()).then(|| {
             format!(
                 "{} could not be played and {} not in these numbers: {}",
                 count(names.len(), "run or log", "runs or logs"),
-                if names.len() == 1 { "is" } else { "are" },
+                are(names.len()),
                 names.join("; ")
             )
         });
-        let ending = signals::first().filter(|_| !self.unfinished.is_empty());
-        let unfinished = ending.map(|ending| {
-            format!(
-                "{} of {} had not come to the end of the log when {ending} ended the batch, and {} not in these numbers; the same \
-                 command with --resume goes on",
-                self.unfinished.len(),
-                count(self.cells.len(), "run", "runs"),
-                if self.unfinished.len() == 1 { "is" } else { "are" },
-            )
+        let of_signal = self.ended_by().map(|ending| {
+            let all = count(self.cells.len(), "run", "runs");
+            let cut_short = (!self.cut_short.is_empty()).then(|| match self.cells.len() {
+                1 => format!(
+                    "{ending} ended the run early: these numbers are of what was played until then, {}",
+                    few(&self.cut_short)
+                ),
+                _ => format!(
+                    "of {all} {} ended by {ending} early, with what was played until then in these numbers: {}",
+                    are(self.cut_short.len()),
+                    few(&self.cut_short)
+                ),
+            });
+            let unfinished = (!self.unfinished.is_empty()).then(|| {
+                format!(
+                    "{} of {all} had not come to the end of the log when {ending} ended the batch, and {} not in these numbers; the \
+                     same command with --resume goes on: {}",
+                    self.unfinished.len(),
+                    are(self.unfinished.len()),
+                    few(&self.unfinished)
+                )
+            });
+            cut_short.into_iter().chain(unfinished)
         });
-        failed.into_iter().chain(unfinished).collect()
+        of_signal.into_iter().flatten().chain(failed).collect()
     }
 
     /// The same with the reasons, a line for each.
     pub fn reasons(&self) -> Vec<String> {
         self.failed.iter().map(in_words).collect()
     }
+}
+
+/// The first few names, and how many more there are.
+fn few(names: &[String]) -> String {
+    let first = names[..names.len().min(NAMED)].join("; ");
+    match names.len().saturating_sub(NAMED) {
+        0 => first,
+        more => format!("{first} and {more} more"),
+    }
+}
+
+fn are(number: usize) -> &'static str {
+    if number == 1 { "is" } else { "are" }
 }
 
 fn count(number: usize, one: &str, several: &str) -> String {

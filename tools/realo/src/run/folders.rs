@@ -21,6 +21,8 @@ const RECORDED: &str = "mcap";
 const FAILED: &str = "failed.mcap";
 /// Where an earlier run's files lie while another one runs.
 const ASIDE: &str = ".earlier";
+/// Where an earlier run's files stay if it came to its end and the one after it did not.
+const COMPLETE: &str = "complete-run-before";
 /// Is locked while a run writes to the folder.
 const LOCK: &str = ".running";
 /// Processes of a run that was killed may still end, and hold its lock so long.
@@ -105,12 +107,12 @@ impl Folders {
         Ok(())
     }
 
-    /// The runs have ended: what those that succeeded wrote stays, what was there before goes.
+    /// The runs have ended: what those that succeeded wrote stays. What was there before goes, unless it is of a run that came to
+    /// its end and a signal ended the one after it: that is kept in a folder of its own.
     pub fn keep_new(&mut self) {
         let succeeded = |folder: &mut PathBuf| folder.join(RESULT_FILE).exists();
-        for folder in self.claimed.extract_if(.., succeeded) {
-            let _ = fs::remove_dir_all(folder.join(ASIDE));
-        }
+        let new: Vec<PathBuf> = self.claimed.extract_if(.., succeeded).collect();
+        settle(&new);
     }
 
     fn make(&mut self, folder: &Path) -> Result<()> {
@@ -166,6 +168,43 @@ fn restore(from: &Path, to: &Path) {
     let _ = fs::remove_dir(from);
 }
 
+/// Ends what was put aside in folders that have a new result, or are around one, and says where complete results are kept.
+fn settle<P: AsRef<Path>>(folders: &[P]) {
+    let kept: Vec<PathBuf> = folders.iter().filter_map(|folder| replace(folder.as_ref())).collect();
+    if let Some(first) = kept.first() {
+        eprintln!(
+            "realo: the results of the run before, which came to its end, are kept in {}",
+            first.display()
+        );
+    }
+}
+
+/// Ends what was put aside in a folder; gives where it is kept.
+fn replace(folder: &Path) -> Option<PathBuf> {
+    let (aside, kept) = (folder.join(ASIDE), folder.join(COMPLETE));
+    let (was, is) = (is_complete(&aside), is_complete(folder));
+    // A complete run takes the place of all before it.
+    let gone = match (was, is) {
+        (Some(true), Some(false)) | (_, Some(true)) => kept.join(RESULT_FILE).exists().then_some(&kept),
+        _ => None,
+    };
+    let _ = gone.map(fs::remove_dir_all);
+    match (was, is) {
+        (Some(true), Some(false)) if fs::rename(&aside, &kept).is_ok() => Some(kept),
+        _ => {
+            let _ = fs::remove_dir_all(aside);
+            None
+        }
+    }
+}
+
+/// Whether the run whose result a folder has came to the end of its log; `None` without a result that can be read.
+fn is_complete(folder: &Path) -> Option<bool> {
+    let text = fs::read(folder.join(RESULT_FILE)).ok()?;
+    let result: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    Some(result.get("ended_by").is_none())
+}
+
 impl Drop for Folders {
     fn drop(&mut self) {
         // Outer folders hold the sum of those in them, the old sum none of a new run.
@@ -174,9 +213,7 @@ impl Drop for Folders {
             within.any(|other| other.join(RESULT_FILE).exists())
         };
         let (new, old): (Vec<_>, Vec<_>) = self.claimed.iter().partition(|folder| has_new(folder));
-        for folder in new {
-            let _ = fs::remove_dir_all(folder.join(ASIDE));
-        }
+        settle(&new);
         let put_back: Vec<_> = old.into_iter().filter(|folder| put_back(folder)).collect();
         if let Some(folder) = put_back.first() {
             eprintln!("realo: {} has the files of the run before again", folder.display());
@@ -321,6 +358,31 @@ mod tests {
         drop(folders);
         assert_eq!(names(folder), ["channels", "result.json"]);
         assert!(names(&folder.join("channels")).is_empty());
+    }
+
+    #[test]
+    fn a_complete_run_is_kept_beside_one_that_a_signal_ended_until_another_is_complete() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path();
+        write_earlier(folder);
+        let kept = folder.join(COMPLETE);
+        let ended = r#"{"schema": "realo/result", "version": 1, "ended_by": "Ctrl-C"}"#;
+        let run = |result: &str| {
+            let mut folders = Folders::default();
+            folders.claim(folder, &[folder.join(LOG)]).unwrap();
+            fs::write(folder.join(RECORDING), recorded("new")).unwrap();
+            fs::write(folder.join(RESULT_FILE), result).unwrap();
+            folders.keep_new();
+        };
+        // A second one that is ended takes the place of the first, not of the complete one.
+        for _ in 0..2 {
+            run(ended);
+            assert_eq!(fs::read_to_string(folder.join(RESULT_FILE)).unwrap(), ended);
+            assert_eq!(names(&kept), [LOG, "channels", RECORDING, "result.json", TOLD]);
+            assert_eq!(fs::read(kept.join(RECORDING)).unwrap(), recorded("earlier"));
+        }
+        run("{}");
+        assert_eq!(names(folder), ["channels", RECORDING, "result.json"]);
     }
 
     #[test]

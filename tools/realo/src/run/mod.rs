@@ -17,7 +17,7 @@ mod realtime;
 mod replace;
 mod replay;
 mod resume;
-mod signals;
+pub(crate) mod signals;
 mod tether;
 
 use std::collections::BTreeSet;
@@ -35,6 +35,7 @@ use batch::{Batch, Unfinished};
 use folders::Folders;
 use networks::Networks;
 use prepare::Cell;
+use signals::Ending;
 
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
@@ -45,7 +46,6 @@ pub(crate) use pace::{Pace, pace};
 pub use prepare::{Lane, lane};
 pub(crate) use replace::apply as replace_stages;
 pub use replay::replay;
-pub(crate) use signals::{Ending, wanted as wanted_signals};
 pub use tether::{TetheredArgs, tethered};
 
 /// Runs graphs over logs and prints what came out, side by side
@@ -98,7 +98,7 @@ pub struct Args {
 /// What changes a graph, whoever runs it.
 #[derive(clap::Args, Clone)]
 pub struct Choices {
-    /// Channel model of the links: a name, a file, or settings: delay_ms=100,loss=0.05 (docs/links.md)
+    /// Channel model of the links: a name, a file, or settings: delay_ms=90,loss=0.05 (docs/links.md)
     #[arg(long)]
     pub link: Option<String>,
     /// Agents report the detections that the log recorded
@@ -389,7 +389,7 @@ fn play<'a>(
             }
             (done, _) => done.and_then(|done| {
                 let notes = batch.notes().into_iter().chain(skipped.clone());
-                pool(args, mode, name, notes.collect(), batch.has_unfinished(), &done)
+                pool(args, mode, name, notes.collect(), batch.ended_by(), &done)
             }),
         };
         let pooled = failures.note(name, done)?;
@@ -455,14 +455,18 @@ fn ended_early(ending: Ending, mode: Mode, reason: &Report) -> String {
     }
 }
 
-/// Pools the runs of a graph, and writes what they came to; `has_unfinished`: a signal kept others from their end.
-fn pool(args: &Args, mode: Mode, name: &str, notes: Vec<String>, has_unfinished: bool, done: &[Run]) -> Result<Run> {
+/// Pools the runs of a graph, and writes what they came to; `ended_by`: a signal kept some from their end.
+fn pool(
+    args: &Args,
+    mode: Mode,
+    name: &str,
+    notes: Vec<String>,
+    ended_by: Option<Ending>,
+    done: &[Run],
+) -> Result<Run> {
     let mut pooled = realo_report::pool(done)?;
     pooled.result.notes.splice(0..0, notes);
-    // A signal that comes when all is done ends nothing.
-    let is_cut_short = has_unfinished || done.iter().any(|run| run.result.ended_by.is_some());
-    let ending = signals::first().filter(|_| is_cut_short);
-    pooled.result.ended_by = ending.map(|ending| ending.to_string());
+    pooled.result.ended_by = ended_by.map(|ending| ending.to_string());
     let dir = dir_of(args, name);
     realo_report::write_run(&dir, &pooled)?;
     if mode == Mode::Realtime {

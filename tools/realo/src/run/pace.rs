@@ -116,8 +116,7 @@ pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> R
         resume: false,
         show: Show::default(),
     };
-    let name = graph.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let batch = prepare::batch(&args, Mode::Virtual, graph, &name)?;
+    let batch = prepare::batch(&args, Mode::Virtual, graph, &prepare::stem(graph))?;
     let Some(cell) = batch.cells().first() else {
         bail!("{}: no run of it", graph.display());
     };

@@ -579,7 +579,7 @@ fn name_or_file(text: &str) -> Result<String> {
     Ok(std::path::absolute(text)?.to_string_lossy().into_owned())
 }
 
-fn stem(path: &Path) -> String {
+pub(super) fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 

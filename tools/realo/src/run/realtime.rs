@@ -93,6 +93,8 @@ fn conclude(cell: &Cell, ending: Ending, killed: bool) -> Result<()> {
         return Err(no_results(cell, "it ended before the first sweep"));
     }
     run.result.ended_by = Some(ending.to_string());
+    let note = format!("{ending} ended the run early: these numbers are of what was played until then");
+    run.result.notes.insert(0, note);
     Ok(realo_results::write_result(&cell.out, &run.result)?)
 }
 

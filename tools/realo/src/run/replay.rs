@@ -41,7 +41,7 @@ enum Said {
 /// A system without threads.
 pub fn all(cells: &[&Cell]) -> Result<Vec<Result<()>>> {
     let seconds = cells.iter().map(|cell| cell.seconds).sum();
-    let progress = Progress::new(format!("replaying {}", runs(cells.len())), "s of logs", Some(seconds));
+    let progress = Progress::new(format!("replaying {}", named(cells)), "s of logs", Some(seconds));
     let (sender, said) = channel();
     let replays: Vec<Replay> = cells.iter().map(|cell| Replay::of(cell)).collect();
     // Threads of their own: who waits here can leave a call that takes long.
@@ -99,10 +99,14 @@ fn panicked(name: &str) -> Report {
     eyre!("{name}: a stage panicked; its message is above")
 }
 
-fn runs(count: usize) -> String {
-    match count {
-        1 => "1 run".into(),
-        _ => format!("{count} runs"),
+/// The run, or how many of which graph.
+fn named(cells: &[&Cell]) -> String {
+    match cells {
+        [one] => one.name.clone(),
+        _ => {
+            let graph = cells.first().and_then(|cell| cell.name.split(',').next());
+            format!("{} runs of {}", cells.len(), graph.unwrap_or_default())
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! A training: its files, its steps, its scores.
 
 use std::fs::{File, TryLockError};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -233,14 +234,14 @@ impl<'a> Training<'a> {
     pub fn run(mut self, before: Option<Before>, observer: &mut Observer) -> Result<Trained, TrainError> {
         let time = Time::new(self.options.minutes);
         let (batches, loader) = self.recipe.clone().start(self.state.optimizer.steps);
-        self.steps(&batches, &time, before.as_ref(), observer)?;
+        let ended = self.steps(&batches, &time, before.as_ref(), observer)?.is_break();
         // The loader ends when nobody listens.
         drop(batches);
         let _ = loader.join();
         let weights = self.save(&self.state)?;
         let steps = self.state.optimizer.steps;
         // What was fitted into a time ends with it: the learning rate fell with the time.
-        let complete = steps >= self.options.steps || self.options.fit_steps;
+        let complete = steps >= self.options.steps || (self.options.fit_steps && !ended);
         if complete {
             self.write_sums()?;
         }
@@ -262,14 +263,14 @@ impl<'a> Training<'a> {
         })
     }
 
-    /// Steps until the last one or the end of the time, and says how far they are.
+    /// Steps until the last one, the end of the time or the observer's word, which it gives, and says how far they are.
     fn steps(
         &mut self,
         batches: &Receiver<Result<Batch, TrainError>>,
         time: &Time,
         before: Option<&Before>,
         observer: &mut Observer,
-    ) -> Result<(), TrainError> {
+    ) -> Result<ControlFlow<()>, TrainError> {
         let mut saved = Instant::now();
         // A step may throw the weights far away and show it only in the next one's loss, so a state waits for that.
         let mut waiting: Option<Checkpoint> = None;
@@ -293,7 +294,7 @@ impl<'a> Training<'a> {
                 self.search_decoys()?;
             }
             let steps_left = (self.options.steps - self.state.optimizer.steps) as f64 * pace.seconds;
-            observer(&News::Step(&Progress {
+            let said = observer(&News::Step(&Progress {
                 point,
                 steps: self.options.steps,
                 seconds_per_step: pace.seconds,
@@ -302,12 +303,15 @@ impl<'a> Training<'a> {
                 validations: &validations,
             }));
             validations.clear();
+            if said.is_break() {
+                return Ok(said);
+            }
             if saved.elapsed().as_secs_f64() > self.options.checkpoint_minutes * 60.0 {
                 waiting = Some(self.state.clone());
                 saved = Instant::now();
             }
         }
-        Ok(())
+        Ok(ControlFlow::Continue(()))
     }
 
     /// What is learnt in addition is measured by where it began.
@@ -424,7 +428,7 @@ impl<'a> Training<'a> {
             },
         };
         if let Some(before) = &before {
-            observer(&News::Before(before));
+            let _ = observer(&News::Before(before));
         }
         Ok(before)
     }
@@ -569,7 +573,7 @@ fn state(
 fn say_left_out(trained: &Arc<dyn Frames>, validation: &Scored, observer: &mut Observer) {
     let left_out = left_out_once(&**trained, &*validation.frames);
     if !left_out.is_empty() {
-        observer(&News::LeftOut(&left_out));
+        let _ = observer(&News::LeftOut(&left_out));
     }
 }
 
