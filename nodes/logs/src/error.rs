@@ -3,11 +3,20 @@ use std::path::{Path, PathBuf};
 
 use realo_schemas::{Nanos, to_seconds};
 
+/// What helps where the file system refuses, as the end of a sentence.
+fn advice(reason: &io::Error) -> &'static str {
+    match reason.kind() {
+        io::ErrorKind::NotFound => "; correct the path, or write a log there first (docs/log-format.md)",
+        io::ErrorKind::PermissionDenied => "; look at the file's and the folder's permissions",
+        _ => "",
+    }
+}
+
 /// Why a log could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file system refused.
-    #[error("cannot {action} `{}`: {reason}", .path.display())]
+    #[error("cannot {action} `{}`: {reason}{}", .path.display(), advice(.reason))]
     Io {
         /// The file.
         path: PathBuf,
