@@ -12,16 +12,21 @@ use serde_json::Value;
 use crate::common::{self, folder, json, realo, text};
 use crate::scene::{SWEEP, Scene, T0};
 
-/// The scene under three names.
+/// Three logs of the scene, with other poses each.
 fn logs(test: &str) -> Vec<PathBuf> {
-    let written = Scene::default().write(test);
     let to = folder(&format!("{test}-logs"));
-    let copy = |name: &str| {
+    let write = |(name, pose_hz): (&str, [i64; 2])| {
+        let scene = Scene {
+            pose_hz,
+            ..Scene::default()
+        };
         let path = to.join(format!("{name}.mcap"));
-        fs::copy(&written, &path).expect("the folder can be written");
+        fs::copy(scene.write(test), &path).expect("the folder can be written");
         path
     };
-    ["one", "two", "three"].map(copy).to_vec()
+    [("one", [20, 20]), ("two", [40, 20]), ("three", [20, 40])]
+        .map(write)
+        .to_vec()
 }
 
 fn run(logs: &[PathBuf], out: &Path, more: &[&str]) -> Output {

@@ -1,6 +1,7 @@
 //! Runs that are ended from outside, and machines that are too small.
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -54,6 +55,11 @@ impl Run {
 
     /// The same, where something is done before in its folder.
     fn start_after(name: &str, before: impl FnOnce(&Path)) -> Run {
+        Run::start_at("0.04", name, before)
+    }
+
+    /// The same at another rate.
+    fn start_at(rate: &str, name: &str, before: impl FnOnce(&Path)) -> Run {
         let log = Scene::default().write(name);
         let out = folder(name);
         before(&out);
@@ -66,7 +72,7 @@ impl Run {
                 "--ego",
                 "car",
                 "--rate",
-                "0.04",
+                rate,
             ])
             .arg("--log")
             .arg(&log)
@@ -371,8 +377,36 @@ fn a_folder_is_refused_while_nodes_write_there() {
         "{}",
         text(&second.stderr)
     );
+    // Nor into a folder in it, and what stands in them is left.
+    let before = fs::read_dir(run.out.join("life-lock/car")).expect("a folder").count();
+    for inside in ["life-lock", "life-lock/car", "new"] {
+        let second = offline(&Scene::default().write("life-lock-second"), &run.out.join(inside));
+        let said = text(&second.stderr);
+        assert!(said.contains("another run writes there now"), "{inside}: {said}");
+    }
+    let after = fs::read_dir(run.out.join("life-lock/car")).expect("a folder").count();
+    assert_eq!(before, after);
     run.signal("TERM");
     run.end();
+}
+
+#[test]
+fn a_run_that_goes_on_after_its_log_names_the_nodes_that_have_not_ended() {
+    let mut run = Run::start_at("0.5", "life-stopped", |_| {}).play();
+    let log = run.dora_log();
+    let process = log
+        .lines()
+        .find_map(|line| line.split_once("fusion: spawner spawned node with pid "));
+    let process: u32 = process.and_then(|(_, id)| id.trim().parse().ok()).expect("its id");
+    kill(process, "STOP");
+    let stderr = run.child.stderr.take().expect("it is piped");
+    let mut lines = BufReader::new(stderr).lines().map_while(Result::ok);
+    let said = lines.find(|line| line.contains("Ctrl-C ends the run"));
+    run.signal("INT");
+    let (output, _) = run.end();
+    let said = said.expect("it says what it waits for");
+    assert!(said.contains("fusion (stopped)") && !said.contains("player"), "{said}");
+    assert_eq!(output.status.code(), Some(130), "{said}");
 }
 
 /// A program in the place of the fusion that ignores signals, starts another one and answers nothing: not even which ports it

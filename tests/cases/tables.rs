@@ -8,7 +8,8 @@ use std::process::Output;
 use serde_json::Value;
 
 use crate::common::{self, REALO, folder, json, once, realo, realo_ok, root, simulated, text};
-use crate::scene::Scene;
+use crate::plugins::scripted;
+use crate::scene::{SWEEPS, Scene, run};
 
 /// Runs `realo` on a terminal of so many columns.
 fn on_terminal(columns: &str, args: &[String]) -> Output {
@@ -574,4 +575,100 @@ fn folders_that_cannot_be_compared_do_not_take_the_table_of_the_others() {
         "{}",
         text(&output.stderr)
     );
+}
+
+#[test]
+fn files_of_one_name_that_hold_something_else_differ() {
+    let log = Scene::default().write("tables_files");
+    let write = |folder: &str, name: &str, text: &str| {
+        let file = folder_of(folder).join(name);
+        fs::write(&file, text).expect("the folder can be written");
+        shown(&file)
+    };
+    let of_run = |folder: &str, [delay, time]: [&str; 2]| {
+        fs::create_dir_all(folder_of(folder)).expect("a folder");
+        let link = write(folder, "radio.toml", &format!("[default]\nfixed_ms = {delay}"));
+        let compute = write(folder, "times.toml", &format!("\"fusion.fusion\" = {time}"));
+        let program = scripted(&format!("tables-{folder}"), "0", SWEEPS, |_| false);
+        let stage = format!("fusion.fusion=program {}", program.display());
+        let more = [
+            "--mode",
+            "virtual",
+            "--link",
+            &link,
+            "--compute",
+            &compute,
+            "--replace",
+            &stage,
+        ];
+        let ran = run("late_fusion", &log, &format!("tables-files-{folder}"), &more);
+        ran.result
+            .as_ref()
+            .unwrap_or_else(|| panic!("no result: {ran:?}"))
+            .clone()
+    };
+    let [one, other] = [("one", ["1", "1000"]), ("other", ["2", "2000"])].map(|(folder, made)| of_run(folder, made));
+    for (field, name) in [
+        ("link", "radio-"),
+        ("compute", "times-"),
+        ("programs", "fusion.fusion=plugin.sh-"),
+    ] {
+        let values = [&one, &other].map(|result| result[field].as_str().unwrap_or_default());
+        assert!(
+            values.iter().all(|value| value.starts_with(name)),
+            "{field}: {values:?}"
+        );
+        assert_ne!(values[0], values[1], "{field}");
+    }
+    let named = ["one", "other"].map(|name| common_out(&format!("ran-tables-files-{name}-late_fusion")));
+    let document: Value = serde_json::from_str(&realo_ok(compare(&named, &["--json"]))).expect("JSON");
+    let differences = document["differences"].to_string();
+    for field in ["link", "compute", "programs"] {
+        assert!(differences.contains(&format!("{field} differs: ")), "{differences}");
+    }
+    // What has no file is told as ever.
+    let near = json(&runs()[2].join("result.json"));
+    assert_eq!((&near["link"], near.get("programs")), (&"paper".into(), None));
+}
+
+fn common_out(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+fn folder_of(name: &str) -> PathBuf {
+    common_out(&format!("tables-files-{name}"))
+}
+
+#[test]
+fn logs_that_hold_the_same_are_told_and_logs_of_one_name_that_do_not() {
+    let dir = folder("tables_contents");
+    let log = |folder: &str, name: &str, scene: &Scene| {
+        let log = dir.join(folder).join(format!("{name}.mcap"));
+        fs::create_dir_all(dir.join(folder)).expect("a folder");
+        fs::copy(scene.write(&format!("tables_{folder}")), &log).expect("the log can be copied");
+        shown(&log)
+    };
+    let [first, second] = ["a", "b"].map(|name| log("same", name, &Scene::default()));
+    let (graph, out) = (common::graph("late_fusion"), shown(&dir.join("pooled")));
+    let fixed = ["run", &graph, "--recorded-detections", "--offline", "--ego", "car"];
+    let output = realo([&fixed[..], &["--log", &first, "--log", &second, "--out", &out]].concat());
+    let said = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    let result = json(&dir.join("pooled/result.json"));
+    let note = "the logs `a` and `b` hold the same, but count as 2";
+    assert!(result["notes"].to_string().contains(note), "{}", result["notes"]);
+    // Another log of one of these names.
+    let changed = Scene {
+        points: false,
+        ..Scene::default()
+    };
+    let other = log("other", "a", &changed);
+    let folders = [("one", &first), ("other", &other)].map(|(name, log)| {
+        let folder = dir.join(format!("run-{name}"));
+        realo_ok([&fixed[..], &["--log", log, "--out", &shown(&folder)]].concat());
+        folder
+    });
+    let said = realo_ok(compare(&folders, &[]));
+    let expected = "note: logs differ: the log `a` does not hold the same in run-one and run-other";
+    assert!(said.lines().any(|line| line == expected), "{said}");
 }

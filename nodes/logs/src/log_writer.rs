@@ -43,6 +43,8 @@ impl LogWriter {
         let path = path.as_ref();
         check_agents(&info.agents).map_err(|reason| LogError::input(path, reason))?;
         let file = File::create(path).map_err(LogError::io(path, "create"))?;
+        // Whoever clears up leaves what somebody writes.
+        let _ = file.try_lock();
         Self::to_output(path, file, info)
     }
 

@@ -135,6 +135,8 @@ impl<'a> LogCopy<'a> {
         let target = replaceable(target)?;
         let partial = partial(&target);
         let file = File::create(&partial).map_err(LogError::io(&partial, "create"))?;
+        // Whoever clears up leaves what somebody writes.
+        let _ = file.try_lock();
         let mut info = log.info().clone();
         info.precomputed = Some(precomputed.clone());
         let mcap = McapWriter::new(file, &info.program, LOG_RECORD, &info.to_record());

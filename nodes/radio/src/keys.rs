@@ -57,6 +57,9 @@ pub enum KeyError {
         "{0}: others than its owner may read this private key (mode {1:o}); `chmod 600` it, or make a new one if they may have"
     )]
     Readable(PathBuf, u32),
+    /// A public key in the place of a private one.
+    #[error("{0}: expected a private key, found public ones; the private key of an agent is {1}, on its own machine")]
+    Public(PathBuf, PathBuf),
     /// A list has another key of the agent.
     #[error("{list}: it has another key of {agent}; take that line out if {agent} has a new key indeed")]
     Other {
@@ -171,6 +174,9 @@ impl Own {
     /// [`KeyError`], also for a file that others may read.
     pub fn read(path: &Path) -> Result<Own, KeyError> {
         let text = read(path)?;
+        if Trusted::parse(&text, path).is_ok() {
+            return Err(KeyError::Public(path.into(), path.with_extension("key")));
+        }
         #[cfg(unix)]
         if let Ok(known) = fs::metadata(path) {
             let mode = std::os::unix::fs::PermissionsExt::mode(&known.permissions()) & 0o777;
@@ -333,6 +339,11 @@ mod tests {
         let read = Own::read(&own).unwrap();
         assert_eq!((&read.agent, read.key.as_bytes()), (&made.agent, made.key.as_bytes()));
         made.public().write(&list).unwrap();
+        let error = Own::read(&list).map(|_| ()).unwrap_err().to_string();
+        assert!(
+            error.contains("list.toml: expected a private key, found public ones") && error.contains("list.key"),
+            "{error}"
+        );
         let mut known = Trusted::read(&list).unwrap();
         assert_eq!(known, made.public());
         known.join(&Own::new("rsu1").unwrap().public(), &list).unwrap();

@@ -72,9 +72,25 @@ impl Default for Place {
 pub(crate) fn zenoh_error(what: impl Into<String>, error: &dyn std::fmt::Display) -> NetworkError {
     NetworkError::Zenoh {
         what: what.into(),
-        reason: error.to_string(),
+        reason: without_places(&error.to_string()),
         mend: "look whether the address is this machine's and the ports are free",
     }
+}
+
+/// An error of zenoh without the places in its sources.
+fn without_places(error: &str) -> String {
+    let mut kept: Vec<String> = Vec::new();
+    for word in error.split(' ') {
+        if word.contains(".rs:") && kept.last().is_some_and(|before| before == "at") {
+            kept.pop();
+            if let Some(last) = kept.last_mut().filter(|_| word.contains(']')) {
+                last.push(']');
+            }
+        } else {
+            kept.push(word.into());
+        }
+    }
+    kept.join(" ")
 }
 
 /// A session at the addresses, `after` ports behind them.
@@ -143,5 +159,18 @@ fn insert(config: &mut zenoh::Config, name: &str, value: &Value) -> Result<(), (
         _ => config
             .insert_json5(name, &value.to_string())
             .map_err(|error| (name.to_string(), error.to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_name_no_place_in_sources() {
+        let said = "cannot listen: [tcp/127.0.0.1:7447: Address in use (os error 98) at /home/me/.cargo/zenoh-1/src/unicast.rs:362.] \
+                    at /home/me/.cargo/zenoh-1/src/lib.rs:12. It is at 7447.";
+        let expected = "cannot listen: [tcp/127.0.0.1:7447: Address in use (os error 98)] It is at 7447.";
+        assert_eq!(without_places(said), expected);
     }
 }

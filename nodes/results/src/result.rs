@@ -113,9 +113,15 @@ pub struct Settings {
     /// took: `measured`, or the name of a compute profile; empty where every agent computed.
     #[serde(default)]
     pub precomputed: String,
-    /// Arguments changed by hand, `node.key=value`; files by their names alone.
+    /// Arguments changed by hand, `node.key=value`; files by their names, with a hash.
     #[serde(default)]
     pub set: String,
+    /// Plug-ins, `stage=name-hash`; empty where every stage is realo's.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub programs: String,
+    /// Seconds of log time per second of a realtime run that had `--rate`; empty otherwise.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub rate: String,
 }
 
 /// Sweeps of the ego.

@@ -19,6 +19,9 @@ pub struct Samples {
     pub version: u32,
     /// Ages of the data that were used, ns, by kind.
     pub ages_ns: BTreeMap<Kind, Ages>,
+    /// Hashes of what the logs hold, by their names, where they are known.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub logs: BTreeMap<String, String>,
     /// Frames with what was detected and what is there; `None` if nothing was evaluated.
     pub evaluation: Option<Evaluation>,
 }
@@ -29,6 +32,7 @@ impl Default for Samples {
             schema: SAMPLES.into(),
             version: VERSION,
             ages_ns: BTreeMap::new(),
+            logs: BTreeMap::new(),
             evaluation: None,
         }
     }

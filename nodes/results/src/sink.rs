@@ -45,6 +45,8 @@ pub struct Told {
     /// The log's path, or its name alone, by which pooled runs are resampled. The name stands in the result, the path in
     /// `timing.json` only.
     pub log: String,
+    /// A hash of what the log holds; empty where it is not known.
+    pub log_hash: String,
     /// What was run.
     pub settings: Settings,
     /// A hash of all that decides the run, by which whoever prepares it again knows it; no result has it.
@@ -150,13 +152,22 @@ impl Sink for Results {
             return Err("argument `out`: expected a folder, found nothing".into());
         }
         claim(&config.out)?;
-        let Told { log, settings, .. } = config.told()?;
+        let Told {
+            log,
+            log_hash,
+            settings,
+            ..
+        } = config.told()?;
         let (log, log_path) = name_and_path(log);
+        let mut samples = Samples::default();
+        if !log_hash.is_empty() {
+            samples.logs.insert(log.clone(), log_hash);
+        }
         Ok(Results {
             log,
             log_path,
             result: RunResult::new(settings),
-            samples: Samples::default(),
+            samples,
             timing: TimingSamples::default(),
             ledger: Ledger::default(),
             boxes: Sweeps::default(),

@@ -70,4 +70,4 @@ pub use channel::{Arrivals, delay, transmit};
 pub use inline::{in_words, with_base};
 pub use medium::{Medium, Passed, Phase};
 pub use operator::{Link, LinkConfig};
-pub use profile::{BUILT_IN, Channel, Jitter, Model, Profile, ProfileError};
+pub use profile::{BUILT_IN, Channel, Jitter, Model, Profile, ProfileError, files};

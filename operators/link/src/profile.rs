@@ -238,6 +238,25 @@ impl Profile {
     }
 }
 
+/// The files that a profile is read from: its own, and the trace that it names; none of one that is built in or in a word.
+pub fn files(text: &str) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    inline::with_base(text, |name| {
+        let path = Path::new(name);
+        if let Ok(text) = file::read(path) {
+            files.push(path.into());
+            let written = match path.extension().is_some_and(|kind| kind == "toml") {
+                true => toml::from_str(&text).ok(),
+                false => file::yaml(&text).ok(),
+            };
+            let trace = written.and_then(|written: Written| written.channel?.trace);
+            files.extend(trace.map(|trace| path.parent().unwrap_or(Path::new("")).join(trace)));
+        }
+        String::new()
+    });
+    files
+}
+
 impl Channel {
     fn check(&self, path: &str) -> Result<(), ProfileError> {
         if self.phases.is_empty() {

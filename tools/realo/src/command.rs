@@ -79,6 +79,16 @@ pub(crate) fn called() -> String {
     shlex::try_quote(&called).map_or_else(|_| called.clone(), |quoted| quoted.into_owned())
 }
 
+/// What explains an error where the current folder was removed; else nothing.
+fn without_folder() -> String {
+    let is_there = std::env::current_dir().is_ok();
+    let named = std::env::var("PWD").map_or_else(|_| String::new(), |folder| format!(", {folder},"));
+    match is_there {
+        true => String::new(),
+        false => format!("; the current folder{named} is not there any more: change to another one"),
+    }
+}
+
 /// The whole `main` of a binary that hosts everything of realo and operators of its own:
 ///
 /// ```no_run
@@ -140,7 +150,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Host(args) => host::module(&args),
     };
     let code = outcome.map(Outcome::exit_code).unwrap_or_else(|error| {
-        eprintln!("realo: {error:#}");
+        eprintln!("realo: {error:#}{}", without_folder());
         Outcome::Failed.exit_code()
     });
     ExitCode::from(code)

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Read;
 use std::path::Path;
 
-use eyre::{Result, WrapErr, bail};
+use eyre::{Result, WrapErr, bail, eyre};
 use realo_logs::refuse_foreign;
 use realo_radio::keys::Trusted;
 use realo_schemas::report::Phase;
@@ -65,7 +65,7 @@ impl Force {
             return Ok(());
         }
         if matches!(output, Output::Log) {
-            return refuse_foreign(path).wrap_err("--force replaces it");
+            return refuse_foreign(path).map_err(|error| eyre!("{error}; --force replaces it"));
         }
         let mut head = Vec::new();
         let file = fs::File::open(path).wrap_err_with(|| format!("{}", path.display()))?;
@@ -92,7 +92,10 @@ mod tests {
         fs::write(&notes, "what I must not forget").unwrap();
         for output in [Output::Log, Output::Svg, Output::Png, Output::Trace, Output::PublicKey] {
             let said = format!("{:#}", Force::default().check(&notes, output).unwrap_err());
-            assert!(said.contains("notes") && said.contains("--force"), "{said}");
+            assert!(
+                said.starts_with("refuse to overwrite") && said.contains("notes") && said.contains("--force"),
+                "{said}"
+            );
             Force { force: true }.check(&notes, output).unwrap();
             Force::default().check(&folder.path().join("none"), output).unwrap();
         }

@@ -251,6 +251,8 @@ impl Spool {
         let mut options = File::options();
         let file = options.read(true).write(true).create(true).truncate(true).open(&path);
         let file = file.wrap_err_with(|| format!("{}", path.display()))?;
+        // Whoever clears up leaves what somebody writes.
+        let _ = file.try_lock();
         Ok(Spool {
             path,
             file,

@@ -1,6 +1,6 @@
 //! Files that a command is writing: a signal that ends the command takes away what there is of them.
 
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, Once, PoisonError};
 
@@ -11,8 +11,10 @@ const UNFINISHED: [&str; 2] = [".partial", ".packets"];
 /// What the files are to become.
 static TARGETS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// From now on what [`realo_logs`] writes for this target is known as unfinished.
+/// From now on what [`realo_logs`] writes for this target is known as unfinished. What processes that were killed left of it
+/// is taken away.
 pub fn note(target: &Path) {
+    remove_where(target, is_left);
     let mut targets = TARGETS.lock().unwrap_or_else(PoisonError::into_inner);
     if !targets.iter().any(|known| known == target) {
         targets.push(target.into());
@@ -63,8 +65,20 @@ pub fn remove() -> Vec<PathBuf> {
 }
 
 fn remove_of(target: &Path) {
+    remove_where(target, |process, _| process == std::process::id());
+}
+
+/// Whether a process that has ended left an unfinished file.
+fn is_left(process: u32, file: &Path) -> bool {
+    let has_ended = Path::new("/proc/self").exists() && !Path::new(&format!("/proc/{process}")).exists();
+    // Processes of another machine or container may write there too.
+    has_ended && File::open(file).is_ok_and(|file| file.try_lock().is_ok())
+}
+
+/// Takes the unfinished files of a target away that some processes wrote.
+fn remove_where(target: &Path, is_wanted: impl Fn(u32, &Path) -> bool) {
     let Some(name) = target.file_name() else { return };
-    let begin = format!("{}.{}.", name.to_string_lossy(), std::process::id());
+    let begin = format!("{}.", name.to_string_lossy());
     let folder = match target.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
@@ -72,7 +86,10 @@ fn remove_of(target: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name();
         let name = name.to_string_lossy();
-        if name.starts_with(&begin) && UNFINISHED.iter().any(|kind| name.ends_with(kind)) {
+        let rest = name.strip_prefix(&begin);
+        let process = rest.and_then(|rest| UNFINISHED.iter().find_map(|kind| rest.strip_suffix(kind)));
+        let process = process.and_then(|process| process.parse().ok());
+        if process.is_some_and(|process| is_wanted(process, &entry.path())) {
             // Whoever cannot remove it could not have written it.
             let _ = fs::remove_file(entry.path());
         }
@@ -100,6 +117,25 @@ mod tests {
         done(known);
         let targets = TARGETS.lock().unwrap();
         assert!(!targets.iter().any(|target| target == known) && targets.iter().any(|target| target == other));
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_taken_away_when_the_file_is_written_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let (dead, living) = (u32::MAX, std::process::id());
+        let files = [dead, living].map(|process| at(&format!("log.mcap.{process}.partial")));
+        let other = at(&format!("other.mcap.{dead}.partial"));
+        for file in files.iter().chain([&other]) {
+            fs::write(file, "").unwrap();
+        }
+        let written = File::open(&files[0]).unwrap();
+        written.lock().unwrap();
+        remove_where(&at("log.mcap"), is_left);
+        assert!(files[0].exists(), "somebody writes there");
+        drop(written);
+        remove_where(&at("log.mcap"), is_left);
+        assert!(!files[0].exists() && files[1].exists() && other.exists());
     }
 
     #[test]

@@ -25,12 +25,14 @@ pub enum RenderError {
     Protocol(#[from] ProtocolError),
     /// A run that recorded nothing.
     #[error(
-        "{}: expected the recording of a run, found none; give the graph a node `recorder` and run it again",
+        "{}: expected the recording of a run, found none; {mend}",
         .file.display()
     )]
     NoRecording {
         /// Where it should be.
         file: PathBuf,
+        /// The next thing to try.
+        mend: &'static str,
     },
     /// No frame answers the question.
     #[error("{}: no {asked}; there are: {there}", .run.display())]

@@ -13,6 +13,8 @@ use crate::fused::{fused, fused_sweeps};
 use crate::{Judged, RenderError};
 
 const RECORDING: &str = "recording.mcap";
+/// Where a complete run is kept that an interrupted one came after.
+const KEPT: &str = "complete-run-before";
 
 /// Which frame of which run.
 #[derive(Clone, Debug, Default)]
@@ -141,9 +143,15 @@ fn folders(run: &Path) -> Result<Vec<PathBuf>, RenderError> {
     if run.join(RECORDING).exists() {
         return Ok(vec![run.into()]);
     }
-    let mut found: Vec<PathBuf> = below(run)
+    // The sum of runs that are kept lies beside them.
+    let (above, kept) = match (run.parent(), run.ends_with(KEPT)) {
+        (Some(above), true) => (above, KEPT),
+        _ => (run, ""),
+    };
+    let mut found: Vec<PathBuf> = below(above)
         .iter()
         .flat_map(|log| below(log))
+        .map(|folder| folder.join(kept))
         .filter(|folder| folder.join(RECORDING).exists() || folder.join("result.json").exists())
         .collect();
     found.sort();
@@ -193,7 +201,11 @@ impl Cell {
     fn read(folder: &Path, run: Run, request: &Request) -> Result<Self, RenderError> {
         let recording = folder.join(RECORDING);
         if !recording.exists() {
-            return Err(RenderError::NoRecording { file: recording });
+            let mend = match folder.ends_with(KEPT) {
+                true => "name the folder of a run that has one: these results are kept without a recording",
+                false => "give the graph a node `recorder` and run it again",
+            };
+            return Err(RenderError::NoRecording { file: recording, mend });
         }
         let log = open_log(&run, request)?;
         let mut boxes = BTreeSet::new();

@@ -196,7 +196,7 @@ fn traffic(columns: &mut Columns) {
     });
 }
 
-const SETTINGS: [Setting; 12] = [
+const SETTINGS: [Setting; 14] = [
     ("graph", |settings| &settings.graph),
     ("mode", |settings| &settings.mode),
     ("coop", |settings| &settings.coop),
@@ -209,6 +209,8 @@ const SETTINGS: [Setting; 12] = [
     settings::MODEL,
     settings::ISA,
     settings::SET,
+    settings::PROGRAMS,
+    settings::RATE,
 ];
 
 /// The columns for a program: all settings, then all numbers of the main columns.
@@ -223,6 +225,12 @@ pub fn exact(runs: &[&Run]) -> Vec<Column> {
         Cell::text(run.result.protocol.as_deref().unwrap_or_default())
     });
     columns.add(["logs", "", "logs"], |run| Cell::count(run.result.logs.len() as u64));
+    columns.add(["logs cut", "", "logs_cut"], |run| {
+        Cell::text(&run.result.logs_cut.join(" "))
+    });
+    columns.add(["ended by", "", "ended_by"], |run| {
+        Cell::text(run.result.ended_by.as_deref().unwrap_or_default())
+    });
     columns.add(["scored frames", "", "scored_frames"], |run| {
         Cell::count(run.result.frames.key)
     });

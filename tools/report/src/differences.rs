@@ -30,6 +30,7 @@ pub fn of_data(runs: &[(&str, &Run)]) -> Vec<String> {
         .iter()
         .filter_map(|(what, get)| of_names(what, runs, get))
         .collect();
+    found.extend(of_contents(runs));
     found.extend(of_protocols(runs));
     found.extend(of_truth(runs));
     found
@@ -38,7 +39,7 @@ pub fn of_data(runs: &[(&str, &Run)]) -> Vec<String> {
 /// A setting, and what stands where it has no value; without that, such runs cannot choose it.
 type Named = (Setting, Option<&'static str>);
 
-const SETTINGS: [Named; 7] = [
+const SETTINGS: [Named; 8] = [
     (("mode", |settings| &settings.mode), Some("not known")),
     (("coop", |settings| &settings.coop), Some("not known")),
     (settings::LINK, None),
@@ -46,9 +47,14 @@ const SETTINGS: [Named; 7] = [
     (settings::COMPUTE, Some("none")),
     (settings::PROJECT, None),
     (settings::PRECOMPUTED, Some("none")),
+    (settings::RATE, Some("not set")),
 ];
 /// What mostly comes with a strategy.
-const OF_STRATEGY: [Named; 2] = [(settings::MODEL, None), (settings::ISA, None)];
+const OF_STRATEGY: [Named; 3] = [
+    (settings::MODEL, None),
+    (settings::ISA, None),
+    (settings::PROGRAMS, Some("none")),
+];
 
 /// A setting that differs, by its name, and its value run by run; `None` where a run has none and cannot choose it.
 pub type Differing = (String, Vec<Option<String>>);
@@ -176,6 +182,22 @@ fn by_value(values: &[(&str, String)]) -> String {
         .iter()
         .map(|(value, names)| format!("{value} in {}", listed(names)));
     groups.collect::<Vec<_>>().join("; ")
+}
+
+/// The first log of one name that does not hold the same in all runs that have it.
+fn of_contents(runs: &[(&str, &Run)]) -> Option<String> {
+    let mut known: BTreeMap<&String, (&str, &String)> = BTreeMap::new();
+    for (name, run) in runs {
+        for (log, hash) in &run.samples.logs {
+            let (first, held) = *known.entry(log).or_insert((name, hash));
+            if held != hash {
+                return Some(format!(
+                    "logs differ: the log `{log}` does not hold the same in {first} and {name}"
+                ));
+            }
+        }
+    }
+    None
 }
 
 fn of_protocols(runs: &[(&str, &Run)]) -> Option<String> {

@@ -8,6 +8,7 @@ use crate::differences::{of_data, values_of_settings};
 use crate::foot::{V2X_REAL, notes};
 use crate::sections::{ious, sections};
 use crate::settings::common;
+use crate::text::one_line;
 
 /// A table: its head and its rows; what is first in a row names it.
 struct Grid {
@@ -80,7 +81,7 @@ fn for_readers(runs: &[(&str, &Run)], full: bool) -> Grid {
 pub fn markdown(runs: &[(&str, &Run)], full: bool) -> String {
     let grid = for_readers(runs, full);
     let line = |cells: &[String]| {
-        let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
+        let cells: Vec<String> = cells.iter().map(|cell| one_line(cell).replace('|', "\\|")).collect();
         format!("| {} |\n", cells.join(" | "))
     };
     let align = (0..grid.head.len()).map(|at| if at < grid.labels { "---".into() } else { "---:".into() });
@@ -105,7 +106,8 @@ fn below(runs: &[(&str, &Run)], full: bool) -> impl Iterator<Item = String> {
     let scored = !full && !ious(&all(runs)).is_empty();
     let order = scored.then(|| format!("mAP and AP: all detections sorted by score. --full also has AP {V2X_REAL}."));
     let data = of_data(runs);
-    common.into_iter().chain(data).chain(order).chain(notes(runs))
+    let all = common.into_iter().chain(data).chain(order).chain(notes(runs));
+    all.map(|sentence| one_line(&sentence))
 }
 
 /// As comma-separated values (RFC 4180).
@@ -119,9 +121,12 @@ pub fn csv(runs: &[(&str, &Run)], full: bool) -> String {
             Cell::exact,
         ),
     };
-    let quoted = |cell: &String| match cell.contains([',', '"', '\n', '\r']) {
-        true => format!("\"{}\"", cell.replace('"', "\"\"")),
-        false => cell.clone(),
+    let quoted = |cell: &String| {
+        let cell = one_line(cell);
+        match cell.contains([',', '"']) {
+            true => format!("\"{}\"", cell.replace('"', "\"\"")),
+            false => cell,
+        }
     };
     let line = |cells: &Vec<String>| cells.iter().map(quoted).collect::<Vec<_>>().join(",") + "\n";
     std::iter::once(&grid.head).chain(&grid.rows).map(line).collect()
@@ -131,14 +136,14 @@ pub fn csv(runs: &[(&str, &Run)], full: bool) -> String {
 pub fn latex(runs: &[(&str, &Run)], full: bool) -> String {
     let grid = for_readers(runs, full);
     let line = |cells: &[String]| {
-        let cells: Vec<String> = cells.iter().map(|cell| escaped(cell)).collect();
+        let cells: Vec<String> = cells.iter().map(|cell| escaped(&one_line(cell))).collect();
         format!("{} \\\\\n", cells.join(" & "))
     };
     let align = "l".repeat(grid.labels) + &"r".repeat(grid.head.len() - grid.labels);
     let mut text = format!("\\begin{{tabular}}{{{align}}}\n\\hline\n{}\\hline\n", line(&grid.head));
     text.extend(grid.rows.iter().map(|row| line(row)));
     text.push_str("\\hline\n\\end{tabular}\n");
-    text.extend(below(runs, full).map(|sentence| format!("% {}\n", sentence.replace('\n', " "))));
+    text.extend(below(runs, full).map(|sentence| format!("% {sentence}\n")));
     text
 }
 

@@ -67,8 +67,21 @@ impl Default for Options {
 
 /// Runs with their names: as text side by side, from three runs on with a row for each.
 pub fn shown(runs: &[(&str, &Run)], options: &Options) -> String {
+    if options.format == Format::Json {
+        return json(runs) + "\n";
+    }
+    let names: Vec<String> = runs.iter().map(|(name, _)| text::one_line(name)).collect();
+    let runs: Vec<(&str, &Run)> = names
+        .iter()
+        .zip(runs)
+        .map(|(name, (_, run))| (name.as_str(), *run))
+        .collect();
+    text::printable(&as_text(&runs, options))
+}
+
+fn as_text(runs: &[(&str, &Run)], options: &Options) -> String {
     match (options.format, options.full) {
-        (Format::Json, _) => json(runs) + "\n",
+        (Format::Json, _) => unreachable!("it is no table"),
         (Format::Text, false) if runs.len() > table::SIDE_BY_SIDE => list::list(runs, options.width),
         (Format::Text, _) => table::table(runs, options),
         (Format::Markdown, _) => formats::markdown(runs, options.full),

@@ -79,7 +79,7 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
 }
 
 fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
-    let settings: [Setting; 9] = [
+    let settings: [Setting; 11] = [
         ("graph", |s| &s.graph),
         ("mode", |s| &s.mode),
         ("coop", |s| &s.coop),
@@ -89,6 +89,8 @@ fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
         settings::MODEL,
         settings::PROJECT,
         settings::SET,
+        settings::PROGRAMS,
+        settings::RATE,
     ];
     let differ = |what, get: fn(&Settings) -> &String| PoolError::Differ {
         what,
@@ -109,6 +111,9 @@ fn pool_samples(runs: &[&Run]) -> Result<Samples, PoolError> {
     let mut samples = Samples::default();
     for (kind, ages) in runs.iter().flat_map(|run| &run.samples.ages_ns) {
         samples.ages_ns.entry(*kind).or_default().merge(ages);
+    }
+    for (log, hash) in runs.iter().flat_map(|run| &run.samples.logs) {
+        samples.logs.insert(log.clone(), hash.clone());
     }
     let evaluations: Vec<_> = runs.iter().filter_map(|run| run.samples.evaluation.clone()).collect();
     if !evaluations.is_empty() {

@@ -10,7 +10,7 @@ use realo_scoring::{Accuracy, Counts, Orders, PointsBin, RangeBin, Table};
 use crate::cells::{NONE, count, fraction, share, spread, values};
 use crate::columns::{OFFLINE, STATE, interval};
 use crate::foot::V2X_REAL;
-use crate::settings::{ISA, MODEL, PRECOMPUTED, PROJECT, SEED, SET, Setting};
+use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting};
 
 /// Rows under a title.
 pub struct Section {
@@ -137,9 +137,9 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Settings that are shown if a run has them.
-const RARE: [Setting; 6] = [PROJECT, PRECOMPUTED, SET, SEED, MODEL, ISA];
+const RARE: [Setting; 8] = [PROJECT, PRECOMPUTED, SET, PROGRAMS, RATE, SEED, MODEL, ISA];
 /// So many of them are main ones.
-const MAIN: usize = 3;
+const MAIN: usize = 5;
 
 fn settings(rows: &mut Rows, full: bool) {
     let text = |text: &String| (!text.is_empty()).then(|| text.clone());

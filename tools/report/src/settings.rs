@@ -21,6 +21,8 @@ pub const MODEL: Setting = ("model", |settings| &settings.model);
 pub const ISA: Setting = ("isa", |settings| &settings.isa);
 /// Arguments and stages that were changed by hand.
 pub const SET: Setting = ("set", |settings| &settings.set);
+pub const PROGRAMS: Setting = ("programs", |settings| &settings.programs);
+pub const RATE: Setting = ("rate", |settings| &settings.rate);
 
 /// What a run was made with: `link perfect`.
 struct Fact {
@@ -109,6 +111,8 @@ fn facts(runs: &[&Run]) -> Vec<Fact> {
         setting(PRECOMPUTED),
         setting(MODEL),
         setting(ISA),
+        setting(PROGRAMS),
+        setting(RATE),
     ];
     facts.extend(changed(runs));
     facts.extend([

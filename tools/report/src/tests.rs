@@ -308,6 +308,63 @@ fn sweep() -> Vec<(String, Run)> {
     runs
 }
 
+#[test]
+fn logs_of_one_name_programs_and_rates_that_differ_are_told() {
+    let [mut one, mut other] = [run("a", "cav1", 1), run("a", "cav1", 1)];
+    let differ = |one: &Run, other: &Run| differences(&[("one", one), ("other", other)]);
+    assert_eq!(differ(&one, &other), [""; 0]);
+    one.samples.logs.insert("a".into(), "12".into());
+    assert_eq!(
+        differ(&one, &other),
+        [""; 0],
+        "of one log it is not known what it holds"
+    );
+    other.samples.logs.insert("a".into(), "34".into());
+    one.result.settings.programs = "fusion.fusion=mine.py-12".into();
+    other.result.settings.programs = "fusion.fusion=mine.py-34".into();
+    one.result.settings.rate = "0.5".into();
+    let expected = [
+        "logs differ: the log `a` does not hold the same in one and other",
+        "rate differs: 0.5 in one; not set in other",
+        "programs differs: fusion.fusion=mine.py-12 in one; fusion.fusion=mine.py-34 in other",
+    ];
+    assert_eq!(differ(&one, &other), expected);
+    assert_eq!(pool(&[one.clone()]).unwrap().samples.logs, one.samples.logs);
+}
+
+#[test]
+fn names_with_control_characters_break_no_table() {
+    let mut run = run("a\nb", "cav1", 1);
+    run.result.settings.set = "x.y=\u{1b}]0;title\u{7}".into();
+    run.result.ended_by = Some("Ctrl-C".into());
+    run.result.logs_cut = vec!["a".into()];
+    let name = "one\u{1b}[2J\n| two";
+    for format in [Format::Text, Format::Markdown, Format::Csv, Format::Latex] {
+        for full in [false, true] {
+            let options = Options {
+                format,
+                full,
+                ..Options::default()
+            };
+            let said = shown(&[(name, &run), ("other", &run), ("third", &run)], &options);
+            let control = said.chars().find(|letter| letter.is_control() && *letter != '\n');
+            assert_eq!(control, None, "{format:?}: {said}");
+            let rows = said
+                .lines()
+                .filter(|line| line.contains("| two") || line.contains("\\| two"));
+            assert!(format == Format::Text || rows.count() == 1, "{format:?}: {said}");
+        }
+    }
+    let options = Options {
+        format: Format::Csv,
+        ..Options::default()
+    };
+    let said = shown(&[("one", &run)], &options);
+    let lines: Vec<Vec<&str>> = said.lines().map(|line| line.split(',').collect()).collect();
+    let cell = |field: &str| lines[1][lines[0].iter().position(|name| *name == field).unwrap()];
+    assert_eq!((cell("ended_by"), cell("logs_cut")), ("Ctrl-C", "a"));
+}
+
 fn named(runs: &[(String, Run)]) -> Vec<(&str, &Run)> {
     runs.iter().map(|(name, run)| (name.as_str(), run)).collect()
 }

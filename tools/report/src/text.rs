@@ -5,6 +5,24 @@ pub fn width_of(text: &str) -> usize {
     text.chars().count()
 }
 
+/// Stands for what no terminal should be given.
+const UNPRINTABLE: char = '\u{fffd}';
+
+/// A text without control characters: line ends and tabs are blanks.
+pub fn one_line(text: &str) -> String {
+    let shown = |letter: char| match letter {
+        '\n' | '\r' | '\t' => ' ',
+        letter if letter.is_control() => UNPRINTABLE,
+        letter => letter,
+    };
+    text.chars().map(shown).collect()
+}
+
+/// The same of lines, which stay.
+pub fn printable(text: &str) -> String {
+    text.split('\n').map(one_line).collect::<Vec<_>>().join("\n")
+}
+
 /// Lines of at most `width` columns, broken at spaces, else behind `/`, `,`, `_`, `.` or `-`, else anywhere.
 pub fn lines(text: &str, width: usize) -> Vec<String> {
     let width = width.max(1);
@@ -81,6 +99,12 @@ pub fn write_row<'a>(text: &mut String, cells: impl IntoIterator<Item = (&'a [St
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nothing_controls_a_terminal() {
+        assert_eq!(one_line("a\n\tb\u{1b}[31m\u{9b}"), "a  b\u{fffd}[31m\u{fffd}");
+        assert_eq!(printable("a\u{7}\nb\n"), "a\u{fffd}\nb\n");
+    }
 
     #[test]
     fn breaks_at_spaces_else_at_signs_else_anywhere() {

@@ -1,6 +1,6 @@
 //! The runs of a graph over its logs and egos: which are there already, which failed, and what the others came to.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt;
 
@@ -195,7 +195,9 @@ impl Batch {
 
     /// Whether something is missing from what the runs came to, because of a log.
     pub fn is_partial(&self) -> bool {
-        !self.failed.is_empty() || self.cells.iter().any(|cell| cell.truncated)
+        !self.failed.is_empty()
+            || self.cells.iter().any(|cell| cell.truncated)
+            || !same_content(self.cells.iter().map(Cell::log)).is_empty()
     }
 
     /// The signal that kept a run from its end.
@@ -239,13 +241,33 @@ impl Batch {
             });
             cut_short.into_iter().chain(unfinished)
         });
-        of_signal.into_iter().flatten().chain(failed).collect()
+        let same = same_content(self.cells.iter().map(Cell::log));
+        of_signal.into_iter().flatten().chain(failed).chain(same).collect()
     }
 
     /// The same with the reasons, a line for each.
     pub fn reasons(&self) -> Vec<String> {
         self.failed.iter().map(in_words).collect()
     }
+}
+
+/// A note for all logs that hold the same.
+fn same_content<'a>(logs: impl Iterator<Item = (String, &'a str)>) -> Vec<String> {
+    let mut names: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    for (name, hash) in logs {
+        names.entry(hash).or_default().insert(name);
+    }
+    let several = names.into_values().filter(|names| names.len() > 1);
+    let note = |names: BTreeSet<String>| {
+        let names: Vec<String> = names.into_iter().map(|name| format!("`{name}`")).collect();
+        let (last, first) = names.split_last().expect("there are several");
+        format!(
+            "the logs {} and {last} hold the same, but count as {}: the 95 % interval is too narrow; leave all but one out",
+            first.join(", "),
+            names.len()
+        )
+    };
+    several.map(note).collect()
 }
 
 /// The first few names, and how many more there are.
@@ -307,6 +329,17 @@ mod tests {
         assert_eq!(same, "all 2 runs failed:\n  no ego");
         let each = said(vec![failed("a", "a: junk"), failed("b", "cut")]);
         assert_eq!(each, "all 2 runs failed:\n  a: junk\n  b: cut");
+    }
+
+    #[test]
+    fn logs_that_hold_the_same_are_named_once() {
+        let logs = [("a", "1"), ("a", "1"), ("b", "2"), ("c", "1")];
+        let notes = same_content(logs.into_iter().map(|(name, hash)| (name.to_string(), hash)));
+        assert_eq!(notes.len(), 1);
+        assert!(
+            notes[0].starts_with("the logs `a` and `c` hold the same, but count as 2: "),
+            "{notes:?}"
+        );
     }
 
     #[test]

@@ -34,31 +34,53 @@ impl Fitted {
 
 /// Keeps the last of several settings of one argument, as whoever adds to a command expects; says so of each.
 pub fn settle(set: &mut Vec<String>) {
-    let notes = keep_last(set);
+    let notes = keep_last(set, "--set ", |text| {
+        let setting: Setting = text.parse().ok()?;
+        Some((format!("{}.{}", setting.node, setting.key), setting.value))
+    });
     notes.iter().for_each(|note| eprintln!("realo: {note}"));
 }
 
-/// Keeps the last of several settings of one argument; returns what is to be said of the others.
-fn keep_last(set: &mut Vec<String>) -> Vec<String> {
+/// The same of all options that may be there twice: settings, stages in one place, and keys of a link.
+pub fn settle_all(choices: &mut Choices) {
+    settle(&mut choices.set);
+    let mut notes = keep_last(&mut choices.replace, "--replace ", |text| {
+        let places = text.parse::<Replacement>().ok()?.places;
+        let places: Vec<String> = places.iter().map(|place| place.join("+")).collect();
+        Some((places.join(","), text.split_once('=')?.1.to_string()))
+    });
+    if let Some(link) = &mut choices.link {
+        let mut words: Vec<String> = link.split(',').map(String::from).collect();
+        notes.extend(keep_last(&mut words, "--link ", |word| {
+            let (key, value) = word.split_once('=')?;
+            Some((key.trim().to_string(), value.to_string()))
+        }));
+        *link = words.join(",");
+    }
+    notes.iter().for_each(|note| eprintln!("realo: {note}"));
+}
+
+/// Keeps the last of several texts of one key, as `read` gives it with its value; returns what is to be said of the others.
+fn keep_last(texts: &mut Vec<String>, option: &str, read: impl Fn(&str) -> Option<(String, String)>) -> Vec<String> {
     let mut notes = Vec::new();
-    let read: Vec<Option<Setting>> = set.iter().map(|text| text.parse().ok()).collect();
-    let mut is_last = vec![true; set.len()];
-    for (at, earlier) in read.iter().enumerate() {
-        // What is no setting is refused when it is read.
-        let Some(earlier) = earlier else { continue };
-        let mut later = read[at + 1..].iter().flatten();
-        let same = |later: &&Setting| (&later.node, &later.key) == (&earlier.node, &earlier.key);
-        let Some(last) = later.rfind(same) else { continue };
+    let known: Vec<Option<(String, String)>> = texts.iter().map(|text| read(text)).collect();
+    let mut is_last = vec![true; texts.len()];
+    for (at, earlier) in known.iter().enumerate() {
+        // What cannot be read is refused when it is needed.
+        let Some((key, value)) = earlier else { continue };
+        let mut later = known[at + 1..].iter().flatten();
+        let Some((_, last)) = later.rfind(|(other, _)| other == key) else {
+            continue;
+        };
         is_last[at] = false;
-        if last.value != earlier.value {
+        if last != value {
             notes.push(format!(
-                "--set {}.{} is there more than once: the last one counts, {}, not {}",
-                earlier.node, earlier.key, last.value, earlier.value
+                "{option}{key} is there more than once: the last one counts, {last}, not {value}"
             ));
         }
     }
     let mut kept = is_last.into_iter();
-    set.retain(|_| kept.next().unwrap_or(true));
+    texts.retain(|_| kept.next().unwrap_or(true));
     notes
 }
 
@@ -215,7 +237,10 @@ mod tests {
         let mut set: Vec<String> = ["a.b.x=1", "a.b.y=2", "a.b.x=3", "junk", "a.b.y=2", "a.b.x=4", "junk"]
             .map(String::from)
             .into();
-        let notes = keep_last(&mut set);
+        let notes = keep_last(&mut set, "--set ", |text| {
+            let setting: Setting = text.parse().ok()?;
+            Some((format!("{}.{}", setting.node, setting.key), setting.value))
+        });
         assert_eq!(set, ["junk", "a.b.y=2", "a.b.x=4", "junk"]);
         assert_eq!(
             notes,
@@ -224,6 +249,16 @@ mod tests {
                 "--set a.b.x is there more than once: the last one counts, 4, not 3"
             ]
         );
+    }
+
+    #[test]
+    fn the_last_stage_of_one_place_and_the_last_value_of_a_link_count() {
+        let stages = ["a.b=operator nms", "a.c=operator nms", "a.b=operator fusion-boxes"];
+        let mut given = choices(&[], &stages);
+        given.link = Some("paper,loss=0.1,delay_ms=9,loss=0.2".into());
+        settle_all(&mut given);
+        assert_eq!(given.replace, ["a.c=operator nms", "a.b=operator fusion-boxes"]);
+        assert_eq!(given.link.as_deref(), Some("paper,delay_ms=9,loss=0.2"));
     }
 
     const NOISE: &str = "others.sense.localization.position_noise_m=0.2";

@@ -16,6 +16,17 @@ use crate::registry;
 
 /// Name of the profile that charges what the paper measured.
 const PAPER: &str = "paper";
+/// What a realtime run leaves.
+pub const FILE: &str = "compute.toml";
+/// How it begins.
+pub const HEAD: &str =
+    "# Median duration of each stage's calls in a realtime run, ns. For `realo run --mode virtual --compute`.\n";
+
+/// Whether a run wrote a file of that name.
+pub fn is_of_run(text: &[u8]) -> bool {
+    text.starts_with(HEAD.as_bytes())
+}
+
 /// The profile that is asked for: a file, or `paper`; without one computing takes no time.
 ///
 /// # Errors
@@ -31,9 +42,7 @@ pub fn profile(named: Option<&Path>, graph: &FlatGraph) -> Result<ComputeProfile
 /// Writes `compute.toml`: the median duration of each stage's calls, by what triggered them.
 pub fn write(dir: &Path, run: &Run) -> Result<()> {
     let profile = ComputeProfile::to_toml(&run.timing.compute_ns);
-    let head =
-        "# Median duration of each stage's calls in a realtime run, ns. For `realo run --mode virtual --compute`.\n";
-    std::fs::write(dir.join("compute.toml"), format!("{head}{profile}"))?;
+    std::fs::write(dir.join(FILE), format!("{HEAD}{profile}"))?;
     Ok(())
 }
 

@@ -1,16 +1,17 @@
 //! The folders of runs.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, Metadata, TryLockError};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use eyre::{Result, WrapErr, bail};
+use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_results::RESULT_FILE;
 use rustix::io::{FdFlags, fcntl_setfd};
 
+use super::compute;
 use super::prepare::TOLD;
 
 /// What a run records, in its folder.
@@ -63,10 +64,7 @@ impl Folders {
         let file = loop {
             let file = File::create(&path).wrap_err_with(|| not_writable(&path))?;
             if is_held(&file) {
-                bail!(
-                    "{}: another run writes there now; wait for its end, or choose another folder (--out)",
-                    folder.display()
-                );
+                return Err(is_written(folder));
             }
             // Whoever had it before may have removed it meanwhile.
             if fs::metadata(&path).is_ok_and(|there| file.metadata().is_ok_and(|own| own.ino() == there.ino())) {
@@ -77,6 +75,39 @@ impl Folders {
         fcntl_setfd(&file, FdFlags::empty())?;
         self.locks.push((path, file));
         self.claim(folder, &[])
+    }
+
+    /// Refuses a folder in which, or around which, another run writes.
+    fn check_others(&self, folder: &Path) -> Result<()> {
+        let is_own = |found: &Metadata| {
+            let mut own = self.locks.iter().filter_map(|(_, file)| file.metadata().ok());
+            own.any(|own| (own.dev(), own.ino()) == (found.dev(), found.ino()))
+        };
+        for around in folder.canonicalize()?.ancestors() {
+            let Ok(file) = File::open(around.join(LOCK)) else {
+                continue;
+            };
+            if !file.metadata().is_ok_and(|found| is_own(&found)) && is_held(&file) {
+                return Err(is_written(around));
+            }
+        }
+        Ok(())
+    }
+
+    /// Claims the compute profile that a run in realtime leaves in the folder of its graph.
+    ///
+    /// # Errors
+    /// A file of that name that no run of realo wrote.
+    pub fn claim_profile(&mut self, folder: &Path) -> Result<()> {
+        let file = folder.join(compute::FILE);
+        match fs::read(&file) {
+            Ok(text) if compute::is_of_run(&text) => put_aside(folder, [file]),
+            Ok(text) if !text.is_empty() => bail!(
+                "{} is not of a run of realo and is not overwritten; move it, or choose another folder (--out)",
+                file.display()
+            ),
+            _ => Ok(()),
+        }
     }
 
     /// Makes a run's folder and puts an earlier run's files aside; `recordings` are the files in it that the run records into.
@@ -91,6 +122,7 @@ impl Folders {
         let mut files: BTreeSet<PathBuf> = recordings.iter().cloned().collect();
         if !self.claimed.iter().any(|claimed| claimed == folder) {
             self.make(folder)?;
+            self.check_others(folder)?;
             // Of a run that was killed.
             put_back(folder);
             files.extend([RECORDING, TOLD].map(|name| folder.join(name)));
@@ -98,13 +130,7 @@ impl Folders {
             self.claimed.push(folder.into());
         }
         files.retain(|file| file.is_file());
-        for file in files {
-            let place = folder.join(ASIDE).join(file.strip_prefix(folder)?);
-            let above = place.parent().unwrap_or(folder);
-            fs::create_dir_all(above).wrap_err_with(|| format!("{}", above.display()))?;
-            fs::rename(&file, &place).wrap_err_with(|| format!("{}", file.display()))?;
-        }
-        Ok(())
+        put_aside(folder, files)
     }
 
     /// The runs have ended: what those that succeeded wrote stays. What was there before goes, unless it is of a run that came to
@@ -116,6 +142,13 @@ impl Folders {
     }
 
     fn make(&mut self, folder: &Path) -> Result<()> {
+        let there = folder.ancestors().find(|above| above.exists());
+        if let Some(file) = there.filter(|there| !there.is_dir()) {
+            bail!(
+                "{}: results need a folder there, and it is a file; choose another folder (--out)",
+                file.display()
+            );
+        }
         let missing = folder
             .ancestors()
             .take_while(|folder| !folder.as_os_str().is_empty() && !folder.exists());
@@ -123,6 +156,23 @@ impl Folders {
         self.made.extend(missing.into_iter().rev());
         fs::create_dir_all(folder).wrap_err_with(|| not_writable(folder))
     }
+}
+
+fn put_aside(folder: &Path, files: impl IntoIterator<Item = PathBuf>) -> Result<()> {
+    for file in files {
+        let place = folder.join(ASIDE).join(file.strip_prefix(folder)?);
+        let above = place.parent().unwrap_or(folder);
+        fs::create_dir_all(above).wrap_err_with(|| format!("{}", above.display()))?;
+        fs::rename(&file, &place).wrap_err_with(|| format!("{}", file.display()))?;
+    }
+    Ok(())
+}
+
+fn is_written(folder: &Path) -> Report {
+    eyre!(
+        "{}: another run writes there now; wait for its end, or choose another folder (--out)",
+        folder.display()
+    )
 }
 
 fn not_writable(path: &Path) -> String {
@@ -171,11 +221,26 @@ fn restore(from: &Path, to: &Path) {
 /// Ends what was put aside in folders that have a new result, or are around one, and says where complete results are kept.
 fn settle<P: AsRef<Path>>(folders: &[P]) {
     let kept: Vec<PathBuf> = folders.iter().filter_map(|folder| replace(folder.as_ref())).collect();
+    folders.iter().for_each(|folder| remove_failed(folder.as_ref()));
     if let Some(first) = kept.first() {
         eprintln!(
             "realo: the results of the run before, which came to its end, are kept in {}",
             first.display()
         );
+    }
+}
+
+/// What a failed run recorded goes with the next one that comes to its end.
+fn remove_failed(folder: &Path) {
+    if is_complete(folder) != Some(true) {
+        return;
+    }
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        let is_failed = entry.file_name().to_string_lossy().ends_with(&format!(".{FAILED}"));
+        if is_failed && realo_logs::refuse_foreign(&path).is_ok() {
+            let _ = fs::remove_file(path);
+        }
     }
 }
 
@@ -214,7 +279,15 @@ impl Drop for Folders {
         };
         let (new, old): (Vec<_>, Vec<_>) = self.claimed.iter().partition(|folder| has_new(folder));
         settle(&new);
-        let put_back: Vec<_> = old.into_iter().filter(|folder| put_back(folder)).collect();
+        // Whoever failed again without an earlier run has nothing back.
+        let had_one = |folder: &Path| folder.join(ASIDE).join(RESULT_FILE).exists();
+        let put_back: Vec<_> = old
+            .into_iter()
+            .filter(|folder| {
+                let had_one = had_one(folder);
+                put_back(folder) && had_one
+            })
+            .collect();
         if let Some(folder) = put_back.first() {
             eprintln!("realo: {} has the files of the run before again", folder.display());
         }
@@ -413,6 +486,88 @@ mod tests {
         assert!(error.contains("another run writes there"), "{error}");
         drop(first);
         Folders::default().lock(root.path()).unwrap();
+    }
+
+    #[test]
+    fn two_runs_do_not_write_into_each_others_folders() {
+        let root = tempfile::tempdir().unwrap();
+        let at = |path: &str| root.path().join(path);
+        let refuses = |runs: &[&str]| {
+            let mut second = Folders::default();
+            let locked = second.lock(&at(runs[0]));
+            let claimed = locked.and_then(|()| runs[1..].iter().try_for_each(|run| second.claim(&at(run), &[])));
+            claimed.is_err_and(|error| error.to_string().contains("another run writes there"))
+        };
+        let mut first = Folders::default();
+        first.lock(&at("out")).unwrap();
+        first.claim(&at("out/log/car"), &[]).unwrap();
+        assert!(refuses(&["out/log/car"]), "inside");
+        assert!(!refuses(&["other", "other/log/car"]), "beside");
+        drop(first);
+        let mut first = Folders::default();
+        first.lock(&at("out/log/car")).unwrap();
+        assert!(refuses(&["out", "out/log/car"]), "around");
+        assert!(!refuses(&["out", "out/log/van"]), "around, but not there");
+        drop(first);
+        assert!(!refuses(&["out", "out/log/car"]));
+    }
+
+    #[test]
+    fn the_compute_profile_of_a_run_is_kept_with_its_other_files() {
+        let root = tempfile::tempdir().unwrap();
+        let (folder, profile) = (root.path(), root.path().join(compute::FILE));
+        let written = |text: &str| format!("{}{text}", compute::HEAD);
+        write_earlier(folder);
+        fs::write(&profile, written("earlier = 1")).unwrap();
+        let claim = || {
+            let mut folders = Folders::default();
+            folders.lock(folder).unwrap();
+            folders.claim_profile(folder).map(|()| folders)
+        };
+        drop(claim().unwrap());
+        assert_eq!(fs::read_to_string(&profile).unwrap(), written("earlier = 1"));
+        let mut folders = claim().unwrap();
+        assert!(!profile.exists());
+        fs::write(&profile, written("ended = 1")).unwrap();
+        let ended = r#"{"schema": "realo/result", "version": 1, "ended_by": "Ctrl-C"}"#;
+        fs::write(folder.join(RESULT_FILE), ended).unwrap();
+        folders.keep_new();
+        drop(folders);
+        let kept = folder.join(COMPLETE).join(compute::FILE);
+        assert_eq!(fs::read_to_string(kept).unwrap(), written("earlier = 1"));
+        fs::write(&profile, "mine = 1").unwrap();
+        let error = claim().err().expect("it is the user's").to_string();
+        assert!(error.contains("is not of a run of realo"), "{error}");
+        assert_eq!(fs::read_to_string(&profile).unwrap(), "mine = 1");
+    }
+
+    #[test]
+    fn recordings_of_failed_runs_go_with_a_complete_one() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path();
+        for name in ["recording.failed.mcap", "cav1.failed.mcap"] {
+            fs::write(folder.join(name), recorded("failed")).unwrap();
+        }
+        fs::write(folder.join("mine.failed.mcap"), "mine").unwrap();
+        let mut folders = Folders::default();
+        folders.claim(folder, &[]).unwrap();
+        fs::write(folder.join(RESULT_FILE), "{}").unwrap();
+        folders.keep_new();
+        assert_eq!(names(folder), ["mine.failed.mcap", "result.json"]);
+    }
+
+    #[test]
+    fn a_file_in_the_place_of_a_folder_is_named() {
+        let root = tempfile::tempdir().unwrap();
+        let file = root.path().join("notes");
+        fs::write(&file, "mine").unwrap();
+        for folder in [file.clone(), file.join("out")] {
+            let error = Folders::default().lock(&folder).unwrap_err().to_string();
+            assert!(
+                error.contains("notes: results need a folder there, and it is a file"),
+                "{error}"
+            );
+        }
     }
 
     #[test]

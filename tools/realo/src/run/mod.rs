@@ -9,6 +9,7 @@ mod folders;
 mod lane;
 mod limit;
 mod machine;
+mod named;
 mod networks;
 mod nodes;
 mod pace;
@@ -297,7 +298,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mut args = args.clone();
     let mode = args.driver()?;
     machine::threads_of_virtual()?;
-    choices::settle(&mut args.choices.set);
+    choices::settle_all(&mut args.choices);
     let mut failures = Failures::of(args.graphs.len());
     let is_there = find_graphs(&mut args.graphs, &mut failures)?;
     let args = &args;
@@ -307,6 +308,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mut folders = Folders::default();
     for Planned { name, batch, .. } in &mut planned {
         folders.lock(&dir_of(args, name))?;
+        if mode == Mode::Realtime {
+            folders.claim_profile(&dir_of(args, name))?;
+        }
         batch.claim(&mut folders, args.resume)?;
     }
     let runs = play(args, mode, &mut planned, &mut failures)?;

@@ -19,7 +19,7 @@ use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
     set_model, takers, values,
 };
-use super::{Args, Mode, choices, compute, dir_of, limit, replace, resume};
+use super::{Args, Mode, choices, compute, dir_of, limit, named, replace, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry};
 
@@ -55,6 +55,11 @@ impl Cell {
         let file = |node| given(node, decided_argument(node, Decided::Recording)?).map(PathBuf::from);
         let files = deciding(&self.graph, Decided::Recording).filter_map(file);
         files.filter(|file| file.parent() == Some(&self.out)).collect()
+    }
+
+    /// Name of the log, and a hash of what it holds.
+    pub fn log(&self) -> (String, &str) {
+        (stem(Path::new(&self.told.log)), &self.told.log_hash)
     }
 
     /// What the run is known by when it is prepared again.
@@ -222,6 +227,7 @@ impl Planner<'_> {
             compute: self.compute.clone(),
             told: ToldFile {
                 log: log_path.to_string_lossy().into_owned(),
+                log_hash: resume::log_content(log_path)?,
                 settings,
                 fingerprint,
             },
@@ -486,11 +492,18 @@ impl Told<'_> {
             mode: mode.into(),
             coop: self.coop.into(),
             ego: self.ego.into(),
-            link: values(&graph, Decided::Link, realo_link::in_words),
-            compute: self.args.compute.as_deref().map(stem).unwrap_or_default(),
+            link: values(&graph, Decided::Link, named::link),
+            compute: self.args.compute.as_deref().map(named::profile).unwrap_or_default(),
             seed: values(&graph, Decided::Seed, str::to_string),
             project: values(&projecting, Decided::Project, str::to_string),
             set: changes.join(", "),
+            programs: named::programs(&graph),
+            rate: self
+                .args
+                .rate
+                .filter(|rate| *rate != 1.0)
+                .map(|rate| rate.to_string())
+                .unwrap_or_default(),
             ..Settings::default()
         };
         Ok((graph, settings))
@@ -583,7 +596,7 @@ pub(super) fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// A change by hand as results tell it: the argument and its value, a file by its name, for results hold no path.
+/// A change by hand as results tell it: the argument and its value, a file by its name and a hash, for results hold no path.
 fn change_in_words(setting: &Setting) -> (String, String) {
     let path = Path::new(&setting.value);
     // The last dot of an address may stand before its port: `tcp/10.0.0.1:7447`.
@@ -593,7 +606,10 @@ fn change_in_words(setting: &Setting) -> (String, String) {
     };
     let is_path = path.is_absolute() || (path.components().count() > 1 && has_ending(path));
     let name = path.file_name().filter(|_| is_path);
-    let value = name.map_or(setting.value.clone(), |name| name.to_string_lossy().into_owned());
+    let value = name.map_or(setting.value.clone(), |name| match path.is_file() {
+        true => named::file(path),
+        false => name.to_string_lossy().into_owned(),
+    });
     (format!("{}.{}", setting.node, setting.key), value)
 }
 

@@ -13,7 +13,7 @@ use realo_operator::{Decided, Durations};
 use realo_results::Run;
 
 use super::batch::Unfinished;
-use super::nodes::deciding;
+use super::nodes::{argument, deciding};
 use super::prepare::Cell;
 use super::signals::{self, Ending};
 use super::tether::Tether;
@@ -24,6 +24,13 @@ use crate::progress::Progress;
 const TO_END: Duration = Duration::from_millis(2600);
 /// From a node's failure to the end of all others: they say meanwhile what they have to say.
 const TO_TELL: Duration = Duration::from_millis(1500);
+
+/// So long after the end of the log a run that goes on says why.
+const TO_FINISH: Duration = Duration::from_secs(15);
+/// It says it again after so long.
+const AGAIN: Duration = Duration::from_secs(30);
+/// A graph may take so long until all its nodes are ready.
+const TO_BEGIN: Duration = Duration::from_secs(60);
 
 /// Has dora run a cell and checks that the run is complete.
 ///
@@ -154,12 +161,13 @@ fn copy_folder(from: &Path, to: &Path) -> Result<()> {
 }
 
 fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Path) -> Result<Ended> {
-    let seconds = (cell.seconds / rate).ceil();
+    let seconds = (cell.seconds * repeats(cell) / rate).ceil();
     let progress = Progress::new(cell.name.clone(), "s", Some(seconds));
     let begun = Instant::now();
     let mut follower = Follower::new(log, rate);
     let (mut asked, mut failed): (Option<Instant>, Option<Instant>) = (None, None);
     let mut killed = false;
+    let mut remind = Duration::from_secs_f64(seconds) + TO_FINISH;
     while child.try_wait()?.is_none() {
         if asked.is_none() && signals::first().is_some() {
             tether.end();
@@ -176,6 +184,12 @@ fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Pat
             killed = true;
             break;
         }
+        let playing = follower.ready.unwrap_or(begun + TO_BEGIN);
+        if asked.is_none() && playing.elapsed() > remind {
+            let late = playing.elapsed().as_secs_f64() - seconds;
+            progress.beside(|| eprintln!("realo: {}: {}", cell.name, not_ended(late, &follower.running)));
+            remind += AGAIN;
+        }
         progress.set((begun.elapsed().as_secs() as f64).min(seconds));
         std::thread::sleep(Duration::from_millis(50));
     }
@@ -188,6 +202,32 @@ fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Pat
         culprit: follower.culprit,
         killed,
     })
+}
+
+/// How often the log is played.
+fn repeats(cell: &Cell) -> f64 {
+    let players = deciding(&cell.graph, Decided::Log);
+    let repeats = players.filter_map(|node| argument(node, "repeat")?.parse::<f64>().ok());
+    repeats.fold(1.0, f64::max)
+}
+
+/// Which nodes a run still waits for.
+fn not_ended(seconds: f64, running: &BTreeMap<String, u32>) -> String {
+    let named = running.iter().map(|(node, process)| match is_stopped(*process) {
+        true => format!("{node} (stopped)"),
+        false => node.clone(),
+    });
+    format!(
+        "the log ended {seconds:.0} s ago, and these nodes have not: {}; a slow stage may still work; Ctrl-C ends the run",
+        named.collect::<Vec<_>>().join(", ")
+    )
+}
+
+/// Whether a signal has stopped a process.
+fn is_stopped(process: u32) -> bool {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    let state = stat.rsplit_once(") ").map_or("", |(_, rest)| rest);
+    state.starts_with(['T', 't'])
 }
 
 fn check(cell: &Cell, ended: &Ended, log: &Path) -> Result<()> {
@@ -230,6 +270,10 @@ struct Follower {
     rate: f64,
     /// The first node that failed, and how.
     culprit: Option<(String, String)>,
+    /// When all nodes were ready.
+    ready: Option<Instant>,
+    /// The nodes that have not ended, with their processes.
+    running: BTreeMap<String, u32>,
 }
 
 impl Follower {
@@ -239,6 +283,8 @@ impl Follower {
             begun: Vec::new(),
             rate,
             culprit: None,
+            ready: None,
+            running: BTreeMap::new(),
         }
     }
 
@@ -256,8 +302,28 @@ impl Follower {
         if self.culprit.is_none() {
             self.culprit = text.lines().find_map(failed);
         }
+        text.lines().for_each(|line| self.follow(line));
         let slow = text.lines().filter_map(Slow::from_line);
         slow.map(|slow| keeping_up(&slow, self.rate)).collect()
+    }
+}
+
+impl Follower {
+    /// Takes what dora says of a node's process.
+    fn follow(&mut self, line: &str) {
+        let said = line.split_once(' ').filter(|(time, _)| is_time(time));
+        let said = said.and_then(|(_, rest)| rest.split_once(": ").map(|(who, what)| (who, what.trim())));
+        let Some((node, what)) = said.and_then(|(who, what)| Some((who.split_whitespace().nth(1)?, what))) else {
+            return;
+        };
+        if let Some(process) = what.strip_prefix("spawner spawned node with pid ") {
+            self.running
+                .extend(process.parse().ok().map(|process| (node.to_string(), process)));
+        } else if what.starts_with("daemon handling node stop") || what.starts_with("daemon exited") {
+            self.running.remove(node);
+        } else if what.starts_with("daemon all nodes are ready") {
+            self.ready.get_or_insert_with(Instant::now);
+        }
     }
 }
 
@@ -389,6 +455,24 @@ mod tests {
         let own = "17:48:16 ERROR  fusion: daemon exited with code 1 with stderr output:";
         assert_eq!(of(own).as_deref(), Some("fusion exited with code 1"));
         assert_eq!(of("17:58:22 DEBUG  others: daemon exited with code 1"), None);
+    }
+
+    #[test]
+    fn nodes_that_have_not_ended_are_known() {
+        let mut follower = Follower::new(Path::new("none"), 1.0);
+        let lines = [
+            "14:30:11 INFO   ego: spawner spawning `realo` in `graph`",
+            "14:30:11 DEBUG  ego: spawner spawned node with pid 4294967295",
+            "14:30:11 DEBUG  fusion: spawner spawned node with pid 4294967294",
+            "14:30:12 INFO   [dora]: daemon all nodes are ready, starting dataflow",
+            "14:30:15 stdout fusion: spawner spawned node with pid x",
+            "14:30:20 DEBUG  ego: daemon handling node stop with exit status Success (restart: false)",
+        ];
+        lines.iter().for_each(|line| follower.follow(line));
+        assert!(follower.ready.is_some());
+        let said = not_ended(15.2, &follower.running);
+        let expected = "the log ended 15 s ago, and these nodes have not: fusion; ";
+        assert!(said.starts_with(expected) && said.contains("Ctrl-C"), "{said}");
     }
 
     #[test]

@@ -7,6 +7,7 @@ use realo_graph::{FlatGraph, FlatNode, Replacement, Severity, TYPE_PREFIX};
 use realo_host::Program;
 use realo_operator::{Port, Registration};
 
+use super::named;
 use super::nodes::{is_like_path, is_relative_path};
 use crate::registry;
 
@@ -131,7 +132,7 @@ pub fn written(replacement: &Replacement, places: &[usize], text: &str) -> Strin
     format!("{}={stage}", places.join(","))
 }
 
-/// Replacements as results have them: places, and what stands there; files by their names alone.
+/// Replacements as results have them: places, and what stands there; files by their names, those of arguments with a hash.
 pub fn in_words(texts: &[String]) -> Result<Vec<(String, String)>> {
     let name = |value: &str| {
         let path = Path::new(value);
@@ -139,6 +140,9 @@ pub fn in_words(texts: &[String]) -> Result<Vec<(String, String)>> {
         name.map_or(value.to_string(), |name| name.to_string_lossy().into_owned())
     };
     let word = |word: &String| match word.split_once('=') {
+        Some((key, value)) if Path::new(value).is_absolute() && Path::new(value).is_file() => {
+            format!("{key}={}", named::file(Path::new(value)))
+        }
         Some((key, value)) => format!("{key}={}", name(value)),
         None => name(word),
     };

@@ -12,8 +12,8 @@ use realo_graph::FlatGraph;
 use realo_results::{RESULT_FILE, Told};
 use sha2::{Digest, Sha256};
 
-use super::folders;
 use super::prepare::{Cell, TOLD};
+use super::{folders, named};
 use crate::progress::Progress;
 
 /// What is read of a log at once, bytes.
@@ -78,6 +78,16 @@ pub fn fingerprint(graph: &FlatGraph, log: &Path, out: &Path, decided: &[String]
                 None => add(&value.replace(&out_text, "the results")),
             }
         }
+        let program = node.program().map(|program| folder.join(program));
+        for module in program.iter().flat_map(|program| named::modules(program)) {
+            let name = module
+                .strip_prefix(folder)
+                .unwrap_or(&module)
+                .to_string_lossy()
+                .into_owned();
+            add(&name);
+            add(&content(&module).unwrap_or_default());
+        }
         for (port, input) in &node.inputs {
             add(&format!("{port} {}", input.source));
         }
@@ -96,7 +106,7 @@ fn content(path: &Path) -> Option<String> {
 }
 
 /// A hash of a log, which is read once for all runs over it.
-fn log_content(log: &Path) -> Result<String> {
+pub fn log_content(log: &Path) -> Result<String> {
     static KNOWN: Mutex<BTreeMap<(PathBuf, u64, SystemTime), String>> = Mutex::new(BTreeMap::new());
     let about = log.metadata()?;
     let version = (log.canonicalize()?, about.len(), about.modified()?);
@@ -160,6 +170,25 @@ mod tests {
         // Neither its length nor its ends.
         bytes[BLOCK + BLOCK / 2] ^= 1;
         assert_ne!(first, hash("changed.mcap", &bytes));
+    }
+
+    #[test]
+    fn a_run_is_known_by_the_modules_of_its_programs() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let mut graph = FlatGraph::load(&root.join("dataflows/late_fusion.yml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["log.mcap", "mine.py", "maths.py"] {
+            std::fs::write(at(name), "a").unwrap();
+        }
+        let text = format!("fusion.fusion=program {}", at("mine.py").display());
+        graph.replace(&text.parse().unwrap()).unwrap();
+        let print = || print(&graph, folder.path(), "/a");
+        let first = print();
+        std::fs::write(at("notes.md"), "b").unwrap();
+        assert_eq!(first, print(), "it imports no notes");
+        std::fs::write(at("maths.py"), "b").unwrap();
+        assert_ne!(first, print(), "a module beside it");
     }
 
     #[test]
