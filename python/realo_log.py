@@ -256,6 +256,8 @@ def agent(name, kind, footprint=None, sensor="", sensor_position=None):
         footprint = doubles(where, "footprint", footprint, 4).tolist()
         if not (footprint[0] < footprint[1] and footprint[2] < footprint[3]):
             refuse(where, "footprint", "[x min, x max, y min, y max], m", f"{footprint}", "order it so")
+        advice = "give the outline of the vehicle in metres, not in centimetres"
+        between(where, "footprint", np.array(footprint), -30, 30, advice)
     if sensor_position is not None:
         sensor_position = doubles(where, "sensor_position", sensor_position, 3).tolist()
     name, sensor = plain_text(where, "name", name), plain_text(where, "sensor", sensor)

@@ -385,7 +385,8 @@ class TestFile(Case):
     def test_agents_are_refused_by_name(self):
         for name, more, word in (
             ("kind", {"kind": "car"}, "vehicle or roadside"), ("footprint", {"footprint": [1, 2]}, "4 numbers"),
-            ("footprint", {"footprint": [3, -1, -1, 1]}, "x min"), ("sensor_position", {"sensor_position": [1, np.nan, 2]}, "finite"),
+            ("footprint", {"footprint": [3, -1, -1, 1]}, "x min"), ("footprint", {"footprint": [-150, 330, -90, 90]}, "in metres"),
+            ("sensor_position", {"sensor_position": [1, np.nan, 2]}, "finite"),
         ):
             with self.assertRaises(ValueError) as caught:
                 agent(**{"name": "car", "kind": "vehicle", **more})

@@ -79,6 +79,40 @@ fn detections_of_classes_that_the_protocol_lacks_are_no_table() {
 }
 
 #[test]
+fn truth_of_a_collaborator_that_stops_early_is_counted() {
+    let base = Scene::default().write("truth-stops-base");
+    let log = rewrite(&base, "truth-stops", |message| {
+        let is_truth = message.topic.starts_with("/mast/ground_truth");
+        match is_truth && message.publish_time > T0 + 3 * SWEEP {
+            true => Vec::new(),
+            false => vec![message],
+        }
+    });
+    let ran = run("late_fusion", &log, "truth-stops", &["--offline"]);
+    assert_eq!(ran.code, 3, "{ran:?}");
+    let notes = ran.notes();
+    assert!(
+        notes.contains("of 20 sweeps of the ego were scored without the truth of mast"),
+        "{notes}"
+    );
+}
+
+#[test]
+fn truth_that_was_logged_late_is_scored() {
+    let base = Scene::default().write("truth-late-base");
+    for (name, agent) in [("truth-late-all", ""), ("truth-late-mast", "/mast")] {
+        let log = rewrite(&base, name, |mut message| {
+            if message.topic.starts_with(agent) && message.topic.contains("/ground_truth") {
+                message.log_time += 50 * SWEEP;
+            }
+            vec![message]
+        });
+        let ran = run("late_fusion", &log, name, &["--offline"]);
+        assert_eq!((ran.code, ran.ap("0.5")), (0, 1.0), "{ran:?}");
+    }
+}
+
+#[test]
 fn a_log_of_boxes_alone_is_told_how_to_play_them() {
     let log = Scene {
         points: false,

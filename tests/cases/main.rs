@@ -6,6 +6,7 @@ mod common;
 mod accounting;
 mod clocks;
 mod doors;
+mod faults;
 mod growth;
 mod life;
 mod plugins;

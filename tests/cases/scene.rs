@@ -251,13 +251,26 @@ impl Raw {
 }
 
 /// Copies a log message by message; `change` gives what is written in the place of each, nothing to leave it out.
-pub fn rewrite(from: &Path, name: &str, mut change: impl FnMut(Raw) -> Vec<Raw>) -> PathBuf {
+pub fn rewrite(from: &Path, name: &str, change: impl FnMut(Raw) -> Vec<Raw>) -> PathBuf {
+    rewrite_with(from, name, &[], |_| {}, change)
+}
+
+/// The same; `more` are topics that the log does not have, each with one whose type it has, and `record` changes what the log says
+/// of itself.
+pub fn rewrite_with(
+    from: &Path,
+    name: &str,
+    more: &[[&str; 2]],
+    record: impl Fn(&mut BTreeMap<String, String>),
+    mut change: impl FnMut(Raw) -> Vec<Raw>,
+) -> PathBuf {
     let to = common::folder(&format!("scene-{name}")).join(format!("{name}.mcap"));
     let bytes = fs::read(from).expect("the log can be read");
     let out = BufWriter::new(File::create(&to).expect("the folder can be written"));
     let options = mcap::WriteOptions::new().compression(None);
     let mut writer = mcap::Writer::with_options(out, options).expect("a writer");
-    let metadata = McapFile::open(from).expect("a log").metadata().clone();
+    let mut metadata = McapFile::open(from).expect("a log").metadata().clone();
+    record(metadata.get_mut("realo").expect("a log"));
     let record = |writer: &mut mcap::Writer<BufWriter<File>>, wanted: fn(&str) -> bool| {
         for (name, entries) in metadata.iter().filter(|(name, _)| wanted(name)) {
             let metadata = mcap::records::Metadata {
@@ -276,6 +289,11 @@ pub fn rewrite(from: &Path, name: &str, mut change: impl FnMut(Raw) -> Vec<Raw>)
         schemas
             .entry(topic.clone())
             .or_insert_with(|| message.channel.schema.clone().expect("a schema"));
+        for [new, of] in more {
+            if let Some(schema) = schemas.get(*of).cloned() {
+                schemas.entry((*new).to_string()).or_insert(schema);
+            }
+        }
         let raw = Raw {
             topic,
             sequence: message.sequence,

@@ -1,12 +1,78 @@
 //! Boxes as `vision_msgs/msg/Detection3DArray`, its companion `realo_msgs/msg/BoxesInfo`, and markers for viewers.
 
 use nalgebra::Isometry3;
-use realo_schemas::geometry::yaw_of;
+use realo_schemas::geometry::{normalize_yaw, yaw_of};
 use realo_schemas::{Box3, Boxes, Name, Nanos};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
 use crate::pose::{isometry, parts};
 use crate::tracks::track_of;
+
+/// What is said of headings that cannot be right, after how many of how many: what happened, and what to try.
+pub const WRONG_HEADINGS: [&str; 2] = [
+    "have another heading by the `yaw` of their companion than by their quaternion, or a `yaw` beyond ±4π, and the `yaw` was used",
+    "write the heading as both, in radians",
+];
+/// A `yaw` and a quaternion that differ more are two headings, rad.
+const SAME_HEADING: f64 = 0.02;
+/// What is further is not a heading, rad.
+const MAX_YAW: f64 = 4.0 * std::f64::consts::PI + SAME_HEADING;
+
+/// Boxes whose heading cannot be right.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WrongHeadings {
+    /// How many there are.
+    pub count: u64,
+    /// Both headings of the first, in words.
+    pub first: String,
+}
+
+impl WrongHeadings {
+    /// Adds what was found elsewhere, later.
+    pub fn add(&mut self, other: &WrongHeadings) {
+        self.count += other.count;
+        if self.first.is_empty() {
+            self.first.clone_from(&other.first);
+        }
+    }
+
+    /// Takes a box, by its heading from the quaternion (NaN without one) and from the companion.
+    fn note(&mut self, by_quaternion: f64, yaw: f64) {
+        let Some(words) = heading_fault(by_quaternion, yaw) else {
+            return;
+        };
+        self.count += 1;
+        if self.first.is_empty() {
+            self.first = words;
+        }
+    }
+}
+
+/// Why a heading cannot be right, in words. One that is not finite is no plausible box.
+fn heading_fault(by_quaternion: f64, yaw: f64) -> Option<String> {
+    let is_apart = |yaw: f64| normalize_yaw(yaw - by_quaternion).abs() > SAME_HEADING;
+    let is_right = yaw.abs() <= MAX_YAW && (by_quaternion.is_nan() || !is_apart(yaw));
+    if !yaw.is_finite() || is_right {
+        return None;
+    }
+    let degrees = match (std::f64::consts::TAU..=720.0).contains(&yaw.abs())
+        && !by_quaternion.is_nan()
+        && !is_apart(yaw.to_radians())
+    {
+        true => ": looks like degrees",
+        false => "",
+    };
+    let quaternion = match by_quaternion.is_nan() {
+        true => "no quaternion".to_string(),
+        false => format!("a quaternion of {by_quaternion:.3} rad"),
+    };
+    let yaw = if yaw.abs() < 1e6 {
+        format!("{yaw:.3}")
+    } else {
+        format!("{yaw:.3e}")
+    };
+    Some(format!("a `yaw` of {yaw} rad and {quaternion}{degrees}"))
+}
 
 /// What a `Detection3DArray` cannot say of its boxes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -21,6 +87,8 @@ pub struct BoxesInfo {
     pub agents: Vec<Name>,
     /// Points per box and agent, row-major; `None` where nobody counted.
     pub points: Option<Vec<u32>>,
+    /// Of boxes that were read: those whose heading cannot be right.
+    pub wrong_headings: WrongHeadings,
 }
 
 /// Appends boxes as a `Detection3DArray`.
@@ -156,7 +224,9 @@ pub fn decode_info(payload: &[u8], boxes: &mut Boxes) -> Result<(Nanos, BoxesInf
     } else {
         of_boxes("covariance", covariances, 9 * n)?
     };
+    let mut wrong_headings = WrongHeadings::default();
     for (i, object) in boxes.0.iter_mut().enumerate() {
+        wrong_headings.note(object.yaw, yaws[i]);
         object.yaw = yaws[i];
         object.velocity = known(&velocities, i);
         object.covariance = known(&covariances, i);
@@ -183,6 +253,7 @@ pub fn decode_info(payload: &[u8], boxes: &mut Boxes) -> Result<(Nanos, BoxesInf
             map_from_frame,
             agents,
             points,
+            wrong_headings,
         },
     ))
 }
@@ -329,6 +400,7 @@ pub(crate) mod tests {
             map_from_frame: Some(pose),
             agents: vec!["cav1".into(), "rsu1".into()],
             points: Some(vec![1, 2, 3, 4, 5, 6]),
+            ..BoxesInfo::default()
         };
         encode_info(&mut companion, 3, "cav1/body", &samples(), &info);
         let (stamp, mut boxes) = decode(&payload).unwrap();
@@ -347,6 +419,28 @@ pub(crate) mod tests {
         encode_info(&mut companion, 3, "cav1/body", &samples(), &BoxesInfo::default());
         let error = decode_info(&companion, &mut Boxes(samples()[..1].to_vec())).unwrap_err();
         assert_eq!(error, "`yaw` has 3 numbers, the boxes need 1");
+    }
+
+    #[test]
+    fn headings_of_two_values_are_named() {
+        let said = |by_quaternion: f64, yaw: f64| heading_fault(by_quaternion, yaw).unwrap_or_default();
+        let turn = std::f64::consts::TAU;
+        for (by_quaternion, yaw) in [
+            (0.5, 0.51),
+            (3.1, 3.1 - turn),
+            (-0.3, 2.0 * turn - 0.3),
+            (f64::NAN, 3.0),
+            (1.0, f64::NAN),
+        ] {
+            assert_eq!(said(by_quaternion, yaw), "", "{by_quaternion} {yaw}");
+        }
+        assert_eq!(said(0.5, 0.6), "a `yaw` of 0.600 rad and a quaternion of 0.500 rad");
+        assert!(said(-1.571, -90.0).ends_with(": looks like degrees"));
+        assert_eq!(
+            said(0.0, 3.0 * turn),
+            "a `yaw` of 18.850 rad and a quaternion of 0.000 rad"
+        );
+        assert_eq!(said(f64::NAN, 1e20), "a `yaw` of 1.000e20 rad and no quaternion");
     }
 
     #[test]

@@ -126,7 +126,7 @@ pub enum LogError {
         has: String,
     },
     /// A topic that the log does not have.
-    #[error("`{}` has no messages on `{topic}`; agent `{agent}` has: {has}", .path.display())]
+    #[error("`{}` has no topic `{topic}`, which agent `{agent}` needs; topics there: {has}", .path.display())]
     MissingTopic {
         /// The file.
         path: PathBuf,
@@ -134,7 +134,7 @@ pub enum LogError {
         agent: String,
         /// The topic.
         topic: String,
-        /// The topics of that agent.
+        /// The topics of that agent, and those of no agent.
         has: String,
     },
     /// A message that cannot be read.

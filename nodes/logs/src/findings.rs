@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use realo_schemas::geometry::{PLAUSIBLE_BOX, box_fault};
 use realo_schemas::{Boxes, Nanos, to_seconds};
 
+use crate::box_faults::box_faults;
 use crate::timing::{self, AgentTimes, Times};
-use crate::track_faults::track_faults;
+use crate::track_faults::{TrackFault, TrackFinding, track_faults};
 use crate::words::{seconds, side};
-use crate::{Entry, Log, LogError, Stream};
+use crate::{AgentKind, Entry, Log, LogError, Stream};
 
 /// Classes of the boxes of all agents, and how often each is there.
 #[derive(Default)]
@@ -38,16 +38,18 @@ pub(crate) fn problems(log: &Log) -> Result<(Vec<String>, Classes), LogError> {
         let there = Stream::ALL.into_iter().filter(|stream| log.has(&agent.name, *stream));
         let mut are_known = true;
         for stream in there {
-            // Sweeps have the stamps of the points, in less bytes.
-            let is_dear = stream == Stream::Points && log.has(&agent.name, Stream::Sweeps);
-            let looked = look(log, &agent.name, stream, is_dear, &mut classes)?;
+            let looked = look(log, &agent.name, stream, &mut classes)?;
             problems.extend(looked.problems);
             match looked.times {
-                Some(_) if is_dear => {}
+                // Sweeps have the stamps of the points.
+                _ if stream == Stream::Points && log.has(&agent.name, Stream::Sweeps) => {}
                 Some(known) => drop(times.streams.insert(stream, known)),
                 None => are_known = false,
             }
         }
+        problems.extend(missing_topics(log, &agent.name));
+        problems.extend(sweeps_of_two_topics(log, &agent.name).map(|words| format!("`{}`: {words}", agent.name)));
+        problems.extend(box_faults(log, &agent.name)?);
         is_readable &= are_known;
         if are_known {
             agents.push(times);
@@ -56,19 +58,71 @@ pub(crate) fn problems(log: &Log) -> Result<(Vec<String>, Classes), LogError> {
     let end = log.span().map_or(Nanos::MAX, |(_, last)| last);
     problems.extend(timing::findings(log, &agents, end)?);
     if is_readable {
-        problems.extend(track_faults(log)?.iter().map(ToString::to_string));
+        // What is around a roadside unit is mostly not scored.
+        let is_scored = |found: &&TrackFinding| match found.fault {
+            TrackFault::Lacking => {
+                let info = found.agents.first().and_then(|agent| log.info().agent(agent));
+                info.is_none_or(|info| info.kind == AgentKind::Vehicle)
+            }
+            _ => true,
+        };
+        let found = track_faults(log)?;
+        problems.extend(found.iter().filter(is_scored).map(ToString::to_string));
     }
     problems.extend(unusable);
     Ok((problems, classes))
 }
 
-/// What is wrong with poses that cannot be used.
-fn unusable_poses(log: &Log, agent: &str, stream: Stream) -> Result<Option<String>, LogError> {
+/// What a run needs of an agent and the log lacks.
+fn missing_topics(log: &Log, agent: &str) -> Option<String> {
+    let has = |streams: [Stream; 2]| streams.into_iter().any(|stream| log.has(agent, stream));
+    let sweeps = has([Stream::Points, Stream::Sweeps]);
+    // What has sweeps and no poses is named with these.
+    (!sweeps).then(|| {
+        format!(
+            "`{agent}` has no sweeps, and a run needs {} or {} of each agent; topics there: {}; leave the agent out of the log's \
+             `agents`, or write its topics",
+            Stream::Points.topic(agent),
+            Stream::Sweeps.topic(agent),
+            log.topics_beside(agent)
+        )
+    })
+}
+
+/// What is said of sweeps that one of two topics has, after how many of how many: what happened, and what to try.
+pub const SWEEPS_OF_TWO_TOPICS: [&str; 2] = [
+    "sweeps are on one of `points` and `sweeps` alone, so that a run with points and one without play others",
+    "write both for each sweep, or no `sweeps` at all",
+];
+
+/// How many more sweeps of an agent one of its two topics has, and how many there are; `None` where both have as many. Of a log
+/// that was cut, one may reach further.
+pub fn sweeps_of_one_topic(log: &Log, agent: &str) -> Option<[u64; 2]> {
+    let [points, sweeps] = [Stream::Points, Stream::Sweeps].map(|stream| log.count(agent, stream));
+    let is_told = points > 0 && sweeps > 0 && points != sweeps && log.truncation().is_none();
+    is_told.then(|| [points.abs_diff(sweeps), points.max(sweeps)])
+}
+
+fn sweeps_of_two_topics(log: &Log, agent: &str) -> Option<String> {
+    let [count, of] = sweeps_of_one_topic(log, agent)?;
+    let [note, remedy] = SWEEPS_OF_TWO_TOPICS;
+    Some(format!("{count} of {of} {note}; {remedy}"))
+}
+
+/// What is said of poses whose covariance cannot be right, after how many of how many: what happened, and what to try.
+pub const WRONG_COVARIANCES: [&str; 2] = [
+    "have a covariance that cannot be right, and were played as if it were unknown",
+    "write variances of 0 or more in m² and rad², or 36 zeros where they are unknown",
+];
+
+/// What is wrong with poses that cannot be used, or whose covariance cannot be right.
+fn unusable_poses(log: &Log, agent: &str, stream: Stream) -> Result<Vec<String>, LogError> {
     if !log.has(agent, stream) {
-        return Ok(None);
+        return Ok(Vec::new());
     }
     let mut reader = log.read_all(&[(agent, stream)])?;
     let (mut all, mut lost, mut first) = (0, 0, None);
+    let (mut uncertain, mut first_covariance) = (0, None);
     loop {
         let entry = match reader.next() {
             Ok(Some(entry)) => entry,
@@ -81,9 +135,17 @@ fn unusable_poses(log: &Log, agent: &str, stream: Stream) -> Result<Option<Strin
             lost += 1;
             first.get_or_insert(error.reason());
         }
+        if let Some(fault) = entry.wrong_covariance() {
+            uncertain += 1;
+            first_covariance.get_or_insert(fault);
+        }
     }
     let topic = stream.topic(agent);
-    Ok(first.map(|first| format!("{topic}: {lost} of {all} poses cannot be used: {first}")))
+    let [note, remedy] = WRONG_COVARIANCES;
+    let unusable = first.map(|first| format!("{topic}: {lost} of {all} poses cannot be used: {first}"));
+    let uncertain = first_covariance
+        .map(|first| format!("{topic}: {uncertain} of {all} poses {note} (the first has {first}); {remedy}"));
+    Ok(unusable.into_iter().chain(uncertain).collect())
 }
 
 /// What is wrong with messages whose publish time is `apart` ns later than the stamp of their header.
@@ -103,14 +165,24 @@ struct Looked {
     problems: Vec<String>,
 }
 
-/// Looks at a stream, or at its first message: stamps of two values, boxes that no object can have, and the first message that
-/// cannot be read, is there twice or starts again. Classes of ground truth and detections are counted.
-fn look(log: &Log, agent: &str, stream: Stream, only_first: bool, classes: &mut Classes) -> Result<Looked, LogError> {
+/// Looks at a stream: stamps of two values, and the first message that cannot be
+/// read, is there twice or starts again. Classes of ground truth and detections are counted.
+fn look(log: &Log, agent: &str, stream: Stream, classes: &mut Classes) -> Result<Looked, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
-    let (mut times, mut apart, mut implausible) = (Times::new(), Vec::new(), Implausible::default());
+    let (mut times, mut apart) = (Times::new(), Vec::new());
+    let mut first_is_whole = None;
     let mut next = || -> Result<Option<(Entry, Boxes)>, LogError> {
         let Some(entry) = reader.next()? else { return Ok(None) };
         let boxes = match stream {
+            Stream::Points => {
+                // Why the first cannot be read is said with how sweeps are read; the others are like it.
+                match first_is_whole {
+                    None => first_is_whole = Some(entry.look_at_cloud().is_ok()),
+                    Some(true) => entry.look_at_cloud()?,
+                    Some(false) => {}
+                }
+                Boxes::default()
+            }
             Stream::GroundTruth | Stream::OwnLabels | Stream::Detections => entry.boxes()?,
             _ => Boxes::default(),
         };
@@ -123,7 +195,6 @@ fn look(log: &Log, agent: &str, stream: Stream, only_first: bool, classes: &mut 
             Ok(Some((entry, boxes))) => {
                 times.push([entry.stamp(), entry.ready()]);
                 apart.extend(entry.published_apart());
-                implausible.note(entry.stamp(), &boxes);
                 let counts = match stream {
                     Stream::GroundTruth => Some(&mut classes.truth),
                     Stream::Detections => Some(&mut classes.detections),
@@ -133,9 +204,6 @@ fn look(log: &Log, agent: &str, stream: Stream, only_first: bool, classes: &mut 
                     for object in &boxes.0 {
                         *counts.entry(object.class.to_string()).or_default() += 1;
                     }
-                }
-                if only_first {
-                    break true;
                 }
             }
             Ok(None) => break true,
@@ -151,43 +219,9 @@ fn look(log: &Log, agent: &str, stream: Stream, only_first: bool, classes: &mut 
         }
     };
     if let Some(first) = apart.first() {
-        let which = match only_first {
-            true => "the first message".to_string(),
-            false => format!("{} of {} messages", apart.len(), times.len()),
-        };
+        let which = format!("{} of {} messages", apart.len(), times.len());
         problems.push(two_values(&topic, &which, *first));
     }
-    problems.extend(implausible.problem(&topic));
     let times = is_read.then_some(times);
     Ok(Looked { times, problems })
-}
-
-/// Boxes that no object can have.
-#[derive(Default)]
-struct Implausible {
-    count: usize,
-    of: usize,
-    /// Stamp of the first, and what is wrong with it.
-    first: Option<(Nanos, String)>,
-}
-
-impl Implausible {
-    fn note(&mut self, stamp: Nanos, boxes: &Boxes) {
-        self.of += boxes.0.len();
-        for fault in boxes.0.iter().filter_map(box_fault) {
-            self.count += 1;
-            self.first.get_or_insert((stamp, fault));
-        }
-    }
-
-    fn problem(&self, topic: &str) -> Option<String> {
-        let (stamp, fault) = self.first.as_ref()?;
-        Some(format!(
-            "{topic}: {} of {} boxes are left out, because no object can have such numbers: the first, at {:.3} s, has {fault}; {PLAUSIBLE_BOX}: \
-             mend the program that wrote them",
-            self.count,
-            self.of,
-            to_seconds(*stamp)
-        ))
-    }
 }

@@ -85,13 +85,22 @@ impl Frames {
             other: None,
             contradiction: None,
         };
+        let back = self
+            .edges
+            .get_mut(parent)
+            .filter(|back| back.parent == child && parent != child);
+        let inverse = back.and_then(|back| {
+            let reason = back.contradicts(parent, topic, stamp, &pose.inverse())?;
+            let reason = format!("{reason}; the second is given as `{parent}` → `{child}`");
+            Some(back.contradiction.get_or_insert(reason).clone())
+        });
         let edge = self.edges.entry(child.into()).or_insert_with(new);
         if edge.parent != parent {
             edge.other = Some(parent.into());
             return;
         }
         if edge.contradiction.is_none() {
-            edge.contradiction = edge.contradicts(child, topic, stamp, &pose);
+            edge.contradiction = inverse.or_else(|| edge.contradicts(child, topic, stamp, &pose));
         }
         edge.at.entry(stamp).or_insert(pose);
     }
@@ -381,6 +390,26 @@ mod tests {
             let error = reason(two.way("map", "lidar", SECOND));
             let names = format!("`{parent}` → `{child}` has two values");
             assert!(error.contains(&names) && error.contains("leave one"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_transform_and_its_inverse_have_one_value() {
+        let way = |x: f64| {
+            let mut both = Frames::default();
+            both.add("/tf_static", 0, "body", "lidar", pose(1.0, 0.5));
+            let back = pose(1.0, 0.5).inverse() * pose(x, 0.0);
+            both.add("/tf_static", 1, "lidar", "body", back);
+            both.way("body", "lidar", 0)
+        };
+        assert!(way(0.0).is_ok());
+        let error = reason(way(1.0));
+        for part in [
+            "`body` → `lidar` has two values",
+            "1.000 m and 0.00° apart",
+            "given as `lidar` → `body`",
+        ] {
+            assert!(error.contains(part), "no `{part}` in {error}");
         }
     }
 

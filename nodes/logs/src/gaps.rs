@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use realo_schemas::{Name, Nanos};
 
-use crate::limits::{POSES_MORE, SHORTEST_GAP, SHORTEST_GAP_PERIODS, UNFINISHED};
+use crate::limits::{APART, POSES_MORE, SHORTEST_GAP, SHORTEST_GAP_PERIODS};
 use crate::words::seconds;
 
 /// What is said of sweeps that are missing, after how many of how many: what happened, and what to try.
@@ -147,7 +147,7 @@ impl Gaps {
             let Some((begin, end)) = spans.get(ego).map(|span| (span.first, span.last)) else {
                 return found;
             };
-            spans.retain(|_, span| span.first <= end && span.last >= begin);
+            spans.retain(|_, span| span.first - end <= APART && begin - span.last <= APART);
         }
         let first = spans.values().map(|span| span.first).min().unwrap_or_default();
         let last = spans.values().map(|span| span.last).max().unwrap_or_default();
@@ -195,6 +195,8 @@ pub struct Bare {
     /// When each is ready, by its stamp.
     open: BTreeMap<Nanos, Nanos>,
     all: u64,
+    /// The longest time from a sweep to its detections, ns.
+    delay: Nanos,
 }
 
 /// Sweeps without detections.
@@ -216,16 +218,16 @@ impl Bare {
     }
 
     /// Takes detections.
-    pub fn detections(&mut self, stamp: Nanos) {
-        if let Some(at) = crate::same(&self.open, stamp) {
-            self.open.remove(&at);
+    pub fn detections(&mut self, stamp: Nanos, ready: Nanos) {
+        if let Some(of_sweep) = crate::same(&self.open, stamp).and_then(|at| self.open.remove(&at)) {
+            self.delay = self.delay.max(ready.saturating_sub(of_sweep));
         }
     }
 
-    /// What is missing when all messages until a log time were taken. Of the last sweeps detections may have come later. `elsewhere`:
-    /// detections of the agent that belong to no sweep, of which that is said already.
+    /// What is missing when all messages until a log time, inclusive, were taken. Those of the last sweeps may have come later, by the
+    /// delay of the others. `elsewhere`: detections of the agent that belong to no sweep, of which that is said already.
     pub fn end(&self, end: Nanos, elsewhere: u64) -> Option<Lack> {
-        let is_over = |(_, ready): &(&Nanos, &Nanos)| ready.saturating_add(UNFINISHED) < end;
+        let is_over = |(_, ready): &(&Nanos, &Nanos)| ready.saturating_add(self.delay) <= end;
         let mut lost = self.open.iter().filter(is_over).map(|(stamp, _)| *stamp);
         let first = lost.next()?;
         let count = 1 + lost.count() as u64;
@@ -354,21 +356,24 @@ mod tests {
     }
 
     #[test]
-    fn sweeps_without_detections_are_counted_but_for_the_last() {
-        let lack = |has: fn(&Nanos) -> bool, elsewhere: u64| {
+    fn sweeps_without_detections_are_counted_but_for_those_whose_may_come_later() {
+        let lack = |has: fn(&Nanos) -> bool, delay: Nanos, elsewhere: u64| {
             let mut bare = Bare::default();
             for time in every(100, 0, 2_000) {
                 bare.sweep(time * MS, (time + 90) * MS);
             }
             for time in every(100, 0, 2_000).into_iter().filter(has) {
-                bare.detections(time * MS + SAME_STAMP);
+                bare.detections(time * MS + SAME_STAMP, (time + 90 + delay) * MS);
             }
             bare.end(2_000 * MS, elsewhere)
                 .map(|lack| (lack.count, lack.of, lack.place))
         };
-        assert_eq!(lack(|time| *time < 1_500, 0), None);
+        let first: fn(&Nanos) -> bool = |time| *time < 1_800;
+        assert_eq!(lack(first, 0, 0), Some((2, 20, "the first at 1.800 s".into())));
+        assert_eq!(lack(first, 50, 0).map(|lack| lack.0), Some(1));
+        assert_eq!(lack(first, 150, 0), None);
         let holes: fn(&Nanos) -> bool = |time| !(500..800).contains(time);
-        assert_eq!(lack(holes, 2), Some((3, 20, "the first at 0.500 s".into())));
-        assert_eq!(lack(holes, 3), None, "these are said already");
+        assert_eq!(lack(holes, 50, 2), Some((3, 20, "the first at 0.500 s".into())));
+        assert_eq!(lack(holes, 50, 3), None, "these are said already");
     }
 }

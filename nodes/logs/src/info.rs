@@ -207,6 +207,9 @@ pub fn program() -> String {
     concat!("realo ", env!("CARGO_PKG_VERSION")).into()
 }
 
+/// No vehicle reaches further from the origin of its body frame, m.
+const FARTHEST_OUTLINE: f64 = 30.0;
+
 /// Whether names can be parts of topics and of paths, and differ; whether outlines are outlines.
 pub(crate) fn check_agents(agents: &[AgentInfo]) -> Result<(), String> {
     let mut names = BTreeSet::new();
@@ -219,10 +222,11 @@ pub(crate) fn check_agents(agents: &[AgentInfo]) -> Result<(), String> {
             ));
         }
         if let Some(outline @ [x0, x1, y0, y1]) = agent.footprint
-            && !(outline.iter().all(|v| v.is_finite()) && x0 < x1 && y0 < y1)
+            && !(outline.iter().all(|v| v.abs() <= FARTHEST_OUTLINE) && x0 < x1 && y0 < y1)
         {
             return Err(format!(
-                "`footprint` of `{}`: expected [x min, x max, y min, y max] in metres with min below max, found {outline:?}",
+                "`footprint` of `{}`: expected [x min, x max, y min, y max] in metres, within ±{FARTHEST_OUTLINE} m and with min below \
+                 max, found {outline:?}: correct it where the log is made",
                 agent.name
             ));
         }
@@ -310,6 +314,7 @@ mod tests {
             [-1.0, 1.0, 2.0, 1.0],
             [-1.0, f64::INFINITY, -1.0, 1.0],
             [f64::NAN, 1.0, -1.0, 1.0],
+            [-150.0, 330.0, -90.0, 90.0],
         ] {
             assert!(outline(wrong).unwrap_err().contains("`footprint` of `a`"), "{wrong:?}");
         }

@@ -27,6 +27,7 @@
 //! Points that others wrote in the frame of their sensor are brought to the body frame by `/tf_static` and `/tf`. No
 //! length in a file is believed: what a file may take of memory is bounded by its size.
 
+mod box_faults;
 pub mod boxes;
 pub mod cdr;
 mod clocks;
@@ -42,6 +43,7 @@ mod level;
 pub mod limits;
 mod log;
 mod log_writer;
+mod map_points;
 mod mcap_file;
 mod mcap_writer;
 mod merge;
@@ -63,15 +65,17 @@ mod tracks;
 pub mod views;
 mod words;
 
-pub use boxes::BoxesInfo;
+pub use boxes::{BoxesInfo, WRONG_HEADINGS, WrongHeadings};
 pub use clocks::{BEHIND_MOST, PeerClock, Step, clock_words, kind_of_clock};
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
+pub use findings::{SWEEPS_OF_TWO_TOPICS, WRONG_COVARIANCES, sweeps_of_one_topic};
 pub use gaps::{Bare, Gaps, Lack, Missing, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
 pub use info::{AgentInfo, AgentKind, Levelled, LogInfo, program};
 pub use level::{Attitude, Attitudes, LEVEL, level_state, levelled_while_played, need_level};
 pub use log::{Entry, Log, LogReader};
 pub use log_writer::LogWriter;
+pub use map_points::{TRANSFORMS_DIFFER, TransformsApart};
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
 pub use merge::{Merge, Moved};

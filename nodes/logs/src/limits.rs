@@ -6,8 +6,6 @@ use realo_schemas::Nanos;
 pub const APART: Nanos = 500_000_000;
 /// Truth farther from a sweep belongs to another one, ns.
 pub const TRUTH_WINDOW: Nanos = 500_000_000;
-/// Detections may come so long after their sweep, ns: at the end of a log some are missing.
-pub const UNFINISHED: Nanos = 500_000_000;
 /// Shorter times without a sweep are not gaps, ns.
 pub const SHORTEST_GAP: Nanos = 500_000_000;
 /// Times of fewer periods without a sweep are not gaps.

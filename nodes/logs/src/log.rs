@@ -49,14 +49,17 @@ impl Log {
                 continue;
             };
             if channel.schema != stream.schema().name() || channel.encoding != "cdr" {
-                let (expected, found) = (stream.schema().name(), &channel.schema);
+                let found = match channel.schema.is_empty() {
+                    true => "no schema".into(),
+                    false => format!("{} as {}", channel.schema, channel.encoding),
+                };
                 let reason = format!(
-                    "expected {expected} as cdr, found {found} as {}: convert the messages, or give the topic another name",
-                    channel.encoding
+                    "topic `{}` has another type: expected {} as cdr, found {found}: convert its messages, or give it another name",
+                    channel.topic,
+                    stream.schema().name()
                 );
-                return Err(LogError::Content {
-                    topic: channel.topic.clone(),
-                    log_time: 0,
+                return Err(LogError::Unfit {
+                    path: path.into(),
                     reason,
                 });
             }
@@ -201,6 +204,23 @@ impl Log {
         }
     }
 
+    /// The frame of an agent's points, by its first sweep; `None` without any that can be read.
+    ///
+    /// # Errors
+    /// Bytes that contradict the format.
+    pub(crate) fn frame_of_points(&self, agent: &str) -> Result<Option<String>, LogError> {
+        if !self.has(agent, Stream::Points) {
+            return Ok(None);
+        }
+        let first = self.read_all(&[(agent, Stream::Points)])?.next()?;
+        let frame = |entry: &Entry| {
+            CdrReader::new(entry.data())?
+                .header()
+                .map(|(_, frame)| frame.to_string())
+        };
+        Ok(first.as_ref().and_then(|entry| frame(entry).ok()))
+    }
+
     /// How many of an agent's sweeps, by their stamps, no transform brings to its body frame, and why the first is not.
     ///
     /// # Errors
@@ -263,14 +283,27 @@ impl Log {
                 path: self.path().into(),
                 agent: agent.into(),
                 topic: stream.topic(agent),
-                has: join(
-                    self.streams
-                        .keys()
-                        .filter(|(name, _)| name == agent)
-                        .map(|(_, stream)| stream.as_str()),
-                ),
+                has: self.topics_beside(agent),
             }),
         }
+    }
+
+    /// The topics of an agent, and those that are of no agent.
+    pub(crate) fn topics_beside(&self, agent: &str) -> String {
+        const SHOWN: usize = 12;
+        let is_of_others = |topic: &str| {
+            let owner = parse_topic(topic).map(|(owner, _)| owner);
+            owner.is_some_and(|owner| owner != agent && self.info.agent(&owner).is_some())
+        };
+        let topics = self.topics();
+        let mut shown: Vec<&str> = topics
+            .keys()
+            .map(String::as_str)
+            .filter(|topic| !is_of_others(topic))
+            .collect();
+        let more = shown.len() > SHOWN;
+        shown.truncate(SHOWN);
+        join(shown.into_iter().chain(more.then_some("…")))
     }
 
     /// Messages of the wanted streams with log times in `[from, until)`, in order of log time, then of [`Stream`], then
@@ -531,6 +564,15 @@ impl Entry {
         })
     }
 
+    /// Looks whether a sweep ([`Stream::Points`]) is whole and its frame one that leads to the agent's body, without its points.
+    ///
+    /// # Errors
+    /// As [`Entry::cloud`], but for what the points alone tell.
+    pub(crate) fn look_at_cloud(&self) -> Result<(), LogError> {
+        let looked = self.context.look(&self.agent, self.stamp(), self.data());
+        looked.map_err(|reason| self.bad(reason))
+    }
+
     /// A pose ([`Stream::Pose`], [`Stream::PoseTruth`]).
     ///
     /// # Errors
@@ -544,6 +586,11 @@ impl Entry {
             .and_then(|()| pose::decode(self.data(), status))
             .map(|(_, state)| state)
             .map_err(|reason| self.bad(reason))
+    }
+
+    /// Why the covariance of a pose that can be read cannot be right, in words; such a pose has an unknown one.
+    pub fn wrong_covariance(&self) -> Option<String> {
+        pose::wrong_covariance(self.data())
     }
 
     /// Boxes ([`Stream::Detections`], [`Stream::GroundTruth`], [`Stream::OwnLabels`]) without what their companion says.

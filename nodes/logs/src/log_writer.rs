@@ -307,6 +307,7 @@ impl LogWriter {
             map_from_frame: None,
             agents: points.map(|_| Name::from(agent)).into_iter().collect(),
             points: points.map(<[u32]>::to_vec),
+            ..BoxesInfo::default()
         })
     }
 

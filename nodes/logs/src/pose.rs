@@ -13,7 +13,38 @@ pub fn encode(buffer: &mut Vec<u8>, stamp: Nanos, frame: &str, state: &EgoState)
     out.f64s(state.covariance.as_deref().unwrap_or(&[0.0; 36]));
 }
 
-/// Reads a pose; all zeros are an unknown covariance. Velocities are unknown.
+/// No variance is larger, m² or rad²: unknown ones are written as 0.
+const MAX_VARIANCE: f64 = 1e12;
+
+/// Why a covariance cannot be right, in words.
+fn covariance_fault(covariance: &[f64; 36]) -> Option<String> {
+    let is_variance = |place: usize| place.is_multiple_of(7);
+    let is_wrong = |(place, value): &(usize, &f64)| {
+        !value.is_finite() || value.abs() > MAX_VARIANCE || (is_variance(*place) && **value < 0.0)
+    };
+    let (place, value) = covariance.iter().enumerate().find(is_wrong)?;
+    let what = if is_variance(place) {
+        "a variance"
+    } else {
+        "a covariance"
+    };
+    let value = if value.abs() < 1e6 {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    };
+    Some(format!("{what} of {value}"))
+}
+
+/// Why the covariance of a pose that can be read cannot be right, in words.
+pub(crate) fn wrong_covariance(payload: &[u8]) -> Option<String> {
+    let mut input = CdrReader::new(payload).ok()?;
+    input.header().ok()?;
+    isometry(&input.f64s().ok()?).ok()?;
+    covariance_fault(&input.f64s::<36>().ok()?)
+}
+
+/// Reads a pose. A covariance of zeros, or one that cannot be right, is unknown; so are velocities.
 ///
 /// # Errors
 /// Bytes that are no such message; numbers that are no pose.
@@ -22,7 +53,7 @@ pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, EgoState), C
     let (stamp, _) = input.header()?;
     let map_from_body = isometry(&input.f64s()?)?;
     let covariance = Some(input.f64s::<36>()?)
-        .filter(|c| c.iter().any(|v| *v != 0.0))
+        .filter(|c| c.iter().any(|v| *v != 0.0) && covariance_fault(c).is_none())
         .map(Box::new);
     Ok((
         stamp,
@@ -130,6 +161,24 @@ mod tests {
             let mut payload = Vec::new();
             encode(&mut payload, 42, "map", &state);
             assert_eq!(decode(&payload, PoseStatus::Recorded).unwrap(), (42, state));
+        }
+    }
+
+    #[test]
+    fn a_covariance_that_cannot_be_right_is_unknown() {
+        let with = |place: usize, value: f64| {
+            let mut covariance = [0.01; 36];
+            covariance[place] = value;
+            covariance_fault(&covariance)
+        };
+        assert_eq!([with(0, 0.0), with(1, -0.5), with(35, 1e9)], [None, None, None]);
+        for (place, value, words) in [
+            (0, f64::NAN, "a variance of NaN"),
+            (7, -1.0, "a variance of -1"),
+            (35, f64::MAX, "a variance of 1.7976931348623157e308"),
+            (1, f64::INFINITY, "a covariance of inf"),
+        ] {
+            assert_eq!(with(place, value).as_deref(), Some(words));
         }
     }
 

@@ -80,6 +80,15 @@ impl Context {
         Ok(cloud)
     }
 
+    /// Looks at a sweep without its points; one that no transform brings to the body at its time may be placed at others.
+    pub fn look(&self, agent: &str, stamp: Nanos, payload: &[u8]) -> Result<(), String> {
+        let reader = CloudReader::new(payload)?;
+        match self.way(agent, reader.frame, stamp) {
+            Ok(_) | Err(NoCloud::Unplaced(_)) => Ok(()),
+            Err(NoCloud::Unreadable(reason)) => Err(reason),
+        }
+    }
+
     /// How to bring what lies in `frame` into the agent's body frame; `None` if it lies there.
     pub fn way(&self, agent: &str, frame: &str, stamp: Nanos) -> Result<Option<Way>, NoCloud> {
         let to = body(agent);

@@ -6,6 +6,7 @@ use realo_schemas::{Name, Nanos, SAME_STAMP};
 
 use crate::gaps::{Bare, Gaps, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
 use crate::limits::{APART, TRUTH_WINDOW};
+use crate::map_points::{TRANSFORMS_DIFFER, TransformsApart};
 use crate::words::{millis, nearest_words, seconds, side};
 use crate::{Log, LogError, MAX_GAP, Standing, Step, Stream, clock_words, is_posed, kind_of_clock};
 
@@ -62,6 +63,7 @@ pub(crate) fn findings(log: &Log, agents: &[AgentTimes], end: Nanos) -> Result<V
         }
         found.extend(poses(&times, standing));
         found.extend(unplaced(log, &times)?);
+        found.extend(transforms_apart(log, &times.agent)?);
         found.extend(joins(&times, end));
         in_step.push(times);
     }
@@ -136,20 +138,29 @@ fn clock(times: &AgentTimes, standing: bool) -> Option<String> {
     None
 }
 
-/// Sweeps that get no pose.
-fn poses(times: &AgentTimes, standing: bool) -> Option<String> {
+/// Sweeps that get no pose, of each stream of poses.
+fn poses(times: &AgentTimes, standing: bool) -> Vec<String> {
     let (agent, sweeps) = (&times.agent, stamps(times.sweeps()));
     if sweeps.is_empty() || standing {
-        return None;
+        return Vec::new();
     }
     let streams = [Stream::Pose, Stream::PoseTruth].into_iter();
-    let Some(stream) = streams.into_iter().find(|stream| times.streams.contains_key(stream)) else {
-        return Some(format!(
+    let there: Vec<Stream> = streams.filter(|stream| times.streams.contains_key(stream)).collect();
+    if there.is_empty() {
+        return vec![format!(
             "`{agent}` has sweeps and no poses: write {}, at 10 Hz or more",
             Stream::Pose.topic(agent)
-        ));
-    };
-    let poses = times.stamps(stream);
+        )];
+    }
+    there
+        .into_iter()
+        .filter_map(|stream| unposed(times, stream, &sweeps))
+        .collect()
+}
+
+/// Sweeps that get no pose of a stream.
+fn unposed(times: &AgentTimes, stream: Stream, sweeps: &[Nanos]) -> Option<String> {
+    let (agent, poses) = (&times.agent, times.stamps(stream));
     let lost: Vec<Nanos> = sweeps
         .iter()
         .copied()
@@ -161,9 +172,13 @@ fn poses(times: &AgentTimes, standing: bool) -> Option<String> {
         (_, gap) if gap > MAX_GAP => format!("poses come every {} ms", millis(gap)),
         _ => format!("at {} s {}", seconds(first), around(&poses, first)),
     };
+    let whose = match stream {
+        Stream::PoseTruth => format!(" on {}, which offline runs and `--pose true` take", stream.topic(agent)),
+        _ => String::new(),
+    };
     Some(format!(
-        "`{agent}`: {} of {} sweeps have no pose: {why}; at most {} ms are bridged: write poses at 10 Hz or more that span the sweeps, \
-         or give `--set NODE.max_gap_ms=…` of the node `sync` more",
+        "`{agent}`: {} of {} sweeps have no pose{whose}: {why}; at most {} ms are bridged: write poses at 10 Hz or more that span the \
+         sweeps, or give `--set NODE.max_gap_ms=…` of the node `sync` more",
         lost.len(),
         sweeps.len(),
         millis(MAX_GAP)
@@ -191,6 +206,14 @@ fn unplaced(log: &Log, times: &AgentTimes) -> Result<Option<String>, LogError> {
             seconds(first)
         )
     }))
+}
+
+/// Sweeps whose transform from the map is not at the agent's pose.
+fn transforms_apart(log: &Log, agent: &str) -> Result<Option<String>, LogError> {
+    let apart = TransformsApart::read(log, agent)?;
+    let [note, remedy] = TRANSFORMS_DIFFER;
+    Ok(apart
+        .map(|TransformsApart { count, of, first }| format!("`{agent}`: {count} of {of} {note} ({first}); {remedy}")))
 }
 
 /// Messages whose stamp is that of none that they belong to.
@@ -241,8 +264,8 @@ fn bare(times: &AgentTimes, end: Nanos, elsewhere: u64) -> Option<String> {
     for [stamp, ready] in times.sweeps() {
         bare.sweep(*stamp, *ready);
     }
-    for [stamp, _] in detections {
-        bare.detections(*stamp);
+    for [stamp, ready] in detections {
+        bare.detections(*stamp, *ready);
     }
     let lack = bare.end(end, elsewhere)?;
     let [note, remedy] = SWEEPS_WITHOUT_DETECTIONS;
@@ -503,7 +526,7 @@ mod tests {
         ]);
         assert_eq!(clock(&healthy, false), None);
         assert!(!healthy.without_off(false).1);
-        assert_eq!((poses(&healthy, false), joins(&healthy, END)), (None, Vec::new()));
+        assert_eq!((poses(&healthy, false), joins(&healthy, END)), (Vec::new(), Vec::new()));
         let two = [healthy, agent(&[(Stream::Sweeps, every(100, 20, 90))])];
         assert_eq!((apart(&two), gaps(&two, true)), (Vec::new(), Vec::new()));
     }
@@ -533,13 +556,14 @@ mod tests {
     }
 
     #[test]
-    fn sweeps_without_detections_are_named_but_for_the_last() {
+    fn sweeps_without_detections_are_named() {
         let said = |times: Times| {
             let streams = [(Stream::Sweeps, every(100, 0, 90)), (Stream::Detections, times)];
             joins(&agent(&streams), END)
         };
         let all = every(100, 0, 150);
-        assert_eq!(said(all[..17].to_vec()), Vec::<String>::new());
+        assert_eq!(said(all.clone()), Vec::<String>::new());
+        assert!(said(all[..17].to_vec())[0].starts_with("`car`: 3 of 20 sweeps have no"));
         let holes = [&all[..5], &all[8..]].concat();
         let said = said(holes);
         assert!(
@@ -587,7 +611,7 @@ mod tests {
                 .into_iter()
                 .chain([sweeps])
                 .collect();
-            poses(&agent(&streams), false).unwrap_or_default()
+            poses(&agent(&streams), false).concat()
         };
         assert!(said(Some(every(200, 0, 0))).contains("10 of 20 sweeps have no pose: poses come every 200 ms"));
         assert!(said(Some(every(200, 0, 0)[..1].to_vec())).contains("19 of 20 sweeps have no pose: it has one pose"));

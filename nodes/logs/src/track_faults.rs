@@ -1,9 +1,9 @@
-//! Tracks that do not say which objects of two agents are one.
+//! Truth whose tracks do not say which objects of two agents are one, or that has objects twice or not at all.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use nalgebra::Point2;
+use nalgebra::{Isometry3, Point2, Point3};
 use realo_schemas::geometry::is_plausible;
 use realo_schemas::{Box3, Nanos};
 
@@ -17,6 +17,12 @@ const APART: f64 = 5.0;
 const SAME_PLACE: f64 = 1.0;
 /// So many positions of tracks tell whether two agents number objects alike.
 const ENOUGH: usize = 2_000;
+/// Objects of one class and message that lie nearer than this are one, m.
+const TWICE: f64 = 0.2;
+/// Truth has all objects so far ahead of its agent, m, whatever the region is that is scored.
+const AHEAD: f64 = 50.0;
+/// And so far to each side, m.
+const BESIDE: f64 = 30.0;
 /// Poses further apart say nothing of what lies between, ns.
 const GAP: Nanos = 1_000_000_000;
 /// Of more objects than one in so many a fault is told: labels are made by people.
@@ -31,6 +37,10 @@ pub enum TrackFault {
     Split,
     /// A track is of several objects of one message.
     Doubled,
+    /// An object is there twice, under two tracks.
+    Twice,
+    /// The first agent's truth lacks objects ahead of it that the second one's has.
+    Lacking,
 }
 
 /// Objects whose tracks do not tell which objects of others they are.
@@ -50,8 +60,22 @@ impl fmt::Display for TrackFinding {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let TrackFinding { agents, count, of, .. } = self;
         let agents: Vec<String> = agents.iter().map(|agent| format!("`{agent}`")).collect();
+        if self.fault == TrackFault::Lacking {
+            let [own, other] = [0, 1].map(|index| agents.get(index).map(String::as_str).unwrap_or_default());
+            return write!(
+                f,
+                "{count} of {of} objects that the truth of {other} has up to {AHEAD} m ahead of {own} are not in the truth of {own}: it \
+                 must have all objects around {own}, those too that it does not see"
+            );
+        }
         let agents = agents.join(" and ");
         match self.fault {
+            TrackFault::Twice => {
+                return write!(
+                    f,
+                    "{count} of {of} objects in the truth of {agents} lie at the place of another one of their class: write each object once"
+                );
+            }
             TrackFault::Apart(median) => write!(
                 f,
                 "tracks of {agents} name different objects: of {of} positions of tracks that both have, {count} lie more than {APART} m \
@@ -66,6 +90,7 @@ impl fmt::Display for TrackFinding {
                 f,
                 "{count} of {of} objects in the truth of {agents} have the track of another object of the same message"
             ),
+            TrackFault::Lacking => Ok(()),
         }?;
         f.write_str("; give an object the same track in the truth of all agents, and no other object that track")
     }
@@ -76,6 +101,34 @@ struct Placed {
     track: Option<u64>,
     class: String,
     place: Point2<f64>,
+    height: f64,
+}
+
+/// An agent's truth at a time.
+struct Truth {
+    stamp: Nanos,
+    body_from_map: Isometry3<f64>,
+    objects: Vec<Placed>,
+}
+
+impl Truth {
+    /// How many objects of another agent's truth lie ahead and are not in this one, and how many lie there. The agent itself, which
+    /// the other sees, is none.
+    fn lacks(&self, others: &[Placed]) -> [usize; 2] {
+        let ahead = others.iter().filter(|other| {
+            let [x, y] = (self.body_from_map * Point3::new(other.place.x, other.place.y, other.height))
+                .xy()
+                .coords
+                .into();
+            (APART..AHEAD).contains(&x) && y.abs() < BESIDE
+        });
+        let is_there = |other: &Placed| {
+            let mut own = self.objects.iter();
+            own.any(|own| (own.track.is_some() && own.track == other.track) || (own.place - other.place).norm() < APART)
+        };
+        let (there, lacking): (Vec<&Placed>, Vec<&Placed>) = ahead.partition(|other| is_there(other));
+        [lacking.len(), lacking.len() + there.len()]
+    }
 }
 
 /// What two agents' truths have in common.
@@ -85,6 +138,8 @@ struct Pair {
     shared: BTreeMap<u64, Vec<f64>>,
     positions: usize,
     split: usize,
+    /// Of each of the two: objects ahead of it that the other's truth has and its own has not, and all that the other's has there.
+    lacking: [[usize; 2]; 2],
 }
 
 /// What is wrong with the tracks of ground truth that has points: these are joined by tracks.
@@ -107,8 +162,8 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
     }
     let wanted: Vec<(&str, Stream)> = agents.iter().map(|(agent, _)| (*agent, Stream::GroundTruth)).collect();
     let mut reader = log.read_all(&wanted)?;
-    let mut newest: Vec<Option<(Nanos, Vec<Placed>)>> = agents.iter().map(|_| None).collect();
-    let mut doubled = vec![(0, 0); agents.len()];
+    let mut newest: Vec<Option<Truth>> = agents.iter().map(|_| None).collect();
+    let (mut doubled, mut twice, mut all) = (vec![0; agents.len()], vec![0; agents.len()], vec![0; agents.len()]);
     let mut pairs: BTreeMap<[usize; 2], Pair> = BTreeMap::new();
     let of_all = agents.len() * (agents.len() - 1) / 2;
     while let Some(entry) = reader.next()? {
@@ -118,38 +173,62 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
         let (Some(map_from_body), Ok(boxes)) = (agents[index].1.at(entry.stamp()), entry.boxes()) else {
             continue;
         };
-        doubled[index].0 += repeated(&boxes.0);
-        doubled[index].1 += boxes.0.len();
-        let placed = |object: Box3| Placed {
-            track: object.track,
-            class: object.class.to_lowercase(),
-            place: (map_from_body * nalgebra::Point3::from(object.center)).xy(),
+        doubled[index] += repeated(&boxes.0);
+        all[index] += boxes.0.len();
+        let placed = |object: Box3| {
+            let place = map_from_body * Point3::from(object.center);
+            Placed {
+                track: object.track,
+                class: object.class.to_lowercase(),
+                place: place.xy(),
+                height: place.z,
+            }
         };
-        let own: Vec<Placed> = boxes.0.into_iter().filter(is_plausible).map(placed).collect();
+        let objects: Vec<Placed> = boxes.0.into_iter().filter(is_plausible).map(placed).collect();
+        twice[index] += at_one_place(&objects);
+        let own = Truth {
+            stamp: entry.stamp(),
+            body_from_map: map_from_body.inverse(),
+            objects,
+        };
         for (other, known) in newest.iter().enumerate().filter(|(other, _)| *other != index) {
-            let near = |at: Nanos| at.abs_diff(entry.stamp()) <= TOGETHER.unsigned_abs();
-            if let Some((_, known)) = known.as_ref().filter(|(at, _)| near(*at)) {
+            let near = |known: &&Truth| known.stamp.abs_diff(own.stamp) <= TOGETHER.unsigned_abs();
+            if let Some(known) = known.as_ref().filter(near) {
                 let pair = pairs.entry([index.min(other), index.max(other)]).or_default();
-                pair.compare(&own, known);
+                pair.compare(&own.objects, &known.objects);
+                let (first, second) = if index < other { (&own, known) } else { (known, &own) };
+                for (of, (own, other)) in pair.lacking.iter_mut().zip([(first, second), (second, first)]) {
+                    let [lacking, all] = own.lacks(&other.objects);
+                    (of[0], of[1]) = (of[0] + lacking, of[1] + all);
+                }
             }
         }
-        newest[index] = Some((entry.stamp(), own));
+        newest[index] = Some(own);
         if pairs.len() == of_all && pairs.values().all(|pair| pair.positions >= ENOUGH) {
             break;
         }
     }
     let name = |index: &usize| agents[*index].0.to_string();
     let mut faults = Vec::new();
-    for (index, (count, of)) in doubled.into_iter().enumerate() {
-        let agents = vec![name(&index)];
-        faults.extend(told(agents, TrackFault::Doubled, count, of));
+    for (index, of) in all.into_iter().enumerate() {
+        let found = [(TrackFault::Doubled, doubled[index]), (TrackFault::Twice, twice[index])];
+        let of_agent = found.map(|(fault, count)| told(vec![name(&index)], fault, count, of));
+        faults.extend(of_agent.into_iter().flatten());
     }
     for (pair, known) in pairs {
         let agents: Vec<String> = pair.iter().map(name).collect();
         let (apart, median) = known.apart();
         faults.extend(told(agents.clone(), TrackFault::Apart(median), apart, known.positions));
         let of = known.positions + known.split;
-        faults.extend(told(agents, TrackFault::Split, known.split, of));
+        faults.extend(told(agents.clone(), TrackFault::Split, known.split, of));
+        let [first, second] = known.lacking;
+        let reversed: Vec<String> = agents.iter().rev().cloned().collect();
+        for (agents, [count, of]) in [(agents, first), (reversed, second)] {
+            // Labels of what a camera shows are not all that there is.
+            if !log.has(&agents[0], Stream::GroundTruthViews) {
+                faults.extend(told(agents, TrackFault::Lacking, count, of));
+            }
+        }
     }
     Ok(faults)
 }
@@ -184,6 +263,17 @@ fn repeated(objects: &[Box3]) -> usize {
         *seen.entry(track).or_insert(0) += 1;
     }
     seen.values().filter(|count| **count > 1).sum()
+}
+
+/// Objects that lie at the place of another one of their class.
+fn at_one_place(objects: &[Placed]) -> usize {
+    let twice = objects.iter().enumerate().filter(|(index, one)| {
+        let mut others = objects.iter().enumerate();
+        others.any(|(other, known)| {
+            other != *index && known.class == one.class && (known.place - one.place).norm() < TWICE
+        })
+    });
+    twice.count()
 }
 
 impl Pair {
@@ -255,6 +345,7 @@ mod tests {
             track: *track,
             class: "car".into(),
             place: Point2::new(*x, 0.0),
+            height: 0.0,
         };
         objects.iter().map(one).collect()
     }
@@ -281,6 +372,32 @@ mod tests {
             &placed(&[(Some(101), 0.2), (None, 10.2), (Some(3), 20.0), (Some(105), 90.0)]),
         );
         assert_eq!((split.positions, split.split, split.apart().0), (1, 2, 0));
+    }
+
+    #[test]
+    fn truth_lacks_what_others_have_ahead() {
+        let truth = |objects: &[(Option<u64>, f64)]| Truth {
+            stamp: 0,
+            body_from_map: Isometry3::translation(-100.0, 0.0, 0.0),
+            objects: placed(objects),
+        };
+        // At 100 m the agent itself, behind it another one, far ahead a third.
+        let others = placed(&[
+            (Some(9), 100.5),
+            (Some(1), 80.0),
+            (Some(2), 112.0),
+            (Some(3), 130.0),
+            (None, 155.0),
+        ]);
+        assert_eq!(truth(&[(Some(2), 112.3)]).lacks(&others), [1, 2]);
+        assert_eq!(truth(&[(None, 112.3), (Some(3), 90.0)]).lacks(&others), [0, 2]);
+        assert_eq!(truth(&[]).lacks(&others), [2, 2]);
+    }
+
+    #[test]
+    fn objects_that_are_there_twice_are_counted() {
+        let objects = placed(&[(Some(1), 0.0), (Some(2), 0.1), (Some(3), 0.4), (None, 5.0)]);
+        assert_eq!(at_one_place(&objects), 2);
     }
 
     #[test]

@@ -355,7 +355,7 @@ fn says_what_is_wrong_and_what_there_is() {
         .unwrap_err()
         .to_string();
     assert!(
-        error.contains("no messages on `/cav1/points`") && error.contains("has: pose"),
+        error.contains("no topic `/cav1/points`") && error.contains("topics there: /cav1/pose"),
         "{error}"
     );
 

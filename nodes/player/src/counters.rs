@@ -61,7 +61,9 @@ pub const ALL: &[Counter] = &[
     LOG_TRUNCATED,
     RUNS_ALONE,
     POSES_UNUSABLE,
+    WRONG_COVARIANCES,
     NO_POSE,
+    TRANSFORMS_DIFFER,
     LEVELLED,
     TILTED_POSES,
     CLOCK_OFF,
@@ -69,9 +71,12 @@ pub const ALL: &[Counter] = &[
     STAMPS_DIFFER,
     NO_COMMON_TIME,
     SWEEPS_MISSING,
+    SWEEPS_OF_ONE_TOPIC,
     POSES_HELD,
     DETECTIONS_WITHOUT_SWEEP,
     DETECTIONS_WITHOUT_INFO,
+    DETECTION_HEADINGS,
+    TRUTH_HEADINGS,
     TRUTH_WITHOUT_SWEEP,
     TRUTH_NOT_JOINED,
     INVALID_TRUTH,
@@ -80,6 +85,8 @@ pub const ALL: &[Counter] = &[
     TRACKS_DIFFER,
     TRACKS_SPLIT,
     TRACKS_DOUBLED,
+    TRUTH_DOUBLED,
+    TRUTH_PARTIAL,
     TOO_FAR,
 ];
 
@@ -108,6 +115,19 @@ pub const POSES_UNUSABLE: Counter = Counter::log_fault(
      not sent",
     "poses of the log cannot be used and were left out",
     "`realo info` says how many of which topic",
+);
+pub const WRONG_COVARIANCES: Counter = Counter::log_fault(
+    "wrong_covariances",
+    "poses of the log played with an unknown covariance, because theirs has a number that is not finite, above 10¹², or a variance \
+     below 0",
+    "poses have a covariance that cannot be right, and were played as if it were unknown",
+    realo_logs::WRONG_COVARIANCES[1],
+);
+pub const TRANSFORMS_DIFFER: Counter = Counter::log_fault(
+    "transforms_differ",
+    "sweeps with points in the map's frame that a transform on `/tf` brought to the body, more than 0.5 m or 2° off the agent's pose",
+    realo_logs::TRANSFORMS_DIFFER[0],
+    realo_logs::TRANSFORMS_DIFFER[1],
 );
 pub const TILTED_POSES: Counter = Counter::loss(
     "tilted_poses",
@@ -151,6 +171,12 @@ pub const SWEEPS_MISSING: Counter = Counter::log_fault(
     realo_logs::SWEEPS_MISSING[0],
     realo_logs::SWEEPS_MISSING[1],
 );
+pub const SWEEPS_OF_ONE_TOPIC: Counter = Counter::log_fault(
+    "sweeps_of_one_topic",
+    "sweeps that one of the topics `points` and `sweeps` of an agent has and the other has not",
+    realo_logs::SWEEPS_OF_TWO_TOPICS[0],
+    realo_logs::SWEEPS_OF_TWO_TOPICS[1],
+);
 pub const POSES_HELD: Counter = Counter::plain(
     "poses_held",
     "poses sent of [roadside units that do not move](log-format.md#poses), in the place of those of the log, which do not reach \
@@ -163,6 +189,20 @@ pub const DETECTIONS_WITHOUT_INFO: Counter = Counter::log_fault(
      their stamp",
     "write the `detections` and the `detections_info` of a sweep with the same stamp",
 );
+pub const DETECTION_HEADINGS: Counter = Counter::log_fault(
+    "detection_headings",
+    "recorded detections whose `yaw` in `detections_info` is more than 0.02 rad off their quaternion, or beyond ±4π; the `yaw` counts",
+    "recorded detections have another heading by the `yaw` of their companion than by their quaternion, or a `yaw` beyond ±4π, and the \
+     `yaw` was used",
+    realo_logs::WRONG_HEADINGS[1],
+);
+pub const TRUTH_HEADINGS: Counter = Counter::log_fault(
+    "truth_headings",
+    "the same of ground truth and own labels",
+    "objects of the ground truth have another heading by the `yaw` of their companion than by their quaternion, or a `yaw` beyond ±4π, \
+     and the `yaw` was used",
+    realo_logs::WRONG_HEADINGS[1],
+);
 pub const TRUTH_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "truth_without_sweep",
     "messages of the ego's ground truth or own labels whose stamp is that of no sweep, beside sweeps that have none",
@@ -171,11 +211,11 @@ pub const TRUTH_WITHOUT_SWEEP: Counter = Counter::log_fault(
 );
 pub const TRUTH_NOT_JOINED: Counter = Counter::log_fault(
     "truth_not_joined",
-    "sweeps of the ego that were scored without the points that a collaborator has on objects; counted where its truth lies near \
-     none of them",
-    "sweeps of the ego were scored without the truth of {agent}, which has other times: objects that {agent} alone sees are not \
+    "sweeps of the ego that were scored without the points that a collaborator has on objects, because its truth lies near none of \
+     them although it has sweeps there; where these are more than 2 and more than 2 % of all",
+    "sweeps of the ego were scored without the truth of {agent}, which has none near them: objects that {agent} alone sees are not \
      counted, so AP is too high",
-    "give the stamps and log times of its truth the clock of the ego; `realo info` says how far off they are",
+    "write its truth for each of its sweeps, with stamps of the ego's clock; `realo info` says how far off they are",
 );
 pub const INVALID_TRUTH: Counter = Counter::log_fault(
     "invalid_truth",
@@ -224,6 +264,20 @@ pub const TRACKS_DOUBLED: Counter = Counter::log_fault(
      than 2 % of all",
     "objects of the ground truth have the track of another one of the same message, so that points count for the wrong objects",
     "give each object a track of its own, or none",
+);
+pub const TRUTH_DOUBLED: Counter = Counter::log_fault(
+    "truth_doubled",
+    "objects of ground truth that lie within 0.2 m of another one of their class of the same message, where these are more than 2 % \
+     of all",
+    "objects of the ground truth are there twice at the same place, so that one of two detections counts as missing",
+    "write each object once",
+);
+pub const TRUTH_PARTIAL: Counter = Counter::log_fault(
+    "truth_partial",
+    "objects that a collaborator's truth has up to 50 m ahead of the ego and 30 m beside, and the ego's truth has not, where these are \
+     more than 2 % of all; not where the ego's labels have views",
+    "objects ahead of the ego are in the truth of the other alone, so that whoever finds them by cooperation is counted as wrong",
+    "the ego's truth must have all objects around it, those too that it does not see (docs/log-format.md)",
 );
 pub const TOO_FAR: Counter = Counter::loss(
     "too_far",

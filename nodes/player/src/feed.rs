@@ -1,10 +1,11 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
+use realo_logs::limits::TRUTH_WINDOW;
 use realo_logs::{
     Attitudes, BEHIND_MOST, Bare, Entry, Gaps, LEVEL, Lack, Levelled, Log, LogError, LogReader, Missing, Outside, Step,
-    Stream, TrackFault, clock_words, level_state, levelled_while_played, nearest_words, no_common_time, side,
-    track_faults,
+    Stream, TrackFault, TrackFinding, TransformsApart, WrongHeadings, clock_words, level_state, levelled_while_played,
+    nearest_words, no_common_time, side, sweeps_of_one_topic, track_faults,
 };
 use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::{box_fault, tilt_degrees};
@@ -13,10 +14,11 @@ use realo_schemas::{
 };
 
 use crate::counters::{
-    CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP, INTENSITIES_LIMITED,
-    INVALID_TRUTH, LEVELLED, NO_COMMON_TIME, NO_POSE, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER, SWEEPS_MISSING,
-    SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES, TOO_FAR, TRACKS_DIFFER, TRACKS_DOUBLED, TRACKS_SPLIT, TRUTH_NOT_JOINED,
-    TRUTH_WITHOUT_SWEEP,
+    CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTION_HEADINGS, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP,
+    INTENSITIES_LIMITED, INVALID_TRUTH, LEVELLED, NO_COMMON_TIME, NO_POSE, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER,
+    SWEEPS_MISSING, SWEEPS_OF_ONE_TOPIC, SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
+    TRACKS_DOUBLED, TRACKS_SPLIT, TRANSFORMS_DIFFER, TRUTH_DOUBLED, TRUTH_HEADINGS, TRUTH_NOT_JOINED, TRUTH_PARTIAL,
+    TRUTH_WITHOUT_SWEEP, WRONG_COVARIANCES,
 };
 use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
@@ -77,6 +79,8 @@ pub struct Feed {
     along_ground: BTreeSet<Name>,
     /// By agent and stamp: number and release of recent sweeps.
     sweeps: BTreeMap<Name, BTreeMap<Nanos, (u64, Nanos)>>,
+    /// By agent: the stamps of all sweeps of this pass.
+    stamps: BTreeMap<Name, BTreeSet<Nanos>>,
     gaps: Gaps,
     joins: Joins,
     /// By rank: units whose pose holds at all times.
@@ -223,6 +227,26 @@ impl Script {
         Ok(())
     }
 
+    /// Counts sweeps that are on one of two topics alone.
+    fn count_sweeps_of_one_topic(&self) {
+        for agent in self.played().filter(|agent| !self.is_precomputed(agent)) {
+            if let Some([count, of]) = sweeps_of_one_topic(&self.log, agent) {
+                self.counters.add(&SWEEPS_OF_ONE_TOPIC, agent, count, of);
+            }
+        }
+    }
+
+    /// Counts sweeps whose transform from the map is not at the agent's pose.
+    fn count_transforms_apart(&self) -> Result<(), LogError> {
+        for agent in self.played().filter(|agent| self.wants_points(agent)) {
+            if let Some(apart) = TransformsApart::read(&self.log, agent)? {
+                self.counters
+                    .lost(&TRANSFORMS_DIFFER, agent, apart.count, apart.of, || apart.first);
+            }
+        }
+        Ok(())
+    }
+
     /// Counts truth of the ego before its first sweep or after its last one, beside sweeps that have none.
     fn count_truth_outside(&self, ego: &str) -> Result<(), LogError> {
         for stream in [Stream::GroundTruth, Stream::OwnLabels] {
@@ -256,7 +280,7 @@ impl Script {
 
     fn truth(&self, agents: &[Name], levels: &BTreeMap<Name, Levelling>) -> Result<TruthJoin, LogError> {
         let level = levels.get(&agents[0]).map(|level| level.attitudes.truth.clone());
-        TruthJoin::new(&self.log, agents, self.from, self.until, level)
+        TruthJoin::new(&self.log, agents, self.from, level)
     }
 
     fn open(&self) -> Result<LogReader, LogError> {
@@ -283,14 +307,22 @@ impl Script {
         if agents.len() < 2 {
             return Ok(());
         }
+        // What is around others is not scored.
+        let concerns = |found: &&TrackFinding| match found.fault {
+            TrackFault::Lacking => found.agents.first().is_some_and(|agent| **agent == *agents[0]),
+            _ => true,
+        };
         for found in track_faults(&self.log)?
             .iter()
             .filter(|found| found.agents.iter().all(plays))
+            .filter(concerns)
         {
             let counter = match found.fault {
                 TrackFault::Apart(_) => &TRACKS_DIFFER,
                 TrackFault::Split => &TRACKS_SPLIT,
                 TrackFault::Doubled => &TRACKS_DOUBLED,
+                TrackFault::Twice => &TRUTH_DOUBLED,
+                TrackFault::Lacking => &TRUTH_PARTIAL,
             };
             let (count, of) = (found.count as u64, found.of as u64);
             let agents = found.agents.join(" and ");
@@ -324,6 +356,8 @@ impl Feed {
             .for_each(|rank| per_pass[*rank][0] = (period / STEP).unsigned_abs() + 1);
         script.count_track_faults()?;
         script.count_times_apart(&agents)?;
+        script.count_sweeps_of_one_topic();
+        script.count_transforms_apart()?;
         script.count_truth_outside(&agents[0])?;
         Ok(Feed {
             reader: script.open()?,
@@ -335,6 +369,7 @@ impl Feed {
                 .slot
                 .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
             sweeps: BTreeMap::new(),
+            stamps: BTreeMap::new(),
             gaps: Gaps::default(),
             joins: Joins::default(),
             held,
@@ -402,14 +437,16 @@ impl Feed {
         self.expire(Nanos::MAX);
         let lost = self.truth.finish();
         self.count_lost_truth(lost);
-        // Of a part of a log, an agent may have truth at other times alone.
-        let unjoined = match self.script.is_whole() {
-            true => self.truth.unjoined(),
-            false => BTreeMap::new(),
+        self.count_found_of_truth();
+        let has_sweep = |agent: &Name, stamp: Nanos| {
+            let stamps = self.stamps.get(agent);
+            let near = stamp.saturating_sub(TRUTH_WINDOW)..=stamp.saturating_add(TRUTH_WINDOW);
+            stamps.is_some_and(|stamps| stamps.range(near).next().is_some())
         };
-        for (agent, sweeps) in unjoined {
-            self.script.counters.add(&TRUTH_NOT_JOINED, &agent, sweeps, sweeps);
+        for (agent, [sweeps, of]) in self.truth.unjoined(self.script.is_whole(), has_sweep) {
+            self.script.counters.add(&TRUTH_NOT_JOINED, &agent, sweeps, of);
         }
+        self.stamps.clear();
         for (agent, Missing { sweeps, place }) in self.gaps.end(Some(&self.agents[0])) {
             self.script
                 .counters
@@ -543,6 +580,13 @@ impl Feed {
     }
 
     fn send_pose(&mut self, entry: &Entry) {
+        let fault = entry.wrong_covariance();
+        let wrong = u64::from(fault.is_some());
+        self.script
+            .counters
+            .lost(&WRONG_COVARIANCES, &entry.agent, wrong, 1, || {
+                format!("the first has {}", fault.unwrap_or_default())
+            });
         if self.held.contains_key(&self.rank(entry)) {
             return;
         }
@@ -581,6 +625,10 @@ impl Feed {
     /// Sends a sweep and its truth; without `cloud` the truth alone.
     fn send_sweep(&mut self, entry: &Entry, cloud: Option<PointCloud>) -> Result<(), LogError> {
         self.gaps.sweep(&entry.agent, entry.stamp());
+        self.stamps
+            .entry(entry.agent.clone())
+            .or_default()
+            .insert(entry.stamp());
         self.script.counters.add(&SWEEPS_MISSING, &entry.agent, 0, 1);
         let known = self.sweeps.entry(entry.agent.clone()).or_default();
         // Writers may leave `sequence` at 0, and it wraps at 2³²: stamps rise, so the sweeps are counted on.
@@ -614,14 +662,27 @@ impl Feed {
             self.count_invalid(&entry.agent, &truth);
             self.send(entry, seq, Kind::Truth, [ports::TRUTH; 2], truth);
             self.count_lost_truth(lost);
-            for (agent, (n, words)) in self.truth.take_apart() {
-                self.script.counters.lost(&STAMPS_DIFFER, &agent, n, n, || words);
-            }
+            self.count_found_of_truth();
         }
         if let Some(recorded) = self.joins.of_sweep(entry) {
             self.send_detections(recorded);
         }
         Ok(())
+    }
+
+    /// Counts what was found of the truth that was read since the last call.
+    fn count_found_of_truth(&mut self) {
+        let counters = &self.script.counters;
+        for (agent, (n, words)) in self.truth.take_apart() {
+            counters.lost(&STAMPS_DIFFER, &agent, n, n, || words);
+        }
+        for (agent, (n, words)) in self.truth.take_ahead() {
+            counters.lost(&CLOCK_AHEAD, &agent, n, n, || words);
+        }
+        for (agent, (wrong, all)) in self.truth.take_wrong_headings() {
+            let words = || format!("the first has {}", wrong.first);
+            counters.lost(&TRUTH_HEADINGS, &agent, wrong.count, all, words);
+        }
     }
 
     /// Counts objects of the truth that no object can be.
@@ -656,6 +717,7 @@ impl Feed {
                 entry: entry.clone(),
                 boxes,
                 known: entry.ready(),
+                wrong_headings: WrongHeadings::default(),
             }),
         };
         self.take_recorded(whole, false);
@@ -673,6 +735,11 @@ impl Feed {
         let Some(recorded) = recorded else { return };
         self.script
             .count(&DETECTIONS_WITHOUT_INFO, &recorded.entry.agent, lacks_info);
+        let (wrong, all) = (&recorded.wrong_headings, recorded.boxes.0.len() as u64);
+        let counters = &self.script.counters;
+        counters.lost(&DETECTION_HEADINGS, &recorded.entry.agent, wrong.count, all, || {
+            format!("the first has {}", wrong.first)
+        });
         match self.sweep_of(&recorded.entry) {
             Some(_) => self.send_detections(recorded),
             None => self.joins.wait(recorded),
@@ -699,6 +766,7 @@ impl Feed {
             entry,
             mut boxes,
             known,
+            ..
         } = recorded;
         let sweep = self.sweep_of(&entry);
         // Of an agent whose sweeps are of another clock that is said already.
@@ -710,7 +778,7 @@ impl Feed {
             });
         let Some((seq, sweep)) = sweep else { return };
         if let Some(bare) = self.bare.get_mut(&entry.agent) {
-            bare.detections(entry.stamp());
+            bare.detections(entry.stamp(), entry.ready());
         }
         if let Some(level) = self.levels.get(&entry.agent) {
             level.attitudes.sweeps.boxes(entry.stamp(), &mut boxes.0);
@@ -729,11 +797,8 @@ impl Feed {
 
     /// Counts sweeps without detections. Those of the last moments may have come after the log ended.
     fn count_bare(&mut self) {
-        let end = self
-            .script
-            .log
-            .span()
-            .map_or(self.script.until, |(_, last)| last.min(self.script.until));
+        let until = self.script.until.saturating_sub(1);
+        let end = self.script.log.span().map_or(until, |(_, last)| last.min(until));
         for (agent, bare) in std::mem::take(&mut self.bare) {
             let counters = &self.script.counters;
             // Where their stamps are wrong that is said already.

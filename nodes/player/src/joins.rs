@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use realo_logs::{Entry, LogError};
+use realo_logs::{Entry, LogError, WrongHeadings};
 use realo_schemas::{Boxes, Name, Nanos};
 
 /// Detections wait so long, in log time, ns.
@@ -16,6 +16,7 @@ pub struct Recorded {
     pub boxes: Boxes,
     /// Log time at which all of it was there.
     pub known: Nanos,
+    pub wrong_headings: WrongHeadings,
 }
 
 /// Messages that wait for what belongs to them, by agent and stamp.
@@ -37,11 +38,12 @@ impl Joins {
             self.arrays.insert(key(entry), (entry.clone(), boxes));
             return Ok(None);
         };
-        companion.info(&mut boxes)?;
+        let wrong_headings = companion.info(&mut boxes)?.wrong_headings;
         Ok(Some(Recorded {
             known: companion.ready().max(entry.ready()),
             entry: entry.clone(),
             boxes,
+            wrong_headings,
         }))
     }
 
@@ -51,11 +53,12 @@ impl Joins {
             self.companions.insert(key(entry), entry.clone());
             return Ok(None);
         };
-        entry.info(&mut boxes)?;
+        let wrong_headings = entry.info(&mut boxes)?.wrong_headings;
         Ok(Some(Recorded {
             known: array.ready().max(entry.ready()),
             entry: array,
             boxes,
+            wrong_headings,
         }))
     }
 
@@ -78,6 +81,7 @@ impl Joins {
             entry,
             boxes,
             known: now,
+            wrong_headings: WrongHeadings::default(),
         };
         old.map(alone).collect()
     }

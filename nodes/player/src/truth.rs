@@ -1,15 +1,25 @@
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use crate::feed::apart_words;
 use realo_logs::limits::TRUTH_WINDOW as WINDOW;
-use realo_logs::{Attitude, BoxesInfo, Entry, Log, LogError, LogReader, Stream, same};
+use realo_logs::{
+    Attitude, BoxesInfo, Entry, Log, LogError, LogReader, Step, Stream, WrongHeadings, clock_words, same,
+};
 use realo_schemas::geometry::View;
 use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels, SAME_STAMP as SAME};
 
+/// The truth of a collaborator that has been silent for so long is not awaited any more, ns.
+const SILENT: Nanos = 10_000_000_000;
+/// Of more sweeps than one in so many a fault is told: truth may begin and end within a sweep's time.
+const ONE_IN: u64 = 50;
+/// As many sweeps at the ends of an agent's truth are none.
+const AT_ENDS: u64 = 2;
+
 /// Joins the ground truth of the ego's sweeps with the points that the others have on the same objects.
 ///
-/// Reads ahead of the ego by at most [`WINDOW`], because a collaborator's nearest sweep may come later.
+/// Reads ahead of the ego by [`WINDOW`], because a collaborator's nearest sweep may come later, and by as much as truth is logged
+/// after its stamp: it may have been labelled afterwards.
 pub struct TruthJoin {
     reader: Option<LogReader>,
     agents: Vec<Name>,
@@ -30,12 +40,18 @@ pub struct TruthJoin {
     /// Which of these have views.
     viewed: Vec<Stream>,
     others: BTreeMap<Name, VecDeque<Counts>>,
-    /// Sweeps of the ego whose truth has points, and the others that have truth near one of them.
+    /// Stamps of the ego's sweeps whose truth has points, and those of them near which an agent has none.
     counted: u64,
-    joined: BTreeSet<Name>,
+    apart_from: BTreeMap<Name, Vec<Nanos>>,
     read_to: Nanos,
+    /// By agent and stream, the longest time from a stamp to its log time so far, ns.
+    late: BTreeMap<(Name, Stream), Nanos>,
     /// By agent: messages whose publish time is not their stamp, and the first in words.
     apart: BTreeMap<Name, (u64, String)>,
+    /// By agent: messages whose stamp is later than their log time, and the first in words.
+    ahead: BTreeMap<Name, (u64, String)>,
+    /// By agent: boxes whose heading cannot be right, of how many.
+    wrong_headings: BTreeMap<Name, (WrongHeadings, u64)>,
 }
 
 /// What the log says is around the ego at a sweep.
@@ -51,15 +67,9 @@ struct Counts {
 }
 
 impl TruthJoin {
-    /// `agents`: the ego, then its collaborators. Sweeps lie at log times in `[from, until)`. `level` makes what is around the
+    /// `agents`: the ego, then its collaborators. Sweeps lie at log times from `from` on. `level` makes what is around the
     /// ego level.
-    pub fn new(
-        log: &Log,
-        agents: &[Name],
-        from: Nanos,
-        until: Nanos,
-        level: Option<Arc<Attitude>>,
-    ) -> Result<Self, LogError> {
+    pub fn new(log: &Log, agents: &[Name], from: Nanos, level: Option<Arc<Attitude>>) -> Result<Self, LogError> {
         let has_truth = |agent: &&Name| log.has(agent, Stream::GroundTruth);
         let mut wanted = Vec::new();
         for agent in agents.iter().filter(has_truth) {
@@ -85,7 +95,7 @@ impl TruthJoin {
         let margin = 2 * WINDOW;
         let complete = [has_truth(&ego), has_own];
         let reader = if complete.contains(&true) {
-            Some(log.read(&wanted, from.saturating_sub(margin), until.saturating_add(margin))?)
+            Some(log.read(&wanted, from.saturating_sub(margin), Nanos::MAX)?)
         } else {
             None
         };
@@ -108,9 +118,12 @@ impl TruthJoin {
             viewed,
             others,
             counted: 0,
-            joined: BTreeSet::new(),
+            apart_from: BTreeMap::new(),
             read_to: Nanos::MIN,
+            late: BTreeMap::new(),
             apart: BTreeMap::new(),
+            ahead: BTreeMap::new(),
+            wrong_headings: BTreeMap::new(),
         })
     }
 
@@ -144,21 +157,31 @@ impl TruthJoin {
         Ok((truth, lost))
     }
 
-    /// Others that have truth near none of the ego's sweeps, and how many of these there were.
-    pub fn unjoined(&self) -> BTreeMap<Name, u64> {
-        let others = self.others.keys().filter(|_| self.counted > 0);
-        let unjoined = others.filter(|agent| !self.joined.contains(*agent));
-        unjoined.map(|agent| (agent.clone(), self.counted)).collect()
+    /// Others, with how many of the ego's sweeps were scored without their truth, and of how many. `is_whole`: all of the log was
+    /// played; `has_sweep`: whether an agent has a sweep near a stamp.
+    pub fn unjoined(&self, is_whole: bool, has_sweep: impl Fn(&Name, Nanos) -> bool) -> BTreeMap<Name, [u64; 2]> {
+        let mut unjoined = BTreeMap::new();
+        for (agent, stamps) in &self.apart_from {
+            // Its sweeps may be of another time too.
+            if is_whole && stamps.len() as u64 == self.counted {
+                unjoined.insert(agent.clone(), [self.counted; 2]);
+                continue;
+            }
+            let apart = stamps.iter().filter(|stamp| has_sweep(agent, **stamp)).count() as u64;
+            if apart > AT_ENDS && apart * ONE_IN > self.counted {
+                unjoined.insert(agent.clone(), [apart, self.counted]);
+            }
+        }
+        unjoined
     }
 
     fn note_joined(&mut self, stamp: Nanos) {
         self.counted += 1;
-        let waiting = self.agents[1..].iter().filter(|agent| !self.joined.contains(*agent));
-        let near: Vec<Name> = waiting
-            .filter(|agent| self.nearest(agent, stamp).is_some())
-            .cloned()
-            .collect();
-        self.joined.extend(near);
+        for agent in self.others.keys() {
+            if self.nearest(agent, stamp).is_none() {
+                self.apart_from.entry(agent.clone()).or_default().push(stamp);
+            }
+        }
     }
 
     /// How far what is left lay from sweeps that have no truth, ns.
@@ -181,12 +204,42 @@ impl TruthJoin {
                 .others
                 .values()
                 .all(|counts| counts.back().is_some_and(|counts| counts.stamp >= stamp));
-        all || self.read_to > stamp.saturating_add(2 * WINDOW)
+        all || self.is_read(stamp.saturating_add(2 * WINDOW))
+    }
+
+    /// Whether everything of a stamp must have been read, as late as truth has been logged so far.
+    fn is_read(&self, stamp: Nanos) -> bool {
+        let ego = &self.agents[0];
+        let of_ego = [Stream::GroundTruth, Stream::OwnLabels].into_iter().zip(self.complete);
+        let of_ego = of_ego
+            .filter(|(_, has)| *has)
+            .map(|(stream, _)| (ego, stream, Nanos::MAX));
+        let of_others = self.others.keys().map(|agent| (agent, Stream::GroundTruth, SILENT));
+        of_ego.chain(of_others).all(|(agent, stream, most)| {
+            let late = self.late.get(&(agent.clone(), stream)).copied().unwrap_or(most);
+            self.read_to > stamp.saturating_add(late)
+        })
     }
 
     /// By agent: how many messages since the last call have a publish time that is not their stamp, and the first in words.
     pub fn take_apart(&mut self) -> BTreeMap<Name, (u64, String)> {
         std::mem::take(&mut self.apart)
+    }
+
+    /// The same of messages whose stamp is later than their log time.
+    pub fn take_ahead(&mut self) -> BTreeMap<Name, (u64, String)> {
+        std::mem::take(&mut self.ahead)
+    }
+
+    /// By agent: boxes that were read since the last call and whose heading cannot be right, of how many.
+    pub fn take_wrong_headings(&mut self) -> BTreeMap<Name, (WrongHeadings, u64)> {
+        std::mem::take(&mut self.wrong_headings)
+    }
+
+    fn note_headings(&mut self, agent: &Name, info: &BoxesInfo, of: usize) {
+        let (wrong, all) = self.wrong_headings.entry(agent.clone()).or_default();
+        wrong.add(&info.wrong_headings);
+        *all += of as u64;
     }
 
     fn read_one(&mut self) -> Result<bool, LogError> {
@@ -198,7 +251,17 @@ impl TruthJoin {
             let words = || (0, apart_words(&entry, Some(apart)));
             self.apart.entry(entry.agent.clone()).or_insert_with(words).0 += 1;
         }
+        if Step::of(entry.stream, entry.stamp(), entry.ready()) == Step::Ahead {
+            let words = || (0, clock_words(entry.stamp(), entry.ready()));
+            self.ahead.entry(entry.agent.clone()).or_insert_with(words).0 += 1;
+        }
         let stamp = entry.stamp();
+        let of = match entry.stream {
+            Stream::GroundTruth | Stream::GroundTruthInfo | Stream::GroundTruthViews => Stream::GroundTruth,
+            _ => Stream::OwnLabels,
+        };
+        let late = self.late.entry((entry.agent.clone(), of)).or_default();
+        *late = (*late).max(entry.ready().saturating_sub(stamp));
         let key = |array: Stream| (entry.agent.clone(), array, stamp);
         let (key, mut boxes, companion) = match entry.stream {
             array @ (Stream::GroundTruth | Stream::OwnLabels) => {
@@ -231,6 +294,7 @@ impl TruthJoin {
             }
         };
         let info = companion.info(&mut boxes)?;
+        self.note_headings(&key.0, &info, boxes.0.len());
         self.take(key, boxes, info);
         Ok(true)
     }

@@ -483,7 +483,7 @@ fn says_what_a_log_lacks() {
     log.finish().unwrap();
     let error = refused(config(&bare));
     assert!(
-        error.contains("no messages on `/cav1/points`") && error.contains("has: pose, sweeps"),
+        error.contains("no topic `/cav1/points`") && error.contains("topics there: /cav1/pose, /cav1/sweeps"),
         "{error}"
     );
     let (played, _) = play(Config {

@@ -51,7 +51,7 @@ impl Cooperation {
         let others = collaborators(result);
         for agent in &others {
             let books_of = books_of(result, agent);
-            if books_of.iter().all(|known| used(known) == 0) {
+            if !books_of.iter().any(may_be_used) {
                 unused.push(Unused {
                     log: result.logs.concat(),
                     ego: result.egos.concat(),
@@ -194,8 +194,11 @@ fn unplaced(agent: &str, books: &Books) -> u64 {
     losses.map(|share| share.count).sum()
 }
 
-fn used(books: &LinkBooks) -> u64 {
-    books.accounted.map_or(0, |accounted| accounted.fates.used)
+/// Whether messages were used, or nobody says what became of some: a fusion of one's own may not tell.
+fn may_be_used(books: &LinkBooks) -> bool {
+    let accounted = books.accounted.iter();
+    let mut accounted = accounted.map(|accounted| (accounted.fates.used, accounted.unaccounted));
+    accounted.any(|(used, unaccounted)| used > 0 || unaccounted > 0)
 }
 
 /// What became of all that an agent has sent, most first.

@@ -86,6 +86,14 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 grouped(all)
             ));
         }
+        if dropped.own_body > 0 && 2 * dropped.own_body >= all {
+            said.push(format!(
+                "{whose}{} of {} {what} were not scored, because they are on the ego's own body; look whether its `footprint` in the log \
+                 is its outline in metres, and whether boxes are in the body frame",
+                grouped(dropped.own_body),
+                grouped(all)
+            ));
+        }
         // Far objects have few points in every log; many of them do not.
         if dropped.few_points > 0 && 2 * dropped.few_points >= all {
             let why = match result.log_faults() {
@@ -305,7 +313,8 @@ impl RunResult {
                 note(
                     true,
                     format!(
-                        "link {link}: {unaccounted} of {} {kind} messages are not accounted for",
+                        "link {link}: {unaccounted} of {} {kind} messages are not accounted for, so it is not known whether they \
+                         were used; a fusion of your own says so by `used` (docs/compose.md)",
                         books.sent
                     ),
                 );

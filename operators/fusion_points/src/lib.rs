@@ -6,6 +6,10 @@
 //! | in `selections` | Selection | what the bank chose for the ego's sweep of that seq |
 //! | out `clouds` | PointCloud | the ego's points, then those of the collaborators by agent name, in the ego's frame |
 //!
+//! | counter | meaning |
+//! |---|---|
+//! | `empty_sweeps` | sweeps without a point within 300 m of the ego, of each agent |
+//!
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers; times are offsets from the ego's
 //! stamp. The motion of objects between the stamps is not removed.
 
@@ -14,6 +18,16 @@ use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port
 use realo_schemas::geometry::transform_cloud;
 use realo_schemas::{Message, Nanos, PayloadType, PointCloud};
 use serde::{Deserialize, Serialize};
+
+/// No LiDAR sees further, m: sweeps that have all points beyond are in another unit or frame.
+const REACH: f32 = 300.0;
+
+const EMPTY_SWEEPS: Counter = Counter::log_fault(
+    "empty_sweeps",
+    "sweeps that have no point within 300 m of the ego, so that they add nothing",
+    "sweeps have no point within 300 m of the ego, so that they added nothing",
+    "points are expected in metres, in the body frame of their agent (docs/log-format.md)",
+);
 
 /// Settings of [`FusionPoints`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -69,6 +83,28 @@ fn later(cloud: PointCloud, by: Nanos) -> PointCloud {
     }
 }
 
+/// Counts the sweeps of a set that have no point within reach of the ego.
+fn count_empty(set: &Set<PointCloud>, merged: &PointCloud, out: &mut Outputs) {
+    let others = set
+        .collaborators
+        .iter()
+        .map(|other| (&other.header.agent, &other.payload));
+    let mut first = 0;
+    for (agent, cloud) in std::iter::once((&set.header.agent, &set.ego)).chain(others) {
+        let own = first..first + cloud.len();
+        first = own.end;
+        let near = |i: usize| [merged.x[i], merged.y[i]].iter().all(|metres| metres.abs() < REACH);
+        let is_empty = !own.clone().any(near);
+        out.count_of(&EMPTY_SWEEPS, agent, u64::from(is_empty), 1);
+        if is_empty {
+            out.found(&EMPTY_SWEEPS, agent, || match own.len() {
+                0 => "the first has no points".into(),
+                all => format!("the first has {all} points, all beyond or not finite"),
+            });
+        }
+    }
+}
+
 /// The operator `fusion-points`.
 pub struct FusionPoints {
     config: Config,
@@ -95,7 +131,11 @@ impl Describe for FusionPoints {
         &[PayloadType::PointCloud],
         "the ego's points, then the collaborators', in the ego's frame",
     )];
-    const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
+    const COUNTERS: &'static [Counter] = &[
+        realo_fusion::OVER_LIMIT_MESSAGES,
+        realo_fusion::REJECTED_MESSAGES,
+        EMPTY_SWEEPS,
+    ];
     // V2X-ReaLO, Table III: early fusion.
     const PAPER_INFERENCE: Option<Nanos> = Some(80_900_000);
 }
@@ -117,6 +157,7 @@ impl Operator for FusionPoints {
                     set.reject_other_frames();
                 }
                 let merged = merge(&set.ego, set.header.stamp, &set.collaborators, self.config.as_sent);
+                count_empty(&set, &merged, out);
                 set.send(merged, out);
             }
             _ => return Err(wrong_port(Self::INPUTS, port)),
@@ -227,6 +268,26 @@ mod tests {
         assert_eq!([merged.x[1], merged.y[1], merged.z[1]], [5.0, 6.0, 7.0]);
         let expected = told([("rsu1", Fate::Used), ("rsu2", Fate::Rejected)]);
         assert_eq!((merged.len(), fates), (2, expected), "rsu2 did not project");
+    }
+
+    #[test]
+    fn sweeps_that_add_nothing_are_counted_by_agent() {
+        let ego = header("cav1", 7, 100 * MS, Some(pose(0.0, 0.0, 0.0)));
+        let sender = |agent| header(agent, 3, 60 * MS, Some(pose(0.0, 0.0, 0.0)));
+        let entries = vec![
+            Message::new(sender("good"), cloud(&[[f32::NAN; 3], [5.0, 1.0, 0.0]])),
+            Message::new(sender("millimetres"), cloud(&[[5000.0, 1000.0, 0.0]])),
+            Message::new(sender("none"), cloud(&[])),
+        ];
+        let mut operator = FusionPoints::new(Config::default()).unwrap();
+        let mut out = Outputs::at(200 * MS);
+        operator
+            .on_input(EGO, Message::new(ego.clone(), cloud(&[[f32::NAN; 3]])), &mut out)
+            .unwrap();
+        operator
+            .on_input(SELECTIONS, Message::new(ego, Selection { query: 7, entries }), &mut out)
+            .unwrap();
+        assert_eq!(out.counted("empty_sweeps"), 3);
     }
 
     #[test]

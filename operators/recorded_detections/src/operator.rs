@@ -19,22 +19,10 @@ const INVALID_BOXES: Counter = Counter::log_fault(
 #[serde(default, deny_unknown_fields)]
 pub struct RecordedDetectionsConfig {}
 
-/// The boxes that a detector could have found, in their order: plausible ([`geometry::is_plausible`]) and with finite motions.
+/// The boxes that a detector could have found, in their order: those without a [`geometry::detection_fault`].
 pub fn sound(boxes: Boxes) -> Boxes {
+    let is_sound = |object: &Box3| geometry::detection_fault(object).is_none();
     Boxes(boxes.0.into_iter().filter(is_sound).collect())
-}
-
-fn is_sound(object: &Box3) -> bool {
-    let velocity = object.velocity.iter().flatten();
-    let mut motion = velocity.chain(object.covariance.iter().flatten());
-    geometry::is_plausible(object) && motion.all(|number| number.is_finite())
-}
-
-/// What is wrong with the first box that is not sound, in words.
-fn first_fault(boxes: &Boxes) -> Option<String> {
-    let first = boxes.0.iter().find(|object| !is_sound(object))?;
-    let fault = geometry::box_fault(first);
-    Some(fault.unwrap_or("a velocity or covariance that is not finite".into()))
 }
 
 /// Replays the detections that a log recorded.
@@ -84,7 +72,7 @@ impl Operator for RecordedDetections {
                     let found = format!("stamp {} ns and frame {}", recorded.stamp, recorded.frame);
                     return Err(format!("recorded boxes: expected the sweep's {expected}, found {found}").into());
                 }
-                let (before, fault) = (boxes.0.len(), first_fault(&boxes));
+                let (before, fault) = (boxes.0.len(), boxes.0.iter().find_map(geometry::detection_fault));
                 let boxes = sound(boxes);
                 let invalid = (before - boxes.0.len()) as u64;
                 out.count_of(&INVALID_BOXES, &recorded.agent, invalid, before as u64);

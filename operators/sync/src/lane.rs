@@ -156,6 +156,12 @@ impl Lane {
         settled
     }
 
+    /// Whether its poses are true ones.
+    pub fn has_true_poses(&self) -> bool {
+        let newest = self.points.back();
+        newest.is_some_and(|point| point.status == PoseStatus::Truth)
+    }
+
     /// All sweeps that were given up, at the end.
     pub fn unposed(&mut self) -> Vec<Unposed> {
         std::mem::take(&mut self.unposed)

@@ -157,7 +157,7 @@ impl Sync {
             .entry(header.agent.clone())
             .or_insert_with(|| Lane::new(max_gap));
         lane.insert(header.stamp, state);
-        settle(&header.agent, lane.settled(), out);
+        settle(&header.agent, lane.settled(), lane.has_true_poses(), out);
         self.settings.release(lane, out, false);
         Ok(())
     }
@@ -181,7 +181,7 @@ impl Sync {
         if let Some((header, _)) = lane.wait(now, header, cloud) {
             lane.give_up(header.stamp);
         }
-        settle(&agent, lane.settled(), out);
+        settle(&agent, lane.settled(), lane.has_true_poses(), out);
         self.settings.release(lane, out, false);
         if !lane.waiting.is_empty() {
             out.wake_at(now.saturating_add(OVERTAKING));
@@ -249,12 +249,17 @@ impl SweepRules {
 }
 
 /// Counts sweeps that were given up: only what comes later says whether the log has no pose of them, or it was late.
-fn settle(agent: &Name, sweeps: Vec<Unposed>, out: &mut Outputs) {
+fn settle(agent: &Name, sweeps: Vec<Unposed>, by_truth: bool, out: &mut Outputs) {
     for sweep in sweeps {
         let late = u64::from(sweep.is_late);
         count_pose(agent, [1 - late, late], out);
         if !sweep.is_late {
-            out.found(&NO_POSE, agent, || sweep.lack);
+            let of = if by_truth {
+                "; these are the poses of `pose_truth`"
+            } else {
+                ""
+            };
+            out.found(&NO_POSE, agent, || sweep.lack + of);
         }
     }
 }
@@ -340,7 +345,7 @@ impl Operator for Sync {
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
         for (agent, lane) in &mut self.lanes {
             self.settings.release(lane, out, true);
-            settle(agent, lane.unposed(), out);
+            settle(agent, lane.unposed(), lane.has_true_poses(), out);
         }
         Ok(())
     }

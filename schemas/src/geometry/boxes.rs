@@ -106,6 +106,15 @@ pub fn is_plausible(object: &Box3) -> bool {
     is_valid(object) && Vector3::from(object.center).norm() <= FARTHEST_M
 }
 
+/// Why a box in an agent's frame cannot be one that somebody detected, in words; `None` where it [`is_plausible`] and moves by
+/// finite numbers.
+pub fn detection_fault(object: &Box3) -> Option<String> {
+    let velocity = object.velocity.iter().flatten();
+    let mut motion = velocity.chain(object.covariance.iter().flatten());
+    let is_finite = motion.all(|number| number.is_finite());
+    box_fault(object).or_else(|| (!is_finite).then(|| "a velocity or covariance that is not finite".into()))
+}
+
 /// Why a box in an agent's frame is not plausible, in words; `None` where it [`is_plausible`].
 pub fn box_fault(object: &Box3) -> Option<String> {
     if is_plausible(object) {

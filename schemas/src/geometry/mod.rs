@@ -9,8 +9,8 @@ mod rotated;
 mod view;
 
 pub use boxes::{
-    FARTHEST_M, LARGEST_M, PLAUSIBLE_BOX, bottom_corners, box_fault, footprint_contains, is_plausible, is_valid,
-    level_from_body, normalize_yaw, relative, tilt_degrees, transform_box, transform_boxes, yaw_of,
+    FARTHEST_M, LARGEST_M, PLAUSIBLE_BOX, bottom_corners, box_fault, detection_fault, footprint_contains, is_plausible,
+    is_valid, level_from_body, normalize_yaw, relative, tilt_degrees, transform_box, transform_boxes, yaw_of,
 };
 pub use cloud::transform_cloud;
 pub use deskew::Motion;

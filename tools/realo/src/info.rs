@@ -56,8 +56,14 @@ fn dropped_classes(described: &Described) -> Vec<Dropped> {
     let Described::Log(log) = described else {
         return Vec::new();
     };
-    let Ok(protocol) = Protocol::load(&log.info.protocol) else {
-        return Vec::new();
+    let protocol = match Protocol::load(&log.info.protocol) {
+        Ok(protocol) => protocol,
+        Err(error) => {
+            return vec![Dropped {
+                words: format!("{error}; correct `protocol` in the log's record, or run it with `--protocol default`"),
+                is_all: true,
+            }];
+        }
     };
     if !log.problems.is_empty() {
         return Vec::new();

@@ -225,7 +225,8 @@ impl Batch {
                     few(&self.cut_short)
                 ),
                 _ => format!(
-                    "of {all} {} ended by {ending} early, with what was played until then in these numbers: {}",
+                    "{} of {all} {} ended by {ending} early, and what was played until then is in these numbers: {}",
+                    self.cut_short.len(),
                     are(self.cut_short.len()),
                     few(&self.cut_short)
                 ),
