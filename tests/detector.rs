@@ -258,9 +258,11 @@ fn late_fusion_detects_in_both_lanes() {
     let set = format!("score.evaluator.protocol={}", protocol.display());
     let changes = ["--set", "fusion.nms.threshold=0.2", "--set", &set];
     let result = run("detector_late", "late_fusion", &[&["--offline"], &changes[..]].concat());
-    assert_eq!(
-        result["set"], "fusion.nms.threshold=0.2, score.evaluator.protocol=default.yml",
-        "a result holds no path"
+    let set = result["set"].as_str().expect("a text");
+    let begin = "fusion.nms.threshold=0.2, score.evaluator.protocol=default.yml-";
+    assert!(
+        set.starts_with(begin) && !set.contains('/'),
+        "a result holds no path: {set}"
     );
     assert_eq!(result["links"]["rsu1-cav1"]["boxes"]["used"], 5);
     assert_eq!(result["nodes"]["others.head"]["operator"], "detection-head");
