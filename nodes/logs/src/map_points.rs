@@ -4,6 +4,7 @@ use realo_schemas::Nanos;
 
 use crate::frames::{Frames, bare};
 use crate::log_writer::body;
+use crate::timing::read_stamps;
 use crate::{Log, LogError, MAX_GAP, Stream, pose_track};
 
 /// Transforms further from the pose are of another place, m and degrees: both tell where the agent believes to be.
@@ -61,14 +62,7 @@ impl TransformsApart {
 
 /// Stamps of an agent's sweeps.
 fn sweeps(log: &Log, agent: &str) -> Result<Vec<Nanos>, LogError> {
-    let streams = [Stream::Sweeps, Stream::Points].into_iter();
-    let Some(stream) = streams.into_iter().find(|stream| log.has(agent, *stream)) else {
-        return Ok(Vec::new());
-    };
-    let mut reader = log.read_all(&[(agent, stream)])?;
-    let mut stamps = Vec::new();
-    while let Some(entry) = reader.next()? {
-        stamps.push(entry.stamp());
-    }
-    Ok(stamps)
+    let streams = [Stream::Sweeps, Stream::Points];
+    let stream = streams.into_iter().find(|stream| log.has(agent, *stream));
+    stream.map_or(Ok(Vec::new()), |stream| read_stamps(log, agent, stream))
 }

@@ -368,7 +368,11 @@ fn is_within(own: Option<(Nanos, Nanos)>, sweeps: Option<(Nanos, Nanos)>) -> boo
     own.0 >= sweeps.0 - TRUTH_WINDOW && own.1 <= sweeps.1 + TRUTH_WINDOW
 }
 
-fn read_stamps(log: &Log, agent: &str, stream: Stream) -> Result<Vec<Nanos>, LogError> {
+/// Stamps of a stream, in the order of their log times.
+///
+/// # Errors
+/// A log that cannot be read.
+pub(crate) fn read_stamps(log: &Log, agent: &str, stream: Stream) -> Result<Vec<Nanos>, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
     let mut stamps = Vec::new();
     while let Some(entry) = reader.next()? {

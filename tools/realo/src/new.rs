@@ -128,7 +128,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     };
     let checkout = run::checkout().ok_or_else(|| {
-        eyre!("expected the checkout of realo, whose code plug-ins use, above this program, above the current folder, or where this program was built; found none")
+        eyre!(
+            "expected the checkout of realo, whose code plug-ins use, above this program, above the current folder, or where this \
+             program was built; found none"
+        )
     })?;
     let name = args.name.file_name().unwrap_or_default().to_string_lossy();
     check_name(&name)?;
