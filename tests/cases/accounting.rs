@@ -1,19 +1,13 @@
 //! What is dropped is said in the notes.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 use realo_logs::boxes;
 use realo_schemas::Box3;
 
 use crate::common;
-use crate::scene::{SWEEP, Scene, T0, rewrite, run, run_ego};
-
-/// What `realo info` says of a log, and its exit code.
-fn info(log: &Path) -> (String, Option<i32>) {
-    let output = common::realo(["info", &log.to_string_lossy()]);
-    (common::text(&output.stdout), output.status.code())
-}
+use crate::scene::{SWEEP, Scene, T0, info, rewrite, run, run_ego};
 
 fn of_classes(name: &str, class: fn(usize) -> &'static str) -> PathBuf {
     Scene {

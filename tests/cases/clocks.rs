@@ -7,17 +7,11 @@ use realo_logs::{cloud, pose};
 use realo_schemas::{Nanos, PoseStatus};
 
 use crate::common;
-use crate::scene::{Ran, Raw, Scene, T0, rewrite, run};
+use crate::scene::{Ran, Raw, Scene, T0, info, rewrite, run};
 
 const S: Nanos = 1_000_000_000;
 const MS: Nanos = 1_000_000;
 const MODES: [(&str, &[&str]); 2] = [("offline", &["--offline"]), ("virtual", &["--mode", "virtual"])];
-
-/// What `realo info` says of a log, and its exit code.
-fn info(log: &Path) -> (String, Option<i32>) {
-    let output = common::realo(["info", &log.to_string_lossy()]);
-    (common::text(&output.stdout), output.status.code())
-}
 
 /// The scene with each message changed.
 fn changed(name: &str, scene: &Scene, mut change: impl FnMut(&mut Raw)) -> PathBuf {

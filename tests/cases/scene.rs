@@ -402,3 +402,9 @@ fn the_scene_has_its_known_answer_written_and_rewritten() {
         assert_eq!((late.ap("0.5"), late.code), (1.0, 0), "{late:?}");
     }
 }
+
+/// What `realo info` says of a log, and its exit code.
+pub fn info(log: &Path) -> (String, Option<i32>) {
+    let output = common::realo(["info", &log.to_string_lossy()]);
+    (common::text(&output.stdout), output.status.code())
+}
