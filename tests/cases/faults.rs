@@ -440,3 +440,69 @@ fn a_topic_of_another_type_is_named() {
         "{said}"
     );
 }
+
+#[test]
+fn what_shows_only_in_a_run_is_found_before_it() {
+    let stops = picked("mast-truth-stops", |message| {
+        let (agent, topic) = message.parts();
+        agent != "mast" || !topic.starts_with("ground_truth") || message.sequence < 8
+    });
+    let words = "sweeps of the ego were scored without the truth of mast";
+    told(&stops, "mast-truth-stops", words, words);
+    let late = changed("late-companions", |message| {
+        if message.topic == "/mast/detections_info" {
+            message.log_time += 300_000_000;
+        }
+    });
+    let words = "played without velocities and covariances";
+    told(&late, "late-companions", words, words);
+}
+
+#[test]
+fn poses_that_do_not_fit_the_boxes_of_the_other_are_named() {
+    let moved = |name: &str, by: f64| {
+        changed(name, |message| {
+            if message.topic == "/mast/pose" {
+                // Behind it stand y, z, a quaternion and the covariance.
+                let at = message.data.len() - 8 * (3 + 4 + 36);
+                let x = f64::from_le_bytes(message.data[at..at + 8].try_into().expect("eight bytes"));
+                message.data[at..at + 8].copy_from_slice(&(x + by).to_le_bytes());
+            }
+        })
+    };
+    let near = moved("mast-near", 0.8);
+    assert_eq!((offline(&near, "mast-near").code, info(&near).1), (0, Some(0)));
+    let ran = told(
+        &moved("mast-moved", 3.0),
+        "mast-moved",
+        "objects that stand lie more than 1 m apart by the truth of the two",
+        "lie more than 1 m apart (median 3.0 m)",
+    );
+    assert_eq!(ran.ap("0.5"), 0.5, "{ran:?}");
+}
+
+#[test]
+fn scores_of_a_recording_tell_the_faults_of_its_log() {
+    let twice = with_boxes("truth-turned-again", "ground_truth", |object, of_companion| {
+        object.yaw += if of_companion { 1.0 } else { 0.0 };
+    });
+    let whole = Scene::default().write("evaluated");
+    for (name, log, code) in [("evaluated-turned", twice, 3), ("evaluated", whole, 0)] {
+        let ran = offline(&log, name);
+        assert_eq!(ran.code, code, "{ran:?}");
+        let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("ran-{name}-late_fusion"));
+        let mut files = common::files_below(&out).into_iter();
+        let recording = files
+            .find(|path| path.ends_with("recording.mcap"))
+            .expect("a recording");
+        for more in [vec![], vec!["--frames"]] {
+            let (log, recording) = (log.to_string_lossy(), recording.to_string_lossy());
+            let args = [vec!["evaluate", &log, "--detections", &recording], more].concat();
+            let output = common::realo(args);
+            let said = common::text(&output.stdout) + &common::text(&output.stderr);
+            assert_eq!(output.status.code(), Some(code), "{name}: {said}");
+            let is_told = said.contains("objects of the ground truth have another heading");
+            assert_eq!(is_told, code == 3, "{name}: {said}");
+        }
+    }
+}

@@ -6,7 +6,7 @@ use realo_schemas::{Boxes, Nanos, to_seconds};
 
 use crate::box_faults::box_faults;
 use crate::timing::{self, AgentTimes, Times};
-use crate::track_faults::{TrackFault, TrackFinding, track_faults};
+use crate::truth_faults::{TruthFault, TruthFinding, truth_faults};
 use crate::words::{seconds, side};
 use crate::{AgentKind, Entry, Log, LogError, Stream};
 
@@ -59,14 +59,14 @@ pub(crate) fn problems(log: &Log) -> Result<(Vec<String>, Classes), LogError> {
     problems.extend(timing::findings(log, &agents, end)?);
     if is_readable {
         // What is around a roadside unit is mostly not scored.
-        let is_scored = |found: &&TrackFinding| match found.fault {
-            TrackFault::Lacking => {
+        let is_scored = |found: &&TruthFinding| match found.fault {
+            TruthFault::Lacking => {
                 let info = found.agents.first().and_then(|agent| log.info().agent(agent));
                 info.is_none_or(|info| info.kind == AgentKind::Vehicle)
             }
             _ => true,
         };
-        let found = track_faults(log)?;
+        let found = truth_faults(log)?;
         problems.extend(found.iter().filter(is_scored).map(ToString::to_string));
     }
     problems.extend(unusable);

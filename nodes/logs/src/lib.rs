@@ -60,8 +60,8 @@ mod sweeps;
 mod times;
 mod timing;
 mod topics;
-mod track_faults;
 mod tracks;
+mod truth_faults;
 pub mod views;
 mod words;
 
@@ -88,7 +88,7 @@ pub use stamps::same;
 pub use sweeps::{SweepsInfo, intensity_scale};
 pub use timing::{Outside, no_common_time};
 pub use topics::Stream;
-pub use track_faults::{TrackFault, TrackFinding, track_faults};
+pub use truth_faults::{TRUTH_SHIFTED, TruthFault, TruthFinding, truth_faults};
 pub use words::{nearest_words, side};
 
 /// Name of the metadata record of a recording of a run.

@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -118,6 +118,11 @@ impl McapFile {
         };
         if path.is_dir() {
             return Err(not_mcap(foreign::folder(path)));
+        }
+        // To open a pipe would wait for whoever writes into it.
+        let is_file = fs::metadata(path).map_err(LogError::io(path, "open"))?.is_file();
+        if !is_file {
+            return Err(not_mcap("a pipe, socket or device; write it to a file first".into()));
         }
         let mut file = File::open(path).map_err(LogError::io(path, "open"))?;
         let size = file.metadata().map_err(LogError::io(path, "read"))?.len();

@@ -86,6 +86,7 @@ pub const ALL: &[Counter] = &[
     TRACKS_SPLIT,
     TRACKS_DOUBLED,
     TRUTH_DOUBLED,
+    TRUTH_SHIFTED,
     TRUTH_PARTIAL,
     TOO_FAR,
 ];
@@ -272,11 +273,18 @@ pub const TRUTH_DOUBLED: Counter = Counter::log_fault(
     "objects of the ground truth are there twice at the same place, so that one of two detections counts as missing",
     "write each object once",
 );
+pub const TRUTH_SHIFTED: Counter = Counter::log_fault(
+    "truth_shifted",
+    "positions at which two agents both have an object that stands, by [track](log-format.md#tracks), more than 1 m apart by the poses of \
+     the two; where the median of all such objects is",
+    realo_logs::TRUTH_SHIFTED[0],
+    realo_logs::TRUTH_SHIFTED[1],
+);
 pub const TRUTH_PARTIAL: Counter = Counter::log_fault(
     "truth_partial",
     "objects that a collaborator's truth has up to 50 m ahead of the ego and 30 m beside, and the ego's truth has not, where these are \
      more than 2 % of all; not where the ego's labels have views",
-    "objects ahead of the ego are in the truth of the other alone, so that whoever finds them by cooperation is counted as wrong",
+    "objects ahead of the ego are in the truth of others alone, so that whoever finds them by cooperation is counted as wrong",
     "the ego's truth must have all objects around it, those too that it does not see (docs/log-format.md)",
 );
 pub const TOO_FAR: Counter = Counter::loss(

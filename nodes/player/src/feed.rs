@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use realo_logs::limits::TRUTH_WINDOW;
 use realo_logs::{
     Attitudes, BEHIND_MOST, Bare, Entry, Gaps, LEVEL, Lack, Levelled, Log, LogError, LogReader, Missing, Outside, Step,
-    Stream, TrackFault, TrackFinding, TransformsApart, WrongHeadings, clock_words, level_state, levelled_while_played,
-    nearest_words, no_common_time, side, sweeps_of_one_topic, track_faults,
+    Stream, TransformsApart, TruthFault, TruthFinding, WrongHeadings, clock_words, level_state, levelled_while_played,
+    nearest_words, no_common_time, side, sweeps_of_one_topic, truth_faults,
 };
 use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::{box_fault, tilt_degrees};
@@ -18,7 +18,7 @@ use crate::counters::{
     INTENSITIES_LIMITED, INVALID_TRUTH, LEVELLED, NO_COMMON_TIME, NO_POSE, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER,
     SWEEPS_MISSING, SWEEPS_OF_ONE_TOPIC, SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
     TRACKS_DOUBLED, TRACKS_SPLIT, TRANSFORMS_DIFFER, TRUTH_DOUBLED, TRUTH_HEADINGS, TRUTH_NOT_JOINED, TRUTH_PARTIAL,
-    TRUTH_WITHOUT_SWEEP, WRONG_COVARIANCES,
+    TRUTH_SHIFTED, TRUTH_WITHOUT_SWEEP, WRONG_COVARIANCES,
 };
 use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
@@ -300,34 +300,39 @@ impl Script {
         self.log.read(&wanted, self.from.saturating_sub(LEAD_IN), self.until)
     }
 
-    /// Counts objects whose tracks do not tell which objects of others they are: the points on these cannot be joined.
-    fn count_track_faults(&self) -> Result<(), LogError> {
+    /// Counts objects of which the truth of agents is wrong.
+    fn count_truth_faults(&self) -> Result<(), LogError> {
         let agents = self.agents();
         let plays = |name: &String| agents.iter().any(|agent| **agent == **name);
         if agents.len() < 2 {
             return Ok(());
         }
         // What is around others is not scored.
-        let concerns = |found: &&TrackFinding| match found.fault {
-            TrackFault::Lacking => found.agents.first().is_some_and(|agent| **agent == *agents[0]),
+        let concerns = |found: &&TruthFinding| match found.fault {
+            TruthFault::Lacking => found.agents.first().is_some_and(|agent| **agent == *agents[0]),
             _ => true,
         };
-        for found in track_faults(&self.log)?
+        for found in truth_faults(&self.log)?
             .iter()
             .filter(|found| found.agents.iter().all(plays))
             .filter(concerns)
         {
             let counter = match found.fault {
-                TrackFault::Apart(_) => &TRACKS_DIFFER,
-                TrackFault::Split => &TRACKS_SPLIT,
-                TrackFault::Doubled => &TRACKS_DOUBLED,
-                TrackFault::Twice => &TRUTH_DOUBLED,
-                TrackFault::Lacking => &TRUTH_PARTIAL,
+                TruthFault::Apart(_) => &TRACKS_DIFFER,
+                TruthFault::Shifted(_) => &TRUTH_SHIFTED,
+                TruthFault::Split => &TRACKS_SPLIT,
+                TruthFault::Doubled => &TRACKS_DOUBLED,
+                TruthFault::Twice => &TRUTH_DOUBLED,
+                TruthFault::Lacking => &TRUTH_PARTIAL,
             };
             let (count, of) = (found.count as u64, found.of as u64);
-            let agents = found.agents.join(" and ");
+            let agents = match (found.fault, &found.agents[..]) {
+                // It is the first agent's truth that lacks them.
+                (TruthFault::Lacking, [agent, ..]) => agent.clone(),
+                (_, agents) => agents.join(" and "),
+            };
             match found.fault {
-                TrackFault::Apart(median) => {
+                TruthFault::Apart(median) | TruthFault::Shifted(median) => {
                     let words = || format!("{median:.1} m in the median");
                     self.counters.lost(counter, &agents, count, of, words);
                 }
@@ -354,7 +359,7 @@ impl Feed {
         let mut per_pass: Vec<[u64; 2]> = agents.iter().map(|agent| script.per_pass(agent)).collect();
         held.keys()
             .for_each(|rank| per_pass[*rank][0] = (period / STEP).unsigned_abs() + 1);
-        script.count_track_faults()?;
+        script.count_truth_faults()?;
         script.count_times_apart(&agents)?;
         script.count_sweeps_of_one_topic();
         script.count_transforms_apart()?;

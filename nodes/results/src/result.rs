@@ -1,11 +1,13 @@
 use std::collections::BTreeMap;
 
-use realo_operator::{Loss, Meaning};
+use realo_operator::{Counts, Loss, Meaning};
 use realo_schemas::report::Peer;
 use realo_scoring::{Accuracy, Dropped, Ignored, Intervals, Orders, PointsBin, RangeBin, Scores, Table, score};
 use serde::{Deserialize, Serialize};
 
 use crate::cooperation::Cooperation;
+use crate::notes::sentence;
+use crate::sink::happened;
 use crate::{Fates, Samples, Spread, notes};
 
 /// Version of the files; a reader refuses what is newer.
@@ -274,6 +276,24 @@ fn is_zero(number: &u64) -> bool {
 }
 
 impl NodeSummary {
+    /// What was lost at an operator that ran outside of a graph.
+    pub fn of_losses(operator: &str, counts: Counts) -> NodeSummary {
+        let losses = counts.losses.into_iter();
+        NodeSummary {
+            operator: operator.into(),
+            losses: losses
+                .filter_map(|(counter, loss)| happened((&counter.into_owned(), &loss)))
+                .collect(),
+            ..NodeSummary::default()
+        }
+    }
+
+    /// A sentence for each fault of the log that it counted.
+    pub fn log_faults(&self) -> Vec<String> {
+        let faults = self.losses.values().filter(|loss| loss.meaning == Meaning::LogFault);
+        faults.map(|loss| sentence(&self.operator, loss)).collect()
+    }
+
     /// Adds what the same node counted in another run.
     pub fn add(&mut self, other: &NodeSummary) {
         self.operator.clone_from(&other.operator);

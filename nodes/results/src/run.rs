@@ -5,7 +5,7 @@ use realo_schemas::Kind;
 use realo_scoring::Evaluation;
 use serde::{Deserialize, Serialize};
 
-use crate::{AgeTable, Ages, RunResult, Settings, Spread, Timing, VERSION};
+use crate::{AgeTable, Ages, NodeSummary, RunResult, Settings, Spread, Timing, VERSION};
 
 /// Names `evaluation.json`.
 pub const SAMPLES: &str = "realo/evaluation";
@@ -65,9 +65,15 @@ pub struct Run {
 }
 
 impl Run {
-    /// The run of an evaluation that was made after the fact, without a graph: it has scores only.
-    pub fn of_evaluation(settings: Settings, evaluation: Evaluation) -> Self {
+    /// The run of an evaluation that was made after the fact, without a graph: it has scores, and what nodes counted that
+    /// were needed for them.
+    pub fn of_evaluation(
+        settings: Settings,
+        evaluation: Evaluation,
+        nodes: impl IntoIterator<Item = (String, NodeSummary)>,
+    ) -> Self {
         let mut result = RunResult::new(settings);
+        result.nodes.extend(nodes);
         for scene in &evaluation.scenes {
             let processed = scene.frames.iter().filter(|frame| frame.processed).count() as u64;
             result.frames.total += scene.frames.len() as u64;

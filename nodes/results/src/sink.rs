@@ -401,7 +401,7 @@ fn skipped_of_others(node: &NodeBooks, egos: &[String]) -> Loss {
 }
 
 /// A loss without the agents of whom nothing was lost; `None` if that is so of all.
-fn happened((counter, loss): (&String, &Loss)) -> Option<(String, Loss)> {
+pub(crate) fn happened((counter, loss): (&String, &Loss)) -> Option<(String, Loss)> {
     let mut loss = loss.clone();
     loss.agents.retain(|_, share| share.count > 0);
     (!loss.agents.is_empty()).then(|| (counter.clone(), loss))

@@ -92,8 +92,10 @@ impl Describe for FusionBoxes {
 
 impl Operator for FusionBoxes {
     fn new(config: Config) -> Result<Self, Error> {
-        if config.min_score.is_nan() {
-            return Err("argument `min_score`: expected a number, found NaN".into());
+        // Above 1 no box would be left.
+        if config.min_score.is_nan() || config.min_score > 1.0 {
+            let found = config.min_score;
+            return Err(format!("argument `min_score`: expected a score up to 1, found {found}").into());
         }
         Ok(FusionBoxes {
             config,

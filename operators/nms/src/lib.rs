@@ -252,8 +252,10 @@ impl Operator for Nms {
                 format!("argument `vote`: expected an IoU from `threshold`, {least}, to 1, found {found}").into(),
             );
         }
-        if config.min_score.is_nan() {
-            return Err("argument `min_score`: expected a number, found NaN".into());
+        // Above 1 no box would be left.
+        if config.min_score.is_nan() || config.min_score > 1.0 {
+            let found = config.min_score;
+            return Err(format!("argument `min_score`: expected a score up to 1, found {found}").into());
         }
         if config.max_boxes == 0 {
             return Err("argument `max_boxes`: 0 would drop every box; give at least 1".into());
@@ -486,13 +488,13 @@ mod tests {
             })
             .contains("`region`")
         );
-        assert!(
-            refused(Config {
-                min_score: f32::NAN,
+        for min_score in [f32::NAN, 1.1] {
+            let error = refused(Config {
+                min_score,
                 ..Config::default()
-            })
-            .contains("`min_score`")
-        );
+            });
+            assert!(error.contains("`min_score`"), "{error}");
+        }
         let state = EgoState {
             map_from_body: Default::default(),
             covariance: None,

@@ -367,3 +367,31 @@ fn clouds_far_from_their_sensor_are_refused_and_none_is_cut() {
     );
     assert!(Path::new(&made.data()).exists());
 }
+
+#[test]
+fn stamps_turns_and_corners_of_another_convention_are_refused() {
+    let made = Made::new();
+    let data = made.data();
+    let [_, vehicle, _] = lists(&data);
+    edit(&vehicle, |list| {
+        for (entry, stamp) in list.iter_mut().zip(["1626240241604", "1626240241"]) {
+            entry["pointcloud_timestamp"] = stamp.into();
+        }
+    });
+    edit(&data.join("vehicle-side/label/lidar/000102.json"), |list| {
+        list[0]["rotation"] = 90.into()
+    });
+    edit(&data.join("cooperative/label_world/000103.json"), |list| {
+        list[0]["world_8_points"].as_array_mut().unwrap()[..4].rotate_left(1);
+        list[0]["world_8_points"].as_array_mut().unwrap()[4..].rotate_left(1);
+    });
+    let error = made.import(false).unwrap_err();
+    for line in [
+        "expected microseconds since 1970, found 1626240241604, which looks like milliseconds",
+        "found 1626240241, which looks like seconds",
+        "000102.json: label 0 (`Car`): expected a box within 1000 m of its agent, at most 100 m long, with a heading in radians within ±4π",
+        "000103.json: label 0 (`Car`): world_8_points: expected front-left",
+    ] {
+        assert!(error.contains(line), "{line} is not in\n{error}");
+    }
+}

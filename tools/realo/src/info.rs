@@ -1,10 +1,13 @@
 //! `realo info`: what a log or a recording holds.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use eyre::Result;
-use realo_logs::Described;
+use realo_logs::{Described, Log};
+use realo_operator::{Describe, Source};
+use realo_player::{Coop, Player};
+use realo_results::NodeSummary;
 use realo_scoring::Protocol;
 
 use crate::Outcome;
@@ -24,8 +27,14 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.logs {
-        let described = realo_logs::describe_any(path)?;
+        let mut described = realo_logs::describe_any(path)?;
         let dropped = dropped_classes(&described);
+        if let Described::Log(log) = &mut described
+            && log.problems.is_empty()
+            && log.truncated.is_none()
+        {
+            log.problems = faults_of_runs(path)?;
+        }
         if args.json {
             println!("{}", serde_json::to_string_pretty(&described)?);
         } else {
@@ -41,6 +50,30 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     Ok(outcome)
+}
+
+/// The faults of a log that a run of it would tell, for the first ego for which there are any.
+fn faults_of_runs(path: &Path) -> Result<Vec<String>> {
+    let plan = realo_player::plan(&Log::open(path)?, "", Coop::All, &[])?;
+    for run in plan.runs {
+        let faults = played(path, &run.ego).unwrap_or_else(|error| vec![error.to_string()]);
+        if !faults.is_empty() {
+            return Ok(faults);
+        }
+    }
+    Ok(Vec::new())
+}
+
+/// The faults of a log that are found when it is played for an ego.
+fn played(path: &Path, ego: &str) -> Result<Vec<String>, realo_operator::Error> {
+    let mut player = Player::new(realo_player::Config {
+        log: path.into(),
+        ego: ego.into(),
+        points: false,
+        ..realo_player::Config::default()
+    })?;
+    while Source::next(&mut player)?.is_some() {}
+    Ok(NodeSummary::of_losses(Player::NAME, player.counts()).log_faults())
 }
 
 /// Boxes of a log that its protocol leaves out.

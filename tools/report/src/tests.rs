@@ -53,7 +53,7 @@ fn run(log: &str, ego: &str, luck: u64) -> Run {
         seed: "7".into(),
         ..Settings::default()
     };
-    let mut run = Run::of_evaluation(settings, evaluation(log, ego, luck));
+    let mut run = Run::of_evaluation(settings, evaluation(log, ego, luck), []);
     let fates = Fates {
         used: 4 + luck,
         stale: 2,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use realo_schemas::Nanos;
@@ -281,11 +282,24 @@ fn entries<T: DeserializeOwned>(dir: &Path, folder: &str) -> Result<Entries<T>, 
     Ok((entries, unusable))
 }
 
+/// Seconds since 1970 from 2000 to 2100.
+const SINCE_EPOCH: Range<i64> = 946_684_800..4_102_444_800;
+/// Units that stamps are written in elsewhere, by how many make a second.
+const OTHER_UNITS: [(i64, &str); 3] = [(1, "seconds"), (1_000, "milliseconds"), (1_000_000_000, "nanoseconds")];
+
 /// A stamp in ns, of one that is written in µs.
 fn nanos(stamp: &str) -> Result<Nanos, String> {
     let micros: i64 = stamp
         .parse()
         .map_err(|_| format!("expected microseconds, found `{stamp}`"))?;
+    let other_unit = OTHER_UNITS
+        .iter()
+        .find(|(per_second, _)| SINCE_EPOCH.contains(&(micros / per_second)));
+    if let Some((_, unit)) = other_unit {
+        return Err(format!(
+            "expected microseconds since 1970, found {micros}, which looks like {unit}"
+        ));
+    }
     let nanos = micros.checked_mul(1000).filter(|nanos| *nanos >= 0);
     nanos.ok_or_else(|| format!("expected 0 to {} microseconds, found {micros}", i64::MAX / 1000))
 }

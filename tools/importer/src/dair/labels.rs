@@ -15,8 +15,11 @@ const LABELLED: f64 = 1000.0;
 /// No labelled thing is longer, wider or higher, m.
 const LONGEST: f64 = 100.0;
 
-/// More than a heading in radians or degrees needs.
-const MOST_TURN: f64 = 1000.0;
+/// More than a heading in radians needs, and less than most in degrees.
+const MOST_TURN: f64 = 4.0 * std::f64::consts::PI;
+
+/// Corners of a box and its extents differ by rounding only; by so much of its longest side they are not of one box.
+const MOST_APART: f64 = 0.1;
 
 /// A label in a frame of its agent; itself if there can be no such one.
 fn label_box(label: Box3) -> Result<Box3, Box<Box3>> {
@@ -41,8 +44,8 @@ fn not_a_label(path: &Path, index: usize, found: &Box3) -> ImportError {
         ..
     } = found;
     let reason = format!(
-        "label {index} (`{class}`): expected a box within {LABELLED} m of its agent, at most {LONGEST} m long, with a heading within \
-         ±{MOST_TURN}, found centre {center:?} there, extents {:?} m and heading {yaw}",
+        "label {index} (`{class}`): expected a box within {LABELLED} m of its agent, at most {LONGEST} m long, with a heading in \
+         radians within ±4π, found centre {center:?} there, extents {:?} m and heading {yaw}",
         [length, width, height]
     );
     ImportError::content(path, reason)
@@ -112,8 +115,10 @@ impl WorldLabels {
             let corners = label
                 .corners
                 .map(|corner| (body_from_map * Point3::from(corner)).coords);
+            label.check_corners().map_err(|reason| {
+                ImportError::content(&self.path, format!("label {index} (`{}`): {reason}", label.class))
+            })?;
             let center = corners.iter().sum::<Vector3<f64>>() / 8.0;
-            // Front-left, front-right, rear-right, rear-left of the bottom, then of the top.
             let front = corners[0] + corners[1] + corners[4] + corners[5];
             let rear = corners[2] + corners[3] + corners[6] + corners[7];
             let heading = front - rear;
@@ -144,8 +149,29 @@ struct WorldLabel {
     class: String,
     #[serde(rename = "3d_dimensions")]
     size: Size,
+    /// Front-left, front-right, rear-right, rear-left of the bottom, then of the top.
     #[serde(rename = "world_8_points")]
     corners: [[f64; 3]; 8],
+}
+
+impl WorldLabel {
+    /// Whether the corners stand in the order by which the front is known: their edges are the extents.
+    fn check_corners(&self) -> Result<(), String> {
+        let corners = self.corners.map(Point3::from);
+        let edge = |to: usize| (corners[to] - corners[0]).norm();
+        let found = [edge(3), edge(1), edge(4)];
+        let extents = [self.size.l, self.size.w, self.size.h];
+        let longest = extents.iter().copied().fold(0.0, f64::max);
+        let fits = |(found, extent): (&f64, f64)| (found - extent).abs() <= MOST_APART * longest;
+        // Corners that are no numbers are told with the box.
+        match found.iter().zip(extents).all(fits) || found.iter().any(|edge| !edge.is_finite()) {
+            true => Ok(()),
+            false => Err(format!(
+                "world_8_points: expected front-left, front-right, rear-right, rear-left of the bottom, then of the top, of a box of \
+                 {extents:.2?} m (l, w, h of 3d_dimensions), found edges of {found:.2?} m"
+            )),
+        }
+    }
 }
 
 #[derive(Deserialize)]

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_logs::{Log, McapFile};
-use realo_operator::Source;
+use realo_operator::{Describe, Source};
 use realo_player::{Coop, Player};
-use realo_results::{Run, Settings};
+use realo_results::{NodeSummary, Run, Settings};
 use realo_schemas::{Boxes, GroundTruth, Kind};
 use realo_scoring::{Collector, Evaluation, Protocol, frame_scores};
 
@@ -17,7 +17,7 @@ use crate::fit::protocol_fits;
 use crate::progress::Progress;
 use crate::render::log_folders;
 use crate::tables::Show;
-use played::{Misfit, Sweep, Sweeps};
+use played::{Misfit, Sweep, Sweeps, Truths};
 
 /// Scores a recording's boxes against a log's ground truth: the table of the run, without model or graph
 #[derive(clap::Args)]
@@ -53,7 +53,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         true => recorded.agents.clone(),
         false => args.agents.clone(),
     };
-    let again = || logged(&log, &recorded.ego, &agents);
+    let again = || Logged::open(&log, &recorded.ego, &agents);
     let mut sweeps = Sweeps::new(again, realo_player::sweeps_per_pass(&log, &recorded.ego))?;
     // Of a sweep the collector keeps what scores need, in whole numbers; nothing else is kept.
     let mut collector = Collector::new(protocol);
@@ -91,27 +91,28 @@ pub fn main(args: &Args) -> Result<Outcome> {
             .to_string_lossy()
             .into_owned();
     }
-    print(args, ego, evaluation, &notes);
-    notes.iter().for_each(|note| eprintln!("realo: {note}"));
-    Ok(match notes.is_empty() {
-        true => Outcome::Complete,
-        false => Outcome::Partial,
-    })
-}
-
-fn print(args: &Args, ego: String, evaluation: Evaluation, notes: &[String]) {
-    if args.frames {
-        print!("{}", frames_table(&evaluation));
-        return;
-    }
+    let table = args.frames.then(|| frames_table(&evaluation));
     let settings = Settings {
         graph: "recording".into(),
         ego,
         ..Settings::default()
     };
-    let mut run = Run::of_evaluation(settings, evaluation);
-    run.result.notes.extend_from_slice(notes);
-    args.show.print(&[("recording", &run)]);
+    let player = sweeps.to_the_end()?.books();
+    let mut run = Run::of_evaluation(settings, evaluation, [(Player::NAME.into(), player)]);
+    let has_faults = run.result.log_faults() > 0;
+    let on_error = |notes: &[String]| notes.iter().for_each(|note| eprintln!("realo: {note}"));
+    if let Some(table) = table {
+        print!("{table}");
+        on_error(&run.result.notes);
+    } else {
+        run.result.notes.extend_from_slice(&notes);
+        args.show.print(&[("recording", &run)]);
+    }
+    on_error(&notes);
+    Ok(match notes.is_empty() && !has_faults {
+        true => Outcome::Complete,
+        false => Outcome::Partial,
+    })
 }
 
 /// The log that was given, or that of the run in whose folder the recording lies.
@@ -241,23 +242,35 @@ fn not_of_log(args: &Args, log: &Log, misfit: Misfit) -> eyre::Report {
     misfit.reason.wrap_err(what)
 }
 
-/// What the player says of the sweeps of a run of these agents, one after the other.
-fn logged(log: &Log, ego: &str, agents: &[String]) -> Result<impl FnMut() -> Result<Option<Sweep>> + use<>> {
-    let config = realo_player::Config {
-        log: log.path().into(),
-        ego: ego.into(),
-        agents: agents.to_vec(),
-        coop: Coop::All,
-        points: false,
-        ..realo_player::Config::default()
-    };
-    let mut player = Player::new(config).map_err(|error| eyre!(error))?;
-    Ok(move || {
-        while let Some((_, _, message)) = Source::next(&mut player).map_err(|error| eyre!(error))? {
+/// A log as it is played for these agents, one sweep of the ego after the other.
+struct Logged(Player);
+
+impl Logged {
+    fn open(log: &Log, ego: &str, agents: &[String]) -> Result<Logged> {
+        let config = realo_player::Config {
+            log: log.path().into(),
+            ego: ego.into(),
+            agents: agents.to_vec(),
+            coop: Coop::All,
+            points: false,
+            ..realo_player::Config::default()
+        };
+        Player::new(config).map(Logged).map_err(|error| eyre!(error))
+    }
+
+    /// What was lost of the log, and what is wrong with it.
+    fn books(&self) -> NodeSummary {
+        NodeSummary::of_losses(Player::NAME, self.0.counts())
+    }
+}
+
+impl Truths for Logged {
+    fn next(&mut self) -> Result<Option<Sweep>> {
+        while let Some((_, _, message)) = Source::next(&mut self.0).map_err(|error| eyre!(error))? {
             if message.header.kind == Kind::Truth {
                 return Ok(Some(message.into_parts::<GroundTruth>()?));
             }
         }
         Ok(None)
-    })
+    }
 }

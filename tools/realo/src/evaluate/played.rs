@@ -9,6 +9,21 @@ use realo_scoring::same_truth;
 /// Truth of a sweep.
 pub type Sweep = (Header, GroundTruth);
 
+/// Reads the truth of a log's sweeps, in order of their numbers.
+pub trait Truths {
+    /// The next sweep; `None` at the end.
+    ///
+    /// # Errors
+    /// A log that cannot be read.
+    fn next(&mut self) -> Result<Option<Sweep>>;
+}
+
+impl<N: FnMut() -> Result<Option<Sweep>>> Truths for N {
+    fn next(&mut self) -> Result<Option<Sweep>> {
+        self()
+    }
+}
+
 /// So many sweeps of the log are kept for recorded ones that come out of order.
 const KEPT: usize = 64;
 
@@ -31,7 +46,7 @@ pub struct Sweeps<O, N> {
 impl<O, N> Sweeps<O, N>
 where
     O: Fn() -> Result<N>,
-    N: FnMut() -> Result<Option<Sweep>>,
+    N: Truths,
 {
     /// `open` reads the log from its beginning, sweeps in order of their numbers; `per_pass`: by how much a sweep's number
     /// rises from pass to pass.
@@ -78,6 +93,15 @@ where
         Ok(self.read)
     }
 
+    /// What reads the log, once it has read all of it.
+    ///
+    /// # Errors
+    /// A log that cannot be read.
+    pub fn to_the_end(mut self) -> Result<N> {
+        self.count()?;
+        Ok(self.next)
+    }
+
     /// Number of the last sweep of the log; `None` without any.
     fn last(&mut self) -> Result<Option<u64>> {
         self.count()?;
@@ -86,7 +110,7 @@ where
 
     /// Reads a sweep; whether there was one.
     fn advance(&mut self) -> Result<bool> {
-        let next = if self.at_end { None } else { (self.next)()? };
+        let next = if self.at_end { None } else { self.next.next()? };
         let Some(sweep) = next else {
             self.at_end = true;
             return Ok(false);

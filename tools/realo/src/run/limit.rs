@@ -19,7 +19,7 @@ const NOISE: [&str; 2] = ["position_noise_m", "heading_noise_deg"];
 const WINDOW: &str = "window_ms";
 const WINDOWS: RangeInclusive<f64> = 300.0..=500.0;
 /// The link that loses and delays nothing.
-const PERFECT: &str = "perfect";
+pub const PERFECT: &str = "perfect";
 
 /// Has the player leave out sweeps of which nothing can be fused, if the graph is such that this is certain and nobody said
 /// otherwise. Whether the run is in virtual time and computing takes none, who asks has to know.

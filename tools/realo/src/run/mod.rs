@@ -28,7 +28,7 @@ use clap::ValueEnum;
 use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode};
 use realo_operator::{Decided, Role};
-use realo_results::Run;
+use realo_results::{Run, RunResult};
 
 use crate::tables::Show;
 use crate::{Outcome, registry};
@@ -433,15 +433,21 @@ fn conclude(planned: &[Planned], runs: &[(&str, Run)], failures: &Failures) -> O
         return Outcome::Ended(ending.number());
     }
     let results = || runs.iter().map(|(_, run)| &run.result);
-    let failed_stages = || results().filter(|result| result.has_failed_stages());
     // A graph that scores nothing has no frames.
-    let gave_nothing = failed_stages().any(|result| result.frames.total > 0 && result.frames.processed == 0);
-    if gave_nothing {
-        eprintln!("realo: no boxes to score, because a stage failed on its messages; the first note says which");
+    let no_boxes = results().find(|result| result.frames.total > 0 && result.frames.processed == 0);
+    if let Some(result) = no_boxes {
+        eprintln!(
+            "realo: no boxes to score{}",
+            match result.has_failed_stages() {
+                true => ", because a stage failed on its messages; the first note says which",
+                false => ": no sweep of the ego came to the end of the graph in time; the notes say what was lost",
+            }
+        );
     }
     let has_faults = results().any(|result| result.log_faults() > 0);
-    let is_partial = has_faults || failed_stages().next().is_some() || batches().any(Batch::is_partial);
-    match (has_failed || gave_nothing, is_partial) {
+    let has_failed_stages = results().any(RunResult::has_failed_stages);
+    let is_partial = has_faults || has_failed_stages || batches().any(Batch::is_partial);
+    match (has_failed || no_boxes.is_some(), is_partial) {
         (true, _) => Outcome::Failed,
         (false, true) => Outcome::Partial,
         (false, false) => Outcome::Complete,

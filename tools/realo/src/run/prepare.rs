@@ -14,6 +14,7 @@ use realo_scoring::Protocol;
 
 use super::batch::{Batch, Unplayable};
 use super::lane::{self, SendingLane};
+use super::limit::PERFECT;
 use super::networks::Networks;
 use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
@@ -429,6 +430,24 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
     Ok(vec![log])
 }
 
+/// Makes the links of a graph what they are offline, where nothing is delayed or lost.
+///
+/// # Errors
+/// Another link, asked for beside `--offline`.
+fn links_of_offline(graph: &mut FlatGraph, set: &[Setting]) -> Result<()> {
+    for node in &mut graph.nodes {
+        let Some(link) = decided_argument(node, Decided::Link) else {
+            continue;
+        };
+        let is_link = |setting: &&Setting| setting.node == node.id && setting.key == link && setting.value != PERFECT;
+        if let Some(Setting { node, key, value }) = set.iter().find(is_link) {
+            bail!("--offline has neither delays nor loss: drop --set {node}.{key}={value}, or --offline");
+        }
+        node.set(link, PERFECT);
+    }
+    Ok(())
+}
+
 /// All that decides the arguments of one run.
 struct Told<'a> {
     args: &'a Args,
@@ -473,6 +492,9 @@ impl Told<'_> {
         }
         for setting in set {
             graph.set(&setting.node, &setting.key, &setting.value)?;
+        }
+        if self.args.offline {
+            links_of_offline(&mut graph, set)?;
         }
         let mut projecting = graph.clone();
         projecting.nodes.retain(can_project);

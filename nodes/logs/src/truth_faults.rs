@@ -1,4 +1,4 @@
-//! Truth whose tracks do not say which objects of two agents are one, or that has objects twice or not at all.
+//! Truth whose tracks do not say which objects of two agents are one, or that has objects twice, elsewhere or not at all.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -13,6 +13,12 @@ use crate::{Log, LogError, Stream, pose_track};
 const TOGETHER: Nanos = 200_000_000;
 /// An object that two agents place further apart is two objects, m.
 const APART: f64 = 5.0;
+/// Poses of two agents that place what stands further apart do not fit each other, m.
+const SHIFTED: f64 = 1.0;
+/// What moves no further by the truth of an agent stands, m.
+const STANDS: f64 = 0.5;
+/// So many positions of a track tell whether it stands.
+const TOLD_BY: usize = 5;
 /// Objects of one class that two agents place nearer than this are one, m.
 const SAME_PLACE: f64 = 1.0;
 /// So many positions of tracks tell whether two agents number objects alike.
@@ -28,11 +34,13 @@ const GAP: Nanos = 1_000_000_000;
 /// Of more objects than one in so many a fault is told: labels are made by people.
 const ONE_IN: usize = 50;
 
-/// What is wrong with tracks.
+/// What is wrong with ground truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum TrackFault {
+pub enum TruthFault {
     /// A track of both agents is of objects that lie more than 5 m apart, in the median so many m.
     Apart(f64),
+    /// Objects that stand are at other places by one agent than by the other, in the median so many m apart.
+    Shifted(f64),
     /// An object that both agents have is of two tracks, or of none.
     Split,
     /// A track is of several objects of one message.
@@ -43,24 +51,24 @@ pub enum TrackFault {
     Lacking,
 }
 
-/// Objects whose tracks do not tell which objects of others they are.
+/// Objects of which the truth of agents is wrong.
 #[derive(Clone, Debug, PartialEq)]
-pub struct TrackFinding {
+pub struct TruthFinding {
     /// The agent, or both.
     pub agents: Vec<String>,
     /// What is wrong.
-    pub fault: TrackFault,
+    pub fault: TruthFault,
     /// How often it was found.
     pub count: usize,
     /// Of how many positions of objects.
     pub of: usize,
 }
 
-impl fmt::Display for TrackFinding {
+impl fmt::Display for TruthFinding {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let TrackFinding { agents, count, of, .. } = self;
+        let TruthFinding { agents, count, of, .. } = self;
         let agents: Vec<String> = agents.iter().map(|agent| format!("`{agent}`")).collect();
-        if self.fault == TrackFault::Lacking {
+        if self.fault == TruthFault::Lacking {
             let [own, other] = [0, 1].map(|index| agents.get(index).map(String::as_str).unwrap_or_default());
             return write!(
                 f,
@@ -70,31 +78,46 @@ impl fmt::Display for TrackFinding {
         }
         let agents = agents.join(" and ");
         match self.fault {
-            TrackFault::Twice => {
+            TruthFault::Twice => {
                 return write!(
                     f,
                     "{count} of {of} objects in the truth of {agents} lie at the place of another one of their class: write each object once"
                 );
             }
-            TrackFault::Apart(median) => write!(
+            TruthFault::Shifted(median) => {
+                return write!(
+                    f,
+                    "{count} of {of} positions at which {agents} both have an object that stands lie more than {SHIFTED} m apart (median \
+                     {median:.1} m): {}",
+                    TRUTH_SHIFTED[1]
+                );
+            }
+            TruthFault::Apart(median) => write!(
                 f,
                 "tracks of {agents} name different objects: of {of} positions of tracks that both have, {count} lie more than {APART} m \
                  apart (median {median:.1} m)"
             ),
-            TrackFault::Split => write!(
+            TruthFault::Split => write!(
                 f,
                 "{count} of {of} objects that {agents} both have are of two tracks or of none, so that points of one agent do not count \
                  for the object of the other"
             ),
-            TrackFault::Doubled => write!(
+            TruthFault::Doubled => write!(
                 f,
                 "{count} of {of} objects in the truth of {agents} have the track of another object of the same message"
             ),
-            TrackFault::Lacking => Ok(()),
+            TruthFault::Lacking => Ok(()),
         }?;
         f.write_str("; give an object the same track in the truth of all agents, and no other object that track")
     }
 }
+
+/// What is said of objects that stand and that two agents have at different places, after how many of how many: what happened, and
+/// what to try.
+pub const TRUTH_SHIFTED: [&str; 2] = [
+    "positions of objects that stand lie more than 1 m apart by the truth of the two, and what they share is off by as much",
+    "the poses of one of them do not fit its boxes and sweeps: poses must be those of the frame that these are in, in one map",
+];
 
 /// An object, where its agent says that it is in the map.
 struct Placed {
@@ -131,6 +154,24 @@ impl Truth {
     }
 }
 
+/// Where an agent's tracks were first, and how far from there at most, m.
+#[derive(Default)]
+struct Stays(BTreeMap<u64, (Point2<f64>, f64)>);
+
+impl Stays {
+    fn add(&mut self, objects: &[Placed]) {
+        for object in objects {
+            let Some(track) = object.track else { continue };
+            let (first, farthest) = self.0.entry(track).or_insert((object.place, 0.0));
+            *farthest = farthest.max((object.place - *first).norm());
+        }
+    }
+
+    fn stands(&self, track: u64) -> bool {
+        self.0.get(&track).is_some_and(|(_, farthest)| *farthest <= STANDS)
+    }
+}
+
 /// What two agents' truths have in common.
 #[derive(Default)]
 struct Pair {
@@ -142,11 +183,11 @@ struct Pair {
     lacking: [[usize; 2]; 2],
 }
 
-/// What is wrong with the tracks of ground truth that has points: these are joined by tracks.
+/// What is wrong with ground truth that has points, which are joined by tracks.
 ///
 /// # Errors
 /// A log that cannot be read.
-pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
+pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
     let mut agents = Vec::new();
     for agent in &log.info().agents {
         let streams = [Stream::PoseTruth, Stream::Pose];
@@ -164,6 +205,7 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
     let mut reader = log.read_all(&wanted)?;
     let mut newest: Vec<Option<Truth>> = agents.iter().map(|_| None).collect();
     let (mut doubled, mut twice, mut all) = (vec![0; agents.len()], vec![0; agents.len()], vec![0; agents.len()]);
+    let mut stays: Vec<Stays> = agents.iter().map(|_| Stays::default()).collect();
     let mut pairs: BTreeMap<[usize; 2], Pair> = BTreeMap::new();
     let of_all = agents.len() * (agents.len() - 1) / 2;
     while let Some(entry) = reader.next()? {
@@ -186,6 +228,7 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
         };
         let objects: Vec<Placed> = boxes.0.into_iter().filter(is_plausible).map(placed).collect();
         twice[index] += at_one_place(&objects);
+        stays[index].add(&objects);
         let own = Truth {
             stamp: entry.stamp(),
             body_from_map: map_from_body.inverse(),
@@ -211,30 +254,34 @@ pub fn track_faults(log: &Log) -> Result<Vec<TrackFinding>, LogError> {
     let name = |index: &usize| agents[*index].0.to_string();
     let mut faults = Vec::new();
     for (index, of) in all.into_iter().enumerate() {
-        let found = [(TrackFault::Doubled, doubled[index]), (TrackFault::Twice, twice[index])];
+        let found = [(TruthFault::Doubled, doubled[index]), (TruthFault::Twice, twice[index])];
         let of_agent = found.map(|(fault, count)| told(vec![name(&index)], fault, count, of));
         faults.extend(of_agent.into_iter().flatten());
     }
     for (pair, known) in pairs {
         let agents: Vec<String> = pair.iter().map(name).collect();
         let (apart, median) = known.apart();
-        faults.extend(told(agents.clone(), TrackFault::Apart(median), apart, known.positions));
+        faults.extend(told(agents.clone(), TruthFault::Apart(median), apart, known.positions));
+        let stand = |track| pair.iter().all(|index| stays[*index].stands(track));
+        if let Some((median, shifted, of)) = known.shifted(stand) {
+            faults.extend(told(agents.clone(), TruthFault::Shifted(median), shifted, of));
+        }
         let of = known.positions + known.split;
-        faults.extend(told(agents.clone(), TrackFault::Split, known.split, of));
+        faults.extend(told(agents.clone(), TruthFault::Split, known.split, of));
         let [first, second] = known.lacking;
         let reversed: Vec<String> = agents.iter().rev().cloned().collect();
         for (agents, [count, of]) in [(agents, first), (reversed, second)] {
             // Labels of what a camera shows are not all that there is.
             if !log.has(&agents[0], Stream::GroundTruthViews) {
-                faults.extend(told(agents, TrackFault::Lacking, count, of));
+                faults.extend(told(agents, TruthFault::Lacking, count, of));
             }
         }
     }
     Ok(faults)
 }
 
-fn told(agents: Vec<String>, fault: TrackFault, count: usize, of: usize) -> Option<TrackFinding> {
-    (count * ONE_IN > of).then_some(TrackFinding {
+fn told(agents: Vec<String>, fault: TruthFault, count: usize, of: usize) -> Option<TruthFinding> {
+    (count * ONE_IN > of).then_some(TruthFinding {
         agents,
         fault,
         count,
@@ -274,6 +321,12 @@ fn at_one_place(objects: &[Placed]) -> usize {
         })
     });
     twice.count()
+}
+
+/// 0 of none.
+fn median(mut of: Vec<f64>) -> f64 {
+    of.sort_by(f64::total_cmp);
+    of.get(of.len() / 2).copied().unwrap_or(0.0)
 }
 
 impl Pair {
@@ -322,8 +375,22 @@ impl Pair {
                 apart.extend(far);
             }
         }
-        apart.sort_by(f64::total_cmp);
-        (apart.len(), apart.get(apart.len() / 2).copied().unwrap_or(0.0))
+        (apart.len(), median(apart))
+    }
+
+    /// Of the tracks that stand: in the median how far apart the agents have them, m, positions further apart than may be, and all
+    /// positions; `None` where these fit, or too few stand. What is of different objects does not count.
+    fn shifted(&self, stands: impl Fn(u64) -> bool) -> Option<(f64, usize, usize)> {
+        let known = self
+            .shared
+            .iter()
+            .filter(|(track, far)| far.len() >= TOLD_BY && stands(**track));
+        let medians = known.map(|(_, far)| (median(far.clone()), far));
+        let of_one: Vec<(f64, &Vec<f64>)> = medians.filter(|(median, _)| *median <= APART).collect();
+        let middle = median(of_one.iter().map(|(median, _)| *median).collect());
+        let all = || of_one.iter().flat_map(|(_, far)| far.iter());
+        let shifted = all().filter(|far| **far > SHIFTED).count();
+        (of_one.len() > 1 && middle > SHIFTED).then(|| (middle, shifted, all().count()))
     }
 }
 
@@ -375,6 +442,30 @@ mod tests {
     }
 
     #[test]
+    fn what_stands_tells_that_poses_do_not_fit() {
+        let shifted = |far: f64, speed: f64, stand: u64| {
+            let (mut pair, mut stays) = (Pair::default(), Stays::default());
+            for message in 0..10 {
+                let moved = speed * f64::from(message);
+                let own = placed(&[(Some(1), moved), (Some(2), 10.0 + moved), (Some(3), 40.0)]);
+                let others = placed(&[
+                    (Some(1), moved + far),
+                    (Some(2), 10.0 + moved + far),
+                    (Some(3), 40.0 + far),
+                ]);
+                pair.compare(&own, &others);
+                stays.add(&own);
+            }
+            pair.shifted(|track| stays.stands(track) && track <= stand)
+        };
+        assert_eq!(shifted(3.0, 0.0, 3), Some((3.0, 30, 30)));
+        assert_eq!(shifted(0.9, 0.0, 3), None);
+        assert_eq!(shifted(7.0, 0.0, 3), None, "these are of different objects");
+        assert_eq!(shifted(3.0, 1.0, 3), None, "one alone that stands tells nothing");
+        assert_eq!(shifted(3.0, 0.0, 1), None);
+    }
+
+    #[test]
     fn truth_lacks_what_others_have_ahead() {
         let truth = |objects: &[(Option<u64>, f64)]| Truth {
             stamp: 0,
@@ -402,7 +493,7 @@ mod tests {
 
     #[test]
     fn a_fault_is_told_of_more_than_one_object_in_fifty() {
-        let of = |count| told(Vec::new(), TrackFault::Split, count, 1000).is_some();
+        let of = |count| told(Vec::new(), TruthFault::Split, count, 1000).is_some();
         assert_eq!([of(0), of(20), of(21)], [false, false, true]);
     }
 }
