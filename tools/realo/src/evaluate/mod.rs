@@ -82,7 +82,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     };
     let notes = notes_of_cuts(&log, &recording, scored, &recorded.ego, in_log);
     let mut evaluation = collector.finish();
-    let ego = recorded.ego;
+    let ego = recorded.ego.clone();
     for scene in &mut evaluation.scenes {
         scene.name = log
             .path()

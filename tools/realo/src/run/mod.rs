@@ -433,21 +433,23 @@ fn conclude(planned: &[Planned], runs: &[(&str, Run)], failures: &Failures) -> O
         return Outcome::Ended(ending.number());
     }
     let results = || runs.iter().map(|(_, run)| &run.result);
-    // A graph that scores nothing has no frames.
-    let no_boxes = results().find(|result| result.frames.total > 0 && result.frames.processed == 0);
-    if let Some(result) = no_boxes {
-        eprintln!(
-            "realo: no boxes to score{}",
-            match result.has_failed_stages() {
-                true => ", because a stage failed on its messages; the first note says which",
-                false => ": no sweep of the ego came to the end of the graph in time; the notes say what was lost",
-            }
-        );
-    }
     let has_faults = results().any(|result| result.log_faults() > 0);
     let has_failed_stages = results().any(RunResult::has_failed_stages);
+    // A graph that scores nothing has no frames. Where the log is the cause, a note says so.
+    let gave_nothing = |result: &&RunResult| {
+        let no_boxes = result.frames.total > 0 && result.frames.processed == 0;
+        no_boxes && (result.has_failed_stages() || result.log_faults() == 0)
+    };
+    let without_boxes = results().find(gave_nothing);
+    if let Some(result) = without_boxes {
+        let why = match result.has_failed_stages() {
+            true => ", because a stage failed on its messages; the first note says which",
+            false => ": no sweep of the ego came to the end of the graph in time; the notes say what was lost",
+        };
+        eprintln!("realo: no boxes to score{why}");
+    }
     let is_partial = has_faults || has_failed_stages || batches().any(Batch::is_partial);
-    match (has_failed || no_boxes.is_some(), is_partial) {
+    match (has_failed || without_boxes.is_some(), is_partial) {
         (true, _) => Outcome::Failed,
         (false, true) => Outcome::Partial,
         (false, false) => Outcome::Complete,
