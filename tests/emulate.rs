@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use linkemu::{ADDRESSES, Link, Machines};
 
-use common::machine::{decided, half};
+use common::machine::{decided, quarter};
 use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
 use serde_json::Value;
 
@@ -124,7 +124,7 @@ fn graphs_meet_on_two_emulated_machines() {
 }
 
 fn meet_between_namespaces() {
-    let _share = half();
+    let _share = quarter();
     let id = std::process::id();
     let names = format!("realo{id}car,realo{id}unit");
     let mut emulated = Emulated::start(&["--delay", "30", "--names", &names]);
@@ -144,7 +144,7 @@ fn graphs_meet_over_a_relay_on_loopback() {
 }
 
 fn meet_over_a_relay() {
-    let _share = half();
+    let _share = quarter();
     let port = free_port().to_string();
     let mut emulated = Emulated::start(&["--loopback", "--delay", "30", "--port", &port]);
     assert!(
@@ -248,7 +248,7 @@ fn a_clock_that_is_set_meanwhile_moves_no_latency() {
 }
 
 fn set_a_clock_meanwhile() {
-    let _share = half();
+    let _share = quarter();
     let link = Link::default();
     assert!(link.set("delay", 40.0));
     let names = ["answers", "asks"].map(|name| format!("realo{}{name}", std::process::id()));
@@ -334,7 +334,7 @@ fn boxes_cross_beside_clouds_between_namespaces() {
 }
 
 fn cross_between_namespaces() {
-    let _share = half();
+    let _share = quarter();
     let Some(found) = bench(&["radio", "--seconds", "2", "--only", "1 % loss, bbr"]) else {
         return;
     };
@@ -353,7 +353,7 @@ fn boxes_cross_beside_clouds_over_a_relay() {
 }
 
 fn cross_over_a_relay() {
-    let _share = half();
+    let _share = quarter();
     let found = bench(&["radio", "--loopback", "--seconds", "2", "--only", "no loss, clouds"]);
     let found = found.expect("it needs no namespaces");
     assert!(
@@ -403,7 +403,7 @@ fn the_ego_goes_on_while_the_link_is_cut() {
 }
 
 fn cut_the_link() {
-    let _share = half();
+    let _share = quarter();
     let Some(row) = row_of("cut for 5 s") else { return };
     assert!(
         count(&row["fates"]["used"]) <= count(&row["sent"]) && count(&row["sent"]) < 190,
@@ -424,7 +424,7 @@ fn graphs_go_on_when_the_clock_of_the_vehicle_is_set() {
 }
 
 fn set_a_clock(name: &str) {
-    let _share = half();
+    let _share = quarter();
     let Some(row) = row_of(name) else { return };
     let off = row["clock_ms"].as_f64().expect("its clock was asked for");
     assert!(off.abs() < 50.0, "{row}");
@@ -437,7 +437,7 @@ fn a_peer_that_comes_back_with_another_clock_is_placed_anew() {
 }
 
 fn come_back_with_another_clock() {
-    let _share = half();
+    let _share = quarter();
     let name = "roadside unit killed, back after 2 s with its clock 200 ms ahead";
     let Some(row) = row_of(name) else { return };
     let off = row["clock_ms"].as_f64().expect("its clock was asked for");

@@ -10,7 +10,7 @@ use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use common::machine::{decided, half, whole};
+use common::machine::{decided, half, most, quarter};
 use common::{
     Peer, REALO, arguments, boxes, files_below, folder, free_port, graph, json, realo, realo_ok, root, run_virtual,
     run_virtual_faulty, simulated, text,
@@ -42,7 +42,7 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
 }
 
 fn late_fusion_over_zenoh() {
-    let _share = whole();
+    let _share = most();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_vehicle"), folder("radio_roadside"));
     let together = ["--recorded-detections", "--ego", "cav1", "--agents", "cav1,rsu1"];
@@ -195,7 +195,7 @@ fn an_agent_alone_finds_what_it_finds_without_others() {
 }
 
 fn an_agent_alone() {
-    let _share = half();
+    let _share = quarter();
     let (log, near) = (log(), folder("radio_alone"));
     run_virtual(
         "radio_alone_virtual",
@@ -222,7 +222,7 @@ fn a_peer_that_is_killed_and_comes_back_is_heard_again() {
 }
 
 fn kill_a_peer() {
-    let _share = half();
+    let _share = quarter();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_killed"), folder("radio_killed_roadside"));
     let vehicle = std::thread::spawn({
@@ -254,7 +254,7 @@ fn an_agent_that_joins_while_others_send_loses_nothing_of_what_comes() {
 }
 
 fn join_while_others_send() {
-    let _share = half();
+    let _share = quarter();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_joins"), folder("radio_joins_roadside"));
     let _peer = Peer::start("late_fusion.roadside", &log, &far, port, &[]);
@@ -272,7 +272,7 @@ fn a_roadside_unit_shares_maps_in_the_frame_of_who_fuses_them() {
 }
 
 fn share_maps() {
-    let _share = whole();
+    let _share = most();
     let (log, port) = (clouds(), free_port());
     let (near, far) = (folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
     let arguments = |name: &str, out: &Path, set: String| -> Vec<String> {
@@ -345,7 +345,7 @@ fn what_agents_recorded_is_one_log_again_though_a_clock_is_off() {
 }
 
 fn merge_recordings() {
-    let _share = half();
+    let _share = quarter();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_merge_vehicle"), folder("radio_merge_roadside"));
     let roadside = std::thread::spawn({

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use realo_operator::Registration;
 use realo_operator::pipe::{frame, hello};
 
-use crate::common::machine::{decided, half, whole};
+use crate::common::machine::{decided, most, quarter};
 use crate::common::{REALO, folder, graph, json, root, text};
 use crate::scene::Scene;
 
@@ -180,7 +180,7 @@ fn a_signal_ends_a_run_in_good_order_with_the_table_so_far() {
 }
 
 fn signals_end_a_run() {
-    let _share = half();
+    let _share = quarter();
     let log = Scene::default().write("life-complete");
     for (signal, code, name) in [("TERM", 143, "SIGTERM"), ("INT", 130, "Ctrl-C"), ("HUP", 129, "SIGHUP")] {
         if signal == "HUP" && hangups_are_ignored() {
@@ -218,7 +218,7 @@ fn a_signal_before_the_first_message_leaves_the_results_of_an_earlier_run() {
 }
 
 fn early_signal() {
-    let _share = half();
+    let _share = quarter();
     let log = Scene::default().write("life-early-log");
     let earlier = |out: &Path| {
         let output = offline(&log, out);
@@ -251,7 +251,7 @@ fn a_signal_leaves_the_results_of_a_graph_that_scores_nothing() {
 }
 
 fn roadside_signal() {
-    let _share = whole();
+    let _share = most();
     let run = Run::start_roadside("life-roadside").play();
     run.signal("INT");
     let (output, out) = run.end();

@@ -15,31 +15,41 @@ const LOOK: Duration = Duration::from_millis(250);
 /// Ticks of `/proc` a second, the same on every Linux.
 const TICKS: f64 = 100.0;
 
-/// What runs in real time take of the machine at once, in halves of it.
+/// What runs in real time take of the machine at once, in quarters of it.
 static TAKEN: Mutex<usize> = Mutex::new(0);
 static FREED: Condvar = Condvar::new();
-const HALVES: usize = 2;
+const QUARTERS: usize = 4;
 
 /// A part of the machine, until it is dropped: tests that hold one together have enough of two cores.
 pub struct Share {
-    halves: usize,
+    quarters: usize,
 }
 
-/// For runs that mostly wait: links, clocks, recorded detections. Two of these run at once.
-pub fn half() -> Share {
+/// For runs that mostly wait: links, clocks, recorded detections.
+pub fn quarter() -> Share {
     take(1)
 }
 
-/// For runs that compute in real time or measure what the machine does: beside nothing of ours.
-pub fn whole() -> Share {
-    take(HALVES)
+/// For runs that compute now and then, or whose messages must not come late.
+pub fn half() -> Share {
+    take(2)
 }
 
-fn take(halves: usize) -> Share {
-    let full = |taken: &mut usize| *taken + halves > HALVES;
+/// For runs that compute in real time, beside one that mostly waits.
+pub fn most() -> Share {
+    take(3)
+}
+
+/// For runs that measure what the machine does: beside nothing of ours.
+pub fn whole() -> Share {
+    take(QUARTERS)
+}
+
+fn take(quarters: usize) -> Share {
+    let full = |taken: &mut usize| *taken + quarters > QUARTERS;
     let taken = FREED.wait_while(locked(), full);
-    *taken.unwrap_or_else(|poisoned| poisoned.into_inner()) += halves;
-    Share { halves }
+    *taken.unwrap_or_else(|poisoned| poisoned.into_inner()) += quarters;
+    Share { quarters }
 }
 
 fn locked() -> MutexGuard<'static, usize> {
@@ -48,7 +58,7 @@ fn locked() -> MutexGuard<'static, usize> {
 
 impl Drop for Share {
     fn drop(&mut self) {
-        *locked() -= self.halves;
+        *locked() -= self.quarters;
         FREED.notify_all();
     }
 }

@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-use super::{Peer, REALO, folder, free_port, half, root, run_virtual, text};
+use super::{Peer, REALO, folder, free_port, quarter, root, run_virtual, text};
 
 /// An end that sends back what comes, until it is dropped.
 fn answering(port: u16) -> Peer {
@@ -20,7 +20,7 @@ fn realo_in(folder: &std::path::Path, args: &[&str]) -> std::process::Output {
 
 #[test]
 fn messages_of_each_kind_go_there_and_back_and_the_way_is_replayed() {
-    let _share = half();
+    let _share = quarter();
     let (log, out, port) = (super::clouds(), folder("latency"), free_port());
     let [address, log_text, trace] = [
         format!("tcp/127.0.0.1:{port}"),

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use serde_json::{Value, json};
 
-use super::{Peer, arguments, assert_books_add_up, folder, free_port, half, json, log, realo, realo_ok, root, text};
+use super::{Peer, arguments, assert_books_add_up, folder, free_port, json, log, quarter, realo, realo_ok, root, text};
 
 /// Keys of agents in a folder, and a list of those that trust each other.
 fn keys(dir: &Path, agents: &[&str]) {
@@ -45,7 +45,7 @@ fn refused(result: &Value, peer: &str) -> Value {
 
 #[test]
 fn only_what_trusted_agents_signed_comes_in_and_all_else_is_named() {
-    let _share = half();
+    let _share = quarter();
     let (log, port, near) = (log(), free_port(), folder("security_signed"));
     let (ours, theirs) = (folder("security_keys"), folder("security_other_keys"));
     keys(&ours, &["cav1", "rsu1", "cav2"]);
@@ -161,7 +161,7 @@ fn settings(kind: &str, certificates: &Path, out: &Path) -> String {
 
 #[test]
 fn the_example_lets_in_who_has_a_certificate_and_only_as_whom_it_names() {
-    let _share = half();
+    let _share = quarter();
     let (log, port) = (log(), free_port());
     let [ours, theirs, near] = ["security_ours", "security_theirs", "security_tls"].map(folder);
     for (dir, agents) in [(&ours, "cav1 rsu1"), (&theirs, "rsu1")] {

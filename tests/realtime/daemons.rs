@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::machine::{decided, half};
+use crate::common::machine::{decided, quarter};
 use crate::common::{Peer, boxes, end, folder, free_port, graph, json, realo, realo_ok, root, simulated, text};
 use serde_json::Value;
 
@@ -146,7 +146,7 @@ fn a_graph_on_two_daemons_gives_what_it_gives_on_one() {
 }
 
 fn two_daemons() {
-    let _share = half();
+    let _share = quarter();
     let home = folder("daemons");
     let args = "--seed 903 --seconds 3 --phase spread --key-hz 10 --agents cav1,rsu1";
     let log = simulated("daemons", &args.split(' ').collect::<Vec<_>>());
