@@ -9,7 +9,7 @@ use std::sync::Mutex;
 use crate::common::{REALO, root, text};
 
 /// What plug-ins do is tested, not how fast they are; one level for all, so that nothing is compiled twice.
-pub const OPT_LEVEL: &str = "1";
+pub const OPT_LEVEL: &str = "0";
 
 /// The program of `examples/fusion_nearest`.
 pub fn fusion_nearest() -> PathBuf {
