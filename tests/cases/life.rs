@@ -611,3 +611,50 @@ fn shared_memory_that_killed_processes_left_is_freed() {
     assert!(!said.contains("go through sockets"), "{said}");
     assert!(!left.contains("123456.zenoh") && left.contains("mine.zenoh"), "{left}");
 }
+
+#[test]
+fn a_signal_ends_a_training_after_its_step_with_weights_to_go_on_from() {
+    // All classes of the model must be there.
+    let scene = Scene {
+        class: |index| ["Car", "Pedestrian", "Truck"][index % 3],
+        ..Scene::default()
+    };
+    let log = scene.write("life-training");
+    let (out, frames) = (folder("life-training-out"), folder("life-training-frames"));
+    let train = |more: &[&str]| {
+        let mut command = Command::new(REALO);
+        command.args(["train", "lite", "--threads", "1", "--batch", "1", "--log"]);
+        command.arg(&log).arg("--out").arg(&out).arg("--cache").arg(&frames);
+        command.args(more).current_dir(root()).stdin(Stdio::null());
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        command.spawn().expect("realo can be started")
+    };
+    let mut child = train(&["--steps", "100000"]);
+    let errors = BufReader::new(child.stderr.take().expect("a pipe"));
+    let mut said = Vec::new();
+    for line in errors.lines().map(|line| line.expect("text")) {
+        if line.contains("training: ") && said.iter().all(|known: &String| !known.contains("training: ")) {
+            kill(child.id(), "INT");
+        }
+        said.push(line);
+    }
+    assert_eq!(child.wait().expect("it was started").code(), Some(130), "{said:?}");
+    let last = said.last().expect("it has said something");
+    assert!(
+        last.contains("ended by Ctrl-C; --resume goes on from there"),
+        "{said:?}"
+    );
+    let steps = || {
+        fs::read_to_string(out.join("curve.csv"))
+            .expect("the curve so far")
+            .lines()
+            .count()
+    };
+    let before = steps();
+    assert!(out.join("checkpoint.safetensors").exists() && before > 1);
+    let resumed = train(&["--steps", "100000", "--resume", "--minutes", "0.03"]);
+    let resumed = resumed.wait_with_output().expect("it was started");
+    // Its steps are not done yet.
+    assert_eq!(resumed.status.code(), Some(3), "{}", text(&resumed.stderr));
+    assert!(steps() > before, "{before} steps");
+}

@@ -278,7 +278,27 @@ fn cause(agent: &str, result: &RunResult) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{NodeSummary, Settings};
+    use crate::{Accounted, Fates, NodeSummary, Settings};
+
+    #[test]
+    fn messages_of_which_a_fusion_does_not_tell_may_be_used() {
+        let books = |used, stale, unaccounted| LinkBooks {
+            sent: 20,
+            accounted: Some(Accounted {
+                fates: Fates {
+                    used,
+                    stale,
+                    ..Fates::default()
+                },
+                unaccounted,
+            }),
+            ..LinkBooks::default()
+        };
+        assert!(may_be_used(&books(1, 19, 0)));
+        assert!(may_be_used(&books(0, 0, 20)));
+        assert!(!may_be_used(&books(0, 20, 0)));
+        assert!(!may_be_used(&LinkBooks::default()));
+    }
 
     #[test]
     fn names_with_hyphens_are_found_by_their_links() {
