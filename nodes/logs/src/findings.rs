@@ -70,6 +70,9 @@ pub(crate) fn problems(log: &Log) -> Result<(Vec<String>, Classes), LogError> {
         problems.extend(found.iter().filter(is_scored).map(ToString::to_string));
     }
     problems.extend(unusable);
+    let [note, remedy] = UNDECLARED;
+    let undeclared = log.undeclared().into_iter();
+    problems.extend(undeclared.map(|(agent, count)| format!("`{agent}`: {count} {note}; {remedy}")));
     Ok((problems, classes))
 }
 
@@ -113,6 +116,12 @@ fn sweeps_of_two_topics(log: &Log, agent: &str) -> Option<String> {
 pub const WRONG_COVARIANCES: [&str; 2] = [
     "have a covariance that cannot be right, and were played as if it were unknown",
     "write variances of 0 or more in m² and rad², or 36 zeros where they are unknown",
+];
+
+/// What is said of messages of an agent that the log does not name, after how many: what happened, and what to try.
+pub const UNDECLARED: [&str; 2] = [
+    "messages were not played, because `agents` of the log's record `realo` does not name the agent",
+    "name it there, with its kind, or leave its topics out",
 ];
 
 /// What is wrong with poses that cannot be used, or whose covariance cannot be right.

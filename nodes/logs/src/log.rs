@@ -289,6 +289,29 @@ impl Log {
     }
 
     /// The topics of an agent, and those that are of no agent.
+    /// Agents that have poses and sweeps while the log's record does not name them, and how many messages of theirs there are.
+    pub fn undeclared(&self) -> BTreeMap<String, u64> {
+        let mut found: BTreeMap<String, (BTreeSet<Stream>, u64)> = BTreeMap::new();
+        for (topic, messages) in self.topics() {
+            let Some((agent, stream)) = parse_topic(&topic) else {
+                continue;
+            };
+            if self.info.agent(&agent).is_none() {
+                let (streams, count) = found.entry(agent).or_default();
+                streams.insert(stream);
+                *count += messages.messages;
+            }
+        }
+        let is_agent = |streams: &BTreeSet<Stream>| {
+            let has_sweeps = [Stream::Sweeps, Stream::Points]
+                .iter()
+                .any(|stream| streams.contains(stream));
+            has_sweeps && streams.contains(&Stream::Pose)
+        };
+        let agents = found.into_iter().filter(|(_, (streams, _))| is_agent(streams));
+        agents.map(|(agent, (_, count))| (agent, count)).collect()
+    }
+
     pub(crate) fn topics_beside(&self, agent: &str) -> String {
         const SHOWN: usize = 12;
         let is_of_others = |topic: &str| {
@@ -584,7 +607,7 @@ impl Entry {
         };
         self.in_frame(&self.context.map_frame)
             .and_then(|()| pose::decode(self.data(), status))
-            .map(|(_, state)| state)
+            .and_then(|(_, state)| pose::fault(&state).map_or(Ok(state), |fault| Err(fault.into())))
             .map_err(|reason| self.bad(reason))
     }
 

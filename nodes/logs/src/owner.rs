@@ -1,7 +1,8 @@
 //! Who wrote a file, so that nothing is replaced that is not realo's.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
+use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
 use crate::info::LOG_RECORD;
@@ -26,6 +27,8 @@ pub enum Owner {
     Recording,
     /// An MCAP file of another program.
     OtherMcap,
+    /// A pipe or a socket.
+    Pipe,
     /// Anything else.
     Other,
 }
@@ -36,15 +39,20 @@ impl Owner {
     /// # Errors
     /// A file that is there and cannot be read.
     pub fn of(path: &Path) -> io::Result<Owner> {
-        let file = match File::open(path) {
-            Ok(file) => file,
+        let kind = match fs::metadata(path) {
+            Ok(found) => found.file_type(),
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Owner::Nobody),
             Err(error) => return Err(error),
         };
-        // What is written to a device or a pipe takes nobody's place.
-        if !file.metadata()?.is_file() {
+        // Whoever opens a pipe waits for its other end.
+        if kind.is_fifo() || kind.is_socket() {
+            return Ok(Owner::Pipe);
+        }
+        // What is written to a device takes nobody's place.
+        if !kind.is_file() {
             return Ok(Owner::Nobody);
         }
+        let file = File::open(path)?;
         let mut head = Vec::new();
         file.take(HEAD_OF_FILE).read_to_end(&mut head)?;
         Ok(of_head(&head))
@@ -95,6 +103,7 @@ pub fn refuse_foreign(path: &Path) -> Result<(), LogError> {
     let found = match Owner::of(path).map_err(LogError::io(path, "look at"))? {
         Owner::Nobody | Owner::Log | Owner::Recording => return Ok(()),
         Owner::OtherMcap => "an MCAP file of another program",
+        Owner::Pipe => "a pipe or a socket",
         Owner::Other => "a file that is not an MCAP file",
     };
     Err(LogError::Foreign {

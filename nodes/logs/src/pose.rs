@@ -1,6 +1,6 @@
 //! `EgoState` as `geometry_msgs/msg/PoseWithCovarianceStamped`, and as a frame for viewers.
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use realo_schemas::{EgoState, Nanos, PoseStatus};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
@@ -65,6 +65,27 @@ pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, EgoState), C
             status,
         },
     ))
+}
+
+/// Positions that are further from the map's origin, m, are none on earth, not even from its centre.
+const FARTHEST: f64 = 8e7;
+
+/// Why no agent can have a pose, in words.
+pub(crate) fn fault(state: &EgoState) -> Option<String> {
+    let pose = &state.map_from_body;
+    let far = pose.translation.vector.amax();
+    if far > FARTHEST {
+        return Some(format!(
+            "a position within {FARTHEST:e} m of the map's origin was expected, found {far:e} m"
+        ));
+    }
+    let up = (pose.rotation * Vector3::z()).z;
+    (up < 0.0).then(|| {
+        format!(
+            "a body with x forward, y left and z up was expected, found one that tilts by {:.0}°: is the quaternion in the order x, y, z, w?",
+            up.acos().to_degrees()
+        )
+    })
 }
 
 /// Appends a `tf2_msgs/msg/TFMessage` that places one frame in another.

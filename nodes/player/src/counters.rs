@@ -60,8 +60,10 @@ impl Counters {
 pub const ALL: &[Counter] = &[
     LOG_TRUNCATED,
     RUNS_ALONE,
+    UNDECLARED,
     POSES_UNUSABLE,
     WRONG_COVARIANCES,
+    POSES_JUMP,
     NO_POSE,
     TRANSFORMS_DIFFER,
     LEVELLED,
@@ -78,6 +80,7 @@ pub const ALL: &[Counter] = &[
     DETECTION_HEADINGS,
     TRUTH_HEADINGS,
     TRUTH_WITHOUT_SWEEP,
+    TRUTH_WITHOUT_INFO,
     TRUTH_NOT_JOINED,
     INVALID_TRUTH,
     INTENSITIES_LIMITED,
@@ -98,6 +101,12 @@ pub const LOG_TRUNCATED: Counter = Counter::plain(
 );
 pub const RUNS_ALONE: Counter = Counter::plain("runs_alone", "1 if no agent of the log may collaborate with the ego");
 
+pub const UNDECLARED: Counter = Counter::log_fault(
+    "undeclared",
+    "messages of agents that have poses and sweeps in the log, while its record does not name them; not played",
+    realo_logs::UNDECLARED[0],
+    realo_logs::UNDECLARED[1],
+);
 pub const LEVELLED: Counter = Counter::loss(
     "levelled",
     "sweeps of agents whose body frames tilt, [levelled while played](log-format.md#level-frames)",
@@ -123,6 +132,12 @@ pub const WRONG_COVARIANCES: Counter = Counter::log_fault(
      below 0",
     "poses have a covariance that cannot be right, and were played as if it were unknown",
     realo_logs::WRONG_COVARIANCES[1],
+);
+pub const POSES_JUMP: Counter = Counter::log_fault(
+    "poses_jump",
+    "poses more than 5 m from the one before, and further than 150 m/s lead",
+    "poses are further from the one before than anything drives, so that sweeps near them are at a wrong place",
+    "leave out poses without a fix, and smooth the others",
 );
 pub const TRANSFORMS_DIFFER: Counter = Counter::log_fault(
     "transforms_differ",
@@ -209,6 +224,13 @@ pub const TRUTH_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "messages of the ego's ground truth or own labels whose stamp is that of no sweep, beside sweeps that have none",
     "messages of ground truth were left out, because no sweep or no companion has their stamp",
     "truth and its `_info` need the stamp of the sweep that they label; `realo info` says how far off they are",
+);
+pub const TRUTH_WITHOUT_INFO: Counter = Counter::log_fault(
+    "truth_without_info",
+    "messages of ground truth or own labels without their companion (`…_info`) near them, and companions without what they accompany",
+    "messages of ground truth were left out, because the message with the same stamp is not there: `ground_truth` needs \
+     `ground_truth_info`",
+    "write both of each sweep, with one stamp",
 );
 pub const TRUTH_NOT_JOINED: Counter = Counter::log_fault(
     "truth_not_joined",

@@ -1,6 +1,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
+use nalgebra::Vector3;
 use realo_logs::limits::TRUTH_WINDOW;
 use realo_logs::{
     Attitudes, BEHIND_MOST, Bare, Entry, Gaps, LEVEL, Lack, Levelled, Log, LogError, LogReader, Missing, Outside, Step,
@@ -15,10 +16,10 @@ use realo_schemas::{
 
 use crate::counters::{
     CLOCK_AHEAD, CLOCK_OFF, Counters, DETECTION_HEADINGS, DETECTIONS_WITHOUT_INFO, DETECTIONS_WITHOUT_SWEEP,
-    INTENSITIES_LIMITED, INVALID_TRUTH, LEVELLED, NO_COMMON_TIME, NO_POSE, POSES_HELD, POSES_UNUSABLE, STAMPS_DIFFER,
-    SWEEPS_MISSING, SWEEPS_OF_ONE_TOPIC, SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES, TOO_FAR, TRACKS_DIFFER,
-    TRACKS_DOUBLED, TRACKS_SPLIT, TRANSFORMS_DIFFER, TRUTH_DOUBLED, TRUTH_HEADINGS, TRUTH_NOT_JOINED, TRUTH_PARTIAL,
-    TRUTH_SHIFTED, TRUTH_WITHOUT_SWEEP, WRONG_COVARIANCES,
+    INTENSITIES_LIMITED, INVALID_TRUTH, LEVELLED, NO_COMMON_TIME, NO_POSE, POSES_HELD, POSES_JUMP, POSES_UNUSABLE,
+    STAMPS_DIFFER, SWEEPS_MISSING, SWEEPS_OF_ONE_TOPIC, SWEEPS_WITHOUT_DETECTIONS, TILTED_POSES, TOO_FAR,
+    TRACKS_DIFFER, TRACKS_DOUBLED, TRACKS_SPLIT, TRANSFORMS_DIFFER, TRUTH_DOUBLED, TRUTH_HEADINGS, TRUTH_NOT_JOINED,
+    TRUTH_PARTIAL, TRUTH_SHIFTED, TRUTH_WITHOUT_INFO, TRUTH_WITHOUT_SWEEP, UNDECLARED, WRONG_COVARIANCES,
 };
 use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
@@ -30,6 +31,10 @@ use crate::{PlannedRun, ports};
 const LATENCY: Nanos = 500_000_000;
 /// Poses from so long before the first sweep are sent too, so that it has some.
 const LEAD_IN: Nanos = 500_000_000;
+/// Nothing on wheels is faster, m/s.
+const FASTEST: f64 = 150.0;
+/// Recorded poses are off by less, m.
+const JUMP: f64 = 5.0;
 /// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
 const PAUSE: Nanos = 1_000_000_000;
 
@@ -79,6 +84,8 @@ pub struct Feed {
     along_ground: BTreeSet<Name>,
     /// By agent and stamp: number and release of recent sweeps.
     sweeps: BTreeMap<Name, BTreeMap<Nanos, (u64, Nanos)>>,
+    /// By agent: the newest pose, and where it was.
+    places: BTreeMap<Name, (Nanos, Vector3<f64>)>,
     /// By agent: the stamps of all sweeps of this pass.
     stamps: BTreeMap<Name, BTreeSet<Nanos>>,
     gaps: Gaps,
@@ -342,6 +349,13 @@ impl Script {
         Ok(())
     }
 
+    /// Counts what is there of agents that the log does not name.
+    fn count_undeclared(&self) {
+        for (agent, messages) in self.log.undeclared() {
+            self.counters.add(&UNDECLARED, &agent, messages, messages);
+        }
+    }
+
     /// Counts one of an agent, if something is wrong with it.
     fn count(&self, counter: &'static Counter, agent: &str, is_wrong: bool) {
         self.counters.add(counter, agent, u64::from(is_wrong), 1);
@@ -362,6 +376,7 @@ impl Feed {
         script.count_truth_faults()?;
         script.count_times_apart(&agents)?;
         script.count_sweeps_of_one_topic();
+        script.count_undeclared();
         script.count_transforms_apart()?;
         script.count_truth_outside(&agents[0])?;
         Ok(Feed {
@@ -374,6 +389,7 @@ impl Feed {
                 .slot
                 .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
             sweeps: BTreeMap::new(),
+            places: BTreeMap::new(),
             stamps: BTreeMap::new(),
             gaps: Gaps::default(),
             joins: Joins::default(),
@@ -430,6 +446,7 @@ impl Feed {
         self.pass += 1;
         self.ended = false;
         self.sweeps.clear();
+        self.places.clear();
         self.reader = self.script.open()?;
         self.truth = self.script.truth(&self.agents, &self.levels)?;
         let begins = self.begins();
@@ -584,6 +601,21 @@ impl Feed {
         self.held = held;
     }
 
+    /// Counts a pose further from the one before than anything drives.
+    fn count_jump(&mut self, entry: &Entry, state: &EgoState) {
+        let (stamp, place) = (entry.stamp(), state.map_from_body.translation.vector);
+        let before = self.places.insert(entry.agent.clone(), (stamp, place));
+        let jump = before.and_then(|(from, known)| {
+            let (far, seconds) = ((place - known).norm(), to_seconds(stamp - from));
+            (far > JUMP && far > FASTEST * seconds).then_some((far, seconds))
+        });
+        let count = u64::from(jump.is_some());
+        self.script.counters.lost(&POSES_JUMP, &entry.agent, count, 1, || {
+            jump.map(|(far, seconds)| format!("the first by {far:.1} m in {:.0} ms", 1e3 * seconds))
+                .unwrap_or_default()
+        });
+    }
+
     fn send_pose(&mut self, entry: &Entry) {
         let fault = entry.wrong_covariance();
         let wrong = u64::from(fault.is_some());
@@ -602,6 +634,7 @@ impl Feed {
             pose.as_ref().err().map(LogError::reason).unwrap_or_default()
         });
         if let Ok(state) = pose {
+            self.count_jump(entry, &state);
             let state = self.level_pose(entry, state);
             let ports = [ports::EGO_POSES, ports::POSES];
             self.send(entry, entry.seq(), Kind::EgoState, ports, state);
@@ -683,6 +716,9 @@ impl Feed {
         }
         for (agent, (n, words)) in self.truth.take_ahead() {
             counters.lost(&CLOCK_AHEAD, &agent, n, n, || words);
+        }
+        for (agent, n) in self.truth.take_alone() {
+            counters.add(&TRUTH_WITHOUT_INFO, &agent, n, 0);
         }
         for (agent, (wrong, all)) in self.truth.take_wrong_headings() {
             let words = || format!("the first has {}", wrong.first);

@@ -52,6 +52,8 @@ pub struct TruthJoin {
     ahead: BTreeMap<Name, (u64, String)>,
     /// By agent: boxes whose heading cannot be right, of how many.
     wrong_headings: BTreeMap<Name, (WrongHeadings, u64)>,
+    /// By agent: arrays without a companion, and companions without an array.
+    alone: BTreeMap<Name, u64>,
 }
 
 /// What the log says is around the ego at a sweep.
@@ -124,6 +126,7 @@ impl TruthJoin {
             apart: BTreeMap::new(),
             ahead: BTreeMap::new(),
             wrong_headings: BTreeMap::new(),
+            alone: BTreeMap::new(),
         })
     }
 
@@ -177,7 +180,7 @@ impl TruthJoin {
 
     fn note_joined(&mut self, stamp: Nanos) {
         self.counted += 1;
-        for agent in self.others.keys() {
+        for agent in &self.agents[1..] {
             if self.nearest(agent, stamp).is_none() {
                 self.apart_from.entry(agent.clone()).or_default().push(stamp);
             }
@@ -234,6 +237,11 @@ impl TruthJoin {
     /// By agent: boxes that were read since the last call and whose heading cannot be right, of how many.
     pub fn take_wrong_headings(&mut self) -> BTreeMap<Name, (WrongHeadings, u64)> {
         std::mem::take(&mut self.wrong_headings)
+    }
+
+    /// By agent: messages since the last call that are left out because their companion, or what they accompany, is not there.
+    pub fn take_alone(&mut self) -> BTreeMap<Name, u64> {
+        std::mem::take(&mut self.alone)
     }
 
     fn note_headings(&mut self, agent: &Name, info: &BoxesInfo, of: usize) {
@@ -361,9 +369,15 @@ impl TruthJoin {
         for ((agent, array, at), _) in self.boxes.extract_if(.., |(_, _, at), _| *at < old) {
             let companions = self.companions.keys().filter(|key| key.0 == agent && key.1 == array);
             let far = companions.map(|key| (key.2 - at).abs()).min();
-            lost.extend(far.filter(|far| agent == *ego && *far <= WINDOW));
+            match far.filter(|far| *far <= WINDOW) {
+                Some(far) if agent == *ego => lost.push(far),
+                Some(_) => {}
+                None => *self.alone.entry(agent).or_default() += 1,
+            }
         }
-        self.companions.retain(|(_, _, at), _| *at >= old);
+        for ((agent, ..), _) in self.companions.extract_if(.., |(_, _, at), _| *at < old) {
+            *self.alone.entry(agent).or_default() += 1;
+        }
         for views in self.views.values_mut() {
             *views = views.split_off(&first);
         }

@@ -261,15 +261,20 @@ fn write<T: Serialize>(file: &Path, document: &T, readable: bool) -> Result<(), 
     };
     let mut text = text.map_err(|error| refused(file, error.into()))?;
     text.push(b'\n');
-    let partial = file.with_extension("json.partial");
+    let partial = partial_of(file);
     let written = File::create(&partial)
         .and_then(|mut file| file.write_all(&text).and_then(|()| file.sync_all()))
         .and_then(|()| std::fs::rename(&partial, file));
     written.map_err(|reason| {
-        // The first error is the one that matters; what is left over is overwritten by the next run.
+        // The first error is the one that matters; the file is of no use.
         let _ = std::fs::remove_file(&partial);
         refused(file, reason)
     })
+}
+
+/// Where a file is written before it takes its place: a name that nobody else uses.
+fn partial_of(file: &Path) -> PathBuf {
+    file.with_extension(format!("json.{}.partial", std::process::id()))
 }
 
 /// A file of the schema and version that this program knows.
@@ -280,15 +285,19 @@ fn read_any(file: &Path, schema: &'static str) -> Result<Vec<u8>, FilesError> {
         #[serde(default)]
         version: Value,
     }
-    let text = std::fs::read(file).map_err(|reason| FilesError::Read {
-        file: file.into(),
-        reason,
-    })?;
     let foreign = |found: String| FilesError::Foreign {
         file: file.into(),
         expected: schema,
         found,
     };
+    // Whoever opens a pipe waits for its other end.
+    if std::fs::metadata(file).is_ok_and(|found| !found.is_file()) {
+        return Err(foreign("a folder, pipe or device".into()));
+    }
+    let text = std::fs::read(file).map_err(|reason| FilesError::Read {
+        file: file.into(),
+        reason,
+    })?;
     let head: Head = serde_json::from_slice(&text).map_err(|error| {
         foreign(match error.is_data() {
             true => "JSON without a schema".into(),
@@ -439,7 +448,7 @@ mod tests {
     #[test]
     fn a_full_disk_leaves_no_result_and_says_so() {
         let folder = tempfile::tempdir().unwrap();
-        let partial = folder.path().join("timing.json.partial");
+        let partial = partial_of(&folder.path().join(TIMING_FILE));
         std::os::unix::fs::symlink("/dev/full", &partial).unwrap();
         let error = write_run(folder.path(), &run("one")).unwrap_err().to_string();
         assert!(

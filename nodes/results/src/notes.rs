@@ -94,6 +94,14 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 grouped(all)
             ));
         }
+        if dropped.outside > 0 && 2 * dropped.outside >= all {
+            said.push(format!(
+                "{whose}{} of {} {what} were not scored, because they are outside the range of protocol `{protocol}`; look whether \
+                 boxes are in the body frame of their agent",
+                grouped(dropped.outside),
+                grouped(all)
+            ));
+        }
         // Far objects have few points in every log; many of them do not.
         if dropped.few_points > 0 && 2 * dropped.few_points >= all {
             let why = match result.log_faults() {

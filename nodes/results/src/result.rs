@@ -358,9 +358,20 @@ impl RunResult {
         let losses = self.nodes.values().flat_map(|node| node.losses.values());
         let faults = losses.filter(|loss| loss.meaning == Meaning::LogFault);
         let boxes = self.dropped_truths.as_ref().map_or(0, |dropped| dropped.invalid);
-        faults
-            .map(Loss::count)
-            .fold(boxes + self.unknown_classes(), u64::saturating_add)
+        faults.map(Loss::count).fold(
+            boxes + self.unknown_classes() + self.without_points(),
+            u64::saturating_add,
+        )
+    }
+
+    /// Objects of the ground truth that have too few points, where no other object is scored.
+    fn without_points(&self) -> u64 {
+        let accuracy = self.accuracy.iter();
+        let mut counts = accuracy.flat_map(|accuracy| accuracy.sorted.counts.values().flat_map(BTreeMap::values));
+        match &self.dropped_truths {
+            Some(dropped) if counts.all(|counts| counts.total == 0) => dropped.few_points,
+            _ => 0,
+        }
     }
 
     /// Objects of the ground truth, and detections, of classes that the protocol does not score, where it scores none of all.

@@ -102,6 +102,11 @@ fn without_folder() -> String {
 /// Graphs name the binary by their `path: bin/realo`: build it under that name, or let `dataflows/bin/realo` lead to it.
 pub fn main_with(own: &[Registration]) -> ExitCode {
     registry::register(own);
+    // A file that grows beyond the limit of the process is an error of whoever writes it, as on a full disk.
+    let beyond = std::sync::Arc::default();
+    if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, beyond) {
+        eprintln!("realo: {error}: beyond the limit of files this program would end without a word");
+    }
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         // Whoever reads what we print may stop whenever he likes (`realo info LOG | head`).

@@ -2,13 +2,15 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, Metadata, TryLockError};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use eyre::{Report, Result, WrapErr, bail, eyre};
+use realo_logs::Owner;
 use realo_results::RESULT_FILE;
+use rustix::fs::OFlags;
 use rustix::io::{FdFlags, fcntl_setfd};
 
 use super::compute;
@@ -22,8 +24,12 @@ const RECORDED: &str = "mcap";
 const FAILED: &str = "failed.mcap";
 /// Where an earlier run's files lie while another one runs.
 const ASIDE: &str = ".earlier";
+/// Says in there that a run put them aside.
+const OWNED: &str = ".of-a-run";
 /// Where an earlier run's files stay if it came to its end and the one after it did not.
 const COMPLETE: &str = "complete-run-before";
+/// Whoever wrote what is told of a run wrote this too.
+const FINGERPRINT: &str = "\"fingerprint\"";
 /// Is locked while a run writes to the folder.
 const LOCK: &str = ".running";
 /// Processes of a run that was killed may still end, and hold its lock so long.
@@ -62,7 +68,7 @@ impl Folders {
         self.make(folder)?;
         let path = folder.join(LOCK);
         let file = loop {
-            let file = File::create(&path).wrap_err_with(|| not_writable(&path))?;
+            let file = open_lock(&path)?;
             if is_held(&file) {
                 return Err(is_written(folder));
             }
@@ -102,10 +108,7 @@ impl Folders {
         let file = folder.join(compute::FILE);
         match fs::read(&file) {
             Ok(text) if compute::is_of_run(&text) => put_aside(folder, [file]),
-            Ok(text) if !text.is_empty() => bail!(
-                "{} is not of a run of realo and is not overwritten; move it, or choose another folder (--out)",
-                file.display()
-            ),
+            Ok(text) if !text.is_empty() => Err(not_of_a_run(&file)),
             _ => Ok(()),
         }
     }
@@ -123,6 +126,7 @@ impl Folders {
         if !self.claimed.iter().any(|claimed| claimed == folder) {
             self.make(folder)?;
             self.check_others(folder)?;
+            refuse_others(folder)?;
             // Of a run that was killed.
             put_back(folder);
             files.extend([RECORDING, TOLD].map(|name| folder.join(name)));
@@ -158,11 +162,60 @@ impl Folders {
     }
 }
 
+/// Opens the file that is locked, of which nothing else is used; what somebody else has there stays as it is.
+fn open_lock(path: &Path) -> Result<File> {
+    let mut options = File::options();
+    options.read(true).write(true).create(true).truncate(false);
+    // Neither to where a link leads, nor waiting for a pipe.
+    options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32);
+    let is_link = fs::symlink_metadata(path).is_ok_and(|found| found.is_symlink());
+    if is_link {
+        return Err(not_of_a_run(path));
+    }
+    let file = options.open(path).wrap_err_with(|| not_writable(path))?;
+    let is_ours = file.metadata().is_ok_and(|found| found.is_file() && found.len() == 0);
+    if is_ours { Ok(file) } else { Err(not_of_a_run(path)) }
+}
+
+/// Refuses a folder that has something of somebody else where a run puts its own.
+fn refuse_others(folder: &Path) -> Result<()> {
+    let [aside, told, recording] = [ASIDE, TOLD, RECORDING].map(|name| folder.join(name));
+    if fs::symlink_metadata(&aside).is_ok() && !is_of_a_run(&aside) {
+        return Err(not_of_a_run(&aside));
+    }
+    // A run that could not write it leaves it empty.
+    let is_told = |text: String| text.is_empty() || text.contains(FINGERPRINT);
+    if fs::symlink_metadata(&told).is_ok() {
+        let is_ours = told.is_file() && fs::read_to_string(&told).is_ok_and(is_told);
+        if !is_ours {
+            return Err(not_of_a_run(&told));
+        }
+    }
+    // Sensors cannot be played again for what they gave.
+    match Owner::of(&recording) {
+        Ok(Owner::Log) => Err(not_of_a_run(&recording)),
+        _ => Ok(()),
+    }
+}
+
+fn is_of_a_run(aside: &Path) -> bool {
+    fs::symlink_metadata(aside).is_ok_and(|found| found.is_dir()) && aside.join(OWNED).is_file()
+}
+
+fn not_of_a_run(path: &Path) -> Report {
+    eyre!(
+        "{} is not of a run of realo and is not overwritten; move it, or choose another folder (--out)",
+        path.display()
+    )
+}
+
 fn put_aside(folder: &Path, files: impl IntoIterator<Item = PathBuf>) -> Result<()> {
+    let aside = folder.join(ASIDE);
     for file in files {
-        let place = folder.join(ASIDE).join(file.strip_prefix(folder)?);
+        let place = aside.join(file.strip_prefix(folder)?);
         let above = place.parent().unwrap_or(folder);
         fs::create_dir_all(above).wrap_err_with(|| format!("{}", above.display()))?;
+        fs::write(aside.join(OWNED), "").wrap_err_with(|| format!("{}", aside.display()))?;
         fs::rename(&file, &place).wrap_err_with(|| format!("{}", file.display()))?;
     }
     Ok(())
@@ -190,13 +243,14 @@ pub(super) fn recover(folder: &Path) {
 /// Puts an earlier run's files back, unless a run has come to its end there since; whether it did.
 fn put_back(folder: &Path) -> bool {
     let aside = folder.join(ASIDE);
-    if !aside.is_dir() {
+    if !is_of_a_run(&aside) {
         return false;
     }
     if folder.join(RESULT_FILE).exists() {
         let _ = fs::remove_dir_all(&aside);
         return false;
     }
+    let _ = fs::remove_file(aside.join(OWNED));
     restore(&aside, folder);
     true
 }
@@ -247,6 +301,9 @@ fn remove_failed(folder: &Path) {
 /// Ends what was put aside in a folder; gives where it is kept.
 fn replace(folder: &Path) -> Option<PathBuf> {
     let (aside, kept) = (folder.join(ASIDE), folder.join(COMPLETE));
+    if !is_of_a_run(&aside) {
+        return None;
+    }
     let (was, is) = (is_complete(&aside), is_complete(folder));
     // A complete run takes the place of all before it.
     let gone = match (was, is) {
@@ -255,7 +312,10 @@ fn replace(folder: &Path) -> Option<PathBuf> {
     };
     let _ = gone.map(fs::remove_dir_all);
     match (was, is) {
-        (Some(true), Some(false)) if fs::rename(&aside, &kept).is_ok() => Some(kept),
+        (Some(true), Some(false)) if fs::rename(&aside, &kept).is_ok() => {
+            let _ = fs::remove_file(kept.join(OWNED));
+            Some(kept)
+        }
         _ => {
             let _ = fs::remove_dir_all(aside);
             None
@@ -340,7 +400,8 @@ mod tests {
 
     fn write_earlier(folder: &Path) {
         let result = r#"{"schema": "realo/result", "version": 1}"#;
-        for (name, text) in [("result.json", result), (TOLD, "earlier")] {
+        let told = format!("{{{FINGERPRINT}: 1}} earlier");
+        for (name, text) in [("result.json", result), (TOLD, &told)] {
             fs::write(folder.join(name), text).unwrap();
         }
         for name in [RECORDING, LOG] {
@@ -573,9 +634,39 @@ mod tests {
     #[test]
     fn files_of_somebody_else_stay() {
         let root = tempfile::tempdir().unwrap();
-        fs::write(root.path().join("result.json"), "mine").unwrap();
-        let error = Folders::default().claim(root.path(), &[]).unwrap_err().to_string();
-        assert!(error.contains("is not of realo"), "{error}");
-        assert_eq!(names(root.path()), ["result.json"]);
+        let mine = root.path().join("mine");
+        fs::create_dir(&mine).unwrap();
+        fs::write(mine.join("notes"), "mine").unwrap();
+        let log = {
+            let name = "realo".as_bytes();
+            let mut bytes = b"\x89MCAP0\r\n\x0c".to_vec();
+            bytes.extend((4 + name.len() as u64).to_le_bytes());
+            bytes.extend((name.len() as u32).to_le_bytes());
+            [&bytes, name].concat()
+        };
+        let link = |to: PathBuf| move |path: &Path| std::os::unix::fs::symlink(&to, path).unwrap();
+        let write = |bytes: &[u8]| {
+            let bytes = bytes.to_vec();
+            move |path: &Path| fs::write(path, &bytes).unwrap()
+        };
+        let cases: Vec<(&str, Box<dyn Fn(&Path)>)> = vec![
+            (RESULT_FILE, Box::new(write(b"mine"))),
+            (TOLD, Box::new(write(b"{\"mine\": 1}"))),
+            (LOCK, Box::new(write(b"mine"))),
+            (LOCK, Box::new(link(mine.join("notes")))),
+            (ASIDE, Box::new(link(mine.clone()))),
+            (ASIDE, Box::new(|path| fs::create_dir(path).unwrap())),
+            (RECORDING, Box::new(write(&log))),
+        ];
+        for (name, make) in cases {
+            let folder = tempfile::tempdir().unwrap();
+            make(&folder.path().join(name));
+            let before = fs::read(folder.path().join(name)).ok();
+            let error = Folders::default().lock(folder.path()).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains("is not of"), "{error}");
+            assert_eq!(names(folder.path()), [name]);
+            assert_eq!(fs::read(folder.path().join(name)).ok(), before);
+        }
+        assert_eq!(fs::read_to_string(mine.join("notes")).unwrap(), "mine");
     }
 }

@@ -367,6 +367,21 @@ fn plan<'a>(
     if args.choices.project.is_some() && !planned.is_empty() && !cells.any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
+    let choices = &args.choices;
+    for (decided, option, is_given) in [
+        (Decided::Isa, "--isa", choices.isa.is_some()),
+        (Decided::Precision, "--precision", choices.precision.is_some()),
+        (Decided::Device, "--device", choices.device.is_some()),
+    ] {
+        let mut cells = planned.iter().flat_map(|planned| planned.batch.cells());
+        let follows = |cell: &Cell| nodes::deciding(&cell.graph, decided).next().is_some();
+        if is_given && !planned.is_empty() && !cells.any(follows) {
+            bail!(
+                "{option}: {} runs no network (recorded detections take its place): drop {option}",
+                names.join(", ")
+            );
+        }
+    }
     Ok(planned)
 }
 

@@ -9,6 +9,7 @@ use std::time::SystemTime;
 
 use eyre::{Result, WrapErr};
 use realo_graph::FlatGraph;
+use realo_logs::McapFile;
 use realo_results::{RESULT_FILE, Told};
 use sha2::{Digest, Sha256};
 
@@ -36,7 +37,8 @@ pub fn earlier(cell: &Cell) -> Earlier {
     folders::recover(&cell.out);
     let complete = cell.out.join(RESULT_FILE).exists()
         && realo_results::read_run(&cell.out).is_ok_and(|run| run.result.complete && run.result.ended_by.is_none());
-    if !complete {
+    let is_whole = |path: &PathBuf| McapFile::open(path).is_ok_and(|file| file.truncation().is_none());
+    if !complete || !cell.recordings().iter().all(is_whole) {
         return Earlier::None;
     }
     let told = std::fs::read(cell.out.join(TOLD)).ok();
