@@ -506,3 +506,62 @@ fn scores_of_a_recording_tell_the_faults_of_its_log() {
         }
     }
 }
+
+#[test]
+fn truth_whose_companion_is_missing_is_counted() {
+    for (name, missing) in [("half-infos", "ground_truth_info"), ("half-truths", "ground_truth")] {
+        let log = picked(name, |message| {
+            message.parts() != ("car", missing) || message.sequence % 2 == 0
+        });
+        let words = "messages of ground truth were left out, because the message with the same stamp is not there";
+        let ran = offline(&log, name);
+        assert!(ran.code == 3 && ran.notes().contains(words), "{name}: {}", ran.notes());
+        assert_eq!(info(&log).1, Some(3), "{name}");
+    }
+    let none = picked("mast-without-truth", |message| {
+        let (agent, topic) = message.parts();
+        agent != "mast" || !topic.starts_with("ground_truth")
+    });
+    let words = "20 of 20 sweeps of the ego were scored without the truth of mast";
+    told(&none, "mast-without-truth", words, words);
+}
+
+#[test]
+fn an_agent_that_the_record_does_not_name_is_told() {
+    let base = Scene::default().write("undeclared-base");
+    let record = |record: &mut BTreeMap<String, String>| {
+        let mut agents: Vec<serde_json::Value> = serde_json::from_str(&record["agents"]).expect("JSON");
+        agents.retain(|agent| agent["name"] != "mast");
+        record.insert("agents".into(), serde_json::to_string(&agents).expect("JSON"));
+    };
+    let log = rewrite_with(&base, "undeclared", &[], record, |message| vec![message]);
+    let words = "messages were not played, because `agents` of the log's record `realo` does not name the agent";
+    told(&log, "undeclared", words, words);
+}
+
+#[test]
+fn poses_that_nothing_can_have_are_told() {
+    let with = |name: &str, change: fn(&mut [f64], u32)| {
+        changed(name, |message| {
+            if message.topic == "/car/pose" {
+                let at = message.data.len() - 8 * (3 + 4 + 36);
+                let words = message.data[at..at + 56].chunks_exact(8);
+                let mut pose: Vec<f64> = words
+                    .map(|w| f64::from_le_bytes(w.try_into().expect("eight")))
+                    .collect();
+                change(&mut pose, message.sequence);
+                let bytes: Vec<u8> = pose.iter().flat_map(|word| word.to_le_bytes()).collect();
+                message.data[at..at + 56].copy_from_slice(&bytes);
+            }
+        })
+    };
+    let order = with("pose-wxyz", |pose, _| pose[3..].rotate_right(1));
+    let words = "is the quaternion in the order x, y, z, w?";
+    told(&order, "pose-wxyz", words, words);
+    let jumps = with("pose-jumps", |pose, n| pose[0] += if n % 9 == 0 { 20.0 } else { 0.0 });
+    let words = "poses are further from the one before than anything drives";
+    told(&jumps, "pose-jumps", words, words);
+    let far = with("pose-far", |pose, n| pose[1] += if n == 3 { 1e300 } else { 0.0 });
+    let words = "a position within 8e7 m of the map's origin was expected";
+    told(&far, "pose-far", words, words);
+}

@@ -1,4 +1,4 @@
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use crate::feed::apart_words;
@@ -27,6 +27,8 @@ pub struct TruthJoin {
     /// Arrays that wait for their companion, and companions that wait for their array: by agent, stream of the array and stamp.
     boxes: BTreeMap<(Name, Stream, Nanos), Boxes>,
     companions: BTreeMap<(Name, Stream, Nanos), Entry>,
+    /// Those of them that were logged at the newest time: what they wait for may be next.
+    newest: BTreeSet<(Name, Stream, Nanos)>,
     /// Views by stream and stamp.
     views: BTreeMap<Stream, BTreeMap<Nanos, Vec<View>>>,
     /// Recent sweeps of the ego for which there was nothing.
@@ -112,6 +114,7 @@ impl TruthJoin {
             footprint: log.info().agent(ego).and_then(|info| info.footprint),
             boxes: BTreeMap::new(),
             companions: BTreeMap::new(),
+            newest: BTreeSet::new(),
             views: BTreeMap::new(),
             missed: VecDeque::new(),
             ego: BTreeMap::new(),
@@ -254,6 +257,9 @@ impl TruthJoin {
         let Some(entry) = self.reader.as_mut().map_or(Ok(None), LogReader::next)? else {
             return Ok(false);
         };
+        if entry.ready() != self.read_to {
+            self.newest.clear();
+        }
         self.read_to = entry.ready();
         if let Some(apart) = entry.published_apart() {
             let words = || (0, apart_words(&entry, Some(apart)));
@@ -277,6 +283,7 @@ impl TruthJoin {
                 match self.companions.remove(&key(array)) {
                     Some(companion) => (key(array), boxes, companion),
                     None => {
+                        self.newest.insert(key(array));
                         self.boxes.insert(key(array), boxes);
                         return Ok(true);
                     }
@@ -295,6 +302,7 @@ impl TruthJoin {
                 match self.boxes.remove(&key(array)) {
                     Some(boxes) => (key(array), boxes, entry),
                     None => {
+                        self.newest.insert(key(array));
                         self.companions.insert(key(array), entry);
                         return Ok(true);
                     }
@@ -366,7 +374,8 @@ impl TruthJoin {
             self.missed.pop_front();
         }
         let ego = &self.agents[0];
-        for ((agent, array, at), _) in self.boxes.extract_if(.., |(_, _, at), _| *at < old) {
+        let is_old = |key: &(Name, Stream, Nanos)| key.2 < old && !self.newest.contains(key);
+        for ((agent, array, at), _) in self.boxes.extract_if(.., |key, _| is_old(key)) {
             let companions = self.companions.keys().filter(|key| key.0 == agent && key.1 == array);
             let far = companions.map(|key| (key.2 - at).abs()).min();
             match far.filter(|far| *far <= WINDOW) {
@@ -375,7 +384,7 @@ impl TruthJoin {
                 None => *self.alone.entry(agent).or_default() += 1,
             }
         }
-        for ((agent, ..), _) in self.companions.extract_if(.., |(_, _, at), _| *at < old) {
+        for ((agent, ..), _) in self.companions.extract_if(.., |key, _| is_old(key)) {
             *self.alone.entry(agent).or_default() += 1;
         }
         for views in self.views.values_mut() {
