@@ -12,7 +12,7 @@ use crate::{LogError, MAX_GAP, McapFile, Schema};
 
 /// Topics of transforms; what is on the first holds for all times.
 const STATIC: &str = "/tf_static";
-const TOPICS: [&str; 2] = [STATIC, "/tf"];
+pub(crate) const TOPICS: [&str; 2] = [STATIC, "/tf"];
 /// Frames of a log by their name.
 #[derive(Debug, Default)]
 pub(crate) struct Frames {

@@ -312,6 +312,28 @@ impl Log {
         agents.map(|(agent, (_, count))| (agent, count)).collect()
     }
 
+    /// Topics that nothing reads, with their messages, in words; `None` without any.
+    pub fn not_read(&self) -> Option<String> {
+        const SHOWN: usize = 12;
+        let is_read = |topic: &str| {
+            let agent = parse_topic(topic).map(|(agent, _)| agent);
+            crate::frames::TOPICS.contains(&topic) || agent.is_some_and(|agent| self.info.agent(&agent).is_some())
+        };
+        let topics = self.topics();
+        let mut left: Vec<String> = topics
+            .iter()
+            .filter(|(topic, _)| !is_read(topic))
+            .map(|(topic, channel)| format!("{topic} {}", channel.messages))
+            .collect();
+        let more = left.len().saturating_sub(SHOWN);
+        left.truncate(SHOWN);
+        match (left.is_empty(), more) {
+            (true, _) => None,
+            (false, 0) => Some(left.join(", ")),
+            (false, more) => Some(format!("{} and {more} more", left.join(", "))),
+        }
+    }
+
     pub(crate) fn topics_beside(&self, agent: &str) -> String {
         const SHOWN: usize = 12;
         let is_of_others = |topic: &str| {
@@ -607,7 +629,7 @@ impl Entry {
         };
         self.in_frame(&self.context.map_frame)
             .and_then(|()| pose::decode(self.data(), status))
-            .and_then(|(_, state)| pose::fault(&state).map_or(Ok(state), |fault| Err(fault.into())))
+            .and_then(|(_, state)| pose::fault(&state).map_or(Ok(state), Err))
             .map_err(|reason| self.bad(reason))
     }
 

@@ -7,6 +7,7 @@ use eyre::Result;
 use realo_importer::{DairOptions, DairStep};
 use realo_logs::Log;
 
+use crate::merge::tell_left_out;
 use crate::output::{Force, Output};
 use crate::progress::Progress;
 use crate::{Outcome, unfinished};
@@ -131,8 +132,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
             progress.finish();
             done?;
             unfinished::done(output);
-            if let Some(cut) = Log::open(log)?.truncation() {
-                eprintln!("realo: {}: {cut}", log.display());
+            let log = &Log::open(log)?;
+            tell_left_out(log);
+            if let Some(cut) = log.truncation() {
+                eprintln!("realo: {}: {cut}", log.path().display());
                 outcome = Outcome::Partial;
             }
             output

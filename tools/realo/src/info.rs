@@ -39,6 +39,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
             println!("{}", serde_json::to_string_pretty(&described)?);
         } else {
             println!("{described}");
+            let not_read = match &described {
+                Described::Log(_) => Log::open(path)?.not_read(),
+                Described::Recording(_) => None,
+            };
+            if let Some(topics) = not_read {
+                println!("  not read (messages): {topics}");
+            }
             for Dropped { words, is_all } in &dropped {
                 let head = if *is_all { "PROBLEM:" } else { "dropped  " };
                 println!("  {head} {words}");

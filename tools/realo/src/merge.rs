@@ -79,6 +79,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
     merge.write_with(&args.output, |done, all| progress.of(done, all))?;
     unfinished::done(&args.output);
     progress.finish();
+    for log in &logs {
+        tell_left_out(log);
+    }
     let merged = Log::open(&args.output)?;
     let (from, until) = merged
         .span()
@@ -90,4 +93,14 @@ pub fn main(args: &Args) -> Result<Outcome> {
         to_millis(until - from) * 1e-3
     );
     Ok(outcome)
+}
+
+/// Says which topics of a log no copy of it has.
+pub fn tell_left_out(log: &Log) {
+    if let Some(topics) = log.not_read() {
+        eprintln!(
+            "realo: {}: topics that realo does not read were left out (messages): {topics}",
+            log.path().display()
+        );
+    }
 }

@@ -16,6 +16,7 @@ use crate::Outcome;
 use crate::fit::protocol_fits;
 use crate::progress::Progress;
 use crate::render::log_folders;
+use crate::run::log_content;
 use crate::tables::Show;
 use played::{Misfit, Sweep, Sweeps, Truths};
 
@@ -80,7 +81,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
     } else {
         0
     };
-    let notes = notes_of_cuts(&log, &recording, scored, &recorded.ego, in_log);
+    let mut notes = notes_of_cuts(&log, &recording, scored, &recorded.ego, in_log);
+    notes.extend(note_of_another_log(args, &log)?);
     let mut evaluation = collector.finish();
     let ego = recorded.ego.clone();
     for scene in &mut evaluation.scenes {
@@ -97,7 +99,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         ego,
         ..Settings::default()
     };
-    let player = sweeps.to_the_end()?.books();
+    let player = sweeps.into_reader()?.books();
     let mut run = Run::of_evaluation(settings, evaluation, [(Player::NAME.into(), player)]);
     let has_faults = run.result.log_faults() > 0;
     let on_error = |notes: &[String]| notes.iter().for_each(|note| eprintln!("realo: {note}"));
@@ -155,6 +157,25 @@ fn notes_of_cuts(log: &Log, recording: &McapFile, scored: usize, ego: &str, swee
         ));
     }
     notes
+}
+
+/// What a reader must know where the run beside the recording was of a log that holds something else.
+fn note_of_another_log(args: &Args, log: &Log) -> Result<Option<String>> {
+    let folder = args.detections.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let beside = args
+        .log
+        .as_ref()
+        .map(|_| realo_results::read_run(folder.unwrap_or(Path::new("."))));
+    let Some(Ok(run)) = beside else { return Ok(None) };
+    let hash = log_content(log.path())?;
+    let is_other = |(_, known): &(&String, &String)| **known != hash;
+    Ok(run.samples.logs.iter().find(is_other).map(|(name, _)| {
+        format!(
+            "{}: the run beside the recording was of a log `{name}` that holds something else, so these scores may be others; give the log \
+             that was played",
+            log.path().display()
+        )
+    }))
 }
 
 /// A line for each scored frame and class.

@@ -97,7 +97,7 @@ where
     ///
     /// # Errors
     /// A log that cannot be read.
-    pub fn to_the_end(mut self) -> Result<N> {
+    pub fn into_reader(mut self) -> Result<N> {
         self.count()?;
         Ok(self.next)
     }

@@ -644,23 +644,27 @@ mod tests {
             bytes.extend((name.len() as u32).to_le_bytes());
             [&bytes, name].concat()
         };
-        let link = |to: PathBuf| move |path: &Path| std::os::unix::fs::symlink(&to, path).unwrap();
-        let write = |bytes: &[u8]| {
-            let bytes = bytes.to_vec();
-            move |path: &Path| fs::write(path, &bytes).unwrap()
-        };
-        let cases: Vec<(&str, Box<dyn Fn(&Path)>)> = vec![
-            (RESULT_FILE, Box::new(write(b"mine"))),
-            (TOLD, Box::new(write(b"{\"mine\": 1}"))),
-            (LOCK, Box::new(write(b"mine"))),
-            (LOCK, Box::new(link(mine.join("notes")))),
-            (ASIDE, Box::new(link(mine.clone()))),
-            (ASIDE, Box::new(|path| fs::create_dir(path).unwrap())),
-            (RECORDING, Box::new(write(&log))),
+        let cases = [
+            (RESULT_FILE, &b"mine"[..]),
+            (TOLD, b"{\"mine\": 1}"),
+            (LOCK, b"mine"),
+            (RECORDING, &log),
         ];
-        for (name, make) in cases {
+        let written = |(name, bytes): (&'static str, &[u8])| {
             let folder = tempfile::tempdir().unwrap();
-            make(&folder.path().join(name));
+            fs::write(folder.path().join(name), bytes).unwrap();
+            (name, folder)
+        };
+        let mut folders: Vec<_> = cases.into_iter().map(written).collect();
+        for (name, to) in [(LOCK, mine.join("notes")), (ASIDE, mine.clone())] {
+            let folder = tempfile::tempdir().unwrap();
+            std::os::unix::fs::symlink(to, folder.path().join(name)).unwrap();
+            folders.push((name, folder));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join(ASIDE)).unwrap();
+        folders.push((ASIDE, folder));
+        for (name, folder) in folders {
             let before = fs::read(folder.path().join(name)).ok();
             let error = Folders::default().lock(folder.path()).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains("is not of"), "{error}");

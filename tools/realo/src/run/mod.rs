@@ -47,6 +47,7 @@ pub(crate) use pace::{Pace, pace};
 pub use prepare::{Lane, lane};
 pub(crate) use replace::apply as replace_stages;
 pub use replay::replay;
+pub(crate) use resume::log_content;
 pub use tether::{TetheredArgs, tethered};
 
 /// Runs graphs over logs and prints what came out, side by side
