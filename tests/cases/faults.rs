@@ -565,3 +565,21 @@ fn poses_that_nothing_can_have_are_told() {
     let words = "a position within 8e7 m of the map's origin was expected";
     told(&far, "pose-far", words, words);
 }
+
+#[test]
+fn truth_of_which_nothing_is_scored_is_found_before_a_run() {
+    // That of the mast has a class that is scored.
+    let log = changed("truth-class", |message| {
+        if message.topic == "/car/ground_truth" {
+            let (stamp, mut found) = boxes::decode(&message.data).expect("boxes");
+            found.0.iter_mut().for_each(|object| object.class = "Tram".into());
+            message.data.clear();
+            boxes::encode(&mut message.data, stamp, "car/body", &found.0);
+        }
+    });
+    let words = "objects of the ground truth were not scored, because protocol `default` has no class for `Tram`";
+    let ran = offline(&log, "truth-class");
+    assert!(ran.code == 3 && ran.notes().contains(words), "{}", ran.notes());
+    let (said, code) = info(&log);
+    assert!(code == Some(3) && said.contains("`Tram`"), "{said}");
+}

@@ -237,7 +237,7 @@ pub const TRUTH_NOT_JOINED: Counter = Counter::log_fault(
     "sweeps of the ego that were scored without the points that a collaborator has on objects, because its truth lies near none of \
      them although it has sweeps there; where these are more than 2 and more than 2 % of all",
     "sweeps of the ego were scored without the truth of {agent}, which has none near them: objects that {agent} alone sees are not \
-     counted, so AP is too high",
+     counted, and whoever finds them is taken to be wrong",
     "write its truth for each of its sweeps, with stamps of the ego's clock; `realo info` says how far off they are",
 );
 pub const INVALID_TRUTH: Counter = Counter::log_fault(

@@ -364,6 +364,14 @@ impl RunResult {
         )
     }
 
+    /// What is said of boxes that are not scored, where what the log holds is the cause.
+    pub fn unscored(&self) -> Vec<String> {
+        match self.log_faults() {
+            0 => Vec::new(),
+            _ => notes::unscored(self),
+        }
+    }
+
     /// Objects of the ground truth that have too few points, where no other object is scored.
     fn without_points(&self) -> u64 {
         let accuracy = self.accuracy.iter();

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use eyre::Result;
+use eyre::{Result, eyre};
 use realo_logs::{Described, Log};
 use realo_operator::{Describe, Source};
 use realo_player::{Coop, Player};
-use realo_results::NodeSummary;
-use realo_scoring::Protocol;
+use realo_results::{NodeSummary, Run, Settings};
+use realo_schemas::{GroundTruth, Kind};
+use realo_scoring::{Collector, Protocol};
 
 use crate::Outcome;
 
@@ -61,9 +62,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
 
 /// The faults of a log that a run of it would tell, for the first ego for which there are any.
 fn faults_of_runs(path: &Path) -> Result<Vec<String>> {
-    let plan = realo_player::plan(&Log::open(path)?, "", Coop::All, &[])?;
-    for run in plan.runs {
-        let faults = played(path, &run.ego).unwrap_or_else(|error| vec![error.to_string()]);
+    let log = Log::open(path)?;
+    // What is wrong with its protocol is told with the classes.
+    let Ok(protocol) = Protocol::load(&log.info().protocol) else {
+        return Ok(Vec::new());
+    };
+    for run in realo_player::plan(&log, "", Coop::All, &[])?.runs {
+        let faults = played(path, &run.ego, &protocol).unwrap_or_else(|error| vec![error.to_string()]);
         if !faults.is_empty() {
             return Ok(faults);
         }
@@ -71,16 +76,26 @@ fn faults_of_runs(path: &Path) -> Result<Vec<String>> {
     Ok(Vec::new())
 }
 
-/// The faults of a log that are found when it is played for an ego.
-fn played(path: &Path, ego: &str) -> Result<Vec<String>, realo_operator::Error> {
+/// The faults of a log that are found when it is played for an ego: what the player counts, and truth of which nothing is scored.
+fn played(path: &Path, ego: &str, protocol: &Protocol) -> Result<Vec<String>> {
     let mut player = Player::new(realo_player::Config {
         log: path.into(),
         ego: ego.into(),
         points: false,
         ..realo_player::Config::default()
-    })?;
-    while Source::next(&mut player)?.is_some() {}
-    Ok(NodeSummary::of_losses(Player::NAME, player.counts()).log_faults())
+    })
+    .map_err(|error| eyre!(error))?;
+    let mut collector = Collector::new(protocol.clone());
+    while let Some((_, _, message)) = Source::next(&mut player).map_err(|error| eyre!(error))? {
+        if message.header.kind == Kind::Truth {
+            let (header, truth) = message.into_parts::<GroundTruth>()?;
+            collector.add_truth(&header, &truth)?;
+        }
+    }
+    let scored = Run::of_evaluation(Settings::default(), collector.finish(), []);
+    let mut faults = NodeSummary::of_losses(Player::NAME, player.counts()).log_faults();
+    faults.extend(scored.result.unscored());
+    Ok(faults)
 }
 
 /// Boxes of a log that its protocol leaves out.
