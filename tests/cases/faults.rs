@@ -583,3 +583,15 @@ fn truth_of_which_nothing_is_scored_is_found_before_a_run() {
     let (said, code) = info(&log);
     assert!(code == Some(3) && said.contains("`Tram`"), "{said}");
 }
+
+#[test]
+fn sweeps_of_some_agents_without_points_are_played_by_detections() {
+    let log = picked("mast-without-points", |message| message.topic != "/mast/points");
+    let ran = offline(&log, "mast-without-points");
+    assert!(
+        ran.code == 0 && ran.err.contains("a log without points of mast"),
+        "{}",
+        ran.err
+    );
+    assert_eq!((ran.ap("0.5"), info(&log).1), (1.0, Some(0)), "{}", ran.notes());
+}

@@ -576,17 +576,25 @@ impl Told<'_> {
         let roadside = info.agents.iter().filter(|agent| agent.kind == AgentKind::Roadside);
         let roadside: Vec<&str> = roadside.map(|agent| &*agent.name).collect();
         told.push((Decided::Roadside, roadside.join(",")));
-        let has = |stream| info.agents.iter().any(|agent| self.log.has(&agent.name, stream));
-        if has(Stream::Sweeps) && !has(Stream::Points) {
+        let has = |agent: &str, stream| self.log.has(agent, stream);
+        let names = info.agents.iter().map(|agent| agent.name.as_str());
+        let bare: Vec<&str> = names
+            .filter(|agent| has(agent, Stream::Sweeps) && !has(agent, Stream::Points))
+            .collect();
+        if !bare.is_empty() {
             let stem = stem(self.log_path);
+            let what = match bare.len() == info.agents.len() {
+                true => "a log without points".to_string(),
+                false => format!("a log without points of {}", bare.join(", ")),
+            };
             if let Some(node) = deciding(graph, Decided::Model).next() {
                 let id = &node.id;
                 bail!(
-                    "{stem}: a log without points, in which node `{id}` sees nothing: take a log with points, or a graph \
-                     with a module `detect.*.yml` and --recorded-detections"
+                    "{stem}: {what}, in which node `{id}` sees nothing: take a log with points, or a graph with a module \
+                     `detect.*.yml` and --recorded-detections"
                 );
             }
-            eprintln!("realo: {stem}: a log without points; its sweeps are played empty");
+            eprintln!("realo: {stem}: {what}; its sweeps are played empty");
             told.push((Decided::Points, "false".into()));
         }
         Ok(told)
