@@ -198,8 +198,12 @@ fn refuse_others(folder: &Path) -> Result<()> {
     }
 }
 
+/// Whether a run put aside what lies there; a run that was killed may have come no further than to make the folder.
 fn is_of_a_run(aside: &Path) -> bool {
-    fs::symlink_metadata(aside).is_ok_and(|found| found.is_dir()) && aside.join(OWNED).is_file()
+    let is_told = |text: String| text.contains(FINGERPRINT);
+    let is_empty = || fs::read_dir(aside).is_ok_and(|mut entries| entries.next().is_none());
+    fs::symlink_metadata(aside).is_ok_and(|found| found.is_dir())
+        && (aside.join(OWNED).is_file() || fs::read_to_string(aside.join(TOLD)).is_ok_and(is_told) || is_empty())
 }
 
 fn not_of_a_run(path: &Path) -> Report {
@@ -214,8 +218,9 @@ fn put_aside(folder: &Path, files: impl IntoIterator<Item = PathBuf>) -> Result<
     for file in files {
         let place = aside.join(file.strip_prefix(folder)?);
         let above = place.parent().unwrap_or(folder);
-        fs::create_dir_all(above).wrap_err_with(|| format!("{}", above.display()))?;
+        fs::create_dir_all(&aside).wrap_err_with(|| format!("{}", aside.display()))?;
         fs::write(aside.join(OWNED), "").wrap_err_with(|| format!("{}", aside.display()))?;
+        fs::create_dir_all(above).wrap_err_with(|| format!("{}", above.display()))?;
         fs::rename(&file, &place).wrap_err_with(|| format!("{}", file.display()))?;
     }
     Ok(())
@@ -663,6 +668,7 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         fs::create_dir(folder.path().join(ASIDE)).unwrap();
+        fs::write(folder.path().join(ASIDE).join("notes"), "mine").unwrap();
         folders.push((ASIDE, folder));
         for (name, folder) in folders {
             let before = fs::read(folder.path().join(name)).ok();
