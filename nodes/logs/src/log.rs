@@ -288,7 +288,6 @@ impl Log {
         }
     }
 
-    /// The topics of an agent, and those that are of no agent.
     /// Agents that have poses and sweeps while the log's record does not name them, and how many messages of theirs there are.
     pub fn undeclared(&self) -> BTreeMap<String, u64> {
         let mut found: BTreeMap<String, (BTreeSet<Stream>, u64)> = BTreeMap::new();
@@ -334,6 +333,7 @@ impl Log {
         }
     }
 
+    /// The topics of an agent, and those that are of no agent.
     pub(crate) fn topics_beside(&self, agent: &str) -> String {
         const SHOWN: usize = 12;
         let is_of_others = |topic: &str| {
