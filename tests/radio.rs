@@ -10,7 +10,7 @@ use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use common::machine::{decided, half, most, quarter};
+use common::machine::{decided, half, quarter, three_quarters};
 use common::{
     Peer, REALO, arguments, boxes, files_below, folder, free_port, graph, json, realo, realo_ok, root, run_virtual,
     run_virtual_faulty, simulated, text,
@@ -42,7 +42,7 @@ fn agents_that_meet_over_zenoh_find_what_a_perfect_link_finds() {
 }
 
 fn late_fusion_over_zenoh() {
-    let _share = most();
+    let _share = three_quarters();
     let (log, port) = (log(), free_port());
     let (near, far) = (folder("radio_vehicle"), folder("radio_roadside"));
     let together = ["--recorded-detections", "--ego", "cav1", "--agents", "cav1,rsu1"];
@@ -272,7 +272,7 @@ fn a_roadside_unit_shares_maps_in_the_frame_of_who_fuses_them() {
 }
 
 fn share_maps() {
-    let _share = most();
+    let _share = three_quarters();
     let (log, port) = (clouds(), free_port());
     let (near, far) = (folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
     let arguments = |name: &str, out: &Path, set: String| -> Vec<String> {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::machine::{decided, half, most, quarter, whole};
+use common::machine::{decided, half, quarter, three_quarters, whole};
 use common::{files_below, folder, graph, json, realo_ok, run_virtual, simulated, text};
 use realo_schemas::Nanos;
 use realo_schemas::report::Fated;
@@ -232,7 +232,7 @@ fn realised_age_is_that_of_an_independent_calculation() {
 }
 
 fn realised_age() {
-    let _share = most();
+    let _share = three_quarters();
     let out = folder("age");
     let file = variant(&folder("age_graph"), "late_fusion", &RECORDED);
     // Without the gate, so that the calculation needs no positions.
@@ -330,7 +330,7 @@ fn what_the_transport_does_to_messages_is_seen_and_counted() {
 }
 
 fn tampered_transport() {
-    let _share = most();
+    let _share = three_quarters();
     let dir = folder("tampered");
     let report = dir.join("tampered.json");
     let out = dir.join("out");

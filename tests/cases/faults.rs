@@ -71,6 +71,24 @@ fn with_boxes(name: &str, stream: &str, change: impl Fn(&mut Box3, bool)) -> Pat
     })
 }
 
+/// The scene with the poses of a topic changed: `change` takes x, y, z, the quaternion, and the number of the message.
+fn with_poses(name: &str, topic: &str, change: impl Fn(&mut [f64], u32)) -> PathBuf {
+    const POSE: usize = 8 * (3 + 4);
+    const COVARIANCE: usize = 8 * 36;
+    changed(name, |message| {
+        if message.topic == topic {
+            let at = message.data.len() - COVARIANCE - POSE;
+            let words = message.data[at..at + POSE].chunks_exact(8);
+            let mut pose: Vec<f64> = words
+                .map(|word| f64::from_le_bytes(word.try_into().expect("eight bytes")))
+                .collect();
+            change(&mut pose, message.sequence);
+            let bytes: Vec<u8> = pose.iter().flat_map(|word| word.to_le_bytes()).collect();
+            message.data[at..at + POSE].copy_from_slice(&bytes);
+        }
+    })
+}
+
 #[test]
 fn headings_of_two_values_are_named() {
     let degrees = with_boxes("yaw-degrees", "detections", |object, of_companion| {
@@ -460,22 +478,13 @@ fn what_shows_only_in_a_run_is_found_before_it() {
 
 #[test]
 fn poses_that_do_not_fit_the_boxes_of_the_other_are_named() {
-    let moved = |name: &str, by: f64| {
-        changed(name, |message| {
-            if message.topic == "/mast/pose" {
-                // Behind it stand y, z, a quaternion and the covariance.
-                let at = message.data.len() - 8 * (3 + 4 + 36);
-                let x = f64::from_le_bytes(message.data[at..at + 8].try_into().expect("eight bytes"));
-                message.data[at..at + 8].copy_from_slice(&(x + by).to_le_bytes());
-            }
-        })
-    };
+    let moved = |name: &str, by: f64| with_poses(name, "/mast/pose", |pose, _| pose[0] += by);
     let near = moved("mast-near", 0.8);
     assert_eq!((offline(&near, "mast-near").code, info(&near).1), (0, Some(0)));
     let ran = told(
         &moved("mast-moved", 3.0),
         "mast-moved",
-        "objects that stand lie more than 1 m apart by the truth of the two",
+        "positions of parked objects differ by more than 1 m between the truth of the two agents",
         "lie more than 1 m apart (median 3.0 m)",
     );
     assert!(ran.ap("0.5") < 1.0, "{}", ran.notes());
@@ -513,7 +522,7 @@ fn truth_whose_companion_is_missing_is_counted() {
         let log = picked(name, |message| {
             message.parts() != ("car", missing) || message.sequence % 2 == 0
         });
-        let words = "messages of ground truth were left out, because the message with the same stamp is not there";
+        let words = "messages of ground truth or own labels were left out, because the message or its `_info` with the same stamp is missing";
         let ran = offline(&log, name);
         assert!(ran.code == 3 && ran.notes().contains(words), "{name}: {}", ran.notes());
         assert_eq!(info(&log).1, Some(3), "{name}");
@@ -541,28 +550,15 @@ fn an_agent_that_the_record_does_not_name_is_told() {
 
 #[test]
 fn poses_that_nothing_can_have_are_told() {
-    let with = |name: &str, change: fn(&mut [f64], u32)| {
-        changed(name, |message| {
-            if message.topic == "/car/pose" {
-                let at = message.data.len() - 8 * (3 + 4 + 36);
-                let words = message.data[at..at + 56].chunks_exact(8);
-                let mut pose: Vec<f64> = words
-                    .map(|w| f64::from_le_bytes(w.try_into().expect("eight")))
-                    .collect();
-                change(&mut pose, message.sequence);
-                let bytes: Vec<u8> = pose.iter().flat_map(|word| word.to_le_bytes()).collect();
-                message.data[at..at + 56].copy_from_slice(&bytes);
-            }
-        })
-    };
+    let with = |name: &str, change: fn(&mut [f64], u32)| with_poses(name, "/car/pose", change);
     let order = with("pose-wxyz", |pose, _| pose[3..].rotate_right(1));
     let words = "is the quaternion in the order x, y, z, w?";
     told(&order, "pose-wxyz", words, words);
     let jumps = with("pose-jumps", |pose, n| pose[0] += if n % 9 == 0 { 20.0 } else { 0.0 });
-    let words = "poses are further from the one before than anything drives";
+    let words = "poses jump faster than any vehicle drives";
     told(&jumps, "pose-jumps", words, words);
     let far = with("pose-far", |pose, n| pose[1] += if n == 3 { 1e300 } else { 0.0 });
-    let words = "a position within 8e7 m of the map's origin was expected";
+    let words = "expected a position within 80,000 km of the map's origin";
     told(&far, "pose-far", words, words);
 }
 

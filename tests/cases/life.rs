@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use realo_operator::Registration;
 use realo_operator::pipe::{frame, hello};
 
-use crate::common::machine::{decided, most, quarter};
+use crate::common::machine::{decided, quarter, three_quarters};
 use crate::common::{REALO, folder, graph, json, root, text};
 use crate::scene::Scene;
 
@@ -251,7 +251,7 @@ fn a_signal_leaves_the_results_of_a_graph_that_scores_nothing() {
 }
 
 fn roadside_signal() {
-    let _share = most();
+    let _share = three_quarters();
     let run = Run::start_roadside("life-roadside").play();
     run.signal("INT");
     let (output, out) = run.end();

@@ -36,7 +36,7 @@ pub fn half() -> Share {
 }
 
 /// For runs that compute in real time, beside one that mostly waits.
-pub fn most() -> Share {
+pub fn three_quarters() -> Share {
     take(3)
 }
 

@@ -40,6 +40,8 @@ pub struct Description {
     pub truth_classes: BTreeMap<String, u64>,
     /// Classes of the recorded detections of all agents, and how often each is there.
     pub detection_classes: BTreeMap<String, u64>,
+    /// Topics that nothing reads, and how many messages each has.
+    pub not_read: BTreeMap<String, u64>,
     /// What a run of it would stumble over, or score wrongly.
     pub problems: Vec<String>,
     /// Where it was cut, if it was.
@@ -174,6 +176,7 @@ fn describe_log(log: &Log) -> Result<Description, LogError> {
         scored_frames: log.key_frames().map(count),
         truth_classes: classes.truth,
         detection_classes: classes.detections,
+        not_read: log.not_read(),
         problems,
         truncated: log.truncation().cloned(),
     })
@@ -299,7 +302,11 @@ impl fmt::Display for Description {
         for problem in &self.problems {
             writeln!(f, "  PROBLEM: {problem}")?;
         }
-        write_topics(f, &self.topics)
+        write_topics(f, &self.topics)?;
+        match self.not_read.is_empty() {
+            true => Ok(()),
+            false => writeln!(f, "  not read  {}", join(self.not_read.keys().map(String::as_str))),
+        }
     }
 }
 

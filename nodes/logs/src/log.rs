@@ -311,26 +311,14 @@ impl Log {
         agents.map(|(agent, (_, count))| (agent, count)).collect()
     }
 
-    /// Topics that nothing reads, with their messages, in words; `None` without any.
-    pub fn not_read(&self) -> Option<String> {
-        const SHOWN: usize = 12;
+    /// Topics that nothing reads, and how many messages each has.
+    pub fn not_read(&self) -> BTreeMap<String, u64> {
         let is_read = |topic: &str| {
             let agent = parse_topic(topic).map(|(agent, _)| agent);
             crate::frames::TOPICS.contains(&topic) || agent.is_some_and(|agent| self.info.agent(&agent).is_some())
         };
-        let topics = self.topics();
-        let mut left: Vec<String> = topics
-            .iter()
-            .filter(|(topic, _)| !is_read(topic))
-            .map(|(topic, channel)| format!("{topic} {}", channel.messages))
-            .collect();
-        let more = left.len().saturating_sub(SHOWN);
-        left.truncate(SHOWN);
-        match (left.is_empty(), more) {
-            (true, _) => None,
-            (false, 0) => Some(left.join(", ")),
-            (false, more) => Some(format!("{} and {more} more", left.join(", "))),
-        }
+        let left = self.topics().into_iter().filter(|(topic, _)| !is_read(topic));
+        left.map(|(topic, channel)| (topic, channel.messages)).collect()
     }
 
     /// The topics of an agent, and those that are of no agent.

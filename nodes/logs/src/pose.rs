@@ -1,6 +1,7 @@
 //! `EgoState` as `geometry_msgs/msg/PoseWithCovarianceStamped`, and as a frame for viewers.
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use realo_schemas::geometry::tilt_degrees;
 use realo_schemas::{EgoState, Nanos, PoseStatus};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
@@ -67,24 +68,27 @@ pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, EgoState), C
     ))
 }
 
-/// Positions that are further from the map's origin, m, are none on earth, not even from its centre.
+/// Max distance from the map's origin, m: Earth-centred positions are nearer.
 const FARTHEST: f64 = 8e7;
 
-/// Why no agent can have a pose, in words.
+/// Why no agent can have a pose, in words; `None` for one that can be.
 pub(crate) fn fault(state: &EgoState) -> Option<String> {
     let pose = &state.map_from_body;
-    let far = pose.translation.vector.amax();
+    // Without squares, which overflow.
+    let far = pose
+        .translation
+        .vector
+        .iter()
+        .fold(0.0, |far: f64, along| far.hypot(*along));
     if far > FARTHEST {
+        let km = far / 1000.0;
         return Some(format!(
-            "a position within {FARTHEST:e} m of the map's origin was expected, found {far:e} m"
+            "expected a position within 80,000 km of the map's origin, found {km:e} km"
         ));
     }
-    let up = (pose.rotation * Vector3::z()).z;
-    (up < 0.0).then(|| {
-        format!(
-            "a body with x forward, y left and z up was expected, found one that tilts by {:.0}°: is the quaternion in the order x, y, z, w?",
-            up.acos().to_degrees()
-        )
+    let tilt = tilt_degrees(&pose.rotation);
+    (tilt > 90.0).then(|| {
+        format!("expected a body with z up, found a tilt of {tilt:.0}°: is the quaternion in the order x, y, z, w?")
     })
 }
 

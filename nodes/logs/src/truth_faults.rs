@@ -13,12 +13,12 @@ use crate::{Log, LogError, Stream, pose_track};
 const TOGETHER: Nanos = 200_000_000;
 /// An object that two agents place further apart is two objects, m.
 const APART: f64 = 5.0;
-/// Poses of two agents that place what stands further apart do not fit each other, m.
-const SHIFTED: f64 = 1.0;
-/// What moves no further by the truth of an agent stands, m.
-const STANDS: f64 = 0.5;
-/// So many positions of a track tell whether it stands.
-const TOLD_BY: usize = 5;
+/// Max offset between the places at which two agents have a parked object, m.
+const MAX_OFFSET_M: f64 = 1.0;
+/// Max way of a parked object by an agent's truth, m.
+const MAX_DRIFT_M: f64 = 0.5;
+/// Min positions of a track to judge whether it is parked.
+const MIN_POSITIONS: usize = 5;
 /// Objects of one class that two agents place nearer than this are one, m.
 const SAME_PLACE: f64 = 1.0;
 /// So many positions of tracks tell whether two agents number objects alike.
@@ -39,7 +39,7 @@ const ONE_IN: usize = 50;
 pub enum TruthFault {
     /// A track of both agents is of objects that lie more than 5 m apart, in the median so many m.
     Apart(f64),
-    /// Objects that stand are at other places by one agent than by the other, in the median so many m apart.
+    /// Parked objects are at other places by one agent than by the other, in the median so many m apart.
     Shifted(f64),
     /// An object that both agents have is of two tracks, or of none.
     Split,
@@ -51,7 +51,7 @@ pub enum TruthFault {
     Lacking,
 }
 
-/// Objects of which the truth of agents is wrong.
+/// A fault in the ground truth of one agent or two.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TruthFinding {
     /// The agent, or both.
@@ -87,7 +87,7 @@ impl fmt::Display for TruthFinding {
             TruthFault::Shifted(median) => {
                 return write!(
                     f,
-                    "{count} of {of} positions at which {agents} both have an object that stands lie more than {SHIFTED} m apart (median \
+                    "{count} of {of} positions at which {agents} both have a parked object lie more than {MAX_OFFSET_M} m apart (median \
                      {median:.1} m): {}",
                     TRUTH_SHIFTED[1]
                 );
@@ -112,11 +112,11 @@ impl fmt::Display for TruthFinding {
     }
 }
 
-/// What is said of objects that stand and that two agents have at different places, after how many of how many: what happened, and
-/// what to try.
+/// What is said of parked objects that two agents have at different places, after how many of how many: what happened, and what to
+/// try.
 pub const TRUTH_SHIFTED: [&str; 2] = [
-    "positions of objects that stand lie more than 1 m apart by the truth of the two, and what they share is off by as much",
-    "the poses of one of them do not fit its boxes and sweeps: poses must be those of the frame that these are in, in one map",
+    "positions of parked objects differ by more than 1 m between the truth of the two agents, and so does what they share",
+    "the poses of one agent do not fit its boxes and sweeps: write poses of the frame that boxes and sweeps are in, all in one map",
 ];
 
 /// An object, where its agent says that it is in the map.
@@ -156,9 +156,9 @@ impl Truth {
 
 /// Where an agent's tracks were first, and how far from there at most, m.
 #[derive(Default)]
-struct Stays(BTreeMap<u64, (Point2<f64>, f64)>);
+struct Movement(BTreeMap<u64, (Point2<f64>, f64)>);
 
-impl Stays {
+impl Movement {
     fn add(&mut self, objects: &[Placed]) {
         for object in objects {
             let Some(track) = object.track else { continue };
@@ -167,8 +167,8 @@ impl Stays {
         }
     }
 
-    fn stands(&self, track: u64) -> bool {
-        self.0.get(&track).is_some_and(|(_, farthest)| *farthest <= STANDS)
+    fn is_parked(&self, track: u64) -> bool {
+        self.0.get(&track).is_some_and(|(_, farthest)| *farthest <= MAX_DRIFT_M)
     }
 }
 
@@ -205,7 +205,7 @@ pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
     let mut reader = log.read_all(&wanted)?;
     let mut newest: Vec<Option<Truth>> = agents.iter().map(|_| None).collect();
     let (mut doubled, mut twice, mut all) = (vec![0; agents.len()], vec![0; agents.len()], vec![0; agents.len()]);
-    let mut stays: Vec<Stays> = agents.iter().map(|_| Stays::default()).collect();
+    let mut movements: Vec<Movement> = agents.iter().map(|_| Movement::default()).collect();
     let mut pairs: BTreeMap<[usize; 2], Pair> = BTreeMap::new();
     let of_all = agents.len() * (agents.len() - 1) / 2;
     while let Some(entry) = reader.next()? {
@@ -228,7 +228,7 @@ pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
         };
         let objects: Vec<Placed> = boxes.0.into_iter().filter(is_plausible).map(placed).collect();
         twice[index] += at_one_place(&objects);
-        stays[index].add(&objects);
+        movements[index].add(&objects);
         let own = Truth {
             stamp: entry.stamp(),
             body_from_map: map_from_body.inverse(),
@@ -255,32 +255,37 @@ pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
     let mut faults = Vec::new();
     for (index, of) in all.into_iter().enumerate() {
         let found = [(TruthFault::Doubled, doubled[index]), (TruthFault::Twice, twice[index])];
-        let of_agent = found.map(|(fault, count)| told(vec![name(&index)], fault, count, of));
+        let of_agent = found.map(|(fault, count)| finding(vec![name(&index)], fault, count, of));
         faults.extend(of_agent.into_iter().flatten());
     }
     for (pair, known) in pairs {
         let agents: Vec<String> = pair.iter().map(name).collect();
         let (apart, median) = known.apart();
-        faults.extend(told(agents.clone(), TruthFault::Apart(median), apart, known.positions));
-        let stand = |track| pair.iter().all(|index| stays[*index].stands(track));
-        if let Some((median, shifted, of)) = known.shifted(stand) {
-            faults.extend(told(agents.clone(), TruthFault::Shifted(median), shifted, of));
+        faults.extend(finding(
+            agents.clone(),
+            TruthFault::Apart(median),
+            apart,
+            known.positions,
+        ));
+        let is_parked = |track| pair.iter().all(|index| movements[*index].is_parked(track));
+        if let Some((median, shifted, of)) = known.shifted(is_parked) {
+            faults.extend(finding(agents.clone(), TruthFault::Shifted(median), shifted, of));
         }
         let of = known.positions + known.split;
-        faults.extend(told(agents.clone(), TruthFault::Split, known.split, of));
+        faults.extend(finding(agents.clone(), TruthFault::Split, known.split, of));
         let [first, second] = known.lacking;
         let reversed: Vec<String> = agents.iter().rev().cloned().collect();
         for (agents, [count, of]) in [(agents, first), (reversed, second)] {
             // Labels of what a camera shows are not all that there is.
             if !log.has(&agents[0], Stream::GroundTruthViews) {
-                faults.extend(told(agents, TruthFault::Lacking, count, of));
+                faults.extend(finding(agents, TruthFault::Lacking, count, of));
             }
         }
     }
     Ok(faults)
 }
 
-fn told(agents: Vec<String>, fault: TruthFault, count: usize, of: usize) -> Option<TruthFinding> {
+fn finding(agents: Vec<String>, fault: TruthFault, count: usize, of: usize) -> Option<TruthFinding> {
     (count * ONE_IN > of).then_some(TruthFinding {
         agents,
         fault,
@@ -323,7 +328,7 @@ fn at_one_place(objects: &[Placed]) -> usize {
     twice.count()
 }
 
-/// 0 of none.
+/// The upper median; 0 if empty.
 fn median(mut of: Vec<f64>) -> f64 {
     of.sort_by(f64::total_cmp);
     of.get(of.len() / 2).copied().unwrap_or(0.0)
@@ -378,19 +383,19 @@ impl Pair {
         (apart.len(), median(apart))
     }
 
-    /// Of the tracks that stand: in the median how far apart the agents have them, m, positions further apart than may be, and all
-    /// positions; `None` where these fit, or too few stand. What is of different objects does not count.
-    fn shifted(&self, stands: impl Fn(u64) -> bool) -> Option<(f64, usize, usize)> {
+    /// The median offset of parked objects, m, the number of positions above [`MAX_OFFSET_M`], and of all positions. `None` if the
+    /// median is within it or fewer than two tracks are parked. Tracks above [`APART`] are of different objects and left out.
+    fn shifted(&self, is_parked: impl Fn(u64) -> bool) -> Option<(f64, usize, usize)> {
         let known = self
             .shared
             .iter()
-            .filter(|(track, far)| far.len() >= TOLD_BY && stands(**track));
+            .filter(|(track, far)| far.len() >= MIN_POSITIONS && is_parked(**track));
         let medians = known.map(|(_, far)| (median(far.clone()), far));
         let of_one: Vec<(f64, &Vec<f64>)> = medians.filter(|(median, _)| *median <= APART).collect();
         let middle = median(of_one.iter().map(|(median, _)| *median).collect());
         let all = || of_one.iter().flat_map(|(_, far)| far.iter());
-        let shifted = all().filter(|far| **far > SHIFTED).count();
-        (of_one.len() > 1 && middle > SHIFTED).then(|| (middle, shifted, all().count()))
+        let shifted = all().filter(|far| **far > MAX_OFFSET_M).count();
+        (of_one.len() > 1 && middle > MAX_OFFSET_M).then(|| (middle, shifted, all().count()))
     }
 }
 
@@ -442,9 +447,9 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_tells_that_poses_do_not_fit() {
-        let shifted = |far: f64, speed: f64, stand: u64| {
-            let (mut pair, mut stays) = (Pair::default(), Stays::default());
+    fn parked_objects_show_that_poses_do_not_fit() {
+        let shifted = |far: f64, speed: f64, parked: u64| {
+            let (mut pair, mut movement) = (Pair::default(), Movement::default());
             for message in 0..10 {
                 let moved = speed * f64::from(message);
                 let own = placed(&[(Some(1), moved), (Some(2), 10.0 + moved), (Some(3), 40.0)]);
@@ -454,14 +459,14 @@ mod tests {
                     (Some(3), 40.0 + far),
                 ]);
                 pair.compare(&own, &others);
-                stays.add(&own);
+                movement.add(&own);
             }
-            pair.shifted(|track| stays.stands(track) && track <= stand)
+            pair.shifted(|track| movement.is_parked(track) && track <= parked)
         };
         assert_eq!(shifted(3.0, 0.0, 3), Some((3.0, 30, 30)));
         assert_eq!(shifted(0.9, 0.0, 3), None);
         assert_eq!(shifted(7.0, 0.0, 3), None, "these are of different objects");
-        assert_eq!(shifted(3.0, 1.0, 3), None, "one alone that stands tells nothing");
+        assert_eq!(shifted(3.0, 1.0, 3), None, "one parked object is not enough");
         assert_eq!(shifted(3.0, 0.0, 1), None);
     }
 
@@ -493,7 +498,7 @@ mod tests {
 
     #[test]
     fn a_fault_is_told_of_more_than_one_object_in_fifty() {
-        let of = |count| told(Vec::new(), TruthFault::Split, count, 1000).is_some();
+        let of = |count| finding(Vec::new(), TruthFault::Split, count, 1000).is_some();
         assert_eq!([of(0), of(20), of(21)], [false, false, true]);
     }
 }

@@ -135,8 +135,8 @@ pub const WRONG_COVARIANCES: Counter = Counter::log_fault(
 );
 pub const POSES_JUMP: Counter = Counter::log_fault(
     "poses_jump",
-    "poses more than 5 m from the one before, and further than 150 m/s lead",
-    "poses are further from the one before than anything drives, so that sweeps near them are at a wrong place",
+    "poses more than 5 m from the pose before, reached at more than 150 m/s",
+    "poses jump faster than any vehicle drives, so that sweeps near them are misplaced",
     "leave out poses without a fix, and smooth the others",
 );
 pub const TRANSFORMS_DIFFER: Counter = Counter::log_fault(
@@ -227,17 +227,16 @@ pub const TRUTH_WITHOUT_SWEEP: Counter = Counter::log_fault(
 );
 pub const TRUTH_WITHOUT_INFO: Counter = Counter::log_fault(
     "truth_without_info",
-    "messages of ground truth or own labels without their companion (`…_info`) near them, and companions without what they accompany",
-    "messages of ground truth were left out, because the message with the same stamp is not there: `ground_truth` needs \
-     `ground_truth_info`",
+    "messages of ground truth or own labels, and of their `_info`, whose counterpart with the same stamp is missing",
+    "messages of ground truth or own labels were left out, because the message or its `_info` with the same stamp is missing",
     "write both of each sweep, with one stamp",
 );
 pub const TRUTH_NOT_JOINED: Counter = Counter::log_fault(
     "truth_not_joined",
     "sweeps of the ego that were scored without the points that a collaborator has on objects, because its truth lies near none of \
-     them although it has sweeps there; where these are more than 2 and more than 2 % of all",
+     them although it has sweeps there, or because it has none at all; where these are more than 2 and more than 2 % of all",
     "sweeps of the ego were scored without the truth of {agent}, which has none near them: objects that {agent} alone sees are not \
-     counted, and whoever finds them is taken to be wrong",
+     counted, and detections of them count as wrong",
     "write its truth for each of its sweeps, with stamps of the ego's clock; `realo info` says how far off they are",
 );
 pub const INVALID_TRUTH: Counter = Counter::log_fault(
@@ -297,8 +296,8 @@ pub const TRUTH_DOUBLED: Counter = Counter::log_fault(
 );
 pub const TRUTH_SHIFTED: Counter = Counter::log_fault(
     "truth_shifted",
-    "positions at which two agents both have an object that stands, by [track](log-format.md#tracks), more than 1 m apart by the poses of \
-     the two; where the median of all such objects is",
+    "positions at which two agents both have a parked object, by [track](log-format.md#tracks), more than 1 m apart by the poses of the \
+     two; where the median of all parked objects is",
     realo_logs::TRUTH_SHIFTED[0],
     realo_logs::TRUTH_SHIFTED[1],
 );

@@ -32,9 +32,9 @@ const LATENCY: Nanos = 500_000_000;
 /// Poses from so long before the first sweep are sent too, so that it has some.
 const LEAD_IN: Nanos = 500_000_000;
 /// Nothing on wheels is faster, m/s.
-const FASTEST: f64 = 150.0;
-/// Recorded poses are off by less, m.
-const JUMP: f64 = 5.0;
+const MAX_SPEED_MPS: f64 = 150.0;
+/// Noise of recorded poses is less, m.
+const MIN_JUMP_M: f64 = 5.0;
 /// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
 const PAUSE: Nanos = 1_000_000_000;
 
@@ -84,8 +84,8 @@ pub struct Feed {
     along_ground: BTreeSet<Name>,
     /// By agent and stamp: number and release of recent sweeps.
     sweeps: BTreeMap<Name, BTreeMap<Nanos, (u64, Nanos)>>,
-    /// By agent: the newest pose, and where it was.
-    places: BTreeMap<Name, (Nanos, Vector3<f64>)>,
+    /// By agent: stamp and position of its newest pose, m.
+    last_positions: BTreeMap<Name, (Nanos, Vector3<f64>)>,
     /// By agent: the stamps of all sweeps of this pass.
     stamps: BTreeMap<Name, BTreeSet<Nanos>>,
     gaps: Gaps,
@@ -307,7 +307,7 @@ impl Script {
         self.log.read(&wanted, self.from.saturating_sub(LEAD_IN), self.until)
     }
 
-    /// Counts objects of which the truth of agents is wrong.
+    /// Counts the faults of the agents' ground truth.
     fn count_truth_faults(&self) -> Result<(), LogError> {
         let agents = self.agents();
         let plays = |name: &String| agents.iter().any(|agent| **agent == **name);
@@ -349,7 +349,7 @@ impl Script {
         Ok(())
     }
 
-    /// Counts what is there of agents that the log does not name.
+    /// Counts messages of agents that the log's record does not name.
     fn count_undeclared(&self) {
         for (agent, messages) in self.log.undeclared() {
             self.counters.add(&UNDECLARED, &agent, messages, messages);
@@ -389,7 +389,7 @@ impl Feed {
                 .slot
                 .map_or(period, |slot| (period + slot - 1).div_euclid(slot) * slot),
             sweeps: BTreeMap::new(),
-            places: BTreeMap::new(),
+            last_positions: BTreeMap::new(),
             stamps: BTreeMap::new(),
             gaps: Gaps::default(),
             joins: Joins::default(),
@@ -446,7 +446,7 @@ impl Feed {
         self.pass += 1;
         self.ended = false;
         self.sweeps.clear();
-        self.places.clear();
+        self.last_positions.clear();
         self.reader = self.script.open()?;
         self.truth = self.script.truth(&self.agents, &self.levels)?;
         let begins = self.begins();
@@ -604,10 +604,10 @@ impl Feed {
     /// Counts a pose further from the one before than anything drives.
     fn count_jump(&mut self, entry: &Entry, state: &EgoState) {
         let (stamp, place) = (entry.stamp(), state.map_from_body.translation.vector);
-        let before = self.places.insert(entry.agent.clone(), (stamp, place));
+        let before = self.last_positions.insert(entry.agent.clone(), (stamp, place));
         let jump = before.and_then(|(from, known)| {
             let (far, seconds) = ((place - known).norm(), to_seconds(stamp - from));
-            (far > JUMP && far > FASTEST * seconds).then_some((far, seconds))
+            (far > MIN_JUMP_M && far > MAX_SPEED_MPS * seconds).then_some((far, seconds))
         });
         let count = u64::from(jump.is_some());
         self.script.counters.lost(&POSES_JUMP, &entry.agent, count, 1, || {
@@ -717,7 +717,7 @@ impl Feed {
         for (agent, (n, words)) in self.truth.take_ahead() {
             counters.lost(&CLOCK_AHEAD, &agent, n, n, || words);
         }
-        for (agent, n) in self.truth.take_alone() {
+        for (agent, n) in self.truth.take_unpaired() {
             counters.add(&TRUTH_WITHOUT_INFO, &agent, n, 0);
         }
         for (agent, (wrong, all)) in self.truth.take_wrong_headings() {

@@ -16,6 +16,9 @@ const ONE_IN: u64 = 50;
 /// As many sweeps at the ends of an agent's truth are none.
 const AT_ENDS: u64 = 2;
 
+/// Agent, stream of the array, and stamp.
+type Key = (Name, Stream, Nanos);
+
 /// Joins the ground truth of the ego's sweeps with the points that the others have on the same objects.
 ///
 /// Reads ahead of the ego by [`WINDOW`], because a collaborator's nearest sweep may come later, and by as much as truth is logged
@@ -25,10 +28,10 @@ pub struct TruthJoin {
     agents: Vec<Name>,
     footprint: Option<[f64; 4]>,
     /// Arrays that wait for their companion, and companions that wait for their array: by agent, stream of the array and stamp.
-    boxes: BTreeMap<(Name, Stream, Nanos), Boxes>,
-    companions: BTreeMap<(Name, Stream, Nanos), Entry>,
-    /// Those of them that were logged at the newest time: what they wait for may be next.
-    newest: BTreeSet<(Name, Stream, Nanos)>,
+    boxes: BTreeMap<Key, Boxes>,
+    companions: BTreeMap<Key, Entry>,
+    /// Keys read at the newest log time: their counterpart may be the next message.
+    just_read: BTreeSet<Key>,
     /// Views by stream and stamp.
     views: BTreeMap<Stream, BTreeMap<Nanos, Vec<View>>>,
     /// Recent sweeps of the ego for which there was nothing.
@@ -55,7 +58,7 @@ pub struct TruthJoin {
     /// By agent: boxes whose heading cannot be right, of how many.
     wrong_headings: BTreeMap<Name, (WrongHeadings, u64)>,
     /// By agent: arrays without a companion, and companions without an array.
-    alone: BTreeMap<Name, u64>,
+    unpaired: BTreeMap<Name, u64>,
 }
 
 /// What the log says is around the ego at a sweep.
@@ -114,7 +117,7 @@ impl TruthJoin {
             footprint: log.info().agent(ego).and_then(|info| info.footprint),
             boxes: BTreeMap::new(),
             companions: BTreeMap::new(),
-            newest: BTreeSet::new(),
+            just_read: BTreeSet::new(),
             views: BTreeMap::new(),
             missed: VecDeque::new(),
             ego: BTreeMap::new(),
@@ -129,7 +132,7 @@ impl TruthJoin {
             apart: BTreeMap::new(),
             ahead: BTreeMap::new(),
             wrong_headings: BTreeMap::new(),
-            alone: BTreeMap::new(),
+            unpaired: BTreeMap::new(),
         })
     }
 
@@ -243,8 +246,8 @@ impl TruthJoin {
     }
 
     /// By agent: messages since the last call that are left out because their companion, or what they accompany, is not there.
-    pub fn take_alone(&mut self) -> BTreeMap<Name, u64> {
-        std::mem::take(&mut self.alone)
+    pub fn take_unpaired(&mut self) -> BTreeMap<Name, u64> {
+        std::mem::take(&mut self.unpaired)
     }
 
     fn note_headings(&mut self, agent: &Name, info: &BoxesInfo, of: usize) {
@@ -258,7 +261,7 @@ impl TruthJoin {
             return Ok(false);
         };
         if entry.ready() != self.read_to {
-            self.newest.clear();
+            self.just_read.clear();
         }
         self.read_to = entry.ready();
         if let Some(apart) = entry.published_apart() {
@@ -283,7 +286,7 @@ impl TruthJoin {
                 match self.companions.remove(&key(array)) {
                     Some(companion) => (key(array), boxes, companion),
                     None => {
-                        self.newest.insert(key(array));
+                        self.just_read.insert(key(array));
                         self.boxes.insert(key(array), boxes);
                         return Ok(true);
                     }
@@ -302,7 +305,7 @@ impl TruthJoin {
                 match self.boxes.remove(&key(array)) {
                     Some(boxes) => (key(array), boxes, entry),
                     None => {
-                        self.newest.insert(key(array));
+                        self.just_read.insert(key(array));
                         self.companions.insert(key(array), entry);
                         return Ok(true);
                     }
@@ -316,7 +319,7 @@ impl TruthJoin {
     }
 
     /// Takes an array with its companion.
-    fn take(&mut self, (agent, array, stamp): (Name, Stream, Nanos), mut boxes: Boxes, info: BoxesInfo) {
+    fn take(&mut self, (agent, array, stamp): Key, mut boxes: Boxes, info: BoxesInfo) {
         if array == Stream::OwnLabels {
             self.level(stamp, &mut boxes);
             self.ego.entry(stamp).or_default().own = Some(OwnLabels {
@@ -374,18 +377,18 @@ impl TruthJoin {
             self.missed.pop_front();
         }
         let ego = &self.agents[0];
-        let is_old = |key: &(Name, Stream, Nanos)| key.2 < old && !self.newest.contains(key);
+        let is_old = |key: &Key| key.2 < old && !self.just_read.contains(key);
         for ((agent, array, at), _) in self.boxes.extract_if(.., |key, _| is_old(key)) {
             let companions = self.companions.keys().filter(|key| key.0 == agent && key.1 == array);
             let far = companions.map(|key| (key.2 - at).abs()).min();
             match far.filter(|far| *far <= WINDOW) {
                 Some(far) if agent == *ego => lost.push(far),
                 Some(_) => {}
-                None => *self.alone.entry(agent).or_default() += 1,
+                None => *self.unpaired.entry(agent).or_default() += 1,
             }
         }
         for ((agent, ..), _) in self.companions.extract_if(.., |key, _| is_old(key)) {
-            *self.alone.entry(agent).or_default() += 1;
+            *self.unpaired.entry(agent).or_default() += 1;
         }
         for views in self.views.values_mut() {
             *views = views.split_off(&first);

@@ -63,6 +63,11 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
         let Some(dropped) = dropped else { return Vec::new() };
         let strange: u64 = dropped.classes.values().sum();
         let all = scored + strange + dropped.invalid + dropped.outside + dropped.own_body + dropped.few_points;
+        let mostly = |n: u64| n > 0 && 2 * n >= all;
+        let line = |n: u64, why: String| {
+            let [n, all] = [n, all].map(grouped);
+            format!("{n} of {all} {what} were not scored, because {why}")
+        };
         let mut said = Vec::new();
         if strange > 0 {
             let mut classes: Vec<(&String, &u64)> = dropped.classes.iter().collect();
@@ -71,49 +76,39 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 .iter()
                 .map(|(class, count)| format!("`{}` ({})", plain(&file::shown(class)), grouped(**count)))
                 .collect();
-            said.push(format!(
-                "{} of {} {what} were not scored, because protocol `{protocol}` has no class for {}; a protocol of your own may name them \
-                 (docs/protocols.md)",
-                grouped(strange),
-                grouped(all),
-                listed(&classes).trim_end_matches(':')
-            ));
+            let classes = listed(&classes);
+            let why = format!(
+                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/protocols.md)",
+                classes.trim_end_matches(':')
+            );
+            said.push(line(strange, why));
         }
         if dropped.invalid > 0 && !is_named {
-            said.push(format!(
-                "{whose}{} of {} {what} were not scored, because no object can have such numbers; {PLAUSIBLE_BOX}: mend {producer}",
-                grouped(dropped.invalid),
-                grouped(all)
-            ));
+            let why = format!("no object can have such numbers; {PLAUSIBLE_BOX}: mend {producer}");
+            said.push(whose.clone() + &line(dropped.invalid, why));
         }
-        if dropped.own_body > 0 && 2 * dropped.own_body >= all {
-            said.push(format!(
-                "{whose}{} of {} {what} were not scored, because they are on the ego's own body; look whether its `footprint` in the log \
-                 is its outline in metres, and whether boxes are in the body frame",
-                grouped(dropped.own_body),
-                grouped(all)
-            ));
+        if mostly(dropped.own_body) {
+            let why = "they are on the ego's own body; look whether its `footprint` in the log is its outline in metres, and whether \
+                       boxes are in the body frame";
+            said.push(whose.clone() + &line(dropped.own_body, why.into()));
         }
-        if dropped.outside > 0 && 2 * dropped.outside >= all {
-            said.push(format!(
-                "{whose}{} of {} {what} were not scored, because they are outside the range of protocol `{protocol}`; look whether \
-                 boxes are in the body frame of their agent",
-                grouped(dropped.outside),
-                grouped(all)
-            ));
+        if mostly(dropped.outside) {
+            let why = format!(
+                "they are outside the range of protocol `{protocol}`; look whether boxes are in the body frame of their agent"
+            );
+            said.push(whose.clone() + &line(dropped.outside, why));
         }
         // Far objects have few points in every log; many of them do not.
-        if dropped.few_points > 0 && 2 * dropped.few_points >= all {
-            let why = match result.log_faults() {
+        if mostly(dropped.few_points) {
+            let faults = match result.log_faults() {
                 0 => "",
                 _ => "the faults of the log named above may be why; else ",
             };
-            said.push(format!(
-                "{} of {} {what} were not scored, because the agents together have too few points on them (`min_points` of protocol \
-                 `{protocol}`); {why}look whether the log has the points of all agents, and whether these give an object one track",
-                grouped(dropped.few_points),
-                grouped(all)
-            ));
+            let why = format!(
+                "the agents together have too few points on them (`min_points` of protocol `{protocol}`); {faults}look whether the log \
+                 has the points of all agents, and whether these give an object one track"
+            );
+            said.push(line(dropped.few_points, why));
         }
         said
     };

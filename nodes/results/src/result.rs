@@ -289,7 +289,7 @@ impl NodeSummary {
     }
 
     /// A sentence for each fault of the log that it counted.
-    pub fn log_faults(&self) -> Vec<String> {
+    pub fn fault_notes(&self) -> Vec<String> {
         let faults = self.losses.values().filter(|loss| loss.meaning == Meaning::LogFault);
         faults.map(|loss| sentence(&self.operator, loss)).collect()
     }

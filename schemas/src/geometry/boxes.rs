@@ -106,8 +106,8 @@ pub fn is_plausible(object: &Box3) -> bool {
     is_valid(object) && Vector3::from(object.center).norm() <= FARTHEST_M
 }
 
-/// Nothing that is detected is faster, m/s.
-const FASTEST: f64 = 1000.0;
+/// Max speed of an object, m/s.
+const MAX_SPEED_MPS: f64 = 1000.0;
 
 /// Why a box in an agent's frame cannot be one that somebody detected, in words; `None` where it [`is_plausible`] and moves by
 /// finite numbers, no faster than 1,000 m/s.
@@ -115,14 +115,12 @@ pub fn detection_fault(object: &Box3) -> Option<String> {
     let velocity = object.velocity.iter().flatten();
     let mut motion = velocity.chain(object.covariance.iter().flatten());
     let is_finite = motion.all(|number| number.is_finite());
-    let fastest = object
-        .velocity
-        .iter()
-        .flatten()
-        .fold(0.0, |most: f64, speed| most.max(speed.abs()));
+    // Without squares, which overflow.
+    let velocity = object.velocity.iter().flatten();
+    let speed = velocity.fold(0.0, |speed: f64, along| speed.hypot(*along));
     box_fault(object)
         .or_else(|| (!is_finite).then(|| "a velocity or covariance that is not finite".into()))
-        .or_else(|| (fastest > FASTEST).then(|| format!("a velocity of {fastest:e} m/s")))
+        .or_else(|| (speed > MAX_SPEED_MPS).then(|| format!("a velocity of {speed:e} m/s")))
 }
 
 /// Why a box in an agent's frame is not plausible, in words; `None` where it [`is_plausible`].

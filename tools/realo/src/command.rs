@@ -105,7 +105,9 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
     // A file that grows beyond the limit of the process is an error of whoever writes it, as on a full disk.
     let beyond = std::sync::Arc::default();
     if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, beyond) {
-        eprintln!("realo: {error}: beyond the limit of files this program would end without a word");
+        eprintln!(
+            "realo: cannot handle SIGXFSZ ({error}): a file above `ulimit -f` would end this program without a message"
+        );
     }
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

@@ -7,7 +7,7 @@ use eyre::Result;
 use realo_importer::{DairOptions, DairStep};
 use realo_logs::Log;
 
-use crate::merge::tell_left_out;
+use crate::merge::report_left_out;
 use crate::output::{Force, Output};
 use crate::progress::Progress;
 use crate::{Outcome, unfinished};
@@ -133,7 +133,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             done?;
             unfinished::done(output);
             let log = &Log::open(log)?;
-            tell_left_out(log);
+            report_left_out(log);
             if let Some(cut) = log.truncation() {
                 eprintln!("realo: {}: {cut}", log.path().display());
                 outcome = Outcome::Partial;

@@ -3,15 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, eyre};
+use eyre::Result;
 use realo_logs::{Described, Log};
-use realo_operator::{Describe, Source};
-use realo_player::{Coop, Player};
-use realo_results::{NodeSummary, Run, Settings};
-use realo_schemas::{GroundTruth, Kind};
+use realo_player::Coop;
+use realo_results::{Run, Settings};
 use realo_scoring::{Collector, Protocol};
 
 use crate::Outcome;
+use crate::truth_reader::TruthReader;
 
 /// Describes a log, or a recording of a run
 #[derive(clap::Args)]
@@ -30,6 +29,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     for path in &args.logs {
         let mut described = realo_logs::describe_any(path)?;
         let dropped = dropped_classes(&described);
+        // What is wrong with others is known already, and may keep them from being played.
         if let Described::Log(log) = &mut described
             && log.problems.is_empty()
             && log.truncated.is_none()
@@ -40,13 +40,6 @@ pub fn main(args: &Args) -> Result<Outcome> {
             println!("{}", serde_json::to_string_pretty(&described)?);
         } else {
             println!("{described}");
-            let not_read = match &described {
-                Described::Log(_) => Log::open(path)?.not_read(),
-                Described::Recording(_) => None,
-            };
-            if let Some(topics) = not_read {
-                println!("  not read (messages): {topics}");
-            }
             for Dropped { words, is_all } in &dropped {
                 let head = if *is_all { "PROBLEM:" } else { "dropped  " };
                 println!("  {head} {words}");
@@ -60,7 +53,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// The faults of a log that a run of it would tell, for the first ego for which there are any.
+/// The faults of a log that a run of it would report, for the first ego for which there are any.
 fn faults_of_runs(path: &Path) -> Result<Vec<String>> {
     let log = Log::open(path)?;
     // What is wrong with its protocol is told with the classes.
@@ -78,22 +71,13 @@ fn faults_of_runs(path: &Path) -> Result<Vec<String>> {
 
 /// The faults of a log that are found when it is played for an ego: what the player counts, and truth of which nothing is scored.
 fn played(path: &Path, ego: &str, protocol: &Protocol) -> Result<Vec<String>> {
-    let mut player = Player::new(realo_player::Config {
-        log: path.into(),
-        ego: ego.into(),
-        points: false,
-        ..realo_player::Config::default()
-    })
-    .map_err(|error| eyre!(error))?;
+    let mut reader = TruthReader::open(path, ego, &[])?;
     let mut collector = Collector::new(protocol.clone());
-    while let Some((_, _, message)) = Source::next(&mut player).map_err(|error| eyre!(error))? {
-        if message.header.kind == Kind::Truth {
-            let (header, truth) = message.into_parts::<GroundTruth>()?;
-            collector.add_truth(&header, &truth)?;
-        }
+    while let Some((header, truth)) = reader.next()? {
+        collector.add_truth(&header, &truth)?;
     }
     let scored = Run::of_evaluation(Settings::default(), collector.finish(), []);
-    let mut faults = NodeSummary::of_losses(Player::NAME, player.counts()).log_faults();
+    let mut faults = reader.losses().1.fault_notes();
     faults.extend(scored.result.unscored());
     Ok(faults)
 }

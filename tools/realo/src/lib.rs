@@ -31,6 +31,7 @@ pub mod simulate;
 mod statistics;
 mod tables;
 pub mod train;
+mod truth_reader;
 mod unfinished;
 pub mod validate;
 

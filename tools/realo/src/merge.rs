@@ -80,7 +80,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     unfinished::done(&args.output);
     progress.finish();
     for log in &logs {
-        tell_left_out(log);
+        report_left_out(log);
     }
     let merged = Log::open(&args.output)?;
     let (from, until) = merged
@@ -95,12 +95,18 @@ pub fn main(args: &Args) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// Says which topics of a log no copy of it has.
-pub fn tell_left_out(log: &Log) {
-    if let Some(topics) = log.not_read() {
+/// Reports the topics of a log that its copy leaves out.
+pub fn report_left_out(log: &Log) {
+    let left: Vec<String> = log
+        .not_read()
+        .into_iter()
+        .map(|(topic, n)| format!("{topic} ({n} messages)"))
+        .collect();
+    if !left.is_empty() {
+        let path = log.path().display();
         eprintln!(
-            "realo: {}: topics that realo does not read were left out (messages): {topics}",
-            log.path().display()
+            "realo: {path}: topics that realo does not read were left out: {}",
+            left.join(", ")
         );
     }
 }

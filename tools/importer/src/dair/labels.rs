@@ -155,7 +155,7 @@ struct WorldLabel {
 }
 
 impl WorldLabel {
-    /// Whether the corners stand in the order by which the front is known: their edges are the extents.
+    /// Checks that the edges match the extents, so that the first corners are the front.
     fn check_corners(&self) -> Result<(), String> {
         let corners = self.corners.map(Point3::from);
         let edge = |to: usize| (corners[to] - corners[0]).norm();
@@ -163,7 +163,7 @@ impl WorldLabel {
         let extents = [self.size.l, self.size.w, self.size.h];
         let longest = extents.iter().copied().fold(0.0, f64::max);
         let fits = |(found, extent): (&f64, f64)| (found - extent).abs() <= MOST_APART * longest;
-        // Corners that are no numbers are told with the box.
+        // Corners that are not finite are reported with the box.
         match found.iter().zip(extents).all(fits) || found.iter().any(|edge| !edge.is_finite()) {
             true => Ok(()),
             false => Err(format!(

@@ -6,10 +6,8 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_logs::{Log, McapFile};
-use realo_operator::{Describe, Source};
-use realo_player::{Coop, Player};
-use realo_results::{NodeSummary, Run, Settings};
-use realo_schemas::{Boxes, GroundTruth, Kind};
+use realo_results::{FilesError, Run, Settings};
+use realo_schemas::{Boxes, GroundTruth};
 use realo_scoring::{Collector, Evaluation, Protocol, frame_scores};
 
 use crate::Outcome;
@@ -18,7 +16,8 @@ use crate::progress::Progress;
 use crate::render::log_folders;
 use crate::run::log_content;
 use crate::tables::Show;
-use played::{Misfit, Sweep, Sweeps, Truths};
+use crate::truth_reader::TruthReader;
+use played::{Misfit, Sweeps};
 
 /// Scores a recording's boxes against a log's ground truth: the table of the run, without model or graph
 #[derive(clap::Args)]
@@ -54,7 +53,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         true => recorded.agents.clone(),
         false => args.agents.clone(),
     };
-    let again = || Logged::open(&log, &recorded.ego, &agents);
+    let again = || TruthReader::open(log.path(), &recorded.ego, &agents);
     let mut sweeps = Sweeps::new(again, realo_player::sweeps_per_pass(&log, &recorded.ego))?;
     // Of a sweep the collector keeps what scores need, in whole numbers; nothing else is kept.
     let mut collector = Collector::new(protocol);
@@ -84,7 +83,6 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mut notes = notes_of_cuts(&log, &recording, scored, &recorded.ego, in_log);
     notes.extend(note_of_another_log(args, &log)?);
     let mut evaluation = collector.finish();
-    let ego = recorded.ego.clone();
     for scene in &mut evaluation.scenes {
         scene.name = log
             .path()
@@ -96,25 +94,31 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let table = args.frames.then(|| frames_table(&evaluation));
     let settings = Settings {
         graph: "recording".into(),
-        ego,
+        ego: recorded.ego.clone(),
         ..Settings::default()
     };
-    let player = sweeps.into_reader()?.books();
-    let mut run = Run::of_evaluation(settings, evaluation, [(Player::NAME.into(), player)]);
+    let run = Run::of_evaluation(settings, evaluation, [sweeps.into_reader()?.losses()]);
     let has_faults = run.result.log_faults() > 0;
-    let on_error = |notes: &[String]| notes.iter().for_each(|note| eprintln!("realo: {note}"));
-    if let Some(table) = table {
-        print!("{table}");
-        on_error(&run.result.notes);
-    } else {
-        run.result.notes.extend_from_slice(&notes);
-        args.show.print(&[("recording", &run)]);
-    }
-    on_error(&notes);
+    print(args, run, table, &notes);
     Ok(match notes.is_empty() && !has_faults {
         true => Outcome::Complete,
         false => Outcome::Partial,
     })
+}
+
+/// Prints the table of the run, or that of its frames, and on standard error what a reader must know.
+fn print(args: &Args, mut run: Run, frames: Option<String>, notes: &[String]) {
+    match frames {
+        Some(table) => {
+            print!("{table}");
+            run.result.notes.iter().for_each(|note| eprintln!("realo: {note}"));
+        }
+        None => {
+            run.result.notes.extend_from_slice(notes);
+            args.show.print(&[("recording", &run)]);
+        }
+    }
+    notes.iter().for_each(|note| eprintln!("realo: {note}"));
 }
 
 /// The log that was given, or that of the run in whose folder the recording lies.
@@ -126,8 +130,7 @@ fn log_path(args: &Args) -> Result<PathBuf> {
     let give = "give the log that was played: realo evaluate LOG --detections …";
     // A recording that is not there is the first thing to say.
     McapFile::open(&args.detections)?;
-    let folder = args.detections.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let run = realo_results::read_run(folder.unwrap_or(Path::new(".")))
+    let run = run_beside(&args.detections)
         .wrap_err_with(|| format!("{shown}: no finished run beside it says which log was played; {give}"))?;
     let candidates = run.log_candidates(&log_folders());
     let tried: Vec<String> = candidates.iter().map(|path| path.display().to_string()).collect();
@@ -159,23 +162,30 @@ fn notes_of_cuts(log: &Log, recording: &McapFile, scored: usize, ego: &str, swee
     notes
 }
 
-/// What a reader must know where the run beside the recording was of a log that holds something else.
+/// What a reader must know where the log holds something else than the one that the run beside the recording played.
 fn note_of_another_log(args: &Args, log: &Log) -> Result<Option<String>> {
-    let folder = args.detections.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let beside = args
-        .log
-        .as_ref()
-        .map(|_| realo_results::read_run(folder.unwrap_or(Path::new("."))));
-    let Some(Ok(run)) = beside else { return Ok(None) };
+    // Without the argument it is that of the run.
+    if args.log.is_none() {
+        return Ok(None);
+    }
+    let Ok(run) = run_beside(&args.detections) else {
+        return Ok(None);
+    };
     let hash = log_content(log.path())?;
-    let is_other = |(_, known): &(&String, &String)| **known != hash;
-    Ok(run.samples.logs.iter().find(is_other).map(|(name, _)| {
+    let other = run.samples.logs.iter().find(|(_, known)| **known != hash);
+    Ok(other.map(|(name, _)| {
         format!(
-            "{}: the run beside the recording was of a log `{name}` that holds something else, so these scores may be others; give the log \
+            "{}: its content differs from log `{name}`, which the run beside the recording played; scores may be wrong: give the log \
              that was played",
             log.path().display()
         )
     }))
+}
+
+/// The run in whose folder a recording lies.
+fn run_beside(recording: &Path) -> Result<Run, FilesError> {
+    let folder = recording.parent().filter(|folder| !folder.as_os_str().is_empty());
+    realo_results::read_run(folder.unwrap_or(Path::new(".")))
 }
 
 /// A line for each scored frame and class.
@@ -261,37 +271,4 @@ fn not_of_log(args: &Args, log: &Log, misfit: Misfit) -> eyre::Report {
         None => format!("{recording} is a recording of another log than {path}; give the log that was played"),
     };
     misfit.reason.wrap_err(what)
-}
-
-/// A log as it is played for these agents, one sweep of the ego after the other.
-struct Logged(Player);
-
-impl Logged {
-    fn open(log: &Log, ego: &str, agents: &[String]) -> Result<Logged> {
-        let config = realo_player::Config {
-            log: log.path().into(),
-            ego: ego.into(),
-            agents: agents.to_vec(),
-            coop: Coop::All,
-            points: false,
-            ..realo_player::Config::default()
-        };
-        Player::new(config).map(Logged).map_err(|error| eyre!(error))
-    }
-
-    /// What was lost of the log, and what is wrong with it.
-    fn books(&self) -> NodeSummary {
-        NodeSummary::of_losses(Player::NAME, self.0.counts())
-    }
-}
-
-impl Truths for Logged {
-    fn next(&mut self) -> Result<Option<Sweep>> {
-        while let Some((_, _, message)) = Source::next(&mut self.0).map_err(|error| eyre!(error))? {
-            if message.header.kind == Kind::Truth {
-                return Ok(Some(message.into_parts::<GroundTruth>()?));
-            }
-        }
-        Ok(None)
-    }
 }

@@ -6,11 +6,13 @@ use eyre::{Result, ensure, eyre};
 use realo_schemas::{GroundTruth, Header, Nanos};
 use realo_scoring::same_truth;
 
+use crate::truth_reader::TruthReader;
+
 /// Truth of a sweep.
 pub type Sweep = (Header, GroundTruth);
 
-/// Reads the truth of a log's sweeps, in order of their numbers.
-pub trait Truths {
+/// Gives the truth of a log's sweeps, in order of their numbers.
+pub trait TruthSource {
     /// The next sweep; `None` at the end.
     ///
     /// # Errors
@@ -18,9 +20,9 @@ pub trait Truths {
     fn next(&mut self) -> Result<Option<Sweep>>;
 }
 
-impl<N: FnMut() -> Result<Option<Sweep>>> Truths for N {
+impl TruthSource for TruthReader {
     fn next(&mut self) -> Result<Option<Sweep>> {
-        self()
+        TruthReader::next(self)
     }
 }
 
@@ -46,7 +48,7 @@ pub struct Sweeps<O, N> {
 impl<O, N> Sweeps<O, N>
 where
     O: Fn() -> Result<N>,
-    N: Truths,
+    N: TruthSource,
 {
     /// `open` reads the log from its beginning, sweeps in order of their numbers; `per_pass`: by how much a sweep's number
     /// rises from pass to pass.
@@ -202,6 +204,13 @@ pub struct Misfit {
 mod tests {
     use super::*;
     use realo_schemas::{Box3, Kind};
+
+    /// Sweeps without a log.
+    impl<N: FnMut() -> Result<Option<Sweep>>> TruthSource for N {
+        fn next(&mut self) -> Result<Option<Sweep>> {
+            self()
+        }
+    }
 
     const PER_PASS: u64 = 4;
     const PERIOD: Nanos = 1_900;

@@ -24,11 +24,11 @@ const RECORDED: &str = "mcap";
 const FAILED: &str = "failed.mcap";
 /// Where an earlier run's files lie while another one runs.
 const ASIDE: &str = ".earlier";
-/// Says in there that a run put them aside.
+/// Marks [`ASIDE`] as made by a run.
 const OWNED: &str = ".of-a-run";
 /// Where an earlier run's files stay if it came to its end and the one after it did not.
 const COMPLETE: &str = "complete-run-before";
-/// Whoever wrote what is told of a run wrote this too.
+/// Key that every `told.json` of a run has.
 const FINGERPRINT: &str = "\"fingerprint\"";
 /// Is locked while a run writes to the folder.
 const LOCK: &str = ".running";
@@ -84,7 +84,7 @@ impl Folders {
     }
 
     /// Refuses a folder in which, or around which, another run writes.
-    fn check_others(&self, folder: &Path) -> Result<()> {
+    fn refuse_running(&self, folder: &Path) -> Result<()> {
         let is_own = |found: &Metadata| {
             let mut own = self.locks.iter().filter_map(|(_, file)| file.metadata().ok());
             own.any(|own| (own.dev(), own.ino()) == (found.dev(), found.ino()))
@@ -125,8 +125,8 @@ impl Folders {
         let mut files: BTreeSet<PathBuf> = recordings.iter().cloned().collect();
         if !self.claimed.iter().any(|claimed| claimed == folder) {
             self.make(folder)?;
-            self.check_others(folder)?;
-            refuse_others(folder)?;
+            self.refuse_running(folder)?;
+            refuse_foreign_files(folder)?;
             // Of a run that was killed.
             put_back(folder);
             files.extend([RECORDING, TOLD].map(|name| folder.join(name)));
@@ -178,18 +178,14 @@ fn open_lock(path: &Path) -> Result<File> {
 }
 
 /// Refuses a folder that has something of somebody else where a run puts its own.
-fn refuse_others(folder: &Path) -> Result<()> {
+fn refuse_foreign_files(folder: &Path) -> Result<()> {
     let [aside, told, recording] = [ASIDE, TOLD, RECORDING].map(|name| folder.join(name));
     if fs::symlink_metadata(&aside).is_ok() && !is_of_a_run(&aside) {
         return Err(not_of_a_run(&aside));
     }
-    // A run that could not write it leaves it empty.
-    let is_told = |text: String| text.is_empty() || text.contains(FINGERPRINT);
-    if fs::symlink_metadata(&told).is_ok() {
-        let is_ours = told.is_file() && fs::read_to_string(&told).is_ok_and(is_told);
-        if !is_ours {
-            return Err(not_of_a_run(&told));
-        }
+    // A link to nowhere is none of a run either.
+    if fs::symlink_metadata(&told).is_ok() && !is_told_of_run(&told) {
+        return Err(not_of_a_run(&told));
     }
     // Sensors cannot be played again for what they gave.
     match Owner::of(&recording) {
@@ -198,12 +194,17 @@ fn refuse_others(folder: &Path) -> Result<()> {
     }
 }
 
+/// Whether a run wrote a `told.json`; one that could not write it leaves it empty.
+fn is_told_of_run(path: &Path) -> bool {
+    let is_told = |text: String| text.is_empty() || text.contains(FINGERPRINT);
+    path.is_file() && fs::read_to_string(path).is_ok_and(is_told)
+}
+
 /// Whether a run put aside what lies there; a run that was killed may have come no further than to make the folder.
 fn is_of_a_run(aside: &Path) -> bool {
-    let is_told = |text: String| text.contains(FINGERPRINT);
     let is_empty = || fs::read_dir(aside).is_ok_and(|mut entries| entries.next().is_none());
     fs::symlink_metadata(aside).is_ok_and(|found| found.is_dir())
-        && (aside.join(OWNED).is_file() || fs::read_to_string(aside.join(TOLD)).is_ok_and(is_told) || is_empty())
+        && (aside.join(OWNED).is_file() || is_told_of_run(&aside.join(TOLD)) || is_empty())
 }
 
 fn not_of_a_run(path: &Path) -> Report {
@@ -218,9 +219,9 @@ fn put_aside(folder: &Path, files: impl IntoIterator<Item = PathBuf>) -> Result<
     for file in files {
         let place = aside.join(file.strip_prefix(folder)?);
         let above = place.parent().unwrap_or(folder);
-        fs::create_dir_all(&aside).wrap_err_with(|| format!("{}", aside.display()))?;
-        fs::write(aside.join(OWNED), "").wrap_err_with(|| format!("{}", aside.display()))?;
-        fs::create_dir_all(above).wrap_err_with(|| format!("{}", above.display()))?;
+        fs::create_dir_all(&aside).wrap_err_with(|| not_writable(&aside))?;
+        fs::write(aside.join(OWNED), "").wrap_err_with(|| not_writable(&aside))?;
+        fs::create_dir_all(above).wrap_err_with(|| not_writable(above))?;
         fs::rename(&file, &place).wrap_err_with(|| format!("{}", file.display()))?;
     }
     Ok(())

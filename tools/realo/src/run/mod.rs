@@ -368,7 +368,12 @@ fn plan<'a>(
     if args.choices.project.is_some() && !planned.is_empty() && !cells.any(Cell::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
-    let choices = &args.choices;
+    refuse_without_network(&args.choices, &planned, names)?;
+    Ok(planned)
+}
+
+/// Refuses options of networks where no graph of the run has one.
+fn refuse_without_network(choices: &Choices, planned: &[Planned], names: &[String]) -> Result<()> {
     for (decided, option, is_given) in [
         (Decided::Isa, "--isa", choices.isa.is_some()),
         (Decided::Precision, "--precision", choices.precision.is_some()),
@@ -377,13 +382,11 @@ fn plan<'a>(
         let mut cells = planned.iter().flat_map(|planned| planned.batch.cells());
         let follows = |cell: &Cell| nodes::deciding(&cell.graph, decided).next().is_some();
         if is_given && !planned.is_empty() && !cells.any(follows) {
-            bail!(
-                "{option}: {} runs no network (recorded detections take its place): drop {option}",
-                names.join(", ")
-            );
+            let names = names.join(", ");
+            bail!("{option}: no network runs in {names}: drop {option}, or --recorded-detections where it is given");
         }
     }
-    Ok(planned)
+    Ok(())
 }
 
 /// Has the runs run, graph by graph, and pools what those of each came to, until a signal comes.

@@ -583,18 +583,15 @@ impl Told<'_> {
             .collect();
         if !bare.is_empty() {
             let stem = stem(self.log_path);
-            let what = match bare.len() == info.agents.len() {
-                true => "a log without points".to_string(),
-                false => format!("a log without points of {}", bare.join(", ")),
-            };
+            let agents = bare.join(", ");
             if let Some(node) = deciding(graph, Decided::Model).next() {
                 let id = &node.id;
                 bail!(
-                    "{stem}: {what}, in which node `{id}` sees nothing: take a log with points, or a graph with a module \
-                     `detect.*.yml` and --recorded-detections"
+                    "{stem}: a log without points of {agents}, in which node `{id}` sees nothing: take a log with points, or a graph \
+                     with a module `detect.*.yml` and --recorded-detections"
                 );
             }
-            eprintln!("realo: {stem}: {what}; its sweeps are played empty");
+            eprintln!("realo: {stem}: a log without points of {agents}; all sweeps are played empty");
             told.push((Decided::Points, "false".into()));
         }
         Ok(told)
