@@ -122,7 +122,7 @@ impl Batch {
                 }
             }
             folders.claim(&plan.out, &plan.recordings())?;
-            plan.report()?;
+            plan.write_settings()?;
         }
         if resume {
             let (all, taken) = (self.plans.len(), self.taken.len());
