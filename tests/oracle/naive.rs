@@ -23,7 +23,7 @@ struct Reported<'w> {
     /// Receiver and number of those by which a sweep was brought to the ego's frame.
     used: BTreeSet<(&'w str, u64)>,
     /// Messages skipped, by stage.
-    skipped: BTreeMap<String, u64>,
+    by_stage: BTreeMap<String, u64>,
 }
 
 /// Everybody's states through the link of states.
@@ -59,7 +59,7 @@ fn report(world: &World) -> Reported<'_> {
         ("state-link", 0),
         ("state-receiver", late),
     ];
-    reported.skipped = count.map(|(stage, count)| (stage.to_string(), count as u64)).into();
+    reported.by_stage = count.map(|(stage, count)| (stage.to_string(), count as u64)).into();
     reported
 }
 
@@ -388,7 +388,7 @@ pub fn account(world: &World) -> (Account, Reached) {
         ("fusion", 2 * not_fused),
     ];
     skipped.extend(shared.map(|(stage, count)| (stage.to_string(), count)));
-    skipped.extend(reported.skipped);
+    skipped.extend(reported.by_stage);
     let account = Account {
         selections: answers.collect(),
         fusions,

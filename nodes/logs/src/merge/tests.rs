@@ -124,10 +124,10 @@ fn what_agents_recorded_stands_at_the_time_of_the_first_ones_clock() {
     let alone = Rig::new();
     let expected = sweeps(&alone.log("rsu1", 0, vec![]), "rsu1");
     for reported_by in ["first", "second", "user"] {
-        let tell = |by: &str, clock: PeerClock| if reported_by == by { vec![clock] } else { vec![] };
+        let saw = |by: &str, clock: PeerClock| if reported_by == by { vec![clock] } else { vec![] };
         let logs = [
-            rig.log("cav1", 0, report("first", clock("rsu1", ahead, 1000))),
-            rig.log("rsu1", ahead, report("second", clock("cav1", -ahead, 1000))),
+            rig.log("cav1", 0, saw("first", clock("rsu1", ahead, 1000))),
+            rig.log("rsu1", ahead, saw("second", clock("cav1", -ahead, 1000))),
         ];
         let given = if reported_by == "user" {
             vec![("rsu1", ahead)]

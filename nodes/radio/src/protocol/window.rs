@@ -405,7 +405,7 @@ mod tests {
         let mut window = Window::new(PART_BYTES, 20 * MS);
         drive(&mut window, 0, 2_000 * MS, 1e5, 40 * MS, 0);
         let (before, part, later) = (window.rate().unwrap(), window.part(), 4_000 * MS);
-        let tell = |window: &mut Window, took: Nanos| {
+        let acknowledge = |window: &mut Window, took: Nanos| {
             window.runs_out(true);
             (0..4).for_each(|_| window.sent(later, part));
             window.acknowledged(later + took, later, later + took / 2, 4 * part);
@@ -413,8 +413,8 @@ mod tests {
         };
         let min = window.round_trip().unwrap();
         // Three parts in 60 ms are no more than was known, in 20 ms about twice as much.
-        assert_eq!(report(&mut window.clone(), min + 60 * MS), 1.0);
-        let grown = report(&mut window, min + 5 * MS);
+        assert_eq!(acknowledge(&mut window.clone(), min + 60 * MS), 1.0);
+        let grown = acknowledge(&mut window, min + 5 * MS);
         assert!((1.4..1.7).contains(&grown), "{grown}");
         assert!(window.grew_since(later));
     }
@@ -425,7 +425,7 @@ mod tests {
         let mut window = Window::new(PART_BYTES, 20 * MS);
         drive(&mut window, 0, 2_000 * MS, 1e6, 20 * MS, 0);
         let (before, offset) = (window.rate().unwrap(), 1_234_567_890);
-        let tell = |window: &mut Window, sent: Nanos, takes: Nanos| {
+        let acknowledge = |window: &mut Window, sent: Nanos, takes: Nanos| {
             (0..4).for_each(|_| window.sent(sent, PART_BYTES));
             window.runs_out(false);
             for part in 1..=4 {
@@ -434,9 +434,9 @@ mod tests {
             }
         };
         window.runs_out(true);
-        report(&mut window, 4_000 * MS, 30 * MS);
+        acknowledge(&mut window, 4_000 * MS, 30 * MS);
         window.empties(4_160 * MS);
-        report(&mut window, 4_160 * MS, 8 * MS);
+        acknowledge(&mut window, 4_160 * MS, 8 * MS);
         let faster = window.rate().unwrap() / before;
         assert!((1.8..2.3).contains(&faster), "{faster}");
     }
