@@ -405,7 +405,7 @@ mod tests {
     }
 
     fn write_earlier(folder: &Path) {
-        let result = r#"{"schema": "realo/result", "version": 1}"#;
+        let result = r#"{"schema": "realo/result", "version": 2}"#;
         let reported = format!("{{{FINGERPRINT}: 1}} earlier");
         for (name, text) in [("result.json", result), (SETTINGS_FILE, &reported)] {
             fs::write(folder.join(name), text).unwrap();
@@ -506,7 +506,7 @@ mod tests {
         let folder = root.path();
         write_earlier(folder);
         let kept = folder.join(COMPLETE);
-        let ended = r#"{"schema": "realo/result", "version": 1, "ended_by": "Ctrl-C"}"#;
+        let ended = r#"{"schema": "realo/result", "version": 2, "ended_by": "Ctrl-C"}"#;
         let run = |result: &str| {
             let mut folders = Folders::default();
             folders.claim(folder, &[folder.join(LOG)]).unwrap();
@@ -599,7 +599,7 @@ mod tests {
         let mut folders = claim().unwrap();
         assert!(!profile.exists());
         fs::write(&profile, written("ended = 1")).unwrap();
-        let ended = r#"{"schema": "realo/result", "version": 1, "ended_by": "Ctrl-C"}"#;
+        let ended = r#"{"schema": "realo/result", "version": 2, "ended_by": "Ctrl-C"}"#;
         fs::write(folder.join(RESULT_FILE), ended).unwrap();
         folders.keep_new();
         drop(folders);
