@@ -65,7 +65,7 @@ fn graphs_of_two_fusions_of_features_differ_in_what_they_are_their_model_and_the
         let model = format!("model=../models/lite-{name}.toml");
         let stages = flat.nodes.iter().filter(|node| node.args.contains(&model));
         let ids: Vec<&str> = stages.map(|node| node.id.as_str()).collect();
-        assert_eq!(ids, ["ego.encoder", "others.encoder", "fusion.fusion", "fusion.head"]);
+        assert_eq!(ids, ["others.encoder", "ego.encoder", "fusion.fusion", "fusion.head"]);
     }
 }
 

@@ -97,6 +97,13 @@ fn as_dora(graph: &Graph, alone: bool) -> Result<FlatGraph, GraphError> {
         fill_in(node, &expansion.variables, &graph.file)?;
     }
     let (processes, _) = expansion.level(nodes, &root, &graph.file)?;
+    let mut ids = BTreeSet::new();
+    if let Some(twice) = processes.iter().find(|node| !ids.insert(&node.id)) {
+        return Err(GraphError::Duplicate {
+            file: graph.file.clone(),
+            id: twice.id.clone(),
+        });
+    }
     let mut nodes = expansion.with_stages(processes)?;
     if graph.detection.is_some() && expansion.swapped == 0 {
         return Err(GraphError::NoDetectModule {
@@ -298,9 +305,27 @@ impl Expansion<'_> {
 
     /// The processes, and behind each host its stages.
     fn with_stages(&mut self, processes: Vec<Node>) -> Result<Vec<Node>, GraphError> {
-        let wires = processes.iter().flat_map(|node| node.inputs.values());
-        let taken = wires.filter_map(|input| input.output());
-        let taken: BTreeSet<(String, String)> = taken.map(|(node, output)| (node.into(), output.into())).collect();
+        let mut taken: BTreeSet<(String, String)> = BTreeSet::new();
+        let offered: BTreeMap<&str, Vec<&str>> = processes
+            .iter()
+            .filter(|node| is_host(node))
+            .map(|node| (node.id.as_str(), node.outputs.iter().map(String::as_str).collect()))
+            .collect();
+        for node in &processes {
+            for (port, input) in &node.inputs {
+                let Some((source, output)) = input.output() else {
+                    continue;
+                };
+                taken.insert((source.into(), output.into()));
+                if let Some(offered) = offered.get(source).filter(|offered| !offered.contains(&output)) {
+                    return Err(GraphError::Module {
+                        file: node.file.clone(),
+                        node: source.into(),
+                        reason: no_output(output, offered, &node.id, port),
+                    });
+                }
+            }
+        }
         let mut nodes = Vec::new();
         for node in processes {
             let Some(hosted) = hosted_by(&node, &node.file)? else {
@@ -777,6 +802,13 @@ fn outlets(module: &str, declared: &BTreeSet<String>, producers: &Producers) -> 
     declared.iter().map(find).collect()
 }
 
+/// That something has no output which a node takes.
+fn no_output(output: &str, known: &[&str], taker: &str, port: &str) -> String {
+    let hint = super::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
+    let known = known.join(", ");
+    format!("it has no output `{output}`{hint}, which node `{taker}` takes for its input `{port}`; it has: {known}")
+}
+
 /// Turns inputs from modules into inputs from the nodes that make them.
 fn rewire(node: &mut Node, modules: &BTreeMap<String, Outlets>, file: &Path) -> Result<(), GraphError> {
     for (port, input) in &mut node.inputs {
@@ -786,12 +818,7 @@ fn rewire(node: &mut Node, modules: &BTreeMap<String, Outlets>, file: &Path) -> 
         let Some(outlets) = modules.get(source) else { continue };
         let Some((inner, inner_output)) = outlets.get(output) else {
             let known: Vec<&str> = outlets.keys().map(String::as_str).collect();
-            let hint = super::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
-            let reason = format!(
-                "it has no output `{output}`{hint}, which node `{}` takes for its input `{port}`; it has: {}",
-                node.id,
-                known.join(", ")
-            );
+            let reason = no_output(output, &known, &node.id, port);
             return Err(GraphError::Module {
                 file: file.into(),
                 node: source.clone(),

@@ -446,7 +446,7 @@ fn refuses_what_a_host_cannot_be() {
         (
             "ego: ego/boxes",
             "ego: ego/packets",
-            "module node `ego`: it has no output `packets`, which node `fusion.bank` takes for its input `ego`; it has: boxes",
+            "module node `ego`: it has no output `packets`, which node `fusion` takes for its input `ego`; it has: boxes",
         ),
         ("id: others", "id: ego", "two nodes have the id `ego"),
         ("id: player", "id: ego.nms", "two nodes have the id `ego.nms`"),
@@ -485,7 +485,7 @@ fn with_params(params: &str) -> Result<FlatGraph, String> {
         "  - {{ id: car, module: modules/car.yml, inputs: {{ clouds: player/clouds, recorded: player/recorded }}, params: {params} }}"
     );
     let graph = format!(
-        "env: {{ OVERLAP: '0.7' }}\nnodes:\n  - {{ id: player, path: bin/realo, args: node player, outputs: [clouds, recorded] }}\n\
+        "env: {{ OVERLAP: much }}\nnodes:\n  - {{ id: player, path: bin/realo, args: node player, outputs: [clouds, recorded] }}\n\
          {car}\n  - {{ id: last, path: bin/last, inputs: {{ boxes: car/boxes }} }}\n"
     );
     let folder = folder(&[("g.yml", &graph), ("modules/car.yml", CAR)]);
@@ -499,14 +499,14 @@ fn with_params(params: &str) -> Result<FlatGraph, String> {
 #[test]
 fn parameters_choose_what_a_module_hosts() {
     let flat = with_params("{ lane: modules/detect.network.yml nms.threshold=$OVERLAP }").unwrap();
-    assert_eq!(flat.node("lane.nms").unwrap().settings(), ["threshold=0.7"]);
+    assert_eq!(flat.node("lane.nms").unwrap().settings(), ["threshold=much"]);
     let own = "{ lane: modules/detect.network.yml \"nms=program plug/nms.py overlap=$OVERLAP\" }";
     let flat = with_params(own).unwrap();
     assert_eq!(
         flat.node("lane.nms").unwrap().args,
-        ["program", "plug/nms.py", "overlap=0.7"]
+        ["program", "plug/nms.py", "overlap=much"]
     );
-    let shipped = "{ lane: modules/detect.network.yml 'nms=operator other' }";
+    let shipped = "{ lane: modules/detect.network.yml \"nms=operator other\" }";
     assert_eq!(
         with_params(shipped).unwrap().node("lane.nms").unwrap().args,
         ["operator", "other"]
@@ -526,7 +526,7 @@ fn refuses_parameters_that_a_module_does_not_name_or_lacks() {
         ),
         ("{ lane: modules/none.yml }", "none.yml"),
         (
-            "{ lane: 'modules/detect.network.yml nmb=program x' }",
+            "{ lane: 'modules/detect.network.yml \"nmb=program x\"' }",
             "no stage `nmb` (did you mean `nms`?)",
         ),
     ] {

@@ -2,16 +2,20 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{FlatGraph, InputSource};
+use super::{FlatGraph, FlatNode, InputSource};
 
 /// The names of processes whose ids in dora begin with the id of a module that groups them, by that id.
 ///
-/// Of each process: its id, and whether it hosts a module. A module groups processes if one of them is a host. Where two would
-/// have one name, all keep what dora calls them.
-pub fn short_names<'a>(processes: impl IntoIterator<Item = (&'a str, bool)>) -> BTreeMap<String, String> {
-    let processes: Vec<(&str, bool)> = processes.into_iter().collect();
-    let hosts = processes.iter().filter(|(_, is_host)| *is_host);
-    let groups: BTreeSet<&str> = hosts.filter_map(|(id, _)| Some(id.rsplit_once('.')?.0)).collect();
+/// Of each process: its id, and the first word of its arguments. A module groups processes if it has hosts and nodes (`host`,
+/// `node`) and no single stages (`operator`, `program`). Where two would have one name, all keep what dora calls them.
+pub fn short_names<'a>(processes: impl IntoIterator<Item = (&'a str, &'a str)>) -> BTreeMap<String, String> {
+    let processes: Vec<(&str, &str)> = processes.into_iter().collect();
+    let modules_with = |words: [&str; 2]| -> BTreeSet<&str> {
+        let processes = processes.iter().filter(|(_, word)| words.contains(word));
+        processes.filter_map(|(id, _)| Some(id.rsplit_once('.')?.0)).collect()
+    };
+    let (whole, stages) = (modules_with(["host", "node"]), modules_with(["operator", "program"]));
+    let groups: BTreeSet<&str> = whole.difference(&stages).copied().collect();
     let short = |id: &'a str| id.rsplit_once('.').filter(|(group, _)| groups.contains(group));
     let short = |id: &'a str| short(id).map_or(id, |(_, name)| name);
     let clash = |(id, name): (&str, &str)| {
@@ -30,12 +34,13 @@ impl FlatGraph {
     /// The graph with the names of processes and of their stages in place of dora's ids.
     pub(super) fn with_short_names(mut self) -> Self {
         let processes = self.processes();
-        let is_host = |id: &str| self.hosts.iter().any(|host| host.id == id);
-        let short = short_names(
-            processes
-                .iter()
-                .map(|process| (process.id.as_str(), is_host(&process.id))),
-        );
+        let word = |process: &FlatNode| process.args.first().filter(|_| process.is_realo()).cloned();
+        let words: Vec<String> = processes
+            .iter()
+            .map(|process| word(process).unwrap_or_default())
+            .collect();
+        let ids = processes.iter().map(|process| process.id.as_str());
+        let short = short_names(ids.zip(words.iter().map(String::as_str)));
         if short.is_empty() {
             return self;
         }
@@ -79,34 +84,49 @@ impl FlatGraph {
 mod tests {
     use super::*;
 
-    fn short(ids: &[&str]) -> Vec<String> {
-        let host = |id: &&str| id.ends_with(['!']);
-        let names = short_names(ids.iter().map(|id| (id.trim_end_matches('!'), host(id))));
-        let name = |id: &&str| {
-            let id = id.trim_end_matches('!');
-            names.get(id).cloned().unwrap_or(id.into())
-        };
-        ids.iter().map(name).collect()
+    /// The names of processes that are each written as `id word`.
+    fn short(processes: &[&str]) -> Vec<String> {
+        let processes: Vec<(&str, &str)> = processes.iter().map(|one| one.split_once(' ').unwrap()).collect();
+        let names = short_names(processes.iter().copied());
+        let name = |(id, _): &(&str, &str)| names.get(*id).cloned().unwrap_or(id.to_string());
+        processes.iter().map(name).collect()
     }
 
     #[test]
     fn a_module_of_processes_is_no_part_of_their_names() {
-        let ids = ["scene.player", "scene.others!", "method.ego!", "score"];
-        assert_eq!(short(&ids), ["player", "others", "ego", "score"]);
-        let nested = ["a.b.ego!", "a.player"];
-        assert_eq!(short(&nested), ["ego", "a.player"], "`a` holds no host");
+        let processes = [
+            "scene.player node",
+            "scene.others host",
+            "scene.mine mine.py",
+            "method.ego host",
+            "score host",
+        ];
+        assert_eq!(short(&processes), ["player", "others", "mine", "ego", "score"]);
+        assert_eq!(short(&["a.b.ego host", "a.player node"]), ["ego", "player"]);
     }
 
     #[test]
     fn a_module_of_stages_is() {
-        let ids = ["ego.sense.sync", "ego.nms", "others.nms", "score.results"];
-        assert_eq!(short(&ids), ids);
+        let processes = [
+            "ego.sense.sync operator",
+            "ego.nms program",
+            "score.evaluator operator",
+            "score.results node",
+            "a.b mine.py",
+        ];
+        assert_eq!(
+            short(&processes),
+            ["ego.sense.sync", "ego.nms", "score.evaluator", "score.results", "a.b"]
+        );
     }
 
     #[test]
     fn two_of_one_name_keep_what_dora_calls_them() {
-        assert_eq!(short(&["a.ego!", "b.ego!", "a.player"]), ["a.ego", "b.ego", "player"]);
-        assert_eq!(short(&["a.ego!", "ego.nms"]), ["a.ego", "ego.nms"]);
-        assert_eq!(short(&["a.ego!", "ego"]), ["a.ego", "ego"]);
+        assert_eq!(
+            short(&["a.ego host", "b.ego host", "a.player node"]),
+            ["a.ego", "b.ego", "player"]
+        );
+        assert_eq!(short(&["a.ego host", "ego.nms operator"]), ["a.ego", "ego.nms"]);
+        assert_eq!(short(&["a.ego host", "ego host"]), ["a.ego", "ego"]);
     }
 }

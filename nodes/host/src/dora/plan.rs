@@ -80,7 +80,7 @@ fn names(config: &Value) -> BTreeMap<String, String> {
         let args = node.get("args").and_then(Value::as_str).unwrap_or_default();
         Some((
             node.get("id")?.as_str()?,
-            args.split_whitespace().next() == Some("host"),
+            args.split_whitespace().next().unwrap_or_default(),
         ))
     });
     realo_graph::short_names(known)
