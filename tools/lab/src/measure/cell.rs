@@ -60,7 +60,8 @@ fn one(value: &Value, format: Format, scale: f64) -> Result<String> {
         (Value::String(text), Format::Text) => Ok(text.replace('|', "\\|")),
         (Value::Number(_) | Value::Bool(_), Format::Text) => Ok(value.to_string()),
         (Value::Number(number), _) => {
-            let value = number.as_f64().unwrap_or(f64::NAN) * scale;
+            // Adding 0 takes the sign off a zero.
+            let value = number.as_f64().unwrap_or(f64::NAN) * scale + 0.0;
             Ok(grouped(&format!("{value:.*}", format.decimals(value))))
         }
         _ => bail!("{value} is not a number"),
@@ -94,6 +95,7 @@ mod tests {
             (json!(4005.4), Format::Short, 1.0, "4,005"),
             (json!(5.44), Format::Short, 1.0, "5.4"),
             (json!(0), Format::Short, 1.0, "0"),
+            (json!(-0.0), Format::Short, 1.0, "0"),
             (json!(1234567), Format::Whole, 1.0, "1,234,567"),
             (json!(-1234.5), Format::One, 1.0, "-1,234.5"),
             (json!(999), Format::Whole, 1.0, "999"),

@@ -94,9 +94,9 @@ fn kilobytes_per_frame(result: &Value) -> Option<f64> {
     let links = result.get("links")?.as_object()?;
     let kinds = links.values().filter_map(Value::as_object).flatten();
     let books = kinds.filter(|(kind, _)| *kind != STATE).map(|(_, books)| books);
-    let bytes: f64 = books.filter_map(|books| books.get("bytes")?.as_f64()).sum();
+    let bytes: u64 = books.filter_map(|books| books.get("bytes")?.as_u64()).sum();
     let frames = result["frames"]["total"].as_f64().filter(|total| *total > 0.0)?;
-    Some(bytes / 1000.0 / frames)
+    Some(bytes as f64 / 1000.0 / frames)
 }
 
 #[cfg(test)]
