@@ -36,7 +36,7 @@ pub struct Args {
     #[arg(long, conflicts_with = "pages")]
     all: bool,
     /// With --all: only pages of this kind
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, requires = "all")]
     kind: Option<Kind>,
     /// List the pages
     #[arg(long)]

@@ -77,7 +77,7 @@ impl Sheet<'_> {
 
     fn head(&self, provenance: &Provenance) -> Result<String> {
         let figures = match self.page.kind {
-            Kind::Scores => "scores and bytes; every run gives the same digits",
+            Kind::Scores => "scores and bytes; every run in the same instructions gives the same digits",
             Kind::Times => "times of this machine; compare ratios, not milliseconds",
         };
         let mut text = format!("| | |\n|---|---|\n| figures | {figures} |\n");

@@ -73,7 +73,7 @@ Of 3 seeds.
 
 | | |
 |---|---|
-| figures | scores and bytes; every run gives the same digits |
+| figures | scores and bytes; every run in the same instructions gives the same digits |
 | commit | `abc` |
 | written by | `realo-lab measure p` |
 | networks computed in | f32 on portable |
