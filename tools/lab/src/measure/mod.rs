@@ -4,9 +4,11 @@
 //! them. Nothing in a written page is typed by hand. Pages of scores hold nothing that differs between machines.
 
 mod cell;
+mod check;
 mod json;
 mod output;
 mod page;
+mod plan;
 mod process;
 mod programs;
 mod provenance;
@@ -127,8 +129,13 @@ impl Bench {
         if in_place && page.tables.iter().any(|table| table.readme) {
             output::check_markers(&readme, name)?;
         }
-        let plan = steps::Plan::new(name, &page)?;
-        plan.run(&page, &self.programs, root, args.fresh)?;
+        let plan = plan::Plan::new(name, &page)?;
+        let runner = steps::Runner {
+            plan: &plan,
+            programs: &self.programs,
+            root,
+        };
+        runner.run(page.kind, args.fresh)?;
         let results = source::Results::new(&plan, root, self.recipes.paper());
         let sheet = render::Sheet {
             page: &page,

@@ -90,7 +90,7 @@ impl Recipes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::{json, steps::Plan};
+    use crate::measure::{json, plan::Plan};
 
     fn root() -> std::path::PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")

@@ -6,9 +6,9 @@ use eyre::Result;
 
 use super::output::COMMIT;
 use super::page::{Column, Kind, Page, Step, Table};
+use super::plan::Plan;
 use super::provenance::Provenance;
 use super::source::Results;
-use super::steps::Plan;
 use super::{table, template};
 
 /// All that a page is made of.

@@ -8,7 +8,7 @@ use eyre::{Result, WrapErr, bail, eyre};
 use serde_json::{Value, json};
 
 use super::json::find;
-use super::steps::{Plan, captures};
+use super::plan::{Plan, captures};
 
 /// What a row's result is called that is a figure of the paper.
 const PAPER: &str = "paper";

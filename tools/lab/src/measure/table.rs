@@ -49,6 +49,7 @@ fn rows(table: &Table, result: impl Fn(&str) -> Result<Value>) -> Result<Vec<Fil
     let rows = elements.iter().map(|element| {
         let words = list.label.iter().map(|path| match find(element, path)? {
             Value::String(word) => Ok(word.clone()),
+            Value::Null => Ok(NONE.into()),
             other => Ok(other.to_string()),
         });
         Ok(Filled {

@@ -37,7 +37,12 @@ impl Tried {
         let count = self.folder.path().join("count");
         let _ = fs::remove_file(&count);
         let page = toml::from_str(&format!("{PAGE}{steps}"))?;
-        Plan::new("p", &page)?.run(&page, &self.programs, self.folder.path(), fresh)?;
+        let runner = Runner {
+            plan: &Plan::new("p", &page)?,
+            programs: &self.programs,
+            root: self.folder.path(),
+        };
+        runner.run(Kind::Scores, fresh)?;
         let ran = fs::read_to_string(count).unwrap_or_default();
         Ok(ran.lines().map(str::to_string).collect())
     }
