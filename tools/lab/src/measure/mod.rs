@@ -147,8 +147,8 @@ impl Bench {
         let text = sheet.markdown(&provenance)?;
         let folder = args.out.clone().unwrap_or_else(|| root.join("docs/measured"));
         output::write_page(&folder.join(format!("{name}.md")), &text)?;
-        if let (true, Some(block)) = (in_place, sheet.readme_block(name)?) {
-            output::write_block(&readme, name, &block)?;
+        if let (true, Some(table)) = (in_place, sheet.readme_table()?) {
+            output::write_block(&readme, name, &table)?;
         }
         Ok(())
     }

@@ -48,18 +48,13 @@ impl Sheet<'_> {
         Ok(text)
     }
 
-    /// What README.md has of the page, if anything.
+    /// The table that README.md has of the page, if any.
     ///
     /// # Errors
     /// As [`Sheet::markdown`].
-    pub fn readme_block(&self, name: &str) -> Result<Option<String>> {
-        let Some(table) = self.page.tables.iter().find(|table| table.readme) else {
-            return Ok(None);
-        };
-        let about = table.about.as_deref().unwrap_or_default();
-        let more = format!("All of it, with the commands: [docs/measured/{name}.md](docs/measured/{name}.md).");
-        let text = format!("{}\n{}\n\n{more}", self.table(table)?, self.filled(about.trim())?);
-        Ok(Some(text))
+    pub fn readme_table(&self) -> Result<Option<String>> {
+        let table = self.page.tables.iter().find(|table| table.readme);
+        table.map(|table| self.table(table)).transpose()
     }
 
     fn filled(&self, text: &str) -> Result<String> {

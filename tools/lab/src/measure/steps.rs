@@ -13,8 +13,8 @@ use super::programs::Programs;
 use super::provenance::{hex, machine, sha256};
 use super::{process, template};
 
-/// Folders whose files any step may read.
-const READ: [&str; 2] = ["dataflows", "models"];
+/// Folders whose files any step may read, beside the files that it names.
+const READ: [&str; 3] = ["dataflows/modules", "dataflows/types", "models"];
 
 /// The commands of a page, and what they need to run.
 pub struct Runner<'a> {
@@ -42,6 +42,11 @@ impl Runner<'_> {
             let args = args?;
             let mut texts = vec![shared.clone(), self.programs.digest(job.program).into()];
             texts.extend(args.iter().cloned());
+            let named = args.iter().map(|arg| self.root.join(arg)).filter(|path| path.is_file());
+            let own = |path: &PathBuf| !path.starts_with(self.root.join("target"));
+            for file in named.filter(own) {
+                texts.push(sha256(&file)?);
+            }
             texts.extend(job.reads.iter().flat_map(|step| made[step.as_str()].iter().cloned()));
             let key = key(&texts);
             if fresh || !self.is_made(job, &key) {
@@ -128,16 +133,15 @@ fn read_by_all(root: &Path) -> Result<String> {
     Ok(key(&texts))
 }
 
-/// The files below a folder; links to programs and results of runs are not among them.
+/// The files below a folder; what is written for readers is not among them.
 fn add_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     let entries = fs::read_dir(folder).wrap_err_with(|| folder.display().to_string())?;
     for entry in entries {
-        let entry = entry?;
-        let kind = entry.file_type()?;
-        if kind.is_dir() && entry.file_name() != "out" {
-            add_files(&entry.path(), files)?;
-        } else if kind.is_file() {
-            files.push(entry.path());
+        let path = entry?.path();
+        if path.is_dir() {
+            add_files(&path, files)?;
+        } else if path.extension().is_none_or(|extension| extension != "md") {
+            files.push(path);
         }
     }
     Ok(())

@@ -24,8 +24,8 @@ struct Tried {
 impl Tried {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["dataflows", "models"] {
-            fs::create_dir(folder.path().join(name)).unwrap();
+        for name in READ {
+            fs::create_dir_all(folder.path().join(name)).unwrap();
             fs::write(folder.path().join(name).join("file"), name).unwrap();
         }
         let programs = Programs::find(Some(Path::new("/bin/sh")), folder.path()).unwrap();
@@ -67,11 +67,24 @@ fn steps_are_reused_until_something_that_they_read_changes() {
     assert_eq!(tried.run(&other, false).unwrap(), ["900", "901"]);
     let other = other.replace("echo log", "echo other");
     assert_eq!(tried.run(&other, false).unwrap(), ["900", "901", "run"]);
+    fs::write(root.join("models/page.md"), "for readers").unwrap();
+    assert!(tried.run(&other, false).unwrap().is_empty());
     fs::write(root.join("models/file"), "other weights").unwrap();
     assert_eq!(tried.run(&other, false).unwrap().len(), 3);
     fs::remove_dir_all(root.join("target/realo/measured/p/run")).unwrap();
     assert_eq!(tried.run(&other, false).unwrap(), ["run"]);
     assert_eq!(tried.run(&other, true).unwrap().len(), 3);
+}
+
+#[test]
+fn a_file_that_a_step_names_is_read() {
+    let tried = Tried::new();
+    let steps =
+        "[[steps]]\nname = 'a'\nprogram = 'realo'\nargs = ['-c', 'cp $0 {out}; echo a >> count', 'graph.yml']\n";
+    for (text, ran) in [("one", 1), ("one", 0), ("two", 1)] {
+        fs::write(tried.folder.path().join("graph.yml"), text).unwrap();
+        assert_eq!(tried.run(steps, false).unwrap().len(), ran, "{text}");
+    }
 }
 
 #[test]
