@@ -9,7 +9,6 @@
 // Tests may compare with the system's functions.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 
-mod any;
 mod arch;
 pub mod attfuse;
 #[cfg(feature = "candle")]
@@ -17,7 +16,6 @@ pub mod candle;
 pub mod detect;
 pub mod fcooper;
 pub mod full;
-mod list;
 pub mod method;
 pub mod network;
 #[cfg(feature = "candle")]
@@ -36,9 +34,7 @@ mod testing;
 #[path = "../../nn/src/vectors.rs"]
 mod vectors;
 
-pub use any::AnyMethod;
-pub use arch::{Arch, Model};
-pub use list::{Entry, METHODS, add, methods};
+pub use arch::{AnyMethod, Arch, Entry, METHODS, Model, add, methods};
 pub use method::Method;
 pub use network::{AUTO, Kernels, LoadError, Loaded, Pillarer, load};
 

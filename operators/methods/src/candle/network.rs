@@ -10,8 +10,8 @@ use realo_nn::layers::{FuseLayer, Layer, Layers, MapId};
 use realo_nn::weights::Weights;
 
 use super::convolution::Convolution;
-use crate::any::AnyMethod;
-use crate::arch::{Arch, Model};
+
+use crate::arch::{AnyMethod, Arch, Model};
 use crate::network::{NetworkError, check_agents, check_confidence, check_map, check_size};
 use crate::tensors::ops::sigmoid;
 use crate::tensors::planes::{cells, planes};

@@ -9,8 +9,8 @@ use realo_nn::tensors::TensorSpec;
 use serde::de::{Deserialize, Deserializer, Error};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-use crate::any::AnyMethod;
-use crate::list::methods;
+use super::any::AnyMethod;
+use super::list::methods;
 use crate::method::Method;
 
 /// A model: a description of a network with one of the methods, or none.

@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use realo_nn::model::Sharing;
 use serde_json::Value;
 
-use crate::any::AnyMethod;
+use super::any::AnyMethod;
 use crate::method::Method;
 use crate::{attfuse, fcooper, v2vnet, v2xvit};
 
