@@ -1,5 +1,5 @@
-use realo_training::loss::{HeadMaps, Loss, LossWeights, loss};
-use realo_training::targets::{Positive, Targets};
+use realo_objective::loss::{HeadMaps, Loss, LossWeights, loss};
+use realo_objective::targets::{Positive, Targets};
 
 use crate::Kind;
 use crate::vector::{Vector, compare};

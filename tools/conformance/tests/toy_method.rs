@@ -105,7 +105,10 @@ fn its_kernel_and_its_operation_agree() {
         let expected = kernels.fuse(&agents).unwrap().data;
         let found = network.fuse(&network.put_agents(&agents).unwrap()).unwrap();
         let found = found.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-5), "{count}");
+        assert!(
+            found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-5),
+            "{count}"
+        );
         assert_eq!(expected != maps[0].data, count > 1);
     }
 }
@@ -134,7 +137,10 @@ fn gradients_lead_to_its_numbers() -> candle_core::Result<()> {
     let agents = agents.collect::<candle_core::Result<Vec<_>>>()?;
     let loss = || {
         let tensors = HashMap::from([("fusion_net.share".to_string(), variable.as_tensor().clone())]);
-        method.operation(layer, &Tensors::new(tensors), &agents)?.sqr()?.sum_all()
+        method
+            .operation(layer, &Tensors::new(tensors), &agents)?
+            .sqr()?
+            .sum_all()
     };
     let gradients = loss()?.backward()?;
     let gradient = gradients.get(&variable).unwrap().to_vec1::<f32>()?;
@@ -148,7 +154,10 @@ fn gradients_lead_to_its_numbers() -> candle_core::Result<()> {
         };
         let slope = (at(0.1)? - at(-0.1)?) / 0.2;
         let found = f64::from(gradient[channel]);
-        assert!((slope - found).abs() < 0.02 * found.abs() + 0.1, "{channel}: {slope} {found}");
+        assert!(
+            (slope - found).abs() < 0.02 * found.abs() + 0.1,
+            "{channel}: {slope} {found}"
+        );
     }
     Ok(())
 }

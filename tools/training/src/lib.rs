@@ -9,7 +9,6 @@ pub mod data;
 mod error;
 mod fusing;
 pub mod layers;
-pub mod loss;
 mod memory;
 pub mod network;
 pub mod optimizer;
@@ -17,13 +16,8 @@ mod quantize;
 mod random;
 mod scored;
 pub mod tape;
-pub mod targets;
 mod train;
 mod validate;
-#[cfg(test)]
-#[allow(dead_code, reason = "another crate's tests share it")]
-#[path = "../../../operators/nn/src/vectors.rs"]
-mod vectors;
 mod widen;
 
 pub use checkpoint::{Checkpoint, TrainingPlan, write_weights};
@@ -31,6 +25,7 @@ pub use curve::{Curve, Point};
 pub use error::TrainError;
 pub use fusing::learns_to_fuse;
 pub use quantize::{Quantized, quantize};
+pub use realo_objective::{loss, targets};
 pub use scored::{Before, Comparison, FRAMES_APART, MAX_GAP_MS};
 pub use train::{Data, News, Progress, TrainOptions, Trained, frames, train, train_with, validation_frames};
 pub use validate::{ClassScore, Validation, validate};
