@@ -367,7 +367,7 @@ fn a_recording_without_truth_is_refused() {
 fn record_boxes_only(path: &Path) {
     use realo_operator::{PortId, Sink};
     use realo_schemas::{Boxes, Header, Kind, Message};
-    let config = realo_recorder::Config {
+    let config = realo_recorder::Settings {
         path: path.into(),
         clouds: false,
     };

@@ -261,8 +261,6 @@ mod tests {
         ],
         arguments: &[],
         counters: &[],
-        decided: &[],
-        paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
         examine: |_| Ok(()),

@@ -64,17 +64,6 @@ impl Arch {
         !matches!(self, Arch::PointPillars {})
     }
 
-    /// V2X-ReaLO, Table III: how long the paper's network of this kind took, ns.
-    pub fn paper_inference(&self) -> Option<u64> {
-        match self {
-            Arch::PointPillars {} => Some(43_700_000),
-            Arch::FCooper(_) => Some(61_600_000),
-            Arch::AttFuse(_) => Some(68_600_000),
-            Arch::V2XViT(_) => Some(118_200_000),
-            Arch::V2VNet(_) => None,
-        }
-    }
-
     /// Agents that a network takes, the ego among them.
     pub fn agents(&self) -> usize {
         match self {
