@@ -374,6 +374,6 @@ fn record_boxes_only(path: &Path) {
     let mut recorder = realo_recorder::Recorder::new(config).expect("a recorder");
     let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Boxes, 0, 1_000, 1_000);
     let boxes = Message::new(header, Boxes(Vec::new()));
-    recorder.accept(PortId(0), boxes).expect("boxes are recorded");
+    recorder.on_message(PortId(0), boxes).expect("boxes are recorded");
     recorder.finish(&Default::default()).expect("the recording is finished");
 }

@@ -5,18 +5,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_host::{ComputeProfile, Stages, virtual_time};
-use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Registration, Sink, Source, wrong_port};
+use realo_operator::{
+    Books, Describe, Error, Inputs, NoInput, NoOutput, Outputs, PortId, Registration, Settings, Sink, Source,
+};
 use realo_results::{Ledger, LinkBooks, link_books};
 use realo_schemas::report::Fated;
 use realo_schemas::{
-    AgentState, Box3, Boxes, Header, Kind, Message, Nanos, Payload, PayloadType, PointCloud, Pose, PoseStatus,
-    Selection,
+    AgentState, Box3, Boxes, Header, Kind, Message, Nanos, Payload, PointCloud, Pose, PoseStatus, Selection,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::account::{Account, Answer, Fusion, Id, Line, Place};
 use crate::world::{EGO, Said, Spot, Strategy, World, content};
-
 
 /// Settings of [`Log`].
 #[derive(Settings, Serialize, Deserialize)]
@@ -60,13 +60,24 @@ impl Source for Log {
         let world = World::of(settings.seed);
         let port = |agent: &str, [ego, other]: [PortId; 2]| if agent == EGO { ego } else { other };
         let sweeps = world.sweeps.iter().map(|said| match world.strategy {
-            Strategy::Late => (said.ready, port(&said.agent, [Output::EGO_BOXES, Output::BOXES]), detections(said)),
-            Strategy::Early | Strategy::Projected => (said.ready, port(&said.agent, [Output::EGO_CLOUDS, Output::CLOUDS]), cloud(said)),
+            Strategy::Late => (
+                said.ready,
+                port(&said.agent, [Output::EGO_BOXES, Output::BOXES]),
+                detections(said),
+            ),
+            Strategy::Early | Strategy::Projected => (
+                said.ready,
+                port(&said.agent, [Output::EGO_CLOUDS, Output::CLOUDS]),
+                cloud(said),
+            ),
         });
-        let fixes = world
-            .states
-            .iter()
-            .map(|said| (said.ready, port(&said.agent, [Output::EGO_STATES, Output::STATES]), state(said)));
+        let fixes = world.states.iter().map(|said| {
+            (
+                said.ready,
+                port(&said.agent, [Output::EGO_STATES, Output::STATES]),
+                state(said),
+            )
+        });
         let mut all: Vec<_> = sweeps.chain(fixes).collect();
         all.sort_by_key(|(ready, ..)| *ready);
         Ok(Log(all.into_iter()))

@@ -131,9 +131,10 @@ mod tests {
                 query: 0,
                 entries: vec![message("cav2", 2.0, [10.0, 0.0])],
             };
-            pairing.ego(ego.clone());
-            let selection = Message::new(ego.header, selection);
-            let mut set: Set<FeatureMap> = pairing.selection(selection, None).unwrap();
+            let selection = Input::Selections(ego.header.clone(), selection);
+            let (header, own) = ego.into_parts::<FeatureMap>().unwrap();
+            assert!(pairing.take(Input::Ego(header, own), None).unwrap().is_none());
+            let mut set = pairing.take(selection, None).unwrap().unwrap();
             mean(&set.maps().unwrap(), power)
         };
         let cells = |of: [f32; 2]| [[3.0, 4.0], [3.0, 4.0], of, of].concat().repeat(3);

@@ -6,8 +6,8 @@ use realo_graph::Graph;
 use realo_host::virtual_time::{self, RunError};
 use realo_host::{ComputeProfile, Stages};
 use realo_operator::{
-    Books, Counts, Describe, Error, Operator, Outputs, Port, PortError, PortId, Registration, Registry, Settings, Sink, Source,
-    StageInputs, StageOutputs,
+    Books, Counts, Describe, Error, Operator, Outputs, Port, PortError, PortId, Registration, Registry, Settings, Sink,
+    Source, StageInputs, StageOutputs,
 };
 use realo_schemas::{Boxes, Header, Kind, Message, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -64,13 +64,7 @@ struct Sweeps {
 }
 /// A sweep of every agent each period; may fail in the end.
 struct Clockwork(Vec<(Nanos, Message)>, bool);
-describe!(
-    Clockwork,
-    "clockwork",
-    Sweeps,
-    &[],
-    &[Port::new("out", BOXES, "")]
-);
+describe!(Clockwork, "clockwork", Sweeps, &[], &[Port::new("out", BOXES, "")]);
 impl Source for Clockwork {
     fn new(config: Sweeps) -> Result<Self, Error> {
         let mut messages = Vec::new();

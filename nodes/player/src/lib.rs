@@ -33,7 +33,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Counter, Counts, Describe, Error, NoInput, Outputs, PortId, Settings, Source};
-use realo_schemas::{AgentState, Boxes, Clock, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, from_seconds};
+use realo_schemas::{
+    AgentState, Boxes, Clock, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud,
+    from_seconds,
+};
 use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
 
@@ -505,9 +508,4 @@ fn points(payload: &Payload) -> usize {
         Payload::Packet(packet) => packet.bytes.len() / POINT_BYTES,
         _ => 0,
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
 }

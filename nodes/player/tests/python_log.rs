@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use realo_logs::{Log, Stream, describe};
-use realo_operator::{Describe, Source};
-use realo_player::{Settings, Player};
+use realo_operator::{Source, StageOutputs};
+use realo_player::{Output, Player, Settings};
 use realo_schemas::{Box3, Message, Payload};
 
 /// A Python with numpy; one in a virtual environment under the build folder if the system's has none.

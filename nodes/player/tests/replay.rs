@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, Levelled, Log, LogInfo, LogWriter, Precomputed};
-use realo_operator::{Describe, Error, Source};
-use realo_player::{Settings, Coop, Detections, Player, PoseSource, TimeLine, next_pass, plan};
+use realo_operator::{Error, Source, StageOutputs};
+use realo_player::{Coop, Detections, Output, Player, PoseSource, Settings, TimeLine, next_pass, plan};
 use realo_schemas::geometry::{View, tilt_degrees};
 use realo_schemas::{
     AgentState, Box3, Boxes, GroundTruth, Kind, Message, Nanos, OwnLabels, Payload, PointCloud, PoseStatus,

@@ -50,7 +50,6 @@ pub struct Recorder {
     clouds: bool,
 }
 
-
 /// What comes in.
 #[derive(Debug, Inputs)]
 pub enum Input {
@@ -136,9 +135,4 @@ impl Sink for Recorder {
             None => Ok(()),
         }
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
 }

@@ -13,11 +13,11 @@
 
 use std::path::PathBuf;
 
+use crate::RecorderError;
 use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, PeerClock, refuse_foreign};
 use realo_operator::{Books, Describe, Error, Inputs, NoOutput, Settings, Sink};
 use realo_schemas::report::{self, Peer, from_report};
 use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Nanos, PointCloud, Report};
-use crate::RecorderError;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the log recorder.
@@ -88,8 +88,7 @@ impl Sink for LogRecorder {
         Self::examine(&settings)?;
         let info = info(&settings)?;
         if let Some(folder) = settings.path.parent() {
-            std::fs::create_dir_all(folder)
-                .map_err(|error| RecorderError::Folder(folder.into(), error))?;
+            std::fs::create_dir_all(folder).map_err(|error| RecorderError::Folder(folder.into(), error))?;
         }
         refuse_foreign(&settings.path)?;
         Ok(LogRecorder {

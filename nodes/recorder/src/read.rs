@@ -356,7 +356,7 @@ fn topics(file: &McapFile, wanted: impl Fn(&str) -> bool) -> BTreeMap<u16, Strin
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::{Box3};
+    use realo_schemas::Box3;
 
     use super::*;
     use crate::recording::Recording;

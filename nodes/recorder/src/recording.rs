@@ -7,7 +7,7 @@ use realo_logs::{
     BoxesInfo, ChannelId, Lane, LogError, McapWriter, Owner, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
     refuse_foreign, views,
 };
-use realo_operator::{Books};
+use realo_operator::Books;
 use realo_schemas::geometry::View;
 use realo_schemas::report::Fated;
 use realo_schemas::{AgentState, Box3, Boxes, GroundTruth, Header, Nanos, Packet, PointCloud, Report};

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{Log, LogError, McapFile};
-use realo_operator::{Books, Describe, NodeBooks, PortId, Sink};
-use realo_recorder::{Settings, FATES, Recorder, read_boxes, read_reports, read_truth};
+use realo_operator::{Books, NodeBooks, PortId, Sink, StageInputs};
+use realo_recorder::{FATES, Input, Recorder, Settings, read_boxes, read_reports, read_truth};
 use realo_schemas::report::{Crossing, Fate, Fated, Use};
 use realo_schemas::{
     AgentState, Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, Pose,
@@ -16,7 +16,7 @@ const START: Nanos = 1_700_000_000_000_000_000;
 const MS: Nanos = 1_000_000;
 
 fn port(name: &str) -> PortId {
-    PortId(<Recorder as Describe>::Input::PORTS.iter().position(|port| port.name == name).unwrap())
+    PortId(Input::PORTS.iter().position(|port| port.name == name).unwrap())
 }
 
 fn header(agent: &str, kind: Kind, seq: u64) -> Header {

@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
-    Cooperation, EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Timing, TimingSamples, add_name,
-    claim, link_books, write_run_and_courses,
+    Cooperation, EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Timing, TimingSamples, add_name, claim,
+    link_books, write_run_and_courses,
 };
 
 /// Settings of [`Results`].
@@ -93,7 +93,6 @@ pub struct Results {
     /// Where nobody prepared the run, it speaks for itself.
     progress: Option<Progress>,
 }
-
 
 /// What comes in.
 #[derive(Debug, Inputs)]

@@ -103,7 +103,11 @@ impl Maps {
         if found != expected {
             return Err(MapError::Place { expected, found });
         }
-        let (size, numbers, confidence) = (map.size(), map.numbers().map_err(|error| MapError::Numbers(error.into()))?, map.confidence.as_deref());
+        let (size, numbers, confidence) = (
+            map.size(),
+            map.numbers().map_err(|error| MapError::Numbers(error.into()))?,
+            map.confidence.as_deref(),
+        );
         if let Some(confidence) = confidence
             && confidence.len() != size[0] * size[1]
         {
@@ -164,18 +168,6 @@ mod tests {
             columns: 1,
             channels: 3,
             data,
-        }
-    }
-
-    #[test]
-    fn arguments_name_all_instructions_and_number_types() {
-        let isas = realo_nn::conv::Isa::ALL.map(|isa| isa.to_string());
-        let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
-        for (argument, names) in [(super::ISA, &isas[..]), (super::PRECISION, &precisions[..])] {
-            let words: Vec<&str> = argument.about.split([' ', ',', ':']).collect();
-            for name in names {
-                assert!(words.contains(&&**name), "{}: {name}", argument.about);
-            }
         }
     }
 

@@ -120,7 +120,6 @@ impl Decoder {
     }
 }
 
-
 const OVER_LIMIT_BOXES: Counter = Counter::plain(
     "over_limit_boxes",
     "detections above the min score, but not among the best 1,000",

@@ -36,7 +36,6 @@ pub struct Evaluator {
     last: Option<Header>,
 }
 
-
 /// Scores have the note, in a graph and after the fact.
 const BOXES_WITHOUT_TRUTH: Counter = Counter::plain(
     "boxes_without_truth",

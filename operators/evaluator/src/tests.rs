@@ -44,10 +44,18 @@ fn boxes(seq: u64, boxes: Vec<Box3>) -> Message {
 fn reports_once_at_the_end() {
     let mut evaluator = Evaluator::new(Settings::default()).unwrap();
     let mut out = Outputs::at(0);
-    evaluator.on_message(Input::BOXES, boxes(0, vec![car()]), &mut out).unwrap();
-    evaluator.on_message(Input::TRUTH, truth(0, vec![car()]), &mut out).unwrap();
-    evaluator.on_message(Input::BOXES, boxes(5, vec![car()]), &mut out).unwrap();
-    evaluator.on_message(Input::TRUTH, truth(1, vec![car()]), &mut out).unwrap();
+    evaluator
+        .on_message(Input::BOXES, boxes(0, vec![car()]), &mut out)
+        .unwrap();
+    evaluator
+        .on_message(Input::TRUTH, truth(0, vec![car()]), &mut out)
+        .unwrap();
+    evaluator
+        .on_message(Input::BOXES, boxes(5, vec![car()]), &mut out)
+        .unwrap();
+    evaluator
+        .on_message(Input::TRUTH, truth(1, vec![car()]), &mut out)
+        .unwrap();
     assert!(out.take_sent().is_empty());
     evaluator.on_end(&mut out).unwrap();
     let mut sent = out.take_sent();
@@ -79,7 +87,11 @@ fn the_header_of_the_report_is_that_of_the_last_truth_without_its_way() {
         header: last,
         ..truth(4, vec![])
     };
-    for (port, message) in [(Input::TRUTH, truth(3, vec![])), (Input::TRUTH, second), (Input::BOXES, boxes(5, vec![]))] {
+    for (port, message) in [
+        (Input::TRUTH, truth(3, vec![])),
+        (Input::TRUTH, second),
+        (Input::BOXES, boxes(5, vec![])),
+    ] {
         operator.on_message(port, message, &mut out).unwrap();
     }
     operator.on_end(&mut out).unwrap();
@@ -99,7 +111,9 @@ fn counts_by_its_protocol() {
     };
     let mut evaluator = Evaluator::new(config("dair")).unwrap();
     let mut out = Outputs::at(0);
-    evaluator.on_message(Input::TRUTH, truth(0, vec![car()]), &mut out).unwrap();
+    evaluator
+        .on_message(Input::TRUTH, truth(0, vec![car()]), &mut out)
+        .unwrap();
     evaluator.on_end(&mut out).unwrap();
     let report: Report = out.take_sent().remove(0).1.into_parts().unwrap().1;
     let report: EvaluationReport = from_report(&report).unwrap();

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Bank, OFFLINE_REACH, Taken};
 
-
 /// Selections of a bank before this one whose queries have not come here.
 const AHEAD: usize = 64;
 
@@ -180,7 +179,11 @@ impl Operator for FeatureBank {
             let (forget, window) = (settings.forget_ms, settings.window_ms);
             return Err(Forgetful { window, forget }.into());
         }
-        let (window, ahead, forget) = (nanos(settings.window_ms), nanos(settings.ahead_ms), nanos(settings.forget_ms));
+        let (window, ahead, forget) = (
+            nanos(settings.window_ms),
+            nanos(settings.ahead_ms),
+            nanos(settings.forget_ms),
+        );
         let bank = Bank::new(window, settings.offline, ahead, settings.max_agents, forget);
         Ok(FeatureBank {
             bank,

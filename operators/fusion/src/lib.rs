@@ -101,11 +101,7 @@ impl<T: PortPayload> Pairing<T> {
     ///
     /// # Errors
     /// A selection for another message than the ego's.
-    pub fn take(
-        &mut self,
-        input: Input<T>,
-        max_collaborators: Option<usize>,
-    ) -> Result<Option<Set<T>>, PairingError> {
+    pub fn take(&mut self, input: Input<T>, max_collaborators: Option<usize>) -> Result<Option<Set<T>>, PairingError> {
         let (asked, Selection { query, entries }) = match input {
             Input::Ego(header, ego) => {
                 self.ego = Some((header, ego));
@@ -228,6 +224,13 @@ mod tests {
 
     use super::*;
 
+    /// What a fusion sends.
+    #[derive(Outputs)]
+    pub(crate) enum Output {
+        /// What was fused.
+        Fused(Header, Boxes),
+    }
+
     fn pose(x: f64, yaw: f64) -> Isometry3<f64> {
         Isometry3::from_parts(
             Translation3::new(1e5 + x, -1e5, 3.0),
@@ -273,7 +276,12 @@ mod tests {
     fn paired(entries: Vec<Message>, limit: Option<usize>) -> Set<Boxes> {
         let mut pairing = Pairing::default();
         take(&mut pairing, Input::<Boxes>::EGO, ego(7), limit).unwrap();
-        let set = take(&mut pairing, Input::<Boxes>::SELECTIONS, selection(7, &ego(7), entries), limit);
+        let set = take(
+            &mut pairing,
+            Input::<Boxes>::SELECTIONS,
+            selection(7, &ego(7), entries),
+            limit,
+        );
         set.unwrap().expect("a selection completes the set")
     }
 
@@ -398,9 +406,10 @@ mod tests {
         let mut nowhere = ego(7);
         nowhere.header.pose = None;
         let mut pairing = Pairing::default();
-        pairing.ego(nowhere);
-        let set: Set<Boxes> = pairing
-            .selection(selection(7, &ego(7), vec![boxes("rsu1", 1.0)]), None)
+        take(&mut pairing, Input::<Boxes>::EGO, nowhere, None).unwrap();
+        let chosen = selection(7, &ego(7), vec![boxes("rsu1", 1.0)]);
+        let set = take(&mut pairing, Input::<Boxes>::SELECTIONS, chosen, None)
+            .unwrap()
             .unwrap();
         assert!(set.collaborators.is_empty() && set.left_out[0].1 == Fate::Rejected);
     }
@@ -421,7 +430,7 @@ mod tests {
         lost.header.pose = None;
         let set = paired(vec![boxes("cav2", 1.0), lost, boxes("rsu1", 1.0)], Some(1));
         let mut out = Outputs::at(200);
-        set.send(Boxes::default(), &mut out);
+        set.send(Output::Fused, Boxes::default(), &mut out);
         let fates: Vec<_> = out
             .take_fates()
             .into_iter()
@@ -436,7 +445,7 @@ mod tests {
         let counted = ["over_limit_messages", "rejected_messages"].map(|counter| out.counted(counter));
         assert_eq!(counted, [1, 1]);
         let sent = out.take_sent();
-        assert_eq!((sent.len(), sent[0].0, sent[0].1.header.seq), (1, FUSED, 7));
+        assert_eq!((sent.len(), sent[0].0, sent[0].1.header.seq), (1, Output::FUSED, 7));
         assert_eq!(&*sent[0].1.header.agent, "cav1");
     }
 }

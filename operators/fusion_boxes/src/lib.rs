@@ -96,7 +96,6 @@ impl Operator for FusionBoxes {
 mod tests {
     use nalgebra::{Isometry3, Point3};
     use realo_engine::testkit::FusionCase;
-    use realo_fusion::FUSED;
     use realo_schemas::report::Fate;
     use realo_schemas::{Kind, Message, PointCloud, Pose, Selection};
 
@@ -143,9 +142,15 @@ mod tests {
         let ego = header("cav1", 7, Some(pose(1e5, -1e5, 0.4)));
         let selection = Message::new(ego.clone(), Selection { query: 7, entries });
         operator
-            .on_message(Input::<Boxes>::EGO, Message::new(ego.clone(), Boxes(ego_boxes)), &mut out)
+            .on_message(
+                Input::<Boxes>::EGO,
+                Message::new(ego.clone(), Boxes(ego_boxes)),
+                &mut out,
+            )
             .unwrap();
-        operator.on_message(Input::<Boxes>::SELECTIONS, selection, &mut out).unwrap();
+        operator
+            .on_message(Input::<Boxes>::SELECTIONS, selection, &mut out)
+            .unwrap();
         let mut sent = out.take_sent();
         assert_eq!(sent.len(), 1);
         let (port, fused) = sent.remove(0);
@@ -335,7 +340,11 @@ mod tests {
             .to_string();
         assert!(error.contains("without the ego's message"), "{error}");
         operator
-            .on_message(Input::<Boxes>::EGO, Message::new(header("cav1", 6, None), Boxes(vec![])), &mut out)
+            .on_message(
+                Input::<Boxes>::EGO,
+                Message::new(header("cav1", 6, None), Boxes(vec![])),
+                &mut out,
+            )
             .unwrap();
         let error = operator
             .on_message(Input::<Boxes>::SELECTIONS, selection(7), &mut out)

@@ -117,11 +117,20 @@ impl Operator for FusionFeatures {
         let loaded = realo_nn::load(&settings.model, kernels)?;
         let most = loaded.model.arch.agents() - 1;
         if !loaded.model.arch.fuses() {
-            return Err(FeatureError::Alone { model: settings.model, arch: loaded.model.arch.to_string() }.into());
+            return Err(FeatureError::Alone {
+                model: settings.model,
+                arch: loaded.model.arch.to_string(),
+            }
+            .into());
         }
         let limit = settings.max_collaborators.unwrap_or(most);
         if limit > most {
-            return Err(FeatureError::Limit { model: settings.model, most, found: limit }.into());
+            return Err(FeatureError::Limit {
+                model: settings.model,
+                most,
+                found: limit,
+            }
+            .into());
         }
         Ok(FusionFeatures {
             maps: Maps::of(&loaded),
@@ -215,7 +224,6 @@ mod tests {
 
     use nalgebra::{Translation3, UnitQuaternion};
     use realo_engine::testkit::FusionCase;
-    use realo_fusion::FUSED;
     use realo_nn::network::BevMap;
     use realo_schemas::report::Fate;
     use realo_schemas::{Kind, Message, Pose, Selection};
@@ -283,9 +291,14 @@ mod tests {
             .on_message(Input::<FeatureMap>::EGO, Message::new(asked.clone(), ego), &mut out)
             .unwrap();
         let selection = Message::new(asked, Selection { query: 7, entries });
-        let error = operator.on_message(Input::<FeatureMap>::SELECTIONS, selection, &mut out).err();
+        let error = operator
+            .on_message(Input::<FeatureMap>::SELECTIONS, selection, &mut out)
+            .err();
         let (port, fused) = out.take_sent().remove(0);
-        assert_eq!((port, fused.header.kind, fused.header.seq), (Output::FEATURES, Kind::Features, 7));
+        assert_eq!(
+            (port, fused.header.kind, fused.header.seq),
+            (Output::FEATURES, Kind::Features, 7)
+        );
         let reported = out.take_fates().into_iter();
         let reported = reported.map(|fated| (fated.message.from, fated.fate)).collect();
         let error = error.map(|error| error.to_string()).unwrap_or_default();
@@ -347,9 +360,10 @@ mod tests {
         let asked = Message::new(header("cav1", 0.0), own.clone());
         let entries = vec![Message::new(moved, theirs)];
         let mut pairing = Pairing::default();
-        pairing.ego(asked.clone());
-        let selection = Message::new(asked.header, Selection { query: 7, entries });
-        let mut set: Set<FeatureMap> = pairing.selection(selection, None).unwrap();
+        let selection = Input::Selections(asked.header.clone(), Selection { query: 7, entries });
+        let (header, own) = asked.into_parts::<FeatureMap>().unwrap();
+        assert!(pairing.take(Input::Ego(header, own), None).unwrap().is_none());
+        let mut set = pairing.take(selection, None).unwrap().unwrap();
         let maps = set.maps().unwrap();
         let (mut covered, mut found) = (0, [0.0; SIZE[2]]);
         for (row, column) in (0..SIZE[0]).flat_map(|row| (0..SIZE[1]).map(move |column| (row, column))) {

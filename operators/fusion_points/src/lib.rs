@@ -156,7 +156,6 @@ impl Operator for FusionPoints {
 mod tests {
     use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
     use realo_engine::testkit::FusionCase;
-    use realo_fusion::FUSED;
     use realo_schemas::report::Fate;
     use realo_schemas::{Boxes, Kind, Message, Pose, Selection};
 
@@ -195,10 +194,15 @@ mod tests {
         let sweep = Message::new(ego.clone(), cloud(&[[1.0, 2.0, 3.0]]));
         let selection = Message::new(ego, Selection { query: 7, entries });
         operator.on_message(Input::<PointCloud>::EGO, sweep, &mut out).unwrap();
-        operator.on_message(Input::<PointCloud>::SELECTIONS, selection, &mut out).unwrap();
+        operator
+            .on_message(Input::<PointCloud>::SELECTIONS, selection, &mut out)
+            .unwrap();
         let mut sent = out.take_sent().into_iter();
         let (port, merged) = sent.next().unwrap();
-        assert_eq!((port, merged.header.kind, merged.header.seq), (Output::CLOUDS, Kind::Points, 7));
+        assert_eq!(
+            (port, merged.header.kind, merged.header.seq),
+            (Output::CLOUDS, Kind::Points, 7)
+        );
         assert!(sent.next().is_none());
         let reported = out
             .take_fates()
@@ -268,10 +272,18 @@ mod tests {
         let mut operator = FusionPoints::new(Settings::default()).unwrap();
         let mut out = Outputs::at(200 * MS);
         operator
-            .on_message(Input::<PointCloud>::EGO, Message::new(ego.clone(), cloud(&[[f32::NAN; 3]])), &mut out)
+            .on_message(
+                Input::<PointCloud>::EGO,
+                Message::new(ego.clone(), cloud(&[[f32::NAN; 3]])),
+                &mut out,
+            )
             .unwrap();
         operator
-            .on_message(Input::<PointCloud>::SELECTIONS, Message::new(ego, Selection { query: 7, entries }), &mut out)
+            .on_message(
+                Input::<PointCloud>::SELECTIONS,
+                Message::new(ego, Selection { query: 7, entries }),
+                &mut out,
+            )
             .unwrap();
         assert_eq!(out.counted("empty_sweeps"), 3);
     }

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
 
-
 /// Settings of the link.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -70,7 +69,9 @@ impl TooEarly {
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// Another agent speaks where the ego should.
-    #[error("the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the argument `ego` of the link")]
+    #[error(
+        "the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the argument `ego` of the link"
+    )]
     NotTheEgo {
         /// Who speaks.
         agent: Name,
@@ -168,7 +169,10 @@ impl Link {
     fn ego_lane(&mut self, agent: &Name) -> Result<(), LinkError> {
         let ego = self.ego.get_or_insert_with(|| agent.clone());
         if ego != agent {
-            return Err(LinkError::NotTheEgo { agent: agent.clone(), ego: ego.clone() });
+            return Err(LinkError::NotTheEgo {
+                agent: agent.clone(),
+                ego: ego.clone(),
+            });
         }
         Ok(())
     }
@@ -268,7 +272,13 @@ impl Link {
         }
     }
 
-    fn carry(&mut self, output: fn(Header, Packet) -> Output, to: &Name, Sent(sent, header, packet): &Sent, out: &mut Outputs) {
+    fn carry(
+        &mut self,
+        output: fn(Header, Packet) -> Output,
+        to: &Name,
+        Sent(sent, header, packet): &Sent,
+        out: &mut Outputs,
+    ) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
         match in_range {

@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::{PoseError, PoseNoise};
 
-
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -207,9 +206,9 @@ impl Operator for Localization {
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::{Message};
     use super::*;
     use nalgebra::Isometry3;
+    use realo_schemas::Message;
 
     fn header(kind: Kind, seq: u64) -> Header {
         Header::origin(&"run".into(), &"cav1".into(), kind, seq, 100, 150)
@@ -309,7 +308,10 @@ mod tests {
     fn state_of(settings: Settings, agent: &str, seq: u64) -> AgentState {
         let mut localization = Localization::new(settings).unwrap();
         let mut out = Outputs::at(150);
-        for (port, mut message) in [(Input::CLOUDS, cloud(seq)), (Input::STATES, state(seq, PoseStatus::Truth))] {
+        for (port, mut message) in [
+            (Input::CLOUDS, cloud(seq)),
+            (Input::STATES, state(seq, PoseStatus::Truth)),
+        ] {
             message.header.agent = agent.into();
             localization.on_message(port, message, &mut out).unwrap();
         }

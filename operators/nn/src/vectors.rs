@@ -67,14 +67,14 @@ impl Vector {
 
     /// A number of the configuration.
     pub fn number(&self, key: &str) -> f64 {
-        self.settings[key]
+        self.config[key]
             .as_f64()
             .unwrap_or_else(|| panic!("config has no number `{key}`"))
     }
 
     /// A list of numbers of the configuration.
     pub fn list<const N: usize>(&self, key: &str) -> [f64; N] {
-        serde_json::from_value::<Vec<f64>>(self.settings[key].clone())
+        serde_json::from_value::<Vec<f64>>(self.config[key].clone())
             .unwrap()
             .try_into()
             .unwrap()

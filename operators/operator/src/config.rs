@@ -209,8 +209,13 @@ mod tests {
 
     #[test]
     fn an_argument_has_what_its_field_says() {
-        let [threshold, ego, ..] = Settings::ARGUMENTS else { panic!() };
-        assert_eq!((threshold.name, threshold.about, threshold.range), ("threshold", "IoU", Some("0 to 1")));
+        let [threshold, ego, ..] = Settings::ARGUMENTS else {
+            panic!()
+        };
+        assert_eq!(
+            (threshold.name, threshold.about, threshold.range),
+            ("threshold", "IoU", Some("0 to 1"))
+        );
         assert_eq!((ego.role, ego.range), (Some("ego"), None));
     }
 }

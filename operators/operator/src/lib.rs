@@ -30,8 +30,8 @@ pub use counter::{Counter, Counts, Loss, Meaning, Share};
 pub use draw::{Draws, StreamKey};
 pub use operator::{Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker};
 pub use port::{Class, Lane, Port, PortId, Queue, WrongType};
-pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 pub use realo_operator_derive::{Inputs, Outputs, Settings};
+pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 // What derived code names.
 #[doc(hidden)]
 pub use realo_schemas::{Message, PayloadType};

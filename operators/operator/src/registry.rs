@@ -216,7 +216,9 @@ impl Registration {
     /// The argument with a role, see [`Argument::role`].
     pub fn argument(&self, role: &str) -> Option<&'static str> {
         let mut arguments = self.arguments.iter();
-        arguments.find(|argument| argument.role == Some(role)).map(|argument| argument.name)
+        arguments
+            .find(|argument| argument.role == Some(role))
+            .map(|argument| argument.name)
     }
 
     /// An input by its name.

@@ -98,7 +98,16 @@ macro_rules! payloads {
     };
 }
 
-payloads!(PointCloud, AgentState, FeatureMap, Packet, Selection, Report, Boxes, GroundTruth);
+payloads!(
+    PointCloud,
+    AgentState,
+    FeatureMap,
+    Packet,
+    Selection,
+    Report,
+    Boxes,
+    GroundTruth
+);
 
 #[cfg(test)]
 mod tests {
@@ -138,9 +147,18 @@ mod tests {
         let [ego, choice] = Input::PORTS else { panic!() };
         assert_eq!((ego.name, ego.about), ("ego", "The ego's own, of any form"));
         assert_eq!(ego.types, [PayloadType::Boxes, PayloadType::FeatureMap]);
-        assert_eq!((ego.class, ego.queue, ego.lane), (Class::Query, Queue::All, Some(Lane::Ego)));
-        assert_eq!((choice.name, choice.types), ("bank_choice", &[PayloadType::Selection][..]));
-        assert_eq!((choice.queue, choice.join, choice.required), (Queue::Latest, Some("frame"), false));
+        assert_eq!(
+            (ego.class, ego.queue, ego.lane),
+            (Class::Query, Queue::All, Some(Lane::Ego))
+        );
+        assert_eq!(
+            (choice.name, choice.types),
+            ("bank_choice", &[PayloadType::Selection][..])
+        );
+        assert_eq!(
+            (choice.queue, choice.join, choice.required),
+            (Queue::Latest, Some("frame"), false)
+        );
         assert_eq!((Input::BANK_CHOICE, Output::OTHER), (PortId(1), PortId(1)));
     }
 
@@ -149,14 +167,25 @@ mod tests {
         let boxes = Boxes(Vec::<Box3>::new());
         let sent = Output::Boxes(header(), boxes.clone()).into_message();
         assert_eq!(sent, (Output::BOXES, Message::new(header(), boxes.clone())));
-        let Input::Ego(message) = Input::read(Input::EGO, sent.1).unwrap() else { panic!() };
+        let Input::Ego(message) = Input::read(Input::EGO, sent.1).unwrap() else {
+            panic!()
+        };
         let error = Input::read(Input::BANK_CHOICE, message.clone()).unwrap_err();
         assert!(matches!(error, PortError::Payload(_)), "{error}");
         let error = Input::read(PortId(2), message).unwrap_err();
         assert_eq!(error.to_string(), "a message on port number 2, this operator has 2");
-        let selection = Selection { query: 3, entries: Vec::new() };
+        let selection = Selection {
+            query: 3,
+            entries: Vec::new(),
+        };
         let read = Input::read(Input::BANK_CHOICE, Message::new(header(), selection)).unwrap();
-        assert!(matches!(read, Input::BankChoice(_, Selection { query: 3, .. })));
-        assert_eq!(Output::Other(Message::new(header(), boxes)).into_message().0, Output::OTHER);
+        assert!(matches!(
+            read,
+            Input::BankChoice(Header { seq: 3, .. }, Selection { query: 3, .. })
+        ));
+        assert_eq!(
+            Output::Other(Message::new(header(), boxes)).into_message().0,
+            Output::OTHER
+        );
     }
 }

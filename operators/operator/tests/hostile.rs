@@ -10,8 +10,8 @@ use realo_operator::pipe::words::{Call, Reply, Reported};
 use realo_operator::pipe::{frame, hello, is_reading};
 use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Registration, Settings};
 use realo_schemas::{Boxes, Header, Message};
-use serde::{Deserialize, Serialize};
 use replies::{boxes, reply, whole};
+use serde::{Deserialize, Serialize};
 
 /// Changed frames of each sort.
 const CASES: u64 = 4000;

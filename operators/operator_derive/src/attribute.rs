@@ -31,7 +31,10 @@ fn word(tokens: Vec<TokenTree>) -> Result<Option<Word>> {
     let mut tokens = tokens.into_iter();
     let Some(first) = tokens.next() else { return Ok(None) };
     let TokenTree::Ident(name) = first else {
-        return Err(Error::new(first.span(), "expected a word such as `latest` or `default = 1`"));
+        return Err(Error::new(
+            first.span(),
+            "expected a word such as `latest` or `default = 1`",
+        ));
     };
     let value = match tokens.next() {
         None => TokenStream::new(),
@@ -47,7 +50,9 @@ pub fn doc(attributes: &[Attribute], span: Span, what: &str) -> Result<String> {
     let mut lines = Vec::new();
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("doc")) {
         if let Meta::NameValue(value) = &attribute.meta
-            && let Expr::Lit(ExprLit { lit: Lit::Str(text), .. }) = &value.value
+            && let Expr::Lit(ExprLit {
+                lit: Lit::Str(text), ..
+            }) = &value.value
         {
             lines.extend(text.value().lines().map(|line| line.trim().to_string()));
         }

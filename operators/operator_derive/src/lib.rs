@@ -16,7 +16,9 @@ use syn::{DeriveInput, parse_macro_input};
 #[proc_macro_derive(Settings, attributes(setting))]
 pub fn settings(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
-    settings::derive(&input).unwrap_or_else(syn::Error::into_compile_error).into()
+    settings::derive(&input)
+        .unwrap_or_else(syn::Error::into_compile_error)
+        .into()
 }
 
 /// Makes the inputs of a stage from an enum, in priority order.
@@ -26,12 +28,16 @@ pub fn settings(input: TokenStream) -> TokenStream {
 #[proc_macro_derive(Inputs, attributes(port))]
 pub fn inputs(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
-    ports::inputs(&input).unwrap_or_else(syn::Error::into_compile_error).into()
+    ports::inputs(&input)
+        .unwrap_or_else(syn::Error::into_compile_error)
+        .into()
 }
 
 /// Makes the outputs of a stage from an enum, as [`macro@Inputs`] does its inputs.
 #[proc_macro_derive(Outputs, attributes(port))]
 pub fn outputs(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
-    ports::outputs(&input).unwrap_or_else(syn::Error::into_compile_error).into()
+    ports::outputs(&input)
+        .unwrap_or_else(syn::Error::into_compile_error)
+        .into()
 }

@@ -21,15 +21,18 @@ struct PortOf<'a> {
 
 pub fn inputs(input: &DeriveInput) -> Result<TokenStream> {
     let ports = ports(input)?;
-    let arms = ports.iter().enumerate().map(|(index, PortOf { variant, payload, .. })| match payload {
-        Some(payload) => quote! {
-            #index => {
-                let (header, payload) = <#payload as ::realo_operator::PortPayload>::of_message(message)?;
-                ::core::result::Result::Ok(Self::#variant(header, payload))
-            }
-        },
-        None => quote!(#index => ::core::result::Result::Ok(Self::#variant(message)),),
-    });
+    let arms = ports
+        .iter()
+        .enumerate()
+        .map(|(index, PortOf { variant, payload, .. })| match payload {
+            Some(payload) => quote! {
+                #index => {
+                    let (header, payload) = <#payload as ::realo_operator::PortPayload>::of_message(message)?;
+                    ::core::result::Result::Ok(Self::#variant(header, payload))
+                }
+            },
+            None => quote!(#index => ::core::result::Result::Ok(Self::#variant(message)),),
+        });
     let (constants, list) = (constants(input, &ports), list(&ports));
     let name = &input.ident;
     let (generics, of, bounds) = input.generics.split_for_impl();
@@ -52,15 +55,18 @@ pub fn inputs(input: &DeriveInput) -> Result<TokenStream> {
 
 pub fn outputs(input: &DeriveInput) -> Result<TokenStream> {
     let ports = ports(input)?;
-    let arms = ports.iter().enumerate().map(|(index, PortOf { variant, payload, .. })| match payload {
-        Some(_) => quote! {
-            Self::#variant(header, payload) => (
-                ::realo_operator::PortId(#index),
-                ::realo_operator::Message::new(header, payload),
-            ),
-        },
-        None => quote!(Self::#variant(message) => (::realo_operator::PortId(#index), message),),
-    });
+    let arms = ports
+        .iter()
+        .enumerate()
+        .map(|(index, PortOf { variant, payload, .. })| match payload {
+            Some(_) => quote! {
+                Self::#variant(header, payload) => (
+                    ::realo_operator::PortId(#index),
+                    ::realo_operator::Message::new(header, payload),
+                ),
+            },
+            None => quote!(Self::#variant(message) => (::realo_operator::PortId(#index), message),),
+        });
     let (constants, list) = (constants(input, &ports), list(&ports));
     let name = &input.ident;
     let (generics, of, bounds) = input.generics.split_for_impl();
@@ -95,7 +101,13 @@ fn constants(input: &DeriveInput, ports: &[PortOf]) -> TokenStream {
 
 fn list(ports: &[PortOf]) -> TokenStream {
     let ports = ports.iter().map(|port| {
-        let PortOf { name, about, types, properties, .. } = port;
+        let PortOf {
+            name,
+            about,
+            types,
+            properties,
+            ..
+        } = port;
         quote!(::realo_operator::Port::new(#name, #types, #about) #properties)
     });
     quote!(&[#(#ports),*])
@@ -124,14 +136,24 @@ fn port(variant: &Variant) -> Result<PortOf<'_>> {
         _ => Vec::new(),
     };
     let (payload, types) = match (&types[..], any_of) {
-        ([_, payload], None) => (Some(*payload), quote!(<#payload as ::realo_operator::PortPayload>::TYPES)),
+        ([_, payload], None) => (
+            Some(*payload),
+            quote!(<#payload as ::realo_operator::PortPayload>::TYPES),
+        ),
         ([_], Some(types)) => (None, types),
         _ => {
             let expected = "expected `(Header, Payload)`, or `(Message)` with `#[port(any_of(…))]`";
             return Err(Error::new_spanned(variant, expected));
         }
     };
-    Ok(PortOf { name: snake(&variant.ident), variant: &variant.ident, about, payload, types, properties })
+    Ok(PortOf {
+        name: snake(&variant.ident),
+        variant: &variant.ident,
+        about,
+        payload,
+        types,
+        properties,
+    })
 }
 
 fn any_of_types(at: &Ident, value: TokenStream) -> Result<TokenStream> {
@@ -166,7 +188,9 @@ mod tests {
 
     fn derived(input: TokenStream) -> std::result::Result<String, String> {
         let input: DeriveInput = syn::parse2(input).map_err(|error| error.to_string())?;
-        inputs(&input).map(|made| made.to_string()).map_err(|error| error.to_string())
+        inputs(&input)
+            .map(|made| made.to_string())
+            .map_err(|error| error.to_string())
     }
 
     #[test]
@@ -187,11 +211,50 @@ mod tests {
     #[test]
     fn what_is_no_port_does_not_compile() {
         let cases = [
-            (quote!(enum Input { Clouds(Header, PointCloud) }), "needs a doc comment"),
-            (quote!(enum Input { #[doc = "a"] Clouds }), "expected `(Header, Payload)`"),
-            (quote!(enum Input { #[doc = "a"] Clouds(Message) }), "expected `(Header, Payload)`"),
-            (quote!(enum Input { #[doc = "a"] #[port(any_of())] Clouds(Message) }), "names of payloads"),
-            (quote!(struct Input { clouds: PointCloud }), "expected an enum"),
+            (
+                quote!(
+                    enum Input {
+                        Clouds(Header, PointCloud),
+                    }
+                ),
+                "needs a doc comment",
+            ),
+            (
+                quote!(
+                    enum Input {
+                        #[doc = "a"]
+                        Clouds,
+                    }
+                ),
+                "expected `(Header, Payload)`",
+            ),
+            (
+                quote!(
+                    enum Input {
+                        #[doc = "a"]
+                        Clouds(Message),
+                    }
+                ),
+                "expected `(Header, Payload)`",
+            ),
+            (
+                quote!(
+                    enum Input {
+                        #[doc = "a"]
+                        #[port(any_of())]
+                        Clouds(Message),
+                    }
+                ),
+                "names of payloads",
+            ),
+            (
+                quote!(
+                    struct Input {
+                        clouds: PointCloud,
+                    }
+                ),
+                "expected an enum",
+            ),
         ];
         for (input, expected) in cases {
             let error = derived(input.clone()).unwrap_err();

@@ -27,7 +27,9 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
     let settings = fields.iter().map(setting).collect::<Result<Vec<_>>>()?;
     let arguments = settings.iter().map(argument);
     let checks = settings.iter().filter_map(check);
-    let defaults = settings.iter().map(|Setting { name, default, .. }| quote!(#name: #default));
+    let defaults = settings
+        .iter()
+        .map(|Setting { name, default, .. }| quote!(#name: #default));
     let name = &input.ident;
     Ok(quote! {
         impl ::core::default::Default for #name {
@@ -46,7 +48,10 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
 }
 
 fn setting(field: &Field) -> Result<Setting<'_>> {
-    let name = field.ident.as_ref().ok_or_else(|| Error::new_spanned(field, "expected a name"))?;
+    let name = field
+        .ident
+        .as_ref()
+        .ok_or_else(|| Error::new_spanned(field, "expected a name"))?;
     let mut setting = Setting {
         name,
         is_optional: is_option(&field.ty),
@@ -140,7 +145,9 @@ mod tests {
 
     fn derived(input: TokenStream) -> std::result::Result<String, String> {
         let input: DeriveInput = syn::parse2(input).map_err(|error| error.to_string())?;
-        derive(&input).map(|made| made.to_string()).map_err(|error| error.to_string())
+        derive(&input)
+            .map(|made| made.to_string())
+            .map_err(|error| error.to_string())
     }
 
     #[test]
@@ -167,17 +174,38 @@ mod tests {
 
     #[test]
     fn a_setting_without_a_doc_comment_does_not_compile() {
-        let error = derived(quote!(struct Settings { threshold: f64 })).unwrap_err();
+        let error = derived(quote!(
+            struct Settings {
+                threshold: f64,
+            }
+        ))
+        .unwrap_err();
         assert!(error.contains("needs a doc comment"), "{error}");
-        let made = derived(quote!(struct Settings { #[doc = " IoU."] threshold: f64 })).unwrap();
+        let made = derived(quote!(
+            struct Settings {
+                #[doc = " IoU."]
+                threshold: f64,
+            }
+        ))
+        .unwrap();
         assert!(made.contains("about : \"IoU\""), "{made}");
     }
 
     #[test]
     fn other_words_than_those_known_are_refused() {
-        let error = derived(quote!(struct Settings { #[doc = "IoU"] #[setting(rang = 0..1)] threshold: f64 }));
+        let error = derived(quote!(
+            struct Settings {
+                #[doc = "IoU"]
+                #[setting(rang = 0..1)]
+                threshold: f64,
+            }
+        ));
         assert!(error.unwrap_err().contains("expected `default`, `range` or `role`"));
-        let error = derived(quote!(enum Settings { One }));
+        let error = derived(quote!(
+            enum Settings {
+                One,
+            }
+        ));
         assert!(error.unwrap_err().contains("expected a struct"));
     }
 }

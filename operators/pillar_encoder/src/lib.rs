@@ -58,7 +58,6 @@ pub struct PillarEncoder {
     confidence: bool,
 }
 
-
 const EMPTY_SWEEPS: Counter = Counter::log_fault(
     "empty_sweeps",
     "sweeps that have no point in the model's grid, so that nothing can be found in them",
@@ -172,9 +171,9 @@ impl PillarEncoder {
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::{Message};
-    use realo_operator::{PortId};
     use super::*;
+    use realo_operator::PortId;
+    use realo_schemas::Message;
 
     fn encoder() -> PillarEncoder {
         let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
@@ -192,7 +191,9 @@ mod tests {
         let cloud = PointCloud::new(axis(0), axis(1), axis(2), vec![0; n], vec![0; n], vec![0; n]).unwrap();
         let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Points, 7, 11, 13);
         let mut out = Outputs::at(13);
-        encoder.on_message(Input::CLOUDS, Message::new(header, cloud), &mut out).unwrap();
+        encoder
+            .on_message(Input::CLOUDS, Message::new(header, cloud), &mut out)
+            .unwrap();
         let counted = ["nan_points", "out_of_range_points", "over_points"].map(|counter| out.counted(counter));
         let (port, message) = out.take_sent().remove(0);
         assert_eq!(port, Output::FEATURES);
@@ -267,5 +268,19 @@ mod tests {
             ..Settings::default()
         });
         assert!(error.is_err());
+    }
+
+    #[test]
+    fn arguments_name_all_instructions_and_number_types() {
+        let isas = realo_nn::conv::Isa::ALL.map(|isa| isa.to_string());
+        let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
+        for (argument, names) in [("isa", &isas[..]), ("precision", &precisions[..])] {
+            let mut arguments = <Settings as realo_operator::StageSettings>::ARGUMENTS.iter();
+            let about = arguments.find(|known| known.name == argument).expect("is there").about;
+            let words: Vec<&str> = about.split([' ', ',', ':']).collect();
+            for name in names {
+                assert!(words.contains(&&**name), "{about}: {name}");
+            }
+        }
     }
 }

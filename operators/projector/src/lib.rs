@@ -61,7 +61,6 @@ struct Known {
     used: bool,
 }
 
-
 const NO_EGO_STATE: Counter = Counter::loss(
     "no_ego_state",
     "clouds not sent: nothing was known yet of where the ego is (`project=sender`)",

@@ -2,7 +2,6 @@ use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settin
 use realo_schemas::{Box3, Boxes, Header, Kind, PointCloud, geometry};
 use serde::{Deserialize, Serialize};
 
-
 const INVALID_BOXES: Counter = Counter::log_fault(
     "invalid_boxes",
     "boxes dropped: not finite, without extent or above 100 m, more than 10 km away, or with a score outside [0, 1]",
@@ -14,8 +13,7 @@ const INVALID_BOXES: Counter = Counter::log_fault(
 /// Recorded detections have no settings.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Settings {
-}
+pub struct Settings {}
 
 /// The boxes that a detector could have found, in their order: those without a [`geometry::detection_fault`].
 pub fn sound(boxes: Boxes) -> Boxes {
@@ -83,9 +81,7 @@ impl Operator for RecordedDetections {
             Input::Recorded(recorded, boxes) => {
                 let sweep = self.sweep.take();
                 let same = |sweep: &Header| (&sweep.agent, sweep.seq) == (&recorded.agent, recorded.seq);
-                let sweep = sweep
-                    .filter(same)
-                    .ok_or(RecordedError::NoSweep)?;
+                let sweep = sweep.filter(same).ok_or(RecordedError::NoSweep)?;
                 if (recorded.stamp, &recorded.frame) != (sweep.stamp, &sweep.frame) {
                     let expected = format!("stamp {} ns and frame {}", sweep.stamp, sweep.frame);
                     let found = format!("stamp {} ns and frame {}", recorded.stamp, recorded.frame);
@@ -169,7 +165,11 @@ mod tests {
         let mut out = Outputs::at(150);
         operator.on_message(Input::CLOUDS, sweep(), &mut out).unwrap();
         operator
-            .on_message(Input::RECORDED, Message::new(header(Kind::Boxes, 4, 100), recorded), &mut out)
+            .on_message(
+                Input::RECORDED,
+                Message::new(header(Kind::Boxes, 4, 100), recorded),
+                &mut out,
+            )
             .unwrap();
         let expected = Header {
             kind: Kind::Boxes,
@@ -177,7 +177,10 @@ mod tests {
         };
         assert_eq!(
             out.take_sent(),
-            [(Output::PROPOSALS, Message::new(expected, Boxes(vec![object(2.0), object(3.0)])))]
+            [(
+                Output::PROPOSALS,
+                Message::new(expected, Boxes(vec![object(2.0), object(3.0)]))
+            )]
         );
         assert_eq!(out.counted("invalid_boxes"), 5);
     }

@@ -4,7 +4,7 @@ use std::time::Instant;
 use nalgebra::{Isometry3, Vector3};
 use realo_operator::{Operator, Outputs, PortId};
 use realo_schemas::{AgentState, Header, Kind, Message, Nanos, PointCloud, PoseStatus};
-use realo_sync::{Sync, Settings};
+use realo_sync::{Settings, Sync};
 
 const MS: Nanos = 1_000_000;
 

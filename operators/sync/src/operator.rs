@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use crate::lane::Unposed;
 use crate::{Cleaned, Lane, OwnBody, Pairing, clean};
 
-
 const NANOS_PER_MILLI: Nanos = 1_000_000;
 
 /// A stamp may lie so far after its message's arrival, ns; more would block the agent's stream until then.

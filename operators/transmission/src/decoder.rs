@@ -19,7 +19,6 @@ pub struct Settings {
     pub kind: Option<Kind>,
 }
 
-
 /// Gets what an agent said out of its bytes.
 pub struct TransmissionDecoder {
     max_bytes: usize,

@@ -57,7 +57,6 @@ pub struct TransmissionEncoder {
     encoder: Encoder,
 }
 
-
 const BYTES: Counter = Counter::plain(
     "bytes",
     "bytes made, before the link's range gate; those of a channel are in `links`",

@@ -1,4 +1,4 @@
-use realo_nms::{Settings, Index, Ties, nms, order};
+use realo_nms::{Index, Settings, Ties, nms, order};
 use realo_schemas::Box3;
 use realo_schemas::geometry::{Footprint, iou};
 

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use realo_importer::{Level, relevel};
 use realo_logs::{AgentInfo, AgentKind, Lane, Log, LogInfo, LogWriter, McapFile, McapWriter, Schema, Stream, describe};
 use realo_operator::Source;
-use realo_player::{Settings, Player, PoseSource};
+use realo_player::{Player, PoseSource, Settings};
 use realo_schemas::geometry::{View, transform_box, yaw_of};
 use realo_schemas::{AgentState, Box3, Boxes, Message, Nanos, Payload, PointCloud, PoseStatus};
 

@@ -26,8 +26,8 @@ use realo_schemas::report::Phase;
 use realo_schemas::{Kind, Name, Nanos, to_millis};
 use serde::Serialize;
 
-use crate::paper::{Crossing, PaperTimes};
 use crate::output::{Force, Output};
+use crate::paper::{Crossing, PaperTimes};
 use crate::{Outcome, demo, precompute, run};
 
 /// Between two messages, unless the one before takes longer.
@@ -447,7 +447,9 @@ impl Found {
                 format!("{} of {}", row.came_back, row.sent),
                 of(&row.half_of_round_trip_ms),
                 of(&row.one_way_ms),
-                paper.map_or(String::new(), |Crossing { kilobytes, ms, .. }| format!("{ms} of {kilobytes} KB")),
+                paper.map_or(String::new(), |Crossing { kilobytes, ms, .. }| format!(
+                    "{ms} of {kilobytes} KB"
+                )),
             );
         }
         println!(

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use eyre::{Result, eyre};
 use realo_operator::{Describe, Source};
-use realo_player::{Settings, Player};
+use realo_player::{Player, Settings};
 use realo_results::NodeSummary;
 use realo_schemas::{GroundTruth, Header, Kind};
 

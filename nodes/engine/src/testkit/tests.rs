@@ -1,10 +1,10 @@
 //! The checks by fusions that hold all of them, and by some that break one.
 
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use realo_operator::{Argument, Describe, Error, Port, unexpected};
+use realo_operator::{Describe, Error, Port, PortError, Settings, StageInputs};
 use realo_schemas::{Box3, Boxes, Kind, Report};
+use serde::{Deserialize, Serialize};
 
 use super::*;
 

@@ -5,8 +5,8 @@ use realo_schemas::{Message, Nanos, PayloadType};
 use super::*;
 use crate::Graph;
 use realo_operator::{
-    Books, Describe, Error, Gateway, Lane, Operator, Outputs, Port, PortError, PortId, Settings, Sink, Source, StageInputs,
-    StageOutputs, Waker,
+    Books, Describe, Error, Gateway, Lane, Operator, Outputs, Port, PortError, PortId, Settings, Sink, Source,
+    StageInputs, StageOutputs, Waker,
 };
 
 #[derive(Settings, serde::Serialize, serde::Deserialize)]

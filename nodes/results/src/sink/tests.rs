@@ -147,9 +147,9 @@ fn both() -> Books {
 fn sink(out: &Path) -> Results {
     let reported = RunSettings {
         log: "intersection".into(),
-        settings: Settings {
+        settings: crate::Settings {
             graph: "late_fusion".into(),
-            ..Settings::default()
+            ..crate::Settings::default()
         },
         ..RunSettings::default()
     };
@@ -436,18 +436,27 @@ fn tells_what_dora_lost_and_what_is_missing_for_it() {
 fn refuses_reports_of_another_topic_or_form() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = sink(folder.path());
-    let error = sink.on_message(Input::EVALUATION, a_report("fusion", &1)).unwrap_err().to_string();
+    let error = sink
+        .on_message(Input::EVALUATION, a_report("fusion", &1))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("`evaluation`") && error.contains("`fusion`"), "{error}");
     let error = sink
         .on_message(Input::EVALUATION, a_report(TOPIC, &["x"]))
         .unwrap_err()
         .to_string();
     assert!(error.contains("report `evaluation`"), "{error}");
-    let error = sink.on_message(Input::BOXES, a_report(TOPIC, &1)).unwrap_err().to_string();
+    let error = sink
+        .on_message(Input::BOXES, a_report(TOPIC, &1))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("expected a Boxes"), "{error}");
     assert!(sink.on_message(PortId(3), boxes(0)).is_err());
     sink.on_message(Input::EVALUATION, evaluation(1, &[])).unwrap();
-    let error = sink.on_message(Input::EVALUATION, evaluation(1, &[])).unwrap_err().to_string();
+    let error = sink
+        .on_message(Input::EVALUATION, evaluation(1, &[]))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("second report"), "{error}");
 }
 

@@ -52,9 +52,14 @@ fn what_cannot_be_fused_with_the_query_is_rejected_before_and_after_it_is_known(
             ..message("rsu1", seq, stamp, stamp + 1)
         };
         bank.on_message(Input::OTHERS, cloud(4, 95), &mut out).unwrap();
-        bank.on_message(Input::OTHERS, message("rsu1", 3, 90, 92), &mut out).unwrap();
-        bank.on_message(Input::EGO, message("cav1", 7, 100, 140), &mut out).unwrap();
-        let error = bank.on_message(Input::OTHERS, cloud(5, 100), &mut out).unwrap_err().to_string();
+        bank.on_message(Input::OTHERS, message("rsu1", 3, 90, 92), &mut out)
+            .unwrap();
+        bank.on_message(Input::EGO, message("cav1", 7, 100, 140), &mut out)
+            .unwrap();
+        let error = bank
+            .on_message(Input::OTHERS, cloud(5, 100), &mut out)
+            .unwrap_err()
+            .to_string();
         assert!(
             error.contains("expected Boxes") && error.contains("found PointCloud"),
             "{error}"
@@ -70,8 +75,10 @@ fn what_cannot_be_fused_with_the_query_is_rejected_before_and_after_it_is_known(
 fn answers_each_query_at_once_with_the_querys_header() {
     let mut bank = bank(false);
     let mut out = Outputs::at(140 * MS);
-    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 130), &mut out).unwrap();
-    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 131), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 130), &mut out)
+        .unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 131), &mut out)
+        .unwrap();
     let query = message("cav1", 7, 100, 140);
     bank.on_message(Input::EGO, query.clone(), &mut out).unwrap();
     let (selections, fates) = outcome(&mut out);
@@ -86,8 +93,10 @@ fn who_is_in_the_egos_message_already_is_skipped_by_its_query() {
     for offline in [false, true] {
         let mut bank = bank(offline);
         let mut out = Outputs::at(140 * MS);
-        bank.on_message(Input::OTHERS, message("rsu1", 4, 95, 110), &mut out).unwrap();
-        bank.on_message(Input::OTHERS, message("cav2", 2, 95, 110), &mut out).unwrap();
+        bank.on_message(Input::OTHERS, message("rsu1", 4, 95, 110), &mut out)
+            .unwrap();
+        bank.on_message(Input::OTHERS, message("cav2", 2, 95, 110), &mut out)
+            .unwrap();
         let query = message("cav1", 7, 100, 140);
         let entries = vec![message("rsu1", 4, 95, 100)];
         let fused = Message::new(query.header.clone(), Selection { query: 7, entries });
@@ -107,7 +116,8 @@ fn who_was_in_an_earlier_message_of_the_ego_is_selected_again() {
     let query = |seq| message("cav1", seq, 100, 140);
     let entries = vec![message("rsu1", 4, 95, 100)];
     let fused = Message::new(query(7).header, Selection { query: 7, entries });
-    bank.on_message(Input::OTHERS, message("rsu1", 4, 95, 110), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 95, 110), &mut out)
+        .unwrap();
     bank.on_message(Input::FUSED, fused, &mut out).unwrap();
     bank.on_message(Input::EGO, query(7), &mut out).unwrap();
     bank.on_message(Input::EGO, query(8), &mut out).unwrap();
@@ -124,10 +134,12 @@ fn who_was_in_an_earlier_message_of_the_ego_is_selected_again() {
 fn offline_answers_fifty_milliseconds_after_the_stamp() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
-    bank.on_message(Input::EGO, message("cav1", 0, 100, 100), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 0, 100, 100), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).0, []);
     assert_eq!(out.take_wakes().into_iter().collect::<Vec<_>>(), [150 * MS]);
-    bank.on_message(Input::OTHERS, message("rsu1", 0, 140, 140), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 0, 140, 140), &mut out)
+        .unwrap();
     bank.on_wake(149 * MS, &mut out).unwrap();
     assert_eq!(outcome(&mut out).0, []);
     let mut out = Outputs::at(150 * MS);
@@ -144,7 +156,8 @@ fn queries_of_one_stamp_are_answered_each_in_order_of_arrival() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
     for seq in [4, 3, 5] {
-        bank.on_message(Input::EGO, message("cav1", seq, 100, 100), &mut out).unwrap();
+        bank.on_message(Input::EGO, message("cav1", seq, 100, 100), &mut out)
+            .unwrap();
     }
     bank.on_wake(150 * MS, &mut out).unwrap();
     let answered: Vec<u64> = outcome(&mut out).0.iter().map(|(_, query, _)| *query).collect();
@@ -155,7 +168,8 @@ fn queries_of_one_stamp_are_answered_each_in_order_of_arrival() {
 fn answers_what_is_pending_at_the_end() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
-    bank.on_message(Input::EGO, message("cav1", 0, 100, 100), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 0, 100, 100), &mut out)
+        .unwrap();
     bank.on_end(&mut out).unwrap();
     assert_eq!(outcome(&mut out).0.len(), 1);
 }
@@ -166,7 +180,8 @@ fn closes_its_books_without_a_query_and_is_silent_without_a_message() {
     bank(false).on_end(&mut out).unwrap();
     assert_eq!(out.take_sent(), []);
     let mut bank = bank(false);
-    bank.on_message(Input::OTHERS, message("rsu1", 0, 90, 100), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 0, 90, 100), &mut out)
+        .unwrap();
     bank.on_end(&mut out).unwrap();
     assert_eq!(outcome(&mut out), (vec![], vec![(0, Fate::InFlight)]));
 }
@@ -175,9 +190,12 @@ fn closes_its_books_without_a_query_and_is_silent_without_a_message() {
 fn says_what_became_of_what_it_will_not_select() {
     let mut bank = bank(false);
     let mut out = Outputs::at(140 * MS);
-    bank.on_message(Input::OTHERS, message("rsu1", 3, 0, 100), &mut out).unwrap();
-    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 130), &mut out).unwrap();
-    bank.on_message(Input::EGO, message("cav1", 7, 100, 140), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 3, 0, 100), &mut out)
+        .unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 130), &mut out)
+        .unwrap();
+    bank.on_message(Input::EGO, message("cav1", 7, 100, 140), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).1, [(3, Fate::Superseded)]);
 }
 
@@ -234,8 +252,14 @@ fn patient_queries_go_on_as_soon_as_all_that_is_expected_has_come() {
     two_of(&mut bank, "rsu1");
     two_of(&mut bank, "rsu2");
     // Both are due at 260.
-    assert_eq!(give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)), (vec![], vec![280]));
-    assert_eq!(give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 262)), (vec![], vec![]));
+    assert_eq!(
+        give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)),
+        (vec![], vec![280])
+    );
+    assert_eq!(
+        give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 262)),
+        (vec![], vec![])
+    );
     let (answered, _) = give(&mut bank, Input::OTHERS, message("rsu2", 2, 200, 270));
     assert_eq!(answered[0].2, ["rsu1:2", "rsu2:2"]);
     assert_eq!(answered[0].0.ready, 270 * MS);
@@ -248,7 +272,10 @@ fn patient_queries_go_on_as_soon_as_all_that_is_expected_has_come() {
 fn patience_ends_with_what_is_there() {
     let mut bank = patient();
     two_of(&mut bank, "rsu1");
-    assert_eq!(give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)), (vec![], vec![280]));
+    assert_eq!(
+        give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)),
+        (vec![], vec![280])
+    );
     for (now, answers) in [(279, vec![]), (280, vec!["rsu1:1".to_string()])] {
         let mut out = Outputs::at(now * MS);
         bank.on_wake(now * MS, &mut out).unwrap();
@@ -342,7 +369,8 @@ fn a_query_that_had_to_wait_for_its_turn_takes_what_came_meanwhile_if_it_is_pati
         give(&mut bank, Input::OTHERS, message("rsu1", 0, 100, 160));
         give(&mut bank, Input::OTHERS, message("rsu1", 1, 200, 255));
         let mut out = Outputs::at(257 * MS);
-        bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+        bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out)
+            .unwrap();
         assert_eq!(outcome(&mut out).0[0].2, [taken]);
     }
 }
@@ -352,7 +380,8 @@ fn a_patient_query_that_is_asked_early_takes_what_is_ready_when_it_is() {
     let mut bank = patient();
     give(&mut bank, Input::OTHERS, message("rsu1", 0, 100, 245));
     let mut out = Outputs::at(240 * MS);
-    bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).0[0].2, ["rsu1:0"]);
 }
 
@@ -361,7 +390,8 @@ fn without_patience_nobody_waits_even_for_what_is_due_when_the_query_is_ready() 
     let mut bank = bank(false);
     two_of(&mut bank, "rsu1");
     let mut out = Outputs::at(240 * MS);
-    bank.on_message(Input::EGO, message("cav1", 2, 200, 260), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 2, 200, 260), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).0.len(), 1);
 }
 
@@ -372,7 +402,8 @@ fn a_query_whose_patience_is_over_when_its_turn_comes_is_answered_at_once() {
         let mut bank = patient();
         two_of(&mut bank, "rsu1");
         let mut out = Outputs::at(turn * MS);
-        bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+        bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out)
+            .unwrap();
         let asked: Vec<Nanos> = out.take_wakes().into_iter().map(|time| time / MS).collect();
         let answered = outcome(&mut out).0;
         assert_eq!((answered.is_empty(), asked), (!wakes.is_empty(), wakes), "{turn}");
@@ -405,7 +436,11 @@ fn a_late_older_message_ends_no_wait() {
     }
     assert_eq!(give(&mut bank, Input::EGO, message("cav1", 3, 300, 350)).0, []);
     assert_eq!(give(&mut bank, Input::OTHERS, message("rsu1", 1, 100, 355)).0, []);
-    assert_eq!(give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 356)).0, [], "a copy");
+    assert_eq!(
+        give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 356)).0,
+        [],
+        "a copy"
+    );
     let (answered, _) = give(&mut bank, Input::OTHERS, message("rsu1", 3, 300, 362));
     assert_eq!(answered[0].2, ["rsu1:3"]);
 }

@@ -58,7 +58,7 @@ impl Watched {
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let mut own = Outputs::at(out.now());
         let done = self.link.on_message(port, message, &mut own);
         self.watch(own, out);
@@ -85,7 +85,8 @@ fn link(profile: &str) -> Watched {
 /// A link that knows all agents to stand at one place.
 fn placed(mut link: Watched) -> Watched {
     let out = &mut Outputs::at(0);
-    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), out).unwrap();
+    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), out)
+        .unwrap();
     for other in ["rsu1", "cav2"] {
         link.on_message(Input::STATES, state(other, 0, 0.0, 0.0), out).unwrap();
     }
@@ -148,7 +149,11 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
     let mut out = Outputs::at(MS);
     let mut delivered = |link: &mut Watched, states: &[(&str, Nanos, f64, f64)]| {
         for (agent, at, x, y) in states {
-            let port = if *agent == "cav1" { Input::EGO_STATE } else { Input::STATES };
+            let port = if *agent == "cav1" {
+                Input::EGO_STATE
+            } else {
+                Input::STATES
+            };
             link.on_message(port, state(agent, *at, *x, *y), &mut out).unwrap();
         }
         link.on_message(Input::OTHERS, packet("rsu1", Kind::Boxes, 0, MS, 10), &mut out)
@@ -186,7 +191,11 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     let mut at_start = 0;
     let mut place = |link: &mut Watched, agent: &str, at: Nanos| -> Vec<(u64, Nanos)> {
         let mut out = Outputs::at(at);
-        let port = if agent == "cav1" { Input::EGO_STATE } else { Input::STATES };
+        let port = if agent == "cav1" {
+            Input::EGO_STATE
+        } else {
+            Input::STATES
+        };
         link.on_message(port, state(agent, 0, 20.0, 0.0), &mut out).unwrap();
         let sent = out.take_sent();
         assert_eq!(out.counted("unplaced"), 0);
@@ -221,8 +230,12 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     let mut link = link("paper");
     assert_eq!(place(&mut link, "rsu1", 0), []);
     assert_eq!(hear(&mut link, 0, 0..1), 0, "online, nobody waits for the ego");
-    link.on_message(Input::OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(MS))
-        .unwrap();
+    link.on_message(
+        Input::OTHERS,
+        packet("cav2", Kind::Boxes, 0, 0, 10),
+        &mut Outputs::at(MS),
+    )
+    .unwrap();
     assert_eq!(at_start, 4, "of whom positions came");
     let (mut own, mut out) = (Outputs::at(2 * MS), Outputs::at(2 * MS));
     link.link.on_end(&mut own).unwrap();
@@ -245,9 +258,12 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
 fn the_egos_packets_go_to_every_other_agent() {
     let mut link = link("paper");
     let mut out = Outputs::at(0);
-    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
-    link.on_message(Input::STATES, state("cav2", 0, 0.0, 20.0), &mut out).unwrap();
-    link.on_message(Input::STATES, state("rsu2", 0, 10.0, 0.0), &mut out).unwrap();
+    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out)
+        .unwrap();
+    link.on_message(Input::STATES, state("cav2", 0, 0.0, 20.0), &mut out)
+        .unwrap();
+    link.on_message(Input::STATES, state("rsu2", 0, 10.0, 0.0), &mut out)
+        .unwrap();
     link.on_message(Input::OTHERS, packet("cav2", Kind::AgentState, 0, 0, 10), &mut out)
         .unwrap();
     out.take_sent();
@@ -258,7 +274,13 @@ fn the_egos_packets_go_to_every_other_agent() {
         .into_iter()
         .map(|(port, m)| (port, m.header.to.unwrap().to_string()))
         .collect();
-    assert_eq!(sent, [(Output::TO_OTHERS, "cav2".to_string()), (Output::TO_OTHERS, "rsu2".to_string())]);
+    assert_eq!(
+        sent,
+        [
+            (Output::TO_OTHERS, "cav2".to_string()),
+            (Output::TO_OTHERS, "rsu2".to_string())
+        ]
+    );
     let channels: Vec<_> = report(&mut link).into_iter().map(|c| (c.from, c.to, c.bytes)).collect();
     let expected = [("cav1", "cav2", 20), ("cav1", "rsu2", 20), ("cav2", "cav1", 10)];
     assert_eq!(
@@ -325,8 +347,10 @@ fn offline_keeps_the_gate_and_the_counts_only() {
     let all = delivered(&mut link, 0..200);
     assert_eq!(all, (0..200).map(|seq| (seq, 100 * MS * seq as Nanos)).collect());
     let mut out = Outputs::at(0);
-    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
-    link.on_message(Input::STATES, state("rsu1", 0, 71.0, 0.0), &mut out).unwrap();
+    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out)
+        .unwrap();
+    link.on_message(Input::STATES, state("rsu1", 0, 71.0, 0.0), &mut out)
+        .unwrap();
     assert_eq!(delivered(&mut link, 200..210), BTreeSet::new());
     let channel = report(&mut link).remove(0);
     assert_eq!(
@@ -339,7 +363,8 @@ fn offline_keeps_the_gate_and_the_counts_only() {
 fn learns_the_ego_and_refuses_what_is_wired_wrongly() {
     let mut link = Watched::new(Settings::default()).unwrap();
     let mut out = Outputs::at(0);
-    link.on_message(Input::STATES, state("rsu1", 0, 0.0, 0.0), &mut out).unwrap();
+    link.on_message(Input::STATES, state("rsu1", 0, 0.0, 0.0), &mut out)
+        .unwrap();
     link.on_message(Input::OTHERS, packet("rsu1", Kind::Boxes, 0, 0, 1), &mut out)
         .unwrap();
     assert_eq!((out.take_sent().len(), out.counted("no_receiver")), (0, 0));

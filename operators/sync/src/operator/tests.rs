@@ -1,5 +1,5 @@
-use realo_operator::{Outputs};
 use nalgebra::{Isometry3, Point3, Vector3};
+use realo_operator::Outputs;
 use realo_schemas::{AgentState, Header, Kind, Message, Nanos, PointCloud, PoseStatus};
 
 use super::*;
@@ -241,7 +241,13 @@ fn refuses_stamps_from_the_future_and_poses_that_are_none() {
     assert!(refuse(Input::POSES, pose("cav1", 1001)).contains("1.001 s"));
     let mut bad = state(0);
     bad.map_from_body.translation.x = f64::NAN;
-    assert!(refuse(Input::POSES, Message::new(header("cav1", Kind::AgentState, 0, 0, 0), bad)).contains("finite"));
+    assert!(
+        refuse(
+            Input::POSES,
+            Message::new(header("cav1", Kind::AgentState, 0, 0, 0), bad)
+        )
+        .contains("finite")
+    );
     assert!(refuse(Input::POSES, sweep("cav1", 0, 0)).contains("AgentState"));
     let refuse = |own_body: &[f32]| {
         let config = Settings {

@@ -1,8 +1,11 @@
 use arrow::buffer::Buffer;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use realo_operator::{Outputs, PortId, StageOutputs, Steps};
-use realo_schemas::{AgentState, Box3, Boxes, DType, Elements, FeatureMap, Header, Kind, Message, Name, Packet, Payload, PointCloud, Pose, PoseStatus};
+use realo_operator::{Operator, Outputs, PortId, Steps};
+use realo_schemas::{
+    AgentState, Box3, Boxes, DType, Elements, FeatureMap, Header, Kind, Message, Name, Packet, Payload, PointCloud,
+    Pose, PoseStatus,
+};
 
 use super::*;
 use crate::{DecoderSettings, EncoderSettings, TransmissionDecoder, TransmissionEncoder};

@@ -211,7 +211,9 @@ fn poisoned_maps_are_neither_sent_nor_taken() {
     assert!(refused(&bytes).contains("`elements`: expected finite numbers"));
     let mut far = numbers();
     (far[3], far[8]) = (f32::MAX, -f32::MAX);
-    let error = encoded(map_of(far), &EncoderSettings::default()).unwrap_err().to_string();
+    let error = encoded(map_of(far), &EncoderSettings::default())
+        .unwrap_err()
+        .to_string();
     assert!(
         error.contains("channel 3 goes from") && error.contains("`elements=f32`"),
         "{error}"

@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
 use eyre::{Result, ensure};
-use realo_nms::{Settings, Index, keep};
+use realo_nms::{Index, Settings, keep};
 use realo_schemas::geometry::Footprint;
 use serde::Serialize;
 

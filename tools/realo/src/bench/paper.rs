@@ -7,8 +7,8 @@ use realo_schemas::{Box3, Boxes, Elements, Header, Kind, Message, Pose};
 use realo_transmission::{BoxesLayout, EncoderSettings};
 use serde::Serialize;
 
-use crate::paper::{Crossing, PaperTimes, Part};
 use super::transmission::{Crossed, Way, cross};
+use crate::paper::{Crossing, PaperTimes, Part};
 
 /// Rate at which the paper's points crossed its Wi-Fi, 3.7 MB in 144.2 ms, bit/s: messages of here are reported at the same.
 const RATE: f64 = 205e6;
@@ -167,8 +167,16 @@ impl fmt::Display for Tables {
             "\n{:<26}{:>14}{:>14}   encoder and decoder here, ms",
             "transmission module", "encoder, ms", "decoder, ms"
         )?;
-        for Part { name, encoder_ms, decoder_ms } in &times.module {
-            let steps = STEPS.iter().find(|(part, _)| part == name).map_or(&[][..], |(_, steps)| steps);
+        for Part {
+            name,
+            encoder_ms,
+            decoder_ms,
+        } in &times.module
+        {
+            let steps = STEPS
+                .iter()
+                .find(|(part, _)| part == name)
+                .map_or(&[][..], |(_, steps)| steps);
             write!(f, "{name:<26}{encoder_ms:>14.2}{decoder_ms:>14.2}   ")?;
             let all: Vec<String> = of(Kind::Features)
                 .skip(1)

@@ -79,9 +79,7 @@ fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
 /// The stages whose outputs reach the results without crossing a link.
 fn of_the_ego(graph: &FlatGraph) -> BTreeSet<usize> {
     let place = |id: &str| graph.nodes.iter().position(|node| node.id == id);
-    let mut open: Vec<usize> = deciding(graph, roles::OUT)
-        .filter_map(|node| place(&node.id))
-        .collect();
+    let mut open: Vec<usize> = deciding(graph, roles::OUT).filter_map(|node| place(&node.id)).collect();
     let mut own = BTreeSet::new();
     let is_link = |node: &FlatNode| decided_argument(node, roles::LINK).is_some();
     while let Some(index) = open.pop() {

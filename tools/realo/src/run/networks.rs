@@ -9,7 +9,6 @@ use realo_graph::{FlatGraph, FlatNode, InputSource};
 use realo_nn::model::Model;
 use realo_nn::{AUTO, Kernels, Loaded};
 
-
 use super::nodes::{argument, decided_argument, deciding, registration};
 
 /// A network that was looked at; as long as it is kept, whoever loads it too shares it.

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use eyre::{Report, Result, WrapErr, bail};
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
-use realo_operator::{Durations};
+use realo_operator::Durations;
 use realo_results::Run;
 
 use super::batch::Unfinished;
