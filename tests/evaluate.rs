@@ -367,13 +367,13 @@ fn a_recording_without_truth_is_refused() {
 fn record_boxes_only(path: &Path) {
     use realo_operator::{PortId, Sink};
     use realo_schemas::{Boxes, Header, Kind, Message};
-    let config = realo_recorder::Config {
+    let config = realo_recorder::Settings {
         path: path.into(),
         clouds: false,
     };
     let mut recorder = realo_recorder::Recorder::new(config).expect("a recorder");
     let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Boxes, 0, 1_000, 1_000);
     let boxes = Message::new(header, Boxes(Vec::new()));
-    recorder.accept(PortId(0), boxes).expect("boxes are recorded");
+    recorder.on_message(PortId(0), boxes).expect("boxes are recorded");
     recorder.finish(&Default::default()).expect("the recording is finished");
 }

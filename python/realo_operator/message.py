@@ -1,38 +1,46 @@
 """Messages as Arrow rows: the header's fields, then the payload's columns as lists."""
 
 import dataclasses
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import realo_geometry as geometry
 
-_HEADER = "run agent kind frame to: string; seq hop: uint64; stamp ready: int64; clock_rate pose pose_covariance position: [double]"
-_HEADER += "; trace_node: [string]; clock_origins trace_input trace_start trace_done trace_ready: [int64]"
-_BOXES = "x y z length width height yaw: [double]; class: [string]; score: [float]; track: [uint64]"
-_BOXES += "; velocity: [vector3]; covariance: [vector9]"
-#: The columns of each payload and their types, `[…]`: of a list; `Selection` has `entries` besides, whole messages.
-PAYLOADS = {
-    "PointCloud": "x y z: [float]; intensity: [uint8]; time: [int32]; ring: [uint16]",
-    "AgentState": "map_from_body covariance velocity angular_rate: [double]; status: string",
-    "FeatureMap": "rows columns channels: uint32; cell: double; origin: [double]; dtype model: string; data: binary; confidence: [float]",
-    "Packet": "codec: [string]; bytes: binary",
-    "Selection": "query: uint64",
-    "Report": "topic json: string",
-    "Boxes": _BOXES,
-    "GroundTruth": _BOXES + "; agents: [string]; points: [uint32]; ego_footprint: [double]; key: bool",
-}
 _ELEMENTS = {"f32": "<f4", "f16": "<f2", "bf16": "<u2", "u8": "u1"}
 
 
-def _types(columns):
-    vectors = {f"vector{n}": pa.list_(pa.float64(), n) for n in (3, 9)}
-    for names, name in (group.split(": ") for group in columns.split("; ")):
-        item = vectors.get(name.strip("[]")) or pa.type_for_alias(name.strip("[]"))
-        yield from ((column, pa.list_(item) if name[0] == "[" else item) for column in names.split())
+_TYPES = {
+    "Utf8": pa.string(),
+    "Binary": pa.binary(),
+    "Boolean": pa.bool_(),
+    "Float32": pa.float32(),
+    "Float64": pa.float64(),
+} | {f"{sign}{bits}": pa.type_for_alias(f"{sign.lower()}{bits}") for sign in ("Int", "UInt") for bits in (8, 16, 32, 64)}
 
 
-_HEADER, PAYLOADS = dict(_types(_HEADER)), {name: dict(_types(columns)) for name, columns in PAYLOADS.items()}
+def _type(name):
+    """The type that Arrow writes as `List<Float64>` or `FixedSizeList<Float64, 3>`."""
+    outer, _, inner = name.partition("<")
+    if outer == "List":
+        return pa.list_(_type(inner[:-1]))
+    if outer == "FixedSizeList":
+        item, _, size = inner[:-1].rpartition(", ")
+        return pa.list_(_type(item), int(size))
+    return _TYPES[name]
+
+
+def _columns(columns):
+    return {name: _type(kind) for name, kind in columns.items()}
+
+
+#: What `realo operators --schema` prints: the columns of the header and of each payload.
+_SCHEMA = json.loads(Path(__file__).with_name("schema.json").read_text())
+_HEADER = {name: kind for name, kind in _columns(_SCHEMA["header"]).items() if name != "payload"}
+#: The columns of each payload and their types; `Selection` has `entries` besides, whole messages.
+PAYLOADS = {name: _columns(columns) for name, columns in _SCHEMA["payloads"].items()}
 
 
 @dataclass

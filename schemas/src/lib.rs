@@ -8,6 +8,7 @@ pub mod feature_map;
 pub mod file;
 pub mod geometry;
 mod header;
+pub mod layout;
 mod message;
 mod payload;
 pub mod report;

@@ -5,64 +5,79 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_host::{ComputeProfile, Stages, virtual_time};
-use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Registration, Sink, Source, wrong_port};
+use realo_operator::{
+    Books, Describe, Error, Inputs, NoInput, NoOutput, Outputs, PortId, Registration, Settings, Sink, Source,
+};
 use realo_results::{Ledger, LinkBooks, link_books};
 use realo_schemas::report::Fated;
 use realo_schemas::{
-    AgentState, Box3, Boxes, Header, Kind, Message, Nanos, Payload, PayloadType, PointCloud, Pose, PoseStatus,
-    Selection,
+    AgentState, Box3, Boxes, Header, Kind, Message, Nanos, Payload, PointCloud, Pose, PoseStatus, Selection,
 };
 use serde::{Deserialize, Serialize};
 
 use crate::account::{Account, Answer, Fusion, Id, Line, Place};
 use crate::world::{EGO, Said, Spot, Strategy, World, content};
 
-const BOXES: &[PayloadType] = &[PayloadType::Boxes];
-const POINTS: &[PayloadType] = &[PayloadType::PointCloud];
-const FUSED: &[PayloadType] = &[PayloadType::Boxes, PayloadType::PointCloud];
-const STATES: &[PayloadType] = &[PayloadType::AgentState];
-
 /// Settings of [`Log`].
-#[derive(Default, Serialize, Deserialize)]
+#[derive(Settings, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct LogConfig {
+struct LogSettings {
+    /// Seed of the world.
     seed: u64,
+}
+
+/// What the log has.
+#[derive(Outputs)]
+#[allow(dead_code, reason = "a source names ports by their places")]
+enum Output {
+    /// The ego's boxes.
+    EgoBoxes(Header, Boxes),
+    /// Boxes.
+    Boxes(Header, Boxes),
+    /// The ego's states.
+    EgoStates(Header, AgentState),
+    /// States.
+    States(Header, AgentState),
+    /// The ego's clouds.
+    EgoClouds(Header, PointCloud),
+    /// Clouds.
+    Clouds(Header, PointCloud),
 }
 
 /// Plays the log of a world.
 struct Log(std::vec::IntoIter<(Nanos, PortId, Message)>);
 
 impl Describe for Log {
-    type Config = LogConfig;
+    type Settings = LogSettings;
+    type Input = NoInput;
+    type Output = Output;
     const NAME: &'static str = "log";
     const ABOUT: &'static str = "plays the log of a world";
-    const ARGUMENTS: &'static [Argument] = &[Argument {
-        name: "seed",
-        about: "seed of the world",
-    }];
-    const INPUTS: &'static [Port] = &[];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new("ego_boxes", BOXES, ""),
-        Port::new("boxes", BOXES, ""),
-        Port::new("ego_states", STATES, ""),
-        Port::new("states", STATES, ""),
-        Port::new("ego_clouds", POINTS, ""),
-        Port::new("clouds", POINTS, ""),
-    ];
 }
 
 impl Source for Log {
-    fn new(config: LogConfig) -> Result<Self, Error> {
-        let world = World::of(config.seed);
-        let port = |agent: &str, ego: usize| PortId(if agent == EGO { ego } else { ego + 1 });
+    fn new(settings: LogSettings) -> Result<Self, Error> {
+        let world = World::of(settings.seed);
+        let port = |agent: &str, [ego, other]: [PortId; 2]| if agent == EGO { ego } else { other };
         let sweeps = world.sweeps.iter().map(|said| match world.strategy {
-            Strategy::Late => (said.ready, port(&said.agent, 0), detections(said)),
-            Strategy::Early | Strategy::Projected => (said.ready, port(&said.agent, 4), cloud(said)),
+            Strategy::Late => (
+                said.ready,
+                port(&said.agent, [Output::EGO_BOXES, Output::BOXES]),
+                detections(said),
+            ),
+            Strategy::Early | Strategy::Projected => (
+                said.ready,
+                port(&said.agent, [Output::EGO_CLOUDS, Output::CLOUDS]),
+                cloud(said),
+            ),
         });
-        let fixes = world
-            .states
-            .iter()
-            .map(|said| (said.ready, port(&said.agent, 2), state(said)));
+        let fixes = world.states.iter().map(|said| {
+            (
+                said.ready,
+                port(&said.agent, [Output::EGO_STATES, Output::STATES]),
+                state(said),
+            )
+        });
         let mut all: Vec<_> = sweeps.chain(fixes).collect();
         all.sort_by_key(|(ready, ..)| *ready);
         Ok(Log(all.into_iter()))
@@ -142,16 +157,24 @@ struct Closed {
 #[derive(Default)]
 struct Closing(Vec<Fated>);
 
-#[derive(Default, Serialize, Deserialize)]
+/// Nothing is to be set.
+#[derive(Settings, Serialize, Deserialize)]
 struct Nothing {}
 
+/// What is closed with.
+#[derive(Inputs)]
+enum Input {
+    /// Anything that was fused.
+    #[port(any_of(Boxes, PointCloud))]
+    Fused(#[allow(dead_code)] Message),
+}
+
 impl Describe for Closing {
-    type Config = Nothing;
+    type Settings = Nothing;
+    type Input = Input;
+    type Output = NoOutput;
     const NAME: &'static str = "closing";
     const ABOUT: &'static str = "closes the books";
-    const ARGUMENTS: &'static [Argument] = &[];
-    const INPUTS: &'static [Port] = &[Port::new("fused", FUSED, "")];
-    const OUTPUTS: &'static [Port] = &[];
 }
 
 impl Sink for Closing {
@@ -159,11 +182,8 @@ impl Sink for Closing {
         Ok(Closing::default())
     }
 
-    fn accept(&mut self, port: PortId, _: Message) -> Result<(), Error> {
-        match port {
-            PortId(0) => Ok(()),
-            _ => Err(wrong_port(Self::INPUTS, port)),
-        }
+    fn accept(&mut self, _: Input) -> Result<(), Error> {
+        Ok(())
     }
 
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {

@@ -1,28 +1,17 @@
 //! Intermediate fusion: in each cell the mean of the agents' features, weighted by how strong they are.
-//!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `ego` | FeatureMap | the ego's map; joined with `selections` by (agent, seq) |
-//! | in `selections` | Selection | what the bank chose for the ego's map of that seq |
-//! | out `features` | FeatureMap | one map for the head, in the ego's frame |
 
-use realo_fusion::{EGO, Maps, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{FeatureMap, Message, PayloadType};
+use realo_fusion::{Input, Maps, Pairing, Set};
+use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings, StageSettings};
+use realo_schemas::{FeatureMap, Header};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionMean`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// An agent's weight in a cell is the length of its feature vector there to this power, in [0, 16]; 0: all count alike.
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Power of the length of a cell's features; it is an agent's weight there; 0: all count alike.
+    #[setting(default = 4.0, range = 0.0..=16.0)]
     pub power: f64,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config { power: 4.0 }
-    }
 }
 
 /// The mean of each cell's features over the agents whose maps cover it, `[rows, columns, channels]`.
@@ -54,48 +43,41 @@ pub fn mean(maps: &Maps, power: f64) -> Vec<f32> {
 /// The operator `fusion-mean`.
 pub struct FusionMean {
     power: f64,
-    pairing: Pairing,
+    pairing: Pairing<FeatureMap>,
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// One map for the head.
+    Features(Header, FeatureMap),
 }
 
 impl Describe for FusionMean {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input<FeatureMap>;
+    type Output = Output;
     const NAME: &'static str = "fusion-mean";
     const ABOUT: &'static str = "intermediate fusion: the mean of features, weighted by how strong they are";
-    const ARGUMENTS: &'static [Argument] = &[Argument {
-        name: "power",
-        about: "of the length of a cell's features, in [0, 16], which is an agent's weight there; 0: all count alike",
-    }];
-    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::FeatureMap]);
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "features",
-        &[PayloadType::FeatureMap],
-        "one map for the head",
-    )];
     const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
 }
 
 impl Operator for FusionMean {
-    fn new(Config { power }: Config) -> Result<Self, Error> {
-        if !(0.0..=16.0).contains(&power) {
-            return Err(format!("argument `power`: expected a number in [0, 16], found {power}").into());
-        }
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
         Ok(FusionMean {
-            power,
+            power: settings.power,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            EGO => self.pairing.ego(message),
-            SELECTIONS => {
-                let mut set: Set<FeatureMap> = self.pairing.selection(message, None)?;
-                let fused = mean(&set.maps()?, self.power);
-                let fused = set.ego.with_numbers(fused);
-                set.send(fused, out);
-            }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
-        }
+    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs) -> Result<(), Error> {
+        let Some(mut set) = self.pairing.take(input, None)? else {
+            return Ok(());
+        };
+        let fused = mean(&set.maps()?, self.power);
+        let fused = set.ego.with_numbers(fused);
+        set.send(Output::Features, fused, out);
         Ok(())
     }
 }
@@ -103,7 +85,7 @@ impl Operator for FusionMean {
 #[cfg(test)]
 mod tests {
     use realo_engine::testkit::FusionCase;
-    use realo_schemas::{DType, Header, Kind, Pose};
+    use realo_schemas::{DType, Kind, Message, Pose};
 
     use super::*;
 
@@ -149,9 +131,10 @@ mod tests {
                 query: 0,
                 entries: vec![message("cav2", 2.0, [10.0, 0.0])],
             };
-            pairing.ego(ego.clone());
-            let selection = Message::new(ego.header, selection);
-            let mut set: Set<FeatureMap> = pairing.selection(selection, None).unwrap();
+            let selection = Input::Selections(ego.header.clone(), selection);
+            let (header, own) = ego.into_parts::<FeatureMap>().unwrap();
+            assert!(pairing.take(Input::Ego(header, own), None).unwrap().is_none());
+            let mut set = pairing.take(selection, None).unwrap().unwrap();
             mean(&set.maps().unwrap(), power)
         };
         let cells = |of: [f32; 2]| [[3.0, 4.0], [3.0, 4.0], of, of].concat().repeat(3);
@@ -166,10 +149,10 @@ mod tests {
 
     #[test]
     fn refuses_a_power_that_is_none() {
-        let error = |power| FusionMean::new(Config { power }).err().map(|error| error.to_string());
+        let error = |power| FusionMean::new(Settings { power }).err().map(|error| error.to_string());
         assert_eq!(error(16.0), None);
         for power in [-1.0, 17.0, f64::NAN] {
-            assert!(error(power).unwrap().contains("[0, 16], found"), "{power}");
+            assert!(error(power).unwrap().contains("expected 0 to 16, found"), "{power}");
         }
     }
 }

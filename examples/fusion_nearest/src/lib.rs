@@ -1,30 +1,19 @@
 //! Late fusion that keeps, of several boxes of one object, the one whose sender is nearest to it.
-//!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `ego` | Boxes | the ego's detections; joined with `selections` by (agent, seq) |
-//! | in `selections` | Selection | what the bank chose for the ego's message of that seq |
-//! | out `proposals` | Boxes | the ego's boxes, then those of the collaborators by agent name, in the ego's frame |
 
 use nalgebra::{Isometry3, Vector3};
-use realo_fusion::{EGO, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_fusion::{Input, Pairing, Set};
+use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings, StageSettings};
 use realo_schemas::geometry::{Footprint, iou_exceeds, transform_box};
-use realo_schemas::{Box3, Boxes, Message, PayloadType};
+use realo_schemas::{Box3, Boxes, Header};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionNearest`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// Rotated IoU on the ground plane above which two boxes are one object, in [0, 1]; 1: every box stays.
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// IoU above which two boxes are one object; 1: every box stays.
+    #[setting(default = 0.15, range = 0.0..=1.0)]
     pub threshold: f64,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config { threshold: 0.15 }
-    }
 }
 
 /// A box in the ego's frame, and how far its sender was from it.
@@ -65,8 +54,8 @@ pub fn keep_nearest(seen: Vec<Seen>, threshold: f64) -> Vec<Box3> {
 
 /// The operator `fusion-nearest`.
 pub struct FusionNearest {
-    config: Config,
-    pairing: Pairing,
+    settings: Settings,
+    pairing: Pairing<Boxes>,
 }
 
 const FARTHER_BOXES: Counter = Counter::plain(
@@ -74,20 +63,19 @@ const FARTHER_BOXES: Counter = Counter::plain(
     "boxes dropped because somebody nearer saw the same object",
 );
 
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The joint list, in the ego's frame.
+    Proposals(Header, Boxes),
+}
+
 impl Describe for FusionNearest {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input<Boxes>;
+    type Output = Output;
     const NAME: &'static str = "fusion-nearest";
     const ABOUT: &'static str = "late fusion: of several boxes of one object keeps the one seen from nearest";
-    const ARGUMENTS: &'static [Argument] = &[Argument {
-        name: "threshold",
-        about: "IoU above which two boxes are one object, in [0, 1]; 1: every box stays",
-    }];
-    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::Boxes]);
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "proposals",
-        &[PayloadType::Boxes],
-        "the joint list, in the ego's frame",
-    )];
     const COUNTERS: &'static [Counter] = &[
         FARTHER_BOXES,
         realo_fusion::OVER_LIMIT_MESSAGES,
@@ -96,33 +84,23 @@ impl Describe for FusionNearest {
 }
 
 impl Operator for FusionNearest {
-    fn new(config: Config) -> Result<Self, Error> {
-        if !(0.0..=1.0).contains(&config.threshold) {
-            return Err(format!(
-                "argument `threshold`: an IoU lies in [0, 1], found {}",
-                config.threshold
-            )
-            .into());
-        }
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
         Ok(FusionNearest {
-            config,
+            settings,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            EGO => self.pairing.ego(message),
-            SELECTIONS => {
-                let set: Set<Boxes> = self.pairing.selection(message, None)?;
-                let seen = all_seen(&set);
-                let all = seen.len();
-                let kept = keep_nearest(seen, self.config.threshold);
-                out.count(&FARTHER_BOXES, "", (all - kept.len()) as u64);
-                set.send(Boxes(kept), out);
-            }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
-        }
+    fn on_input(&mut self, input: Input<Boxes>, out: &mut Outputs) -> Result<(), Error> {
+        let Some(set) = self.pairing.take(input, None)? else {
+            return Ok(());
+        };
+        let seen = all_seen(&set);
+        let all = seen.len();
+        let kept = keep_nearest(seen, self.settings.threshold);
+        out.count(&FARTHER_BOXES, "", (all - kept.len()) as u64);
+        set.send(Output::Proposals, Boxes(kept), out);
         Ok(())
     }
 }
@@ -143,7 +121,7 @@ fn all_seen(set: &Set<Boxes>) -> Vec<Seen> {
 #[cfg(test)]
 mod tests {
     use realo_engine::testkit::FusionCase;
-    use realo_schemas::{Header, Kind, Pose};
+    use realo_schemas::{Kind, Message, Pose};
 
     use super::*;
 
@@ -199,7 +177,7 @@ mod tests {
 
     #[test]
     fn refuses_a_threshold_that_is_no_iou() {
-        let error = FusionNearest::new(Config { threshold: 1.5 }).map(|_| ()).unwrap_err();
+        let error = FusionNearest::new(Settings { threshold: 1.5 }).map(|_| ()).unwrap_err();
         assert!(error.to_string().contains("[0, 1], found 1.5"), "{error}");
     }
 }

@@ -261,8 +261,6 @@ mod tests {
         ],
         arguments: &[],
         counters: &[],
-        decided: &[],
-        paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
         examine: |_| Ok(()),
@@ -300,7 +298,7 @@ mod tests {
             }
         }
         fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-            out.send(PortId(0), message(4));
+            out.send_on(PortId(0), message(4));
             Ok(())
         }
     }

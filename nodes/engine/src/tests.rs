@@ -24,8 +24,6 @@ const fn stage(name: &'static str, role: Role, inputs: &'static [Port], outputs:
         outputs,
         arguments: &[],
         counters: &[],
-        decided: &[],
-        paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
         examine: |_| Ok(()),

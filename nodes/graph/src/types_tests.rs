@@ -3,63 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use arrow::datatypes::DataType;
-use realo_schemas::wire::to_arrow;
-use realo_schemas::{
-    AgentState, Boxes, DType, FeatureMap, GroundTruth, Header, Kind, Message, Packet, Payload, PayloadType, PointCloud,
-    Pose, PoseStatus, Report, Selection,
-};
-
-fn example(payload: PayloadType) -> Payload {
-    match payload {
-        PayloadType::PointCloud => PointCloud::empty().into(),
-        PayloadType::AgentState => AgentState {
-            map_from_body: Pose::from_parts([0.0; 3], [0.0, 0.0, 0.0, 1.0]).unwrap().map_from_frame,
-            covariance: None,
-            velocity: None,
-            angular_rate: None,
-            status: PoseStatus::Truth,
-        }
-        .into(),
-        PayloadType::FeatureMap => FeatureMap {
-            rows: 0,
-            columns: 0,
-            channels: 0,
-            cell: 0.4,
-            origin: [0.0; 2],
-            dtype: DType::F32,
-            data: Vec::<u8>::new().into(),
-            model: "".into(),
-            confidence: None,
-        }
-        .into(),
-        PayloadType::Packet => Packet {
-            codec: Vec::new(),
-            bytes: Vec::<u8>::new().into(),
-        }
-        .into(),
-        PayloadType::Selection => Selection {
-            query: 0,
-            entries: Vec::new(),
-        }
-        .into(),
-        PayloadType::Report => Report {
-            topic: "".into(),
-            json: String::new(),
-        }
-        .into(),
-        PayloadType::Boxes => Boxes::default().into(),
-        PayloadType::GroundTruth => GroundTruth::default().into(),
-    }
-}
-
-fn name(data_type: &DataType) -> String {
-    match data_type {
-        DataType::List(item) => format!("List<{}>", name(item.data_type())),
-        DataType::FixedSizeList(item, size) => format!("FixedSizeList<{}, {size}>", name(item.data_type())),
-        other => other.to_string(),
-    }
-}
+use realo_schemas::{PayloadType, layout};
 
 fn about(payload: PayloadType) -> &'static str {
     match payload {
@@ -89,38 +33,18 @@ fn types_file() -> String {
          # A message is one row: the header's fields, then the payload's. A test keeps this file equal to the wire.\n\
          types:\n",
     );
-    let header = Header::origin(&"".into(), &"".into(), Kind::Points, 0, 0, 0);
     for payload in PayloadType::ALL {
-        let row = to_arrow(&Message {
-            header: header.clone(),
-            payload: example(payload),
-        });
         writeln!(
             text,
             "  {payload}:\n    arrow: Struct\n    description: \"{}\"\n    fields:",
             about(payload)
         )
         .unwrap();
-        for field in row.fields() {
-            let data_type = name(field.data_type());
-            writeln!(text, "      - {{ name: \"{}\", type: \"{data_type}\" }}", field.name()).unwrap();
+        for (name, data_type) in layout::all(payload) {
+            writeln!(text, "      - {{ name: \"{name}\", type: \"{data_type}\" }}").unwrap();
         }
     }
     text
-}
-
-/// The columns of a payload and their types, without the header's.
-fn columns(payload: PayloadType) -> Vec<(String, String)> {
-    let header = Header::origin(&"".into(), &"".into(), Kind::Points, 0, 0, 0);
-    let message = Message {
-        header,
-        payload: example(payload),
-    };
-    let row = to_arrow(&message);
-    let fields = row.fields().iter();
-    let own = fields.skip_while(|field| field.name() != "trace_ready").skip(1);
-    own.map(|field| (field.name().clone(), name(field.data_type())))
-        .collect()
 }
 
 #[test]
@@ -143,7 +67,11 @@ fn the_guide_lists_the_columns_of_all_payloads() {
                 names.map(|name| (name.to_string(), kind.to_string()))
             })
             .collect();
-        assert_eq!(found, columns(payload), "{payload}: docs/reference/plugins.md, wire");
+        assert_eq!(
+            found,
+            layout::payload(payload),
+            "{payload}: docs/reference/plugins.md, wire"
+        );
     }
 }
 

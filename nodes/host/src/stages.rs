@@ -213,8 +213,6 @@ mod tests {
         outputs: &[Port::new("out", BOXES, ""), Port::new("aside", BOXES, "")],
         arguments: &[],
         counters: &[],
-        decided: &[],
-        paper_inference: None,
         defaults: Default::default,
         check: |_| Ok(()),
         examine: |_| Ok(()),

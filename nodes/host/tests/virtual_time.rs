@@ -6,7 +6,8 @@ use realo_graph::Graph;
 use realo_host::virtual_time::{self, RunError};
 use realo_host::{ComputeProfile, Stages};
 use realo_operator::{
-    Argument, Books, Counts, Describe, Error, Operator, Outputs, Port, PortId, Registration, Registry, Sink, Source,
+    Books, Counts, Describe, Error, Operator, Outputs, Port, PortError, PortId, Registration, Registry, Settings, Sink,
+    Source, StageInputs, StageOutputs,
 };
 use realo_schemas::{Boxes, Header, Kind, Message, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -15,34 +16,55 @@ const BOXES: &[PayloadType] = &[PayloadType::Boxes];
 const PERIOD: Nanos = 100;
 
 macro_rules! describe {
-    ($type:ty, $name:literal, $config:ty, [$($arg:literal),*], $inputs:expr, $outputs:expr) => {
-        impl Describe for $type {
-            type Config = $config;
-            const NAME: &'static str = $name;
-            const ABOUT: &'static str = "";
-            const ARGUMENTS: &'static [Argument] = &[$(Argument { name: $arg, about: "" }),*];
-            const INPUTS: &'static [Port] = $inputs;
-            const OUTPUTS: &'static [Port] = $outputs;
-        }
+    ($type:ident, $name:literal, $settings:ty, $inputs:expr, $outputs:expr) => {
+        const _: () = {
+            pub struct Input(pub Message);
+            impl StageInputs for Input {
+                const PORTS: &'static [Port] = $inputs;
+                fn read(_: PortId, message: Message) -> Result<Self, PortError> {
+                    Ok(Input(message))
+                }
+            }
+            impl From<Input> for Message {
+                fn from(Input(message): Input) -> Self {
+                    message
+                }
+            }
+            pub struct Output(Message);
+            impl From<Message> for Output {
+                fn from(message: Message) -> Self {
+                    Output(message)
+                }
+            }
+            impl StageOutputs for Output {
+                const PORTS: &'static [Port] = $outputs;
+                fn into_message(self) -> (PortId, Message) {
+                    (PortId(0), self.0)
+                }
+            }
+            impl Describe for $type {
+                type Settings = $settings;
+                type Input = Input;
+                type Output = Output;
+                const NAME: &'static str = $name;
+                const ABOUT: &'static str = "";
+            }
+        };
     };
 }
 
-#[derive(Serialize, Deserialize, Default)]
+#[derive(Settings, Serialize, Deserialize)]
 struct Sweeps {
+    /// What a test needs.
     count: u64,
+    /// What a test needs.
     agents: Vec<String>,
+    /// What a test needs.
     fails: bool,
 }
 /// A sweep of every agent each period; may fail in the end.
 struct Clockwork(Vec<(Nanos, Message)>, bool);
-describe!(
-    Clockwork,
-    "clockwork",
-    Sweeps,
-    ["count", "agents", "fails"],
-    &[],
-    &[Port::new("out", BOXES, "")]
-);
+describe!(Clockwork, "clockwork", Sweeps, &[], &[Port::new("out", BOXES, "")]);
 impl Source for Clockwork {
     fn new(config: Sweeps) -> Result<Self, Error> {
         let mut messages = Vec::new();
@@ -69,8 +91,9 @@ impl Source for Clockwork {
     }
 }
 
-#[derive(Serialize, Deserialize, Default)]
+#[derive(Settings, Serialize, Deserialize)]
 struct Delayed {
+    /// What a test needs.
     delay: Nanos,
 }
 /// Sends every message of an even number on, later.
@@ -79,7 +102,6 @@ describe!(
     Delay,
     "delay",
     Delayed,
-    ["delay"],
     &[Port::new("in", BOXES, "").latest()],
     &[Port::new("out", BOXES, "")]
 );
@@ -87,16 +109,17 @@ impl Operator for Delay {
     fn new(config: Delayed) -> Result<Self, Error> {
         Ok(Delay(config.delay))
     }
-    fn on_input(&mut self, _: PortId, mut message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error> {
+        let mut message = Message::from(input);
         if message.header.seq != 77 {
             message.header.ready = out.now() + self.0;
-            out.send(PortId(0), message);
+            out.send(<Self as Describe>::Output::from(message));
         }
         Ok(())
     }
 }
 
-#[derive(Serialize, Deserialize, Default)]
+#[derive(Settings, Serialize, Deserialize)]
 struct Nothing {}
 /// Sends each message on 30 ns later; takes no message number 3.
 #[derive(Default)]
@@ -105,7 +128,6 @@ describe!(
     Echo,
     "echo",
     Nothing,
-    [],
     &[Port::new("in", BOXES, "")],
     &[Port::new("echoed", BOXES, "")]
 );
@@ -113,7 +135,8 @@ impl Operator for Echo {
     fn new(_: Nothing) -> Result<Self, Error> {
         Ok(Echo::default())
     }
-    fn on_input(&mut self, _: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error> {
+        let message = Message::from(input);
         if message.header.seq == 3 {
             return Err("three is not taken".into());
         }
@@ -123,7 +146,7 @@ impl Operator for Echo {
     }
     fn on_wake(&mut self, _: Nanos, out: &mut Outputs) -> Result<(), Error> {
         if let Some(message) = self.0.take() {
-            out.send(PortId(0), message);
+            out.send(<Self as Describe>::Output::from(message));
         }
         Ok(())
     }
@@ -132,12 +155,13 @@ impl Operator for Echo {
 /// What the sink of [`sinks_are_called_in_order_and_end_with_the_books`] was given.
 static GIVEN: Mutex<Vec<String>> = Mutex::new(Vec::new());
 struct Notes;
-describe!(Notes, "notes", Nothing, [], &[Port::new("in", BOXES, "")], &[]);
+describe!(Notes, "notes", Nothing, &[Port::new("in", BOXES, "")], &[]);
 impl Sink for Notes {
     fn new(_: Nothing) -> Result<Self, Error> {
         Ok(Notes)
     }
-    fn accept(&mut self, _: PortId, message: Message) -> Result<(), Error> {
+    fn accept(&mut self, input: Self::Input) -> Result<(), Error> {
+        let message = Message::from(input);
         if message.header.agent == "full".into() {
             return Err("no space left".into());
         }

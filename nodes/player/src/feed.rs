@@ -25,7 +25,7 @@ use crate::joins::{Joins, PATIENCE, Recorded};
 use crate::nearest::Nearest;
 use crate::standing::{Held, STEP};
 use crate::truth::TruthJoin;
-use crate::{PlannedRun, ports};
+use crate::{ORDER, Output, PlannedRun};
 
 /// Offline, messages leave in order of stamp, which may lie this much before they were ready.
 const LATENCY: Nanos = 500_000_000;
@@ -592,7 +592,7 @@ impl Feed {
                     true => level_state(state),
                     false => state,
                 };
-                let ports = [ports::EGO_POSES, ports::POSES];
+                let ports = [Output::EGO_POSES, Output::POSES];
                 let (port, message) = self.message((*rank, [time; 2]), seq, Kind::AgentState, ports, state);
                 self.queue((*rank, time), port, message);
                 self.script.counters.add(&POSES_HELD, &agent, 1, 0);
@@ -636,7 +636,7 @@ impl Feed {
         if let Ok(state) = pose {
             self.count_jump(entry, &state);
             let state = self.level_pose(entry, state);
-            let ports = [ports::EGO_POSES, ports::POSES];
+            let ports = [Output::EGO_POSES, Output::POSES];
             self.send(entry, entry.seq(), Kind::AgentState, ports, state);
         }
     }
@@ -693,12 +693,12 @@ impl Feed {
         }
         if let Some(cloud) = cloud {
             let cloud = self.level_cloud(entry, cloud);
-            self.send(entry, seq, Kind::Points, [ports::EGO_CLOUDS, ports::CLOUDS], cloud);
+            self.send(entry, seq, Kind::Points, [Output::EGO_CLOUDS, Output::CLOUDS], cloud);
         }
         if entry.agent == self.agents[0] {
             let (truth, lost): (GroundTruth, _) = self.truth.at(entry.stamp())?;
             self.count_invalid(&entry.agent, &truth);
-            self.send(entry, seq, Kind::Truth, [ports::TRUTH; 2], truth);
+            self.send(entry, seq, Kind::Truth, [Output::TRUTH; 2], truth);
             self.count_lost_truth(lost);
             self.count_found_of_truth();
         }
@@ -744,7 +744,7 @@ impl Feed {
         };
         let times = [entry.stamp(), self.release(entry)];
         let from = (self.rank(entry), times);
-        let (port, mut message) = self.message(from, sent.seq, sent.kind, [ports::PACKETS; 2], packet);
+        let (port, mut message) = self.message(from, sent.seq, sent.kind, [Output::PACKETS; 2], packet);
         message.header.frame = sent.frame.into();
         self.queue((from.0, times[1]), port, message);
         Ok(())
@@ -831,7 +831,7 @@ impl Feed {
         };
         let release = release.max(sweep);
         let from = (self.rank(&entry), [entry.stamp(), release]);
-        let ports = [ports::EGO_RECORDED, ports::RECORDED];
+        let ports = [Output::EGO_RECORDED, Output::RECORDED];
         let (port, message) = self.message(from, seq, Kind::Boxes, ports, boxes);
         self.queue((from.0, release), port, message);
     }
@@ -902,7 +902,7 @@ impl Feed {
     }
 
     fn queue(&mut self, (rank, release): (usize, Nanos), port: PortId, message: Message) {
-        let order = ports::ORDER.iter().position(|known| *known == port).unwrap_or(0);
+        let order = ORDER.iter().position(|known| *known == port).unwrap_or(0);
         self.queue.push(Reverse(Queued {
             key: (release, order, rank, message.header.seq),
             port,

@@ -32,8 +32,11 @@ use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use realo_logs::{Log, LogError, Stream};
-use realo_operator::{Argument, Counter, Counts, Decided, Describe, Error, Lane, Port, PortId, Source};
-use realo_schemas::{Clock, Kind, Message, Name, Nanos, Payload, PayloadType, from_seconds};
+use realo_operator::{Counter, Counts, Describe, Error, NoInput, Outputs, PortId, Settings, Source};
+use realo_schemas::{
+    AgentState, Boxes, Clock, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud,
+    from_seconds,
+};
 use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
 
@@ -56,29 +59,17 @@ pub const LEAD: Nanos = 4_000_000_000;
 /// Of a point in memory.
 const POINT_BYTES: usize = 20;
 
-mod ports {
-    use realo_operator::PortId;
-
-    pub const EGO_CLOUDS: PortId = PortId(0);
-    pub const EGO_POSES: PortId = PortId(1);
-    pub const EGO_RECORDED: PortId = PortId(2);
-    pub const CLOUDS: PortId = PortId(3);
-    pub const POSES: PortId = PortId(4);
-    pub const RECORDED: PortId = PortId(5);
-    pub const TRUTH: PortId = PortId(6);
-    pub const PACKETS: PortId = PortId(7);
-    /// Who goes first at equal times.
-    pub const ORDER: [PortId; 8] = [
-        EGO_POSES,
-        POSES,
-        EGO_CLOUDS,
-        CLOUDS,
-        EGO_RECORDED,
-        RECORDED,
-        PACKETS,
-        TRUTH,
-    ];
-}
+/// Who goes first at equal times.
+const ORDER: [PortId; 8] = [
+    Output::EGO_POSES,
+    Output::POSES,
+    Output::EGO_CLOUDS,
+    Output::CLOUDS,
+    Output::EGO_RECORDED,
+    Output::RECORDED,
+    Output::PACKETS,
+    Output::TRUTH,
+];
 
 /// Which poses are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -116,71 +107,59 @@ pub enum Detections {
 }
 
 /// Settings of the player.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
     /// Path of the log.
+    #[setting(default = "../target/realo/demo.mcap", role = "log")]
     pub log: PathBuf,
     /// Name of the ego; empty: the first eligible agent.
+    #[setting(role = "ego")]
     pub ego: String,
     /// The agent whose sensors alone are played, and which is the ego then; empty: those of all.
+    #[setting(role = "own")]
     pub agent: String,
-    /// What the log's time lies on.
+    /// Log: its own times; wall: moved to wall time, at the same place of the log on all machines.
+    #[setting(default = TimeLine::Log)]
     pub clock: TimeLine,
-    /// How much stamps are ahead of the wall clock, ms.
+    /// With clock=wall, how much stamps are ahead of the wall clock: a clock that is off.
     pub skew_ms: f64,
-    /// Who collaborates.
+    /// Who collaborates: all, v2v, v2i or i2i.
+    #[setting(default = Coop::All, role = "coop")]
     pub coop: Coop,
     /// Who may take part; empty: all.
+    #[setting(role = "agents")]
     pub agents: Vec<String>,
-    /// Which poses are sent.
+    /// Poses that are sent: recorded or true.
+    #[setting(default = PoseSource::Recorded)]
     pub pose: PoseSource,
     /// Ready times are stamps, poses are exact where known.
+    #[setting(role = "offline")]
     pub offline: bool,
     /// Whether sweeps have their points.
+    #[setting(default = true, role = "points")]
     pub points: bool,
-    /// What to do about recorded detections.
+    /// Recorded detections: optional, required or off.
+    #[setting(default = Detections::Optional, role = "detections")]
     pub detections: Detections,
-    /// Whether the collaborators' messages are played that the log has precomputed.
+    /// Whether the log's packets of the collaborators are played, and their sweeps without points.
+    #[setting(role = "precomputed")]
     pub precomputed: bool,
-    /// Collaborators that the fusion of the graph takes, for sweeps to be left out that it cannot take because so many others
-    /// are nearer; only where every message arrives at once. `None`: all sweeps are played.
+    /// Leaves out sweeps of collaborators than which so many are nearer; null: none; in virtual time over perfect links.
     pub fused_at_most: Option<usize>,
     /// Seconds of log time per second, in a realtime run.
+    #[setting(default = 1.0, role = "rate")]
     pub rate: f64,
     /// Passes over the log.
+    #[setting(default = 1)]
     pub repeat: u32,
-    /// Seconds of the log that are left out at its beginning.
+    /// Seconds that are left out at the log's beginning.
     pub start: f64,
-    /// Seconds of the log that are played; all by default.
+    /// Seconds that are played; null: all.
     pub duration: Option<f64>,
-    /// Name of the run.
+    /// Name of the run, in every header.
+    #[setting(default = "run")]
     pub run: String,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            log: "../target/realo/demo.mcap".into(),
-            ego: String::new(),
-            agent: String::new(),
-            clock: TimeLine::Log,
-            skew_ms: 0.0,
-            coop: Coop::All,
-            agents: Vec::new(),
-            pose: PoseSource::Recorded,
-            offline: false,
-            points: true,
-            detections: Detections::Optional,
-            precomputed: false,
-            fused_at_most: None,
-            rate: 1.0,
-            repeat: 1,
-            start: 0.0,
-            duration: None,
-            run: "run".into(),
-        }
-    }
 }
 
 /// What the log has next, `None` at its end.
@@ -225,12 +204,12 @@ impl Slots {
 /// # Errors
 /// A log without messages, or with unreadable ones.
 pub fn next_pass(log: &Path, now: Nanos) -> Result<[Nanos; 2], Error> {
-    let config = Config {
+    let settings = Settings {
         log: log.into(),
         clock: TimeLine::Wall,
-        ..Config::default()
+        ..Settings::default()
     };
-    let (feed, _) = feed(&config, &Counters::default())?;
+    let (feed, _) = feed(&settings, &Counters::default())?;
     let slots = Slots::of(&feed);
     Ok([slots.from + slots.until(now) * slots.slot, slots.slot])
 }
@@ -277,141 +256,54 @@ impl Player {
     }
 }
 
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The ego's sweeps.
+    #[port(of(Ego))]
+    EgoClouds(Header, PointCloud),
+    /// The ego's poses.
+    #[port(of(Ego))]
+    EgoPoses(Header, AgentState),
+    /// Detections recorded for the ego's sweeps.
+    #[port(of(Ego))]
+    EgoRecorded(Header, Boxes),
+    /// The collaborators' sweeps.
+    #[port(of(Others))]
+    Clouds(Header, PointCloud),
+    /// The collaborators' poses.
+    #[port(of(Others))]
+    Poses(Header, AgentState),
+    /// Detections recorded for the collaborators' sweeps.
+    #[port(of(Others))]
+    Recorded(Header, Boxes),
+    /// Ground truth for each of the ego's sweeps.
+    #[port(of(Ego))]
+    Truth(Header, GroundTruth),
+    /// What the collaborators give to the link, if it is precomputed.
+    #[port(of(Others))]
+    Packets(Header, Packet),
+}
+
 impl Describe for Player {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = NoInput;
+    type Output = Output;
     const NAME: &'static str = "player";
     const ABOUT: &'static str = "replays a log's sweeps, poses, recorded detections and ground truth";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "log",
-            about: "path of the log",
-        },
-        Argument {
-            name: "ego",
-            about: "name of the ego; empty: the first eligible agent",
-        },
-        Argument {
-            name: "agent",
-            about: "the agent whose sensors alone are played, and which is the ego then; empty: those of all",
-        },
-        Argument {
-            name: "clock",
-            about: "log: its own times; wall: moved to wall time, at the same place of the log on all machines",
-        },
-        Argument {
-            name: "skew_ms",
-            about: "with clock=wall, how much stamps are ahead of the wall clock: a clock that is off",
-        },
-        Argument {
-            name: "coop",
-            about: "who collaborates: all, v2v, v2i or i2i",
-        },
-        Argument {
-            name: "agents",
-            about: "who may take part; empty: all",
-        },
-        Argument {
-            name: "pose",
-            about: "poses that are sent: recorded or true",
-        },
-        Argument {
-            name: "offline",
-            about: "ready times are stamps, poses are exact where known",
-        },
-        Argument {
-            name: "points",
-            about: "whether sweeps have their points",
-        },
-        Argument {
-            name: "detections",
-            about: "recorded detections: optional, required or off",
-        },
-        Argument {
-            name: "precomputed",
-            about: "whether the log's packets of the collaborators are played, and their sweeps without points",
-        },
-        Argument {
-            name: "fused_at_most",
-            about: "leaves out sweeps of collaborators than which so many are nearer; null: none; in virtual time over perfect links",
-        },
-        Argument {
-            name: "rate",
-            about: "seconds of log time per second, in a realtime run",
-        },
-        Argument {
-            name: "repeat",
-            about: "passes over the log",
-        },
-        Argument {
-            name: "start",
-            about: "seconds that are left out at the log's beginning",
-        },
-        Argument {
-            name: "duration",
-            about: "seconds that are played; null: all",
-        },
-        Argument {
-            name: "run",
-            about: "name of the run, in every header",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps").of(Lane::Ego),
-        Port::new("ego_poses", &[PayloadType::AgentState], "the ego's poses").of(Lane::Ego),
-        Port::new(
-            "ego_recorded",
-            &[PayloadType::Boxes],
-            "detections recorded for the ego's sweeps",
-        )
-        .of(Lane::Ego),
-        Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps").of(Lane::Others),
-        Port::new("poses", &[PayloadType::AgentState], "the collaborators' poses").of(Lane::Others),
-        Port::new(
-            "recorded",
-            &[PayloadType::Boxes],
-            "detections recorded for the collaborators' sweeps",
-        )
-        .of(Lane::Others),
-        Port::new(
-            "truth",
-            &[PayloadType::GroundTruth],
-            "ground truth for each of the ego's sweeps",
-        )
-        .of(Lane::Ego),
-        Port::new(
-            "packets",
-            &[PayloadType::Packet],
-            "what the collaborators give to the link, if it is precomputed",
-        )
-        .of(Lane::Others),
-    ];
     const COUNTERS: &'static [Counter] = counters::ALL;
-    const DECIDED: &'static [(Decided, &'static str)] = &[
-        (Decided::Log, "log"),
-        (Decided::Ego, "ego"),
-        (Decided::Own, "agent"),
-        (Decided::Coop, "coop"),
-        (Decided::Agents, "agents"),
-        (Decided::Offline, "offline"),
-        (Decided::Rate, "rate"),
-        (Decided::Points, "points"),
-        (Decided::Detections, "detections"),
-        (Decided::Precomputed, "precomputed"),
-    ];
-
-    fn examine(config: &Config) -> Result<(), Error> {
-        check(config)
+    fn examine(settings: &Settings) -> Result<(), Error> {
+        check(settings)
     }
 }
 
 impl Source for Player {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         let counters = Counters::default();
-        let (feed, cast) = feed(&config, &counters)?;
-        let wall = (config.clock == TimeLine::Wall).then(|| Wall {
+        let (feed, cast) = feed(&settings, &counters)?;
+        let wall = (settings.clock == TimeLine::Wall).then(|| Wall {
             slots: Slots::of(&feed),
-            skew: (config.skew_ms * 1e6) as Nanos,
+            skew: (settings.skew_ms * 1e6) as Nanos,
             per_pass: feed.per_pass(),
             moved: None,
         });
@@ -419,7 +311,7 @@ impl Source for Player {
         Ok(Player {
             releases,
             counters,
-            rate: config.rate,
+            rate: settings.rate,
             cast,
             wall,
             ended: false,
@@ -456,85 +348,85 @@ impl Source for Player {
 }
 
 /// What is played, and with whom.
-fn feed(config: &Config, counters: &Counters) -> Result<(Feed, PlannedRun), Error> {
-    check(config)?;
-    if !config.log.exists() {
-        return Err(no_log(&config.log).into());
+fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), Error> {
+    check(settings)?;
+    if !settings.log.exists() {
+        return Err(no_log(&settings.log).into());
     }
-    let log = Log::open(&config.log)?;
+    let log = Log::open(&settings.log)?;
     if log.truncation().is_some() {
         counters.add(&LOG_TRUNCATED, "", 1, 0);
     }
-    let ego = if config.agent.is_empty() {
-        &config.ego
+    let ego = if settings.agent.is_empty() {
+        &settings.ego
     } else {
-        &config.agent
+        &settings.agent
     };
-    let plan = plan(&log, ego, config.coop, &config.agents)?;
+    let plan = plan(&log, ego, settings.coop, &settings.agents)?;
     let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
     if cast.collaborators.is_empty() {
         counters.add(&RUNS_ALONE, "", 1, 0);
     }
-    need_topics(&log, &cast, config)?;
-    let (from, until) = window(&log, config)?;
+    need_topics(&log, &cast, settings)?;
+    let (from, until) = window(&log, settings)?;
     let script = Script {
         log,
-        run: config.run.as_str().into(),
+        run: settings.run.as_str().into(),
         cast: cast.clone(),
-        offline: config.offline,
-        true_poses: config.pose == PoseSource::True,
-        points: config.points,
-        detections: config.detections != Detections::Off,
-        precomputed: config.precomputed,
-        fused_at_most: config.fused_at_most,
-        alone: !config.agent.is_empty(),
-        repeat: config.repeat,
+        offline: settings.offline,
+        true_poses: settings.pose == PoseSource::True,
+        points: settings.points,
+        detections: settings.detections != Detections::Off,
+        precomputed: settings.precomputed,
+        fused_at_most: settings.fused_at_most,
+        alone: !settings.agent.is_empty(),
+        repeat: settings.repeat,
         from,
         until,
-        slot: (config.clock == TimeLine::Wall).then_some(SLOT),
+        slot: (settings.clock == TimeLine::Wall).then_some(SLOT),
         counters: counters.clone(),
     };
     Ok((Feed::new(script)?, cast))
 }
 
 /// Everything but the log, which may not be made yet.
-fn check(config: &Config) -> Result<(), Error> {
+fn check(settings: &Settings) -> Result<(), Error> {
     let positive = |value: f64| value.is_finite() && value > 0.0;
-    if !positive(config.rate) {
-        return Err(format!("player: `rate` must be a positive number, found {}", config.rate).into());
+    if !positive(settings.rate) {
+        return Err(format!("player: `rate` must be a positive number, found {}", settings.rate).into());
     }
-    if config.clock == TimeLine::Wall && (config.rate != 1.0 || config.offline) {
-        let (rate, offline) = (config.rate, config.offline);
+    if settings.clock == TimeLine::Wall && (settings.rate != 1.0 || settings.offline) {
+        let (rate, offline) = (settings.rate, settings.offline);
         return Err(format!(
             "player: `clock=wall`: expected `rate` 1 and not `offline`, found rate {rate}, offline {offline}: leave them, or clock=log"
         )
         .into());
     }
-    if config.skew_ms != 0.0 && !(config.clock == TimeLine::Wall && config.skew_ms.abs() <= 1e7) {
-        let found = config.skew_ms;
+    if settings.skew_ms != 0.0 && !(settings.clock == TimeLine::Wall && settings.skew_ms.abs() <= 1e7) {
+        let found = settings.skew_ms;
         return Err(format!("player: `skew_ms` needs clock=wall, and must be within ±1e7, found {found}").into());
     }
-    if config.repeat == 0 {
+    if settings.repeat == 0 {
         return Err("player: `repeat` must be at least 1, found 0".into());
     }
-    if config.precomputed && config.repeat > 1 {
-        let found = config.repeat;
+    if settings.precomputed && settings.repeat > 1 {
+        let found = settings.repeat;
         return Err(format!(
             "player: `precomputed`: packets say their own number and time, so that `repeat` must be 1, found {found}"
         )
         .into());
     }
-    if config.precomputed && config.offline {
+    if settings.precomputed && settings.offline {
         return Err(
             "player: `precomputed`: packets were made with poses and at times as recorded, which `offline` does not \
                     play: leave one of the two"
                 .into(),
         );
     }
-    if !config.start.is_finite() || config.start < 0.0 {
-        return Err(format!("player: `start` must not be negative, found {}", config.start).into());
+    if !settings.start.is_finite() || settings.start < 0.0 {
+        return Err(format!("player: `start` must not be negative, found {}", settings.start).into());
     }
-    match config.duration {
+    match settings.duration {
         Some(duration) if !positive(duration) => {
             Err(format!("player: `duration` must be a positive number, found {duration}").into())
         }
@@ -549,23 +441,23 @@ fn no_log(path: &Path) -> String {
     )
 }
 
-fn need_topics(log: &Log, cast: &PlannedRun, config: &Config) -> Result<(), LogError> {
-    let played = if config.agent.is_empty() { usize::MAX } else { 1 };
+fn need_topics(log: &Log, cast: &PlannedRun, settings: &Settings) -> Result<(), LogError> {
+    let played = if settings.agent.is_empty() { usize::MAX } else { 1 };
     for agent in cast.agents().take(played) {
-        let exact = config.offline && log.has(agent, Stream::PoseTruth);
-        let pose = if config.pose == PoseSource::True || exact {
+        let exact = settings.offline && log.has(agent, Stream::PoseTruth);
+        let pose = if settings.pose == PoseSource::True || exact {
             Stream::PoseTruth
         } else {
             Stream::Pose
         };
         log.need(agent, pose)?;
-        let precomputed = config.precomputed && agent != cast.ego;
-        let bare = (precomputed || !config.points) && log.has(agent, Stream::Sweeps);
+        let precomputed = settings.precomputed && agent != cast.ego;
+        let bare = (precomputed || !settings.points) && log.has(agent, Stream::Sweeps);
         log.need(agent, if bare { Stream::Sweeps } else { Stream::Points })?;
         if precomputed {
             log.need(agent, Stream::Packets)?;
         }
-        if config.detections == Detections::Required {
+        if settings.detections == Detections::Required {
             log.need(agent, Stream::Detections)?;
         }
     }
@@ -573,16 +465,16 @@ fn need_topics(log: &Log, cast: &PlannedRun, config: &Config) -> Result<(), LogE
 }
 
 /// Log times between which sweeps are played.
-fn window(log: &Log, config: &Config) -> Result<(Nanos, Nanos), Error> {
+fn window(log: &Log, settings: &Settings) -> Result<(Nanos, Nanos), Error> {
     let (first, last) = log
         .span()
         .ok_or_else(|| format!("`{}` has no messages", log.path().display()))?;
-    let from = first.saturating_add(from_seconds(config.start));
+    let from = first.saturating_add(from_seconds(settings.start));
     if from > last {
-        let (start, length) = (config.start, (last - first) as f64 * 1e-9);
+        let (start, length) = (settings.start, (last - first) as f64 * 1e-9);
         return Err(format!("player: `start` is {start} s, but the log has only {length:.3} s").into());
     }
-    let until = config
+    let until = settings
         .duration
         .map_or(Nanos::MAX, |duration| from.saturating_add(from_seconds(duration)));
     Ok((from, until))
@@ -615,17 +507,5 @@ fn points(payload: &Payload) -> usize {
         Payload::PointCloud(cloud) => cloud.len(),
         Payload::Packet(packet) => packet.bytes.len() / POINT_BYTES,
         _ => 0,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let names: Vec<&str> = Player::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, names);
     }
 }

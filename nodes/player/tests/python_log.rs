@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use realo_logs::{Log, Stream, describe};
-use realo_operator::{Describe, Source};
-use realo_player::{Config, Player};
+use realo_operator::{Source, StageOutputs};
+use realo_player::{Output, Player, Settings};
 use realo_schemas::{Box3, Message, Payload};
 
 /// A Python with numpy; one in a virtual environment under the build folder if the system's has none.
@@ -133,14 +133,14 @@ fn a_log_from_numpy_arrays_is_read_and_played() {
     assert_eq!(description.topics["/car/ground_truth"].channel.messages, 20);
     assert_eq!(description.sweeps["car"].problem, None);
 
-    let mut player = Player::new(Config {
+    let mut player = Player::new(Settings {
         log: path,
-        ..Config::default()
+        ..Settings::default()
     })
     .unwrap();
     let mut played: Vec<(&str, Message)> = Vec::new();
     while let Some((_, port, message)) = player.next().unwrap() {
-        played.push((Player::OUTPUTS[port.0].name, message));
+        played.push((Output::PORTS[port.0].name, message));
     }
     // Both agents list the same boxes in frames of their own: two tracks at 39 pairs of times.
     let counts = player.counts();

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, Levelled, Log, LogInfo, LogWriter, Precomputed};
-use realo_operator::{Describe, Error, Source};
-use realo_player::{Config, Coop, Detections, Player, PoseSource, TimeLine, next_pass, plan};
+use realo_operator::{Error, Source, StageOutputs};
+use realo_player::{Coop, Detections, Output, Player, PoseSource, Settings, TimeLine, next_pass, plan};
 use realo_schemas::geometry::{View, tilt_degrees};
 use realo_schemas::{
     AgentState, Box3, Boxes, GroundTruth, Kind, Message, Nanos, OwnLabels, Payload, PointCloud, PoseStatus,
@@ -113,20 +113,20 @@ fn made() -> (tempfile::TempDir, PathBuf) {
 
 type Played = Vec<(Nanos, &'static str, Message)>;
 
-fn play(config: Config) -> (Played, Player) {
+fn play(config: Settings) -> (Played, Player) {
     let mut player = Player::new(config).unwrap();
     let mut played = Vec::new();
     while let Some((time, port, message)) = player.next().unwrap() {
-        played.push((time, Player::OUTPUTS[port.0].name, message));
+        played.push((time, Output::PORTS[port.0].name, message));
     }
     assert!(player.next().unwrap().is_none());
     (played, player)
 }
 
-fn config(log: &Path) -> Config {
-    Config {
+fn config(log: &Path) -> Settings {
+    Settings {
         log: log.into(),
-        ..Config::default()
+        ..Settings::default()
     }
 }
 
@@ -218,7 +218,7 @@ fn joins_the_points_of_the_nearest_sweeps() {
 #[test]
 fn a_collaborators_nearest_sweep_may_come_later() {
     let (_dir, path) = made();
-    let (played, _) = play(Config {
+    let (played, _) = play(Settings {
         ego: "rsu1".into(),
         ..config(&path)
     });
@@ -262,7 +262,7 @@ fn modes_choose_who_takes_part() {
     let error = runs("cav9", Coop::All, &[]).unwrap_err().to_string();
     assert!(error.contains("no agent `cav9`; it has: cav1, cav2, rsu1"), "{error}");
 
-    let (played, player) = play(Config {
+    let (played, player) = play(Settings {
         coop: Coop::I2i,
         ..config(&path)
     });
@@ -273,7 +273,7 @@ fn modes_choose_who_takes_part() {
 #[test]
 fn offline_everything_is_ready_at_its_stamp_with_true_poses() {
     let (_dir, path) = made();
-    let (played, _) = play(Config {
+    let (played, _) = play(Settings {
         offline: true,
         ..config(&path)
     });
@@ -314,7 +314,7 @@ fn offline_everything_is_ready_at_its_stamp_with_true_poses() {
 fn without_points_sweeps_keep_their_headers() {
     let (_dir, path) = made();
     let (with, _) = play(config(&path));
-    let (without, _) = play(Config {
+    let (without, _) = play(Settings {
         points: false,
         ..config(&path)
     });
@@ -331,7 +331,7 @@ fn without_points_sweeps_keep_their_headers() {
             .all(|m| matches!(&m.payload, Payload::PointCloud(cloud) if cloud.is_empty()))
     );
     assert_eq!(truths(&with), truths(&without));
-    let (off, _) = play(Config {
+    let (off, _) = play(Settings {
         detections: Detections::Off,
         pose: PoseSource::True,
         ..config(&path)
@@ -347,7 +347,7 @@ fn without_points_sweeps_keep_their_headers() {
 #[test]
 fn a_part_of_a_log_keeps_its_numbers() {
     let (_dir, path) = made();
-    let (played, _) = play(Config {
+    let (played, _) = play(Settings {
         start: 1.0,
         duration: Some(0.5),
         ..config(&path)
@@ -359,7 +359,7 @@ fn a_part_of_a_log_keeps_its_numbers() {
     assert_eq!(seqs, [10, 11, 12, 13, 14]);
     assert!(truths(&played).iter().all(|truth| truth.boxes.len() == 3));
     assert!(played[0].1.ends_with("poses"));
-    let error = Player::new(Config {
+    let error = Player::new(Settings {
         start: 60.0,
         ..config(&path)
     })
@@ -373,7 +373,7 @@ fn a_part_of_a_log_keeps_its_numbers() {
 fn repeated_passes_go_on_in_time_and_numbers() {
     let (_dir, path) = made();
     for offline in [false, true] {
-        let (played, _) = play(Config {
+        let (played, _) = play(Settings {
             repeat: 3,
             offline,
             ..config(&path)
@@ -406,7 +406,7 @@ fn at_wall_time_passes_begin_when_it_is_said() {
     let [begins, period] = next_pass(&path, now()).unwrap();
     assert!(begins >= now() && begins < now() + 4_000 * MS + period, "{begins}");
     assert_eq!(next_pass(&path, begins).unwrap()[0], begins + period);
-    let first = |clock| play(Config { clock, ..config(&path) }).0[0].0;
+    let first = |clock| play(Settings { clock, ..config(&path) }).0[0].0;
     let (log, wall) = (first(TimeLine::Log), first(TimeLine::Wall));
     // From half a second before the log; the player may have begun one pass later than was said.
     let begun = wall - log + Log::open(&path).unwrap().span().unwrap().0 - 500 * MS;
@@ -432,7 +432,7 @@ fn a_cut_log_is_played_up_to_the_cut_and_counted() {
     assert!(left.iter().zip(&all).all(|(a, b)| a == b));
 }
 
-fn refused(config: Config) -> String {
+fn refused(config: Settings) -> String {
     Player::new(config).err().map(|error: Error| error.to_string()).unwrap()
 }
 
@@ -445,28 +445,28 @@ fn says_what_a_log_lacks() {
         "{error}"
     );
     assert!(
-        refused(Config {
+        refused(Settings {
             rate: 0.0,
             ..config(&path)
         })
         .contains("`rate`")
     );
     assert!(
-        refused(Config {
+        refused(Settings {
             repeat: 0,
             ..config(&path)
         })
         .contains("`repeat`")
     );
     assert!(
-        refused(Config {
+        refused(Settings {
             duration: Some(f64::NAN),
             ..config(&path)
         })
         .contains("`duration`")
     );
     assert!(
-        refused(Config {
+        refused(Settings {
             agents: vec!["rsu7".into()],
             ..config(&path)
         })
@@ -486,7 +486,7 @@ fn says_what_a_log_lacks() {
         error.contains("no topic `/cav1/points`") && error.contains("topics there: /cav1/pose, /cav1/sweeps"),
         "{error}"
     );
-    let (played, _) = play(Config {
+    let (played, _) = play(Settings {
         points: false,
         ..config(&bare)
     });
@@ -499,13 +499,13 @@ fn says_what_a_log_lacks() {
             ..GroundTruth::default()
         }]
     );
-    let error = refused(Config {
+    let error = refused(Settings {
         points: false,
         detections: Detections::Required,
         ..config(&bare)
     });
     assert!(error.contains("/cav1/detections"), "{error}");
-    let error = refused(Config {
+    let error = refused(Settings {
         points: false,
         pose: PoseSource::True,
         ..config(&bare)
@@ -575,7 +575,7 @@ fn who_tilts_is_levelled_and_who_is_level_passes_bit_for_bit() {
     let path = dir.path().join("a.mcap");
     nodding(&path, 3.0, |_| (), &info());
     for (offline, repeat) in [(false, 1), (true, 1), (false, 3)] {
-        let (played, player) = play(Config {
+        let (played, player) = play(Settings {
             offline,
             repeat,
             ..config(&path)
@@ -690,7 +690,7 @@ fn truth_has_its_views_and_what_the_own_side_labelled() {
     }
     log.finish().unwrap();
     let of = |ego: &str| {
-        let (played, _) = play(Config {
+        let (played, _) = play(Settings {
             ego: ego.into(),
             points: false,
             ..config(&path)

@@ -23,4 +23,4 @@ pub mod station;
 mod unheard;
 
 pub use endpoint::{Endpoint, NoEndpoint};
-pub use node::{Config, Radio};
+pub use node::{Radio, Settings};

@@ -4,13 +4,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use realo_operator::{
-    Argument, Counter, Decided, Describe, Error, Gateway, Lane, Outputs, Port, PortId, Steps, Waker, unexpected,
-    wrong_port,
-};
+use realo_operator::{Counter, Describe, Error, Gateway, Inputs, Outputs, Settings, Steps, Waker};
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
-use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, PayloadType, are_one_time_line, to_millis};
-use realo_transmission::{Encoder, EncoderConfig, restamped};
+use realo_schemas::{AgentState, Header, Kind, Message, Name, Nanos, Packet, are_one_time_line, to_millis};
+use realo_transmission::{Encoder, EncoderSettings, restamped};
 use serde::{Deserialize, Serialize};
 
 use crate::body;
@@ -21,20 +18,13 @@ use crate::endpoint::Endpoint;
 use crate::keys::{KeyError, NAME, Own, Trusted, is_name};
 use crate::network::Network;
 use crate::offset::{Basis, Estimate};
-use crate::protocol::{Arrived, Offer, Settings, is_bulk};
+use crate::protocol::{self, Arrived, Offer, is_bulk};
 use crate::refusal::{self, ALONE, NO_CLOCK, OVERRUN, OVERSIZED_FRAMES, Refusal, Refusals, UNSENT_BOXES};
 use crate::seal::Seal;
 use crate::session::{self, Place};
 use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
 use crate::unheard;
 
-const PACKETS: PortId = PortId(0);
-const STATE: PortId = PortId(1);
-const POORER: PortId = PortId(2);
-const POOREST: PortId = PortId(3);
-const TO_EGO: PortId = PortId(0);
-const PEERS: PortId = PortId(1);
-const STATES: PortId = PortId(2);
 /// Bytes of boxes and states at most, which cross in one frame.
 const MOST_SMALL: usize = MOST_BYTES - 1024;
 /// Messages of a peer and a kind that are given to the graph at once.
@@ -45,58 +35,45 @@ const FUTURE: Nanos = 1_000_000_000;
 const APART: Nanos = 10_000_000_000;
 
 /// Settings of the radio.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
+pub struct Settings {
     /// Who this is.
+    #[setting(role = "ego")]
     pub agent: String,
     /// Agents of one site hear each other.
+    #[setting(default = "realo")]
     pub site: String,
-    /// Where others connect.
+    /// Addresses where others connect, tcp/HOST:PORT or tls/HOST:PORT; each takes the port behind it too.
     pub listen: Vec<Endpoint>,
-    /// Whom to connect to.
+    /// Addresses of others.
     pub connect: Vec<Endpoint>,
-    /// File of this agent's private key; what it sends is signed, and only what trusted agents signed is taken.
+    /// File of this agent's private key (`realo keys new`): signs all that it sends, and takes only what is signed.
     pub key: PathBuf,
-    /// File of the agents that are trusted, and their keys.
+    /// File of the agents that are trusted, and their keys (`realo keys trust`).
     pub trust: PathBuf,
-    /// File of further settings of Zenoh, such as certificates and access control.
+    /// YAML file of further settings of Zenoh, such as certificates and access control.
     pub zenoh: PathBuf,
-    /// What this machine's wall clock is off by at most, ms; null: what the kernel says.
+    /// What GNSS or PTP leave this machine's wall clock off by at most; null: what the kernel says.
     pub clock_error_ms: Option<f64>,
-    /// Age at which points and features must have arrived, ms.
+    /// Age at which points and features must have arrived, or they are not sent.
+    #[setting(default = 400.0)]
     pub deadline_ms: f64,
-    /// What points and features may add to the delay of everything else, ms.
+    /// What points and features may add to the delay of everything else.
+    #[setting(default = 20.0)]
     pub queue_ms: f64,
-    /// Largest message that is taken, bytes.
+    /// Max message that is taken.
+    #[setting(default = 16 << 20)]
     pub max_bytes: usize,
-    /// A peer of whom nothing was heard for so long has gone, ms.
+    /// A peer of whom nothing was heard for so long has gone.
+    #[setting(default = 2000)]
     pub lease_ms: u64,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            agent: String::new(),
-            site: "realo".into(),
-            listen: Vec::new(),
-            connect: Vec::new(),
-            key: PathBuf::new(),
-            trust: PathBuf::new(),
-            zenoh: PathBuf::new(),
-            clock_error_ms: None,
-            deadline_ms: 400.0,
-            queue_ms: 20.0,
-            max_bytes: 16 << 20,
-            lease_ms: 2000,
-        }
-    }
 }
 
 /// Exchanges packets with the agents of a site.
 pub struct Radio {
     place: Place,
-    settings: Settings,
+    settings: protocol::Settings,
     max_bytes: usize,
     seal: Option<Seal>,
     /// Puts this agent's state into bytes.
@@ -113,119 +90,76 @@ pub struct Radio {
     reports: Vec<Report>,
 }
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// What this agent has for all others.
+    #[port(optional)]
+    Packets(Header, Packet),
+    /// Where this agent is, for all others.
+    #[port(optional, of(Ego))]
+    State(Header, AgentState),
+    /// The same moments in a fallback form, as features or boxes for points: of large kinds the richest goes that arrives in
+    /// time.
+    #[port(optional)]
+    Fallback(Header, Packet),
+    /// The same in a fallback form still.
+    #[port(optional)]
+    LastFallback(Header, Packet),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// What the others have for this agent.
+    #[port(of(OthersReceived))]
+    ToEgo(Header, Packet),
+    /// Topic `peers`: what is known of the others, at the end.
+    Peers(Header, realo_schemas::Report),
+    /// Where the others are.
+    #[port(of(EgoReceived), ends_early)]
+    States(Header, Packet),
+}
+
 impl Describe for Radio {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "radio";
     const ABOUT: &'static str = "exchanges packets with agents on other machines, over Zenoh";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "agent",
-            about: "who this is",
-        },
-        Argument {
-            name: "site",
-            about: "agents of one site hear each other",
-        },
-        Argument {
-            name: "listen",
-            about: "addresses where others connect, tcp/HOST:PORT or tls/HOST:PORT; each takes the port behind it too",
-        },
-        Argument {
-            name: "connect",
-            about: "addresses of others",
-        },
-        Argument {
-            name: "key",
-            about: "file of this agent's private key (`realo keys new`): signs all that it sends, and takes only what is signed",
-        },
-        Argument {
-            name: "trust",
-            about: "file of the agents that are trusted, and their keys (`realo keys trust`)",
-        },
-        Argument {
-            name: "zenoh",
-            about: "YAML file of further settings of Zenoh, such as certificates and access control",
-        },
-        Argument {
-            name: "clock_error_ms",
-            about: "what GNSS or PTP leave this machine's wall clock off by at most; null: what the kernel says",
-        },
-        Argument {
-            name: "deadline_ms",
-            about: "age at which points and features must have arrived, or they are not sent",
-        },
-        Argument {
-            name: "queue_ms",
-            about: "what points and features may add to the delay of everything else",
-        },
-        Argument {
-            name: "max_bytes",
-            about: "max message that is taken",
-        },
-        Argument {
-            name: "lease_ms",
-            about: "a peer of whom nothing was heard for so long has gone",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("packets", &[PayloadType::Packet], "what this agent has for all others").optional(),
-        Port::new("state", &[PayloadType::AgentState], "where this agent is, for all others")
-            .optional()
-            .of(Lane::Ego),
-        Port::new(
-            "fallback",
-            &[PayloadType::Packet],
-            "the same moments in a fallback form, as features or boxes for points: of large kinds the richest goes that arrives in time",
-        )
-        .optional(),
-        Port::new("last_fallback", &[PayloadType::Packet], "the same in a fallback form still").optional(),
-    ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new("to_ego", &[PayloadType::Packet], "what the others have for this agent").of(Lane::OthersReceived),
-        Port::new(
-            "peers",
-            &[PayloadType::Report],
-            "topic `peers`: what is known of the others, at the end",
-        ),
-        Port::new("states", &[PayloadType::Packet], "where the others are")
-            .of(Lane::EgoReceived)
-            .ends_early(),
-    ];
     const COUNTERS: &'static [Counter] = refusal::COUNTERS;
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
-
-    fn examine(config: &Config) -> Result<(), Error> {
-        check(config)?;
-        if !config.zenoh.as_os_str().is_empty() {
-            session::examine(&config.zenoh)?;
+    fn examine(settings: &Settings) -> Result<(), Error> {
+        check(settings)?;
+        if !settings.zenoh.as_os_str().is_empty() {
+            session::examine(&settings.zenoh)?;
         }
-        seal(config).map(drop)
+        seal(settings).map(drop)
     }
 }
 
 impl Gateway for Radio {
-    fn new(config: Config) -> Result<Self, Error> {
-        check(&config)?;
-        let seal = seal(&config)?;
+    fn new(settings: Settings) -> Result<Self, Error> {
+        check(&settings)?;
+        let seal = seal(&settings)?;
         let millis = |value: f64| (value * 1e6) as Nanos;
         Ok(Radio {
             place: Place {
-                site: config.site,
-                agent: config.agent.into(),
-                listen: config.listen,
-                connect: config.connect,
-                lease: Duration::from_millis(config.lease_ms),
-                zenoh: config.zenoh,
-                clock_error: config.clock_error_ms.map(millis),
+                site: settings.site,
+                agent: settings.agent.into(),
+                listen: settings.listen,
+                connect: settings.connect,
+                lease: Duration::from_millis(settings.lease_ms),
+                zenoh: settings.zenoh,
+                clock_error: settings.clock_error_ms.map(millis),
             },
-            settings: Settings {
-                queue: millis(config.queue_ms),
-                deadline: millis(config.deadline_ms),
-                ..Settings::default()
+            settings: protocol::Settings {
+                queue: millis(settings.queue_ms),
+                deadline: millis(settings.deadline_ms),
+                ..protocol::Settings::default()
             },
-            max_bytes: config.max_bytes,
+            max_bytes: settings.max_bytes,
             seal,
-            encoder: Encoder::new(&EncoderConfig::default())?,
+            encoder: Encoder::new(&EncoderSettings::default())?,
             network: None,
             counted: Refusals::new(),
             overrun: 0,
@@ -245,14 +179,16 @@ impl Gateway for Radio {
         Ok(())
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        let (header, packet): (Header, Packet) = match port {
-            PACKETS | POORER | POOREST => message.into_parts().map_err(unexpected)?,
-            STATE => {
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        let (header, packet) = match input {
+            Input::Packets(header, packet) | Input::Fallback(header, packet) | Input::LastFallback(header, packet) => {
+                (header, packet)
+            }
+            Input::State(header, state) => {
+                let message = Message::new(header, state);
                 let (packet, _) = self.encoder.encode(&message, &mut Steps::default())?;
                 (message.header, packet)
             }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
         };
         let Some(network) = &self.network else { return Ok(()) };
         network.set_time(out.now());
@@ -323,7 +259,7 @@ impl Gateway for Radio {
         out.count(&ALONE, "", u64::from(is_alone));
         let peers: Vec<Peer> = self.reports.iter().map(|report| self.peer(report)).collect();
         let header = Header::origin(&Name::default(), &self.place.agent, Kind::Report, 0, now, now);
-        out.send(PEERS, Message::new(header, to_report(report::PEERS, &peers)));
+        out.send(Output::Peers(header, to_report(report::PEERS, &peers)));
         Ok(())
     }
 }
@@ -367,13 +303,12 @@ impl Radio {
         let reported = Passed::from(&message);
         match self.moved(from, &message, clock, out) {
             Ok((packet, stamp)) => {
-                let port = if message.kind == Kind::AgentState {
-                    STATES
-                } else {
-                    TO_EGO
-                };
+                let is_state = message.kind == Kind::AgentState;
                 let header = self.header(from, Passed { stamp, ..reported }, out);
-                out.send(port, Message::new(header, packet));
+                match is_state {
+                    true => out.send(Output::States(header, packet)),
+                    false => out.send(Output::ToEgo(header, packet)),
+                }
             }
             Err(refusal) => {
                 out.count(refusal.counter(), from, 1);
@@ -495,46 +430,46 @@ fn skipped(events: &[Event]) -> Vec<bool> {
     passed
 }
 
-fn check(config: &Config) -> Result<(), Error> {
-    if !is_name(&config.agent) {
-        let found = &config.agent;
+fn check(settings: &Settings) -> Result<(), Error> {
+    if !is_name(&settings.agent) {
+        let found = &settings.agent;
         return Err(format!("argument `agent`: expected {NAME}, found `{found}`").into());
     }
-    if !config.site.split('/').all(is_name) {
-        let found = &config.site;
+    if !settings.site.split('/').all(is_name) {
+        let found = &settings.site;
         return Err(
             format!("argument `site`: expected names with / between them, each {NAME}, found `{found}`").into(),
         );
     }
-    if config.listen.is_empty() && config.connect.is_empty() {
+    if settings.listen.is_empty() && settings.connect.is_empty() {
         return Err(
             "arguments `listen`, `connect`: expected an address in one of them at least, such as listen=tcp/0.0.0.0:7447; \
              found none, and so nobody to exchange packets with"
                 .into(),
         );
     }
-    for (at, first) in config.listen.iter().enumerate() {
-        if let Some(second) = config.listen[at + 1..].iter().find(|second| first.collides(second)) {
+    for (at, first) in settings.listen.iter().enumerate() {
+        if let Some(second) = settings.listen[at + 1..].iter().find(|second| first.collides(second)) {
             return Err(format!(
                 "argument `listen`: expected ports of their own for each, which takes the one behind it too, found {first} and {second}"
             )
             .into());
         }
     }
-    for (name, value) in [("deadline_ms", config.deadline_ms), ("queue_ms", config.queue_ms)] {
+    for (name, value) in [("deadline_ms", settings.deadline_ms), ("queue_ms", settings.queue_ms)] {
         if !(value.is_finite() && value > 0.0 && value <= 1e6) {
             return Err(
                 format!("argument `{name}`: expected milliseconds above 0, up to a million; found {value}").into(),
             );
         }
     }
-    if let Some(value) = config.clock_error_ms.filter(|value| !(0.0..=1e6).contains(value)) {
+    if let Some(value) = settings.clock_error_ms.filter(|value| !(0.0..=1e6).contains(value)) {
         return Err(format!(
             "argument `clock_error_ms`: expected milliseconds from 0 to a million, or null; found {value}"
         )
         .into());
     }
-    let (bytes, lease) = (config.max_bytes as u64, config.lease_ms);
+    let (bytes, lease) = (settings.max_bytes as u64, settings.lease_ms);
     for (name, min, found, unit) in [("max_bytes", 1024, bytes, "bytes"), ("lease_ms", 100, lease, "ms")] {
         if found < min {
             return Err(format!("argument `{name}`: expected {min} {unit} or more, found {found}").into());
@@ -544,9 +479,9 @@ fn check(config: &Config) -> Result<(), Error> {
 }
 
 /// What signs and checks, where keys are given.
-fn seal(config: &Config) -> Result<Option<Seal>, Error> {
+fn seal(settings: &Settings) -> Result<Option<Seal>, Error> {
     let is_there = |path: &Path| !path.as_os_str().is_empty();
-    match [is_there(&config.key), is_there(&config.trust)] {
+    match [is_there(&settings.key), is_there(&settings.trust)] {
         [false, false] => return Ok(None),
         [true, true] => {}
         [key, _] => {
@@ -558,18 +493,18 @@ fn seal(config: &Config) -> Result<Option<Seal>, Error> {
         }
     }
     let named = |argument: &str, error: KeyError| format!("argument `{argument}`: {error}");
-    let own = Own::read(&config.key).map_err(|error| named("key", error))?;
-    let trusted = Trusted::read(&config.trust).map_err(|error| named("trust", error))?;
-    if *own.agent != *config.agent {
+    let own = Own::read(&settings.key).map_err(|error| named("key", error))?;
+    let trusted = Trusted::read(&settings.trust).map_err(|error| named("trust", error))?;
+    if *own.agent != *settings.agent {
         return Err(format!(
             "argument `key`: {}: expected the key of `{}` (argument `agent`), found that of `{}`",
-            config.key.display(),
-            config.agent,
+            settings.key.display(),
+            settings.agent,
             own.agent
         )
         .into());
     }
-    Ok(Some(Seal::new(&config.site, own, trusted)))
+    Ok(Some(Seal::new(&settings.site, own, trusted)))
 }
 
 /// The step that shows how long a message took, from its sender's radio to this one, by both clocks.

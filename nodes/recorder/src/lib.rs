@@ -13,18 +13,20 @@
 //! The books of all nodes end `/reports`. Log time is ready, publish time the stamp. The file grows at least every half
 //! second of log time: the recording of a run that was killed can be read.
 
+mod error;
 mod log;
 mod read;
 mod recording;
 
 use std::path::PathBuf;
 
-use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink};
+use realo_operator::{Books, Describe, Error, Inputs, NoOutput, Settings, Sink};
 use realo_schemas::report::Fated;
-use realo_schemas::{Message, Payload, PayloadType};
+use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Packet, PointCloud, Report};
 use serde::{Deserialize, Serialize};
 
-pub use log::{LogConfig, LogRecorder};
+pub use error::RecorderError;
+pub use log::{LogRecorder, Settings as LogSettings};
 pub use read::{
     BoxesOf, ReportsOf, TruthOf, boxes_of, read_boxes, read_detections, read_reports, read_truth, reports_of, truth_of,
 };
@@ -32,22 +34,14 @@ pub use recording::FATES;
 use recording::Recording;
 
 /// Settings of the recorder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
     /// Path of the recording; its folder is made.
+    #[setting(default = "recording.mcap", role = "recording")]
     pub path: PathBuf,
     /// Whether sweeps are recorded too.
     pub clouds: bool,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            path: "recording.mcap".into(),
-            clouds: false,
-        }
-    }
 }
 
 /// The sink that records.
@@ -56,79 +50,74 @@ pub struct Recorder {
     clouds: bool,
 }
 
-const BOXES: PortId = PortId(0);
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// The final boxes.
+    #[port(optional, of(Ego))]
+    Boxes(Header, Boxes),
+    /// What the ego detected alone.
+    #[port(optional, of(Ego))]
+    EgoBoxes(Header, Boxes),
+    /// What the collaborators detected.
+    #[port(optional, of(Others))]
+    OtherBoxes(Header, Boxes),
+    /// The ego's poses.
+    #[port(optional, of(Ego))]
+    EgoState(Header, AgentState),
+    /// The collaborators' poses.
+    #[port(optional, of(Others))]
+    States(Header, AgentState),
+    /// Ground truth.
+    #[port(optional, of(Ego))]
+    Truth(Header, GroundTruth),
+    /// What crossed the link.
+    #[port(optional)]
+    Packets(Header, Packet),
+    /// The evaluator's report.
+    #[port(optional, of(Ego))]
+    Evaluation(Header, Report),
+    /// The ego's sweeps.
+    #[port(optional, of(Ego))]
+    EgoClouds(Header, PointCloud),
+    /// The collaborators' sweeps.
+    #[port(optional, of(Others))]
+    Clouds(Header, PointCloud),
+}
 
 impl Describe for Recorder {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = NoOutput;
     const NAME: &'static str = "recorder";
     const ABOUT: &'static str = "records boxes, poses, reports, packets' headers, and clouds when asked for";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "path",
-            about: "path of the recording; its folder is made",
-        },
-        Argument {
-            name: "clouds",
-            about: "whether sweeps are recorded too",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("boxes", &[PayloadType::Boxes], "the final boxes")
-            .optional()
-            .of(Lane::Ego),
-        Port::new("ego_boxes", &[PayloadType::Boxes], "what the ego detected alone")
-            .optional()
-            .of(Lane::Ego),
-        Port::new("other_boxes", &[PayloadType::Boxes], "what the collaborators detected")
-            .optional()
-            .of(Lane::Others),
-        Port::new("ego_state", &[PayloadType::AgentState], "the ego's poses")
-            .optional()
-            .of(Lane::Ego),
-        Port::new("states", &[PayloadType::AgentState], "the collaborators' poses")
-            .optional()
-            .of(Lane::Others),
-        Port::new("truth", &[PayloadType::GroundTruth], "ground truth")
-            .optional()
-            .of(Lane::Ego),
-        Port::new("packets", &[PayloadType::Packet], "what crossed the link").optional(),
-        Port::new("evaluation", &[PayloadType::Report], "the evaluator's report")
-            .optional()
-            .of(Lane::Ego),
-        Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps")
-            .optional()
-            .of(Lane::Ego),
-        Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps")
-            .optional()
-            .of(Lane::Others),
-    ];
-    const OUTPUTS: &'static [Port] = &[];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Recording, "path")];
 }
 
 impl Sink for Recorder {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         Ok(Recorder {
-            recording: Some(Recording::create(&config.path)?),
-            clouds: config.clouds,
+            recording: Some(Recording::create(&settings.path)?),
+            clouds: settings.clouds,
         })
     }
 
-    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
+    fn accept(&mut self, input: Input) -> Result<(), Error> {
         let Some(recording) = &mut self.recording else {
-            return Err("a message after the recording was finished".into());
+            return Err(RecorderError::Finished.into());
         };
-        let header = &message.header;
-        match &message.payload {
-            Payload::Boxes(boxes) if port == BOXES => recording.boxes("boxes", header, boxes)?,
-            Payload::Boxes(boxes) => recording.boxes("detections", header, boxes)?,
-            Payload::AgentState(state) => recording.state(header, state)?,
-            Payload::GroundTruth(truth) => recording.truth(header, truth)?,
-            Payload::Packet(packet) => recording.packet(header, packet)?,
-            Payload::Report(report) => recording.report(header, report)?,
-            Payload::PointCloud(cloud) if self.clouds => recording.cloud(header, cloud)?,
-            Payload::PointCloud(_) => {}
-            other => return Err(format!("the recorder does not take a {} ({header})", other.payload_type()).into()),
+        match input {
+            Input::Boxes(header, boxes) => recording.boxes("boxes", &header, &boxes)?,
+            Input::EgoBoxes(header, boxes) | Input::OtherBoxes(header, boxes) => {
+                recording.boxes("detections", &header, &boxes)?;
+            }
+            Input::EgoState(header, state) | Input::States(header, state) => recording.state(&header, &state)?,
+            Input::Truth(header, truth) => recording.truth(&header, &truth)?,
+            Input::Packets(header, packet) => recording.packet(&header, &packet)?,
+            Input::Evaluation(header, report) => recording.report(&header, &report)?,
+            Input::EgoClouds(header, cloud) | Input::Clouds(header, cloud) if self.clouds => {
+                recording.cloud(&header, &cloud)?;
+            }
+            Input::EgoClouds(..) | Input::Clouds(..) => {}
         }
         Ok(())
     }
@@ -145,17 +134,5 @@ impl Sink for Recorder {
             Some(recording) => Ok(recording.finish(books)?),
             None => Ok(()),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let names: Vec<&str> = Recorder::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, names);
     }
 }

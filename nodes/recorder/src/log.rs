@@ -13,38 +13,32 @@
 
 use std::path::PathBuf;
 
+use crate::RecorderError;
 use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, PeerClock, refuse_foreign};
-use realo_operator::{Argument, Books, Decided, Describe, Error, Lane, Port, PortId, Sink};
+use realo_operator::{Books, Describe, Error, Inputs, NoOutput, Settings, Sink};
 use realo_schemas::report::{self, Peer, from_report};
-use realo_schemas::{GroundTruth, Header, Message, Nanos, Payload, PayloadType};
+use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Nanos, PointCloud, Report};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the log recorder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LogConfig {
+pub struct Settings {
     /// Path of the log; its folder is made.
+    #[setting(default = "sensors.mcap", role = "recording")]
     pub path: PathBuf,
     /// Whose sensors they are.
+    #[setting(role = "ego")]
     pub agent: String,
-    /// What the agent is, where no other log says so.
+    /// Vehicle or roadside, where `like` does not tell.
+    #[setting(default = AgentKind::Vehicle)]
     pub kind: AgentKind,
-    /// A log that has this agent, and says of it what no message does: what is played.
+    /// A log with this agent, which tells its kind, outline and sensor: the one that is played; empty = none.
+    #[setting(role = "log")]
     pub like: PathBuf,
     /// Whether sweeps have points.
+    #[setting(default = true, role = "points")]
     pub points: bool,
-}
-
-impl Default for LogConfig {
-    fn default() -> Self {
-        LogConfig {
-            path: "sensors.mcap".into(),
-            agent: String::new(),
-            kind: AgentKind::Vehicle,
-            like: PathBuf::new(),
-            points: true,
-        }
-    }
 }
 
 /// The sink that records sensors.
@@ -54,97 +48,69 @@ pub struct LogRecorder {
     log: Option<LogWriter>,
 }
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// The agent's sweeps.
+    #[port(of(Ego))]
+    Clouds(Header, PointCloud),
+    /// What it believes of its pose.
+    #[port(of(Ego))]
+    Poses(Header, AgentState),
+    /// Detections that were recorded with the sweeps.
+    #[port(optional, of(Ego))]
+    Recorded(Header, Boxes),
+    /// What was really there.
+    #[port(optional, of(Ego))]
+    Truth(Header, GroundTruth),
+    /// Topic `peers`, of the radio: how far the clocks of others lie from the agent's.
+    #[port(optional)]
+    Peers(Header, Report),
+}
+
 impl Describe for LogRecorder {
-    type Config = LogConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = NoOutput;
     const NAME: &'static str = "log-recorder";
     const ABOUT: &'static str =
         "records what an agent's sensors gave, as a log; `realo merge` joins those of several agents";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "path",
-            about: "path of the log; its folder is made",
-        },
-        Argument {
-            name: "agent",
-            about: "whose sensors they are",
-        },
-        Argument {
-            name: "kind",
-            about: "vehicle or roadside, where `like` does not tell",
-        },
-        Argument {
-            name: "like",
-            about: "a log with this agent, which tells its kind, outline and sensor: the one that is played; empty = none",
-        },
-        Argument {
-            name: "points",
-            about: "whether sweeps have points",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("clouds", &[PayloadType::PointCloud], "the agent's sweeps").of(Lane::Ego),
-        Port::new("poses", &[PayloadType::AgentState], "what it believes of its pose").of(Lane::Ego),
-        Port::new(
-            "recorded",
-            &[PayloadType::Boxes],
-            "detections that were recorded with the sweeps",
-        )
-        .optional()
-        .of(Lane::Ego),
-        Port::new("truth", &[PayloadType::GroundTruth], "what was really there")
-            .optional()
-            .of(Lane::Ego),
-        Port::new(
-            "peers",
-            &[PayloadType::Report],
-            "topic `peers`, of the radio: how far the clocks of others lie from the agent's",
-        )
-        .optional(),
-    ];
-    const OUTPUTS: &'static [Port] = &[];
-    const DECIDED: &'static [(Decided, &'static str)] = &[
-        (Decided::Recording, "path"),
-        (Decided::Log, "like"),
-        (Decided::Ego, "agent"),
-        (Decided::Points, "points"),
-    ];
-
-    fn examine(config: &LogConfig) -> Result<(), Error> {
-        if config.agent.is_empty() {
-            return Err("argument `agent`: expected whose sensors are recorded, found nothing".into());
+    fn examine(settings: &Settings) -> Result<(), Error> {
+        if settings.agent.is_empty() {
+            return Err(RecorderError::Agent.into());
         }
         Ok(())
     }
 }
 
 impl Sink for LogRecorder {
-    fn new(config: LogConfig) -> Result<Self, Error> {
-        Self::examine(&config)?;
-        let info = info(&config)?;
-        if let Some(folder) = config.path.parent() {
-            std::fs::create_dir_all(folder)
-                .map_err(|error| format!("argument `path`: {}: {error}", folder.display()))?;
+    fn new(settings: Settings) -> Result<Self, Error> {
+        Self::examine(&settings)?;
+        let info = info(&settings)?;
+        if let Some(folder) = settings.path.parent() {
+            std::fs::create_dir_all(folder).map_err(|error| RecorderError::Folder(folder.into(), error))?;
         }
-        refuse_foreign(&config.path)?;
+        refuse_foreign(&settings.path)?;
         Ok(LogRecorder {
-            log: Some(LogWriter::create(&config.path, &info)?),
-            agent: config.agent,
-            points: config.points,
+            log: Some(LogWriter::create(&settings.path, &info)?),
+            agent: settings.agent,
+            points: settings.points,
         })
     }
 
-    fn accept(&mut self, _: PortId, message: Message) -> Result<(), Error> {
+    fn accept(&mut self, input: Input) -> Result<(), Error> {
         let Some(log) = &mut self.log else {
-            return Err("a message after the log was finished".into());
+            return Err(RecorderError::LogFinished.into());
         };
-        let Header { stamp, ready, .. } = message.header;
-        match &message.payload {
-            Payload::PointCloud(cloud) if self.points => log.cloud(&self.agent, stamp, ready, cloud)?,
-            Payload::PointCloud(_) => log.sweep(&self.agent, stamp, ready)?,
-            Payload::AgentState(state) => log.pose(&self.agent, stamp, ready, state)?,
-            Payload::Boxes(boxes) => log.detections(&self.agent, stamp, ready, boxes)?,
-            Payload::GroundTruth(truth) => {
-                let (agent, points) = (&self.agent, own_points(truth, &self.agent));
+        match input {
+            Input::Clouds(Header { stamp, ready, .. }, cloud) => match self.points {
+                true => log.cloud(&self.agent, stamp, ready, &cloud)?,
+                false => log.sweep(&self.agent, stamp, ready)?,
+            },
+            Input::Poses(Header { stamp, ready, .. }, state) => log.pose(&self.agent, stamp, ready, &state)?,
+            Input::Recorded(Header { stamp, ready, .. }, boxes) => log.detections(&self.agent, stamp, ready, &boxes)?,
+            Input::Truth(Header { stamp, ready, .. }, truth) => {
+                let (agent, points) = (&self.agent, own_points(&truth, &self.agent));
                 if !truth.views.is_empty() {
                     log.truth_views(agent, stamp, ready, &truth.views)?;
                 }
@@ -157,11 +123,13 @@ impl Sink for LogRecorder {
                     log.own_labels(agent, stamp, ready, &own.boxes, points, own.key)?;
                 }
             }
-            Payload::Report(report) if report.topic == report::PEERS.into() => {
-                let peers: Vec<Peer> = from_report(report)?;
-                log.clocks(peers.iter().filter_map(|peer| clock(peer, stamp)).collect());
+            Input::Peers(header, report) => {
+                if report.topic != report::PEERS.into() {
+                    return Err(RecorderError::Topic(report.topic, Box::new(header)).into());
+                }
+                let peers: Vec<Peer> = from_report(&report)?;
+                log.clocks(peers.iter().filter_map(|peer| clock(peer, header.stamp)).collect());
             }
-            other => return Err(format!("a log takes no {} ({})", other.payload_type(), message.header).into()),
         }
         Ok(())
     }
@@ -175,8 +143,8 @@ impl Sink for LogRecorder {
 }
 
 /// What the log says of itself.
-fn info(config: &LogConfig) -> Result<LogInfo, Error> {
-    let LogConfig { agent, kind, like, .. } = config;
+fn info(settings: &Settings) -> Result<LogInfo, Error> {
+    let Settings { agent, kind, like, .. } = settings;
     let source = format!("the sensors of {agent}");
     if like.as_os_str().is_empty() {
         let agent = AgentInfo {

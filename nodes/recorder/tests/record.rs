@@ -4,8 +4,8 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{Log, LogError, McapFile};
-use realo_operator::{Books, Describe, NodeBooks, PortId, Sink};
-use realo_recorder::{Config, FATES, Recorder, read_boxes, read_reports, read_truth};
+use realo_operator::{Books, NodeBooks, PortId, Sink, StageInputs};
+use realo_recorder::{FATES, Input, Recorder, Settings, read_boxes, read_reports, read_truth};
 use realo_schemas::report::{Crossing, Fate, Fated, Use};
 use realo_schemas::{
     AgentState, Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, Pose,
@@ -16,7 +16,7 @@ const START: Nanos = 1_700_000_000_000_000_000;
 const MS: Nanos = 1_000_000;
 
 fn port(name: &str) -> PortId {
-    PortId(Recorder::INPUTS.iter().position(|port| port.name == name).unwrap())
+    PortId(Input::PORTS.iter().position(|port| port.name == name).unwrap())
 }
 
 fn header(agent: &str, kind: Kind, seq: u64) -> Header {
@@ -70,7 +70,7 @@ fn truth(seq: u64) -> Message {
 }
 
 fn record(recorder: &mut Recorder, seq: u64) -> Result<(), realo_operator::Error> {
-    let mut send = |name: &str, message: Message| recorder.accept(port(name), message);
+    let mut send = |name: &str, message: Message| recorder.on_message(port(name), message);
     let state = AgentState {
         map_from_body: Isometry3::identity(),
         covariance: None,
@@ -109,8 +109,8 @@ fn record(recorder: &mut Recorder, seq: u64) -> Result<(), realo_operator::Error
     send("ego_clouds", Message::new(header("cav1", Kind::Points, seq), cloud))
 }
 
-fn config(path: &Path, clouds: bool) -> Config {
-    Config {
+fn config(path: &Path, clouds: bool) -> Settings {
+    Settings {
         path: path.into(),
         clouds,
     }

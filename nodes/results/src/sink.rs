@@ -1,12 +1,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use realo_operator::{
-    Argument, Books, Decided, Describe, Error, Lane, Loss, Meaning, NodeBooks, Port, PortId, Sink, Tally, unexpected,
-    wrong_port,
-};
+use realo_operator::{Books, Describe, Error, Inputs, Loss, Meaning, NoOutput, NodeBooks, Settings, Sink, Tally};
 use realo_schemas::report::{self, Fated, Peer, Phase, from_report};
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, PayloadType, Report};
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Name, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -14,28 +11,20 @@ use serde::{Deserialize, Serialize};
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
-    Cooperation, EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Settings, Timing, TimingSamples, add_name,
-    claim, link_books, write_run_and_courses,
+    Cooperation, EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Timing, TimingSamples, add_name, claim,
+    link_books, write_run_and_courses,
 };
 
 /// Settings of [`Results`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// Folder of the files; it is made, and an earlier run's files in it are replaced.
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Folder of the files; an earlier run's files in it are replaced.
+    #[setting(default = "../target/realo/run", role = "out")]
     pub out: PathBuf,
-    /// File with what the result reports of the run, a [`RunSettings`] in JSON; empty: the graph is named as the folder is.
+    /// File with what the result tells of the run (JSON); empty = the graph is named as the folder is.
+    #[setting(role = "run_settings")]
     pub run_settings: PathBuf,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            // dora starts nodes in the folder of the graph.
-            out: "../target/realo/run".into(),
-            run_settings: PathBuf::new(),
-        }
-    }
 }
 
 /// What whoever prepared a run knows of it.
@@ -48,18 +37,18 @@ pub struct RunSettings {
     /// A hash of what the log holds; empty where it is not known.
     pub log_hash: String,
     /// What was run.
-    pub settings: Settings,
+    pub settings: crate::Settings,
     /// A hash of all that decides the run, by which whoever prepares it again knows it; no result has it.
     pub fingerprint: String,
 }
 
-impl Config {
+impl Settings {
     fn run_settings(&self) -> Result<RunSettings, Error> {
         if self.run_settings.as_os_str().is_empty() {
             let graph = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let settings = Settings {
+            let settings = crate::Settings {
                 graph,
-                ..Settings::default()
+                ..crate::Settings::default()
             };
             return Ok(RunSettings {
                 settings,
@@ -105,60 +94,43 @@ pub struct Results {
     progress: Option<Progress>,
 }
 
-const BOXES: PortId = PortId(0);
-const TRUTH: PortId = PortId(1);
-const EVALUATION: PortId = PortId(2);
-const PEERS: PortId = PortId(3);
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// The final boxes.
+    #[port(optional, of(Ego), on_wire(realo_scoring::BOXES_WIRE))]
+    Boxes(Header, Boxes),
+    /// One for every sweep of the ego.
+    #[port(optional, of(Ego), on_wire(realo_scoring::TRUTH_WIRE))]
+    Truth(Header, GroundTruth),
+    /// Topic `evaluation`, of the evaluator.
+    #[port(optional, of(Ego))]
+    Evaluation(Header, Report),
+    /// Topic `peers`, of the radio.
+    #[port(optional)]
+    Peers(Header, Report),
+}
 
 impl Describe for Results {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = NoOutput;
     const NAME: &'static str = "results";
     const ABOUT: &'static str = "closes the books of a run and writes result.json, timing.json and evaluation.json";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "out",
-            about: "folder of the files; an earlier run's files in it are replaced",
-        },
-        Argument {
-            name: "run_settings",
-            about: "file with what the result tells of the run (JSON); empty = the graph is named as the folder is",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("boxes", &[PayloadType::Boxes], "the final boxes")
-            .optional()
-            .of(Lane::Ego)
-            .on_wire(realo_scoring::BOXES_WIRE),
-        Port::new("truth", &[PayloadType::GroundTruth], "one for every sweep of the ego")
-            .optional()
-            .of(Lane::Ego)
-            .on_wire(realo_scoring::TRUTH_WIRE),
-        Port::new(
-            "evaluation",
-            &[PayloadType::Report],
-            "topic `evaluation`, of the evaluator",
-        )
-        .optional()
-        .of(Lane::Ego),
-        Port::new("peers", &[PayloadType::Report], "topic `peers`, of the radio").optional(),
-    ];
-    const OUTPUTS: &'static [Port] = &[];
-    const DECIDED: &'static [(Decided, &'static str)] =
-        &[(Decided::Out, "out"), (Decided::RunSettings, "run_settings")];
 }
 
 impl Sink for Results {
-    fn new(config: Config) -> Result<Self, Error> {
-        if config.out.as_os_str().is_empty() {
+    fn new(settings: Settings) -> Result<Self, Error> {
+        if settings.out.as_os_str().is_empty() {
             return Err("argument `out`: expected a folder, found nothing".into());
         }
-        claim(&config.out)?;
+        claim(&settings.out)?;
         let RunSettings {
             log,
             log_hash,
-            settings,
+            settings: run,
             ..
-        } = config.run_settings()?;
+        } = settings.run_settings()?;
         let (log, log_path) = name_and_path(log);
         let mut samples = Samples::default();
         if !log_hash.is_empty() {
@@ -167,45 +139,37 @@ impl Sink for Results {
         Ok(Results {
             log,
             log_path,
-            result: RunResult::new(settings),
+            result: RunResult::new(run),
             samples,
             timing: TimingSamples::default(),
             ledger: Ledger::default(),
             boxes: Sweeps::default(),
             truth: Sweeps::default(),
             realtime: false,
-            progress: config.run_settings.as_os_str().is_empty().then(Progress::new),
+            progress: settings.run_settings.as_os_str().is_empty().then(Progress::new),
             courses: BTreeMap::new(),
-            out: config.out,
+            out: settings.out,
         })
     }
 
-    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
-        match port {
-            BOXES => {
-                let (header, _): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
+    fn accept(&mut self, input: Input) -> Result<(), Error> {
+        match input {
+            Input::Boxes(header, _) => {
                 if let (Some(progress), Some(_)) = (&mut self.progress, header.clock) {
                     progress.boxes(header.stamp);
                 }
                 self.take_boxes(&header);
             }
-            TRUTH => {
-                let (header, truth): (Header, GroundTruth) = message.into_parts().map_err(unexpected)?;
-                self.take_truth(&header, &truth);
-            }
-            EVALUATION => {
-                let report: EvaluationReport = document(message, TOPIC)?;
-                self.take_evaluation(report)?;
-            }
-            PEERS => {
-                let mut peers: Vec<Peer> = document(message, report::PEERS)?;
+            Input::Truth(header, truth) => self.take_truth(&header, &truth),
+            Input::Evaluation(header, report) => self.take_evaluation(document(&header, &report, TOPIC)?)?,
+            Input::Peers(header, report) => {
+                let mut peers: Vec<Peer> = document(&header, &report, report::PEERS)?;
                 let courses = peers
                     .iter_mut()
                     .map(|peer| (peer.name.clone(), std::mem::take(&mut peer.course)));
                 self.courses.extend(courses.filter(|(_, course)| !course.is_empty()));
                 self.result.peers.extend(peers);
             }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         Ok(())
     }
@@ -234,8 +198,7 @@ fn name_and_path(log: String) -> (String, Option<String>) {
 }
 
 /// The document of a report, which must be of the port's topic.
-fn document<T: DeserializeOwned>(message: Message, topic: &str) -> Result<T, Error> {
-    let (header, report): (Header, Report) = message.into_parts().map_err(unexpected)?;
+fn document<T: DeserializeOwned>(header: &Header, report: &Report, topic: &str) -> Result<T, Error> {
     if &*report.topic != topic {
         return Err(format!(
             "expected a report of topic `{topic}`, found `{}` ({header})",
@@ -243,7 +206,7 @@ fn document<T: DeserializeOwned>(message: Message, topic: &str) -> Result<T, Err
         )
         .into());
     }
-    Ok(from_report::<T>(&report)?)
+    Ok(from_report::<T>(report)?)
 }
 
 impl Results {

@@ -9,32 +9,43 @@ use std::borrow::Cow;
 use arrow::buffer::Buffer;
 use realo_kernels::bev::{BevMap, BevView};
 use realo_methods::Loaded;
-use realo_operator::{Argument, Error};
+use realo_operator::Error;
 use realo_schemas::{DType, FeatureMap, Name, feature_map};
 
 pub use decoder::{Decoded, Decoder};
 pub use engine::{Device, Engine, EngineError};
 
-/// Argument of every operator with a network: its instructions.
-pub const ISA: Argument = Argument {
-    name: "isa",
-    about: "kernels: auto, portable, avx2, avx512, avx512bf16 or amx",
-};
-/// Argument of every operator with a network: its number type.
-pub const PRECISION: Argument = Argument {
-    name: "precision",
-    about: "number type: auto (the model's), f32, bf16 or int8",
-};
-/// Argument of every operator with a network: what computes it.
-pub const DEVICE: Argument = Argument {
-    name: "device",
-    about: "what computes the network: cpu, or cuda where the build has it",
-};
-/// Argument of every operator with a network: its threads.
-pub const THREADS: Argument = Argument {
-    name: "threads",
-    about: "threads of the network; 0: one for each processor",
-};
+/// A map that does not fit the model that is to read it.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    /// Another model made it.
+    #[error("expected a map of model {expected}, found one of {found}: name one model file in both")]
+    Model {
+        /// The model that reads.
+        expected: Name,
+        /// The one that wrote.
+        found: Name,
+    },
+    /// Its cells lie elsewhere.
+    #[error("expected cells of {} m from {:?} on, found {} m from {:?} on", .expected.0, .expected.1, .found.0, .found.1)]
+    Place {
+        /// Side of a cell and corner of the first, m.
+        expected: (f64, [f64; 2]),
+        /// Those of the map.
+        found: (f64, [f64; 2]),
+    },
+    /// Its confidence is of other cells.
+    #[error("expected a confidence for each cell of {size:?}, found {found}")]
+    Confidence {
+        /// Rows, columns and channels.
+        size: [usize; 3],
+        /// Numbers of confidence.
+        found: usize,
+    },
+    /// Its numbers cannot be read.
+    #[error(transparent)]
+    Numbers(Error),
+}
 
 /// Where the maps of one model lie, and whose they are.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,27 +96,25 @@ impl Maps {
     ///
     /// # Errors
     /// A map of another model, elsewhere, or of other elements than f32.
-    pub fn read<'a>(&self, map: &'a FeatureMap) -> Result<Read<'a>, Error> {
+    pub fn read<'a>(&self, map: &'a FeatureMap) -> Result<Read<'a>, MapError> {
         if map.model != self.identity {
-            let (found, expected) = (&map.model, &self.identity);
-            return Err(format!(
-                "expected a map of model {expected}, found one of {found}: name one model file in both"
-            )
-            .into());
+            let (expected, found) = (self.identity.clone(), map.model.clone());
+            return Err(MapError::Model { expected, found });
         }
-        if (map.cell, map.origin) != (self.cell, self.origin) {
-            return Err(format!(
-                "expected cells of {} m from {:?} on, found {} m from {:?} on",
-                self.cell, self.origin, map.cell, map.origin
-            )
-            .into());
+        let [expected, found] = [(self.cell, self.origin), (map.cell, map.origin)];
+        if found != expected {
+            return Err(MapError::Place { expected, found });
         }
-        let (size, numbers, confidence) = (map.size(), map.numbers()?, map.confidence.as_deref());
+        let (size, numbers, confidence) = (
+            map.size(),
+            map.numbers().map_err(|error| MapError::Numbers(error.into()))?,
+            map.confidence.as_deref(),
+        );
         if let Some(confidence) = confidence
             && confidence.len() != size[0] * size[1]
         {
             let found = confidence.len();
-            return Err(format!("expected a confidence for each cell of {size:?}, found {found}").into());
+            return Err(MapError::Confidence { size, found });
         }
         Ok(Read {
             size,
@@ -161,18 +170,6 @@ mod tests {
             columns: 1,
             channels: 3,
             data,
-        }
-    }
-
-    #[test]
-    fn arguments_name_all_instructions_and_number_types() {
-        let isas = realo_kernels::conv::Isa::ALL.map(|isa| isa.to_string());
-        let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
-        for (argument, names) in [(super::ISA, &isas[..]), (super::PRECISION, &precisions[..])] {
-            let words: Vec<&str> = argument.about.split([' ', ',', ':']).collect();
-            for name in names {
-                assert!(words.contains(&&**name), "{}: {name}", argument.about);
-            }
         }
     }
 

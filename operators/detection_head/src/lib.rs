@@ -15,42 +15,36 @@ use std::path::PathBuf;
 use realo_bev::{Decoder, Device, Engine, Maps};
 use realo_methods::Kernels;
 use realo_nn::anchors::Anchors;
-use realo_operator::{
-    Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port,
-};
-use realo_schemas::{Boxes, Elements, FeatureMap, Header, Kind, Message, PayloadType};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
+use realo_schemas::{Boxes, Elements, FeatureMap, Header, Kind};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`DetectionHead`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
+pub struct Settings {
     /// The model file; its weights lie beside it.
+    #[setting(default = "../models/lite.toml", role = "model")]
     pub model: PathBuf,
-    /// Smallest score; `None`: the model's.
+    /// Min score of a box; null: the model's.
     pub score_threshold: Option<f32>,
-    /// Kernels: `auto`, or one of [`realo_kernels::conv::Isa`] that this processor has.
+    /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
+    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
     pub isa: String,
-    /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
+    /// Number type: auto (the model's), f32, bf16 or int8.
+    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
     pub precision: String,
-    /// Threads of the convolutions; 0: one for each processor.
+    /// Threads of the network; 0: one for each processor.
     pub threads: usize,
-    /// What computes the network.
+    /// What computes the network: cpu, or cuda where the build has it.
+    #[setting(role = "device")]
     pub device: Device,
 }
 
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            model: "../models/lite.toml".into(),
-            score_threshold: None,
-            isa: realo_methods::AUTO.into(),
-            precision: realo_methods::AUTO.into(),
-            threads: 0,
-            device: Device::default(),
-        }
-    }
-}
+/// A threshold, of the argument or of the model, that no score has.
+#[derive(Debug, thiserror::Error)]
+#[error("argument `score_threshold`: expected 0 to 1, found {0}")]
+pub struct ScoreThreshold(f32);
 
 /// The operator `detection-head`.
 pub struct DetectionHead {
@@ -58,9 +52,6 @@ pub struct DetectionHead {
     decoder: Decoder,
     maps: Maps,
 }
-
-const FEATURES: PortId = PortId(0);
-const BOXES: PortId = PortId(0);
 
 const OVER_LIMIT_BOXES: Counter = Counter::plain(
     "over_limit_boxes",
@@ -73,60 +64,51 @@ const INVALID_BOXES: Counter = Counter::loss(
     "the network makes such boxes: look at its weights, or train it again",
 );
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// BEV maps of the model.
+    #[port(latest)]
+    Features(Header, FeatureMap),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// Detections, best first.
+    Proposals(Header, Boxes),
+}
+
 impl Describe for DetectionHead {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "detection-head";
     const ABOUT: &'static str = "From BEV maps to boxes: the heads of a PointPillars model, decoded";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "model",
-            about: "the model file; its weights lie beside it",
-        },
-        Argument {
-            name: "score_threshold",
-            about: "min score of a box; null: the model's",
-        },
-        realo_bev::ISA,
-        realo_bev::PRECISION,
-        realo_bev::THREADS,
-        realo_bev::DEVICE,
-    ];
-    const INPUTS: &'static [Port] =
-        &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps of the model").latest()];
-    const OUTPUTS: &'static [Port] = &[Port::new("proposals", &[PayloadType::Boxes], "detections, best first")];
     const COUNTERS: &'static [Counter] = &[OVER_LIMIT_BOXES, INVALID_BOXES];
-    const DECIDED: &'static [(Decided, &'static str)] = &[
-        (Decided::Model, "model"),
-        (Decided::Isa, "isa"),
-        (Decided::Precision, "precision"),
-        (Decided::Device, "device"),
-    ];
 }
 
 impl Operator for DetectionHead {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         let kernels = Kernels {
-            isa: &config.isa,
-            precision: &config.precision,
-            threads: config.threads,
+            isa: &settings.isa,
+            precision: &settings.precision,
+            threads: settings.threads,
         };
-        let loaded = realo_methods::load(&config.model, kernels)?;
-        let threshold = config.score_threshold.unwrap_or(loaded.model.score_threshold);
+        let loaded = realo_methods::load(&settings.model, kernels)?;
+        let threshold = settings.score_threshold.unwrap_or(loaded.model.score_threshold);
         if !(0.0..1.0).contains(&threshold) {
-            return Err(format!("argument `score_threshold`: expected 0 to 1, found {threshold}").into());
+            return Err(ScoreThreshold(threshold).into());
         }
         Ok(DetectionHead {
             decoder: Decoder::new(Anchors::of(&loaded.model), threshold),
             maps: Maps::of(&loaded),
-            engine: Engine::new(loaded, config.device, Elements::F32)?,
+            engine: Engine::new(loaded, settings.device, Elements::F32)?,
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        if port != FEATURES {
-            return Err(wrong_port(Self::INPUTS, port));
-        }
-        let (header, map): (Header, FeatureMap) = message.into_parts().map_err(unexpected)?;
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        let Input::Features(header, map) = input;
         let heads = self.engine.heads(self.maps.read(&map)?.view(), out.steps())?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas);
         let all = found.boxes.len() as u64 + found.over_limit + found.invalid;
@@ -137,7 +119,7 @@ impl Operator for DetectionHead {
             kind: Kind::Boxes,
             ..header
         };
-        out.send(BOXES, Message::new(header, Boxes(boxes)));
+        out.send(Output::Proposals(header, Boxes(boxes)));
         Ok(())
     }
 }
@@ -147,15 +129,15 @@ mod tests {
     use super::*;
 
     use realo_schemas::geometry::is_valid;
-    use realo_schemas::{Box3, DType};
+    use realo_schemas::{Box3, DType, Message};
 
     const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
 
     fn head(score_threshold: Option<f32>) -> Result<DetectionHead, Error> {
-        DetectionHead::new(Config {
+        DetectionHead::new(Settings {
             model: MODEL.into(),
             score_threshold,
-            ..Config::default()
+            ..Settings::default()
         })
     }
 
@@ -187,13 +169,13 @@ mod tests {
     fn detected(head: &mut DetectionHead, map: FeatureMap) -> Result<(Vec<Box3>, u64), Error> {
         let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Features, 7, 11, 13);
         let mut out = Outputs::at(13);
-        head.on_input(FEATURES, Message::new(header, map), &mut out)?;
+        head.on_message(Input::FEATURES, Message::new(header, map), &mut out)?;
         let over = out.counted("over_limit_boxes");
         let (port, message) = out.take_sent().remove(0);
         let (header, boxes): (Header, Boxes) = message.into_parts().unwrap();
         assert_eq!(
             (port, header.kind, header.seq, header.stamp),
-            (BOXES, Kind::Boxes, 7, 11)
+            (Output::PROPOSALS, Kind::Boxes, 7, 11)
         );
         Ok((boxes.0, over))
     }
@@ -242,11 +224,8 @@ mod tests {
     }
 
     #[test]
-    fn arguments_are_checked_and_are_the_keys_of_the_configuration() {
+    fn a_threshold_that_no_score_has_is_refused() {
         let error = head(Some(1.5)).err().expect("refused").to_string();
         assert!(error.contains("`score_threshold`") && error.contains("1.5"), "{error}");
-        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let reported: Vec<&str> = DetectionHead::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, reported);
     }
 }

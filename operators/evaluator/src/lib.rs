@@ -9,29 +9,25 @@
 #[cfg(test)]
 mod tests;
 
-use realo_operator::{
-    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
-};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::report::to_report;
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, PayloadType};
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Report};
 use realo_scoring::{BOXES_WIRE, Collector, EvaluationReport, Protocol, TOPIC, TRUTH_WIRE};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`Evaluator`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// `default`, `dair`, `dair-vehicle`, `dair-roadside`, or the path of a protocol file.
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// What counts: default, dair, dair-vehicle, dair-roadside, or the path of a protocol file.
+    #[setting(default = "default", role = "protocol")]
     pub protocol: String,
 }
 
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            protocol: "default".into(),
-        }
-    }
-}
+/// A message came after the scores were made.
+#[derive(Debug, thiserror::Error)]
+#[error("a message after the end")]
+pub struct AfterTheEnd;
 
 /// The operator `evaluator`.
 pub struct Evaluator {
@@ -40,70 +36,55 @@ pub struct Evaluator {
     last: Option<Header>,
 }
 
-const TRUTH: PortId = PortId(0);
-const BOXES: PortId = PortId(1);
-const REPORT: PortId = PortId(0);
-
 /// Scores have the note, in a graph and after the fact.
 const BOXES_WITHOUT_TRUTH: Counter = Counter::plain(
     "boxes_without_truth",
     "messages with boxes for whose sweep no truth came; not scored",
 );
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// One for every sweep of the ego, in its true body frame.
+    #[port(of(Ego), on_wire(TRUTH_WIRE))]
+    Truth(Header, GroundTruth),
+    /// What was detected, in the ego's body frame.
+    #[port(of(Ego), on_wire(BOXES_WIRE))]
+    Boxes(Header, Boxes),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// Topic `evaluation`, at the end: the scores and their frames.
+    Report(Header, Report),
+}
+
 impl Describe for Evaluator {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "evaluator";
     const ABOUT: &'static str = "scores boxes against ground truth: average precision by a protocol";
-    const ARGUMENTS: &'static [Argument] = &[Argument {
-        name: "protocol",
-        about: "what counts: default, dair, dair-vehicle, dair-roadside, or the path of a protocol file",
-    }];
-    const INPUTS: &'static [Port] = &[
-        Port::new(
-            "truth",
-            &[PayloadType::GroundTruth],
-            "one for every sweep of the ego, in its true body frame",
-        )
-        .of(Lane::Ego)
-        .on_wire(TRUTH_WIRE),
-        Port::new(
-            "boxes",
-            &[PayloadType::Boxes],
-            "what was detected, in the ego's body frame",
-        )
-        .of(Lane::Ego)
-        .on_wire(BOXES_WIRE),
-    ];
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "report",
-        &[PayloadType::Report],
-        "topic `evaluation`, at the end: the scores and their frames",
-    )];
     const COUNTERS: &'static [Counter] = &[BOXES_WITHOUT_TRUTH];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Protocol, "protocol")];
 }
 
 impl Operator for Evaluator {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         Ok(Evaluator {
-            collector: Some(Collector::new(Protocol::load(&config.protocol)?)),
+            collector: Some(Collector::new(Protocol::load(&settings.protocol)?)),
             last: None,
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, _out: &mut Outputs) -> Result<(), Error> {
-        let collector = self.collector.as_mut().ok_or("a message after the end")?;
-        match port {
-            TRUTH => {
-                let (header, truth): (Header, GroundTruth) = message.into_parts().map_err(unexpected)?;
+    fn on_input(&mut self, input: Input, _out: &mut Outputs) -> Result<(), Error> {
+        let collector = self.collector.as_mut().ok_or(AfterTheEnd)?;
+        match input {
+            Input::Truth(header, truth) => {
                 collector.add_truth(&header, &truth)?;
                 self.last = Some(header);
             }
-            BOXES => {
-                let (header, boxes): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
-                collector.add_boxes(&header, boxes)?;
-            }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
+            Input::Boxes(header, boxes) => collector.add_boxes(&header, boxes)?,
         }
         Ok(())
     }
@@ -122,7 +103,7 @@ impl Operator for Evaluator {
             trace: Vec::new(),
             ..last
         };
-        out.send(REPORT, Message::new(header, to_report(TOPIC, &report)));
+        out.send(Output::Report(header, to_report(TOPIC, &report)));
         Ok(())
     }
 }

@@ -1,5 +1,6 @@
+use realo_operator::{Outputs, PortId};
 use realo_schemas::report::from_report;
-use realo_schemas::{Box3, Pose, Report, TraceEntry};
+use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Message, Pose, Report, TraceEntry};
 
 use super::*;
 
@@ -41,12 +42,20 @@ fn boxes(seq: u64, boxes: Vec<Box3>) -> Message {
 
 #[test]
 fn reports_once_at_the_end() {
-    let mut evaluator = Evaluator::new(Config::default()).unwrap();
+    let mut evaluator = Evaluator::new(Settings::default()).unwrap();
     let mut out = Outputs::at(0);
-    evaluator.on_input(BOXES, boxes(0, vec![car()]), &mut out).unwrap();
-    evaluator.on_input(TRUTH, truth(0, vec![car()]), &mut out).unwrap();
-    evaluator.on_input(BOXES, boxes(5, vec![car()]), &mut out).unwrap();
-    evaluator.on_input(TRUTH, truth(1, vec![car()]), &mut out).unwrap();
+    evaluator
+        .on_message(Input::BOXES, boxes(0, vec![car()]), &mut out)
+        .unwrap();
+    evaluator
+        .on_message(Input::TRUTH, truth(0, vec![car()]), &mut out)
+        .unwrap();
+    evaluator
+        .on_message(Input::BOXES, boxes(5, vec![car()]), &mut out)
+        .unwrap();
+    evaluator
+        .on_message(Input::TRUTH, truth(1, vec![car()]), &mut out)
+        .unwrap();
     assert!(out.take_sent().is_empty());
     evaluator.on_end(&mut out).unwrap();
     let mut sent = out.take_sent();
@@ -54,7 +63,7 @@ fn reports_once_at_the_end() {
     let (port, message) = sent.remove(0);
     let (header, report): (Header, Report) = message.into_parts().unwrap();
     let of = (port, header.kind, &*header.agent, header.seq, &*report.topic);
-    assert_eq!(of, (REPORT, Kind::Report, "cav1", 0, "evaluation"));
+    assert_eq!(of, (Output::REPORT, Kind::Report, "cav1", 0, "evaluation"));
     let report: EvaluationReport = from_report(&report).unwrap();
     let counts = report.scores.accuracy.sorted.counts["vehicle"]["0.5"];
     assert_eq!((counts.true_positives, counts.false_positives, counts.total), (1, 0, 2));
@@ -63,7 +72,7 @@ fn reports_once_at_the_end() {
 
 #[test]
 fn the_header_of_the_report_is_that_of_the_last_truth_without_its_way() {
-    let mut operator = Evaluator::new(Config::default()).unwrap();
+    let mut operator = Evaluator::new(Settings::default()).unwrap();
     let mut out = Outputs::at(0);
     let mut last = header(4, Kind::Truth);
     last.pose = Some(Pose::exact(Default::default()));
@@ -78,8 +87,12 @@ fn the_header_of_the_report_is_that_of_the_last_truth_without_its_way() {
         header: last,
         ..truth(4, vec![])
     };
-    for (port, message) in [(TRUTH, truth(3, vec![])), (TRUTH, second), (BOXES, boxes(5, vec![]))] {
-        operator.on_input(port, message, &mut out).unwrap();
+    for (port, message) in [
+        (Input::TRUTH, truth(3, vec![])),
+        (Input::TRUTH, second),
+        (Input::BOXES, boxes(5, vec![])),
+    ] {
+        operator.on_message(port, message, &mut out).unwrap();
     }
     operator.on_end(&mut out).unwrap();
     let found = out.take_sent().remove(0).1.header;
@@ -93,12 +106,14 @@ fn the_header_of_the_report_is_that_of_the_last_truth_without_its_way() {
 
 #[test]
 fn counts_by_its_protocol() {
-    let config = |protocol: &str| Config {
+    let config = |protocol: &str| Settings {
         protocol: protocol.into(),
     };
     let mut evaluator = Evaluator::new(config("dair")).unwrap();
     let mut out = Outputs::at(0);
-    evaluator.on_input(TRUTH, truth(0, vec![car()]), &mut out).unwrap();
+    evaluator
+        .on_message(Input::TRUTH, truth(0, vec![car()]), &mut out)
+        .unwrap();
     evaluator.on_end(&mut out).unwrap();
     let report: Report = out.take_sent().remove(0).1.into_parts().unwrap().1;
     let report: EvaluationReport = from_report(&report).unwrap();
@@ -112,13 +127,13 @@ fn counts_by_its_protocol() {
 
 #[test]
 fn refuses_what_fits_no_port_and_second_messages() {
-    let mut evaluator = Evaluator::new(Config::default()).unwrap();
+    let mut evaluator = Evaluator::new(Settings::default()).unwrap();
     let mut out = Outputs::at(0);
-    evaluator.on_input(TRUTH, truth(0, vec![]), &mut out).unwrap();
-    let mut refused = |port, message| evaluator.on_input(port, message, &mut out).unwrap_err().to_string();
-    let error = refused(TRUTH, truth(0, vec![]));
+    evaluator.on_message(Input::TRUTH, truth(0, vec![]), &mut out).unwrap();
+    let mut refused = |port, message| evaluator.on_message(port, message, &mut out).unwrap_err().to_string();
+    let error = refused(Input::TRUTH, truth(0, vec![]));
     assert!(error.contains("second message of truth for sweep 0"), "{error}");
-    let error = refused(BOXES, truth(3, vec![]));
+    let error = refused(Input::BOXES, truth(3, vec![]));
     assert!(error.contains("expected a Boxes"), "{error}");
     let error = refused(PortId(2), boxes(3, vec![]));
     assert!(error.contains("port"), "{error}");
@@ -126,16 +141,9 @@ fn refuses_what_fits_no_port_and_second_messages() {
 
 #[test]
 fn has_nothing_to_report_without_truth() {
-    let mut evaluator = Evaluator::new(Config::default()).unwrap();
+    let mut evaluator = Evaluator::new(Settings::default()).unwrap();
     let mut out = Outputs::at(0);
-    evaluator.on_input(BOXES, boxes(0, vec![]), &mut out).unwrap();
+    evaluator.on_message(Input::BOXES, boxes(0, vec![]), &mut out).unwrap();
     evaluator.on_end(&mut out).unwrap();
     assert!(out.take_sent().is_empty());
-}
-
-#[test]
-fn describes_every_argument() {
-    let names: Vec<_> = Evaluator::ARGUMENTS.iter().map(|argument| argument.name).collect();
-    let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-    assert_eq!(names, keys);
 }

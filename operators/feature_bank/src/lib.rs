@@ -51,4 +51,4 @@ mod operator;
 mod sender;
 
 pub use bank::{Answer, Bank, BankError, OFFLINE_REACH, Taken};
-pub use operator::{BankConfig, FeatureBank};
+pub use operator::{FeatureBank, Settings};

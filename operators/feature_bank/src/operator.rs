@@ -1,20 +1,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_operator::{
-    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
-};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings};
 use realo_schemas::report::Fate;
-use realo_schemas::{Header, Message, Name, Nanos, PayloadType, Selection};
+use realo_schemas::{Header, Message, Name, Nanos, Selection};
 use serde::{Deserialize, Serialize};
 
 use crate::{Bank, OFFLINE_REACH, Taken};
-
-const FUSABLE: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::FeatureMap, PayloadType::Boxes];
-
-const EGO: PortId = PortId(0);
-const OTHERS: PortId = PortId(1);
-const FUSED: PortId = PortId(2);
-const SELECTIONS: PortId = PortId(0);
 
 /// Selections of a bank before this one whose queries have not come here.
 const AHEAD: usize = 64;
@@ -22,34 +13,34 @@ const AHEAD: usize = 64;
 const NANOS_PER_MILLI: Nanos = 1_000_000;
 
 /// Settings of the bank.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct BankConfig {
-    /// Largest age of what is selected, ms.
+pub struct Settings {
+    /// Max age of what is selected online, ms.
+    #[setting(default = 400)]
     pub window_ms: u32,
-    /// How long a query waits online for a message that its sender's rhythm announces, ms.
+    /// How long a query waits online for a message that its sender's rhythm announces, ms; 0 = nobody waits.
     pub patience_ms: u32,
-    /// Nearest stamp within ±50 ms instead of the newest ready message.
+    /// Select the nearest stamp within ±50 ms instead of the newest in the window.
+    #[setting(role = "offline")]
     pub offline: bool,
     /// How far a stamp may lie after its message's arrival, ms.
+    #[setting(default = 1000)]
     pub ahead_ms: u32,
-    /// Other agents that are known at the same time.
+    /// Other agents that are known at the same time; one more is rejected.
+    #[setting(default = 256, range = 1..)]
     pub max_agents: usize,
     /// Agents unheard of for longer are forgotten, ms.
+    #[setting(default = 60_000)]
     pub forget_ms: u32,
 }
 
-impl Default for BankConfig {
-    fn default() -> Self {
-        BankConfig {
-            window_ms: 400,
-            patience_ms: 0,
-            offline: false,
-            ahead_ms: 1000,
-            max_agents: 256,
-            forget_ms: 60_000,
-        }
-    }
+/// Agents would be forgotten while their messages are of use.
+#[derive(Debug, thiserror::Error)]
+#[error("argument `forget_ms`: expected at least `window_ms` = {window}, found {forget}")]
+pub struct Forgetful {
+    window: u32,
+    forget: u32,
 }
 
 /// Holds what collaborators sent and answers the ego's queries.
@@ -76,59 +67,35 @@ const ENTRIES: Counter = Counter::plain("entries", "messages given to queries, o
 const REPEATED: Counter = Counter::plain("repeated", "messages that are held already (copies made by a channel)");
 const FROM_EGO: Counter = Counter::plain("from_ego", "messages of the ego itself, which nobody needs");
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// What the ego says of itself; each message is a query.
+    #[port(any_of(PointCloud, FeatureMap, Boxes), query, of(Ego))]
+    Ego(Message),
+    /// What collaborators say.
+    #[port(any_of(PointCloud, FeatureMap, Boxes), accounting, of(OthersReceived))]
+    Others(Message),
+    /// Whom the ego's message of a seq has in it already, from a bank before this one.
+    #[port(optional, of(Ego))]
+    Fused(Header, Selection),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// One for each query, with the query's header.
+    #[port(of(Ego))]
+    Selections(Header, Selection),
+}
+
 impl Describe for FeatureBank {
-    type Config = BankConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "feature-bank";
     const ABOUT: &'static str = "Holds what collaborators sent and selects what each message of the ego is fused with";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "window_ms",
-            about: "max age of what is selected online, ms",
-        },
-        Argument {
-            name: "patience_ms",
-            about: "how long a query waits online for a message that its sender's rhythm announces, ms; 0 = nobody waits",
-        },
-        Argument {
-            name: "offline",
-            about: "select the nearest stamp within ±50 ms instead of the newest in the window",
-        },
-        Argument {
-            name: "ahead_ms",
-            about: "how far a stamp may lie after its message's arrival, ms",
-        },
-        Argument {
-            name: "max_agents",
-            about: "other agents that are known at the same time; one more is rejected",
-        },
-        Argument {
-            name: "forget_ms",
-            about: "agents unheard of for longer are forgotten, ms",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("ego", FUSABLE, "what the ego says of itself; each message is a query")
-            .query()
-            .of(Lane::Ego),
-        Port::new("others", FUSABLE, "what collaborators say")
-            .accounting()
-            .of(Lane::OthersReceived),
-        Port::new(
-            "fused",
-            &[PayloadType::Selection],
-            "whom the ego's message of a seq has in it already, from a bank before this one",
-        )
-        .optional()
-        .of(Lane::Ego),
-    ];
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "selections",
-        &[PayloadType::Selection],
-        "one for each query, with the query's header",
-    )
-    .of(Lane::Ego)];
     const COUNTERS: &'static [Counter] = &[ENTRIES, REPEATED, FROM_EGO];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Offline, "offline")];
 }
 
 impl FeatureBank {
@@ -200,41 +167,41 @@ impl FeatureBank {
             query: query.seq,
             entries: answer.entries,
         };
-        out.send(SELECTIONS, Message::new(query, selection));
+        out.send(Output::Selections(query, selection));
     }
 }
 
 impl Operator for FeatureBank {
-    fn new(config: BankConfig) -> Result<Self, Error> {
-        if config.max_agents == 0 {
-            return Err("argument `max_agents`: expected at least 1, found 0; nothing could be fused".into());
-        }
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
         let nanos = |millis: u32| Nanos::from(millis) * NANOS_PER_MILLI;
-        if config.forget_ms < config.window_ms {
-            let (forget, window) = (config.forget_ms, config.window_ms);
-            return Err(
-                format!("argument `forget_ms`: expected at least `window_ms` = {window}, found {forget}").into(),
-            );
+        if settings.forget_ms < settings.window_ms {
+            let (forget, window) = (settings.forget_ms, settings.window_ms);
+            return Err(Forgetful { window, forget }.into());
         }
-        let (window, ahead, forget) = (nanos(config.window_ms), nanos(config.ahead_ms), nanos(config.forget_ms));
-        let bank = Bank::new(window, config.offline, ahead, config.max_agents, forget);
+        let (window, ahead, forget) = (
+            nanos(settings.window_ms),
+            nanos(settings.ahead_ms),
+            nanos(settings.forget_ms),
+        );
+        let bank = Bank::new(window, settings.offline, ahead, settings.max_agents, forget);
         Ok(FeatureBank {
             bank,
-            window_ms: config.window_ms,
-            patience: nanos(config.patience_ms),
+            window_ms: settings.window_ms,
+            patience: nanos(settings.patience_ms),
             pending: BTreeMap::new(),
             queries: 0,
             fused: BTreeMap::new(),
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            EGO => {
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        match input {
+            Input::Ego(message) => {
                 self.bank.expect(message.payload.payload_type());
                 self.ask(message.header, out);
             }
-            OTHERS => {
+            Input::Others(message) => {
                 let sender = message.header.agent.clone();
                 match self.bank.insert(message)? {
                     Taken::Held { newest: true } => self.go_on(&sender, out),
@@ -243,15 +210,13 @@ impl Operator for FeatureBank {
                     Taken::FromEgo => out.count(&FROM_EGO, &sender, 1),
                 }
             }
-            FUSED => {
-                let (_, Selection { query, entries }) = message.into_parts().map_err(unexpected)?;
+            Input::Fused(_, Selection { query, entries }) => {
                 let agents = entries.into_iter().map(|entry| entry.header.agent).collect();
                 self.fused.insert(query, agents);
                 if self.fused.len() > AHEAD {
                     self.fused.pop_first();
                 }
             }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         Ok(())
     }

@@ -1,27 +1,19 @@
 //! What every fusion operator does before it fuses: pairs the ego's message with what the bank selected for it, puts the
 //! collaborators in order, places them in the ego's frame, and says what became of each.
 //!
-//! A fusion has the inputs [`EGO`] and [`SELECTIONS`], one `join` group ([`inputs`]), and the output [`FUSED`]. One of BEV maps
-//! finds the collaborators' features at the cells of the ego's map by [`Set::maps`].
+//! A fusion has the inputs [`Input`], one `join` group, and one output. One of BEV maps finds the collaborators' features at the cells of the ego's map by [`Set::maps`].
 
 mod maps;
 
 use std::collections::BTreeSet;
 
 use nalgebra::Isometry3;
-use realo_operator::{Counter, Error, Lane, Outputs, Port, PortId, unexpected};
+use realo_operator::{Counter, Inputs, Outputs, PortPayload, StageOutputs};
 use realo_schemas::geometry::relative;
 use realo_schemas::report::Fate;
-use realo_schemas::{Header, Message, Payload, PayloadType, Selection, UnexpectedPayload};
+use realo_schemas::{Header, Message, Selection};
 
 pub use maps::{Maps, PlacedMap};
-
-/// Input: the ego's own.
-pub const EGO: PortId = PortId(0);
-/// Input: what the bank selected for it.
-pub const SELECTIONS: PortId = PortId(1);
-/// Output: what was fused.
-pub const FUSED: PortId = PortId(0);
 
 /// Counts messages beyond the collaborators that a fusion takes; the books of links have the note.
 pub const OVER_LIMIT_MESSAGES: Counter = Counter::plain(
@@ -38,24 +30,45 @@ pub const REJECTED_MESSAGES: Counter = Counter::loss(
 /// What every fusion counts.
 pub const COUNTERS: &[Counter] = &[OVER_LIMIT_MESSAGES, REJECTED_MESSAGES];
 
-/// The inputs of a fusion of payloads of these types.
-pub const fn inputs(types: &'static [PayloadType]) -> [Port; 2] {
-    [
-        Port::new("ego", types, "the ego's own")
-            .latest()
-            .joined("frame")
-            .of(Lane::Ego),
-        Port::new("selections", &[PayloadType::Selection], "what the bank chose for it")
-            .latest()
-            .joined("frame")
-            .of(Lane::Ego),
-    ]
+/// The inputs of a fusion of one form of payload; both come as one set.
+#[derive(Debug, Inputs)]
+pub enum Input<T: PortPayload> {
+    /// The ego's own.
+    #[port(latest, joined("frame"), of(Ego))]
+    Ego(Header, T),
+    /// What the bank chose for it.
+    #[port(latest, joined("frame"), of(Ego))]
+    Selections(Header, Selection),
 }
 
 /// Keeps the ego's part of a set until its selection comes.
-#[derive(Debug, Default)]
-pub struct Pairing {
-    ego: Option<Message>,
+#[derive(Debug)]
+pub struct Pairing<T> {
+    ego: Option<(Header, T)>,
+}
+
+impl<T> Default for Pairing<T> {
+    fn default() -> Self {
+        Pairing { ego: None }
+    }
+}
+
+/// A set that cannot be fused.
+#[derive(Debug, thiserror::Error)]
+pub enum PairingError {
+    /// The selection came alone.
+    #[error("a selection without the ego's message of the same set ({0})")]
+    Alone(Box<Header>),
+    /// The two do not belong together.
+    #[error("a selection for query {query} of {}, but the ego's message is {ego}", .asked.agent)]
+    Other {
+        /// The seq that the selection answers.
+        query: u64,
+        /// The selection's header.
+        asked: Box<Header>,
+        /// The ego's.
+        ego: Box<Header>,
+    },
 }
 
 /// The ego and those that take part in one fusion.
@@ -82,30 +95,26 @@ pub struct Collaborator<T> {
     pub ego_from_sender: Isometry3<f64>,
 }
 
-impl Pairing {
-    /// Takes the ego's part.
-    pub fn ego(&mut self, message: Message) {
-        self.ego = Some(message);
-    }
-
-    /// Takes the selection that completes the set; at most `max_collaborators` of it take part, those nearest to the ego. Of
-    /// equally far ones, and where it is unknown how far they are, the first by name.
+impl<T: PortPayload> Pairing<T> {
+    /// Takes an input; gives the set that the selection completes. At most `max_collaborators` of it take part, those nearest to
+    /// the ego. Of equally far ones, and where it is unknown how far they are, the first by name.
     ///
     /// # Errors
-    /// A selection for another message than the ego's, or an ego of another payload.
-    pub fn selection<T>(&mut self, message: Message, max_collaborators: Option<usize>) -> Result<Set<T>, Error>
-    where
-        (Header, T): TryFrom<Message, Error = UnexpectedPayload>,
-    {
-        let ego = self.ego.take();
-        let (asked, Selection { query, entries }) = message.into_parts::<Selection>().map_err(unexpected)?;
-        let Some(ego) = ego else {
-            return Err(format!("a selection without the ego's message of the same set ({asked})").into());
+    /// A selection for another message than the ego's.
+    pub fn take(&mut self, input: Input<T>, max_collaborators: Option<usize>) -> Result<Option<Set<T>>, PairingError> {
+        let (asked, Selection { query, entries }) = match input {
+            Input::Ego(header, ego) => {
+                self.ego = Some((header, ego));
+                return Ok(None);
+            }
+            Input::Selections(header, selection) => (header, selection),
         };
-        let (header, ego) = ego.into_parts::<T>().map_err(unexpected)?;
+        let Some((header, ego)) = self.ego.take() else {
+            return Err(PairingError::Alone(asked.into()));
+        };
         if (&header.agent, header.seq) != (&asked.agent, query) {
-            let agent = &asked.agent;
-            return Err(format!("a selection for query {query} of {agent}, but the ego's message is {header}").into());
+            let (asked, ego) = (asked.into(), header.into());
+            return Err(PairingError::Other { query, asked, ego });
         }
         let mut set = Set {
             header,
@@ -117,7 +126,7 @@ impl Pairing {
         if let Some(limit) = max_collaborators {
             set.keep_nearest(limit);
         }
-        Ok(set)
+        Ok(Some(set))
     }
 }
 
@@ -141,10 +150,7 @@ impl<T> Set<T> {
     }
 }
 
-impl<T> Set<T>
-where
-    (Header, T): TryFrom<Message, Error = UnexpectedPayload>,
-{
+impl<T: PortPayload> Set<T> {
     fn place(&mut self, mut entries: Vec<Message>) {
         entries.sort_by(|a, b| a.header.agent.cmp(&b.header.agent));
         let map_from_ego = self.header.pose.as_ref().map(|pose| pose.map_from_frame);
@@ -152,7 +158,7 @@ where
             let named = entry.header.clone();
             let map_from_sender = entry.header.pose.as_ref().map(|pose| pose.map_from_frame);
             let (Ok((header, payload)), Some(map_from_ego), Some(map_from_sender)) =
-                (entry.into_parts::<T>(), map_from_ego, map_from_sender)
+                (T::of_message(entry), map_from_ego, map_from_sender)
             else {
                 self.left_out.push((named, Fate::Rejected));
                 continue;
@@ -193,7 +199,9 @@ impl<T> Set<T> {
     }
 
     /// Sends what was fused of the set, and says what became of each collaborator's message.
-    pub fn send(self, fused: impl Into<Payload>, out: &mut Outputs) {
+    ///
+    /// `output`: the port, such as `Output::Proposals`.
+    pub fn send<P, O: StageOutputs>(self, output: impl FnOnce(Header, P) -> O, fused: P, out: &mut Outputs) {
         for Collaborator { header, .. } in &self.collaborators {
             out.count_of(&REJECTED_MESSAGES, &header.agent, 0, 1);
             out.used(header, &self.header);
@@ -204,16 +212,24 @@ impl<T> Set<T> {
             out.count_of(&REJECTED_MESSAGES, &header.agent, 1 - over_limit, 1);
             out.report(header, *fate);
         }
-        out.send(FUSED, Message::new(self.header, fused));
+        out.send(output(self.header, fused));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use nalgebra::{Point3, Translation3, UnitQuaternion};
+    use realo_operator::{PortId, StageInputs};
     use realo_schemas::{AgentState, Boxes, Kind, Pose, PoseStatus};
 
     use super::*;
+
+    /// What a fusion sends.
+    #[derive(Outputs)]
+    pub(crate) enum Output {
+        /// What was fused.
+        Fused(Header, Boxes),
+    }
 
     fn pose(x: f64, yaw: f64) -> Isometry3<f64> {
         Isometry3::from_parts(
@@ -248,33 +264,47 @@ mod tests {
         set.collaborators.iter().map(|one| &*one.header.agent).collect()
     }
 
+    fn take(
+        pairing: &mut Pairing<Boxes>,
+        port: PortId,
+        message: Message,
+        limit: Option<usize>,
+    ) -> Result<Option<Set<Boxes>>, PairingError> {
+        pairing.take(Input::read(port, message).unwrap(), limit)
+    }
+
     fn paired(entries: Vec<Message>, limit: Option<usize>) -> Set<Boxes> {
         let mut pairing = Pairing::default();
-        pairing.ego(ego(7));
-        pairing.selection(selection(7, &ego(7), entries), limit).unwrap()
+        take(&mut pairing, Input::<Boxes>::EGO, ego(7), limit).unwrap();
+        let set = take(
+            &mut pairing,
+            Input::<Boxes>::SELECTIONS,
+            selection(7, &ego(7), entries),
+            limit,
+        );
+        set.unwrap().expect("a selection completes the set")
     }
 
     #[test]
     fn a_selection_finds_only_the_message_that_asked_for_it() {
+        let chosen = |pairing: &mut Pairing<Boxes>, message| take(pairing, Input::<Boxes>::SELECTIONS, message, None);
         let other = |query, agent: &str| {
             let mut asked = ego(7);
             asked.header.agent = agent.into();
             let mut pairing = Pairing::default();
-            pairing.ego(ego(7));
-            let error = pairing.selection::<Boxes>(selection(query, &asked, vec![]), None).err();
+            take(&mut pairing, Input::<Boxes>::EGO, ego(7), None).unwrap();
+            let error = chosen(&mut pairing, selection(query, &asked, vec![])).err();
             error.map(|error| error.to_string())
         };
         assert_eq!(other(7, "cav1"), None);
         assert!(other(6, "cav1").unwrap().contains("query 6 of cav1"));
         assert!(other(7, "cav2").unwrap().contains("query 7 of cav2"));
         let mut pairing = Pairing::default();
-        let alone = pairing
-            .selection::<Boxes>(selection(7, &ego(7), vec![]), None)
-            .unwrap_err();
+        let alone = chosen(&mut pairing, selection(7, &ego(7), vec![])).unwrap_err();
         assert!(alone.to_string().contains("without the ego's message"));
-        pairing.ego(ego(7));
-        pairing.selection::<Boxes>(selection(7, &ego(7), vec![]), None).unwrap();
-        let again = pairing.selection::<Boxes>(selection(7, &ego(7), vec![]), None);
+        take(&mut pairing, Input::<Boxes>::EGO, ego(7), None).unwrap();
+        chosen(&mut pairing, selection(7, &ego(7), vec![])).unwrap();
+        let again = chosen(&mut pairing, selection(7, &ego(7), vec![]));
         assert!(again.is_err(), "the ego's message is used up");
     }
 
@@ -376,9 +406,10 @@ mod tests {
         let mut nowhere = ego(7);
         nowhere.header.pose = None;
         let mut pairing = Pairing::default();
-        pairing.ego(nowhere);
-        let set: Set<Boxes> = pairing
-            .selection(selection(7, &ego(7), vec![boxes("rsu1", 1.0)]), None)
+        take(&mut pairing, Input::<Boxes>::EGO, nowhere, None).unwrap();
+        let chosen = selection(7, &ego(7), vec![boxes("rsu1", 1.0)]);
+        let set = take(&mut pairing, Input::<Boxes>::SELECTIONS, chosen, None)
+            .unwrap()
             .unwrap();
         assert!(set.collaborators.is_empty() && set.left_out[0].1 == Fate::Rejected);
     }
@@ -399,7 +430,7 @@ mod tests {
         lost.header.pose = None;
         let set = paired(vec![boxes("cav2", 1.0), lost, boxes("rsu1", 1.0)], Some(1));
         let mut out = Outputs::at(200);
-        set.send(Boxes::default(), &mut out);
+        set.send(Output::Fused, Boxes::default(), &mut out);
         let fates: Vec<_> = out
             .take_fates()
             .into_iter()
@@ -414,7 +445,7 @@ mod tests {
         let counted = ["over_limit_messages", "rejected_messages"].map(|counter| out.counted(counter));
         assert_eq!(counted, [1, 1]);
         let sent = out.take_sent();
-        assert_eq!((sent.len(), sent[0].0, sent[0].1.header.seq), (1, FUSED, 7));
+        assert_eq!((sent.len(), sent[0].0, sent[0].1.header.seq), (1, Output::FUSED, 7));
         assert_eq!(&*sent[0].1.header.agent, "cav1");
     }
 }

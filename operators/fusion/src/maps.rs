@@ -136,6 +136,13 @@ mod tests {
 
     use super::*;
 
+    /// What a fusion sends.
+    #[derive(Outputs)]
+    enum Output {
+        /// What was fused.
+        Fused(Header, FeatureMap),
+    }
+
     const SIZE: [u32; 3] = [5, 7, 2];
 
     fn map(of: impl Fn(usize) -> f32) -> FeatureMap {
@@ -247,7 +254,7 @@ mod tests {
         assert_eq!(set.maps().unwrap().others.len(), 1);
         let mut out = Outputs::at(0);
         let fused = set.ego.clone();
-        set.send(fused, &mut out);
+        set.send(Output::Fused, fused, &mut out);
         let fates = out.take_fates();
         assert_eq!(fates.iter().filter(|fated| fated.fate == Fate::Rejected).count(), 7);
         assert_eq!((&*fates[0].message.from, fates[0].fate), ("h", Fate::Used));

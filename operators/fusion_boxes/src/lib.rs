@@ -10,32 +10,24 @@
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers. The motion of objects between the
 //! stamps is not removed.
 
-use realo_fusion::{EGO, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_fusion::{Input, Pairing, Set};
+use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings, StageSettings};
 use realo_schemas::geometry::transform_box;
-use realo_schemas::{Box3, Boxes, Message, Nanos, PayloadType};
+use realo_schemas::{Box3, Boxes, Header};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionBoxes`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// Whether the ego's own boxes take part; without them the collaborators speak alone, in the ego's frame.
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Whether the ego's own boxes take part; false: the collaborators alone.
+    #[setting(default = true)]
     pub ego_boxes: bool,
-    /// Collaborators that a fusion takes, the nearest to the ego; `None`: all.
+    /// Collaborators that a fusion takes, the nearest to the ego; null = all.
     pub max_collaborators: Option<usize>,
-    /// Smallest score of a box, the ego's own included.
+    /// Boxes of a lower score are dropped, the ego's own included.
+    #[setting(range = ..=1.0)]
     pub min_score: f32,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            ego_boxes: true,
-            max_collaborators: None,
-            min_score: 0.0,
-        }
-    }
 }
 
 /// The ego's boxes, then the collaborators', in the ego's frame.
@@ -50,73 +42,52 @@ pub fn fuse(set: &Set<Boxes>, ego_boxes: bool) -> Vec<Box3> {
 
 /// The operator `fusion-boxes`.
 pub struct FusionBoxes {
-    config: Config,
-    pairing: Pairing,
+    settings: Settings,
+    pairing: Pairing<Boxes>,
 }
 
 const LOW_SCORE_BOXES: Counter = Counter::plain("low_score_boxes", "boxes of all agents dropped: below `min_score`");
 
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The ego's boxes, then the collaborators', in the ego's frame.
+    Proposals(Header, Boxes),
+}
+
 impl Describe for FusionBoxes {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input<Boxes>;
+    type Output = Output;
     const NAME: &'static str = "fusion-boxes";
     const ABOUT: &'static str =
         "late fusion: brings collaborators' boxes to the ego's frame and lists them after its own";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "ego_boxes",
-            about: "whether the ego's own boxes take part; false: the collaborators alone",
-        },
-        Argument {
-            name: "max_collaborators",
-            about: "collaborators that a fusion takes, the nearest to the ego; null = all",
-        },
-        Argument {
-            name: "min_score",
-            about: "boxes of a lower score are dropped, the ego's own included",
-        },
-    ];
-    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::Boxes]);
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "proposals",
-        &[PayloadType::Boxes],
-        "the ego's boxes, then the collaborators', in the ego's frame",
-    )];
     const COUNTERS: &'static [Counter] = &[
         LOW_SCORE_BOXES,
         realo_fusion::OVER_LIMIT_MESSAGES,
         realo_fusion::REJECTED_MESSAGES,
     ];
-    // V2X-ReaLO, Table III: late fusion.
-    const PAPER_INFERENCE: Option<Nanos> = Some(43_700_000);
 }
 
 impl Operator for FusionBoxes {
-    fn new(config: Config) -> Result<Self, Error> {
-        // Above 1 no box would be left.
-        if config.min_score.is_nan() || config.min_score > 1.0 {
-            let found = config.min_score;
-            return Err(format!("argument `min_score`: expected a score up to 1, found {found}").into());
-        }
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
         Ok(FusionBoxes {
-            config,
+            settings,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            EGO => self.pairing.ego(message),
-            SELECTIONS => {
-                let set: Set<Boxes> = self.pairing.selection(message, self.config.max_collaborators)?;
-                let mut boxes = fuse(&set, self.config.ego_boxes);
-                let before = boxes.len();
-                // A score that is NaN is left to `nms`, which counts it as invalid.
-                boxes.retain(|object| object.score.is_nan() || object.score >= self.config.min_score);
-                out.count(&LOW_SCORE_BOXES, "", (before - boxes.len()) as u64);
-                set.send(Boxes(boxes), out);
-            }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
-        }
+    fn on_input(&mut self, input: Input<Boxes>, out: &mut Outputs) -> Result<(), Error> {
+        let Some(set) = self.pairing.take(input, self.settings.max_collaborators)? else {
+            return Ok(());
+        };
+        let mut boxes = fuse(&set, self.settings.ego_boxes);
+        let before = boxes.len();
+        // A score that is NaN is left to `nms`, which counts it as invalid.
+        boxes.retain(|object| object.score.is_nan() || object.score >= self.settings.min_score);
+        out.count(&LOW_SCORE_BOXES, "", (before - boxes.len()) as u64);
+        set.send(Output::Proposals, Boxes(boxes), out);
         Ok(())
     }
 }
@@ -125,9 +96,8 @@ impl Operator for FusionBoxes {
 mod tests {
     use nalgebra::{Isometry3, Point3};
     use realo_engine::testkit::FusionCase;
-    use realo_fusion::FUSED;
     use realo_schemas::report::Fate;
-    use realo_schemas::{Header, Kind, PointCloud, Pose, Selection};
+    use realo_schemas::{Kind, Message, PointCloud, Pose, Selection};
 
     use super::*;
 
@@ -166,19 +136,25 @@ mod tests {
     }
 
     /// Feeds one set of an ego 100 km from the map's origin.
-    fn fuse_set(config: Config, ego_boxes: Vec<Box3>, entries: Vec<Message>) -> (Vec<Box3>, Reported, Outputs) {
-        let mut operator = FusionBoxes::new(config).unwrap();
+    fn fuse_set(settings: Settings, ego_boxes: Vec<Box3>, entries: Vec<Message>) -> (Vec<Box3>, Reported, Outputs) {
+        let mut operator = FusionBoxes::new(settings).unwrap();
         let mut out = Outputs::at(100);
         let ego = header("cav1", 7, Some(pose(1e5, -1e5, 0.4)));
         let selection = Message::new(ego.clone(), Selection { query: 7, entries });
         operator
-            .on_input(EGO, Message::new(ego.clone(), Boxes(ego_boxes)), &mut out)
+            .on_message(
+                Input::<Boxes>::EGO,
+                Message::new(ego.clone(), Boxes(ego_boxes)),
+                &mut out,
+            )
             .unwrap();
-        operator.on_input(SELECTIONS, selection, &mut out).unwrap();
+        operator
+            .on_message(Input::<Boxes>::SELECTIONS, selection, &mut out)
+            .unwrap();
         let mut sent = out.take_sent();
         assert_eq!(sent.len(), 1);
         let (port, fused) = sent.remove(0);
-        assert_eq!(port, FUSED);
+        assert_eq!(port, Output::PROPOSALS);
         let (fused_header, Boxes(fused)) = fused.into_parts().unwrap();
         assert_eq!(
             (fused_header.agent, fused_header.seq, fused_header.pose),
@@ -196,7 +172,7 @@ mod tests {
         let (ego, sender) = (pose(1e5, -1e5, 0.4), pose(1e5 + 30.0, -1e5 + 5.0, -2.0));
         let seen = object([10.0, -3.0, 0.8], 0.7, 0.9);
         let (fused, ..) = fuse_set(
-            Config::default(),
+            Settings::default(),
             vec![],
             vec![boxes("rsu1", Some(sender), vec![seen.clone()])],
         );
@@ -243,7 +219,7 @@ mod tests {
             boxes("rsu1", at, vec![numbered(5)]),
             boxes("cav2", at, vec![numbered(3), numbered(4)]),
         ];
-        let (fused, reported, _) = fuse_set(Config::default(), vec![numbered(1), numbered(2)], entries);
+        let (fused, reported, _) = fuse_set(Settings::default(), vec![numbered(1), numbered(2)], entries);
         assert_eq!(
             fused.iter().map(|b| b.track.unwrap()).collect::<Vec<_>>(),
             [1, 2, 3, 4, 5]
@@ -257,7 +233,7 @@ mod tests {
     #[test]
     fn passes_the_ego_alone_on_without_entries() {
         let own = object([1.0, 2.0, 0.0], 0.0, 0.5);
-        let (fused, reported, _) = fuse_set(Config::default(), vec![own.clone()], vec![]);
+        let (fused, reported, _) = fuse_set(Settings::default(), vec![own.clone()], vec![]);
         assert_eq!(fused, [own]);
         assert_eq!(reported, []);
     }
@@ -269,11 +245,11 @@ mod tests {
             Some(pose(1e5, -1e5, 0.4)),
             vec![object([9.0, 2.0, 0.0], 0.0, 0.5)],
         );
-        let config = Config {
+        let settings = Settings {
             ego_boxes: false,
-            ..Config::default()
+            ..Settings::default()
         };
-        let (fused, reported, _) = fuse_set(config, vec![object([1.0, 2.0, 0.0], 0.0, 0.9)], vec![theirs]);
+        let (fused, reported, _) = fuse_set(settings, vec![object([1.0, 2.0, 0.0], 0.0, 0.9)], vec![theirs]);
         assert_eq!(fused.iter().map(|b| b.score).collect::<Vec<_>>(), [0.5]);
         assert_eq!(reported, [("rsu1".to_string(), Fate::Used)]);
     }
@@ -284,11 +260,11 @@ mod tests {
         let entries: Vec<_> = ["rsu1", "cav3", "cav2"]
             .map(|agent| boxes(agent, at, vec![object([0.0; 3], 0.0, 0.5)]))
             .into();
-        let config = Config {
+        let settings = Settings {
             max_collaborators: Some(1),
-            ..Config::default()
+            ..Settings::default()
         };
-        let (fused, reported, out) = fuse_set(config, vec![], entries);
+        let (fused, reported, out) = fuse_set(settings, vec![], entries);
         assert_eq!(fused.len(), 1);
         let expected = [
             ("cav2", Fate::Used),
@@ -303,7 +279,7 @@ mod tests {
     fn rejects_entries_that_have_no_pose_or_are_no_boxes() {
         let cloud = Message::new(header("cav3", 1, Some(pose(0.0, 0.0, 0.0))), PointCloud::empty());
         let entries = vec![boxes("cav2", None, vec![object([0.0; 3], 0.0, 0.5)]), cloud];
-        let (fused, reported, out) = fuse_set(Config::default(), vec![object([0.0; 3], 0.0, 0.1)], entries);
+        let (fused, reported, out) = fuse_set(Settings::default(), vec![object([0.0; 3], 0.0, 0.1)], entries);
         assert_eq!(fused.len(), 1);
         assert_eq!(
             reported,
@@ -314,7 +290,7 @@ mod tests {
 
     #[test]
     fn places_nothing_without_a_pose_of_the_ego() {
-        let mut operator = FusionBoxes::new(Config::default()).unwrap();
+        let mut operator = FusionBoxes::new(Settings::default()).unwrap();
         let mut out = Outputs::at(100);
         let entry = boxes("cav2", Some(pose(0.0, 0.0, 0.0)), vec![object([0.0; 3], 0.0, 0.5)]);
         let selection = Selection {
@@ -324,10 +300,10 @@ mod tests {
         let ego = header("cav1", 7, None);
         let own = Boxes(vec![object([0.0; 3], 0.0, 0.1)]);
         operator
-            .on_input(EGO, Message::new(ego.clone(), own), &mut out)
+            .on_message(Input::<Boxes>::EGO, Message::new(ego.clone(), own), &mut out)
             .unwrap();
         operator
-            .on_input(SELECTIONS, Message::new(ego, selection), &mut out)
+            .on_message(Input::<Boxes>::SELECTIONS, Message::new(ego, selection), &mut out)
             .unwrap();
         let (_, fused) = out.take_sent().swap_remove(0);
         assert_eq!(fused.into_parts::<Boxes>().unwrap().1.0.len(), 1);
@@ -337,17 +313,17 @@ mod tests {
     #[test]
     fn drops_boxes_below_the_least_score() {
         let entry = boxes("cav2", Some(pose(0.0, 0.0, 0.0)), vec![object([0.0; 3], 0.0, 0.5)]);
-        let config = Config {
+        let settings = Settings {
             min_score: 0.3,
-            ..Config::default()
+            ..Settings::default()
         };
-        let (fused, _, out) = fuse_set(config, vec![object([0.0; 3], 0.0, 0.1)], vec![entry]);
+        let (fused, _, out) = fuse_set(settings, vec![object([0.0; 3], 0.0, 0.1)], vec![entry]);
         assert_eq!((fused.len(), out.counted("low_score_boxes")), (1, 1));
     }
 
     #[test]
     fn refuses_parts_of_different_sets() {
-        let mut operator = FusionBoxes::new(Config::default()).unwrap();
+        let mut operator = FusionBoxes::new(Settings::default()).unwrap();
         let mut out = Outputs::at(0);
         let selection = |seq| {
             Message::new(
@@ -359,25 +335,22 @@ mod tests {
             )
         };
         let error = operator
-            .on_input(SELECTIONS, selection(7), &mut out)
+            .on_message(Input::<Boxes>::SELECTIONS, selection(7), &mut out)
             .unwrap_err()
             .to_string();
         assert!(error.contains("without the ego's message"), "{error}");
         operator
-            .on_input(EGO, Message::new(header("cav1", 6, None), Boxes(vec![])), &mut out)
+            .on_message(
+                Input::<Boxes>::EGO,
+                Message::new(header("cav1", 6, None), Boxes(vec![])),
+                &mut out,
+            )
             .unwrap();
         let error = operator
-            .on_input(SELECTIONS, selection(7), &mut out)
+            .on_message(Input::<Boxes>::SELECTIONS, selection(7), &mut out)
             .unwrap_err()
             .to_string();
         assert!(error.contains("query 7") && error.contains("seq 6"), "{error}");
         assert!(out.take_sent().is_empty());
-    }
-
-    #[test]
-    fn describes_every_argument() {
-        let names: Vec<_> = FusionBoxes::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        assert_eq!(names, keys);
     }
 }

@@ -17,46 +17,69 @@ use std::path::PathBuf;
 
 use nalgebra::Isometry3;
 use realo_bev::{Device, Engine, Maps, Read};
-use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
+use realo_fusion::{Collaborator, Input, Pairing};
 use realo_kernels::agents::Agent;
 use realo_kernels::warp::Warp;
 use realo_methods::Kernels;
-use realo_operator::{Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{Elements, FeatureMap, Message, Name, Nanos, PayloadType};
+use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
+use realo_schemas::{Elements, FeatureMap, Header, Name, Nanos};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionFeatures`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// The model file; its weights lie beside it.
+pub struct Settings {
+    /// The model file, whose arch fuses; its weights lie beside it.
+    #[setting(default = "../models/lite-attfuse.toml", role = "model")]
     pub model: PathBuf,
-    /// Collaborators that a fusion takes, the nearest to the ego; `None`: as many as the model takes.
+    /// Collaborators that a fusion takes, the nearest to the ego; null = as many as the model takes.
     pub max_collaborators: Option<usize>,
-    /// Agents that are roadside units, by name, separated by commas; all others are vehicles. V2X-ViT tells them apart.
+    /// Agents that are roadside units, by name, separated by commas; others are vehicles.
+    #[setting(role = "roadside")]
     pub roadside: String,
-    /// Kernels: `auto`, or one of [`realo_kernels::conv::Isa`] that this processor has.
+    /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
+    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
     pub isa: String,
-    /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
+    /// Number type: auto (the model's), f32, bf16 or int8.
+    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
     pub precision: String,
-    /// Threads; 0: one for each processor.
+    /// Threads of the network; 0: one for each processor.
     pub threads: usize,
-    /// What computes the network.
+    /// What computes the network: cpu, or cuda where the build has it.
+    #[setting(role = "device")]
     pub device: Device,
 }
 
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            model: "../models/lite-attfuse.toml".into(),
-            max_collaborators: None,
-            roadside: String::new(),
-            isa: realo_methods::AUTO.into(),
-            precision: realo_methods::AUTO.into(),
-            threads: 0,
-            device: Device::default(),
-        }
-    }
+/// Why feature maps are not fused.
+#[derive(Debug, thiserror::Error)]
+pub enum FeatureError {
+    /// The model is of one agent.
+    #[error(
+        "{}: `arch`: expected one that fuses, found `{arch}`: take a graph without fusion-features, or a model that extends this one \
+         with another `arch`, as models/lite-attfuse.toml does", .model.display()
+    )]
+    Alone {
+        /// Its file.
+        model: PathBuf,
+        /// Its method.
+        arch: String,
+    },
+    /// More collaborators than the model takes.
+    #[error(
+        "argument `max_collaborators`: expected at most {most}, as many as `arch.agents` of {} leaves, found {found}",
+        .model.display()
+    )]
+    Limit {
+        /// Its file.
+        model: PathBuf,
+        /// As many as it takes.
+        most: usize,
+        /// As many as were asked for.
+        found: usize,
+    },
+    /// Maps of collaborators that do not fit; the others were fused.
+    #[error("{0}")]
+    Refused(String),
 }
 
 /// The operator `fusion-features`.
@@ -66,78 +89,55 @@ pub struct FusionFeatures {
     /// Collaborators that a fusion takes.
     limit: usize,
     roadside: Vec<Name>,
-    pairing: Pairing,
+    pairing: Pairing<FeatureMap>,
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// One map for the heads, in the ego's frame.
+    Features(Header, FeatureMap),
 }
 
 impl Describe for FusionFeatures {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input<FeatureMap>;
+    type Output = Output;
     const NAME: &'static str = "fusion-features";
     const ABOUT: &'static str = "intermediate fusion: brings collaborators' BEV maps to the ego's and fuses them";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "model",
-            about: "the model file, whose arch fuses; its weights lie beside it",
-        },
-        Argument {
-            name: "max_collaborators",
-            about: "collaborators that a fusion takes, the nearest to the ego; null = as many as the model takes",
-        },
-        Argument {
-            name: "roadside",
-            about: "agents that are roadside units, by name, separated by commas; others are vehicles",
-        },
-        realo_bev::ISA,
-        realo_bev::PRECISION,
-        realo_bev::THREADS,
-        realo_bev::DEVICE,
-    ];
-    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::FeatureMap]);
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "features",
-        &[PayloadType::FeatureMap],
-        "one map for the heads, in the ego's frame",
-    )];
     const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
-    const DECIDED: &'static [(Decided, &'static str)] = &[
-        (Decided::Model, "model"),
-        (Decided::Isa, "isa"),
-        (Decided::Precision, "precision"),
-        (Decided::Device, "device"),
-        (Decided::Roadside, "roadside"),
-    ];
 }
 
 impl Operator for FusionFeatures {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         let kernels = Kernels {
-            isa: &config.isa,
-            precision: &config.precision,
-            threads: config.threads,
+            isa: &settings.isa,
+            precision: &settings.precision,
+            threads: settings.threads,
         };
-        let loaded = realo_methods::load(&config.model, kernels)?;
-        let model = config.model.display();
+        let loaded = realo_methods::load(&settings.model, kernels)?;
         let most = loaded.model.arch.agents() - 1;
         if !loaded.model.arch.fuses() {
-            return Err(format!(
-                "{model}: `arch`: expected one that fuses, found `{}`: take a graph without fusion-features, or a model that \
-                 extends this one with another `arch`, as models/lite-attfuse.toml does",
-                loaded.model.arch
-            )
+            return Err(FeatureError::Alone {
+                model: settings.model,
+                arch: loaded.model.arch.to_string(),
+            }
             .into());
         }
-        let limit = config.max_collaborators.unwrap_or(most);
+        let limit = settings.max_collaborators.unwrap_or(most);
         if limit > most {
-            return Err(format!(
-                "argument `max_collaborators`: expected at most {most}, as many as `arch.agents` of {model} leaves, found \
-                 {limit}"
-            )
+            return Err(FeatureError::Limit {
+                model: settings.model,
+                most,
+                found: limit,
+            }
             .into());
         }
         Ok(FusionFeatures {
             maps: Maps::of(&loaded),
-            engine: Engine::new(loaded, config.device, Elements::F32)?,
+            engine: Engine::new(loaded, settings.device, Elements::F32)?,
             limit,
-            roadside: config
+            roadside: settings
                 .roadside
                 .split(',')
                 .filter(|name| !name.is_empty())
@@ -147,41 +147,37 @@ impl Operator for FusionFeatures {
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            EGO => self.pairing.ego(message),
-            SELECTIONS => {
-                let mut set: Set<FeatureMap> = self.pairing.selection(message, Some(self.limit))?;
-                let size = self.maps.read(&set.ego)?.size();
-                let mut refused = Vec::new();
-                set.reject(|collaborator| {
-                    let reason = self.refusal(&collaborator.payload, size);
-                    refused.extend(reason.iter().map(|reason| format!("{}: {reason}", collaborator.header)));
-                    reason.is_some()
-                });
-                let ego = self.maps.read(&set.ego)?;
-                let others = set.collaborators.iter();
-                let others: Vec<(&Collaborator<FeatureMap>, Read)> = others
-                    .filter_map(|collaborator| Some((collaborator, self.maps.read(&collaborator.payload).ok()?)))
-                    .collect();
-                let mut agents = vec![Agent {
-                    roadside: self.roadside.contains(&set.header.agent),
-                    ..Agent::beside(ego.view())
-                }];
-                agents.extend(others.iter().map(|(collaborator, map)| Agent {
-                    map: map.view(),
-                    confidence: map.confidence(),
-                    warp: self.warp(collaborator),
-                    roadside: self.roadside.contains(&collaborator.header.agent),
-                    delay: frames(set.header.stamp - collaborator.header.stamp),
-                }));
-                let fused = self.maps.write(self.engine.fuse(&agents, out.steps())?);
-                set.send(fused, out);
-                if !refused.is_empty() {
-                    return Err(refused.join("; ").into());
-                }
-            }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
+    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs) -> Result<(), Error> {
+        let Some(mut set) = self.pairing.take(input, Some(self.limit))? else {
+            return Ok(());
+        };
+        let size = self.maps.read(&set.ego)?.size();
+        let mut refused = Vec::new();
+        set.reject(|collaborator| {
+            let reason = self.refusal(&collaborator.payload, size);
+            refused.extend(reason.iter().map(|reason| format!("{}: {reason}", collaborator.header)));
+            reason.is_some()
+        });
+        let ego = self.maps.read(&set.ego)?;
+        let others = set.collaborators.iter();
+        let others: Vec<(&Collaborator<FeatureMap>, Read)> = others
+            .filter_map(|collaborator| Some((collaborator, self.maps.read(&collaborator.payload).ok()?)))
+            .collect();
+        let mut agents = vec![Agent {
+            roadside: self.roadside.contains(&set.header.agent),
+            ..Agent::beside(ego.view())
+        }];
+        agents.extend(others.iter().map(|(collaborator, map)| Agent {
+            map: map.view(),
+            confidence: map.confidence(),
+            warp: self.warp(collaborator),
+            roadside: self.roadside.contains(&collaborator.header.agent),
+            delay: frames(set.header.stamp - collaborator.header.stamp),
+        }));
+        let fused = self.maps.write(self.engine.fuse(&agents, out.steps())?);
+        set.send(Output::Features, fused, out);
+        if !refused.is_empty() {
+            return Err(FeatureError::Refused(refused.join("; ")).into());
         }
         Ok(())
     }
@@ -229,10 +225,9 @@ mod tests {
 
     use nalgebra::{Translation3, UnitQuaternion};
     use realo_engine::testkit::FusionCase;
-    use realo_fusion::FUSED;
     use realo_kernels::bev::BevMap;
     use realo_schemas::report::Fate;
-    use realo_schemas::{Header, Kind, Pose, Selection};
+    use realo_schemas::{Kind, Message, Pose, Selection};
 
     use super::*;
 
@@ -244,13 +239,13 @@ mod tests {
     }
 
     fn operator(name: &str) -> FusionFeatures {
-        FusionFeatures::new(config(name)).unwrap()
+        FusionFeatures::new(settings(name)).unwrap()
     }
 
-    fn config(name: &str) -> Config {
-        Config {
+    fn settings(name: &str) -> Settings {
+        Settings {
             model: model(name),
-            ..Config::default()
+            ..Settings::default()
         }
     }
 
@@ -294,12 +289,17 @@ mod tests {
         let asked = header("cav1", 0.0);
         let mut out = Outputs::at(200 * MS);
         operator
-            .on_input(EGO, Message::new(asked.clone(), ego), &mut out)
+            .on_message(Input::<FeatureMap>::EGO, Message::new(asked.clone(), ego), &mut out)
             .unwrap();
         let selection = Message::new(asked, Selection { query: 7, entries });
-        let error = operator.on_input(SELECTIONS, selection, &mut out).err();
+        let error = operator
+            .on_message(Input::<FeatureMap>::SELECTIONS, selection, &mut out)
+            .err();
         let (port, fused) = out.take_sent().remove(0);
-        assert_eq!((port, fused.header.kind, fused.header.seq), (FUSED, Kind::Features, 7));
+        assert_eq!(
+            (port, fused.header.kind, fused.header.seq),
+            (Output::FEATURES, Kind::Features, 7)
+        );
         let reported = out.take_fates().into_iter();
         let reported = reported.map(|fated| (fated.message.from, fated.fate)).collect();
         let error = error.map(|error| error.to_string()).unwrap_or_default();
@@ -361,9 +361,10 @@ mod tests {
         let asked = Message::new(header("cav1", 0.0), own.clone());
         let entries = vec![Message::new(moved, theirs)];
         let mut pairing = Pairing::default();
-        pairing.ego(asked.clone());
-        let selection = Message::new(asked.header, Selection { query: 7, entries });
-        let mut set: Set<FeatureMap> = pairing.selection(selection, None).unwrap();
+        let selection = Input::Selections(asked.header.clone(), Selection { query: 7, entries });
+        let (header, own) = asked.into_parts::<FeatureMap>().unwrap();
+        assert!(pairing.take(Input::Ego(header, own), None).unwrap().is_none());
+        let mut set = pairing.take(selection, None).unwrap().unwrap();
         let maps = set.maps().unwrap();
         let (mut covered, mut found) = (0, [0.0; SIZE[2]]);
         for (row, column) in (0..SIZE[0]).flat_map(|row| (0..SIZE[1]).map(move |column| (row, column))) {
@@ -447,24 +448,6 @@ mod tests {
     }
 
     #[test]
-    fn models_and_limits_that_do_not_fit_are_refused() {
-        let error = |config: Config| FusionFeatures::new(config).err().expect("refused").to_string();
-        let single = error(config("lite"));
-        assert!(
-            single.contains("expected one that fuses, found `pointpillars`"),
-            "{single}"
-        );
-        let limit = error(Config {
-            max_collaborators: Some(4),
-            ..config("lite-attfuse")
-        });
-        assert!(limit.contains("`max_collaborators`: expected at most 3"), "{limit}");
-        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let reported: Vec<&str> = FusionFeatures::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, reported);
-    }
-
-    #[test]
     fn holds_what_every_fusion_owes_its_graph() {
         let maps = operator("lite-attfuse");
         let own = map(&maps, |row, _| row as f32 * 0.01);
@@ -476,5 +459,20 @@ mod tests {
             alone: own.into(),
         };
         case.check::<FusionFeatures>();
+    }
+
+    #[test]
+    fn models_and_limits_that_do_not_fit_are_refused() {
+        let error = |settings: Settings| FusionFeatures::new(settings).err().expect("refused").to_string();
+        let single = error(settings("lite"));
+        assert!(
+            single.contains("expected one that fuses, found `pointpillars`"),
+            "{single}"
+        );
+        let limit = error(Settings {
+            max_collaborators: Some(4),
+            ..settings("lite-attfuse")
+        });
+        assert!(limit.contains("`max_collaborators`: expected at most 3"), "{limit}");
     }
 }

@@ -13,10 +13,10 @@
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers; times are offsets from the ego's
 //! stamp. The motion of objects between the stamps is not removed.
 
-use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
+use realo_fusion::{Collaborator, Input, Pairing, Set};
+use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::geometry::transform_cloud;
-use realo_schemas::{Message, Nanos, PayloadType, PointCloud};
+use realo_schemas::{Header, Nanos, PointCloud};
 use serde::{Deserialize, Serialize};
 
 /// No LiDAR sees further, m: sweeps that have all points beyond are in another unit or frame.
@@ -30,13 +30,12 @@ const EMPTY_SWEEPS: Counter = Counter::log_fault(
 );
 
 /// Settings of [`FusionPoints`].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// Collaborators that a fusion takes, the nearest to the ego; `None`: all.
+pub struct Settings {
+    /// Collaborators that a fusion takes, the nearest to the ego; null = all.
     pub max_collaborators: Option<usize>,
-    /// Whether collaborators' points stay where they are: they were brought to the ego's frame where they were sent
-    /// (clouds in another frame are rejected), and what the ego moved since is not removed.
+    /// Points that the sender projected stay where it put them; the ego's motion since is not removed.
     pub as_sent: bool,
 }
 
@@ -107,61 +106,48 @@ fn count_empty(set: &Set<PointCloud>, merged: &PointCloud, out: &mut Outputs) {
 
 /// The operator `fusion-points`.
 pub struct FusionPoints {
-    config: Config,
-    pairing: Pairing,
+    settings: Settings,
+    pairing: Pairing<PointCloud>,
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The ego's points, then the collaborators', in the ego's frame.
+    Clouds(Header, PointCloud),
 }
 
 impl Describe for FusionPoints {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input<PointCloud>;
+    type Output = Output;
     const NAME: &'static str = "fusion-points";
     const ABOUT: &'static str = "early fusion: brings collaborators' points to the ego's frame, behind its own";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "max_collaborators",
-            about: "collaborators that a fusion takes, the nearest to the ego; null = all",
-        },
-        Argument {
-            name: "as_sent",
-            about: "points that the sender projected stay where it put them; the ego's motion since is not removed",
-        },
-    ];
-    const INPUTS: &'static [Port] = &realo_fusion::inputs(&[PayloadType::PointCloud]);
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "clouds",
-        &[PayloadType::PointCloud],
-        "the ego's points, then the collaborators', in the ego's frame",
-    )];
     const COUNTERS: &'static [Counter] = &[
         realo_fusion::OVER_LIMIT_MESSAGES,
         realo_fusion::REJECTED_MESSAGES,
         EMPTY_SWEEPS,
     ];
-    // V2X-ReaLO, Table III: early fusion.
-    const PAPER_INFERENCE: Option<Nanos> = Some(80_900_000);
 }
 
 impl Operator for FusionPoints {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         Ok(FusionPoints {
-            config,
+            settings,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            EGO => self.pairing.ego(message),
-            SELECTIONS => {
-                let mut set: Set<PointCloud> = self.pairing.selection(message, self.config.max_collaborators)?;
-                if self.config.as_sent {
-                    set.reject_other_frames();
-                }
-                let merged = merge(&set.ego, set.header.stamp, &set.collaborators, self.config.as_sent);
-                count_empty(&set, &merged, out);
-                set.send(merged, out);
-            }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
+    fn on_input(&mut self, input: Input<PointCloud>, out: &mut Outputs) -> Result<(), Error> {
+        let Some(mut set) = self.pairing.take(input, self.settings.max_collaborators)? else {
+            return Ok(());
+        };
+        if self.settings.as_sent {
+            set.reject_other_frames();
         }
+        let merged = merge(&set.ego, set.header.stamp, &set.collaborators, self.settings.as_sent);
+        count_empty(&set, &merged, out);
+        set.send(Output::Clouds, merged, out);
         Ok(())
     }
 }
@@ -170,9 +156,8 @@ impl Operator for FusionPoints {
 mod tests {
     use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
     use realo_engine::testkit::FusionCase;
-    use realo_fusion::FUSED;
     use realo_schemas::report::Fate;
-    use realo_schemas::{Boxes, Header, Kind, Pose, Selection};
+    use realo_schemas::{Boxes, Kind, Message, Pose, Selection};
 
     use super::*;
 
@@ -202,17 +187,22 @@ mod tests {
     type Reported = Vec<(String, Fate)>;
 
     /// Feeds one set of an ego 100 km from the map's origin.
-    fn fuse(config: Config, entries: Vec<Message>) -> (PointCloud, Reported) {
-        let mut operator = FusionPoints::new(config).unwrap();
+    fn fuse(settings: Settings, entries: Vec<Message>) -> (PointCloud, Reported) {
+        let mut operator = FusionPoints::new(settings).unwrap();
         let mut out = Outputs::at(200 * MS);
         let ego = header("cav1", 7, 100 * MS, Some(pose(1e5, -1e5, 0.4)));
         let sweep = Message::new(ego.clone(), cloud(&[[1.0, 2.0, 3.0]]));
         let selection = Message::new(ego, Selection { query: 7, entries });
-        operator.on_input(EGO, sweep, &mut out).unwrap();
-        operator.on_input(SELECTIONS, selection, &mut out).unwrap();
+        operator.on_message(Input::<PointCloud>::EGO, sweep, &mut out).unwrap();
+        operator
+            .on_message(Input::<PointCloud>::SELECTIONS, selection, &mut out)
+            .unwrap();
         let mut sent = out.take_sent().into_iter();
         let (port, merged) = sent.next().unwrap();
-        assert_eq!((port, merged.header.kind, merged.header.seq), (FUSED, Kind::Points, 7));
+        assert_eq!(
+            (port, merged.header.kind, merged.header.seq),
+            (Output::CLOUDS, Kind::Points, 7)
+        );
         assert!(sent.next().is_none());
         let reported = out
             .take_fates()
@@ -238,7 +228,7 @@ mod tests {
             Message::new(header("rsu1", 3, 60 * MS, Some(far)), seen_from(far)),
             Message::new(header("cav2", 3, 101 * MS, Some(near)), seen_from(near)),
         ];
-        let (merged, fates) = fuse(Config::default(), entries);
+        let (merged, fates) = fuse(Settings::default(), entries);
         let both = reported([("cav2", Fate::Used), ("rsu1", Fate::Used)]);
         assert_eq!((merged.len(), fates), (3, both));
         assert_eq!([merged.x[0], merged.y[0], merged.z[0]], [1.0, 2.0, 3.0]);
@@ -260,11 +250,11 @@ mod tests {
             Message::new(projected, cloud(&[[5.0, 6.0, 7.0]])),
             Message::new(not_projected, cloud(&[[8.0, 9.0, 9.0]])),
         ];
-        let config = Config {
+        let settings = Settings {
             as_sent: true,
-            ..Config::default()
+            ..Settings::default()
         };
-        let (merged, fates) = fuse(config, entries);
+        let (merged, fates) = fuse(settings, entries);
         assert_eq!([merged.x[1], merged.y[1], merged.z[1]], [5.0, 6.0, 7.0]);
         let expected = reported([("rsu1", Fate::Used), ("rsu2", Fate::Rejected)]);
         assert_eq!((merged.len(), fates), (2, expected), "rsu2 did not project");
@@ -279,20 +269,28 @@ mod tests {
             Message::new(sender("millimetres"), cloud(&[[5000.0, 1000.0, 0.0]])),
             Message::new(sender("none"), cloud(&[])),
         ];
-        let mut operator = FusionPoints::new(Config::default()).unwrap();
+        let mut operator = FusionPoints::new(Settings::default()).unwrap();
         let mut out = Outputs::at(200 * MS);
         operator
-            .on_input(EGO, Message::new(ego.clone(), cloud(&[[f32::NAN; 3]])), &mut out)
+            .on_message(
+                Input::<PointCloud>::EGO,
+                Message::new(ego.clone(), cloud(&[[f32::NAN; 3]])),
+                &mut out,
+            )
             .unwrap();
         operator
-            .on_input(SELECTIONS, Message::new(ego, Selection { query: 7, entries }), &mut out)
+            .on_message(
+                Input::<PointCloud>::SELECTIONS,
+                Message::new(ego, Selection { query: 7, entries }),
+                &mut out,
+            )
             .unwrap();
         assert_eq!(out.counted("empty_sweeps"), 3);
     }
 
     #[test]
     fn the_ego_alone_is_its_own_cloud() {
-        let (merged, _) = fuse(Config::default(), Vec::new());
+        let (merged, _) = fuse(Settings::default(), Vec::new());
         assert_eq!(merged, cloud(&[[1.0, 2.0, 3.0]]));
     }
 
@@ -310,11 +308,11 @@ mod tests {
                 cloud(&[[0.0; 3]]),
             ),
         ];
-        let config = Config {
+        let settings = Settings {
             max_collaborators: Some(1),
-            ..Config::default()
+            ..Settings::default()
         };
-        let (merged, fates) = fuse(config, entries);
+        let (merged, fates) = fuse(settings, entries);
         assert_eq!(merged.len(), 2);
         let expected = reported([
             ("rsu2", Fate::Used),

@@ -69,5 +69,5 @@ mod profile;
 pub use channel::{Arrivals, delay, transmit};
 pub use inline::{in_words, with_base};
 pub use medium::{Medium, Passed, Phase};
-pub use operator::{Link, LinkConfig};
+pub use operator::{Link, Settings};
 pub use profile::{BUILT_IN, Channel, Jitter, Model, Profile, ProfileError, files};

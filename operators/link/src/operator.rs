@@ -1,50 +1,31 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use realo_operator::{
-    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, StreamKey, unexpected,
-    wrong_port,
-};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings, StreamKey};
 use realo_schemas::report::{Fate, Traffic};
-use realo_schemas::{AgentState, Header, Message, Name, Nanos, Packet, PayloadType};
+use realo_schemas::{AgentState, Header, Name, Nanos, Packet};
 use serde::{Deserialize, Serialize};
 
 use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
 
-const EGO_STATE: PortId = PortId(0);
-const STATES: PortId = PortId(1);
-const EGO: PortId = PortId(2);
-const OTHERS: PortId = PortId(3);
-const POORER: PortId = PortId(4);
-const POOREST: PortId = PortId(5);
-const TO_EGO: PortId = PortId(0);
-const TO_OTHERS: PortId = PortId(1);
-
 /// Settings of the link.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LinkConfig {
-    /// Name of a built-in profile, or a file.
+pub struct Settings {
+    /// Channel model: perfect, paper, a .toml or .yml file, or settings: delay_ms=90,loss=0.05.
+    #[setting(default = "perfect", role = "link")]
     pub profile: String,
-    /// Largest distance over which packets are sent, m; an agent whose position is unknown is out of range.
+    /// Max distance in (x, y) over which packets are sent, m; inclusive.
+    #[setting(default = 70.0, range = 0.0..=1e9)]
     pub range_m: f64,
-    /// Keeps the gate and the counts, without delay, jitter or loss.
+    /// Keep the range gate and the counts, without delay, jitter, loss or copies.
+    #[setting(role = "offline")]
     pub offline: bool,
-    /// The ego's name; empty: the first agent that says something on `ego` or `ego_state`.
+    /// The ego; empty: the first agent on `ego` or `ego_state`.
+    #[setting(role = "ego")]
     pub ego: String,
     /// Seed of jitter, loss and copies.
+    #[setting(role = "seed")]
     pub seed: u64,
-}
-
-impl Default for LinkConfig {
-    fn default() -> Self {
-        LinkConfig {
-            profile: "perfect".into(),
-            range_m: 70.0,
-            offline: false,
-            ego: String::new(),
-            seed: 0,
-        }
-    }
 }
 
 /// Packets of one sender that may wait for first positions; more are out of range and `unplaced`, the oldest first.
@@ -84,6 +65,27 @@ impl TooEarly {
     }
 }
 
+/// A message that the link cannot carry.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// Another agent speaks where the ego should.
+    #[error(
+        "the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the argument `ego` of the link"
+    )]
+    NotTheEgo {
+        /// Who speaks.
+        agent: Name,
+        /// The ego.
+        ego: Name,
+    },
+    /// The ego speaks where the others should.
+    #[error("the others' lane carries a message of the ego, {0}; mend the wiring")]
+    TheEgo(Name),
+    /// A position that is not a number.
+    #[error("position ({0}, {1}) is not finite")]
+    Position(f64, f64),
+}
+
 /// Carries packets between the ego and the others.
 pub struct Link {
     profile: Profile,
@@ -119,96 +121,65 @@ const UNPLACED: Counter = Counter::loss(
     "an agent whose position is not known is out of range: look at its poses (`realo info`)",
 );
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// Where the ego is.
+    #[port(state, of(Ego))]
+    EgoState(Header, AgentState),
+    /// Where the others are.
+    #[port(state, of(Others))]
+    States(Header, AgentState),
+    /// What the ego sends.
+    #[port(optional, of(Ego))]
+    Ego(Header, Packet),
+    /// What the others send.
+    #[port(optional, of(Others))]
+    Others(Header, Packet),
+    /// The same moments in a fallback form, as boxes for points.
+    #[port(optional, of(Others))]
+    Fallback(Header, Packet),
+    /// The same in a fallback form still.
+    #[port(optional, of(Others))]
+    LastFallback(Header, Packet),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The others' packets, delivered to the ego.
+    #[port(of(OthersReceived))]
+    ToEgo(Header, Packet),
+    /// The ego's packets, a copy for each other agent that is known.
+    #[port(of(EgoReceived))]
+    ToOthers(Header, Packet),
+}
+
 impl Describe for Link {
-    type Config = LinkConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "link";
     const ABOUT: &'static str = "Carries packets between the ego and the others: range, delay, jitter, loss";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "profile",
-            about: "channel model: perfect, paper, a .toml or .yml file, or settings: delay_ms=90,loss=0.05",
-        },
-        Argument {
-            name: "range_m",
-            about: "max distance in (x, y) over which packets are sent, m; inclusive",
-        },
-        Argument {
-            name: "offline",
-            about: "keep the range gate and the counts, without delay, jitter, loss or copies",
-        },
-        Argument {
-            name: "ego",
-            about: "the ego; empty: the first agent on `ego` or `ego_state`",
-        },
-        Argument {
-            name: "seed",
-            about: "seed of jitter, loss and copies",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("ego_state", &[PayloadType::AgentState], "where the ego is")
-            .state()
-            .of(Lane::Ego),
-        Port::new("states", &[PayloadType::AgentState], "where the others are")
-            .state()
-            .of(Lane::Others),
-        Port::new("ego", &[PayloadType::Packet], "what the ego sends")
-            .optional()
-            .of(Lane::Ego),
-        Port::new("others", &[PayloadType::Packet], "what the others send")
-            .optional()
-            .of(Lane::Others),
-        Port::new(
-            "fallback",
-            &[PayloadType::Packet],
-            "the same moments in a fallback form, as boxes for points",
-        )
-        .optional()
-        .of(Lane::Others),
-        Port::new(
-            "last_fallback",
-            &[PayloadType::Packet],
-            "the same in a fallback form still",
-        )
-        .optional()
-        .of(Lane::Others),
-    ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new(
-            "to_ego",
-            &[PayloadType::Packet],
-            "the others' packets, delivered to the ego",
-        )
-        .of(Lane::OthersReceived),
-        Port::new(
-            "to_others",
-            &[PayloadType::Packet],
-            "the ego's packets, a copy for each other agent that is known",
-        )
-        .of(Lane::EgoReceived),
-    ];
     const COUNTERS: &'static [Counter] = &[NO_RECEIVER, BEFORE_START, UNPLACED];
-    const DECIDED: &'static [(Decided, &'static str)] = &[
-        (Decided::Ego, "ego"),
-        (Decided::Offline, "offline"),
-        (Decided::Link, "profile"),
-        (Decided::Seed, "seed"),
-    ];
 }
 
 impl Link {
     /// The ego's name, learned from its lane unless an argument names it.
-    fn ego_lane(&mut self, agent: &Name) -> Result<(), Error> {
+    fn ego_lane(&mut self, agent: &Name) -> Result<(), LinkError> {
         let ego = self.ego.get_or_insert_with(|| agent.clone());
         if ego != agent {
-            return Err(format!("the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the argument `ego` of the link").into());
+            return Err(LinkError::NotTheEgo {
+                agent: agent.clone(),
+                ego: ego.clone(),
+            });
         }
         Ok(())
     }
 
-    fn others_lane(&mut self, agent: &Name) -> Result<(), Error> {
+    fn others_lane(&mut self, agent: &Name) -> Result<(), LinkError> {
         if self.ego.as_ref() == Some(agent) {
-            return Err(format!("the others' lane carries a message of the ego, {agent}; mend the wiring").into());
+            return Err(LinkError::TheEgo(agent.clone()));
         }
         if !self.others.contains(agent) {
             self.others.insert(agent.clone());
@@ -216,10 +187,10 @@ impl Link {
         Ok(())
     }
 
-    fn state(&mut self, header: Header, state: &AgentState, out: &mut Outputs) -> Result<(), Error> {
+    fn state(&mut self, header: Header, state: &AgentState, out: &mut Outputs) -> Result<(), LinkError> {
         let t = &state.map_from_body.translation.vector;
         if !(t.x.is_finite() && t.y.is_finite()) {
-            return Err(format!("position ({}, {}) is not finite", t.x, t.y).into());
+            return Err(LinkError::Position(t.x, t.y));
         }
         let fix = (header.stamp, [t.x, t.y]);
         let known = self.fixes.entry(header.agent).or_insert(fix);
@@ -234,7 +205,7 @@ impl Link {
             early.partition(|(sender, _)| !self.waits(sender, &ego));
         self.early = waiting;
         for sent in placed.into_values().flatten() {
-            self.carry(TO_EGO, &ego, &sent, out);
+            self.carry(Output::ToEgo, &ego, &sent, out);
         }
         Ok(())
     }
@@ -257,14 +228,14 @@ impl Link {
         }
         let sender = sent.1.agent.clone();
         if !self.waits(&sender, &ego) {
-            return self.carry(TO_EGO, &ego, &sent, out);
+            return self.carry(Output::ToEgo, &ego, &sent, out);
         }
         let early = self.early.entry(sender).or_default();
         early.push_back(sent);
         if early.len() > EARLY
             && let Some(oldest) = early.pop_front()
         {
-            self.carry(TO_EGO, &ego, &oldest, out);
+            self.carry(Output::ToEgo, &ego, &oldest, out);
         }
     }
 
@@ -301,7 +272,13 @@ impl Link {
         }
     }
 
-    fn carry(&mut self, port: PortId, to: &Name, Sent(sent, header, packet): &Sent, out: &mut Outputs) {
+    fn carry(
+        &mut self,
+        output: fn(Header, Packet) -> Output,
+        to: &Name,
+        Sent(sent, header, packet): &Sent,
+        out: &mut Outputs,
+    ) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
         match in_range {
@@ -342,22 +319,16 @@ impl Link {
                 ready,
                 ..header.clone()
             };
-            out.send(port, Message::new(header, packet.clone()));
+            out.send(output(header, packet.clone()));
         }
     }
 }
 
 impl Operator for Link {
-    fn new(config: LinkConfig) -> Result<Self, Error> {
-        if !(config.range_m.is_finite() && config.range_m >= 0.0) {
-            return Err(format!(
-                "argument `range_m`: expected metres, at least 0, found {}",
-                config.range_m
-            )
-            .into());
-        }
-        let mut profile = Profile::load(&config.profile)?;
-        if config.offline {
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
+        let mut profile = Profile::load(&settings.profile)?;
+        if settings.offline {
             profile = Profile {
                 about: profile.about,
                 ..Profile::default()
@@ -366,10 +337,10 @@ impl Operator for Link {
         Ok(Link {
             medium: profile.channel.as_ref().map(Medium::new),
             profile,
-            range_m: config.range_m,
-            offline: config.offline,
-            key: StreamKey::new(config.seed, "link"),
-            ego: (!config.ego.is_empty()).then(|| config.ego.into()),
+            range_m: settings.range_m,
+            offline: settings.offline,
+            key: StreamKey::new(settings.seed, "link"),
+            ego: (!settings.ego.is_empty()).then(|| settings.ego.into()),
             others: BTreeSet::new(),
             fixes: BTreeMap::new(),
             unreceived: BTreeMap::new(),
@@ -378,32 +349,36 @@ impl Operator for Link {
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            EGO_STATE | EGO => self.ego_lane(&message.header.agent)?,
-            STATES | OTHERS | POORER | POOREST => self.others_lane(&message.header.agent)?,
-            _ => return Err(wrong_port(Self::INPUTS, port)),
-        }
-        if matches!(port, EGO_STATE | STATES) {
-            let (header, state): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
-            return self.state(header, &state, out);
-        }
-        let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
-        let sent = Sent(out.now(), header, packet);
-        if port == EGO {
-            for other in self.others.clone() {
-                self.carry(TO_OTHERS, &other, &sent, out);
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        match input {
+            Input::EgoState(header, state) => {
+                self.ego_lane(&header.agent)?;
+                Ok(self.state(header, &state, out)?)
             }
-            return Ok(());
+            Input::States(header, state) => {
+                self.others_lane(&header.agent)?;
+                Ok(self.state(header, &state, out)?)
+            }
+            Input::Ego(header, packet) => {
+                self.ego_lane(&header.agent)?;
+                let sent = Sent(out.now(), header, packet);
+                for other in self.others.clone() {
+                    self.carry(Output::ToOthers, &other, &sent, out);
+                }
+                Ok(())
+            }
+            Input::Others(header, packet) | Input::Fallback(header, packet) | Input::LastFallback(header, packet) => {
+                self.others_lane(&header.agent)?;
+                self.hear_other(Sent(out.now(), header, packet), out);
+                Ok(())
+            }
         }
-        self.hear_other(sent, out);
-        Ok(())
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
         let early = std::mem::take(&mut self.early).into_values().flatten();
         if let Some(ego) = self.ego.clone() {
-            early.for_each(|sent| self.carry(TO_EGO, &ego, &sent, out));
+            early.for_each(|sent| self.carry(Output::ToEgo, &ego, &sent, out));
         }
         // What never became known is not a start.
         for ((sender, _), early) in std::mem::take(&mut self.unplaced) {

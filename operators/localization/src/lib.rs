@@ -23,4 +23,4 @@ mod operator;
 
 pub use mersenne::Mersenne;
 pub use noise::{PoseError, PoseNoise};
-pub use operator::{Localization, LocalizationConfig, NoiseDraws, Source, localize};
+pub use operator::{Localization, NoiseDraws, Settings, Source, localize};

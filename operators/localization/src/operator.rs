@@ -1,15 +1,8 @@
-use realo_operator::{
-    Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, StreamKey, unexpected, wrong_port,
-};
-use realo_schemas::{AgentState, Header, Kind, Message, PayloadType, PointCloud, Pose, PoseStatus};
+use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings, StreamKey};
+use realo_schemas::{AgentState, Header, Kind, PointCloud, Pose, PoseStatus};
 use serde::{Deserialize, Serialize};
 
 use crate::{PoseError, PoseNoise};
-
-const CLOUDS: PortId = PortId(0);
-const STATES: PortId = PortId(1);
-const OUT_CLOUDS: PortId = PortId(0);
-const OUT_STATE: PortId = PortId(1);
 
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -34,47 +27,38 @@ pub enum NoiseDraws {
 }
 
 /// Settings of localization.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct LocalizationConfig {
-    /// Where poses come from.
+pub struct Settings {
+    /// Recorded (as the log gives them) or true (refuses any other).
     pub source: Source,
-    /// Standard deviation of errors of x, y and z, m.
+    /// Standard deviation of normal errors of x, y and z, m.
+    #[setting(range = 0.0..=1000.0)]
     pub position_noise_m: f64,
-    /// Standard deviation of errors of the heading, degrees.
+    /// Standard deviation of normal errors of the heading, degrees.
+    #[setting(range = 0.0..=180.0)]
     pub heading_noise_deg: f64,
-    /// Which errors are one.
+    /// Each (an error for each agent and sweep) or same (one for all, as V2X-Real draws it).
     pub noise: NoiseDraws,
     /// Seed of the errors.
+    #[setting(role = "seed")]
     pub seed: u64,
 }
 
-/// Largest standard deviations, m and degrees.
-const MOST_NOISE: [f64; 2] = [1000.0, 180.0];
-
 /// The noise that is asked for; `None` without any.
-fn noise_of(config: &LocalizationConfig) -> Result<Option<Noise>, Error> {
-    let deviations = [config.position_noise_m, config.heading_noise_deg];
-    let names = ["position_noise_m", "heading_noise_deg"];
-    for ((name, found), most) in names.iter().zip(deviations).zip(MOST_NOISE) {
-        if !(0.0..=most).contains(&found) {
-            return Err(format!("argument `{name}`: expected 0 to {most}, found {found}").into());
-        }
-    }
+fn noise_of(settings: &Settings) -> Result<Option<Noise>, LocalizationError> {
+    let deviations = [settings.position_noise_m, settings.heading_noise_deg];
     if deviations == [0.0; 2] {
         return Ok(None);
     }
     let noise = PoseNoise {
-        position_m: config.position_noise_m,
-        heading_deg: config.heading_noise_deg,
+        position_m: settings.position_noise_m,
+        heading_deg: settings.heading_noise_deg,
     };
-    let draws = match config.noise {
-        NoiseDraws::Each => Draw::Each(StreamKey::new(config.seed, "localization")),
+    let draws = match settings.noise {
+        NoiseDraws::Each => Draw::Each(StreamKey::new(settings.seed, "localization")),
         NoiseDraws::Same => {
-            let seed = u32::try_from(config.seed).map_err(|_| {
-                let (most, found) = (u32::MAX, config.seed);
-                format!("argument `seed`: expected 0 to {most} with noise=same, found {found}; or set noise=each")
-            })?;
+            let seed = u32::try_from(settings.seed).map_err(|_| LocalizationError::Seed(settings.seed))?;
             Draw::Same(noise.reference(seed))
         }
     };
@@ -116,12 +100,27 @@ impl Noise {
 ///
 /// # Errors
 /// If true poses are asked for and the state is not one.
-pub fn localize(source: Source, prior: AgentState) -> Result<AgentState, Error> {
+pub fn localize(source: Source, prior: AgentState) -> Result<AgentState, LocalizationError> {
     if source == Source::True && prior.status != PoseStatus::Truth {
-        let found = prior.status;
-        return Err(format!("argument `source`: expected true poses, found one that is {found:?}; play the log's true poses, or set source=recorded").into());
+        return Err(LocalizationError::NotTrue(prior.status));
     }
     Ok(prior)
+}
+
+/// Why an agent is not localised.
+#[derive(Debug, thiserror::Error)]
+pub enum LocalizationError {
+    /// A seed that the reference's generator does not take.
+    #[error("argument `seed`: expected 0 to {max} with noise=same, found {0}; or set noise=each", max = u32::MAX)]
+    Seed(u64),
+    /// A pose that is not true.
+    #[error(
+        "argument `source`: expected true poses, found one that is {0:?}; play the log's true poses, or set source=recorded"
+    )]
+    NotTrue(PoseStatus),
+    /// A state alone.
+    #[error("a state whose sweep did not come before it")]
+    NoSweep,
 }
 
 /// Says where each agent is at each sweep.
@@ -132,84 +131,55 @@ pub struct Localization {
     sweep: Option<(Header, PointCloud)>,
 }
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// Sweeps in the body frame at their stamp.
+    #[port(latest, joined("sweep"))]
+    Clouds(Header, PointCloud),
+    /// What is known of pose and motion then.
+    #[port(latest, joined("sweep"))]
+    States(Header, AgentState),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The sweeps with the estimated pose.
+    Clouds(Header, PointCloud),
+    /// The estimated pose and motion at the sweep's stamp.
+    State(Header, AgentState),
+}
+
 impl Describe for Localization {
-    type Config = LocalizationConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "localization";
     const ABOUT: &'static str =
         "Says where each agent is at each sweep: the pose that the log gives, with noise if asked for";
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Seed, "seed")];
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "source",
-            about: "recorded (as the log gives them) or true (refuses any other)",
-        },
-        Argument {
-            name: "position_noise_m",
-            about: "standard deviation of normal errors of x, y and z, m",
-        },
-        Argument {
-            name: "heading_noise_deg",
-            about: "standard deviation of normal errors of the heading, degrees",
-        },
-        Argument {
-            name: "noise",
-            about: "each (an error for each agent and sweep) or same (one for all, as V2X-Real draws it)",
-        },
-        Argument {
-            name: "seed",
-            about: "seed of the errors",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new(
-            "clouds",
-            &[PayloadType::PointCloud],
-            "sweeps in the body frame at their stamp",
-        )
-        .latest()
-        .joined("sweep"),
-        Port::new(
-            "states",
-            &[PayloadType::AgentState],
-            "what is known of pose and motion then",
-        )
-        .latest()
-        .joined("sweep"),
-    ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new(
-            "clouds",
-            &[PayloadType::PointCloud],
-            "the sweeps with the estimated pose",
-        ),
-        Port::new(
-            "state",
-            &[PayloadType::AgentState],
-            "the estimated pose and motion at the sweep's stamp",
-        ),
-    ];
 }
 
 impl Operator for Localization {
-    fn new(config: LocalizationConfig) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
         Ok(Localization {
-            noise: noise_of(&config)?,
-            source: config.source,
+            noise: noise_of(&settings)?,
+            source: settings.source,
             sweep: None,
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            CLOUDS => self.sweep = Some(message.into_parts().map_err(unexpected)?),
-            STATES => {
-                let (state_header, prior): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        match input {
+            Input::Clouds(header, cloud) => self.sweep = Some((header, cloud)),
+            Input::States(state_header, prior) => {
                 let sweep = self.sweep.take();
                 let same = |(header, _): &(Header, PointCloud)| {
                     (&header.agent, header.seq, header.stamp)
                         == (&state_header.agent, state_header.seq, state_header.stamp)
                 };
-                let (cloud_header, cloud) = sweep.filter(same).ok_or("a state whose sweep did not come before it")?;
+                let (cloud_header, cloud) = sweep.filter(same).ok_or(LocalizationError::NoSweep)?;
                 let mut state = localize(self.source, prior)?;
                 if let Some(noise) = &self.noise {
                     state = noise.of(&state_header, state);
@@ -218,28 +188,17 @@ impl Operator for Localization {
                     map_from_frame: state.map_from_body,
                     covariance: state.covariance.clone(),
                 };
-                out.send(
-                    OUT_STATE,
-                    Message::new(
-                        Header {
-                            pose: Some(pose.clone()),
-                            ..state_header
-                        },
-                        state,
-                    ),
-                );
-                out.send(
-                    OUT_CLOUDS,
-                    Message::new(
-                        Header {
-                            pose: Some(pose),
-                            ..cloud_header
-                        },
-                        cloud,
-                    ),
-                );
+                let state_header = Header {
+                    pose: Some(pose.clone()),
+                    ..state_header
+                };
+                out.send(Output::State(state_header, state));
+                let cloud_header = Header {
+                    pose: Some(pose),
+                    ..cloud_header
+                };
+                out.send(Output::Clouds(cloud_header, cloud));
             }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         Ok(())
     }
@@ -249,6 +208,7 @@ impl Operator for Localization {
 mod tests {
     use super::*;
     use nalgebra::Isometry3;
+    use realo_schemas::Message;
 
     fn header(kind: Kind, seq: u64) -> Header {
         Header::origin(&"run".into(), &"cav1".into(), kind, seq, 100, 150)
@@ -271,12 +231,12 @@ mod tests {
 
     #[test]
     fn passes_the_pose_into_the_sweep() {
-        let mut localization = Localization::new(LocalizationConfig::default()).unwrap();
+        let mut localization = Localization::new(Settings::default()).unwrap();
         let mut out = Outputs::at(150);
-        localization.on_input(CLOUDS, cloud(4), &mut out).unwrap();
+        localization.on_message(Input::CLOUDS, cloud(4), &mut out).unwrap();
         assert_eq!(out.take_sent(), []);
         localization
-            .on_input(STATES, state(4, PoseStatus::Extrapolated), &mut out)
+            .on_message(Input::STATES, state(4, PoseStatus::Extrapolated), &mut out)
             .unwrap();
         let sent = out.take_sent();
         let pose = Pose {
@@ -286,71 +246,74 @@ mod tests {
         assert_eq!(sent.len(), 2);
         assert_eq!(
             (sent[0].0, sent[0].1.header.kind, sent[0].1.header.pose.as_ref()),
-            (OUT_STATE, Kind::AgentState, Some(&pose))
+            (Output::STATE, Kind::AgentState, Some(&pose))
         );
         assert_eq!(
             (sent[1].0, sent[1].1.header.kind, sent[1].1.header.pose.as_ref()),
-            (OUT_CLOUDS, Kind::Points, Some(&pose))
+            (Output::CLOUDS, Kind::Points, Some(&pose))
         );
         assert_eq!(sent[0].1.payload, state(4, PoseStatus::Extrapolated).payload);
     }
 
     #[test]
     fn refuses_what_is_not_true_when_truth_is_asked_for() {
-        let mut localization = Localization::new(LocalizationConfig {
+        let mut localization = Localization::new(Settings {
             source: Source::True,
-            ..LocalizationConfig::default()
+            ..Settings::default()
         })
         .unwrap();
         let mut out = Outputs::at(150);
-        localization.on_input(CLOUDS, cloud(4), &mut out).unwrap();
+        localization.on_message(Input::CLOUDS, cloud(4), &mut out).unwrap();
         let error = localization
-            .on_input(STATES, state(4, PoseStatus::Recorded), &mut out)
+            .on_message(Input::STATES, state(4, PoseStatus::Recorded), &mut out)
             .unwrap_err()
             .to_string();
         assert!(error.contains("`source`") && error.contains("Recorded"), "{error}");
-        localization.on_input(CLOUDS, cloud(5), &mut out).unwrap();
+        localization.on_message(Input::CLOUDS, cloud(5), &mut out).unwrap();
         localization
-            .on_input(STATES, state(5, PoseStatus::Truth), &mut out)
+            .on_message(Input::STATES, state(5, PoseStatus::Truth), &mut out)
             .unwrap();
         assert_eq!(out.take_sent().len(), 2);
     }
 
     #[test]
     fn refuses_a_state_of_another_sweep() {
-        let mut localization = Localization::new(LocalizationConfig::default()).unwrap();
+        let mut localization = Localization::new(Settings::default()).unwrap();
         let mut out = Outputs::at(150);
         assert!(
             localization
-                .on_input(STATES, state(4, PoseStatus::Truth), &mut out)
+                .on_message(Input::STATES, state(4, PoseStatus::Truth), &mut out)
                 .is_err()
         );
-        localization.on_input(CLOUDS, cloud(4), &mut out).unwrap();
+        localization.on_message(Input::CLOUDS, cloud(4), &mut out).unwrap();
         assert!(
             localization
-                .on_input(STATES, state(5, PoseStatus::Truth), &mut out)
+                .on_message(Input::STATES, state(5, PoseStatus::Truth), &mut out)
                 .is_err()
         );
         assert_eq!(out.take_sent(), []);
     }
 
-    fn noisy(noise: NoiseDraws, seed: u64) -> LocalizationConfig {
-        LocalizationConfig {
+    fn noisy(noise: NoiseDraws, seed: u64) -> Settings {
+        Settings {
             position_noise_m: 0.2,
             heading_noise_deg: 0.4,
             noise,
             seed,
-            ..LocalizationConfig::default()
+            ..Settings::default()
         }
     }
 
     /// The state that leaves for a true one of an agent.
-    fn state_of(config: LocalizationConfig, agent: &str, seq: u64) -> AgentState {
-        let mut localization = Localization::new(config).unwrap();
+    fn state_of(settings: Settings, agent: &str, seq: u64) -> AgentState {
+        let mut localization = Localization::new(settings).unwrap();
         let mut out = Outputs::at(150);
-        for (port, mut message) in [(CLOUDS, cloud(seq)), (STATES, state(seq, PoseStatus::Truth))] {
+        for (port, mut message) in [
+            (Input::CLOUDS, cloud(seq)),
+            (Input::STATES, state(seq, PoseStatus::Truth)),
+        ] {
             message.header.agent = agent.into();
-            localization.on_input(port, message, &mut out).unwrap();
+            localization.on_message(port, message, &mut out).unwrap();
         }
         let sent = out.take_sent();
         let poses: Vec<_> = sent.iter().map(|(_, message)| message.header.pose.clone()).collect();
@@ -416,34 +379,19 @@ mod tests {
 
     #[test]
     fn refuses_noise_that_is_none() {
-        let error = |config| {
-            Localization::new(config)
+        let error = |settings| {
+            Localization::new(settings)
                 .err()
                 .map(|error| error.to_string())
                 .unwrap_or_default()
         };
-        let of = |position_noise_m, heading_noise_deg| LocalizationConfig {
+        let of = |position_noise_m, heading_noise_deg| Settings {
             position_noise_m,
             heading_noise_deg,
-            ..LocalizationConfig::default()
+            ..Settings::default()
         };
         assert!(error(of(-1.0, 0.0)).contains("`position_noise_m`: expected 0 to 1000, found -1"));
         assert!(error(of(0.0, f64::NAN)).contains("`heading_noise_deg`: expected 0 to 180, found NaN"));
         assert!(error(noisy(NoiseDraws::Same, 1 << 32)).contains("`seed`"));
-    }
-
-    #[test]
-    fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_operator::config::defaults::<LocalizationConfig>()
-            .keys()
-            .cloned()
-            .collect();
-        assert_eq!(
-            keys,
-            Localization::ARGUMENTS
-                .iter()
-                .map(|argument| argument.name)
-                .collect::<Vec<_>>()
-        );
     }
 }

@@ -19,51 +19,41 @@ mod vote;
 use std::collections::BTreeMap;
 
 use grid::Neighbours;
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings};
 use realo_schemas::geometry::{Footprint, Region, box_fault, is_plausible};
-use realo_schemas::{Box3, Boxes, Header, Message, PayloadType};
+use realo_schemas::{Box3, Boxes, Header};
 use serde::{Deserialize, Serialize};
 
 pub use suppress::{Index, Ties, order, suppress};
 use vote::vote;
 
 /// Settings of [`Nms`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// IoU above which a box is a duplicate, in [0, 1].
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// IoU above which the worse box is dropped.
+    #[setting(default = 0.15, range = 0.0..=1.0)]
     pub threshold: f64,
-    /// Smallest score of a box.
+    /// Boxes of a lower score are dropped.
+    #[setting(range = ..=1.0)]
     pub min_score: f32,
     /// Boxes that enter suppression, the best ones.
+    #[setting(default = 1000, range = 1..)]
     pub max_boxes: usize,
     /// Whether only boxes of one class suppress each other.
     pub per_class: bool,
-    /// How neighbours are found.
+    /// How neighbours are found: grid, rtree or brute, with one result.
+    #[setting(default = Index::Grid)]
     pub index: Index,
-    /// Which of several boxes of one score goes first.
+    /// Which of several boxes of one score goes first: the first or the last.
+    #[setting(default = Ties::First)]
     pub ties: Ties,
-    /// IoU above which candidates of a kept box's class have a say in where it lies and how large it is, at least
-    /// `threshold`; 1: none has.
+    /// IoU, at least `threshold`, above which boxes of a class have a say, each by its score, in where a kept one lies; 1 =
+    /// none has.
+    #[setting(default = 1.0)]
     pub vote: f64,
-    /// `[x min, x max, y min, y max]`, m, in the boxes' frame: boxes whose bottom corners do not all lie in it are
-    /// dropped before suppression. Empty: no region.
+    /// [x min, x max, y min, y max] in m: boxes not all inside are dropped before; [] = none.
     pub region: Vec<f64>,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            threshold: 0.15,
-            min_score: 0.0,
-            max_boxes: 1000,
-            per_class: false,
-            index: Index::Grid,
-            ties: Ties::First,
-            vote: 1.0,
-            region: Vec::new(),
-        }
-    }
 }
 
 /// What suppression did with a list of boxes.
@@ -86,7 +76,7 @@ pub struct Outcome {
 }
 
 /// Suppresses duplicates among boxes of one frame.
-pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome {
+pub fn nms(boxes: &[Box3], settings: &Settings, region: Option<&Region>) -> Outcome {
     let mut outcome = Outcome::default();
     let mut candidates: Vec<u32> = Vec::with_capacity(boxes.len());
     for (object, index) in boxes.iter().zip(0u32..) {
@@ -94,7 +84,7 @@ pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome 
             outcome.invalid += 1;
         } else if region.is_some_and(|region| !region.contains_box(object)) {
             outcome.outside += 1;
-        } else if object.score < config.min_score {
+        } else if object.score < settings.min_score {
             outcome.low_score += 1;
         } else {
             candidates.push(index);
@@ -102,20 +92,20 @@ pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome 
     }
     let scores: Vec<f32> = candidates.iter().map(|i| boxes[*i as usize].score).collect();
     let footprints: Vec<Footprint> = candidates.iter().map(|i| Footprint::of(&boxes[*i as usize])).collect();
-    let order = candidates_in_order(&scores, config);
+    let order = candidates_in_order(&scores, settings);
     outcome.over_limit = (scores.len() - order.len()) as u64;
-    let kept = if config.per_class {
+    let kept = if settings.per_class {
         let class = |i: u32| &*boxes[candidates[i as usize] as usize].class;
-        suppress_per_class(&footprints, &order, class, config)
+        suppress_per_class(&footprints, &order, class, settings)
     } else {
-        suppress(&footprints, &order, config.threshold, config.index)
+        suppress(&footprints, &order, settings.threshold, settings.index)
     };
     outcome.suppressed = (order.len() - kept.len()) as u64;
     let object = |i: u32| (&boxes[candidates[i as usize] as usize], &footprints[i as usize]);
-    outcome.boxes = match config.vote < 1.0 {
+    outcome.boxes = match settings.vote < 1.0 {
         true => {
             let neighbours = Neighbours::new(&footprints, &order);
-            let voted = |i: &u32| vote(object(*i), neighbours.of(*i).into_iter().map(object), config.vote);
+            let voted = |i: &u32| vote(object(*i), neighbours.of(*i).into_iter().map(object), settings.vote);
             kept.iter().map(voted).collect()
         }
         false => kept.iter().map(|i| object(*i).0.clone()).collect(),
@@ -126,18 +116,18 @@ pub fn nms(boxes: &[Box3], config: &Config, region: Option<&Region>) -> Outcome 
 
 /// Suppresses duplicates among footprints of one frame, whatever their classes: indices of the kept ones, best score
 /// first. Scores must not be NaN.
-pub fn keep(footprints: &[Footprint], scores: &[f32], config: &Config) -> Vec<u32> {
+pub fn keep(footprints: &[Footprint], scores: &[f32], settings: &Settings) -> Vec<u32> {
     suppress(
         footprints,
-        &candidates_in_order(scores, config),
-        config.threshold,
-        config.index,
+        &candidates_in_order(scores, settings),
+        settings.threshold,
+        settings.index,
     )
 }
 
-fn candidates_in_order(scores: &[f32], config: &Config) -> Vec<u32> {
-    let mut order = order(scores, config.ties);
-    order.truncate(config.max_boxes);
+fn candidates_in_order(scores: &[f32], settings: &Settings) -> Vec<u32> {
+    let mut order = order(scores, settings.ties);
+    order.truncate(settings.max_boxes);
     order
 }
 
@@ -145,7 +135,7 @@ fn suppress_per_class<'a>(
     footprints: &[Footprint],
     order: &[u32],
     class: impl Fn(u32) -> &'a str,
-    config: &Config,
+    settings: &Settings,
 ) -> Vec<u32> {
     let mut classes: BTreeMap<&str, Vec<u32>> = BTreeMap::new();
     for &index in order {
@@ -153,16 +143,32 @@ fn suppress_per_class<'a>(
     }
     let mut is_kept = vec![false; footprints.len()];
     for members in classes.values() {
-        for index in suppress(footprints, members, config.threshold, config.index) {
+        for index in suppress(footprints, members, settings.threshold, settings.index) {
             is_kept[index as usize] = true;
         }
     }
     order.iter().copied().filter(|index| is_kept[*index as usize]).collect()
 }
 
+/// Settings that do not fit each other.
+#[derive(Debug, thiserror::Error)]
+pub enum NmsError {
+    /// A vote below the threshold, or above 1.
+    #[error("argument `vote`: expected an IoU from `threshold`, {min}, to 1, found {found}")]
+    Vote {
+        /// The threshold.
+        min: f64,
+        /// The vote.
+        found: f64,
+    },
+    /// A region that is not one.
+    #[error("argument `region`: {0}")]
+    Region(String),
+}
+
 /// The operator `nms`.
 pub struct Nms {
-    config: Config,
+    settings: Settings,
     region: Option<Region>,
 }
 
@@ -183,51 +189,27 @@ const OVER_LIMIT_BOXES: Counter = Counter::loss(
 );
 const SUPPRESSED_BOXES: Counter = Counter::plain("suppressed_boxes", "boxes dropped because they overlap a better one");
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// Detections in any order, one frame.
+    #[port(latest)]
+    Proposals(Header, Boxes),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The boxes without duplicates, best score first.
+    Boxes(Header, Boxes),
+}
+
 impl Describe for Nms {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "nms";
     const ABOUT: &'static str = "drops the worse of boxes that overlap (rotated IoU on the ground plane)";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "threshold",
-            about: "IoU above which the worse box is dropped, in [0, 1]",
-        },
-        Argument {
-            name: "min_score",
-            about: "boxes of a lower score are dropped",
-        },
-        Argument {
-            name: "max_boxes",
-            about: "boxes that enter suppression, the best ones",
-        },
-        Argument {
-            name: "per_class",
-            about: "whether only boxes of one class suppress each other",
-        },
-        Argument {
-            name: "index",
-            about: "how neighbours are found: grid, rtree or brute, with one result",
-        },
-        Argument {
-            name: "ties",
-            about: "which of several boxes of one score goes first: the first or the last",
-        },
-        Argument {
-            name: "vote",
-            about: "IoU, at least `threshold`, above which boxes of a class have a say, each by its score, in where a kept one lies; 1 = none has",
-        },
-        Argument {
-            name: "region",
-            about: "[x min, x max, y min, y max] in m: boxes not all inside are dropped before; [] = none",
-        },
-    ];
-    const INPUTS: &'static [Port] =
-        &[Port::new("proposals", &[PayloadType::Boxes], "detections in any order, one frame").latest()];
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "boxes",
-        &[PayloadType::Boxes],
-        "the boxes without duplicates, best score first",
-    )];
     const COUNTERS: &'static [Counter] = &[
         INVALID_BOXES,
         OUTSIDE_BOXES,
@@ -238,35 +220,19 @@ impl Describe for Nms {
 }
 
 impl Operator for Nms {
-    fn new(config: Config) -> Result<Self, Error> {
-        if !(0.0..=1.0).contains(&config.threshold) {
-            return Err(format!(
-                "argument `threshold`: an IoU lies in [0, 1], found {}",
-                config.threshold
-            )
-            .into());
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
+        let [min, found] = [settings.threshold, settings.vote];
+        if !(min..=1.0).contains(&found) {
+            return Err(NmsError::Vote { min, found }.into());
         }
-        if !(config.threshold..=1.0).contains(&config.vote) {
-            let [min, found] = [config.threshold, config.vote];
-            return Err(
-                format!("argument `vote`: expected an IoU from `threshold`, {min}, to 1, found {found}").into(),
-            );
-        }
-        // Above 1 no box would be left.
-        if config.min_score.is_nan() || config.min_score > 1.0 {
-            let found = config.min_score;
-            return Err(format!("argument `min_score`: expected a score up to 1, found {found}").into());
-        }
-        if config.max_boxes == 0 {
-            return Err("argument `max_boxes`: 0 would drop every box; give at least 1".into());
-        }
-        let region = Region::from_list(&config.region).map_err(|reason| format!("argument `region`: {reason}"))?;
-        Ok(Nms { config, region })
+        let region = Region::from_list(&settings.region).map_err(NmsError::Region)?;
+        Ok(Nms { settings, region })
     }
 
-    fn on_input(&mut self, _port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        let (header, Boxes(boxes)): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
-        let outcome = nms(&boxes, &self.config, self.region.as_ref());
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        let Input::Proposals(header, Boxes(boxes)) = input;
+        let outcome = nms(&boxes, &self.settings, self.region.as_ref());
         let (agent, all) = (header.agent.clone(), boxes.len() as u64);
         out.count_of(&INVALID_BOXES, &agent, outcome.invalid, all);
         if outcome.invalid > 0 {
@@ -279,14 +245,14 @@ impl Operator for Nms {
         out.count(&LOW_SCORE_BOXES, &agent, outcome.low_score);
         out.count_of(&OVER_LIMIT_BOXES, &agent, outcome.over_limit, all);
         out.count(&SUPPRESSED_BOXES, &agent, outcome.suppressed);
-        out.send(PortId(0), Message::new(header, Boxes(outcome.boxes)));
+        out.send(Output::Boxes(header, Boxes(outcome.boxes)));
         Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::{AgentState, Kind, PoseStatus};
+    use realo_schemas::{AgentState, Kind, Message, PoseStatus};
 
     use super::*;
 
@@ -309,14 +275,14 @@ mod tests {
         Header::origin(&"run".into(), &"cav1".into(), Kind::Boxes, 7, 1000, 1000)
     }
 
-    fn run(config: Config, boxes: Vec<Box3>) -> (Vec<Box3>, Outputs) {
-        let mut operator = Nms::new(config).unwrap();
+    fn run(settings: Settings, boxes: Vec<Box3>) -> (Vec<Box3>, Outputs) {
+        let mut operator = Nms::new(settings).unwrap();
         let mut out = Outputs::at(1000);
         operator
-            .on_input(PortId(0), Message::new(header(), Boxes(boxes)), &mut out)
+            .on_message(Input::PROPOSALS, Message::new(header(), Boxes(boxes)), &mut out)
             .unwrap();
         let (port, message) = out.take_sent().remove(0);
-        assert_eq!(port, PortId(0));
+        assert_eq!(port, Input::PROPOSALS);
         let (sent, Boxes(kept)) = message.into_parts().unwrap();
         assert_eq!(sent, header());
         (kept, out)
@@ -330,7 +296,7 @@ mod tests {
             car(0.3, 0.1, 0.9),
             car(-30.0, 0.0, 0.6),
         ];
-        let (kept, out) = run(Config::default(), boxes.clone());
+        let (kept, out) = run(Settings::default(), boxes.clone());
         assert_eq!(kept, [boxes[2].clone(), boxes[1].clone(), boxes[3].clone()]);
         assert_eq!(out.counted("suppressed_boxes"), 1);
     }
@@ -339,11 +305,11 @@ mod tests {
     fn what_is_suppressed_has_a_say_where_it_is_asked() {
         let boxes = vec![car(0.4, 0.0, 0.3), car(0.0, 0.0, 0.9), car(30.0, 0.0, 0.6)];
         let voting = |vote| {
-            let config = Config {
+            let settings = Settings {
                 vote,
-                ..Config::default()
+                ..Settings::default()
             };
-            run(config, boxes.clone()).0
+            run(settings, boxes.clone()).0
         };
         assert_eq!(voting(1.0), [boxes[1].clone(), boxes[2].clone()]);
         let [first, second] = &voting(0.3)[..] else {
@@ -351,9 +317,9 @@ mod tests {
         };
         assert!((first.center[0] - 0.1).abs() < 1e-6 && first.score == 0.9, "{first:?}");
         assert_eq!(*second, boxes[2]);
-        let unlike = Config {
+        let unlike = Settings {
             vote: 1.5,
-            ..Config::default()
+            ..Settings::default()
         };
         let error = Nms::new(unlike).err().unwrap().to_string();
         assert!(error.contains("`vote`") && error.contains("1.5"), "{error}");
@@ -363,12 +329,12 @@ mod tests {
     fn keeps_the_first_of_equal_boxes() {
         let mut second = car(0.0, 0.0, 1.0);
         second.track = Some(2);
-        let (kept, _) = run(Config::default(), vec![car(0.0, 0.0, 1.0), second.clone()]);
+        let (kept, _) = run(Settings::default(), vec![car(0.0, 0.0, 1.0), second.clone()]);
         assert_eq!(kept, [car(0.0, 0.0, 1.0)]);
         let (kept, _) = run(
-            Config {
+            Settings {
                 ties: Ties::Last,
-                ..Config::default()
+                ..Settings::default()
             },
             vec![car(0.0, 0.0, 1.0), second.clone()],
         );
@@ -401,18 +367,18 @@ mod tests {
             ..car(0.0, 0.0, 1.0)
         });
         bad.push(car(0.0, 0.0, 0.5));
-        let (kept, out) = run(Config::default(), bad);
+        let (kept, out) = run(Settings::default(), bad);
         assert_eq!(kept, [car(0.0, 0.0, 0.5)]);
         assert_eq!(out.counted("invalid_boxes"), 9);
     }
 
     #[test]
     fn drops_boxes_outside_the_region_before_they_suppress() {
-        let config = Config {
+        let settings = Settings {
             region: vec![-100.0, 100.0, -40.0, 40.0],
-            ..Config::default()
+            ..Settings::default()
         };
-        let (kept, out) = run(config, vec![car(98.5, 0.0, 0.9), car(97.0, 0.0, 0.5)]);
+        let (kept, out) = run(settings, vec![car(98.5, 0.0, 0.9), car(97.0, 0.0, 0.5)]);
         assert_eq!(kept, [car(97.0, 0.0, 0.5)]);
         assert_eq!(out.counted("outside_boxes"), 1);
     }
@@ -426,10 +392,10 @@ mod tests {
             car(60.0, 0.0, 0.1),
         ];
         let (kept, out) = run(
-            Config {
+            Settings {
                 max_boxes: 2,
                 min_score: 0.2,
-                ..Config::default()
+                ..Settings::default()
             },
             boxes.clone(),
         );
@@ -438,7 +404,7 @@ mod tests {
             (out.counted("low_score_boxes"), out.counted("over_limit_boxes")),
             (1, 1)
         );
-        assert_eq!(run(Config::default(), vec![car(0.0, 0.0, 0.0)]).0.len(), 1);
+        assert_eq!(run(Settings::default(), vec![car(0.0, 0.0, 0.0)]).0.len(), 1);
     }
 
     #[test]
@@ -448,11 +414,11 @@ mod tests {
             ..car(0.2, 0.0, 0.8)
         };
         let boxes = vec![car(0.0, 0.0, 0.9), walker.clone(), car(0.1, 0.0, 0.7)];
-        assert_eq!(run(Config::default(), boxes.clone()).0, [car(0.0, 0.0, 0.9)]);
+        assert_eq!(run(Settings::default(), boxes.clone()).0, [car(0.0, 0.0, 0.9)]);
         let (kept, _) = run(
-            Config {
+            Settings {
                 per_class: true,
-                ..Config::default()
+                ..Settings::default()
             },
             boxes,
         );
@@ -461,37 +427,37 @@ mod tests {
 
     #[test]
     fn passes_an_empty_list_on() {
-        assert_eq!(run(Config::default(), Vec::new()).0, []);
+        assert_eq!(run(Settings::default(), Vec::new()).0, []);
     }
 
     #[test]
     fn refuses_settings_and_payloads_that_make_no_sense() {
-        let refused = |config: Config| Nms::new(config).err().unwrap().to_string();
+        let refused = |settings: Settings| Nms::new(settings).err().unwrap().to_string();
         assert!(
-            refused(Config {
+            refused(Settings {
                 threshold: 1.5,
-                ..Config::default()
+                ..Settings::default()
             })
             .contains("`threshold`")
         );
         assert!(
-            refused(Config {
+            refused(Settings {
                 max_boxes: 0,
-                ..Config::default()
+                ..Settings::default()
             })
             .contains("`max_boxes`")
         );
         assert!(
-            refused(Config {
+            refused(Settings {
                 region: vec![1.0],
-                ..Config::default()
+                ..Settings::default()
             })
             .contains("`region`")
         );
         for min_score in [f32::NAN, 1.1] {
-            let error = refused(Config {
+            let error = refused(Settings {
                 min_score,
-                ..Config::default()
+                ..Settings::default()
             });
             assert!(error.contains("`min_score`"), "{error}");
         }
@@ -502,20 +468,13 @@ mod tests {
             angular_rate: None,
             status: PoseStatus::Truth,
         };
-        let mut operator = Nms::new(Config::default()).unwrap();
+        let mut operator = Nms::new(Settings::default()).unwrap();
         let error = operator
-            .on_input(PortId(0), Message::new(header(), state), &mut Outputs::at(0))
+            .on_message(Input::PROPOSALS, Message::new(header(), state), &mut Outputs::at(0))
             .unwrap_err();
         assert!(
             error.to_string().contains("expected a Boxes, found a AgentState"),
             "{error}"
         );
-    }
-
-    #[test]
-    fn describes_every_argument() {
-        let names: Vec<_> = Nms::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        assert_eq!(names, keys);
     }
 }

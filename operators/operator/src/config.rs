@@ -1,8 +1,11 @@
 //! `key=value` arguments to typed configurations.
 
+use std::fmt;
+
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use serde_json::Value;
+
+use crate::StageSettings;
 
 /// Why an operator's arguments were refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -33,6 +36,24 @@ pub enum ConfigError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A value outside the range of the argument.
+    #[error("argument `{key}`: expected {expected}, found {found}")]
+    Range {
+        /// The key.
+        key: &'static str,
+        /// The range, in words.
+        expected: &'static str,
+        /// The value.
+        found: String,
+    },
+}
+
+impl ConfigError {
+    /// A value outside a range, both in words.
+    pub fn range(key: &'static str, expected: &'static str, found: &impl fmt::Display) -> Self {
+        let found = found.to_string();
+        ConfigError::Range { key, expected, found }
+    }
 }
 
 fn did_you_mean(name: &Option<String>) -> String {
@@ -71,7 +92,7 @@ pub fn defaults<C: Serialize + Default>() -> serde_json::Map<String, Value> {
 ///
 /// # Errors
 /// [`ConfigError`] names the key, what was expected and what was found.
-pub fn parse<C: DeserializeOwned + Serialize + Default>(args: &[String]) -> Result<C, ConfigError> {
+pub fn parse<C: StageSettings>(args: &[String]) -> Result<C, ConfigError> {
     let mut values = defaults::<C>();
     let mut seen = Vec::new();
     for arg in args {
@@ -99,11 +120,13 @@ pub fn parse<C: DeserializeOwned + Serialize + Default>(args: &[String]) -> Resu
         serde_json::from_value::<C>(Value::Object(one)).map_err(|error| bad(error.to_string()))?;
         values.insert(key.into(), value);
     }
-    serde_json::from_value(Value::Object(values)).map_err(|error| ConfigError::Value {
+    let settings: C = serde_json::from_value(Value::Object(values)).map_err(|error| ConfigError::Value {
         key: seen.join(" "),
         value: args.join(" "),
         reason: error.to_string(),
-    })
+    })?;
+    settings.check()?;
+    Ok(settings)
 }
 
 fn read_value(default: &Value, text: &str) -> Result<Value, String> {
@@ -127,23 +150,19 @@ mod tests {
 
     use super::*;
 
-    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    #[derive(Debug, PartialEq, crate::Settings, Serialize, Deserialize)]
     struct Settings {
+        /// IoU.
+        #[setting(default = 0.15, range = 0.0..=1.0)]
         threshold: f64,
+        /// Name.
+        #[setting(default = "cav1", role = "ego")]
         ego: String,
+        /// Names.
         agents: Vec<String>,
+        /// Time, ms.
+        #[setting(range = 1..)]
         window_ms: Option<u32>,
-    }
-
-    impl Default for Settings {
-        fn default() -> Self {
-            Settings {
-                threshold: 0.15,
-                ego: "cav1".into(),
-                agents: vec![],
-                window_ms: None,
-            }
-        }
     }
 
     fn read(args: &[&str]) -> Result<Settings, ConfigError> {
@@ -174,5 +193,29 @@ mod tests {
         assert!(error.contains("`threshold`") && error.contains("`many`"), "{error}");
         assert_eq!(read(&["ego=a", "ego=b"]), Err(ConfigError::Twice("ego".into())));
         assert_eq!(read(&["ego"]), Err(ConfigError::Form("ego".into())));
+    }
+    #[test]
+    fn refuses_what_is_out_of_range() {
+        assert!(read(&["threshold=1", "window_ms=null"]).is_ok());
+        let cases = [
+            ("threshold=1.01", "argument `threshold`: expected 0 to 1, found 1.01"),
+            ("threshold=.nan", "argument `threshold`: expected 0 to 1, found NaN"),
+            ("window_ms=0", "argument `window_ms`: expected at least 1, found 0"),
+        ];
+        for (arg, expected) in cases {
+            assert_eq!(read(&[arg]).unwrap_err().to_string(), expected);
+        }
+    }
+
+    #[test]
+    fn an_argument_has_what_its_field_says() {
+        let [threshold, ego, ..] = Settings::ARGUMENTS else {
+            panic!()
+        };
+        assert_eq!(
+            (threshold.name, threshold.about, threshold.range),
+            ("threshold", "IoU", Some("0 to 1"))
+        );
+        assert_eq!((ego.role, ego.range), (Some("ego"), None));
     }
 }

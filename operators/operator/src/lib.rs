@@ -1,5 +1,6 @@
 //! All that an operator needs: the trait, ports, arguments, outputs, and the pipe protocol of plug-ins.
 //!
+//! - [`macro@Settings`], [`macro@Inputs`], [`macro@Outputs`]: derives by which a stage says its arguments and ports.
 //! - [`Operator`], [`Source`], [`Sink`], [`Gateway`]: what a stage implements; [`Port`] its contract.
 //! - [`Counter`]: what a stage counts, declared with the note that a count above 0 makes.
 //! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links; [`Steps`] time parts
@@ -7,6 +8,9 @@
 //! - [`Registration`]: an operator whose type is no longer known; [`Registry`] what a binary hosts.
 //! - [`StreamKey`]: random draws that depend on what they are for alone.
 //! - [`run`]: the whole `main` of a plug-in; [`pipe`] is what it speaks.
+
+// Derived code names this crate from outside.
+extern crate self as realo_operator;
 
 mod books;
 pub mod config;
@@ -17,15 +21,21 @@ pub mod pipe;
 mod port;
 mod registry;
 mod run;
+mod settings;
 mod steps;
+mod typed;
 
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
 pub use counter::{Counter, Counts, Loss, Meaning, Share};
 pub use draw::{Draws, StreamKey};
-pub use operator::{
-    Argument, Decided, Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker, unexpected, wrong_port,
-};
+pub use operator::{Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker};
 pub use port::{Class, Lane, Port, PortId, Queue, WrongType};
+pub use realo_operator_derive::{Inputs, Outputs, Settings};
 pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
+// What derived code names.
+#[doc(hidden)]
+pub use realo_schemas::{Message, PayloadType};
 pub use run::run;
+pub use settings::{Argument, StageSettings};
 pub use steps::Steps;
+pub use typed::{NoInput, NoOutput, PortError, PortPayload, StageInputs, StageOutputs};

@@ -3,104 +3,36 @@ use std::fmt;
 use std::sync::Arc;
 
 use realo_schemas::report::{Channel, Crossing, Fate, Fated, Traffic, Use};
-use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos, UnexpectedPayload};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos};
 
-use crate::{Counter, Counts, Port, PortId, Steps};
+use crate::{Counter, Counts, PortId, StageInputs, StageOutputs, StageSettings, Steps};
 
 /// Why an operator or node could not go on with a message or a configuration.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
 
-/// One argument of an operator or node, as `realo operators` prints it.
-///
-/// Its default is that of the configuration.
-#[derive(Clone, Copy, Debug)]
-pub struct Argument {
-    /// Key in graphs and `--set`.
-    pub name: &'static str,
-    /// Meaning and unit, in a line.
-    pub about: &'static str,
-}
-
 /// What every operator, source and sink says of itself.
 pub trait Describe {
     /// Typed settings; a key that it does not have is refused with the nearest name.
-    type Config: DeserializeOwned + Serialize + Default;
+    type Settings: StageSettings;
+    /// What comes in, a variant for each port; [`NoInput`](crate::NoInput) of sources.
+    type Input: StageInputs;
+    /// What it sends, a variant for each port; [`NoOutput`](crate::NoOutput) of sinks.
+    type Output: StageOutputs;
     /// Name in graphs: `realo operator NAME`, `realo node NAME`.
     const NAME: &'static str;
     /// One line for `realo operators`.
     const ABOUT: &'static str;
-    /// Every key of `Config`, in its order.
-    const ARGUMENTS: &'static [Argument];
-    /// Inputs in priority order.
-    const INPUTS: &'static [Port];
-    /// Outputs.
-    const OUTPUTS: &'static [Port];
     /// All that it counts.
     const COUNTERS: &'static [Counter] = &[];
-    /// What of a run decides which argument, in place of the graph.
-    const DECIDED: &'static [(Decided, &'static str)] = &[];
-    /// What the paper measured for the whole inference of the method that this fusion stands for.
-    const PAPER_INFERENCE: Option<Nanos> = None;
 
-    /// Looks at a configuration and the files that it names before a run; opens no socket and writes nothing.
+    /// Looks at settings and the files that they name before a run; opens no socket and writes nothing.
     ///
     /// # Errors
     /// What its `new` would say of that.
-    fn examine(config: &Self::Config) -> Result<(), Error> {
-        let _ = config;
+    fn examine(settings: &Self::Settings) -> Result<(), Error> {
+        let _ = settings;
         Ok(())
     }
-}
-
-/// What whoever prepares a run knows, and a graph need not say.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Decided {
-    /// The log that is played, a path.
-    Log,
-    /// The ego's name.
-    Ego,
-    /// The agent whose sensors alone are played, in a run over several machines; the graph's own names the ego.
-    Own,
-    /// Who cooperates.
-    Coop,
-    /// The agents that take part.
-    Agents,
-    /// The agents that are roadside units.
-    Roadside,
-    /// Whether there are no delays.
-    Offline,
-    /// Seconds of log time per second.
-    Rate,
-    /// Whether sweeps have points.
-    Points,
-    /// Whether the log's detections are played.
-    Detections,
-    /// Whether what the log has precomputed is played.
-    Precomputed,
-    /// Channel model of a link.
-    Link,
-    /// Seed of what is drawn.
-    Seed,
-    /// How boxes are scored.
-    Protocol,
-    /// Model file of a network.
-    Model,
-    /// Kernels of a network.
-    Isa,
-    /// Number type of a network.
-    Precision,
-    /// What computes a network.
-    Device,
-    /// Who brings what crosses a link to the ego's frame.
-    Project,
-    /// Folder of the results.
-    Out,
-    /// What the results tell of the run, a file.
-    RunSettings,
-    /// Path of the recording.
-    Recording,
 }
 
 /// A pure stage of a graph: messages in, messages out.
@@ -111,10 +43,18 @@ pub trait Operator: Describe + Sized {
     ///
     /// # Errors
     /// Anything wrong with the configuration; the graph ends before its first message.
-    fn new(config: Self::Config) -> Result<Self, Error>;
+    fn new(settings: Self::Settings) -> Result<Self, Error>;
 
     /// Takes one message. An error is counted and logged with the message's header; the run goes on.
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error>;
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error>;
+
+    /// Takes a message of a port, as drivers and tests have it.
+    ///
+    /// # Errors
+    /// [`PortError`](crate::PortError), and those of [`on_input`](Self::on_input).
+    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        self.on_input(Self::Input::read(port, message)?, out)
+    }
 
     /// Is called at the times that [`Outputs::wake_at`] asked for.
     fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
@@ -135,7 +75,7 @@ pub trait Source: Describe + Sized {
     ///
     /// # Errors
     /// Anything wrong with the configuration or the files it names.
-    fn new(config: Self::Config) -> Result<Self, Error>;
+    fn new(settings: Self::Settings) -> Result<Self, Error>;
 
     /// The next message, in order of its time of release on the log's time line; `None` at the end.
     ///
@@ -169,7 +109,7 @@ pub trait Gateway: Describe + Sized {
     ///
     /// # Errors
     /// Anything wrong with the configuration, or an address that cannot be had.
-    fn new(config: Self::Config) -> Result<Self, Error>;
+    fn new(settings: Self::Settings) -> Result<Self, Error>;
 
     /// Is called once, before all other calls.
     ///
@@ -178,7 +118,15 @@ pub trait Gateway: Describe + Sized {
     fn open(&mut self, waker: Waker) -> Result<(), Error>;
 
     /// As [`Operator::on_input`]; it must not wait for anybody outside.
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error>;
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error>;
+
+    /// Takes a message of a port, as drivers and tests have it.
+    ///
+    /// # Errors
+    /// [`PortError`](crate::PortError), and those of [`on_input`](Self::on_input).
+    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        self.on_input(Self::Input::read(port, message)?, out)
+    }
 
     /// As [`Operator::on_wake`], and whenever the waker has asked for it.
     fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error>;
@@ -215,13 +163,21 @@ pub trait Sink: Describe + Sized {
     ///
     /// # Errors
     /// Anything wrong with the configuration or the files it names.
-    fn new(config: Self::Config) -> Result<Self, Error>;
+    fn new(settings: Self::Settings) -> Result<Self, Error>;
 
     /// Takes one message.
     ///
     /// # Errors
     /// What could not be written; the run fails.
-    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error>;
+    fn accept(&mut self, input: Self::Input) -> Result<(), Error>;
+
+    /// Takes a message of a port, as drivers and tests have it.
+    ///
+    /// # Errors
+    /// [`PortError`](crate::PortError), and those of [`accept`](Self::accept).
+    fn on_message(&mut self, port: PortId, message: Message) -> Result<(), Error> {
+        self.accept(Self::Input::read(port, message)?)
+    }
 
     /// Takes what stages said of messages that crossed a link, in the order in which it reached this process.
     ///
@@ -291,7 +247,13 @@ impl Outputs {
 
     /// Sends a message whose header derives from those of the inputs that made it. A `ready` before now becomes now;
     /// a later one is kept and delays the message.
-    pub fn send(&mut self, port: PortId, mut message: Message) {
+    pub fn send(&mut self, output: impl StageOutputs) {
+        let (port, message) = output.into_message();
+        self.send_on(port, message);
+    }
+
+    /// Sends on a port by its place, for who hands on what another process sent.
+    pub fn send_on(&mut self, port: PortId, mut message: Message) {
         message.header.ready = message.header.ready.max(self.now);
         self.made.sent.push((port, message));
     }
@@ -379,7 +341,7 @@ impl Outputs {
             traffic,
             steps,
         } = made;
-        sent.into_iter().for_each(|(port, message)| self.send(port, message));
+        sent.into_iter().for_each(|(port, message)| self.send_on(port, message));
         wakes.into_iter().for_each(|time| self.wake_at(time));
         self.made.counts.extend(counts);
         self.made.explained.extend(explained);
@@ -407,22 +369,4 @@ impl Outputs {
     pub fn counted(&self, counter: &str) -> u64 {
         self.made.counts.get(counter)
     }
-}
-
-/// A message on a port that cannot take it.
-pub fn wrong_port(inputs: &[Port], port: PortId) -> Error {
-    match inputs.get(port.0) {
-        Some(port) => format!("a message on port `{}`, which this operator does not handle", port.name).into(),
-        None => format!(
-            "a message on port number {}, this operator has {}",
-            port.0,
-            inputs.len()
-        )
-        .into(),
-    }
-}
-
-/// A payload of another type than the port's is an error like any other.
-pub fn unexpected(error: UnexpectedPayload) -> Error {
-    Box::new(error)
 }

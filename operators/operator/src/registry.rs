@@ -4,7 +4,8 @@ use serde_json::Value;
 
 use crate::config::{ConfigError, defaults, nearest_name, parse};
 use crate::{
-    Argument, Books, Counter, Counts, Decided, Error, Gateway, Operator, Outputs, Port, PortId, Sink, Source, Waker,
+    Argument, Books, Counter, Counts, Error, Gateway, Operator, Outputs, Port, PortId, Sink, Source, StageInputs,
+    StageOutputs, StageSettings, Waker,
 };
 
 /// What a node is to its graph.
@@ -32,7 +33,7 @@ pub trait AnyOperator: Send {
 
 impl<O: Operator + Send> AnyOperator for O {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        Operator::on_input(self, port, message, out)
+        Operator::on_message(self, port, message, out)
     }
     fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
         Operator::on_wake(self, now, out)
@@ -55,7 +56,7 @@ struct Calls<G>(G);
 
 impl<G: Gateway + Send> AnyOperator for Calls<G> {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        self.0.on_input(port, message, out)
+        self.0.on_message(port, message, out)
     }
     fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
         self.0.on_wake(now, out)
@@ -113,7 +114,7 @@ pub trait AnySink: Send {
 
 impl<S: Sink + Send> AnySink for S {
     fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
-        Sink::accept(self, port, message)
+        Sink::on_message(self, port, message)
     }
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
         Sink::fates(self, fates)
@@ -152,10 +153,6 @@ pub struct Registration {
     pub arguments: &'static [Argument],
     /// What it counts.
     pub counters: &'static [Counter],
-    /// What of a run decides which argument.
-    pub decided: &'static [(Decided, &'static str)],
-    /// What the paper measured for the inference of the method, ns.
-    pub paper_inference: Option<Nanos>,
     /// Keys of its configuration with their defaults.
     pub defaults: fn() -> serde_json::Map<String, Value>,
     /// Whether it takes these arguments; opens nothing.
@@ -174,14 +171,12 @@ macro_rules! registration {
                 name: T::NAME,
                 about: T::ABOUT,
                 role: $role,
-                inputs: T::INPUTS,
-                outputs: T::OUTPUTS,
-                arguments: T::ARGUMENTS,
+                inputs: T::Input::PORTS,
+                outputs: T::Output::PORTS,
+                arguments: T::Settings::ARGUMENTS,
                 counters: T::COUNTERS,
-                decided: T::DECIDED,
-                paper_inference: T::PAPER_INFERENCE,
-                defaults: defaults::<T::Config>,
-                check: |args| parse::<T::Config>(args).map(|_| ()),
+                defaults: defaults::<T::Settings>,
+                check: |args| parse::<T::Settings>(args).map(|_| ()),
                 examine: |args| T::examine(&parse(args)?),
                 build: |args| {
                     let $made = T::new(parse(args)?)?;
@@ -218,10 +213,12 @@ impl Registration {
         }
     }
 
-    /// The argument that something of a run decides.
-    pub fn argument(&self, decided: Decided) -> Option<&'static str> {
-        let of = |(known, argument): &(Decided, &'static str)| (*known == decided).then_some(*argument);
-        self.decided.iter().find_map(of)
+    /// The argument with a role, see [`Argument::role`].
+    pub fn argument(&self, role: &str) -> Option<&'static str> {
+        let mut arguments = self.arguments.iter();
+        arguments
+            .find(|argument| argument.role == Some(role))
+            .map(|argument| argument.name)
     }
 
     /// An input by its name.

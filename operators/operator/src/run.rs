@@ -9,19 +9,20 @@ use crate::{Operator, Registration};
 /// graph) to the host that started the program.
 ///
 /// ```no_run
-/// # use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId};
+/// # use realo_operator::{Describe, Error, NoInput, NoOutput, Operator, Outputs, Settings};
+/// # #[derive(Settings, serde::Serialize, serde::Deserialize)]
+/// # struct Nothing {}
 /// # struct Mine;
 /// # impl Describe for Mine {
-/// #     type Config = std::collections::BTreeMap<String, String>;
+/// #     type Settings = Nothing;
+/// #     type Input = NoInput;
+/// #     type Output = NoOutput;
 /// #     const NAME: &'static str = "mine";
 /// #     const ABOUT: &'static str = "";
-/// #     const ARGUMENTS: &'static [Argument] = &[];
-/// #     const INPUTS: &'static [Port] = &[];
-/// #     const OUTPUTS: &'static [Port] = &[];
 /// # }
 /// # impl Operator for Mine {
-/// #     fn new(_: Self::Config) -> Result<Self, Error> { Ok(Mine) }
-/// #     fn on_input(&mut self, _: PortId, _: realo_schemas::Message, _: &mut Outputs) -> Result<(), Error> { Ok(()) }
+/// #     fn new(_: Nothing) -> Result<Self, Error> { Ok(Mine) }
+/// #     fn on_input(&mut self, _: NoInput, _: &mut Outputs) -> Result<(), Error> { Ok(()) }
 /// # }
 /// fn main() -> std::process::ExitCode {
 ///     realo_operator::run::<Mine>()

@@ -8,9 +8,10 @@ use damage::{Draw, most_held};
 use realo_operator::pipe::memory::Memory;
 use realo_operator::pipe::words::{Call, Reply, Reported};
 use realo_operator::pipe::{frame, hello, is_reading};
-use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, Registration};
-use realo_schemas::{Message, PayloadType};
+use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Registration, Settings};
+use realo_schemas::{Boxes, Header, Message};
 use replies::{boxes, reply, whole};
+use serde::{Deserialize, Serialize};
 
 /// Changed frames of each sort.
 const CASES: u64 = 4000;
@@ -19,25 +20,41 @@ const MOST: u64 = 4 << 20;
 
 struct Mine;
 
+/// Nothing is to be set.
+#[derive(Settings, Serialize, Deserialize)]
+struct Nothing {}
+
+/// What comes in.
+#[derive(Inputs)]
+enum Input {
+    /// The ego's own.
+    #[port(latest, joined("frame"))]
+    Ego(#[allow(dead_code)] Header, #[allow(dead_code)] Boxes),
+}
+
+/// What it sends.
+#[derive(Outputs)]
+enum Output {
+    /// Those of all.
+    #[port(any_of(Boxes, PointCloud))]
+    #[allow(dead_code)]
+    Boxes(Message),
+}
+
 impl Describe for Mine {
-    type Config = std::collections::BTreeMap<String, String>;
+    type Settings = Nothing;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "mine";
     const ABOUT: &'static str = "stands for a program";
-    const ARGUMENTS: &'static [Argument] = &[];
-    const INPUTS: &'static [Port] = &[Port::new("ego", &[PayloadType::Boxes], "own").latest().joined("frame")];
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "boxes",
-        &[PayloadType::Boxes, PayloadType::PointCloud],
-        "joint",
-    )];
 }
 
 impl Operator for Mine {
-    fn new(_: Self::Config) -> Result<Self, Error> {
+    fn new(_: Nothing) -> Result<Self, Error> {
         Ok(Mine)
     }
 
-    fn on_input(&mut self, _: PortId, _: Message, _: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, _: Input, _: &mut Outputs) -> Result<(), Error> {
         Ok(())
     }
 }

@@ -22,44 +22,32 @@ use realo_bev::{Device, Engine, Maps};
 use realo_kernels::bev::BevView;
 use realo_methods::detect::pillars::{Dropped, Points};
 use realo_methods::{Kernels, Pillarer};
-use realo_operator::{
-    Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, Steps, unexpected, wrong_port,
-};
-use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, PayloadType, PointCloud};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, Steps};
+use realo_schemas::{Elements, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`PillarEncoder`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
+pub struct Settings {
     /// The model file; its weights lie beside it.
+    #[setting(default = "../models/lite.toml", role = "model")]
     pub model: PathBuf,
-    /// Kernels: `auto`, or one of [`realo_kernels::conv::Isa`] that this processor has.
+    /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
+    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
     pub isa: String,
-    /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
+    /// Number type: auto (the model's), f32, bf16 or int8.
+    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
     pub precision: String,
-    /// Threads of the convolutions; 0: one for each processor.
+    /// Threads of the network; 0: one for each processor.
     pub threads: usize,
-    /// Whether maps tell how sure the model's head is of each cell.
+    /// Whether maps tell how sure the model's head is of each cell, which transmission-encoder can choose by.
     pub confidence: bool,
-    /// What computes the network.
+    /// What computes the network: cpu, or cuda where the build has it.
+    #[setting(role = "device")]
     pub device: Device,
-    /// What the numbers of maps leave a GPU as.
+    /// What numbers of maps leave a GPU as: f32, f16, or int8 with a scale for each channel of each map.
     pub copied: Elements,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Config {
-            model: "../models/lite.toml".into(),
-            isa: realo_methods::AUTO.into(),
-            precision: realo_methods::AUTO.into(),
-            threads: 0,
-            confidence: false,
-            device: Device::default(),
-            copied: Elements::default(),
-        }
-    }
 }
 
 /// The operator `pillar-encoder`.
@@ -69,9 +57,6 @@ pub struct PillarEncoder {
     maps: Maps,
     confidence: bool,
 }
-
-const CLOUDS: PortId = PortId(0);
-const FEATURES: PortId = PortId(0);
 
 const EMPTY_SWEEPS: Counter = Counter::log_fault(
     "empty_sweeps",
@@ -93,62 +78,49 @@ const OVER_PILLARS: Counter = Counter::loss(
     "take a model file with more pillars, or fewer collaborators (`max_collaborators` of a fusion of points)",
 );
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// Sweeps in the agent's body frame.
+    #[port(latest)]
+    Clouds(Header, PointCloud),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// BEV maps.
+    Features(Header, FeatureMap),
+}
+
 impl Describe for PillarEncoder {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "pillar-encoder";
     const ABOUT: &'static str = "From sweeps to BEV maps: pillars, pillar net and backbone of a PointPillars model";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "model",
-            about: "the model file; its weights lie beside it",
-        },
-        realo_bev::ISA,
-        realo_bev::PRECISION,
-        realo_bev::THREADS,
-        Argument {
-            name: "confidence",
-            about: "whether maps tell how sure the model's head is of each cell, which transmission-encoder can choose by",
-        },
-        realo_bev::DEVICE,
-        Argument {
-            name: "copied",
-            about: "what numbers of maps leave a GPU as: f32, f16, or int8 with a scale for each channel of each map",
-        },
-    ];
-    const INPUTS: &'static [Port] =
-        &[Port::new("clouds", &[PayloadType::PointCloud], "sweeps in the agent's body frame").latest()];
-    const OUTPUTS: &'static [Port] = &[Port::new("features", &[PayloadType::FeatureMap], "BEV maps")];
     const COUNTERS: &'static [Counter] = &[EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS];
-    const DECIDED: &'static [(Decided, &'static str)] = &[
-        (Decided::Model, "model"),
-        (Decided::Isa, "isa"),
-        (Decided::Precision, "precision"),
-        (Decided::Device, "device"),
-    ];
 }
 
 impl Operator for PillarEncoder {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         let kernels = Kernels {
-            isa: &config.isa,
-            precision: &config.precision,
-            threads: config.threads,
+            isa: &settings.isa,
+            precision: &settings.precision,
+            threads: settings.threads,
         };
-        let loaded = realo_methods::load(&config.model, kernels)?;
-        loaded.model.check_frame(&config.model)?;
+        let loaded = realo_methods::load(&settings.model, kernels)?;
+        loaded.model.check_frame(&settings.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),
-            confidence: config.confidence,
+            confidence: settings.confidence,
             pillarer: Pillarer::beside(&loaded.network, &loaded.model, &loaded.weights),
-            engine: Engine::new(loaded, config.device, config.copied)?,
+            engine: Engine::new(loaded, settings.device, settings.copied)?,
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        if port != CLOUDS {
-            return Err(wrong_port(Self::INPUTS, port));
-        }
-        let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        let Input::Clouds(header, cloud) = input;
         let (map, dropped) = self.encode(&cloud, out.steps())?;
         let agent = header.agent.clone();
         let unusable = dropped.not_finite + dropped.out_of_range;
@@ -168,7 +140,7 @@ impl Operator for PillarEncoder {
             kind: Kind::Features,
             ..header
         };
-        out.send(FEATURES, Message::new(header, map));
+        out.send(Output::Features(header, map));
         Ok(())
     }
 }
@@ -200,12 +172,14 @@ impl PillarEncoder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use realo_operator::PortId;
+    use realo_schemas::Message;
 
     fn encoder() -> PillarEncoder {
         let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
-        PillarEncoder::new(Config {
+        PillarEncoder::new(Settings {
             model: model.into(),
-            ..Config::default()
+            ..Settings::default()
         })
         .unwrap()
     }
@@ -217,10 +191,12 @@ mod tests {
         let cloud = PointCloud::new(axis(0), axis(1), axis(2), vec![0; n], vec![0; n], vec![0; n]).unwrap();
         let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Points, 7, 11, 13);
         let mut out = Outputs::at(13);
-        encoder.on_input(CLOUDS, Message::new(header, cloud), &mut out).unwrap();
+        encoder
+            .on_message(Input::CLOUDS, Message::new(header, cloud), &mut out)
+            .unwrap();
         let counted = ["nan_points", "out_of_range_points", "over_points"].map(|counter| out.counted(counter));
         let (port, message) = out.take_sent().remove(0);
-        assert_eq!(port, FEATURES);
+        assert_eq!(port, Output::FEATURES);
         let (header, map) = message.into_parts().unwrap();
         (header, map, counted)
     }
@@ -254,10 +230,10 @@ mod tests {
             .map(|k| [10.0 + 0.22 * (k % 20) as f32, 4.0, 0.1 + 0.07 * (k / 20) as f32])
             .collect();
         let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
-        let mut asked = PillarEncoder::new(Config {
+        let mut asked = PillarEncoder::new(Settings {
             model: model.into(),
             confidence: true,
-            ..Config::default()
+            ..Settings::default()
         })
         .unwrap();
         let (_, silent, _) = encoded(&mut encoder(), &points);
@@ -283,21 +259,28 @@ mod tests {
         let message = Message::new(features.0, features.1);
         assert!(
             encoder()
-                .on_input(CLOUDS, message.clone(), &mut Outputs::at(0))
+                .on_message(Input::CLOUDS, message.clone(), &mut Outputs::at(0))
                 .is_err()
         );
-        assert!(encoder().on_input(PortId(1), message, &mut Outputs::at(0)).is_err());
-        let error = PillarEncoder::new(Config {
+        assert!(encoder().on_message(PortId(1), message, &mut Outputs::at(0)).is_err());
+        let error = PillarEncoder::new(Settings {
             isa: "sse9".into(),
-            ..Config::default()
+            ..Settings::default()
         });
         assert!(error.is_err());
     }
 
     #[test]
-    fn arguments_are_the_keys_of_the_configuration() {
-        let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let reported: Vec<&str> = PillarEncoder::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, reported);
+    fn arguments_name_all_instructions_and_number_types() {
+        let isas = realo_kernels::conv::Isa::ALL.map(|isa| isa.to_string());
+        let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
+        for (argument, names) in [("isa", &isas[..]), ("precision", &precisions[..])] {
+            let mut arguments = <Settings as realo_operator::StageSettings>::ARGUMENTS.iter();
+            let about = arguments.find(|known| known.name == argument).expect("is there").about;
+            let words: Vec<&str> = about.split([' ', ',', ':']).collect();
+            for name in names {
+                assert!(words.contains(&&**name), "{about}: {name}");
+            }
+        }
     }
 }

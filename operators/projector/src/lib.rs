@@ -13,24 +13,23 @@
 
 use std::collections::BTreeMap;
 
-use realo_operator::{
-    Argument, Counter, Decided, Describe, Error, Lane, Operator, Outputs, Port, PortId, unexpected, wrong_port,
-};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
-use realo_schemas::{AgentState, Header, Message, Name, Nanos, PayloadType, PointCloud, Pose};
+use realo_schemas::{AgentState, Header, Name, Nanos, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
 /// How long a receiver may have heard nothing of the ego before what it knows is forgotten, ns.
 const FORGET: Nanos = 60_000_000_000;
 
 /// Settings of [`Projector`].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// Who brings points to the ego's frame.
+pub struct Settings {
+    /// Who brings points to the ego's frame: receiver, or sender (with the ego's newest known state).
+    #[setting(role = "project")]
     pub project: Project,
-    /// Whose frame that is, where several agents tell their states; empty: that of the agent whose state is the newest.
+    /// Whose frame that is, where several agents tell their states; empty: that of the newest state.
     pub ego: String,
 }
 
@@ -62,10 +61,6 @@ struct Known {
     used: bool,
 }
 
-const CLOUDS: PortId = PortId(0);
-const STATE: PortId = PortId(1);
-const PROJECTED: PortId = PortId(0);
-
 const NO_EGO_STATE: Counter = Counter::loss(
     "no_ego_state",
     "clouds not sent: nothing was known yet of where the ego is (`project=sender`)",
@@ -78,47 +73,46 @@ const OF_ANOTHER: Counter = Counter::plain(
     "states of agents for whom nothing is projected (`projector.ego` names another); they count as superseded",
 );
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// An agent's sweeps.
+    #[port(latest)]
+    Clouds(Header, PointCloud),
+    /// The ego's states, as they arrive.
+    #[port(state, accounting, needed_when("project", "sender"), of(EgoReceived))]
+    State(Header, AgentState),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The same sweeps.
+    Projected(Header, PointCloud),
+}
+
 impl Describe for Projector {
-    type Config = Config;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "projector";
     const ABOUT: &'static str = "Brings sweeps to the ego's frame where they are sent, or leaves that to the receiver";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "project",
-            about: "who brings points to the ego's frame: receiver, or sender (with the ego's newest known state)",
-        },
-        Argument {
-            name: "ego",
-            about: "whose frame that is, where several agents tell their states; empty: that of the newest state",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("clouds", &[PayloadType::PointCloud], "an agent's sweeps").latest(),
-        Port::new("state", &[PayloadType::AgentState], "the ego's states, as they arrive")
-            .state()
-            .accounting()
-            .needed_when("project", "sender")
-            .of(Lane::EgoReceived),
-    ];
-    const OUTPUTS: &'static [Port] = &[Port::new("projected", &[PayloadType::PointCloud], "the same sweeps")];
     const COUNTERS: &'static [Counter] = &[NO_EGO_STATE, OF_ANOTHER];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Project, "project")];
 }
 
 impl Operator for Projector {
-    fn new(config: Config) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         Ok(Projector {
-            project: config.project,
-            only: config.ego.into(),
+            project: settings.project,
+            only: settings.ego.into(),
             ego: BTreeMap::new(),
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            CLOUDS => self.project(message, out),
-            STATE => {
-                let (header, state): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        match input {
+            Input::Clouds(header, cloud) => self.project(header, cloud, out),
+            Input::State(header, state) => {
                 if !self.only.is_empty() && header.agent != self.only {
                     out.count(&OF_ANOTHER, &header.agent, 1);
                     out.report(&header, Fate::Superseded);
@@ -148,7 +142,6 @@ impl Operator for Projector {
                 self.forget_before(now.saturating_sub(FORGET), out);
                 Ok(())
             }
-            _ => Err(wrong_port(Self::INPUTS, port)),
         }
     }
 
@@ -182,12 +175,11 @@ impl Projector {
         self.ego.get_mut(&key)
     }
 
-    fn project(&mut self, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn project(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs) -> Result<(), Error> {
         if self.project == Project::Receiver {
-            out.send(PROJECTED, message);
+            out.send(Output::Projected(header, cloud));
             return Ok(());
         }
-        let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
         self.forget_before(header.ready.saturating_sub(FORGET), out);
         let known = self.known_to(&header.agent);
         out.count_of(&NO_EGO_STATE, &header.agent, u64::from(known.is_none()), 1);
@@ -195,15 +187,20 @@ impl Projector {
         let projected = projected(header, &cloud, known)?;
         known.used = true;
         out.report(&known.header, Fate::Used);
-        out.send(PROJECTED, projected);
+        out.send(projected);
         Ok(())
     }
 }
 
+/// A sweep that nobody knows the place of.
+#[derive(Debug, thiserror::Error)]
+#[error("a sweep without a pose cannot be projected ({0})")]
+pub struct Unposed(Box<Header>);
+
 /// A sweep in the ego's body frame at the state's stamp; the header's frame and pose are then the ego's.
-fn projected(header: Header, cloud: &PointCloud, Known { header: ego, state, .. }: &Known) -> Result<Message, Error> {
+fn projected(header: Header, cloud: &PointCloud, Known { header: ego, state, .. }: &Known) -> Result<Output, Unposed> {
     let pose = header.pose.as_ref();
-    let pose = pose.ok_or_else(|| format!("a sweep without a pose cannot be projected ({header})"))?;
+    let pose = pose.ok_or_else(|| Unposed(Box::new(header.clone())))?;
     let ego_from_sender = relative(&state.map_from_body, &pose.map_from_frame);
     let header = Header {
         frame: ego.frame.clone(),
@@ -211,13 +208,13 @@ fn projected(header: Header, cloud: &PointCloud, Known { header: ego, state, .. 
         position: Some(pose.map_from_frame.translation.vector.into()),
         ..header
     };
-    Ok(Message::new(header, transform_cloud(&ego_from_sender, cloud)))
+    Ok(Output::Projected(header, transform_cloud(&ego_from_sender, cloud)))
 }
 
 #[cfg(test)]
 mod tests {
     use nalgebra::Isometry3;
-    use realo_schemas::{Kind, PoseStatus};
+    use realo_schemas::{Kind, Message, PoseStatus};
 
     use super::*;
 
@@ -240,24 +237,24 @@ mod tests {
     #[test]
     fn of_several_agents_that_tell_where_they_are_the_named_one_counts() {
         for (ego, expected, superseded) in [("", -20.0, "cav1"), ("cav1", -10.0, "cav2")] {
-            let config = Config {
+            let settings = Settings {
                 project: Project::Sender,
                 ego: ego.into(),
             };
-            let mut projector = Projector::new(config).unwrap();
+            let mut projector = Projector::new(settings).unwrap();
             let mut out = Outputs::at(2 * SECOND);
             projector
-                .on_input(STATE, state("cav1", 10.0, SECOND), &mut out)
+                .on_message(Input::STATE, state("cav1", 10.0, SECOND), &mut out)
                 .unwrap();
             projector
-                .on_input(STATE, state("cav2", 20.0, SECOND + 1), &mut out)
+                .on_message(Input::STATE, state("cav2", 20.0, SECOND + 1), &mut out)
                 .unwrap();
             let mut header = Header::origin(&"run".into(), &"rsu1".into(), Kind::Points, 0, SECOND, SECOND);
             header.pose = Some(Pose::exact(Isometry3::identity()));
             let zero = || vec![0.0f32];
             let cloud = PointCloud::new(zero(), zero(), zero(), vec![0u8], vec![0i32], vec![0u16]).unwrap();
             projector
-                .on_input(CLOUDS, Message::new(header, cloud), &mut out)
+                .on_message(Input::CLOUDS, Message::new(header, cloud), &mut out)
                 .unwrap();
             let fates = out.take_fates();
             let (_, message) = out.take_sent().remove(0);
@@ -272,7 +269,7 @@ mod tests {
 
     #[test]
     fn receivers_that_hear_no_more_of_the_ego_are_forgotten() {
-        let mut projector = Projector::new(Config::default()).unwrap();
+        let mut projector = Projector::new(Settings::default()).unwrap();
         let mut fates = Vec::new();
         // Every second another agent comes, receives one state and goes.
         for k in 0..1000 {
@@ -295,7 +292,7 @@ mod tests {
             };
             let mut out = Outputs::at(header.ready);
             projector
-                .on_input(STATE, Message::new(header, state), &mut out)
+                .on_message(Input::STATE, Message::new(header, state), &mut out)
                 .unwrap();
             fates.extend(out.take_fates());
             assert!(projector.ego.len() <= 61, "{} receivers", projector.ego.len());

@@ -10,4 +10,4 @@
 
 mod operator;
 
-pub use operator::{RecordedDetections, RecordedDetectionsConfig, sound};
+pub use operator::{RecordedDetections, Settings, sound};

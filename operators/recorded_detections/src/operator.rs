@@ -1,10 +1,6 @@
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{Box3, Boxes, Header, Kind, Message, PayloadType, geometry};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
+use realo_schemas::{Box3, Boxes, Header, Kind, PointCloud, geometry};
 use serde::{Deserialize, Serialize};
-
-const CLOUDS: PortId = PortId(0);
-const RECORDED: PortId = PortId(1);
-const BOXES: PortId = PortId(0);
 
 const INVALID_BOXES: Counter = Counter::log_fault(
     "invalid_boxes",
@@ -15,14 +11,30 @@ const INVALID_BOXES: Counter = Counter::log_fault(
 );
 
 /// Recorded detections have no settings.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct RecordedDetectionsConfig {}
+pub struct Settings {}
 
 /// The boxes that a detector could have found, in their order: those without a [`geometry::detection_fault`].
 pub fn sound(boxes: Boxes) -> Boxes {
     let is_sound = |object: &Box3| geometry::detection_fault(object).is_none();
     Boxes(boxes.0.into_iter().filter(is_sound).collect())
+}
+
+/// Boxes that belong to no sweep.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordedError {
+    /// They come alone.
+    #[error("recorded boxes whose sweep did not come before them")]
+    NoSweep,
+    /// They are of another time or frame than the sweep of their number.
+    #[error("recorded boxes: expected the sweep's {expected}, found {found}")]
+    Other {
+        /// The sweep's stamp and frame.
+        expected: String,
+        /// Theirs.
+        found: String,
+    },
 }
 
 /// Replays the detections that a log recorded.
@@ -31,46 +43,49 @@ pub struct RecordedDetections {
     sweep: Option<Header>,
 }
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// Localised sweeps.
+    #[port(latest, joined("sweep"))]
+    Clouds(Header, PointCloud),
+    /// What the log says was detected.
+    #[port(latest, joined("sweep"))]
+    Recorded(Header, Boxes),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The recorded boxes with the sweep's header and pose.
+    Proposals(Header, Boxes),
+}
+
 impl Describe for RecordedDetections {
-    type Config = RecordedDetectionsConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "recorded-detections";
     const ABOUT: &'static str = "Replays the detections that the log recorded for each sweep, in place of a detector";
-    const ARGUMENTS: &'static [Argument] = &[];
-    const INPUTS: &'static [Port] = &[
-        Port::new("clouds", &[PayloadType::PointCloud], "localised sweeps")
-            .latest()
-            .joined("sweep"),
-        Port::new("recorded", &[PayloadType::Boxes], "what the log says was detected")
-            .latest()
-            .joined("sweep"),
-    ];
-    const OUTPUTS: &'static [Port] = &[Port::new(
-        "proposals",
-        &[PayloadType::Boxes],
-        "the recorded boxes with the sweep's header and pose",
-    )];
     const COUNTERS: &'static [Counter] = &[INVALID_BOXES];
 }
 
 impl Operator for RecordedDetections {
-    fn new(_config: RecordedDetectionsConfig) -> Result<Self, Error> {
+    fn new(_settings: Settings) -> Result<Self, Error> {
         Ok(RecordedDetections { sweep: None })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            CLOUDS => self.sweep = Some(message.header),
-            RECORDED => {
-                let (recorded, boxes): (Header, Boxes) = message.into_parts().map_err(unexpected)?;
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        match input {
+            Input::Clouds(header, _) => self.sweep = Some(header),
+            Input::Recorded(recorded, boxes) => {
                 let sweep = self.sweep.take();
                 let same = |sweep: &Header| (&sweep.agent, sweep.seq) == (&recorded.agent, recorded.seq);
-                let sweep = sweep
-                    .filter(same)
-                    .ok_or("recorded boxes whose sweep did not come before them")?;
+                let sweep = sweep.filter(same).ok_or(RecordedError::NoSweep)?;
                 if (recorded.stamp, &recorded.frame) != (sweep.stamp, &sweep.frame) {
                     let expected = format!("stamp {} ns and frame {}", sweep.stamp, sweep.frame);
                     let found = format!("stamp {} ns and frame {}", recorded.stamp, recorded.frame);
-                    return Err(format!("recorded boxes: expected the sweep's {expected}, found {found}").into());
+                    return Err(RecordedError::Other { expected, found }.into());
                 }
                 let (before, fault) = (boxes.0.len(), boxes.0.iter().find_map(geometry::detection_fault));
                 let boxes = sound(boxes);
@@ -79,18 +94,12 @@ impl Operator for RecordedDetections {
                 if let Some(fault) = fault {
                     out.found(&INVALID_BOXES, &recorded.agent, || format!("the first has {fault}"));
                 }
-                out.send(
-                    BOXES,
-                    Message::new(
-                        Header {
-                            kind: Kind::Boxes,
-                            ..sweep
-                        },
-                        boxes,
-                    ),
-                );
+                let header = Header {
+                    kind: Kind::Boxes,
+                    ..sweep
+                };
+                out.send(Output::Proposals(header, boxes));
             }
-            _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         Ok(())
     }
@@ -98,7 +107,7 @@ impl Operator for RecordedDetections {
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::{PointCloud, Pose};
+    use realo_schemas::{Message, Pose};
 
     use super::*;
 
@@ -152,11 +161,15 @@ mod tests {
         };
         let far = object(1e30);
         let recorded = Boxes(vec![flat, object(2.0), nan, fast, certain, object(3.0), far]);
-        let mut operator = RecordedDetections::new(RecordedDetectionsConfig {}).unwrap();
+        let mut operator = RecordedDetections::new(Settings {}).unwrap();
         let mut out = Outputs::at(150);
-        operator.on_input(CLOUDS, sweep(), &mut out).unwrap();
+        operator.on_message(Input::CLOUDS, sweep(), &mut out).unwrap();
         operator
-            .on_input(RECORDED, Message::new(header(Kind::Boxes, 4, 100), recorded), &mut out)
+            .on_message(
+                Input::RECORDED,
+                Message::new(header(Kind::Boxes, 4, 100), recorded),
+                &mut out,
+            )
             .unwrap();
         let expected = Header {
             kind: Kind::Boxes,
@@ -164,22 +177,25 @@ mod tests {
         };
         assert_eq!(
             out.take_sent(),
-            [(BOXES, Message::new(expected, Boxes(vec![object(2.0), object(3.0)])))]
+            [(
+                Output::PROPOSALS,
+                Message::new(expected, Boxes(vec![object(2.0), object(3.0)]))
+            )]
         );
         assert_eq!(out.counted("invalid_boxes"), 5);
     }
 
     #[test]
     fn refuses_boxes_of_another_sweep() {
-        let mut operator = RecordedDetections::new(RecordedDetectionsConfig {}).unwrap();
+        let mut operator = RecordedDetections::new(Settings {}).unwrap();
         let mut out = Outputs::at(150);
         let boxes = |seq, stamp| Message::new(header(Kind::Boxes, seq, stamp), Boxes::default());
-        assert!(operator.on_input(RECORDED, boxes(4, 100), &mut out).is_err());
-        operator.on_input(CLOUDS, sweep(), &mut out).unwrap();
-        assert!(operator.on_input(RECORDED, boxes(5, 100), &mut out).is_err());
-        operator.on_input(CLOUDS, sweep(), &mut out).unwrap();
+        assert!(operator.on_message(Input::RECORDED, boxes(4, 100), &mut out).is_err());
+        operator.on_message(Input::CLOUDS, sweep(), &mut out).unwrap();
+        assert!(operator.on_message(Input::RECORDED, boxes(5, 100), &mut out).is_err());
+        operator.on_message(Input::CLOUDS, sweep(), &mut out).unwrap();
         let error = operator
-            .on_input(RECORDED, boxes(4, 101), &mut out)
+            .on_message(Input::RECORDED, boxes(4, 101), &mut out)
             .unwrap_err()
             .to_string();
         assert!(
@@ -187,11 +203,5 @@ mod tests {
             "{error}"
         );
         assert_eq!(out.take_sent(), []);
-    }
-
-    #[test]
-    fn it_has_no_arguments() {
-        assert!(realo_operator::config::defaults::<RecordedDetectionsConfig>().is_empty());
-        assert!(RecordedDetections::ARGUMENTS.is_empty());
     }
 }

@@ -4,7 +4,7 @@ use std::time::Instant;
 use nalgebra::{Isometry3, Vector3};
 use realo_operator::{Operator, Outputs, PortId};
 use realo_schemas::{AgentState, Header, Kind, Message, Nanos, PointCloud, PoseStatus};
-use realo_sync::{Sync, SyncConfig};
+use realo_sync::{Settings, Sync};
 
 const MS: Nanos = 1_000_000;
 
@@ -17,9 +17,9 @@ fn main() {
     let cloud = PointCloud::new(x, y, vec![0.5f32; n], vec![1u8; n], time, vec![3u16; n]).expect("equal columns");
     let header = |kind, seq, stamp, ready| Header::origin(&"run".into(), &"cav1".into(), kind, seq, stamp, ready);
     for deskew in [true, false] {
-        let mut sync = Sync::new(SyncConfig {
+        let mut sync = Sync::new(Settings {
             deskew,
-            ..SyncConfig::default()
+            ..Settings::default()
         })
         .expect("defaults are good");
         let mut best = f64::MAX;
@@ -37,7 +37,7 @@ fn main() {
                     status,
                 };
                 let pose = Message::new(header(Kind::AgentState, 0, stamp, stamp), state);
-                sync.on_input(PortId(0), pose, &mut Outputs::at(stamp))
+                sync.on_message(PortId(0), pose, &mut Outputs::at(stamp))
                     .expect("a good pose");
             }
             let sweep = Message::new(
@@ -46,7 +46,7 @@ fn main() {
             );
             let mut out = Outputs::at(start + 100 * MS);
             let begin = Instant::now();
-            sync.on_input(PortId(1), sweep, &mut out).expect("a good sweep");
+            sync.on_message(PortId(1), sweep, &mut out).expect("a good sweep");
             best = best.min(begin.elapsed().as_secs_f64());
             assert_eq!(out.take_sent().len(), 2);
         }

@@ -29,4 +29,4 @@ mod operator;
 
 pub use clean::{Cleaned, OwnBody, clean};
 pub use lane::{Lane, Pairing, PosePoint};
-pub use operator::{Sync, SyncConfig};
+pub use operator::{Settings, Sync};

@@ -1,16 +1,11 @@
 use std::collections::BTreeMap;
 
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{AgentState, Header, Kind, Message, Name, Nanos, PayloadType, PointCloud, Pose};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
+use realo_schemas::{AgentState, Header, Kind, Name, Nanos, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::lane::Unposed;
 use crate::{Cleaned, Lane, OwnBody, Pairing, clean};
-
-const POSES: PortId = PortId(0);
-const CLOUDS: PortId = PortId(1);
-const OUT_CLOUDS: PortId = PortId(0);
-const OUT_STATES: PortId = PortId(1);
 
 const NANOS_PER_MILLI: Nanos = 1_000_000;
 
@@ -55,28 +50,35 @@ const NOT_DESKEWED: Counter = Counter::loss(
 );
 
 /// Settings of sync.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct SyncConfig {
-    /// Own body as [x min, x max, y min, y max] in the body frame, m; empty: none.
+pub struct Settings {
+    /// Own body as x min, x max, y min, y max in the body frame, m; [] for none.
+    #[setting(default = [OwnBody::V2X_REAL.x, OwnBody::V2X_REAL.y].concat())]
     pub own_body: Vec<f32>,
     /// Whether the agent's motion within a sweep is removed.
+    #[setting(default = true)]
     pub deskew: bool,
     /// How long a sweep waits for its pose, ms.
+    #[setting(default = 100)]
     pub patience_ms: u32,
-    /// Longest time between poses, and beyond the newest one, that is bridged, ms.
+    /// Longest time between or beyond poses that is bridged, ms.
+    #[setting(default = 150)]
     pub max_gap_ms: u32,
 }
 
-impl Default for SyncConfig {
-    fn default() -> Self {
-        SyncConfig {
-            own_body: [OwnBody::V2X_REAL.x, OwnBody::V2X_REAL.y].concat(),
-            deskew: true,
-            patience_ms: 100,
-            max_gap_ms: 150,
-        }
-    }
+/// What sync cannot take.
+#[derive(Debug, thiserror::Error)]
+pub enum SyncError {
+    /// A pose that is not one.
+    #[error("expected a finite pose with a quaternion of length 1, found {0}")]
+    Pose(String),
+    /// A clock that is ahead, s.
+    #[error("the stamp lies {0:.3} s after the arrival, at most 1 s is allowed; the agent's clock is wrong")]
+    Ahead(f64),
+    /// An outline that is not one.
+    #[error("argument `own_body`: expected x min, x max, y min, y max in metres, or [], found {0:?}")]
+    OwnBody(Vec<f32>),
 }
 
 /// Orders and stamps each agent's streams.
@@ -93,45 +95,33 @@ struct SweepRules {
     max_gap: Nanos,
 }
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// Poses of the agents, at any rate.
+    #[port(state)]
+    Poses(Header, AgentState),
+    /// Raw sweeps.
+    #[port(latest)]
+    Clouds(Header, PointCloud),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// Sweeps in the body frame at their stamp, with its pose.
+    Sweeps(Header, PointCloud),
+    /// Pose and motion at each sweep's stamp.
+    States(Header, AgentState),
+}
+
 impl Describe for Sync {
-    type Config = SyncConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "sync";
     const ABOUT: &'static str =
         "Orders sweeps, pairs them with poses, removes the agent's own motion and body from them";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "own_body",
-            about: "own body as x min, x max, y min, y max in the body frame, m; [] for none",
-        },
-        Argument {
-            name: "deskew",
-            about: "whether the agent's motion within a sweep is removed",
-        },
-        Argument {
-            name: "patience_ms",
-            about: "how long a sweep waits for its pose, ms",
-        },
-        Argument {
-            name: "max_gap_ms",
-            about: "longest time between or beyond poses that is bridged, ms",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[
-        Port::new("poses", &[PayloadType::AgentState], "poses of the agents, at any rate").state(),
-        Port::new("clouds", &[PayloadType::PointCloud], "raw sweeps").latest(),
-    ];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new(
-            "sweeps",
-            &[PayloadType::PointCloud],
-            "sweeps in the body frame at their stamp, with its pose",
-        ),
-        Port::new(
-            "states",
-            &[PayloadType::AgentState],
-            "pose and motion at each sweep's stamp",
-        ),
-    ];
     const COUNTERS: &'static [Counter] = &[
         NAN_POINTS,
         OWN_BODY_POINTS,
@@ -144,11 +134,11 @@ impl Describe for Sync {
 }
 
 impl Sync {
-    fn pose(&mut self, header: &Header, state: AgentState, out: &mut Outputs) -> Result<(), Error> {
+    fn pose(&mut self, header: &Header, state: AgentState, out: &mut Outputs) -> Result<(), SyncError> {
         let t = &state.map_from_body.translation.vector;
         let q = state.map_from_body.rotation.quaternion();
         if !(t.iter().all(|v| v.is_finite()) && (q.norm() - 1.0).abs() < 1e-6) {
-            return Err(format!("expected a finite pose with a quaternion of length 1, found {t:?} and {q:?}").into());
+            return Err(SyncError::Pose(format!("{t:?} and {q:?}")));
         }
         not_ahead(header, out.now())?;
         let max_gap = self.settings.max_gap;
@@ -162,7 +152,7 @@ impl Sync {
         Ok(())
     }
 
-    fn cloud(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs) -> Result<(), Error> {
+    fn cloud(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs) -> Result<(), SyncError> {
         not_ahead(&header, out.now())?;
         let max_gap = self.settings.max_gap;
         let lane = self
@@ -234,17 +224,12 @@ impl SweepRules {
             pose: Some(pose),
             ..header
         };
-        out.send(
-            OUT_STATES,
-            Message::new(
-                Header {
-                    kind: Kind::AgentState,
-                    ..header.clone()
-                },
-                state,
-            ),
-        );
-        out.send(OUT_CLOUDS, Message::new(header, cloud));
+        let state_header = Header {
+            kind: Kind::AgentState,
+            ..header.clone()
+        };
+        out.send(Output::States(state_header, state));
+        out.send(Output::Sweeps(header, cloud));
     }
 }
 
@@ -270,14 +255,10 @@ fn count_pose(agent: &Name, [missing, late]: [u64; 2], out: &mut Outputs) {
     out.count_of(&LATE_POSE, agent, late, 1);
 }
 
-fn not_ahead(header: &Header, now: Nanos) -> Result<(), Error> {
+fn not_ahead(header: &Header, now: Nanos) -> Result<(), SyncError> {
     let ahead = header.stamp.saturating_sub(now);
     if ahead > AHEAD {
-        let seconds = realo_schemas::to_seconds(ahead);
-        return Err(format!(
-            "the stamp lies {seconds:.3} s after the arrival, at most 1 s is allowed; the agent's clock is wrong"
-        )
-        .into());
+        return Err(SyncError::Ahead(realo_schemas::to_seconds(ahead)));
     }
     Ok(())
 }
@@ -292,26 +273,20 @@ fn span(cloud: &PointCloud) -> Option<[i32; 2]> {
 }
 
 impl Operator for Sync {
-    fn new(config: SyncConfig) -> Result<Self, Error> {
-        let own_body = match config.own_body[..] {
+    fn new(settings: Settings) -> Result<Self, Error> {
+        let own_body = match settings.own_body[..] {
             [] => None,
             [x0, x1, y0, y1] if x0 <= x1 && y0 <= y1 => Some(OwnBody {
                 x: [x0, x1],
                 y: [y0, y1],
             }),
-            _ => {
-                let found = &config.own_body;
-                return Err(format!(
-                    "argument `own_body`: expected x min, x max, y min, y max in metres, or [], found {found:?}"
-                )
-                .into());
-            }
+            _ => return Err(SyncError::OwnBody(settings.own_body).into()),
         };
         let nanos = |millis: u32| Nanos::from(millis) * NANOS_PER_MILLI;
-        let (patience, max_gap) = (nanos(config.patience_ms), nanos(config.max_gap_ms));
+        let (patience, max_gap) = (nanos(settings.patience_ms), nanos(settings.max_gap_ms));
         let settings = SweepRules {
             own_body,
-            deskew: config.deskew,
+            deskew: settings.deskew,
             patience,
             max_gap,
         };
@@ -321,18 +296,12 @@ impl Operator for Sync {
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        match port {
-            POSES => {
-                let (header, state): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
-                self.pose(&header, state, out)
-            }
-            CLOUDS => {
-                let (header, cloud): (Header, PointCloud) = message.into_parts().map_err(unexpected)?;
-                self.cloud(header, cloud, out)
-            }
-            _ => Err(wrong_port(Self::INPUTS, port)),
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        match input {
+            Input::Poses(header, state) => self.pose(&header, state, out)?,
+            Input::Clouds(header, cloud) => self.cloud(header, cloud, out)?,
         }
+        Ok(())
     }
 
     fn on_wake(&mut self, _now: Nanos, out: &mut Outputs) -> Result<(), Error> {

@@ -11,7 +11,7 @@ use crate::cpm::{self, Geodetic, Unused};
 use crate::encoder::BoxesLayout;
 use crate::envelope::Envelope;
 use crate::error::{DecodeError, EncodeError};
-use crate::{EncoderConfig, agent_state, boxes, envelope, features, points};
+use crate::{EncoderSettings, agent_state, boxes, envelope, features, points};
 
 /// The last codec of every packet that is no CPM, in [`Packet::codec`]; before it stands how the points of a cloud or
 /// the elements of a feature map crossed.
@@ -118,7 +118,7 @@ impl Encoder {
     ///
     /// # Errors
     /// A level that zstd does not have, a step that clouds cannot have, or a number of objects that CPMs cannot.
-    pub fn new(config: &EncoderConfig) -> Result<Self, EncodeError> {
+    pub fn new(config: &EncoderSettings) -> Result<Self, EncodeError> {
         if let Some(level) = config.zstd
             && (level == 0 || !LEVELS.contains(&level))
         {

@@ -1,37 +1,23 @@
-use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{Header, Kind, Message, Packet, Payload, PayloadType};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings};
+use realo_schemas::{AgentState, Header, Kind, Message, Packet, Payload};
 use serde::{Deserialize, Serialize};
 
 use crate::cpm::Geodetic;
 use crate::{DecodeError, Decoder};
 
 /// Settings of the decoder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct DecoderConfig {
-    /// Largest packet that is taken, and largest feature map or quantised cloud that is made of one, bytes.
+pub struct Settings {
+    /// Max packet, and max feature map or quantised cloud in memory, bytes; a greater one is rejected.
+    #[setting(default = 64 << 20, range = 1..)]
     pub max_bytes: usize,
-    /// Where on Earth the origin of `map` is, for CPMs.
+    /// Where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm.
     pub origin: Geodetic,
-    /// The only kind that is taken, where others are for another decoder; `None`: all.
+    /// Take packets of this kind only, points, features, boxes or agent_state, for another decoder takes the others; null =
+    /// all.
     pub kind: Option<Kind>,
 }
-
-impl Default for DecoderConfig {
-    fn default() -> Self {
-        DecoderConfig {
-            max_bytes: 64 << 20,
-            origin: Geodetic::default(),
-            kind: None,
-        }
-    }
-}
-
-/// Payloads that can be fused.
-const FUSED: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::FeatureMap, PayloadType::Boxes];
-
-const MESSAGES: PortId = PortId(0);
-const STATES: PortId = PortId(1);
 
 /// Gets what an agent said out of its bytes.
 pub struct TransmissionDecoder {
@@ -65,29 +51,30 @@ const SEGMENTS: Counter = Counter::loss(
     "have their sender put all objects into one message",
 );
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// What a link delivered.
+    #[port(latest)]
+    Packets(Header, Packet),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The points, features or boxes that the sender sent.
+    #[port(any_of(PointCloud, FeatureMap, Boxes))]
+    Messages(Message),
+    /// Where the sender was.
+    States(Header, AgentState),
+}
+
 impl Describe for TransmissionDecoder {
-    type Config = DecoderConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "transmission-decoder";
     const ABOUT: &'static str = "Gets points, features, boxes or states out of the bytes that crossed a link";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "max_bytes",
-            about: "max packet, and max feature map or quantised cloud in memory, bytes; a greater one is rejected",
-        },
-        Argument {
-            name: "origin",
-            about: "where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm",
-        },
-        Argument {
-            name: "kind",
-            about: "take packets of this kind only, points, features, boxes or agent_state, for another decoder takes the others; null = all",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
-    const OUTPUTS: &'static [Port] = &[
-        Port::new("messages", FUSED, "the points, features or boxes that the sender sent"),
-        Port::new("states", &[PayloadType::AgentState], "where the sender was"),
-    ];
     const COUNTERS: &'static [Counter] = &[UNUSABLE_OBJECTS, ASSUMED_OBJECTS, UNREAD_CONTAINERS, SEGMENTS];
 }
 
@@ -114,31 +101,25 @@ impl TransmissionDecoder {
 }
 
 impl Operator for TransmissionDecoder {
-    fn new(config: DecoderConfig) -> Result<Self, Error> {
-        if config.max_bytes == 0 {
-            return Err("argument `max_bytes`: expected at least 1, found 0; every packet would be rejected".into());
-        }
+    fn new(settings: Settings) -> Result<Self, Error> {
+        settings.check()?;
         Ok(TransmissionDecoder {
-            max_bytes: config.max_bytes,
-            kind: config.kind,
-            decoder: Decoder::new(config.max_bytes)?.with_origin(config.origin),
+            max_bytes: settings.max_bytes,
+            kind: settings.kind,
+            decoder: Decoder::new(settings.max_bytes)?.with_origin(settings.origin),
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        if port != PortId(0) {
-            return Err(wrong_port(Self::INPUTS, port));
-        }
-        if self.kind.is_some_and(|kind| kind != message.header.kind) {
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        let Input::Packets(header, packet) = input;
+        if self.kind.is_some_and(|kind| kind != header.kind) {
             return Ok(());
         }
-        let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
         let message = self.message(header, &packet, out)?;
-        let port = match message.payload {
-            Payload::AgentState(_) => STATES,
-            _ => MESSAGES,
-        };
-        out.send(port, message);
+        match message.payload {
+            Payload::AgentState(state) => out.send(Output::States(message.header, state)),
+            _ => out.send(Output::Messages(message)),
+        }
         Ok(())
     }
 }

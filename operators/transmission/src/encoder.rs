@@ -1,17 +1,9 @@
-use realo_operator::{Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
-use realo_schemas::{Elements, Header, Message, Payload, PayloadType};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
+use realo_schemas::{Elements, Header, Message, Packet, Payload};
 use serde::{Deserialize, Serialize};
 
 use crate::Encoder;
 use crate::cpm::{Geodetic, OBJECTS};
-
-/// Payloads that a link carries.
-pub(crate) const CARRIED: &[PayloadType] = &[
-    PayloadType::PointCloud,
-    PayloadType::FeatureMap,
-    PayloadType::Boxes,
-    PayloadType::AgentState,
-];
 
 /// What boxes cross as.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,61 +17,45 @@ pub enum BoxesLayout {
 }
 
 /// Settings of the encoder.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct EncoderConfig {
-    /// Whether the times of points cross.
+pub struct Settings {
+    /// Whether the time of each point crosses (4 bytes a point).
     pub time: bool,
-    /// Whether the beams of points cross.
+    /// Whether the beam of each point crosses (2 bytes a point).
     pub ring: bool,
-    /// Step of the coordinates of points that cross, m, 0.000001 to 1; 0: they cross as they are.
+    /// Step of the coordinates of points, 0.000001 to 1 m, so that they compress; 0 = exact, not compressed.
     pub step_m: f64,
-    /// What the numbers of feature maps cross as.
+    /// What numbers of feature maps cross as: f32, f16, or int8 with a scale for each channel of each map.
+    #[setting(default = Elements::Int8)]
     pub elements: Elements,
-    /// Whether bytes of the same place in every cell lie together.
+    /// Whether the bytes of a channel of a feature map lie together, so that they compress better.
+    #[setting(default = true)]
     pub shuffle: bool,
-    /// Smallest confidence of a cell of a feature map that crosses, 0 to 1; 0: any.
+    /// Min confidence of a cell of a feature map that crosses, 0 to 1; 0 = any.
     pub min_confidence: f32,
-    /// Bytes that the packet of a feature map may take: its surest cells cross, as many as fit. `None`: any number.
+    /// Bytes that the packet of a feature map may take: its surest cells cross, as many as fit; null = all.
     pub budget_bytes: Option<usize>,
-    /// Level of zstd for feature maps and quantised points, -7 to 19 but not 0; `None`: not compressed.
+    /// Level at which zstd compresses feature maps and quantised points, -7 (fastest) to 19; null = not at all.
+    #[setting(default = Some(1))]
     pub zstd: Option<i32>,
-    /// What boxes cross as.
+    /// What boxes cross as: plain, or cpm, an ETSI Collective Perception Message (TS 103 324 v2.1.1, UPER).
+    #[setting(default = BoxesLayout::Plain)]
     pub boxes: BoxesLayout,
-    /// Where on Earth the origin of `map` is, for CPMs.
+    /// Where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm.
     pub origin: Geodetic,
-    /// Agents that are roadside units, by name, separated by commas; all others are vehicles. CPMs tell them apart.
+    /// Agents that are roadside units, by name, separated by commas; others are vehicles; for cpm.
+    #[setting(role = "roadside")]
     pub roadside: String,
-    /// Most objects of a CPM, 1 to 255.
+    /// Most objects of a cpm, 1 to 255, the surest ones; 30 fit one frame of a radio.
+    #[setting(default = OBJECTS)]
     pub max_objects: usize,
-}
-
-impl Default for EncoderConfig {
-    fn default() -> Self {
-        EncoderConfig {
-            time: false,
-            ring: false,
-            step_m: 0.0,
-            elements: Elements::Int8,
-            shuffle: true,
-            min_confidence: 0.0,
-            budget_bytes: None,
-            zstd: Some(1),
-            boxes: BoxesLayout::Plain,
-            origin: Geodetic::default(),
-            roadside: String::new(),
-            max_objects: OBJECTS,
-        }
-    }
 }
 
 /// Puts what an agent says into bytes.
 pub struct TransmissionEncoder {
     encoder: Encoder,
 }
-
-const MESSAGES: PortId = PortId(0);
-const PACKETS: PortId = PortId(0);
 
 const BYTES: Counter = Counter::plain(
     "bytes",
@@ -123,62 +99,27 @@ const UNTRACKED_BOXES: Counter = Counter::loss(
     "`--set {node}.boxes=plain` sends tracks of 64 bits; tracks up to 65,535 keep their number",
 );
 
+/// What comes in.
+#[derive(Debug, Inputs)]
+pub enum Input {
+    /// What an agent says.
+    #[port(any_of(PointCloud, FeatureMap, Boxes, AgentState), latest)]
+    Messages(Message),
+}
+
+/// What it sends.
+#[derive(Debug, Outputs)]
+pub enum Output {
+    /// The same as bytes.
+    Packets(Header, Packet),
+}
+
 impl Describe for TransmissionEncoder {
-    type Config = EncoderConfig;
+    type Settings = Settings;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "transmission-encoder";
     const ABOUT: &'static str = "Puts points, features, boxes or states into the bytes that cross a link";
-    const ARGUMENTS: &'static [Argument] = &[
-        Argument {
-            name: "time",
-            about: "whether the time of each point crosses (4 bytes a point)",
-        },
-        Argument {
-            name: "ring",
-            about: "whether the beam of each point crosses (2 bytes a point)",
-        },
-        Argument {
-            name: "step_m",
-            about: "step of the coordinates of points, 0.000001 to 1 m, so that they compress; 0 = exact, not compressed",
-        },
-        Argument {
-            name: "elements",
-            about: "what numbers of feature maps cross as: f32, f16, or int8 with a scale for each channel of each map",
-        },
-        Argument {
-            name: "shuffle",
-            about: "whether the bytes of a channel of a feature map lie together, so that they compress better",
-        },
-        Argument {
-            name: "min_confidence",
-            about: "min confidence of a cell of a feature map that crosses, 0 to 1; 0 = any",
-        },
-        Argument {
-            name: "budget_bytes",
-            about: "bytes that the packet of a feature map may take: its surest cells cross, as many as fit; null = all",
-        },
-        Argument {
-            name: "zstd",
-            about: "level at which zstd compresses feature maps and quantised points, -7 (fastest) to 19; null = not at all",
-        },
-        Argument {
-            name: "boxes",
-            about: "what boxes cross as: plain, or cpm, an ETSI Collective Perception Message (TS 103 324 v2.1.1, UPER)",
-        },
-        Argument {
-            name: "origin",
-            about: "where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm",
-        },
-        Argument {
-            name: "roadside",
-            about: "agents that are roadside units, by name, separated by commas; others are vehicles; for cpm",
-        },
-        Argument {
-            name: "max_objects",
-            about: "most objects of a cpm, 1 to 255, the surest ones; 30 fit one frame of a radio",
-        },
-    ];
-    const INPUTS: &'static [Port] = &[Port::new("messages", CARRIED, "what an agent says").latest()];
-    const OUTPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "the same as bytes")];
     const COUNTERS: &'static [Counter] = &[
         BYTES,
         NAN_POINTS,
@@ -189,20 +130,17 @@ impl Describe for TransmissionEncoder {
         SURPLUS_BOXES,
         UNTRACKED_BOXES,
     ];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Roadside, "roadside")];
 }
 
 impl Operator for TransmissionEncoder {
-    fn new(config: EncoderConfig) -> Result<Self, Error> {
+    fn new(settings: Settings) -> Result<Self, Error> {
         Ok(TransmissionEncoder {
-            encoder: Encoder::new(&config)?,
+            encoder: Encoder::new(&settings)?,
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        if port != MESSAGES {
-            return Err(wrong_port(Self::INPUTS, port));
-        }
+    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+        let Input::Messages(message) = input;
         let (packet, dropped) = self.encoder.encode(&message, out.steps())?;
         let agent = message.header.agent.clone();
         let boxes = match &message.payload {
@@ -223,7 +161,7 @@ impl Operator for TransmissionEncoder {
             position: None,
             ..message.header
         };
-        out.send(PACKETS, Message::new(header, packet));
+        out.send(Output::Packets(header, packet));
         Ok(())
     }
 }

@@ -5,7 +5,7 @@ use realo_operator::Steps;
 use realo_schemas::{DType, Elements, FeatureMap};
 use zstd::bulk::{Compressor, Decompressor};
 
-use crate::EncoderConfig;
+use crate::EncoderSettings;
 use crate::bytes::{Reader, column, put_column, put_f64s, put_text};
 use crate::cells::{self, Chosen};
 use crate::compression::{compress, decompress};
@@ -81,7 +81,7 @@ pub(crate) struct Writer {
 
 impl Writer {
     /// A writer; the level of zstd is one that it has.
-    pub fn new(config: &EncoderConfig) -> std::io::Result<Self> {
+    pub fn new(config: &EncoderSettings) -> std::io::Result<Self> {
         let choice = Choice {
             min_confidence: config.min_confidence,
             budget: config.budget_bytes,

@@ -89,7 +89,7 @@ mod points;
 mod shuffle;
 
 pub use codec::{CODEC, Content, Decoder, Dropped, Encoder};
-pub use decoder::{DecoderConfig, TransmissionDecoder};
-pub use encoder::{BoxesLayout, EncoderConfig, TransmissionEncoder};
+pub use decoder::{Settings as DecoderSettings, TransmissionDecoder};
+pub use encoder::{BoxesLayout, Settings as EncoderSettings, TransmissionEncoder};
 pub use envelope::restamped;
 pub use error::{DecodeError, EncodeError};

@@ -10,7 +10,7 @@ use std::time::Instant;
 use realo_importer::{ROADSIDE, VEHICLE, lidar_height, read_pcd};
 use realo_operator::Steps;
 use realo_schemas::{Header, Kind, Message, Payload, PointCloud};
-use realo_transmission::{Decoder, Encoder, EncoderConfig};
+use realo_transmission::{Decoder, Encoder, EncoderSettings};
 
 const STEP_M: f64 = 0.01;
 /// Bytes of a point before it crosses and, at most, when it does.
@@ -67,9 +67,9 @@ fn a_point_of_either_sensor_takes_a_quarter() {
     let Some(sample) = skipped::shared("data/dair") else {
         return;
     };
-    let config = EncoderConfig {
+    let config = EncoderSettings {
         step_m: STEP_M,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     };
     let (mut encoder, mut decoder) = (Encoder::new(&config).unwrap(), Decoder::new(64 << 20).unwrap());
     let sensors = [("vehicle-side", VEHICLE), ("infrastructure-side", ROADSIDE)];

@@ -10,7 +10,7 @@ use realo_operator::Steps;
 use realo_schemas::{
     AgentState, Box3, Boxes, DType, Elements, FeatureMap, Header, Kind, Message, Payload, PointCloud, Pose, PoseStatus,
 };
-use realo_transmission::{Content, Decoder, Encoder, EncoderConfig};
+use realo_transmission::{Content, Decoder, Encoder, EncoderSettings};
 
 /// Largest feature map that the decoders make here, bytes.
 const LIMIT: usize = 1 << 18;
@@ -119,7 +119,7 @@ fn message(draw: &mut Draw) -> Message {
 }
 
 fn bytes_of(draw: &mut Draw, message: &Message) -> Vec<u8> {
-    let config = EncoderConfig {
+    let config = EncoderSettings {
         time: draw.chance(2),
         ring: draw.chance(2),
         step_m: draw.pick(&[0.0, 0.01, 0.001]),
@@ -128,12 +128,12 @@ fn bytes_of(draw: &mut Draw, message: &Message) -> Vec<u8> {
         min_confidence: draw.pick(&[0.0, 0.0, 0.3, 1.0]),
         budget_bytes: draw.chance(3).then_some(300),
         zstd: draw.chance(2).then(|| draw.pick(&[-7, 1, 3])),
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     };
     encode(message, &config)
 }
 
-fn encode(message: &Message, config: &EncoderConfig) -> Vec<u8> {
+fn encode(message: &Message, config: &EncoderSettings) -> Vec<u8> {
     let encoder = &mut Encoder::new(config).expect("a sound configuration");
     let packed = encoder.encode(message, &mut Steps::default());
     packed.expect("sound messages can be sent").0.bytes.to_vec()
@@ -231,11 +231,11 @@ fn a_map_without_elements_is_refused_on_both_sides() {
         confidence: None,
     };
     let header = header(&mut draw, Kind::Features);
-    let plain = EncoderConfig {
+    let plain = EncoderSettings {
         elements: Elements::F32,
         shuffle: false,
         zstd: None,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     };
     let bytes = encode(&Message::new(header.clone(), map(1, 1, 1, 1)), &plain);
     // Behind the dimensions: cell, origin, type, model, conversion, flags, the element.

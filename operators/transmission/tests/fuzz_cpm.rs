@@ -10,7 +10,7 @@ use damage::{Draw, cases, most_held};
 use realo_operator::Steps;
 use realo_schemas::{Header, Message, Packet, Payload, geometry};
 use realo_transmission::cpm::{Geodetic, received};
-use realo_transmission::{BoxesLayout, Decoder, Encoder, EncoderConfig};
+use realo_transmission::{BoxesLayout, Decoder, Encoder, EncoderSettings};
 
 /// Smallest bits of an object that makes a box.
 const OBJECT: usize = 8 * 14;
@@ -57,10 +57,10 @@ fn check(case: u64, bytes: &[u8], origins: &[Geodetic]) -> bool {
     let reported = OBJECT * boxes.0.len();
     assert!(reported <= 8 * bytes.len(), "case {case}: {} boxes", boxes.0.len());
     // What was taken can be sent on.
-    let config = EncoderConfig {
+    let config = EncoderSettings {
         boxes: BoxesLayout::Cpm,
         origin,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     };
     let sent = Encoder::new(&config).unwrap().encode(&message, &mut Steps::default());
     match sent {

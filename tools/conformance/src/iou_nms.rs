@@ -1,4 +1,4 @@
-use realo_nms::{Config, Index, Ties, nms, order};
+use realo_nms::{Index, Settings, Ties, nms, order};
 use realo_schemas::Box3;
 use realo_schemas::geometry::{Footprint, iou};
 
@@ -54,11 +54,11 @@ fn check_keep(tensors: &Tensors, mut boxes: Vec<Box3>, ties: Ties) -> Result<(),
         let threshold = threshold.parse().map_err(|_| format!("`{name}` names no threshold"))?;
         let expected: Vec<u32> = tensors.numbers(&name)?.into_iter().map(|index| index as u32).collect();
         for index in [Index::Grid, Index::Rtree, Index::Brute] {
-            let config = Config {
+            let config = Settings {
                 threshold,
                 ties,
                 index,
-                ..Config::default()
+                ..Settings::default()
             };
             equal(
                 &format!("{name} ({index:?})"),

@@ -1,6 +1,6 @@
 use nalgebra::Isometry3;
 use realo_bev::Decoder;
-use realo_nms::{Config, nms};
+use realo_nms::{Settings, nms};
 use realo_schemas::Box3;
 use realo_schemas::geometry::transform_box;
 use realo_scoring::Protocol;
@@ -18,9 +18,9 @@ pub(crate) const KINDS: &[Kind] = &[
 /// Suppresses duplicates, drops what the evaluation does not look at, and compares.
 fn check(vector: &Vector, tensors: &Tensors, boxes: &[Box3]) -> Result<(), String> {
     let protocol = Protocol::load("default").map_err(|error| error.to_string())?;
-    let config = Config {
+    let config = Settings {
         threshold: vector.number("nms_threshold")?,
-        ..Config::default()
+        ..Settings::default()
     };
     let kept = nms(boxes, &config, None).kept;
     let kept = kept.into_iter().map(|index| boxes[index as usize].clone());

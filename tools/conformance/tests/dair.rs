@@ -153,13 +153,13 @@ fn pairs(root: &Path) -> Vec<Pair> {
 
 fn configured<O: Operator>(args: &[&str]) -> O {
     let args: Vec<String> = args.iter().map(|arg| arg.to_string()).collect();
-    O::new(realo_operator::config::parse::<<O as Describe>::Config>(&args).unwrap()).unwrap()
+    O::new(realo_operator::config::parse::<<O as Describe>::Settings>(&args).unwrap()).unwrap()
 }
 
 /// Hands a message to an operator and returns what it sends on its first output.
 fn through(operator: &mut impl Operator, port: usize, message: Message) -> Option<Message> {
     let mut out = Outputs::at(message.header.ready);
-    operator.on_input(PortId(port), message, &mut out).unwrap();
+    operator.on_message(PortId(port), message, &mut out).unwrap();
     out.take_sent()
         .into_iter()
         .find(|(port, _)| *port == PortId(0))

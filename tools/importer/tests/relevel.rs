@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use realo_importer::{Level, relevel};
 use realo_logs::{AgentInfo, AgentKind, Lane, Log, LogInfo, LogWriter, McapFile, McapWriter, Schema, Stream, describe};
 use realo_operator::Source;
-use realo_player::{Config, Player, PoseSource};
+use realo_player::{Player, PoseSource, Settings};
 use realo_schemas::geometry::{View, transform_box, yaw_of};
 use realo_schemas::{AgentState, Box3, Boxes, Message, Nanos, Payload, PointCloud, PoseStatus};
 
@@ -233,7 +233,7 @@ fn the_recorded_pose_levels_each_point_at_its_own_time() {
 
 type Played = Vec<(Nanos, usize, Message)>;
 
-fn play(config: Config) -> Played {
+fn play(config: Settings) -> Played {
     let mut player = Player::new(config).unwrap();
     let mut played = Vec::new();
     while let Some((time, port, message)) = player.next().unwrap() {
@@ -242,10 +242,10 @@ fn play(config: Config) -> Played {
     played
 }
 
-fn config(log: &Path) -> Config {
-    Config {
+fn config(log: &Path) -> Settings {
+    Settings {
         log: log.into(),
-        ..Config::default()
+        ..Settings::default()
     }
 }
 
@@ -296,7 +296,7 @@ fn a_log_that_tilts_is_played_as_its_level_copy() {
         let level = dir.path().join("level.mcap");
         relevel(raw, &level, Level::Pose).unwrap();
         let [found, expected] = [raw, &level].map(|log| {
-            play(Config {
+            play(Settings {
                 offline,
                 repeat,
                 ..config(log)
@@ -321,7 +321,7 @@ fn the_pose_that_is_played_levels_what_is_played_with_it() {
     make_with(&raw, true, Some(0.03));
     let exact = [(true, PoseSource::Recorded), (false, PoseSource::True)];
     for (offline, pose) in exact {
-        let played = play(Config {
+        let played = play(Settings {
             offline,
             pose,
             ..config(&raw)

@@ -5,8 +5,9 @@
 use std::time::Instant;
 
 use realo_host::Program;
-use realo_operator::{AnyOperator, Argument, Describe, Error, Operator, Outputs, Port, PortId};
-use realo_schemas::{Header, Kind, Message, PayloadType, PointCloud};
+use realo_operator::{AnyOperator, Describe, Error, Inputs, Operator, Outputs, PortId, Settings};
+use realo_schemas::{Header, Kind, Message, PointCloud};
+use serde::{Deserialize, Serialize};
 
 /// Points of a cloud: 3.7 MB at 19 bytes each.
 const POINTS: usize = 195_000;
@@ -15,22 +16,39 @@ const HOPS: usize = 200;
 /// Passes clouds on.
 struct Pass;
 
+/// Nothing is to be set.
+#[derive(Settings, Serialize, Deserialize)]
+struct Nothing {}
+
+/// What comes in.
+#[derive(Inputs)]
+enum Input {
+    /// Any clouds.
+    Clouds(Header, PointCloud),
+}
+
+/// What it sends.
+#[derive(Outputs)]
+enum Output {
+    /// The same.
+    Clouds(Header, PointCloud),
+}
+
 impl Describe for Pass {
-    type Config = std::collections::BTreeMap<String, String>;
+    type Settings = Nothing;
+    type Input = Input;
+    type Output = Output;
     const NAME: &'static str = "pass";
     const ABOUT: &'static str = "passes clouds on";
-    const ARGUMENTS: &'static [Argument] = &[];
-    const INPUTS: &'static [Port] = &[Port::new("clouds", &[PayloadType::PointCloud], "any")];
-    const OUTPUTS: &'static [Port] = &[Port::new("clouds", &[PayloadType::PointCloud], "the same")];
 }
 
 impl Operator for Pass {
-    fn new(_: Self::Config) -> Result<Self, Error> {
+    fn new(_: Nothing) -> Result<Self, Error> {
         Ok(Pass)
     }
 
-    fn on_input(&mut self, _: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        out.send(PortId(0), message);
+    fn on_input(&mut self, Input::Clouds(header, cloud): Input, out: &mut Outputs) -> Result<(), Error> {
+        out.send(Output::Clouds(header, cloud));
         Ok(())
     }
 }

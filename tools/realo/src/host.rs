@@ -5,10 +5,9 @@ use std::path::Path;
 use eyre::Result;
 use realo_graph::{FlatNode, normalized, with_variables};
 use realo_host::dora::{self, Hosted};
-use realo_operator::Decided;
 
 use crate::run::{argument, decided_argument};
-use crate::{Outcome, demo, registry};
+use crate::{Outcome, demo, registry, roles};
 
 /// Hosts the stages of a module as one process of a graph (dora starts this)
 #[derive(clap::Args)]
@@ -97,7 +96,7 @@ fn filled_in(args: &[String]) -> Vec<String> {
 fn report(stages: &[FlatNode], folder: &Path) -> Result<Outcome> {
     for stage in stages {
         let value = |decided| argument(stage, decided_argument(stage, decided)?);
-        let (Some(out), Some("")) = (value(Decided::Out), value(Decided::RunSettings).as_deref()) else {
+        let (Some(out), Some("")) = (value(roles::OUT), value(roles::RUN_SETTINGS).as_deref()) else {
             continue;
         };
         let out = normalized(&folder.join(out));

@@ -130,10 +130,10 @@ fn dropped_classes(described: &Described) -> Vec<Dropped> {
 #[cfg(test)]
 mod tests {
     use realo_logs::MAX_GAP;
-    use realo_sync::SyncConfig;
+    use realo_sync::Settings;
 
     #[test]
     fn info_warns_of_the_gaps_that_sync_does_not_bridge() {
-        assert_eq!(MAX_GAP, i64::from(SyncConfig::default().max_gap_ms) * 1_000_000);
+        assert_eq!(MAX_GAP, i64::from(Settings::default().max_gap_ms) * 1_000_000);
     }
 }

@@ -27,6 +27,7 @@ use realo_schemas::{Kind, Name, Nanos, to_millis};
 use serde::Serialize;
 
 use crate::output::{Force, Output};
+use crate::paper::{Crossing, PaperTimes};
 use crate::{Outcome, demo, precompute, run};
 
 /// Between two messages, unless the one before takes longer.
@@ -39,12 +40,6 @@ const MEETING: Duration = Duration::from_secs(20);
 const FIRST: usize = 3;
 /// Largest message.
 const LARGEST: usize = 64 << 20;
-/// What the paper found over its Wi-Fi, as half of a round trip: kind, KB, ms.
-const PAPER: [(Kind, f64, f64); 3] = [
-    (Kind::Boxes, 3.63, 10.0),
-    (Kind::Features, 840.0, 41.7),
-    (Kind::Points, 3_700.0, 144.2),
-];
 
 /// Measures how long a log's messages take to a peer and back, and writes what the way is like as a trace for `link`
 ///
@@ -444,7 +439,7 @@ impl Found {
                 Some(Spread { p50, p95, p99 }) => format!("{p50:.1} / {p95:.1} / {p99:.1}"),
                 None => "–".into(),
             };
-            let paper = PAPER.iter().find(|(kind, ..)| *kind == row.kind);
+            let paper = PaperTimes::get().message(row.kind);
             println!(
                 "{:<10} {:>9.2} {:>11}  {:<24} {:<24} {}",
                 row.kind.to_string(),
@@ -452,7 +447,9 @@ impl Found {
                 format!("{} of {}", row.came_back, row.sent),
                 of(&row.half_of_round_trip_ms),
                 of(&row.one_way_ms),
-                paper.map_or(String::new(), |(_, kilobytes, ms)| format!("{ms} of {kilobytes} KB")),
+                paper.map_or(String::new(), |Crossing { kilobytes, ms, .. }| format!(
+                    "{ms} of {kilobytes} KB"
+                )),
             );
         }
         println!(

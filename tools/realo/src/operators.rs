@@ -2,9 +2,10 @@
 
 use eyre::Result;
 use realo_operator::{Counter, Meaning, Port, Queue, Registration};
+use realo_schemas::{PayloadType, layout};
 use serde_json::{Value, json};
 
-use crate::{Outcome, registry};
+use crate::{Outcome, registry, stages};
 
 /// Lists every operator and node with ports, types, arguments and counters
 #[derive(clap::Args)]
@@ -17,6 +18,12 @@ pub struct Args {
     /// What they count, as a table of docs/reference/results.md
     #[arg(long, conflicts_with = "json")]
     counters: bool,
+    /// As the page docs/reference/stages.md
+    #[arg(long, conflicts_with_all = ["json", "counters", "name"])]
+    markdown: bool,
+    /// The columns of all messages as JSON, which the Python package reads
+    #[arg(long, conflicts_with_all = ["json", "counters", "markdown", "name"])]
+    schema: bool,
 }
 
 /// Prints the registry.
@@ -30,7 +37,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
             known.join(", ")
         ));
     }
-    if args.counters {
+    if args.markdown {
+        print!("{}", stages::page());
+    } else if args.schema {
+        println!("{}", schema()?);
+    } else if args.counters {
         print!("{}", counters(&entries));
     } else if args.json {
         println!(
@@ -60,8 +71,9 @@ fn print(entry: &Registration) {
     let defaults = (entry.defaults)();
     for argument in entry.arguments {
         let default = defaults.get(argument.name).map(Value::to_string).unwrap_or_default();
+        let range = argument.range.map(|range| format!(" ({range})")).unwrap_or_default();
         println!(
-            "  arg  {:<30} {}",
+            "  arg  {:<30} {}{range}",
             format!("{}={default}", argument.name),
             argument.about
         );
@@ -127,6 +139,21 @@ fn traits(port: &Port) -> String {
     }
 }
 
+/// The columns of all messages, as `python/realo_operator/schema.json` has them.
+fn schema() -> Result<String> {
+    let object = |columns: Vec<layout::Column>| -> Value {
+        columns
+            .into_iter()
+            .map(|(name, kind)| (name, Value::String(kind)))
+            .collect()
+    };
+    let payloads = PayloadType::ALL
+        .iter()
+        .map(|of| (of.to_string(), object(layout::payload(*of))));
+    let all = json!({"header": object(layout::header()), "payloads": payloads.collect::<Value>()});
+    Ok(serde_json::to_string_pretty(&all)?)
+}
+
 fn document(entry: &Registration) -> Value {
     let port = |port: &Port| {
         json!({
@@ -139,8 +166,7 @@ fn document(entry: &Registration) -> Value {
         })
     };
     let defaults = (entry.defaults)();
-    let argument =
-        |a: &realo_operator::Argument| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about});
+    let argument = |a: &realo_operator::Argument| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about, "range": a.range, "role": a.role});
     json!({
         "kind": entry.word(),
         "name": entry.name,
@@ -177,6 +203,32 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+
+    /// What differs first, and how to write the file again.
+    fn assert_same(file: &str, option: &str, written: &str, expected: &str) {
+        let differs = expected.lines().zip(written.lines()).find(|(a, b)| a != b);
+        assert!(
+            written.trim_end() == expected.trim_end(),
+            "{file}: expected what `realo operators {option}` prints, found {differs:#?}"
+        );
+    }
+
+    #[test]
+    fn the_page_of_stages_is_what_the_stages_say() {
+        let page = include_str!("../../../docs/reference/stages.md");
+        assert_same("docs/reference/stages.md", "--markdown", page, &stages::page());
+    }
+
+    #[test]
+    fn python_reads_the_columns_of_the_schemas() {
+        let file = include_str!("../../../python/realo_operator/schema.json");
+        assert_same(
+            "python/realo_operator/schema.json",
+            "--schema",
+            file,
+            &schema().unwrap(),
+        );
+    }
 
     #[test]
     fn the_page_has_every_counter() {

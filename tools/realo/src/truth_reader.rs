@@ -4,7 +4,7 @@ use std::path::Path;
 
 use eyre::{Result, eyre};
 use realo_operator::{Describe, Source};
-use realo_player::{Config, Player};
+use realo_player::{Player, Settings};
 use realo_results::NodeSummary;
 use realo_schemas::{GroundTruth, Header, Kind};
 
@@ -17,12 +17,12 @@ impl TruthReader {
     /// # Errors
     /// A log that cannot be played for this ego.
     pub fn open(log: &Path, ego: &str, agents: &[String]) -> Result<Self> {
-        let config = Config {
+        let config = Settings {
             log: log.into(),
             ego: ego.into(),
             agents: agents.to_vec(),
             points: false,
-            ..Config::default()
+            ..Settings::default()
         };
         Player::new(config).map(TruthReader).map_err(|error| eyre!(error))
     }

@@ -1,10 +1,10 @@
 //! The checks by fusions that hold all of them, and by some that break one.
 
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use realo_operator::{Argument, Describe, Error, Port, unexpected};
+use realo_operator::{Describe, Error, Port, PortError, Settings, StageInputs};
 use realo_schemas::{Box3, Boxes, Kind, Report};
+use serde::{Deserialize, Serialize};
 
 use super::*;
 
@@ -31,7 +31,6 @@ const JOINED: &[Port] = &[
     Port::new("selections", ANY, "").joined("frame"),
 ];
 const LOOSE: &[Port] = &[Port::new("ego", ANY, ""), Port::new("selections", ANY, "")];
-const FUSED: PortId = PortId(1);
 
 /// Lists the boxes of the ego, then those of the collaborators by name; a report comes before.
 struct Toy<const FLAW: usize> {
@@ -39,21 +38,42 @@ struct Toy<const FLAW: usize> {
     last: Option<Message>,
 }
 
+/// Nothing is to be set.
+#[derive(Settings, Serialize, Deserialize)]
+struct Nothing {}
+
+/// What comes in, joined or not.
+struct Input<const FLAW: usize>(PortId, Message);
+
+impl<const FLAW: usize> StageInputs for Input<FLAW> {
+    const PORTS: &'static [Port] = if FLAW == JOINS_NOTHING { LOOSE } else { JOINED };
+
+    fn read(port: PortId, message: Message) -> Result<Self, PortError> {
+        Ok(Input(port, message))
+    }
+}
+
+/// What it sends.
+#[derive(Outputs)]
+enum Output {
+    /// What it has to say.
+    Said(Header, Report),
+    /// What it fused.
+    #[port(any_of(Boxes))]
+    Fused(Message),
+}
+
 impl<const FLAW: usize> Describe for Toy<FLAW> {
-    type Config = BTreeMap<String, String>;
+    type Settings = Nothing;
+    type Input = Input<FLAW>;
+    type Output = Output;
     const NAME: &'static str = "toy";
     const ABOUT: &'static str = "";
-    const ARGUMENTS: &'static [Argument] = &[];
-    const INPUTS: &'static [Port] = if FLAW == JOINS_NOTHING { LOOSE } else { JOINED };
-    const OUTPUTS: &'static [Port] = &[
-        Port::new("said", &[PayloadType::Report], ""),
-        Port::new("fused", &[PayloadType::Boxes], ""),
-    ];
 }
 
 impl<const FLAW: usize> Toy<FLAW> {
     fn fuse(&mut self, selection: Message, out: &mut Outputs) -> Result<(), Error> {
-        let (_, Selection { query, mut entries }) = selection.into_parts().map_err(unexpected)?;
+        let (_, Selection { query, mut entries }) = selection.into_parts()?;
         let ego = self.ego.take().ok_or("no message of the ego")?;
         if FLAW != FUSES_ANY_QUERY && ego.header.seq != query {
             return Err("another query".into());
@@ -64,12 +84,12 @@ impl<const FLAW: usize> Toy<FLAW> {
         if FLAW == IS_SILENT_WITHOUT_ENTRIES && entries.is_empty() {
             return Ok(());
         }
-        let (mut header, Boxes(mut fused)) = ego.into_parts().map_err(unexpected)?;
+        let (mut header, Boxes(mut fused)) = ego.into_parts()?;
         if FLAW == FORGETS_THE_EGO_ALONE && entries.is_empty() {
             fused.clear();
         }
         for entry in entries {
-            let (of, Boxes(boxes)) = entry.into_parts().map_err(unexpected)?;
+            let (of, Boxes(boxes)) = entry.into_parts()?;
             let silent = match FLAW {
                 SAYS_NOTHING_OF_RSU1 => &*of.agent == "rsu1",
                 SAYS_NOTHING_OF_THE_FIRST_SET => of.seq == 0,
@@ -97,18 +117,18 @@ impl<const FLAW: usize> Toy<FLAW> {
         };
         let fused = Message::new(header, Boxes(fused));
         self.last = Some(fused.clone());
-        out.send(PortId(0), Message::new(fused.header.clone(), report));
-        out.send(FUSED, fused);
+        out.send(Output::Said(fused.header.clone(), report));
+        out.send(Output::Fused(fused));
         Ok(())
     }
 }
 
 impl<const FLAW: usize> Operator for Toy<FLAW> {
-    fn new(_: BTreeMap<String, String>) -> Result<Self, Error> {
+    fn new(_: Nothing) -> Result<Self, Error> {
         Ok(Toy { ego: None, last: None })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, Input(port, message): Input<FLAW>, out: &mut Outputs) -> Result<(), Error> {
         out.wake_at(out.now() + 5);
         match port {
             PortId(0) => self.ego = Some(message),
@@ -128,7 +148,7 @@ impl<const FLAW: usize> Operator for Toy<FLAW> {
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
         if FLAW == ANSWERS_AGAIN_AT_THE_END {
-            out.send(FUSED, self.last.take().ok_or("nothing to answer")?);
+            out.send(Output::Fused(self.last.take().ok_or("nothing to answer")?));
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Whose graph it is, where one agent has a graph of its own.
 
 use super::{Findings, FlatGraph, FlatNode, Severity};
-use realo_operator::{Decided, Registration, Role};
+use realo_operator::{Registration, Role};
 use realo_schemas::file::shown;
 
 /// Player, radio and log recorder of a graph are of one agent.
@@ -26,8 +26,8 @@ pub(super) fn check(graph: &FlatGraph, stages: &[Option<&'static Registration>],
 /// The argument that says whose sensors, packets or log it has.
 fn agent_argument(stage: &Registration) -> Option<&'static str> {
     match stage.role {
-        Role::Source => stage.argument(Decided::Own),
-        Role::Gateway | Role::Sink => stage.argument(Decided::Ego),
+        Role::Source => stage.argument("own"),
+        Role::Gateway | Role::Sink => stage.argument("ego"),
         Role::Operator => None,
     }
 }

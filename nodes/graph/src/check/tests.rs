@@ -5,11 +5,13 @@ use realo_schemas::{Message, Nanos, PayloadType};
 use super::*;
 use crate::Graph;
 use realo_operator::{
-    Argument, Books, Describe, Error, Gateway, Lane, Operator, Outputs, Port, PortId, Sink, Source, Waker,
+    Books, Describe, Error, Gateway, Lane, Operator, Outputs, Port, PortError, PortId, Settings, Sink, Source,
+    StageInputs, StageOutputs, Waker,
 };
 
-#[derive(Default, serde::Serialize, serde::Deserialize)]
+#[derive(Settings, serde::Serialize, serde::Deserialize)]
 struct Settings {
+    /// A number.
     threshold: f64,
 }
 
@@ -28,14 +30,30 @@ const fn port(name: &'static str, types: &'static [PayloadType]) -> Port {
 macro_rules! stage {
     ($kind:ident, $type:ident, $name:literal, [$($inputs:expr),*], [$($outputs:expr),*]) => {
         struct $type;
-        impl Describe for $type {
-            type Config = Settings;
-            const NAME: &'static str = $name;
-            const ABOUT: &'static str = "a stage of a test";
-            const ARGUMENTS: &'static [Argument] = &[Argument { name: "threshold", about: "a number" }];
-            const INPUTS: &'static [Port] = &[$($inputs),*];
-            const OUTPUTS: &'static [Port] = &[$($outputs),*];
-        }
+        const _: () = {
+            #[derive(Debug)]
+            pub struct Input;
+            impl StageInputs for Input {
+                const PORTS: &'static [Port] = &[$($inputs),*];
+                fn read(_: PortId, _: Message) -> Result<Self, PortError> {
+                    Ok(Input)
+                }
+            }
+            pub enum Output {}
+            impl StageOutputs for Output {
+                const PORTS: &'static [Port] = &[$($outputs),*];
+                fn into_message(self) -> (PortId, Message) {
+                    match self {}
+                }
+            }
+            impl Describe for $type {
+                type Settings = Settings;
+                type Input = Input;
+                type Output = Output;
+                const NAME: &'static str = $name;
+                const ABOUT: &'static str = "a stage of a test";
+            }
+        };
         stage!($kind, $type);
     };
     (operator, $type:ident) => {
@@ -43,7 +61,7 @@ macro_rules! stage {
             fn new(_: Settings) -> Result<Self, Error> {
                 Ok($type)
             }
-            fn on_input(&mut self, _: PortId, _: Message, _: &mut Outputs) -> Result<(), Error> {
+            fn on_input(&mut self, _: Self::Input, _: &mut Outputs) -> Result<(), Error> {
                 Ok(())
             }
         }
@@ -66,7 +84,7 @@ macro_rules! stage {
             fn open(&mut self, _: Waker) -> Result<(), Error> {
                 Ok(())
             }
-            fn on_input(&mut self, _: PortId, _: Message, _: &mut Outputs) -> Result<(), Error> {
+            fn on_input(&mut self, _: Self::Input, _: &mut Outputs) -> Result<(), Error> {
                 Ok(())
             }
             fn on_wake(&mut self, _: Nanos, _: &mut Outputs) -> Result<(), Error> {
@@ -82,7 +100,7 @@ macro_rules! stage {
             fn new(_: Settings) -> Result<Self, Error> {
                 Ok($type)
             }
-            fn accept(&mut self, _: PortId, _: Message) -> Result<(), Error> {
+            fn accept(&mut self, _: Self::Input) -> Result<(), Error> {
                 Ok(())
             }
             fn finish(&mut self, _: &Books) -> Result<(), Error> {

@@ -459,8 +459,6 @@ static NOBODY: Registration = Registration {
     outputs: &[],
     arguments: &[],
     counters: &[],
-    decided: &[],
-    paper_inference: None,
     defaults: serde_json::Map::new,
     check: |_| Ok(()),
     examine: |_| Ok(()),

@@ -1,8 +1,8 @@
 use std::path::Path;
 
-use realo_operator::{InputBooks, NodeBooks};
+use realo_operator::{Books, InputBooks, NodeBooks, PortId, Tally};
 use realo_schemas::report::{Channel, Crossing, Fate, Traffic, Use, to_report};
-use realo_schemas::{Box3, Clock, Kind, Nanos, TraceEntry};
+use realo_schemas::{Box3, Boxes, Clock, GroundTruth, Header, Kind, Message, Nanos, TraceEntry};
 use realo_scoring::{EvaluationReport, Protocol, evaluate, score};
 
 use super::*;
@@ -147,15 +147,15 @@ fn both() -> Books {
 fn sink(out: &Path) -> Results {
     let reported = RunSettings {
         log: "intersection".into(),
-        settings: Settings {
+        settings: crate::Settings {
             graph: "late_fusion".into(),
-            ..Settings::default()
+            ..crate::Settings::default()
         },
         ..RunSettings::default()
     };
     let path = out.join("run.json");
     std::fs::write(&path, serde_json::to_string(&reported).unwrap()).unwrap();
-    Results::new(Config {
+    Results::new(Settings {
         out: out.into(),
         run_settings: path,
     })
@@ -166,12 +166,12 @@ fn sink(out: &Path) -> Results {
 fn ten_sweeps() -> Vec<(PortId, Message)> {
     let mut messages = Vec::new();
     for seq in 0..10 {
-        messages.push((TRUTH, Message::new(header(seq, Kind::Truth), truth())));
+        messages.push((Input::TRUTH, Message::new(header(seq, Kind::Truth), truth())));
         if seq != 3 {
-            messages.push((BOXES, boxes(seq)));
+            messages.push((Input::BOXES, boxes(seq)));
         }
     }
-    messages.push((EVALUATION, evaluation(10, &[3])));
+    messages.push((Input::EVALUATION, evaluation(10, &[3])));
     messages
 }
 
@@ -204,7 +204,7 @@ fn run_in(out: &Path, messages: Vec<(PortId, Message)>, fates: &[Fated], books: 
     let mut sink = sink(out);
     messages
         .into_iter()
-        .for_each(|(port, message)| sink.accept(port, message).unwrap());
+        .for_each(|(port, message)| sink.on_message(port, message).unwrap());
     sink.fates(fates).unwrap();
     assert!(
         matches!(read_run(out), Err(FilesError::Incomplete { .. })),
@@ -330,9 +330,9 @@ fn times_are_those_of_the_way_of_the_boxes() {
 fn without_fusion_there_are_no_links() {
     let folder = tempfile::tempdir().unwrap();
     let messages = vec![
-        (TRUTH, Message::new(header(0, Kind::Truth), truth())),
-        (BOXES, boxes(0)),
-        (EVALUATION, evaluation(1, &[])),
+        (Input::TRUTH, Message::new(header(0, Kind::Truth), truth())),
+        (Input::BOXES, boxes(0)),
+        (Input::EVALUATION, evaluation(1, &[])),
     ];
     let Run { result, .. } = run_in(folder.path(), messages, &[], &books(&[]));
     assert!(result.links.is_empty());
@@ -364,8 +364,8 @@ fn what_busy_nodes_skip_of_collaborators_is_a_note() {
         bank.inputs.insert("own".into(), input("cav1", Kind::Features));
     }
     let messages = vec![
-        (TRUTH, Message::new(header(0, Kind::Truth), truth())),
-        (BOXES, boxes(0)),
+        (Input::TRUTH, Message::new(header(0, Kind::Truth), truth())),
+        (Input::BOXES, boxes(0)),
     ];
     let Run { result, .. } = run_in(folder.path(), messages, &[], &books);
     let about = |words: &str| result.notes.iter().filter(|note| note.starts_with(words)).count();
@@ -376,10 +376,10 @@ fn what_busy_nodes_skip_of_collaborators_is_a_note() {
 #[test]
 fn boxes_that_come_again_answer_no_other_sweep() {
     let folder = tempfile::tempdir().unwrap();
-    let truths = (0..4).map(|seq| (TRUTH, Message::new(header(seq, Kind::Truth), truth())));
+    let truths = (0..4).map(|seq| (Input::TRUTH, Message::new(header(seq, Kind::Truth), truth())));
     let mut messages: Vec<_> = truths.collect();
     // Of four sweeps one is answered, four times; and one that nobody has measured.
-    messages.extend([1, 1, 1, 1, 9].map(|seq| (BOXES, boxes(seq))));
+    messages.extend([1, 1, 1, 1, 9].map(|seq| (Input::BOXES, boxes(seq))));
     let Run { result, timing, .. } = run_in(folder.path(), messages, &[], &books(&[]));
     let frames = (result.frames.total, result.frames.processed, result.frames.skipped);
     assert_eq!(frames, (4, 1, 3));
@@ -397,7 +397,7 @@ fn says_nothing_about_fates_where_nobody_takes_what_crossed() {
     let folder = tempfile::tempdir().unwrap();
     let mut books = books(&[channel(Kind::Boxes, 5)]);
     books.nodes.remove("bank");
-    let Run { result, .. } = run_in(folder.path(), vec![(BOXES, boxes(0))], &[], &books);
+    let Run { result, .. } = run_in(folder.path(), vec![(Input::BOXES, boxes(0))], &[], &books);
     assert_eq!(result.links["rsu1-cav1"]["boxes"].accounted, None);
     assert_eq!(result.accuracy, None);
 }
@@ -436,18 +436,27 @@ fn tells_what_dora_lost_and_what_is_missing_for_it() {
 fn refuses_reports_of_another_topic_or_form() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = sink(folder.path());
-    let error = sink.accept(EVALUATION, a_report("fusion", &1)).unwrap_err().to_string();
+    let error = sink
+        .on_message(Input::EVALUATION, a_report("fusion", &1))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("`evaluation`") && error.contains("`fusion`"), "{error}");
     let error = sink
-        .accept(EVALUATION, a_report(TOPIC, &["x"]))
+        .on_message(Input::EVALUATION, a_report(TOPIC, &["x"]))
         .unwrap_err()
         .to_string();
     assert!(error.contains("report `evaluation`"), "{error}");
-    let error = sink.accept(BOXES, a_report(TOPIC, &1)).unwrap_err().to_string();
+    let error = sink
+        .on_message(Input::BOXES, a_report(TOPIC, &1))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("expected a Boxes"), "{error}");
-    assert!(sink.accept(PortId(3), boxes(0)).is_err());
-    sink.accept(EVALUATION, evaluation(1, &[])).unwrap();
-    let error = sink.accept(EVALUATION, evaluation(1, &[])).unwrap_err().to_string();
+    assert!(sink.on_message(PortId(3), boxes(0)).is_err());
+    sink.on_message(Input::EVALUATION, evaluation(1, &[])).unwrap();
+    let error = sink
+        .on_message(Input::EVALUATION, evaluation(1, &[]))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("second report"), "{error}");
 }
 
@@ -455,15 +464,15 @@ fn refuses_reports_of_another_topic_or_form() {
 fn refuses_a_folder_of_somebody_else_before_the_run() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("result.json"), "{\"mine\": true}").unwrap();
-    let config = Config {
+    let config = Settings {
         out: folder.path().into(),
-        ..Config::default()
+        ..Settings::default()
     };
     let error = Results::new(config).err().unwrap().to_string();
     assert!(error.contains("not overwritten"), "{error}");
-    let empty = Config {
+    let empty = Settings {
         out: "".into(),
-        ..Config::default()
+        ..Settings::default()
     };
     assert!(Results::new(empty).err().unwrap().to_string().contains("`out`"));
 }
@@ -472,12 +481,12 @@ fn refuses_a_folder_of_somebody_else_before_the_run() {
 fn without_being_told_the_graph_is_named_as_its_folder() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("my_graph");
-    let config = Config {
+    let config = Settings {
         out: out.clone(),
-        ..Config::default()
+        ..Settings::default()
     };
     let mut sink = Results::new(config).unwrap();
-    sink.accept(BOXES, boxes(0)).unwrap();
+    sink.on_message(Input::BOXES, boxes(0)).unwrap();
     sink.finish(&Books::default()).unwrap();
     let settings = read_run(&out).unwrap().result.settings;
     assert_eq!(
@@ -487,20 +496,13 @@ fn without_being_told_the_graph_is_named_as_its_folder() {
     for (text, expected) in [("{", "not what a run tells"), ("{\"lag\": 1}", "lag")] {
         let reported = folder.path().join("bad.json");
         std::fs::write(&reported, text).unwrap();
-        let config = Config {
+        let config = Settings {
             out: out.clone(),
             run_settings: reported,
         };
         let error = Results::new(config).err().unwrap().to_string();
         assert!(error.contains("`run_settings`") && error.contains(expected), "{error}");
     }
-}
-
-#[test]
-fn describes_every_argument() {
-    let names: Vec<_> = Results::ARGUMENTS.iter().map(|argument| argument.name).collect();
-    let keys: Vec<_> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-    assert_eq!(names, keys);
 }
 
 #[test]

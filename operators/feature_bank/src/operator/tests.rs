@@ -1,5 +1,6 @@
+use realo_operator::{Outputs, PortId};
 use realo_schemas::report::Fate;
-use realo_schemas::{Boxes, Kind, Payload, PointCloud};
+use realo_schemas::{Boxes, Header, Kind, Message, Nanos, Payload, PointCloud, Selection};
 
 use super::*;
 
@@ -12,9 +13,9 @@ fn message(agent: &str, seq: u64, stamp: Nanos, ready: Nanos) -> Message {
 }
 
 fn bank(offline: bool) -> FeatureBank {
-    FeatureBank::new(BankConfig {
+    FeatureBank::new(Settings {
         offline,
-        ..BankConfig::default()
+        ..Settings::default()
     })
     .unwrap()
 }
@@ -27,7 +28,7 @@ fn outcome(out: &mut Outputs) -> (Vec<Answered>, Vec<(u64, Fate)>) {
     let mut selections = Vec::new();
     for (port, message) in out.take_sent() {
         match message.payload {
-            Payload::Selection(Selection { query, entries }) if port == SELECTIONS => {
+            Payload::Selection(Selection { query, entries }) if port == Output::SELECTIONS => {
                 let entries = entries
                     .iter()
                     .map(|e| format!("{}:{}", e.header.agent, e.header.seq))
@@ -50,10 +51,15 @@ fn what_cannot_be_fused_with_the_query_is_rejected_before_and_after_it_is_known(
             payload: PointCloud::empty().into(),
             ..message("rsu1", seq, stamp, stamp + 1)
         };
-        bank.on_input(OTHERS, cloud(4, 95), &mut out).unwrap();
-        bank.on_input(OTHERS, message("rsu1", 3, 90, 92), &mut out).unwrap();
-        bank.on_input(EGO, message("cav1", 7, 100, 140), &mut out).unwrap();
-        let error = bank.on_input(OTHERS, cloud(5, 100), &mut out).unwrap_err().to_string();
+        bank.on_message(Input::OTHERS, cloud(4, 95), &mut out).unwrap();
+        bank.on_message(Input::OTHERS, message("rsu1", 3, 90, 92), &mut out)
+            .unwrap();
+        bank.on_message(Input::EGO, message("cav1", 7, 100, 140), &mut out)
+            .unwrap();
+        let error = bank
+            .on_message(Input::OTHERS, cloud(5, 100), &mut out)
+            .unwrap_err()
+            .to_string();
         assert!(
             error.contains("expected Boxes") && error.contains("found PointCloud"),
             "{error}"
@@ -69,10 +75,12 @@ fn what_cannot_be_fused_with_the_query_is_rejected_before_and_after_it_is_known(
 fn answers_each_query_at_once_with_the_querys_header() {
     let mut bank = bank(false);
     let mut out = Outputs::at(140 * MS);
-    bank.on_input(OTHERS, message("rsu1", 4, 90, 130), &mut out).unwrap();
-    bank.on_input(OTHERS, message("rsu1", 4, 90, 131), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 130), &mut out)
+        .unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 131), &mut out)
+        .unwrap();
     let query = message("cav1", 7, 100, 140);
-    bank.on_input(EGO, query.clone(), &mut out).unwrap();
+    bank.on_message(Input::EGO, query.clone(), &mut out).unwrap();
     let (selections, fates) = outcome(&mut out);
     assert_eq!(selections, [(query.header.clone(), 7, vec!["rsu1:4".to_string()])]);
     assert_eq!((fates, out.counted("repeated")), (vec![], 1));
@@ -85,13 +93,15 @@ fn who_is_in_the_egos_message_already_is_skipped_by_its_query() {
     for offline in [false, true] {
         let mut bank = bank(offline);
         let mut out = Outputs::at(140 * MS);
-        bank.on_input(OTHERS, message("rsu1", 4, 95, 110), &mut out).unwrap();
-        bank.on_input(OTHERS, message("cav2", 2, 95, 110), &mut out).unwrap();
+        bank.on_message(Input::OTHERS, message("rsu1", 4, 95, 110), &mut out)
+            .unwrap();
+        bank.on_message(Input::OTHERS, message("cav2", 2, 95, 110), &mut out)
+            .unwrap();
         let query = message("cav1", 7, 100, 140);
         let entries = vec![message("rsu1", 4, 95, 100)];
         let fused = Message::new(query.header.clone(), Selection { query: 7, entries });
-        bank.on_input(FUSED, fused, &mut out).unwrap();
-        bank.on_input(EGO, query, &mut out).unwrap();
+        bank.on_message(Input::FUSED, fused, &mut out).unwrap();
+        bank.on_message(Input::EGO, query, &mut out).unwrap();
         bank.on_end(&mut out).unwrap();
         let (selections, fates) = outcome(&mut out);
         assert_eq!(selections[0].2, ["cav2:2"], "offline {offline}");
@@ -106,10 +116,11 @@ fn who_was_in_an_earlier_message_of_the_ego_is_selected_again() {
     let query = |seq| message("cav1", seq, 100, 140);
     let entries = vec![message("rsu1", 4, 95, 100)];
     let fused = Message::new(query(7).header, Selection { query: 7, entries });
-    bank.on_input(OTHERS, message("rsu1", 4, 95, 110), &mut out).unwrap();
-    bank.on_input(FUSED, fused, &mut out).unwrap();
-    bank.on_input(EGO, query(7), &mut out).unwrap();
-    bank.on_input(EGO, query(8), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 95, 110), &mut out)
+        .unwrap();
+    bank.on_message(Input::FUSED, fused, &mut out).unwrap();
+    bank.on_message(Input::EGO, query(7), &mut out).unwrap();
+    bank.on_message(Input::EGO, query(8), &mut out).unwrap();
     bank.on_end(&mut out).unwrap();
     let (selections, fates) = outcome(&mut out);
     assert_eq!(
@@ -123,10 +134,12 @@ fn who_was_in_an_earlier_message_of_the_ego_is_selected_again() {
 fn offline_answers_fifty_milliseconds_after_the_stamp() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
-    bank.on_input(EGO, message("cav1", 0, 100, 100), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 0, 100, 100), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).0, []);
     assert_eq!(out.take_wakes().into_iter().collect::<Vec<_>>(), [150 * MS]);
-    bank.on_input(OTHERS, message("rsu1", 0, 140, 140), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 0, 140, 140), &mut out)
+        .unwrap();
     bank.on_wake(149 * MS, &mut out).unwrap();
     assert_eq!(outcome(&mut out).0, []);
     let mut out = Outputs::at(150 * MS);
@@ -143,7 +156,8 @@ fn queries_of_one_stamp_are_answered_each_in_order_of_arrival() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
     for seq in [4, 3, 5] {
-        bank.on_input(EGO, message("cav1", seq, 100, 100), &mut out).unwrap();
+        bank.on_message(Input::EGO, message("cav1", seq, 100, 100), &mut out)
+            .unwrap();
     }
     bank.on_wake(150 * MS, &mut out).unwrap();
     let answered: Vec<u64> = outcome(&mut out).0.iter().map(|(_, query, _)| *query).collect();
@@ -154,7 +168,8 @@ fn queries_of_one_stamp_are_answered_each_in_order_of_arrival() {
 fn answers_what_is_pending_at_the_end() {
     let mut bank = bank(true);
     let mut out = Outputs::at(100 * MS);
-    bank.on_input(EGO, message("cav1", 0, 100, 100), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 0, 100, 100), &mut out)
+        .unwrap();
     bank.on_end(&mut out).unwrap();
     assert_eq!(outcome(&mut out).0.len(), 1);
 }
@@ -165,7 +180,8 @@ fn closes_its_books_without_a_query_and_is_silent_without_a_message() {
     bank(false).on_end(&mut out).unwrap();
     assert_eq!(out.take_sent(), []);
     let mut bank = bank(false);
-    bank.on_input(OTHERS, message("rsu1", 0, 90, 100), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 0, 90, 100), &mut out)
+        .unwrap();
     bank.on_end(&mut out).unwrap();
     assert_eq!(outcome(&mut out), (vec![], vec![(0, Fate::InFlight)]));
 }
@@ -174,9 +190,12 @@ fn closes_its_books_without_a_query_and_is_silent_without_a_message() {
 fn says_what_became_of_what_it_will_not_select() {
     let mut bank = bank(false);
     let mut out = Outputs::at(140 * MS);
-    bank.on_input(OTHERS, message("rsu1", 3, 0, 100), &mut out).unwrap();
-    bank.on_input(OTHERS, message("rsu1", 4, 90, 130), &mut out).unwrap();
-    bank.on_input(EGO, message("cav1", 7, 100, 140), &mut out).unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 3, 0, 100), &mut out)
+        .unwrap();
+    bank.on_message(Input::OTHERS, message("rsu1", 4, 90, 130), &mut out)
+        .unwrap();
+    bank.on_message(Input::EGO, message("cav1", 7, 100, 140), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).1, [(3, Fate::Superseded)]);
 }
 
@@ -184,41 +203,26 @@ fn says_what_became_of_what_it_will_not_select() {
 fn refuses_settings_that_cannot_work() {
     let error = |config| FeatureBank::new(config).err().expect("refused").to_string();
     assert!(
-        error(BankConfig {
+        error(Settings {
             max_agents: 0,
-            ..BankConfig::default()
+            ..Settings::default()
         })
         .contains("`max_agents`")
     );
     assert!(
-        error(BankConfig {
+        error(Settings {
             forget_ms: 10,
-            ..BankConfig::default()
+            ..Settings::default()
         })
         .contains("`forget_ms`")
     );
 }
 
-#[test]
-fn arguments_are_the_keys_of_the_configuration() {
-    let keys: Vec<String> = realo_operator::config::defaults::<BankConfig>()
-        .keys()
-        .cloned()
-        .collect();
-    assert_eq!(
-        keys,
-        FeatureBank::ARGUMENTS
-            .iter()
-            .map(|argument| argument.name)
-            .collect::<Vec<_>>()
-    );
-}
-
 /// A bank that waits at most 30 ms.
 fn patient() -> FeatureBank {
-    FeatureBank::new(BankConfig {
+    FeatureBank::new(Settings {
         patience_ms: 30,
-        ..BankConfig::default()
+        ..Settings::default()
     })
     .unwrap()
 }
@@ -226,7 +230,7 @@ fn patient() -> FeatureBank {
 /// Gives a message at a time; what was answered, and the wakes that were asked for, in ms.
 fn give(bank: &mut FeatureBank, port: PortId, message: Message) -> (Vec<Answered>, Vec<Nanos>) {
     let mut out = Outputs::at(message.header.ready);
-    bank.on_input(port, message, &mut out).unwrap();
+    bank.on_message(port, message, &mut out).unwrap();
     let wakes = out.take_wakes().into_iter().map(|time| time / MS).collect();
     (outcome(&mut out).0, wakes)
 }
@@ -236,7 +240,7 @@ fn two_of(bank: &mut FeatureBank, agent: &str) {
     for seq in [0, 1] {
         let stamp = 100 * seq as Nanos;
         assert_eq!(
-            give(bank, OTHERS, message(agent, seq, stamp, stamp + 60)),
+            give(bank, Input::OTHERS, message(agent, seq, stamp, stamp + 60)),
             (vec![], vec![])
         );
     }
@@ -248,9 +252,15 @@ fn patient_queries_go_on_as_soon_as_all_that_is_expected_has_come() {
     two_of(&mut bank, "rsu1");
     two_of(&mut bank, "rsu2");
     // Both are due at 260.
-    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)), (vec![], vec![280]));
-    assert_eq!(give(&mut bank, OTHERS, message("rsu1", 2, 200, 262)), (vec![], vec![]));
-    let (answered, _) = give(&mut bank, OTHERS, message("rsu2", 2, 200, 270));
+    assert_eq!(
+        give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)),
+        (vec![], vec![280])
+    );
+    assert_eq!(
+        give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 262)),
+        (vec![], vec![])
+    );
+    let (answered, _) = give(&mut bank, Input::OTHERS, message("rsu2", 2, 200, 270));
     assert_eq!(answered[0].2, ["rsu1:2", "rsu2:2"]);
     assert_eq!(answered[0].0.ready, 270 * MS);
     let mut out = Outputs::at(280 * MS);
@@ -262,7 +272,10 @@ fn patient_queries_go_on_as_soon_as_all_that_is_expected_has_come() {
 fn patience_ends_with_what_is_there() {
     let mut bank = patient();
     two_of(&mut bank, "rsu1");
-    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)), (vec![], vec![280]));
+    assert_eq!(
+        give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)),
+        (vec![], vec![280])
+    );
     for (now, answers) in [(279, vec![]), (280, vec!["rsu1:1".to_string()])] {
         let mut out = Outputs::at(now * MS);
         bank.on_wake(now * MS, &mut out).unwrap();
@@ -273,7 +286,7 @@ fn patience_ends_with_what_is_there() {
             .collect();
         assert_eq!(entries, answers, "{now}");
     }
-    let (answered, wakes) = give(&mut bank, OTHERS, message("rsu1", 2, 200, 281));
+    let (answered, wakes) = give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 281));
     assert_eq!((answered, wakes), (vec![], vec![]), "too late for the query");
 }
 
@@ -325,9 +338,9 @@ fn nobody_waits_for_what_is_not_expected_within_the_patience() {
             messages.iter().map(|m| m.header.ready / MS).collect::<Vec<_>>()
         );
         for message in messages {
-            give(&mut bank, OTHERS, message);
+            give(&mut bank, Input::OTHERS, message);
         }
-        let (answered, wakes) = give(&mut bank, EGO, message("cav1", 2, 200, at));
+        let (answered, wakes) = give(&mut bank, Input::EGO, message("cav1", 2, 200, at));
         assert_eq!((answered.is_empty(), !wakes.is_empty()), (waits, waits), "{reported}");
     }
 }
@@ -336,8 +349,8 @@ fn nobody_waits_for_what_is_not_expected_within_the_patience() {
 fn a_query_waits_no_longer_than_until_the_next_one() {
     let mut bank = patient();
     two_of(&mut bank, "rsu1");
-    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)).0, []);
-    let (answered, wakes) = give(&mut bank, EGO, message("cav1", 3, 210, 260));
+    assert_eq!(give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)).0, []);
+    let (answered, wakes) = give(&mut bank, Input::EGO, message("cav1", 3, 210, 260));
     assert_eq!(answered.iter().map(|answered| answered.1).collect::<Vec<_>>(), [2]);
     assert_eq!(wakes, [290]);
     let mut out = Outputs::at(265 * MS);
@@ -348,15 +361,16 @@ fn a_query_waits_no_longer_than_until_the_next_one() {
 #[test]
 fn a_query_that_had_to_wait_for_its_turn_takes_what_came_meanwhile_if_it_is_patient() {
     for (patience_ms, taken) in [(0, "rsu1:0"), (30, "rsu1:1")] {
-        let mut bank = FeatureBank::new(BankConfig {
+        let mut bank = FeatureBank::new(Settings {
             patience_ms,
-            ..BankConfig::default()
+            ..Settings::default()
         })
         .unwrap();
-        give(&mut bank, OTHERS, message("rsu1", 0, 100, 160));
-        give(&mut bank, OTHERS, message("rsu1", 1, 200, 255));
+        give(&mut bank, Input::OTHERS, message("rsu1", 0, 100, 160));
+        give(&mut bank, Input::OTHERS, message("rsu1", 1, 200, 255));
         let mut out = Outputs::at(257 * MS);
-        bank.on_input(EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+        bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out)
+            .unwrap();
         assert_eq!(outcome(&mut out).0[0].2, [taken]);
     }
 }
@@ -364,9 +378,10 @@ fn a_query_that_had_to_wait_for_its_turn_takes_what_came_meanwhile_if_it_is_pati
 #[test]
 fn a_patient_query_that_is_asked_early_takes_what_is_ready_when_it_is() {
     let mut bank = patient();
-    give(&mut bank, OTHERS, message("rsu1", 0, 100, 245));
+    give(&mut bank, Input::OTHERS, message("rsu1", 0, 100, 245));
     let mut out = Outputs::at(240 * MS);
-    bank.on_input(EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).0[0].2, ["rsu1:0"]);
 }
 
@@ -375,7 +390,8 @@ fn without_patience_nobody_waits_even_for_what_is_due_when_the_query_is_ready() 
     let mut bank = bank(false);
     two_of(&mut bank, "rsu1");
     let mut out = Outputs::at(240 * MS);
-    bank.on_input(EGO, message("cav1", 2, 200, 260), &mut out).unwrap();
+    bank.on_message(Input::EGO, message("cav1", 2, 200, 260), &mut out)
+        .unwrap();
     assert_eq!(outcome(&mut out).0.len(), 1);
 }
 
@@ -386,7 +402,8 @@ fn a_query_whose_patience_is_over_when_its_turn_comes_is_answered_at_once() {
         let mut bank = patient();
         two_of(&mut bank, "rsu1");
         let mut out = Outputs::at(turn * MS);
-        bank.on_input(EGO, message("cav1", 2, 200, 250), &mut out).unwrap();
+        bank.on_message(Input::EGO, message("cav1", 2, 200, 250), &mut out)
+            .unwrap();
         let asked: Vec<Nanos> = out.take_wakes().into_iter().map(|time| time / MS).collect();
         let answered = outcome(&mut out).0;
         assert_eq!((answered.is_empty(), asked), (!wakes.is_empty(), wakes), "{turn}");
@@ -397,7 +414,7 @@ fn a_query_whose_patience_is_over_when_its_turn_comes_is_answered_at_once() {
 fn the_ego_does_not_wait_for_itself() {
     let mut bank = patient();
     two_of(&mut bank, "cav1");
-    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)).0.len(), 1);
+    assert_eq!(give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)).0.len(), 1);
 }
 
 #[test]
@@ -405,9 +422,9 @@ fn waiting_for_one_sender_makes_no_other_stale() {
     let mut bank = patient();
     two_of(&mut bank, "rsu1");
     // 380 ms old when the ego asks, and 405 when it goes on.
-    give(&mut bank, OTHERS, message("cav2", 0, -130, 10));
-    assert_eq!(give(&mut bank, EGO, message("cav1", 2, 200, 250)).0, []);
-    let (answered, _) = give(&mut bank, OTHERS, message("rsu1", 2, 200, 275));
+    give(&mut bank, Input::OTHERS, message("cav2", 0, -130, 10));
+    assert_eq!(give(&mut bank, Input::EGO, message("cav1", 2, 200, 250)).0, []);
+    let (answered, _) = give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 275));
     assert_eq!(answered[0].2, ["cav2:0", "rsu1:2"]);
 }
 
@@ -415,11 +432,15 @@ fn waiting_for_one_sender_makes_no_other_stale() {
 fn a_late_older_message_ends_no_wait() {
     let mut bank = patient();
     for (seq, stamp) in [(0, 0), (2, 200)] {
-        give(&mut bank, OTHERS, message("rsu1", seq, stamp, stamp + 60));
+        give(&mut bank, Input::OTHERS, message("rsu1", seq, stamp, stamp + 60));
     }
-    assert_eq!(give(&mut bank, EGO, message("cav1", 3, 300, 350)).0, []);
-    assert_eq!(give(&mut bank, OTHERS, message("rsu1", 1, 100, 355)).0, []);
-    assert_eq!(give(&mut bank, OTHERS, message("rsu1", 2, 200, 356)).0, [], "a copy");
-    let (answered, _) = give(&mut bank, OTHERS, message("rsu1", 3, 300, 362));
+    assert_eq!(give(&mut bank, Input::EGO, message("cav1", 3, 300, 350)).0, []);
+    assert_eq!(give(&mut bank, Input::OTHERS, message("rsu1", 1, 100, 355)).0, []);
+    assert_eq!(
+        give(&mut bank, Input::OTHERS, message("rsu1", 2, 200, 356)).0,
+        [],
+        "a copy"
+    );
+    let (answered, _) = give(&mut bank, Input::OTHERS, message("rsu1", 3, 300, 362));
     assert_eq!(answered[0].2, ["rsu1:3"]);
 }

@@ -1,7 +1,7 @@
 use arrow::buffer::Buffer;
 use nalgebra::Isometry3;
-use realo_operator::NodeBooks;
-use realo_schemas::{Kind, PoseStatus};
+use realo_operator::{Error, NodeBooks, Outputs, PortId};
+use realo_schemas::{AgentState, Header, Kind, Message, Nanos, Packet, PoseStatus};
 
 use super::*;
 
@@ -50,7 +50,7 @@ struct Seen {
 }
 
 impl Watched {
-    fn new(config: LinkConfig) -> Result<Self, Error> {
+    fn new(config: Settings) -> Result<Self, Error> {
         Ok(Watched {
             link: Link::new(config)?,
             books: NodeBooks::default(),
@@ -58,9 +58,9 @@ impl Watched {
         })
     }
 
-    fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         let mut own = Outputs::at(out.now());
-        let done = self.link.on_input(port, message, &mut own);
+        let done = self.link.on_message(port, message, &mut own);
         self.watch(own, out);
         done
     }
@@ -74,10 +74,10 @@ impl Watched {
 }
 
 fn link(profile: &str) -> Watched {
-    Watched::new(LinkConfig {
+    Watched::new(Settings {
         profile: profile.into(),
         ego: "cav1".into(),
-        ..LinkConfig::default()
+        ..Settings::default()
     })
     .unwrap()
 }
@@ -85,9 +85,10 @@ fn link(profile: &str) -> Watched {
 /// A link that knows all agents to stand at one place.
 fn placed(mut link: Watched) -> Watched {
     let out = &mut Outputs::at(0);
-    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), out).unwrap();
+    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), out)
+        .unwrap();
     for other in ["rsu1", "cav2"] {
-        link.on_input(STATES, state(other, 0, 0.0, 0.0), out).unwrap();
+        link.on_message(Input::STATES, state(other, 0, 0.0, 0.0), out).unwrap();
     }
     link
 }
@@ -123,12 +124,12 @@ fn paper_delays_by_kind_from_the_time_of_sending() {
     ];
     for (kind, delay) in kinds {
         let mut out = Outputs::at(17);
-        link.on_input(OTHERS, packet("rsu1", kind, 3, 12, 100), &mut out)
+        link.on_message(Input::OTHERS, packet("rsu1", kind, 3, 12, 100), &mut out)
             .unwrap();
         let sent = out.take_sent();
         assert_eq!(sent.len(), 1);
         let (port, message) = &sent[0];
-        assert_eq!((*port, message.header.to.as_deref()), (TO_EGO, Some("cav1")));
+        assert_eq!((*port, message.header.to.as_deref()), (Output::TO_EGO, Some("cav1")));
         assert_eq!(
             (message.header.ready, message.header.stamp, message.header.seq),
             (17 + delay, 12, 3)
@@ -148,10 +149,14 @@ fn range_gate_is_inclusive_and_uses_the_newest_positions() {
     let mut out = Outputs::at(MS);
     let mut delivered = |link: &mut Watched, states: &[(&str, Nanos, f64, f64)]| {
         for (agent, at, x, y) in states {
-            let port = if *agent == "cav1" { EGO_STATE } else { STATES };
-            link.on_input(port, state(agent, *at, *x, *y), &mut out).unwrap();
+            let port = if *agent == "cav1" {
+                Input::EGO_STATE
+            } else {
+                Input::STATES
+            };
+            link.on_message(port, state(agent, *at, *x, *y), &mut out).unwrap();
         }
-        link.on_input(OTHERS, packet("rsu1", Kind::Boxes, 0, MS, 10), &mut out)
+        link.on_message(Input::OTHERS, packet("rsu1", Kind::Boxes, 0, MS, 10), &mut out)
             .unwrap();
         out.take_sent().len()
     };
@@ -177,7 +182,7 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     let hear = |link: &mut Watched, at: Nanos, seqs: std::ops::Range<u64>| {
         let mut out = Outputs::at(at);
         for seq in seqs {
-            link.on_input(OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
+            link.on_message(Input::OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
                 .unwrap();
         }
         assert_eq!(out.take_sent(), []);
@@ -186,8 +191,12 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     let mut at_start = 0;
     let mut place = |link: &mut Watched, agent: &str, at: Nanos| -> Vec<(u64, Nanos)> {
         let mut out = Outputs::at(at);
-        let port = if agent == "cav1" { EGO_STATE } else { STATES };
-        link.on_input(port, state(agent, 0, 20.0, 0.0), &mut out).unwrap();
+        let port = if agent == "cav1" {
+            Input::EGO_STATE
+        } else {
+            Input::STATES
+        };
+        link.on_message(port, state(agent, 0, 20.0, 0.0), &mut out).unwrap();
         let sent = out.take_sent();
         assert_eq!(out.counted("unplaced"), 0);
         at_start += out.counted("before_start");
@@ -195,11 +204,11 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     };
     let most = EARLY as u64 + 2;
     for offline in [false, true] {
-        let mut link = Watched::new(LinkConfig {
+        let mut link = Watched::new(Settings {
             profile: "paper".into(),
             ego: "cav1".into(),
             offline,
-            ..LinkConfig::default()
+            ..Settings::default()
         })
         .unwrap();
         let delay = if offline { 0 } else { 10 * MS };
@@ -221,8 +230,12 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
     let mut link = link("paper");
     assert_eq!(place(&mut link, "rsu1", 0), []);
     assert_eq!(hear(&mut link, 0, 0..1), 0, "online, nobody waits for the ego");
-    link.on_input(OTHERS, packet("cav2", Kind::Boxes, 0, 0, 10), &mut Outputs::at(MS))
-        .unwrap();
+    link.on_message(
+        Input::OTHERS,
+        packet("cav2", Kind::Boxes, 0, 0, 10),
+        &mut Outputs::at(MS),
+    )
+    .unwrap();
     assert_eq!(at_start, 4, "of whom positions came");
     let (mut own, mut out) = (Outputs::at(2 * MS), Outputs::at(2 * MS));
     link.link.on_end(&mut own).unwrap();
@@ -245,20 +258,29 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
 fn the_egos_packets_go_to_every_other_agent() {
     let mut link = link("paper");
     let mut out = Outputs::at(0);
-    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
-    link.on_input(STATES, state("cav2", 0, 0.0, 20.0), &mut out).unwrap();
-    link.on_input(STATES, state("rsu2", 0, 10.0, 0.0), &mut out).unwrap();
-    link.on_input(OTHERS, packet("cav2", Kind::AgentState, 0, 0, 10), &mut out)
+    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out)
+        .unwrap();
+    link.on_message(Input::STATES, state("cav2", 0, 0.0, 20.0), &mut out)
+        .unwrap();
+    link.on_message(Input::STATES, state("rsu2", 0, 10.0, 0.0), &mut out)
+        .unwrap();
+    link.on_message(Input::OTHERS, packet("cav2", Kind::AgentState, 0, 0, 10), &mut out)
         .unwrap();
     out.take_sent();
-    link.on_input(EGO, packet("cav1", Kind::AgentState, 0, 0, 20), &mut out)
+    link.on_message(Input::EGO, packet("cav1", Kind::AgentState, 0, 0, 20), &mut out)
         .unwrap();
     let sent: Vec<_> = out
         .take_sent()
         .into_iter()
         .map(|(port, m)| (port, m.header.to.unwrap().to_string()))
         .collect();
-    assert_eq!(sent, [(TO_OTHERS, "cav2".to_string()), (TO_OTHERS, "rsu2".to_string())]);
+    assert_eq!(
+        sent,
+        [
+            (Output::TO_OTHERS, "cav2".to_string()),
+            (Output::TO_OTHERS, "rsu2".to_string())
+        ]
+    );
     let channels: Vec<_> = report(&mut link).into_iter().map(|c| (c.from, c.to, c.bytes)).collect();
     let expected = [("cav1", "cav2", 20), ("cav1", "rsu2", 20), ("cav2", "cav1", 10)];
     assert_eq!(
@@ -282,7 +304,7 @@ fn delivered(link: &mut Watched, order: impl Iterator<Item = u64>) -> BTreeSet<(
     let mut all = BTreeSet::new();
     for seq in order {
         let mut out = Outputs::at(100 * MS * seq as Nanos);
-        link.on_input(OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
+        link.on_message(Input::OTHERS, packet("rsu1", Kind::Boxes, seq, 0, 10), &mut out)
             .unwrap();
         all.extend(
             out.take_sent()
@@ -303,11 +325,11 @@ fn draws_do_not_depend_on_the_order_of_events() {
     let channel = report(&mut forth).remove(0);
     assert_eq!(all.len() as u64, channel.sent - channel.lost + channel.duplicated);
     assert!(channel.lost > 30 && channel.duplicated > 10);
-    let other = LinkConfig {
+    let other = Settings {
         profile,
         ego: "cav1".into(),
         seed: 1,
-        ..LinkConfig::default()
+        ..Settings::default()
     };
     assert_ne!(all, delivered(&mut placed(Watched::new(other).unwrap()), 0..200));
 }
@@ -315,18 +337,20 @@ fn draws_do_not_depend_on_the_order_of_events() {
 #[test]
 fn offline_keeps_the_gate_and_the_counts_only() {
     let folder = tempfile::tempdir().unwrap();
-    let config = LinkConfig {
+    let config = Settings {
         profile: lossy(&folder),
         ego: "cav1".into(),
         offline: true,
-        ..LinkConfig::default()
+        ..Settings::default()
     };
     let mut link = placed(Watched::new(config).unwrap());
     let all = delivered(&mut link, 0..200);
     assert_eq!(all, (0..200).map(|seq| (seq, 100 * MS * seq as Nanos)).collect());
     let mut out = Outputs::at(0);
-    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
-    link.on_input(STATES, state("rsu1", 0, 71.0, 0.0), &mut out).unwrap();
+    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out)
+        .unwrap();
+    link.on_message(Input::STATES, state("rsu1", 0, 71.0, 0.0), &mut out)
+        .unwrap();
     assert_eq!(delivered(&mut link, 200..210), BTreeSet::new());
     let channel = report(&mut link).remove(0);
     assert_eq!(
@@ -337,44 +361,33 @@ fn offline_keeps_the_gate_and_the_counts_only() {
 
 #[test]
 fn learns_the_ego_and_refuses_what_is_wired_wrongly() {
-    let mut link = Watched::new(LinkConfig::default()).unwrap();
+    let mut link = Watched::new(Settings::default()).unwrap();
     let mut out = Outputs::at(0);
-    link.on_input(STATES, state("rsu1", 0, 0.0, 0.0), &mut out).unwrap();
-    link.on_input(OTHERS, packet("rsu1", Kind::Boxes, 0, 0, 1), &mut out)
+    link.on_message(Input::STATES, state("rsu1", 0, 0.0, 0.0), &mut out)
+        .unwrap();
+    link.on_message(Input::OTHERS, packet("rsu1", Kind::Boxes, 0, 0, 1), &mut out)
         .unwrap();
     assert_eq!((out.take_sent().len(), out.counted("no_receiver")), (0, 0));
     let mut refuse =
-        |link: &mut Watched, port, message| link.on_input(port, message, &mut out).unwrap_err().to_string();
-    link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut Outputs::at(0))
+        |link: &mut Watched, port, message| link.on_message(port, message, &mut out).unwrap_err().to_string();
+    link.on_message(Input::EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut Outputs::at(0))
         .unwrap();
-    assert!(refuse(&mut link, OTHERS, packet("cav1", Kind::Boxes, 0, 0, 1)).contains("others' lane"));
-    assert!(refuse(&mut link, EGO, packet("cav2", Kind::Boxes, 0, 0, 1)).contains("ego's lane"));
-    assert!(refuse(&mut link, STATES, state("rsu1", 0, f64::NAN, 0.0)).contains("not finite"));
+    assert!(refuse(&mut link, Input::OTHERS, packet("cav1", Kind::Boxes, 0, 0, 1)).contains("others' lane"));
+    assert!(refuse(&mut link, Input::EGO, packet("cav2", Kind::Boxes, 0, 0, 1)).contains("ego's lane"));
+    assert!(refuse(&mut link, Input::STATES, state("rsu1", 0, f64::NAN, 0.0)).contains("not finite"));
     let refuse = |config| Link::new(config).err().expect("refused").to_string();
     assert!(
-        refuse(LinkConfig {
+        refuse(Settings {
             range_m: -1.0,
-            ..LinkConfig::default()
+            ..Settings::default()
         })
         .contains("`range_m`")
     );
     assert!(
-        refuse(LinkConfig {
+        refuse(Settings {
             profile: "pape".into(),
-            ..LinkConfig::default()
+            ..Settings::default()
         })
         .contains("`paper`")
-    );
-}
-
-#[test]
-fn arguments_are_the_keys_of_the_configuration() {
-    let keys: Vec<String> = realo_operator::config::defaults::<LinkConfig>()
-        .keys()
-        .cloned()
-        .collect();
-    assert_eq!(
-        keys,
-        Link::ARGUMENTS.iter().map(|argument| argument.name).collect::<Vec<_>>()
     );
 }

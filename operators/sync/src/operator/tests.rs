@@ -1,5 +1,6 @@
 use nalgebra::{Isometry3, Point3, Vector3};
-use realo_schemas::PoseStatus;
+use realo_operator::Outputs;
+use realo_schemas::{AgentState, Header, Kind, Message, Nanos, PointCloud, PoseStatus};
 
 use super::*;
 
@@ -47,7 +48,7 @@ fn sweep(agent: &str, seq: u64, stamp: Nanos) -> Message {
     Message::new(header(agent, Kind::Points, seq, stamp, stamp + 50), cloud)
 }
 
-fn sync(config: SyncConfig) -> Sync {
+fn sync(config: Settings) -> Sync {
     Sync::new(config).unwrap()
 }
 
@@ -56,12 +57,12 @@ fn run(sync: &mut Sync, inputs: impl IntoIterator<Item = Message>) -> (Vec<Messa
     let mut last = Outputs::at(0);
     for message in inputs {
         let port = if matches!(message.payload, realo_schemas::Payload::AgentState(_)) {
-            POSES
+            Input::POSES
         } else {
-            CLOUDS
+            Input::CLOUDS
         };
         last = Outputs::at(message.header.ready);
-        sync.on_input(port, message, &mut last).unwrap();
+        sync.on_message(port, message, &mut last).unwrap();
         all.extend(last.take_sent().into_iter().map(|(_, message)| message));
     }
     (all, last)
@@ -78,7 +79,7 @@ fn parts(sent: &[Message]) -> (Header, AgentState, Header, PointCloud) {
 
 #[test]
 fn removes_the_motion_and_says_where_the_agent_is() {
-    let mut sync = sync(SyncConfig::default());
+    let mut sync = sync(Settings::default());
     let poses = (0..=25).map(|i| pose("cav1", 10 * i));
     let (sent, out) = run(&mut sync, poses.chain([sweep("cav1", 7, 204)]));
     let (state_header, state, cloud_header, cloud) = parts(&sent);
@@ -103,7 +104,7 @@ fn removes_the_motion_and_says_where_the_agent_is() {
 
 #[test]
 fn a_sweep_goes_on_at_once_over_a_gap_and_waits_beyond_it() {
-    let mut early = sync(SyncConfig::default());
+    let mut early = sync(Settings::default());
     let (sent, mut out) = run(
         &mut early,
         (0..=10).map(|i| pose("cav1", 10 * i)).chain([sweep("cav1", 0, 200)]),
@@ -113,7 +114,7 @@ fn a_sweep_goes_on_at_once_over_a_gap_and_waits_beyond_it() {
     assert!(cloud.x.iter().all(|x| (x - 36.0).abs() < 1e-4));
     assert!(out.take_wakes().is_empty());
 
-    let mut late = sync(SyncConfig::default());
+    let mut late = sync(Settings::default());
     let (sent, mut out) = run(
         &mut late,
         (0..=9).map(|i| pose("cav1", 10 * i)).chain([sweep("cav1", 0, 200)]),
@@ -121,14 +122,14 @@ fn a_sweep_goes_on_at_once_over_a_gap_and_waits_beyond_it() {
     assert_eq!(sent, []);
     assert_eq!(out.take_wakes(), [252 * MS, 350 * MS].into());
     let mut out = Outputs::at(260 * MS);
-    late.on_input(POSES, pose("cav1", 100), &mut out).unwrap();
+    late.on_message(Input::POSES, pose("cav1", 100), &mut out).unwrap();
     let sent: Vec<Message> = out.take_sent().into_iter().map(|(_, message)| message).collect();
     assert_eq!(parts(&sent).2.ready, 260 * MS, "as soon as the pose is known");
 }
 
 #[test]
 fn a_sweep_without_a_pose_is_dropped_when_patience_ends() {
-    let mut sync = sync(SyncConfig::default());
+    let mut sync = sync(Settings::default());
     let (sent, mut out) = run(&mut sync, [sweep("cav1", 0, 200)]);
     assert_eq!((sent.len(), out.take_wakes()), (0, [252 * MS, 350 * MS].into()));
     let mut out = Outputs::at(349 * MS);
@@ -145,12 +146,12 @@ fn a_sweep_without_a_pose_is_dropped_when_patience_ends() {
 
 #[test]
 fn a_pose_that_comes_too_late_is_no_fault_of_the_log() {
-    let mut sync = sync(SyncConfig::default());
+    let mut sync = sync(Settings::default());
     run(&mut sync, [sweep("cav1", 0, 200), sweep("cav1", 1, 1_000)]);
     sync.on_wake(2_000 * MS, &mut Outputs::at(2_000 * MS)).unwrap();
     let counted = |sync: &mut Sync, pose: Message| {
         let mut out = Outputs::at(2_100 * MS);
-        sync.on_input(POSES, pose, &mut out).unwrap();
+        sync.on_message(Input::POSES, pose, &mut out).unwrap();
         (out.counted("no_pose"), out.counted("late_pose"))
     };
     // The first sweep's pose was late; the second one has none once there are poses on both sides, too far apart.
@@ -164,7 +165,7 @@ fn a_pose_that_comes_too_late_is_no_fault_of_the_log() {
 
 #[test]
 fn one_pose_at_the_stamp_is_enough_to_pass_as_it_is() {
-    let mut sync = sync(SyncConfig::default());
+    let mut sync = sync(Settings::default());
     let (sent, mut out) = run(&mut sync, [pose("cav1", 200), sweep("cav1", 0, 200)]);
     let (_, state, header, cloud) = parts(&sent);
     assert_eq!((state.velocity, state.angular_rate), (None, None));
@@ -181,9 +182,9 @@ fn one_pose_at_the_stamp_is_enough_to_pass_as_it_is() {
 
 #[test]
 fn sweeps_are_passed_as_they_are_if_asked_for() {
-    let mut sync = sync(SyncConfig {
+    let mut sync = sync(Settings {
         deskew: false,
-        ..SyncConfig::default()
+        ..Settings::default()
     });
     let (sent, out) = run(
         &mut sync,
@@ -196,7 +197,7 @@ fn sweeps_are_passed_as_they_are_if_asked_for() {
 
 #[test]
 fn repeated_and_older_sweeps_are_dropped_and_agents_are_kept_apart() {
-    let mut sync = sync(SyncConfig::default());
+    let mut sync = sync(Settings::default());
     let poses = (0..=60).flat_map(|i| [pose("cav1", 10 * i), pose("cav2", 10 * i)]);
     run(&mut sync, poses);
     assert_eq!(run(&mut sync, [sweep("cav1", 3, 300)]).0.len(), 2);
@@ -214,7 +215,7 @@ fn repeated_and_older_sweeps_are_dropped_and_agents_are_kept_apart() {
 
 #[test]
 fn an_empty_cloud_and_one_without_sound_points_pass() {
-    let mut sync = sync(SyncConfig::default());
+    let mut sync = sync(Settings::default());
     run(&mut sync, (0..=60).map(|i| pose("cav1", 10 * i)));
     let empty = Message::new(header("cav1", Kind::Points, 0, 200, 250), PointCloud::empty());
     assert!(parts(&run(&mut sync, [empty]).0).3.is_empty());
@@ -230,31 +231,37 @@ fn an_empty_cloud_and_one_without_sound_points_pass() {
 
 #[test]
 fn refuses_stamps_from_the_future_and_poses_that_are_none() {
-    let mut sync = sync(SyncConfig::default());
+    let mut sync = sync(Settings::default());
     let mut refuse = |port, message| {
-        sync.on_input(port, message, &mut Outputs::at(0))
+        sync.on_message(port, message, &mut Outputs::at(0))
             .unwrap_err()
             .to_string()
     };
-    assert!(refuse(CLOUDS, sweep("cav1", 0, 1001)).contains("1.001 s"));
-    assert!(refuse(POSES, pose("cav1", 1001)).contains("1.001 s"));
+    assert!(refuse(Input::CLOUDS, sweep("cav1", 0, 1001)).contains("1.001 s"));
+    assert!(refuse(Input::POSES, pose("cav1", 1001)).contains("1.001 s"));
     let mut bad = state(0);
     bad.map_from_body.translation.x = f64::NAN;
-    assert!(refuse(POSES, Message::new(header("cav1", Kind::AgentState, 0, 0, 0), bad)).contains("finite"));
-    assert!(refuse(POSES, sweep("cav1", 0, 0)).contains("AgentState"));
+    assert!(
+        refuse(
+            Input::POSES,
+            Message::new(header("cav1", Kind::AgentState, 0, 0, 0), bad)
+        )
+        .contains("finite")
+    );
+    assert!(refuse(Input::POSES, sweep("cav1", 0, 0)).contains("AgentState"));
     let refuse = |own_body: &[f32]| {
-        let config = SyncConfig {
+        let config = Settings {
             own_body: own_body.to_vec(),
-            ..SyncConfig::default()
+            ..Settings::default()
         };
         Sync::new(config).err().expect("refused").to_string()
     };
     assert!(refuse(&[1.0]).contains("`own_body`"));
     assert!(refuse(&[1.0, -1.0, 0.0, 1.0]).contains("`own_body`"));
     assert!(
-        Sync::new(SyncConfig {
+        Sync::new(Settings {
             own_body: vec![],
-            ..SyncConfig::default()
+            ..Settings::default()
         })
         .is_ok()
     );
@@ -262,9 +269,9 @@ fn refuses_stamps_from_the_future_and_poses_that_are_none() {
 
 #[test]
 fn waiting_sweeps_are_bounded() {
-    let mut sync = sync(SyncConfig {
+    let mut sync = sync(Settings {
         patience_ms: 10_000,
-        ..SyncConfig::default()
+        ..Settings::default()
     });
     (0..30).for_each(|i| drop(run(&mut sync, [sweep("cav1", i, 100 * i as Nanos)])));
     let lane = &sync.lanes["cav1"];
@@ -273,30 +280,15 @@ fn waiting_sweeps_are_bounded() {
 }
 
 #[test]
-fn arguments_are_the_keys_of_the_configuration() {
-    let keys: Vec<String> = realo_operator::config::defaults::<SyncConfig>()
-        .keys()
-        .cloned()
-        .collect();
-    assert_eq!(
-        keys,
-        Sync::ARGUMENTS.iter().map(|argument| argument.name).collect::<Vec<_>>()
-    );
-    let args = ["own_body=-2,3,-1,1".to_string()];
-    let config: SyncConfig = realo_operator::config::parse(&args).unwrap();
-    assert_eq!(config.own_body, [-2.0, 3.0, -1.0, 1.0]);
-}
-
-#[test]
 fn a_pose_that_is_due_and_comes_just_behind_the_sweep_counts() {
     let poses = |to: Nanos| (0..=to / 10).map(|k| pose("cav1", 10 * k));
     // Points until 150, poses each 10: the pose of 150 and the sweep overtake each other.
     let in_order = run(
-        &mut sync(SyncConfig::default()),
+        &mut sync(Settings::default()),
         poses(150).chain([sweep("cav1", 1, 100)]),
     )
     .0;
-    let mut late = sync(SyncConfig::default());
+    let mut late = sync(Settings::default());
     let (sent, mut out) = run(&mut late, poses(140).chain([sweep("cav1", 1, 100)]));
     assert_eq!((sent.len(), out.take_wakes()), (0, [152 * MS, 250 * MS].into()));
     let (_, expected, _, _) = parts(&in_order);
@@ -304,7 +296,7 @@ fn a_pose_that_is_due_and_comes_just_behind_the_sweep_counts() {
     assert_eq!(parts(&sent).1, expected);
 
     // If it does not come, the sweep goes on without.
-    let mut without = sync(SyncConfig::default());
+    let mut without = sync(Settings::default());
     run(&mut without, poses(140).chain([sweep("cav1", 1, 100)]));
     let mut out = Outputs::at(152 * MS);
     without.on_wake(152 * MS, &mut out).unwrap();
@@ -312,7 +304,7 @@ fn a_pose_that_is_due_and_comes_just_behind_the_sweep_counts() {
 
     // Poses that are always late are not awaited.
     let (sent, _) = run(
-        &mut sync(SyncConfig::default()),
+        &mut sync(Settings::default()),
         poses(120).chain([sweep("cav1", 1, 100)]),
     );
     assert_eq!(sent.len(), 2);
@@ -323,7 +315,7 @@ fn a_pose_for_each_sweep_counts_also_where_float_seconds_have_rounded_its_stamp(
     let moved = |by: Nanos| {
         let mut pose = pose("cav1", 600);
         pose.header.stamp += by;
-        let mut sync = sync(SyncConfig::default());
+        let mut sync = sync(Settings::default());
         let (sent, out) = run(&mut sync, [pose, sweep("cav1", 0, 600)]);
         let mut late = Outputs::at(900 * MS);
         sync.on_wake(900 * MS, &mut late).unwrap();
@@ -332,4 +324,11 @@ fn a_pose_for_each_sweep_counts_also_where_float_seconds_have_rounded_its_stamp(
     };
     assert_eq!([-128, 128, 1_000].map(moved), [(2, 0); 3]);
     assert_eq!(moved(2_000), (0, 1));
+}
+
+#[test]
+fn an_outline_is_read_from_a_list() {
+    let args = ["own_body=-2,3,-1,1".to_string()];
+    let settings: Settings = realo_operator::config::parse(&args).unwrap();
+    assert_eq!(settings.own_body, [-2.0, 3.0, -1.0, 1.0]);
 }

@@ -1,11 +1,14 @@
 use arrow::buffer::Buffer;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use realo_operator::{Describe, Operator, Outputs, PortId, Steps};
-use realo_schemas::{AgentState, Box3, Boxes, DType, Elements, FeatureMap, Name, PointCloud, Pose, PoseStatus};
+use realo_operator::{Operator, Outputs, PortId, Steps};
+use realo_schemas::{
+    AgentState, Box3, Boxes, DType, Elements, FeatureMap, Header, Kind, Message, Name, Packet, Payload, PointCloud,
+    Pose, PoseStatus,
+};
 
 use super::*;
-use crate::{DecoderConfig, EncoderConfig, TransmissionDecoder, TransmissionEncoder};
+use crate::{DecoderSettings, EncoderSettings, TransmissionDecoder, TransmissionEncoder};
 
 fn pose() -> Pose {
     let covariance =
@@ -108,7 +111,7 @@ fn messages() -> Vec<Message> {
 }
 
 /// Everything crosses as it is.
-const ALL: EncoderConfig = EncoderConfig {
+const ALL: EncoderSettings = EncoderSettings {
     time: true,
     ring: true,
     step_m: 0.0,
@@ -130,11 +133,11 @@ const ALL: EncoderConfig = EncoderConfig {
 /// Largest map that is made in these tests, bytes.
 const LIMIT: usize = 1 << 20;
 
-fn packed(message: &Message, config: &EncoderConfig) -> Result<(Packet, Dropped), EncodeError> {
+fn packed(message: &Message, config: &EncoderSettings) -> Result<(Packet, Dropped), EncodeError> {
     Encoder::new(config)?.encode(message, &mut Steps::default())
 }
 
-fn encode(message: &Message, config: &EncoderConfig) -> Result<(Vec<u8>, Dropped), EncodeError> {
+fn encode(message: &Message, config: &EncoderSettings) -> Result<(Vec<u8>, Dropped), EncodeError> {
     packed(message, config).map(|(packet, dropped)| (packet.bytes.to_vec(), dropped))
 }
 
@@ -162,7 +165,7 @@ fn what_comes_out_is_what_went_in() {
 #[test]
 fn fifty_boxes_with_everything_known_fit_four_kilobytes() {
     let message = Message::new(header(Kind::Boxes), Boxes((0..50).map(object).collect()));
-    let (bytes, _) = encode(&message, &EncoderConfig::default()).unwrap();
+    let (bytes, _) = encode(&message, &EncoderSettings::default()).unwrap();
     assert!(bytes.len() <= 4000, "{} bytes", bytes.len());
 }
 
@@ -195,7 +198,7 @@ fn invalid_boxes_and_points_stay_behind_and_are_counted() {
     let x = vec![1.0f32, f32::NAN, 3.0];
     let y = vec![1.0f32, 2.0, f32::NEG_INFINITY];
     let cloud = PointCloud::new(x, y, vec![0.0f32; 3], vec![9u8, 8, 7], vec![1, 2, 3], vec![4u16, 5, 6]).unwrap();
-    let (bytes, dropped) = encode(&Message::new(header(Kind::Points), cloud), &EncoderConfig::default()).unwrap();
+    let (bytes, dropped) = encode(&Message::new(header(Kind::Points), cloud), &EncoderSettings::default()).unwrap();
     assert_eq!(dropped.points, 2);
     let Payload::PointCloud(found) = decode(&bytes).unwrap().payload else {
         panic!("not points")
@@ -264,7 +267,7 @@ fn numbers_that_cannot_be_are_refused() {
 fn packet_of(message: Message) -> Message {
     let mut out = Outputs::at(message.header.ready);
     let mut encoder = TransmissionEncoder::new(ALL).unwrap();
-    encoder.on_input(PortId(0), message, &mut out).unwrap();
+    encoder.on_message(PortId(0), message, &mut out).unwrap();
     out.take_sent().remove(0).1
 }
 
@@ -276,8 +279,8 @@ fn packets_keep_the_receivers_header_and_the_senders_content() {
         packet.header.to = Some("cav1".into());
         packet.header.ready += 10;
         let mut out = Outputs::at(packet.header.ready);
-        let mut decoder = TransmissionDecoder::new(DecoderConfig::default()).unwrap();
-        decoder.on_input(PortId(0), packet.clone(), &mut out).unwrap();
+        let mut decoder = TransmissionDecoder::new(DecoderSettings::default()).unwrap();
+        decoder.on_message(PortId(0), packet.clone(), &mut out).unwrap();
         let (port, found) = out.take_sent().remove(0);
         let is_state = matches!(message.payload, Payload::AgentState(_));
         assert_eq!(port, PortId(usize::from(is_state)), "states have a port of their own");
@@ -293,20 +296,20 @@ fn packets_keep_the_receivers_header_and_the_senders_content() {
 #[test]
 fn decoder_rejects_forged_oversized_and_unknown_packets() {
     let packet = packet_of(messages().remove(0));
-    let refuse = |config: DecoderConfig, change: &dyn Fn(&mut Header, &mut Packet)| {
+    let refuse = |config: DecoderSettings, change: &dyn Fn(&mut Header, &mut Packet)| {
         let (mut header, mut content): (Header, Packet) = packet.clone().into_parts().unwrap();
         change(&mut header, &mut content);
         let mut out = Outputs::at(0);
         let mut decoder = TransmissionDecoder::new(config).unwrap();
         let error = decoder
-            .on_input(PortId(0), Message::new(header, content), &mut out)
+            .on_message(PortId(0), Message::new(header, content), &mut out)
             .unwrap_err()
             .to_string();
         assert_eq!(out.take_sent(), []);
         error
     };
-    let usual = DecoderConfig::default;
-    let limited = |max_bytes| DecoderConfig { max_bytes, ..usual() };
+    let usual = DecoderSettings::default;
+    let limited = |max_bytes| DecoderSettings { max_bytes, ..usual() };
     assert!(refuse(usual(), &|header, _| header.agent = "cav9".into()).contains("agent cav9"));
     assert!(refuse(usual(), &|header, _| header.kind = Kind::Points).contains("kind points"));
     assert!(refuse(usual(), &|header, _| header.seq += 1).contains("seq 42"));
@@ -319,22 +322,6 @@ fn decoder_rejects_forged_oversized_and_unknown_packets() {
     assert!(refuse(usual(), &|_, packet| packet.codec.clear()).contains("end with plain"));
     assert!(refuse(limited(100), &|_, _| ()).contains("`max_bytes`"));
     assert!(TransmissionDecoder::new(limited(0)).is_err());
-}
-
-#[test]
-fn arguments_are_the_keys_of_the_configuration() {
-    fn check<D: Describe>() {
-        let keys: Vec<String> = realo_operator::config::defaults::<D::Config>()
-            .keys()
-            .cloned()
-            .collect();
-        assert_eq!(
-            keys,
-            D::ARGUMENTS.iter().map(|argument| argument.name).collect::<Vec<_>>()
-        );
-    }
-    check::<TransmissionEncoder>();
-    check::<TransmissionDecoder>();
 }
 
 /// Whatever is accepted is sound, and says the same when it is sent on.

@@ -28,7 +28,7 @@ use super::station::{id_of, station_of};
 use super::units::{CENTI, PLACE_DEG, angle, coordinate, dimension, tenths_of_degree, velocity};
 use super::{FAR_M, Geodetic, MESSAGE, OBJECTS, VERSION, classes, clock};
 use crate::bytes::is_unit;
-use crate::{Dropped, EncodeError, EncoderConfig};
+use crate::{Dropped, EncodeError, EncoderSettings};
 
 const UNAVAILABLE_AXIS: u16 = 4_095;
 const UNAVAILABLE_ANGLE: u16 = 3_601;
@@ -46,7 +46,7 @@ pub(crate) struct Writer {
 }
 
 impl Writer {
-    pub fn new(config: &EncoderConfig) -> Result<Self, EncodeError> {
+    pub fn new(config: &EncoderSettings) -> Result<Self, EncodeError> {
         if !(1..=OBJECTS).contains(&config.max_objects) {
             return Err(EncodeError::Objects(config.max_objects));
         }

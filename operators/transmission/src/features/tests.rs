@@ -1,7 +1,7 @@
 use realo_schemas::{Header, Kind, Message, Packet};
 
 use super::*;
-use crate::{Decoder, Encoder, EncoderConfig};
+use crate::{Decoder, Encoder, EncoderSettings};
 
 const LIMIT: usize = 1 << 20;
 const SHAPE: [usize; 3] = [6, 8, 5];
@@ -45,16 +45,16 @@ fn numbers() -> Vec<f32> {
     (0..SHAPE.iter().product()).map(number).collect()
 }
 
-fn config(elements: Elements, shuffle: bool, zstd: Option<i32>) -> EncoderConfig {
-    EncoderConfig {
+fn config(elements: Elements, shuffle: bool, zstd: Option<i32>) -> EncoderSettings {
+    EncoderSettings {
         elements,
         shuffle,
         zstd,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     }
 }
 
-fn encoded(map: FeatureMap, config: &EncoderConfig) -> Result<(Packet, u64), EncodeError> {
+fn encoded(map: FeatureMap, config: &EncoderSettings) -> Result<(Packet, u64), EncodeError> {
     let (packet, dropped) = Encoder::new(config)?.encode(&message(map), &mut Steps::default())?;
     Ok((packet, dropped.range))
 }
@@ -71,7 +71,7 @@ fn refused(bytes: &[u8]) -> String {
     decoded(bytes).expect_err("refused").to_string()
 }
 
-fn all_configs() -> impl Iterator<Item = EncoderConfig> {
+fn all_configs() -> impl Iterator<Item = EncoderSettings> {
     let zstd = [None, Some(1), Some(-7)];
     [Elements::F32, Elements::F16, Elements::Int8]
         .into_iter()
@@ -130,7 +130,7 @@ fn a_map_comes_back_within_what_its_elements_allow() {
 #[test]
 fn one_encoder_and_one_decoder_serve_maps_of_all_sizes() {
     let (mut encoder, mut decoder) = (
-        Encoder::new(&EncoderConfig::default()).unwrap(),
+        Encoder::new(&EncoderSettings::default()).unwrap(),
         Decoder::new(LIMIT).unwrap(),
     );
     for rows in [6u32, 40, 1, 7, 40] {
@@ -140,7 +140,7 @@ fn one_encoder_and_one_decoder_serve_maps_of_all_sizes() {
             ..map_of(numbers)
         };
         let (packet, _) = encoder.encode(&message(map.clone()), &mut Steps::default()).unwrap();
-        let alone = encoded(map, &EncoderConfig::default()).unwrap().0;
+        let alone = encoded(map, &EncoderSettings::default()).unwrap().0;
         assert_eq!(packet, alone, "nothing stays of the map before");
         let content = decoder.decode(&packet.bytes, &mut Steps::default()).unwrap();
         assert_eq!(content.payload, decoded(&alone.bytes).unwrap().into());
@@ -168,7 +168,7 @@ fn every_step_is_timed_by_its_name() {
     let mut steps = Steps::timed_by(|| 0);
     let names = |steps: &mut Steps| steps.take().into_iter().map(|(step, _)| step).collect::<Vec<_>>();
     let sent = message(map_of(numbers()));
-    let (packet, _) = Encoder::new(&EncoderConfig::default())
+    let (packet, _) = Encoder::new(&EncoderSettings::default())
         .unwrap()
         .encode(&sent, &mut steps)
         .unwrap();
@@ -211,7 +211,9 @@ fn poisoned_maps_are_neither_sent_nor_taken() {
     assert!(refused(&bytes).contains("`elements`: expected finite numbers"));
     let mut far = numbers();
     (far[3], far[8]) = (f32::MAX, -f32::MAX);
-    let error = encoded(map_of(far), &EncoderConfig::default()).unwrap_err().to_string();
+    let error = encoded(map_of(far), &EncoderSettings::default())
+        .unwrap_err()
+        .to_string();
     assert!(
         error.contains("channel 3 goes from") && error.contains("`elements=f32`"),
         "{error}"
@@ -365,7 +367,7 @@ fn cells_there(map: &FeatureMap) -> Vec<usize> {
 #[test]
 fn of_a_map_of_which_some_cells_cross_these_come_back_and_zeros() {
     for config in all_configs() {
-        let config = EncoderConfig {
+        let config = EncoderSettings {
             min_confidence: 0.7,
             ..config
         };
@@ -388,7 +390,7 @@ fn of_a_map_of_which_some_cells_cross_these_come_back_and_zeros() {
             columns: 15,
             ..kept
         };
-        let plain = EncoderConfig {
+        let plain = EncoderSettings {
             min_confidence: 0.0,
             ..config.clone()
         };
@@ -407,7 +409,7 @@ fn of_a_map_of_which_some_cells_cross_these_come_back_and_zeros() {
 fn a_budget_holds_the_surest_cells_and_nearly_as_many_as_fit() {
     for config in all_configs() {
         let within = |budget: Option<usize>| {
-            let config = EncoderConfig {
+            let config = EncoderSettings {
                 budget_bytes: budget,
                 min_confidence: if budget.is_none() { 1e-6 } else { 0.0 },
                 ..config.clone()
@@ -446,15 +448,15 @@ fn a_budget_holds_the_surest_cells_and_nearly_as_many_as_fit() {
         let error = within(Some(ENVELOPE + HEAD)).unwrap_err().to_string();
         assert!(error.contains("without any cell: expected a `budget_bytes`"), "{error}");
     }
-    let config = EncoderConfig {
+    let config = EncoderSettings {
         budget_bytes: Some(100_000),
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     };
     let error = encoded(map_of(numbers()), &config).unwrap_err().to_string();
     assert!(error.contains("confidence=true"), "{error}");
-    let config = EncoderConfig {
+    let config = EncoderSettings {
         min_confidence: 1.5,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     };
     let error = Encoder::new(&config).err().expect("refused").to_string();
     assert!(
@@ -466,7 +468,7 @@ fn a_budget_holds_the_surest_cells_and_nearly_as_many_as_fit() {
 #[test]
 fn a_map_of_which_no_cell_is_sure_crosses_without_any() {
     for config in all_configs() {
-        let config = EncoderConfig {
+        let config = EncoderSettings {
             min_confidence: 1.0,
             ..config
         };
@@ -483,7 +485,7 @@ fn a_map_of_which_no_cell_is_sure_crosses_without_any() {
 
 #[test]
 fn cells_that_are_not_as_many_as_a_packet_says_are_refused() {
-    let config = EncoderConfig {
+    let config = EncoderSettings {
         min_confidence: 0.7,
         ..config(Elements::F32, false, None)
     };

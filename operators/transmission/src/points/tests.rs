@@ -2,7 +2,7 @@ use proptest::prelude::*;
 use realo_schemas::{Header, Kind, Message, Packet, Payload};
 
 use super::*;
-use crate::{Decoder, Encoder, EncoderConfig};
+use crate::{Decoder, Encoder, EncoderSettings};
 
 const LIMIT: usize = 32 << 20;
 /// Bytes of the envelope of [`message`].
@@ -13,17 +13,17 @@ fn message(cloud: PointCloud) -> Message {
     Message::new(header, cloud)
 }
 
-fn config(step_m: f64, zstd: Option<i32>, columns: bool) -> EncoderConfig {
-    EncoderConfig {
+fn config(step_m: f64, zstd: Option<i32>, columns: bool) -> EncoderSettings {
+    EncoderSettings {
         time: columns,
         ring: columns,
         step_m,
         zstd,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     }
 }
 
-fn encoded(cloud: PointCloud, config: &EncoderConfig) -> (Packet, u64) {
+fn encoded(cloud: PointCloud, config: &EncoderSettings) -> (Packet, u64) {
     let mut encoder = Encoder::new(config).unwrap();
     let (packet, dropped) = encoder.encode(&message(cloud), &mut Steps::default()).unwrap();
     (packet, dropped.points)
@@ -87,7 +87,7 @@ fn bound(step_m: f64, found: f32) -> f64 {
     0.5 * step_m * (1.0 + 1e-9) + 0.5 * f64::from(next - found.abs())
 }
 
-fn assert_close(found: &PointCloud, sent: &PointCloud, config: &EncoderConfig) {
+fn assert_close(found: &PointCloud, sent: &PointCloud, config: &EncoderSettings) {
     assert_eq!(found.len(), sent.len());
     for (found, sent) in [(&found.x, &sent.x), (&found.y, &sent.y), (&found.z, &sent.z)] {
         for (i, (found, sent)) in found.iter().zip(&**sent).enumerate() {
@@ -104,12 +104,12 @@ fn assert_close(found: &PointCloud, sent: &PointCloud, config: &EncoderConfig) {
     assert!(found.intensity == sent.intensity && *found.time == *time && *found.ring == *ring);
 }
 
-fn all_configs() -> impl Iterator<Item = EncoderConfig> {
+fn all_configs() -> impl Iterator<Item = EncoderSettings> {
     let flags = [(false, false), (true, false), (false, true), (true, true)];
     let zstd = [None, Some(1), Some(-7), Some(9)];
     [0.01, 0.001, 1.0].into_iter().flat_map(move |step_m| {
         zstd.into_iter().flat_map(move |zstd| {
-            flags.map(|(time, ring)| EncoderConfig {
+            flags.map(|(time, ring)| EncoderSettings {
                 time,
                 ring,
                 ..config(step_m, zstd, false)

@@ -33,7 +33,7 @@ fn fifty_boxes_take_less_than_two_kilobytes() {
     let (packet, dropped) = encode(&sender(), &boxes, &config(origin())).unwrap();
     assert_eq!(dropped, Dropped::default());
     assert!(packet.bytes.len() < 2_000, "{} bytes", packet.bytes.len());
-    for (name, config) in [("cpm", config(origin())), ("plain", EncoderConfig::default())] {
+    for (name, config) in [("cpm", config(origin())), ("plain", EncoderSettings::default())] {
         let message = Message::new(sender(), Boxes(boxes.clone()));
         let (mut encoder, steps) = (Encoder::new(&config).unwrap(), &mut Steps::default());
         let mut decoder = Decoder::new(1 << 20).unwrap().with_origin(origin());
@@ -126,7 +126,7 @@ fn the_surest_boxes_cross_where_there_are_too_many() {
     let along: Vec<f64> = boxes_of(&found).iter().map(|found| found.center[0]).collect();
     assert!(along.windows(2).all(|pair| pair[0] < pair[1]));
 
-    let few = EncoderConfig {
+    let few = EncoderSettings {
         max_objects: 30,
         ..config(origin())
     };
@@ -134,7 +134,7 @@ fn the_surest_boxes_cross_where_there_are_too_many() {
     assert_eq!(dropped.surplus, 270);
     assert!(packet.bytes.len() < 1_150, "{} bytes", packet.bytes.len());
     for max_objects in [0, 256] {
-        let config = EncoderConfig {
+        let config = EncoderSettings {
             max_objects,
             ..config(origin())
         };
@@ -248,18 +248,18 @@ fn the_operators_send_and_take_cpms() {
     let mut encoder = TransmissionEncoder::new(config).unwrap();
     let mut out = Outputs::at(STAMP);
     encoder
-        .on_input(PortId(0), Message::new(sender(), Boxes(vec![car()])), &mut out)
+        .on_message(PortId(0), Message::new(sender(), Boxes(vec![car()])), &mut out)
         .unwrap();
     let (_, packet) = out.take_sent().remove(0);
     let config = realo_operator::config::parse(&arguments(&["origin=48,11,500"])).unwrap();
     let mut decoder = TransmissionDecoder::new(config).unwrap();
-    decoder.on_input(PortId(0), packet, &mut out).unwrap();
+    decoder.on_message(PortId(0), packet, &mut out).unwrap();
     let (_, found) = out.take_sent().remove(0);
     let pose = sender().pose.unwrap().map_from_frame;
     check(&boxes_of(&found)[0], &in_map(&pose, &car()));
 
-    type Config = <TransmissionEncoder as Describe>::Config;
-    let error = realo_operator::config::parse::<Config>(&arguments(&["origin=48"])).unwrap_err();
+    type Settings = <TransmissionEncoder as Describe>::Settings;
+    let error = realo_operator::config::parse::<Settings>(&arguments(&["origin=48"])).unwrap_err();
     let error = error.to_string();
     assert!(error.contains("`origin`") && error.contains("LAT,LON"), "{error}");
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use realo_operator::Steps;
 use realo_schemas::{Box3, Header, Kind, Message, Nanos};
 use realo_transmission::cpm::{Unused, received};
-use realo_transmission::{Encoder, EncoderConfig};
+use realo_transmission::{Encoder, EncoderSettings};
 use serde::Deserialize;
 
 use super::*;
@@ -89,7 +89,7 @@ fn our_bytes_are_those_of_an_independent_encoder() {
     let vectors = vectors();
     for case in &vectors.ours {
         let [latitude, longitude, height] = case.origin;
-        let config = EncoderConfig {
+        let config = EncoderSettings {
             roadside: case.roadside.clone(),
             ..config(place(latitude, longitude, height))
         };

@@ -9,7 +9,7 @@ use realo_operator::Steps;
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, Boxes, Header, Kind, Message, Nanos, Packet, Payload, Pose};
 use realo_transmission::cpm::{Geodetic, Unused};
-use realo_transmission::{BoxesLayout, DecodeError, Decoder, Dropped, EncodeError, Encoder, EncoderConfig};
+use realo_transmission::{BoxesLayout, DecodeError, Decoder, Dropped, EncodeError, Encoder, EncoderSettings};
 
 /// The last tenth of a second of 2025, and a third of a millisecond.
 const STAMP: Nanos = 1_767_225_599_900_300_000;
@@ -22,11 +22,11 @@ fn place(latitude_deg: f64, longitude_deg: f64, height_m: f64) -> Geodetic {
     }
 }
 
-fn config(origin: Geodetic) -> EncoderConfig {
-    EncoderConfig {
+fn config(origin: Geodetic) -> EncoderSettings {
+    EncoderSettings {
         boxes: BoxesLayout::Cpm,
         origin,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     }
 }
 
@@ -58,7 +58,7 @@ fn car() -> Box3 {
     }
 }
 
-fn encode(header: &Header, boxes: &[Box3], config: &EncoderConfig) -> Result<(Packet, Dropped), EncodeError> {
+fn encode(header: &Header, boxes: &[Box3], config: &EncoderSettings) -> Result<(Packet, Dropped), EncodeError> {
     let message = Message::new(header.clone(), Boxes(boxes.to_vec()));
     Encoder::new(config)?.encode(&message, &mut Steps::default())
 }

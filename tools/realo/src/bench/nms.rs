@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
 use eyre::{Result, ensure};
-use realo_nms::{Config, Index, keep};
+use realo_nms::{Index, Settings, keep};
 use realo_schemas::geometry::Footprint;
 use serde::Serialize;
 
@@ -101,10 +101,10 @@ fn own(set: &Set, index: Index) -> Vec<u32> {
     keep(
         &footprints,
         &set.scores,
-        &Config {
+        &Settings {
             threshold: THRESHOLD,
             index,
-            ..Config::default()
+            ..Settings::default()
         },
     )
 }

@@ -4,32 +4,21 @@ use std::fmt;
 
 use eyre::Result;
 use realo_schemas::{Box3, Boxes, Elements, Header, Kind, Message, Pose};
-use realo_transmission::{BoxesLayout, EncoderConfig};
+use realo_transmission::{BoxesLayout, EncoderSettings};
 use serde::Serialize;
 
 use super::transmission::{Crossed, Way, cross};
+use crate::paper::{Crossing, PaperTimes, Part};
 
 /// Rate at which the paper's points crossed its Wi-Fi, 3.7 MB in 144.2 ms, bit/s: messages of here are reported at the same.
 const RATE: f64 = 205e6;
 /// Boxes of a sweep.
 const BOXES: usize = 50;
 
-/// The paper's compression of feature maps: rate, KB, ms.
-const COMPRESSION: [(&str, f64, f64); 4] = [
-    ("not compressed", 25_000.0, 511.2),
-    ("8 times", 3_100.0, 97.0),
-    ("32 times", 840.0, 41.7),
-    ("64 times", 391.1, 14.3),
-];
-
-/// The paper's transmission module: step, ms of encoder and decoder, and the steps of here that do the same.
-const MODULE: [(&str, f64, f64, &[&str]); 4] = [
-    ("compression (a network)", 0.13, 0.27, &[]),
-    ("device transfer", 19.19, 0.43, &[]),
+/// Steps of here that do what a part of the paper's transmission module does.
+const STEPS: [(&str, &[&str]); 2] = [
     (
         "serialisation",
-        0.26,
-        0.07,
         &[
             "selection",
             "quantisation",
@@ -42,14 +31,7 @@ const MODULE: [(&str, f64, f64, &[&str]); 4] = [
             "dequantisation",
         ],
     ),
-    ("packaging, parsing", 0.01, 0.01, &["packaging", "parsing"]),
-];
-
-/// The paper's messages: kind, KB, ms over its Wi-Fi.
-const MESSAGES: [(Kind, f64, f64); 3] = [
-    (Kind::Boxes, 3.63, 10.0),
-    (Kind::Points, 3_700.0, 144.2),
-    (Kind::Features, 840.0, 41.7),
+    ("packaging, parsing", &["packaging", "parsing"]),
 ];
 
 /// A message of here.
@@ -70,22 +52,22 @@ pub struct Tables {
 
 /// Has a sweep, its map with the confidence of its cells, and boxes cross.
 pub fn tables(sweep: &Message, map: &Message) -> Result<Tables> {
-    let usual = EncoderConfig::default;
-    let budget = |bytes: usize| EncoderConfig {
+    let usual = EncoderSettings::default;
+    let budget = |bytes: usize| EncoderSettings {
         budget_bytes: Some(bytes),
         ..usual()
     };
-    let exact = EncoderConfig {
+    let exact = EncoderSettings {
         elements: Elements::F32,
         shuffle: false,
         zstd: None,
         ..usual()
     };
-    let steps = EncoderConfig {
+    let steps = EncoderSettings {
         step_m: 0.01,
         ..usual()
     };
-    let cpm = EncoderConfig {
+    let cpm = EncoderSettings {
         boxes: BoxesLayout::Cpm,
         max_objects: BOXES,
         ..usual()
@@ -163,6 +145,7 @@ impl Sent {
 
 impl fmt::Display for Tables {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let times = PaperTimes::get();
         let of = |kind: Kind| self.sent.iter().filter(move |sent| sent.kind == kind);
         writeln!(
             f,
@@ -175,7 +158,7 @@ impl fmt::Display for Tables {
             "compression: the paper", "KB", "ms", "here", "KB", "ms"
         )?;
         let here: Vec<String> = of(Kind::Features).map(Sent::line).collect();
-        for (n, (name, kilobytes, ms)) in COMPRESSION.iter().enumerate() {
+        for (n, Crossing { name, kilobytes, ms }) in times.compression.iter().enumerate() {
             let here = here.get(n).map_or("", |line| line);
             writeln!(f, "{name:<26}{kilobytes:>10.1}{ms:>9.1}   {here}")?;
         }
@@ -184,8 +167,17 @@ impl fmt::Display for Tables {
             "\n{:<26}{:>14}{:>14}   encoder and decoder here, ms",
             "transmission module", "encoder, ms", "decoder, ms"
         )?;
-        for (name, encoder, decoder, steps) in MODULE {
-            write!(f, "{name:<26}{encoder:>14.2}{decoder:>14.2}   ")?;
+        for Part {
+            name,
+            encoder_ms,
+            decoder_ms,
+        } in &times.module
+        {
+            let steps = STEPS
+                .iter()
+                .find(|(part, _)| part == name)
+                .map_or(&[][..], |(_, steps)| steps);
+            write!(f, "{name:<26}{encoder_ms:>14.2}{decoder_ms:>14.2}   ")?;
             let all: Vec<String> = of(Kind::Features)
                 .skip(1)
                 .take(2)
@@ -204,9 +196,9 @@ impl fmt::Display for Tables {
             "\n{:<26}{:>10}{:>9}   {:<30}{:>10}{:>9}",
             "messages: the paper", "KB", "ms", "here", "KB", "ms"
         )?;
-        for (kind, kilobytes, ms) in MESSAGES {
-            let mut first = format!("{:<26}{kilobytes:>10.2}{ms:>9.1}", kind.to_string());
-            for sent in of(kind) {
+        for Crossing { name, kilobytes, ms } in &times.messages {
+            let mut first = format!("{name:<26}{kilobytes:>10.2}{ms:>9.1}");
+            for sent in self.sent.iter().filter(|sent| sent.kind.to_string() == *name) {
                 writeln!(f, "{first:<45}   {}", sent.line())?;
                 first.clear();
             }

@@ -9,7 +9,7 @@ use realo_radio::seal::Seal;
 use realo_radio::station::Topic;
 use realo_schemas::{Elements, FeatureMap, Header, Kind, Message, Nanos, Payload, PointCloud};
 use realo_simulator::{Options, Simulation};
-use realo_transmission::{Decoder, Encoder, EncoderConfig};
+use realo_transmission::{Decoder, Encoder, EncoderSettings};
 use serde::Serialize;
 
 use super::detector::{MODEL, cloud, spread};
@@ -111,11 +111,11 @@ pub fn bench(progress: &Progress) -> Result<Transmission> {
     progress.count("codings", (codings.len() + clouds.len()) as f64);
     let codings = codings.map(|(elements, shuffle, zstd)| {
         progress.add(1.0);
-        let config = EncoderConfig {
+        let config = EncoderSettings {
             elements,
             shuffle,
             zstd,
-            ..EncoderConfig::default()
+            ..EncoderSettings::default()
         };
         coding(&sent, &config)
     });
@@ -179,17 +179,17 @@ fn sweep() -> Result<Message> {
 }
 
 fn pillar_encoder(confidence: bool) -> Result<PillarEncoder> {
-    let config = realo_pillar_encoder::Config {
+    let config = realo_pillar_encoder::Settings {
         confidence,
         model: MODEL.into(),
-        ..realo_pillar_encoder::Config::default()
+        ..realo_pillar_encoder::Settings::default()
     };
     PillarEncoder::new(config).map_err(|error| eyre!("{error}"))
 }
 
 fn map_of(encoder: &mut PillarEncoder, sweep: Message) -> Result<Message> {
     let mut out = Outputs::at(0);
-    let taken = encoder.on_input(PortId(0), sweep, &mut out);
+    let taken = encoder.on_message(PortId(0), sweep, &mut out);
     taken.map_err(|error| eyre!("{error}"))?;
     let (_, map) = out.take_sent().pop().ok_or_else(|| eyre!("the encoder sent nothing"))?;
     Ok(map)
@@ -218,7 +218,7 @@ pub(super) struct Crossed {
 }
 
 /// Has a message cross, often enough to tell what that takes.
-pub(super) fn cross(sent: &Message, config: &EncoderConfig) -> Result<Crossed> {
+pub(super) fn cross(sent: &Message, config: &EncoderSettings) -> Result<Crossed> {
     let (mut encoder, mut decoder) = (Encoder::new(config)?, Decoder::new(LIMIT)?);
     let (mut encode, mut decode) = (Rounds::default(), Rounds::default());
     let mut crossed = None;
@@ -237,7 +237,7 @@ pub(super) fn cross(sent: &Message, config: &EncoderConfig) -> Result<Crossed> {
     })
 }
 
-fn coding(sent: &Message, config: &EncoderConfig) -> Result<Coding> {
+fn coding(sent: &Message, config: &EncoderSettings) -> Result<Coding> {
     let crossed = cross(sent, config)?;
     Ok(Coding {
         elements: config.elements,
@@ -251,10 +251,10 @@ fn coding(sent: &Message, config: &EncoderConfig) -> Result<Coding> {
 }
 
 fn cloud_coding(sent: &Message, step_m: f64, zstd: Option<i32>) -> Result<CloudCoding> {
-    let config = EncoderConfig {
+    let config = EncoderSettings {
         step_m,
         zstd,
-        ..EncoderConfig::default()
+        ..EncoderSettings::default()
     };
     let crossed = cross(sent, &config)?;
     let (sent, found) = (point_cloud(sent)?, point_cloud(&crossed.found)?);

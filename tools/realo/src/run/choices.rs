@@ -1,9 +1,9 @@
 //! Of several graphs, each gets the settings for which it has a stage.
 
+use crate::roles;
 use std::path::{Path, PathBuf};
 
 use realo_graph::{FlatGraph, Graph, GraphError, Replacement, Setting};
-use realo_operator::Decided;
 
 use super::nodes::{deciding, given, registration};
 use super::{Choices, replace};
@@ -115,7 +115,7 @@ pub fn fit(choices: &Choices, graphs: &[PathBuf]) -> Vec<Fitted> {
     if let Some(model) = &choices.model {
         let runs_network = |graph: &Option<FlatGraph>| {
             let mut graph = graph.iter();
-            graph.all(|graph| deciding(graph, Decided::Model).next().is_some())
+            graph.all(|graph| deciding(graph, roles::MODEL).next().is_some())
         };
         let has: Vec<bool> = known.iter().map(runs_network).collect();
         skip(&has, &mut fitted, &format!("--model {}", model.display()), |choices| {

@@ -7,12 +7,11 @@ use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode};
 use realo_host::ComputeProfile;
 use realo_methods::Model;
-use realo_operator::Decided;
 use realo_results::Run;
-use realo_schemas::Nanos;
 
 use super::nodes::{argument, decided_argument, deciding};
-use crate::registry;
+use crate::paper::PaperTimes;
+use crate::{registry, roles};
 
 /// Name of the profile that charges what the paper measured.
 const PAPER: &str = "paper";
@@ -54,20 +53,21 @@ fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
         .nodes
         .iter()
         .enumerate()
-        .filter(|(index, node)| own.contains(index) && decided_argument(node, Decided::Model).is_some());
+        .filter(|(index, node)| own.contains(index) && decided_argument(node, roles::MODEL).is_some());
     let Some((_, last)) = networks.max_by_key(|(index, _)| ranks[*index]) else {
         bail!(
             "--compute {PAPER}: {} has no network of the ego whose time the paper tells: drop it, or --recorded-detections",
             graph.file.display()
         );
     };
+    let times = PaperTimes::get();
     let method = own
         .iter()
-        .filter_map(|index| graph.nodes[*index].registration(&registry())?.paper_inference);
-    let named = decided_argument(last, Decided::Model).and_then(|name| argument(last, name));
+        .filter_map(|index| times.inference(graph.nodes[*index].registration(&registry())?.name));
+    let named = decided_argument(last, roles::MODEL).and_then(|name| argument(last, name));
     let path = graph.file.with_file_name(named.unwrap_or_default());
     let network = Model::read(&path).wrap_err_with(|| format!("node `{}`", last.id))?.arch;
-    let of_network = || network.paper_inference().map(|nanos| nanos as Nanos);
+    let of_network = || times.inference(&network.to_string());
     let Some(nanos) = method.max().or_else(of_network) else {
         bail!("--compute {PAPER}: the paper tells no time of `{network}`: drop it");
     };
@@ -79,11 +79,9 @@ fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
 /// The stages whose outputs reach the results without crossing a link.
 fn of_the_ego(graph: &FlatGraph) -> BTreeSet<usize> {
     let place = |id: &str| graph.nodes.iter().position(|node| node.id == id);
-    let mut open: Vec<usize> = deciding(graph, Decided::Out)
-        .filter_map(|node| place(&node.id))
-        .collect();
+    let mut open: Vec<usize> = deciding(graph, roles::OUT).filter_map(|node| place(&node.id)).collect();
     let mut own = BTreeSet::new();
-    let is_link = |node: &FlatNode| decided_argument(node, Decided::Link).is_some();
+    let is_link = |node: &FlatNode| decided_argument(node, roles::LINK).is_some();
     while let Some(index) = open.pop() {
         let node = &graph.nodes[index];
         if is_link(node) || !own.insert(index) {

@@ -1,13 +1,14 @@
 //! The lane of the agents that send: the stages from the player to what gives their packets to the link, and runs that play
 //! what it would send out of the log.
 
+use crate::roles;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use eyre::{Result, WrapErr, bail};
 use realo_graph::{FlatGraph, FlatNode, InputSource, TYPE_PREFIX};
 use realo_logs::{LaneStage, Log};
-use realo_operator::{Decided, Lane, Role};
+use realo_operator::{Lane, Role};
 use realo_player::PlannedRun;
 use realo_schemas::PayloadType;
 use sha2::{Digest, Sha256};
@@ -38,7 +39,7 @@ impl SendingLane {
     /// A graph with several such channels.
     pub fn of(graph: &FlatGraph) -> Result<Option<Self>> {
         let mut sources = BTreeSet::new();
-        for link in deciding(graph, Decided::Link).filter(|link| is_heard(graph, link)) {
+        for link in deciding(graph, roles::LINK).filter(|link| is_heard(graph, link)) {
             let known = registration(link).map(|known| known.inputs).unwrap_or_default();
             let packets = known
                 .iter()
@@ -114,7 +115,7 @@ impl SendingLane {
     fn described_player(&self, graph: &FlatGraph, node: &FlatNode) -> LaneStage {
         let mut keys = vec!["pose"];
         if self.knows_ego(graph) {
-            keys.extend(decided_argument(node, Decided::Ego));
+            keys.extend(decided_argument(node, roles::EGO));
         }
         let arguments = keys
             .into_iter()
@@ -137,7 +138,7 @@ impl SendingLane {
             .unwrap_or_default();
         let of = format!("{TYPE_PREFIX}{}", PayloadType::Packet);
         graph.rewire((&self.stage, &self.output), (&player, PACKETS), &of);
-        decide(&mut graph, Decided::Precomputed, "true");
+        decide(&mut graph, roles::PRECOMPUTED, "true");
         graph
     }
 }
@@ -215,7 +216,7 @@ fn carries_states(graph: &FlatGraph, sender: &str) -> bool {
 fn is_player(graph: &FlatGraph, id: &str) -> bool {
     graph
         .node(id)
-        .is_some_and(|node| decided_argument(node, Decided::Precomputed).is_some())
+        .is_some_and(|node| decided_argument(node, roles::PRECOMPUTED).is_some())
 }
 
 /// The stages before one and itself, by the wires that their arguments make them need, and what they take of sources.
@@ -259,7 +260,7 @@ fn described(graph: &FlatGraph, node: &FlatNode, networks: &mut Networks) -> Res
         .into_iter()
         .filter_map(|key| value(&key).map(|value| (key, value)))
         .collect();
-    if let (Some(key), Some(identity)) = (decided_argument(node, Decided::Model), networks.identity(node)?) {
+    if let (Some(key), Some(identity)) = (decided_argument(node, roles::MODEL), networks.identity(node)?) {
         arguments.insert(key.into(), identity);
     }
     let runs = match node.program() {

@@ -1,10 +1,11 @@
 //! How many collaborators the one fusion of a graph takes, where those beyond need not be computed.
 
+use crate::roles;
 use std::ops::RangeInclusive;
 
 use eyre::Result;
 use realo_graph::{FlatGraph, FlatNode};
-use realo_operator::{Decided, Role};
+use realo_operator::Role;
 
 use super::networks::Networks;
 use super::nodes::{argument, decided_argument, given, registration};
@@ -51,7 +52,7 @@ fn has(node: &FlatNode, key: &str) -> bool {
 fn arrives_at_once(graph: &FlatGraph, offline: bool) -> bool {
     graph.nodes.iter().all(|node| {
         let number = |key: &str| argument(node, key).and_then(|value| value.parse::<f64>().ok());
-        let link = decided_argument(node, Decided::Link).and_then(|key| argument(node, key));
+        let link = decided_argument(node, roles::LINK).and_then(|key| argument(node, key));
         // Of a program nobody knows what it takes and how long.
         registration(node).is_some()
             && link.is_none_or(|link| offline || link == PERFECT)

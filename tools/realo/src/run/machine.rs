@@ -1,5 +1,6 @@
 //! What a machine must have for a realtime run: looked at before anything starts.
 
+use crate::roles;
 use std::fs::File;
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::MetadataExt;
@@ -10,7 +11,6 @@ use std::time::Duration;
 use eyre::{Result, bail};
 use realo_graph::FlatGraph;
 use realo_host::dora::{OVERLAY, POOL};
-use realo_operator::Decided;
 use realo_radio::Endpoint;
 use rustix::fs::statvfs;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -246,7 +246,7 @@ fn threads(needed: usize) -> Check {
 
 /// Bytes of shared memory that the processes of a graph may take.
 fn shared_memory_of(graph: &FlatGraph) -> u64 {
-    let networks = deciding(graph, Decided::Model).next().is_some();
+    let networks = deciding(graph, roles::MODEL).next().is_some();
     let each = POOL as u64 + if networks { WITH_NETWORKS } else { 0 };
     graph.processes().len() as u64 * each
 }

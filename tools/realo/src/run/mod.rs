@@ -27,11 +27,11 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode};
-use realo_operator::{Decided, Role};
+use realo_operator::Role;
 use realo_results::{Run, RunResult};
 
 use crate::tables::Show;
-use crate::{Outcome, registry};
+use crate::{Outcome, registry, roles};
 use batch::{Batch, Unfinished};
 use folders::Folders;
 use networks::Networks;
@@ -258,7 +258,7 @@ fn check_nodes(graph: &FlatGraph) -> Result<()> {
 fn check_node(node: &FlatNode) -> Result<(), realo_operator::Error> {
     match node.registration(&registry()) {
         Some(known) if known.role != Role::Operator => (known.examine)(node.settings()),
-        Some(known) if known.argument(Decided::Model).is_none() => (known.build)(node.settings()).map(drop),
+        Some(known) if known.argument(roles::MODEL).is_none() => (known.build)(node.settings()).map(drop),
         _ => Ok(()),
     }
 }
@@ -375,9 +375,9 @@ fn plan<'a>(
 /// Refuses options of networks where no graph of the run has one.
 fn refuse_without_network(choices: &Choices, planned: &[Planned], names: &[String]) -> Result<()> {
     for (decided, option, is_given) in [
-        (Decided::Isa, "--isa", choices.isa.is_some()),
-        (Decided::Precision, "--precision", choices.precision.is_some()),
-        (Decided::Device, "--device", choices.device.is_some()),
+        (roles::ISA, "--isa", choices.isa.is_some()),
+        (roles::PRECISION, "--precision", choices.precision.is_some()),
+        (roles::DEVICE, "--device", choices.device.is_some()),
     ] {
         let mut plans = planned.iter().flat_map(|planned| planned.batch.plans());
         let follows = |plan: &RunPlan| nodes::deciding(&plan.graph, decided).next().is_some();

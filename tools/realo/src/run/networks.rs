@@ -1,5 +1,6 @@
 //! The networks of a graph, looked at before anything is started or claimed.
 
+use crate::roles;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -7,8 +8,6 @@ use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, InputSource};
 use realo_methods::Model;
 use realo_methods::{AUTO, Kernels, Loaded};
-
-use realo_operator::Decided;
 
 use super::nodes::{argument, decided_argument, deciding, registration};
 
@@ -22,7 +21,7 @@ struct Known {
 impl Known {
     /// What it runs on, as a node says.
     fn runs_on(&self, node: &FlatNode) -> String {
-        let device = decided_argument(node, Decided::Device).and_then(|name| argument(node, name));
+        let device = decided_argument(node, roles::DEVICE).and_then(|name| argument(node, name));
         match device.filter(|device| device != "cpu") {
             Some(device) => format!("{} on {device}", self.loaded.precision),
             None => self.kernels.clone(),
@@ -93,10 +92,10 @@ impl Networks {
 
     fn of_node(&mut self, node: &FlatNode) -> Result<Option<(PathBuf, &Known)>> {
         let value = |decided| decided_argument(node, decided).and_then(|name| argument(node, name));
-        let Some(path) = value(Decided::Model).map(PathBuf::from) else {
+        let Some(path) = value(roles::MODEL).map(PathBuf::from) else {
             return Ok(None);
         };
-        let [isa, precision] = [Decided::Isa, Decided::Precision].map(|of| value(of).unwrap_or_else(|| AUTO.into()));
+        let [isa, precision] = [roles::ISA, roles::PRECISION].map(|of| value(of).unwrap_or_else(|| AUTO.into()));
         let known = self.known(&path, &isa, &precision)?;
         Ok(Some((path, known)))
     }
@@ -109,7 +108,7 @@ impl Networks {
     pub fn check(&mut self, graph: &FlatGraph) -> Result<Words> {
         let mut identities: BTreeMap<&str, (PathBuf, String)> = BTreeMap::new();
         let mut kernels = BTreeSet::new();
-        for node in deciding(graph, Decided::Model) {
+        for node in deciding(graph, roles::MODEL) {
             let known = self.of_node(node).wrap_err_with(|| format!("node `{}`", node.id))?;
             let Some((path, known)) = known else {
                 continue;
@@ -122,7 +121,7 @@ impl Networks {
             }
             identities.insert(&node.id, (path, identity));
         }
-        for node in deciding(graph, Decided::Model) {
+        for node in deciding(graph, roles::MODEL) {
             let Some((ours, b)) = identities.get(&*node.id) else {
                 continue;
             };

@@ -5,47 +5,47 @@ use std::path::Path;
 
 use eyre::{Result, bail};
 use realo_graph::{FlatGraph, FlatNode, normalized};
-use realo_operator::{Decided, Registration};
+use realo_operator::Registration;
 
-use crate::registry;
+use crate::{registry, roles};
 
 pub(super) fn registration(node: &FlatNode) -> Option<&'static Registration> {
     node.registration(&registry())
 }
 
 /// The argument of a node that something of a run decides.
-pub fn decided_argument(node: &FlatNode, decided: Decided) -> Option<&'static str> {
-    registration(node)?.argument(decided)
+pub fn decided_argument(node: &FlatNode, role: &'static str) -> Option<&'static str> {
+    registration(node)?.argument(role)
 }
 
 /// The nodes with an argument that something of a run decides.
-pub fn deciding(graph: &FlatGraph, decided: Decided) -> impl Iterator<Item = &FlatNode> {
+pub fn deciding<'a>(graph: &'a FlatGraph, role: &'static str) -> impl Iterator<Item = &'a FlatNode> {
     graph
         .nodes
         .iter()
-        .filter(move |node| decided_argument(node, decided).is_some())
+        .filter(move |node| decided_argument(node, role).is_some())
 }
 
 /// Names of the registered operators and nodes that would take it.
-pub fn takers(decided: Decided) -> String {
-    let takes = |known: &&Registration| known.argument(decided).is_some();
+pub fn takers(role: &'static str) -> String {
+    let takes = |known: &&Registration| known.argument(role).is_some();
     let names: Vec<&str> = registry().0.iter().filter(takes).map(|known| known.name).collect();
     names.join(" or ")
 }
 
 /// Sets what something of a run decides, wherever it does.
-pub fn decide(graph: &mut FlatGraph, decided: Decided, value: &str) {
+pub fn decide(graph: &mut FlatGraph, role: &'static str, value: &str) {
     for node in &mut graph.nodes {
-        if let Some(argument) = decided_argument(node, decided) {
+        if let Some(argument) = decided_argument(node, role) {
             node.set(argument, value);
         }
     }
 }
 
 /// What the nodes have for something that a run decides, each value once.
-pub fn values(graph: &FlatGraph, decided: Decided, named: impl Fn(&str) -> String) -> String {
-    let nodes = deciding(graph, decided);
-    let value = |node: &FlatNode| argument(node, decided_argument(node, decided)?);
+pub fn values(graph: &FlatGraph, role: &'static str, named: impl Fn(&str) -> String) -> String {
+    let nodes = deciding(graph, role);
+    let value = |node: &FlatNode| argument(node, decided_argument(node, role)?);
     let values: BTreeSet<String> = nodes.filter_map(value).map(|value| named(&value)).collect();
     values.into_iter().collect::<Vec<_>>().join(", ")
 }
@@ -55,13 +55,13 @@ pub fn values(graph: &FlatGraph, decided: Decided, named: impl Fn(&str) -> Strin
 /// # Errors
 /// A graph without a network.
 pub fn set_model(graph: &mut FlatGraph, path: &Path) -> Result<()> {
-    if deciding(graph, Decided::Model).next().is_none() {
+    if deciding(graph, roles::MODEL).next().is_none() {
         let file = graph.file.display();
         bail!("--model: {file} has no node that runs a network (recorded detections take its place): drop --model");
     }
     decide(
         graph,
-        Decided::Model,
+        roles::MODEL,
         &std::path::absolute(super::find::model(path)?)?.to_string_lossy(),
     );
     Ok(())
@@ -69,7 +69,7 @@ pub fn set_model(graph: &mut FlatGraph, path: &Path) -> Result<()> {
 
 /// Whether a node can bring what it sends to the ego's frame: what it needs for that is wired.
 pub fn can_project(node: &FlatNode) -> bool {
-    let Some(argument) = decided_argument(node, Decided::Project) else {
+    let Some(argument) = decided_argument(node, roles::PROJECT) else {
         return false;
     };
     let ports = registration(node).map(|known| known.inputs).unwrap_or_default();
@@ -109,7 +109,7 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
         let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
         let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
         let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();
-        let model = decided_argument(node, Decided::Model);
+        let model = decided_argument(node, roles::MODEL);
         for key in keys {
             let is_path = |value: &String| {
                 is_relative_path(value)

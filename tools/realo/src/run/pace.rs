@@ -8,13 +8,13 @@ use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::FlatGraph;
 use realo_host::{Stages, virtual_time};
 use realo_logs::{Log, Stream};
-use realo_operator::{Decided, Role};
+use realo_operator::Role;
 use realo_schemas::{Kind, to_millis, to_seconds};
 
 use super::nodes::{argument, decided_argument, deciding, registration};
 use super::{Args, Choices, Mode, machine, prepare};
-use crate::registry;
 use crate::tables::Show;
+use crate::{registry, roles};
 
 /// Frames that are played.
 const FRAMES: usize = 20;
@@ -122,8 +122,7 @@ pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> R
     };
     std::fs::create_dir_all(&plan.out).wrap_err_with(|| plan.out.display().to_string())?;
     plan.write_settings()?;
-    let ego =
-        deciding(&plan.graph, Decided::Ego).find_map(|node| argument(node, decided_argument(node, Decided::Ego)?));
+    let ego = deciding(&plan.graph, roles::EGO).find_map(|node| argument(node, decided_argument(node, roles::EGO)?));
     let ego = ego.ok_or_else(|| eyre!("{}: no node has an ego", graph.display()))?;
     if Log::open(log)?.count(&ego, Stream::Points) == 0 {
         bail!(

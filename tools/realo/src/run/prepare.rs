@@ -7,7 +7,6 @@ use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
-use realo_operator::Decided;
 use realo_player::PlannedRun;
 use realo_results::{RunSettings, Settings};
 use realo_scoring::Protocol;
@@ -22,7 +21,7 @@ use super::nodes::{
 };
 use super::{Args, Mode, choices, compute, dir_of, limit, named, replace, resume};
 use crate::fit::protocol_fits;
-use crate::{demo, registry};
+use crate::{demo, registry, roles};
 
 /// One run: a graph over a log with an ego.
 pub struct RunPlan {
@@ -53,8 +52,8 @@ impl RunPlan {
 
     /// The files in the folder of its results that it records into.
     pub fn recordings(&self) -> Vec<PathBuf> {
-        let file = |node| given(node, decided_argument(node, Decided::Recording)?).map(PathBuf::from);
-        let files = deciding(&self.graph, Decided::Recording).filter_map(file);
+        let file = |node| given(node, decided_argument(node, roles::RECORDING)?).map(PathBuf::from);
+        let files = deciding(&self.graph, roles::RECORDING).filter_map(file);
         files.filter(|file| file.parent() == Some(&self.out)).collect()
     }
 
@@ -77,14 +76,14 @@ impl RunPlan {
 }
 
 /// What options of their own decide, and the option.
-const OWNED: &[(Decided, &str)] = &[
-    (Decided::Log, "--log"),
-    (Decided::Ego, "--ego"),
-    (Decided::Coop, "--coop"),
-    (Decided::Agents, "--agents"),
-    (Decided::Offline, "--offline"),
-    (Decided::Out, "--out"),
-    (Decided::RunSettings, "--link, --seed and the like"),
+const OWNED: &[(&'static str, &str)] = &[
+    (roles::LOG, "--log"),
+    (roles::EGO, "--ego"),
+    (roles::COOP, "--coop"),
+    (roles::AGENTS, "--agents"),
+    (roles::OFFLINE, "--offline"),
+    (roles::OUT, "--out"),
+    (roles::RUN_SETTINGS, "--link, --seed and the like"),
 ];
 
 /// The runs of one graph. A log that cannot be played does not keep the others from it.
@@ -98,7 +97,7 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
         report_machines(&graph, path);
     }
     let graph = graph.on_one_machine();
-    let own = values(&graph, Decided::Own, str::to_string);
+    let own = values(&graph, roles::OWN, str::to_string);
     if !own.is_empty() && !args.agents.is_empty() {
         bail!(
             "--agents: {} is the graph of one agent, {own}, and the others have graphs of their own: start those that take part, and \
@@ -255,8 +254,8 @@ impl Planner<'_> {
 
 /// Refuses protocols that cannot score the ego of the log.
 fn fitting_protocols(graph: &FlatGraph, log: &Log, ego: &str) -> Result<()> {
-    for node in deciding(graph, Decided::Protocol) {
-        if let Some(name) = decided_argument(node, Decided::Protocol).and_then(|key| argument(node, key)) {
+    for node in deciding(graph, roles::PROTOCOL) {
+        if let Some(name) = decided_argument(node, roles::PROTOCOL).and_then(|key| argument(node, key)) {
             protocol_fits(&Protocol::load(&name)?, log, ego)?;
         }
     }
@@ -349,7 +348,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
 
 /// What `--project` is reported where it decides nothing.
 pub fn nobody_projects(graphs: &str) -> Report {
-    let node = takers(Decided::Project);
+    let node = takers(roles::PROJECT);
     eyre!("--project: no {node} of {graphs} gets the ego's states, so no sender can project")
 }
 
@@ -380,7 +379,7 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     let mut flat = graph.expand()?;
     replace::apply(&mut flat, &args.choices.replace, true)?;
     anchor_paths(&mut flat)?;
-    for needed in [Decided::Log, Decided::Out] {
+    for needed in [roles::LOG, roles::OUT] {
         if deciding(&flat, needed).next().is_none() {
             let (file, node) = (flat.file.display(), takers(needed));
             bail!("{file}: expected a node `{node}`, found none; without it, start the graph with `dora run`");
@@ -400,8 +399,8 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
 /// Refuses a graph that would record into a log that is played.
 fn refuse_to_overwrite(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
     let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-    for node in deciding(graph, Decided::Recording) {
-        let argument = decided_argument(node, Decided::Recording).unwrap_or_default();
+    for node in deciding(graph, roles::RECORDING) {
+        let argument = decided_argument(node, roles::RECORDING).unwrap_or_default();
         let path = PathBuf::from(given(node, argument).unwrap_or_default());
         if let Some(log) = logs.iter().find(|log| same(log, &path)) {
             let (id, log) = (&node.id, log.display());
@@ -420,7 +419,7 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
             .map(|log| std::path::absolute(log).wrap_err_with(|| format!("{}", log.display())))
             .collect();
     }
-    let log = deciding(graph, Decided::Log).find_map(|node| argument(node, decided_argument(node, Decided::Log)?));
+    let log = deciding(graph, roles::LOG).find_map(|node| argument(node, decided_argument(node, roles::LOG)?));
     let log = log.ok_or_else(|| eyre!("{}: no node plays a log", graph.file.display()))?;
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     let log = normalized(&folder.join(log));
@@ -436,7 +435,7 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
 /// Another link, asked for beside `--offline`.
 fn links_of_offline(graph: &mut FlatGraph, set: &[Setting]) -> Result<()> {
     for node in &mut graph.nodes {
-        let Some(link) = decided_argument(node, Decided::Link) else {
+        let Some(link) = decided_argument(node, roles::LINK) else {
             continue;
         };
         let is_link = |setting: &&Setting| setting.node == node.id && setting.key == link && setting.value != PERFECT;
@@ -467,8 +466,8 @@ impl Decisions<'_> {
     fn to(&self, base: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
         let mut graph = base.clone();
         let mut decisions = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
-        if !values(&graph, Decided::Own, str::to_string).is_empty() {
-            decisions.push((Decided::Own, self.ego.into()));
+        if !values(&graph, roles::OWN, str::to_string).is_empty() {
+            decisions.push((roles::OWN, self.ego.into()));
         }
         for (decided, value) in decisions {
             decide(&mut graph, decided, &value);
@@ -478,13 +477,13 @@ impl Decisions<'_> {
         }
         if let Some(project) = self.args.choices.project {
             for node in graph.nodes.iter_mut().filter(|node| can_project(node)) {
-                if let Some(argument) = decided_argument(node, Decided::Project) {
+                if let Some(argument) = decided_argument(node, roles::PROJECT) {
                     node.set(argument, project.as_str());
                 }
             }
         }
         for node in &mut graph.nodes {
-            if let Some(argument) = decided_argument(node, Decided::Recording) {
+            if let Some(argument) = decided_argument(node, roles::RECORDING) {
                 let before = base.node(&node.id).unwrap_or(node);
                 let name = recording_name(before, argument, self.ego);
                 node.set(argument, &self.out.join(name).to_string_lossy());
@@ -514,10 +513,10 @@ impl Decisions<'_> {
             mode: mode.into(),
             coop: self.coop.into(),
             ego: self.ego.into(),
-            link: values(&graph, Decided::Link, named::link),
+            link: values(&graph, roles::LINK, named::link),
             compute: self.args.compute.as_deref().map(named::profile).unwrap_or_default(),
-            seed: values(&graph, Decided::Seed, str::to_string),
-            project: values(&projecting, Decided::Project, str::to_string),
+            seed: values(&graph, roles::SEED, str::to_string),
+            project: values(&projecting, roles::PROJECT, str::to_string),
             set: changes.join(", "),
             programs: named::programs(&graph),
             rate: self
@@ -531,54 +530,54 @@ impl Decisions<'_> {
         Ok((graph, settings))
     }
 
-    fn of_run(&self) -> Vec<(Decided, String)> {
+    fn of_run(&self) -> Vec<(&'static str, String)> {
         vec![
-            (Decided::Log, self.log_path.to_string_lossy().into_owned()),
-            (Decided::Ego, self.ego.into()),
-            (Decided::Coop, self.coop.into()),
-            (Decided::Agents, self.args.agents.join(",")),
-            (Decided::Out, self.out.to_string_lossy().into_owned()),
+            (roles::LOG, self.log_path.to_string_lossy().into_owned()),
+            (roles::EGO, self.ego.into()),
+            (roles::COOP, self.coop.into()),
+            (roles::AGENTS, self.args.agents.join(",")),
+            (roles::OUT, self.out.to_string_lossy().into_owned()),
             (
-                Decided::RunSettings,
+                roles::RUN_SETTINGS,
                 self.out.join(SETTINGS_FILE).to_string_lossy().into_owned(),
             ),
         ]
     }
 
-    fn of_options(&self) -> Result<Vec<(Decided, String)>> {
+    fn of_options(&self) -> Result<Vec<(&'static str, String)>> {
         let args = self.args;
         let mut decisions = Vec::new();
         if args.offline {
-            decisions.push((Decided::Offline, "true".into()));
+            decisions.push((roles::OFFLINE, "true".into()));
         }
         if args.choices.recorded_detections {
-            decisions.push((Decided::Detections, "required".into()));
+            decisions.push((roles::DETECTIONS, "required".into()));
         }
-        decisions.extend(args.rate.map(|rate| (Decided::Rate, rate.to_string())));
-        decisions.extend(args.choices.seed.map(|seed| (Decided::Seed, seed.to_string())));
-        decisions.extend(args.choices.isa.iter().map(|isa| (Decided::Isa, isa.clone())));
+        decisions.extend(args.rate.map(|rate| (roles::RATE, rate.to_string())));
+        decisions.extend(args.choices.seed.map(|seed| (roles::SEED, seed.to_string())));
+        decisions.extend(args.choices.isa.iter().map(|isa| (roles::ISA, isa.clone())));
         decisions.extend(
             args.choices
                 .precision
                 .iter()
-                .map(|precision| (Decided::Precision, precision.clone())),
+                .map(|precision| (roles::PRECISION, precision.clone())),
         );
         let device = args.choices.device.iter();
-        decisions.extend(device.map(|device| (Decided::Device, device.clone())));
+        decisions.extend(device.map(|device| (roles::DEVICE, device.clone())));
         if let Some(profile) = &args.choices.link {
             let named = |name: &str| name_or_file(name).unwrap_or_else(|_| name.into());
-            decisions.push((Decided::Link, realo_link::with_base(profile, named)));
+            decisions.push((roles::LINK, realo_link::with_base(profile, named)));
         }
         Ok(decisions)
     }
 
-    fn of_log(&self, graph: &FlatGraph) -> Result<Vec<(Decided, String)>> {
+    fn of_log(&self, graph: &FlatGraph) -> Result<Vec<(&'static str, String)>> {
         let info = self.log.info();
         let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
-        let mut decisions = vec![(Decided::Protocol, name_or_file(protocol)?)];
+        let mut decisions = vec![(roles::PROTOCOL, name_or_file(protocol)?)];
         let roadside = info.agents.iter().filter(|agent| agent.kind == AgentKind::Roadside);
         let roadside: Vec<&str> = roadside.map(|agent| &*agent.name).collect();
-        decisions.push((Decided::Roadside, roadside.join(",")));
+        decisions.push((roles::ROADSIDE, roadside.join(",")));
         let has = |agent: &str, stream| self.log.has(agent, stream);
         let names = info.agents.iter().map(|agent| agent.name.as_str());
         let bare: Vec<&str> = names
@@ -587,7 +586,7 @@ impl Decisions<'_> {
         if !bare.is_empty() {
             let stem = stem(self.log_path);
             let agents = bare.join(", ");
-            if let Some(node) = deciding(graph, Decided::Model).next() {
+            if let Some(node) = deciding(graph, roles::MODEL).next() {
                 let id = &node.id;
                 bail!(
                     "{stem}: a log without points of {agents}, in which node `{id}` sees nothing: take a log with points, or a graph \
@@ -595,7 +594,7 @@ impl Decisions<'_> {
                 );
             }
             eprintln!("realo: {stem}: a log without points of {agents}; all sweeps are played empty");
-            decisions.push((Decided::Points, "false".into()));
+            decisions.push((roles::POINTS, "false".into()));
         }
         Ok(decisions)
     }
@@ -605,7 +604,7 @@ impl Decisions<'_> {
 fn recording_name(node: &FlatNode, argument: &str, ego: &str) -> PathBuf {
     let path = Path::new(given(node, argument).unwrap_or("recording.mcap"));
     let name = PathBuf::from(path.file_name().unwrap_or_default());
-    let agent = decided_argument(node, Decided::Ego).and_then(|key| given(node, key));
+    let agent = decided_argument(node, roles::EGO).and_then(|key| given(node, key));
     match (agent, name.extension()) {
         (Some(agent), Some(kind)) if name.file_stem() == Some(agent.as_ref()) => {
             PathBuf::from(ego).with_added_extension(kind)

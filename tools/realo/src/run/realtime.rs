@@ -1,5 +1,6 @@
 //! Runs on dora.
 
+use crate::roles;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::Read;
@@ -9,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use eyre::{Report, Result, WrapErr, bail};
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
-use realo_operator::{Decided, Durations};
+use realo_operator::Durations;
 use realo_results::Run;
 
 use super::batch::Unfinished;
@@ -116,7 +117,7 @@ fn no_results(plan: &RunPlan, why: &str) -> Report {
 
 /// Whether a run that a signal ended had no sweep of the ego yet; where none is scored, whether nothing had been played.
 fn has_nothing(plan: &RunPlan, run: &Run) -> bool {
-    let mut results = deciding(&plan.graph, Decided::Out);
+    let mut results = deciding(&plan.graph, roles::OUT);
     let (frames, samples) = (&run.result.frames, &run.timing.samples);
     match results.any(|node| ["boxes", "truth"].iter().any(|port| node.inputs.contains_key(*port))) {
         true => frames.total + frames.processed == 0,
@@ -206,7 +207,7 @@ fn watch(mut tether: Tether, mut child: Child, plan: &RunPlan, rate: f64, log: &
 
 /// How often the log is played.
 fn repeats(plan: &RunPlan) -> f64 {
-    let players = deciding(&plan.graph, Decided::Log);
+    let players = deciding(&plan.graph, roles::LOG);
     let repeats = players.filter_map(|node| argument(node, "repeat")?.parse::<f64>().ok());
     repeats.fold(1.0, f64::max)
 }

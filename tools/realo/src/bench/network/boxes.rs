@@ -90,7 +90,7 @@ pub fn agreement(
     let decoder = Decoder::new(anchors, threshold);
     let boxes = |heads: &Heads| -> Vec<Box3> {
         let boxes = decoder.decode(&heads.scores, &heads.deltas).boxes;
-        let kept = realo_nms::nms(&boxes, &realo_nms::Config::default(), None).kept;
+        let kept = realo_nms::nms(&boxes, &realo_nms::Settings::default(), None).kept;
         kept.iter().map(|index| boxes[*index as usize].clone()).collect()
     };
     let noise = [

@@ -1,0 +1,23 @@
+use std::path::PathBuf;
+
+use realo_schemas::{Header, Name};
+
+/// Why a recorder could not go on.
+#[derive(Debug, thiserror::Error)]
+pub enum RecorderError {
+    /// The recording is closed.
+    #[error("a message after the recording was finished")]
+    Finished,
+    /// The log is closed.
+    #[error("a message after the log was finished")]
+    LogFinished,
+    /// Nobody is named.
+    #[error("argument `agent`: expected whose sensors are recorded, found nothing")]
+    Agent,
+    /// The log's folder cannot be made.
+    #[error("argument `path`: {}: {}", .0.display(), .1)]
+    Folder(PathBuf, #[source] std::io::Error),
+    /// A report that no log has.
+    #[error("a log takes no report of topic `{0}` ({1})")]
+    Topic(Name, Box<Header>),
+}

@@ -1,0 +1,48 @@
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::config::ConfigError;
+
+/// One argument of an operator or node, as `realo operators` prints it. Its default is that of the settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Argument {
+    /// Key in graphs and `--set`.
+    pub name: &'static str,
+    /// Meaning and unit, in a line.
+    pub about: &'static str,
+    /// The values that it takes, in words.
+    pub range: Option<&'static str>,
+    /// What it is to a tool that prepares runs: an open word, such as `model`, that the tool looks for.
+    pub role: Option<&'static str>,
+}
+
+/// The settings of a stage; `#[derive(Settings)]` makes it from a documented struct.
+///
+/// ```
+/// use realo_operator::config::parse;
+/// use realo_operator::{Settings, StageSettings};
+/// use serde::{Deserialize, Serialize};
+///
+/// #[derive(Debug, Settings, Serialize, Deserialize)]
+/// #[serde(default, deny_unknown_fields)]
+/// struct Suppression {
+///     /// IoU above which the box with the lower score is dropped.
+///     #[setting(default = 0.15, range = 0.0..=1.0)]
+///     threshold: f64,
+/// }
+///
+/// assert_eq!(Suppression::ARGUMENTS[0].range, Some("0 to 1"));
+/// assert_eq!(Suppression::default().threshold, 0.15);
+/// let error = parse::<Suppression>(&["threshold=1.5".into()]).unwrap_err();
+/// assert_eq!(error.to_string(), "argument `threshold`: expected 0 to 1, found 1.5");
+/// ```
+pub trait StageSettings: DeserializeOwned + Serialize + Default {
+    /// Every key, in its order.
+    const ARGUMENTS: &'static [Argument];
+
+    /// Whether every value lies in the range that its field declares.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`] names the argument, the range and the value.
+    fn check(&self) -> Result<(), ConfigError>;
+}

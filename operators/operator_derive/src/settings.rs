@@ -1,0 +1,211 @@
+//! `#[derive(Settings)]`.
+
+use proc_macro2::{TokenStream, TokenTree};
+use quote::quote;
+use syn::{Data, DeriveInput, Error, Field, Fields, Ident, Result, Type};
+
+use crate::attribute::{Word, doc, words};
+
+/// One argument of a stage.
+struct Setting<'a> {
+    name: &'a Ident,
+    is_optional: bool,
+    about: String,
+    default: TokenStream,
+    range: Option<(TokenStream, String)>,
+    role: Option<TokenStream>,
+}
+
+pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
+    let fields = match &input.data {
+        Data::Struct(data) => match &data.fields {
+            Fields::Named(fields) => &fields.named,
+            _ => return Err(Error::new_spanned(input, "expected a struct with named fields")),
+        },
+        _ => return Err(Error::new_spanned(input, "expected a struct")),
+    };
+    let settings = fields.iter().map(setting).collect::<Result<Vec<_>>>()?;
+    let arguments = settings.iter().map(argument);
+    let checks = settings.iter().filter_map(check);
+    let defaults = settings
+        .iter()
+        .map(|Setting { name, default, .. }| quote!(#name: #default));
+    let name = &input.ident;
+    Ok(quote! {
+        impl ::core::default::Default for #name {
+            fn default() -> Self {
+                Self { #(#defaults),* }
+            }
+        }
+        impl ::realo_operator::StageSettings for #name {
+            const ARGUMENTS: &'static [::realo_operator::Argument] = &[#(#arguments),*];
+            fn check(&self) -> ::core::result::Result<(), ::realo_operator::config::ConfigError> {
+                #(#checks)*
+                ::core::result::Result::Ok(())
+            }
+        }
+    })
+}
+
+fn setting(field: &Field) -> Result<Setting<'_>> {
+    let name = field
+        .ident
+        .as_ref()
+        .ok_or_else(|| Error::new_spanned(field, "expected a name"))?;
+    let mut setting = Setting {
+        name,
+        is_optional: is_option(&field.ty),
+        about: doc(&field.attrs, name.span(), "a setting")?,
+        default: quote!(::core::default::Default::default()),
+        range: None,
+        role: None,
+    };
+    for Word { name, value } in words(&field.attrs, "setting")? {
+        match name.to_string().as_str() {
+            "default" => setting.default = default(value),
+            "range" => setting.range = Some((value.clone(), range_words(&name, &value)?)),
+            "role" => setting.role = Some(value),
+            _ => return Err(Error::new(name.span(), "expected `default`, `range` or `role`")),
+        }
+    }
+    Ok(setting)
+}
+
+fn is_option(of: &Type) -> bool {
+    let Type::Path(path) = of else { return false };
+    path.path.segments.last().is_some_and(|last| last.ident == "Option")
+}
+
+/// A text becomes what the field is: a `String`, a path, a name.
+fn default(value: TokenStream) -> TokenStream {
+    let tokens: Vec<TokenTree> = value.clone().into_iter().collect();
+    match &tokens[..] {
+        [TokenTree::Literal(literal)] if literal.to_string().starts_with('"') => {
+            quote!(::core::convert::Into::into(#literal))
+        }
+        _ => value,
+    }
+}
+
+/// What a range says, in words.
+fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
+    let text: String = range.to_string().split_whitespace().collect();
+    let wrong = || Error::new(at.span(), "expected a range of numbers, such as `0.0..=1.0` or `1..`");
+    let (first, last, is_inclusive) = match (text.split_once("..="), text.split_once("..")) {
+        (Some((first, last)), _) => (first, last, true),
+        (None, Some((first, last))) => (first, last, false),
+        (None, None) => return Err(wrong()),
+    };
+    let number = |text: &str| match text {
+        "" => Ok(None),
+        text => text.replace('_', "").parse::<f64>().map(Some).map_err(|_| wrong()),
+    };
+    match (number(first)?, number(last)?) {
+        (Some(first), Some(last)) if is_inclusive => Ok(format!("{first} to {last}")),
+        (Some(first), Some(last)) => Ok(format!("{first} to below {last}")),
+        (Some(first), None) => Ok(format!("at least {first}")),
+        (None, Some(last)) if is_inclusive => Ok(format!("up to {last}")),
+        (None, Some(last)) => Ok(format!("below {last}")),
+        (None, None) => Err(wrong()),
+    }
+}
+
+fn argument(setting: &Setting) -> TokenStream {
+    let Setting { name, about, .. } = setting;
+    let optional = |value: Option<TokenStream>| match value {
+        Some(value) => quote!(::core::option::Option::Some(#value)),
+        None => quote!(::core::option::Option::None),
+    };
+    let range = optional(setting.range.as_ref().map(|(_, words)| quote!(#words)));
+    let role = optional(setting.role.clone());
+    let name = name.to_string();
+    quote! {
+        ::realo_operator::Argument { name: #name, about: #about, range: #range, role: #role }
+    }
+}
+
+fn check(setting: &Setting) -> Option<TokenStream> {
+    let (range, words) = setting.range.as_ref()?;
+    let name = setting.name;
+    let key = name.to_string();
+    let test = quote! {
+        if !(#range).contains(found) {
+            return ::core::result::Result::Err(::realo_operator::config::ConfigError::range(#key, #words, found));
+        }
+    };
+    Some(match setting.is_optional {
+        true => quote!(if let ::core::option::Option::Some(found) = &self.#name { #test }),
+        false => quote!({ let found = &self.#name; #test }),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn derived(input: TokenStream) -> std::result::Result<String, String> {
+        let input: DeriveInput = syn::parse2(input).map_err(|error| error.to_string())?;
+        derive(&input)
+            .map(|made| made.to_string())
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn ranges_are_said_in_words() {
+        let words = |range| {
+            let at = Ident::new("range", proc_macro2::Span::call_site());
+            range_words(&at, &range).ok()
+        };
+        let cases = [
+            (quote!(0.0..=1.0), Some("0 to 1")),
+            (quote!(0.0..1.0), Some("0 to below 1")),
+            (quote!(1..), Some("at least 1")),
+            (quote!(..=1.0), Some("up to 1")),
+            (quote!(-7..=19), Some("-7 to 19")),
+            (quote!(..1_000), Some("below 1000")),
+            (quote!(..), None),
+            (quote!(MOST), None),
+            (quote!(0..MOST), None),
+        ];
+        for (range, expected) in cases {
+            assert_eq!(words(range.clone()).as_deref(), expected, "{range}");
+        }
+    }
+
+    #[test]
+    fn a_setting_without_a_doc_comment_does_not_compile() {
+        let error = derived(quote!(
+            struct Settings {
+                threshold: f64,
+            }
+        ))
+        .unwrap_err();
+        assert!(error.contains("needs a doc comment"), "{error}");
+        let made = derived(quote!(
+            struct Settings {
+                #[doc = " IoU."]
+                threshold: f64,
+            }
+        ))
+        .unwrap();
+        assert!(made.contains("about : \"IoU\""), "{made}");
+    }
+
+    #[test]
+    fn other_words_than_those_known_are_refused() {
+        let error = derived(quote!(
+            struct Settings {
+                #[doc = "IoU"]
+                #[setting(rang = 0..1)]
+                threshold: f64,
+            }
+        ));
+        assert!(error.unwrap_err().contains("expected `default`, `range` or `role`"));
+        let error = derived(quote!(
+            enum Settings {
+                One,
+            }
+        ));
+        assert!(error.unwrap_err().contains("expected a struct"));
+    }
+}

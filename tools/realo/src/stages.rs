@@ -1,0 +1,152 @@
+//! The reference page of all stages, docs/reference/stages.md.
+
+use std::fmt::Write;
+
+use realo_operator::{Argument, Class, Meaning, Port, Queue, Registration, Role};
+use serde_json::{Map, Value};
+
+use crate::registry;
+
+const HEAD: &str = "\
+# Stages
+
+`realo operators --markdown` prints this page; a test compares the two.
+
+A stage is a node of a graph: an *operator*, or a *source*, a *sink* or a *gateway*. Its settings are the `key=value` words behind its
+name; `realo run --set NODE.KEY=VALUE` sets them for one run.
+
+- `latest`: a newer message takes the place of one that waits; else all wait, in order.
+- `joined`: ports that say the same word are given together, message by message of one number.
+- `state`: goes before other messages of the same instant; `query`: goes after them.
+- *role*: what `realo run` sets here by itself or by an option.
+- A counter with a *note* is mentioned after a run; one with *exit code 3* makes the run's exit code 3.
+";
+
+/// The whole page.
+pub fn page() -> String {
+    let mut text = String::from(HEAD);
+    for entry in registry().0 {
+        section(&mut text, entry);
+    }
+    text
+}
+
+fn section(text: &mut String, entry: &Registration) {
+    let kind = match entry.role {
+        Role::Operator => "Operator",
+        Role::Source => "Source",
+        Role::Sink => "Sink",
+        Role::Gateway => "Gateway",
+    };
+    let about = sentence(entry.about);
+    let _ = write!(text, "\n## {}\n\n{kind}. {about}\n", entry.name);
+    if entry.inputs.len() + entry.outputs.len() > 0 {
+        *text += "\n| port | types | content |\n|---|---|---|\n";
+    }
+    for (way, ports) in [("in", entry.inputs), ("out", entry.outputs)] {
+        for port in ports {
+            let properties = properties(port, way == "in");
+            let types: Vec<&str> = port.types.iter().map(|of| of.as_str()).collect();
+            let types = types.join(", ");
+            let _ = writeln!(
+                text,
+                "| {way} `{}` | {types} | {}{properties} |",
+                port.name,
+                cell(port.about)
+            );
+        }
+    }
+    if !entry.arguments.is_empty() {
+        *text += "\n| setting | default | values | meaning |\n|---|---|---|---|\n";
+    }
+    let defaults = (entry.defaults)();
+    for argument in entry.arguments {
+        setting(text, argument, &defaults);
+    }
+    if !entry.counters.is_empty() {
+        *text += "\n| counter | counts | above 0 |\n|---|---|---|\n";
+    }
+    for counter in entry.counters {
+        let leads_to = match counter.meaning {
+            Meaning::Plain => "",
+            Meaning::Loss => "a note",
+            Meaning::LogFault => "a note, exit code 3",
+        };
+        let _ = writeln!(text, "| `{}` | {} | {leads_to} |", counter.name, cell(counter.about));
+    }
+}
+
+fn setting(text: &mut String, argument: &Argument, defaults: &Map<String, Value>) {
+    let default = match defaults.get(argument.name) {
+        Some(Value::String(empty)) if empty.is_empty() => "empty".into(),
+        Some(Value::String(word)) => format!("`{word}`"),
+        Some(value) => format!("`{value}`"),
+        None => String::new(),
+    };
+    let role = argument
+        .role
+        .map(|role| format!(" (role `{role}`)"))
+        .unwrap_or_default();
+    let range = argument.range.unwrap_or_default();
+    let about = cell(argument.about);
+    let _ = writeln!(text, "| `{}` | {default} | {range} | {about}{role} |", argument.name);
+}
+
+/// What a port is besides its types, in parentheses.
+fn properties(port: &Port, is_input: bool) -> String {
+    let mut words = Vec::new();
+    if is_input {
+        words.extend((port.queue == Queue::Latest).then(|| "latest".to_string()));
+        words.extend(port.join.map(|group| format!("joined: {group}")));
+        match port.class {
+            Class::State => words.push("state".into()),
+            Class::Query => words.push("query".into()),
+            Class::Data => {}
+        }
+        match port.needed {
+            Some((argument, value)) => words.push(format!("needed with `{argument}={value}`")),
+            None if !port.required => words.push("optional".into()),
+            None => {}
+        }
+    }
+    words.extend(port.lane.map(|lane| lane.to_string()));
+    match words.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", words.join(", ")),
+    }
+}
+
+/// A text as a whole sentence.
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    let first = letters
+        .next()
+        .map(|first| first.to_uppercase().to_string())
+        .unwrap_or_default();
+    format!("{first}{}.", letters.as_str())
+}
+
+/// A text in a cell of a table.
+fn cell(text: &str) -> String {
+    text.replace('|', "\\|")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_section_has_ports_settings_and_counters() {
+        let page = page();
+        for row in [
+            "\n## nms\n\nOperator. Drops ",
+            "| in `proposals` | Boxes | Detections in any order, one frame (latest) |",
+            "| `threshold` | `0.15` | 0 to 1 | ",
+            "| `suppressed_boxes` | ",
+            "(role `model`) |",
+        ] {
+            assert!(page.contains(row), "{row}");
+        }
+        assert_eq!(cell("a|b"), "a\\|b");
+    }
+}
