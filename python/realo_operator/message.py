@@ -158,7 +158,7 @@ def _read(name, column):
         return out
     if pa.types.is_string(values.type) or name == "track":
         return np.array(values.to_pylist(), object)
-    return values.to_numpy()
+    return values.to_numpy(zero_copy_only=not pa.types.is_boolean(values.type))
 
 
 def _cell(payload, name, as_, values):

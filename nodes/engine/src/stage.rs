@@ -287,7 +287,7 @@ mod tests {
                 odd if odd % 2 == 1 => return Err("odd".into()),
                 _ => out.report(&message.header, Fate::Used),
             }
-            out.send(port, message);
+            out.send_on(port, message);
             Ok(())
         }
         fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
