@@ -168,7 +168,9 @@ fn damaged_graphs_and_modules_are_graphs_or_errors() {
     for (name, text) in &files {
         fs::write(root.join(name), text).unwrap();
     }
-    for (name, text) in &files {
+    // A module of processes is read by the graphs that use it: a process cannot host it.
+    let is_read_alone = |name: &Path, text: &str| !(name.starts_with("modules") && text.contains("args: host "));
+    for (name, text) in files.iter().filter(|(name, text)| is_read_alone(name, text)) {
         assert_eq!(check(root, name, text.len(), &name.to_string_lossy(), true), None);
     }
     let names: Vec<&PathBuf> = files.keys().collect();
