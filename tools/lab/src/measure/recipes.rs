@@ -120,15 +120,14 @@ mod tests {
         assert!(error.contains("there is no page `other`, but: demo"), "{error}");
     }
 
-    /// The table in README.md is never edited by hand: it is one of the page's.
+    /// The table in README.md is never edited by hand: it is one of the page's, and there is none without the page.
     #[test]
     fn the_table_of_the_readme_is_in_its_page() {
         let readme = fs::read_to_string(root().join("README.md")).unwrap();
-        let page = fs::read_to_string(root().join("docs/measured/demo.md")).unwrap();
+        let page = fs::read_to_string(root().join("docs/measured/demo.md")).unwrap_or_default();
         let (_, block) = readme.split_once("<!-- measured: demo -->").unwrap();
         let (block, _) = block.split_once("<!-- /measured -->").unwrap();
-        let rows: Vec<&str> = block.lines().filter(|line| line.starts_with('|')).collect();
-        assert!(rows.len() > 3, "{block}");
-        assert!(page.contains(&rows.join("\n")), "{block}");
+        assert_eq!(block.trim().is_empty(), page.is_empty(), "{block}");
+        assert!(page.contains(block.trim()), "{block}");
     }
 }

@@ -128,7 +128,8 @@ fn read_by_all(root: &Path) -> Result<String> {
     }
     files.sort();
     let digests: Result<Vec<String>> = files.iter().map(|file| sha256(file)).collect();
-    let mut texts: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
+    let names = files.iter().map(|file| file.strip_prefix(root).unwrap_or(file));
+    let mut texts: Vec<String> = names.map(|name| name.display().to_string()).collect();
     texts.extend(digests?);
     Ok(key(&texts))
 }
