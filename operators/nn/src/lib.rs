@@ -21,6 +21,7 @@ pub mod tensors;
 #[allow(dead_code, reason = "another crate's tests share it")]
 mod testing;
 #[cfg(test)]
+#[allow(dead_code, reason = "another crate's tests share it")]
 mod vectors;
 pub mod weights;
 

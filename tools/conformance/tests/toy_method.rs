@@ -229,7 +229,7 @@ fn its_vectors_pass_and_wrong_ones_fail() {
     // A sample of two agents, then one of a single agent.
     let fused = (0..2 * channels * count).map(|index| {
         let (sample, channel) = (index / (channels * count), index / count % channels);
-        let share = 1.0 / (1.0 + f64::exp(-logits[channel]));
+        let share = 1.0 / (1.0 + libm::exp(-logits[channel]));
         let at = |map: usize| maps[map * channels * count + index % (channels * count)];
         match sample {
             0 => (at(0) + share * at(1)) / (1.0 + share),

@@ -43,6 +43,7 @@ impl Convolution {
         })
     }
 
+    /// The weight of an output for an input, at a row and a column of the kernel.
     pub fn weight(&self, output: usize, input: usize, row: usize, column: usize) -> f32 {
         let (major, minor, minors) = match self.transposed {
             true => (input, output, self.outputs),

@@ -3,8 +3,10 @@ pub trait Element: Copy + Default + Send + Sync + 'static {
     /// Numbers in a unit of 4 bytes.
     const PER_UNIT: usize;
 
+    /// The nearest number of this type.
     fn from_f32(value: f32) -> Self;
 
+    /// The number in single precision.
     fn to_f32(self) -> f32;
 
     /// The number that a weight is a multiple of, from the largest of its output's.

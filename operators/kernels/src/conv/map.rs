@@ -7,8 +7,11 @@ use super::pool::Pool;
 /// A map of `rows` x `columns` cells with a border of one cell of zeros, channels last.
 #[derive(Debug)]
 pub struct Map<E> {
+    /// Cells along y, without the border.
     pub rows: usize,
+    /// Cells along x, without the border.
     pub columns: usize,
+    /// Features of a cell.
     pub channels: usize,
     /// Numbers of a cell: the channels, filled up with zeros to whole units.
     pub stored: usize,
@@ -20,8 +23,11 @@ pub struct Map<E> {
 /// A [`Map`] to read.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a, E> {
+    /// Cells along y, without the border.
     pub rows: usize,
+    /// Cells along x, without the border.
     pub columns: usize,
+    /// Numbers of a cell.
     pub stored: usize,
     /// Cells of zeros around it: 1, or 0 for what only kernels of 1x1 read.
     pub border: usize,
@@ -45,7 +51,9 @@ impl<E> View<'_, E> {
 
 /// Whole rows of a map, border columns included.
 pub struct Rows<'a, E> {
+    /// The rows, of all that are shared out.
     pub range: Range<usize>,
+    /// Their numbers.
     pub data: &'a mut [E],
 }
 
@@ -68,6 +76,7 @@ impl<E: Element> Map<E> {
         }
     }
 
+    /// The map as layers read it.
     pub fn view(&self) -> View<'_, E> {
         View {
             rows: self.rows,
@@ -79,6 +88,7 @@ impl<E: Element> Map<E> {
         }
     }
 
+    /// Numbers of a row, border included.
     pub fn row_length(&self) -> usize {
         (self.columns + 2) * self.stored
     }
@@ -108,6 +118,7 @@ impl<E: Element> Map<E> {
         self.fill_with(&mut Pool::new(1), cells);
     }
 
+    /// Takes all cells from `[rows, columns, channels]`, side by side on threads.
     pub fn fill_with(&mut self, pool: &mut Pool, cells: &[f32]) {
         let steps = 1.0 / self.step;
         let (columns, channels, stored, length) = (self.columns, self.channels, self.stored, self.row_length());

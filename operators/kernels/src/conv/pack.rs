@@ -13,6 +13,7 @@ pub type Run<E, O> = unsafe fn(&Packed<E, O>, Share<E, O>);
 
 /// The rows of one worker.
 pub struct Share<'a, E, O> {
+    /// The map that is read.
     pub input: View<'a, E>,
     /// Rows of windows (of input cells if the map is enlarged).
     pub rows: Range<usize>,

@@ -71,6 +71,7 @@ impl Pool {
         }
     }
 
+    /// Threads, the caller's included.
     pub fn threads(&self) -> usize {
         self.workers.len() + 1
     }

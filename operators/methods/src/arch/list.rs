@@ -17,6 +17,9 @@ pub const METHODS: &[Entry] = &[
     Entry::of::<v2vnet::Settings>(),
 ];
 
+/// A method as a vector's configuration describes it, if it describes this one.
+type Described = Option<Result<Arc<dyn AnyMethod>, String>>;
+
 /// A method that model files may name.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
@@ -27,7 +30,7 @@ pub struct Entry {
     /// The class of its network in V2X-Real's code, where there is one.
     pub reference: Option<&'static str>,
     read: fn(toml::Table) -> Result<Arc<dyn AnyMethod>, toml::de::Error>,
-    of_reference: fn(&Value, Sharing) -> Option<Result<Arc<dyn AnyMethod>, String>>,
+    of_reference: fn(&Value, Sharing) -> Described,
 }
 
 impl Entry {
@@ -51,7 +54,7 @@ impl Entry {
     }
 
     /// See [`Method::of_reference`].
-    pub fn of_reference(&self, config: &Value, sharing: Sharing) -> Option<Result<Arc<dyn AnyMethod>, String>> {
+    pub fn of_reference(&self, config: &Value, sharing: Sharing) -> Described {
         (self.of_reference)(config, sharing)
     }
 }
@@ -61,7 +64,7 @@ fn read<M: Method>(settings: toml::Table) -> Result<Arc<dyn AnyMethod>, toml::de
     Ok(Arc::new(method))
 }
 
-fn of_reference<M: Method>(config: &Value, sharing: Sharing) -> Option<Result<Arc<dyn AnyMethod>, String>> {
+fn of_reference<M: Method>(config: &Value, sharing: Sharing) -> Described {
     let method = M::of_reference(config, sharing)?;
     Some(method.map(|method| Arc::new(method) as Arc<dyn AnyMethod>))
 }

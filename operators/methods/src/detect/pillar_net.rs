@@ -422,7 +422,7 @@ mod tests {
             .map(|(factor, (bias, mean))| [factor, bias - mean * factor])
             .collect();
         PillarNet::new(
-            &crate::testing::grid_of(&vector),
+            &crate::testing::grid_of(vector),
             &vector.f32("param.pfn_layers.0.linear.weight"),
             &norm,
             Some(slots),

@@ -1,6 +1,7 @@
 //! The weighted mean, cell by cell.
 
 use realo_kernels::by_cell::CellFusion;
+use realo_kernels::math::exp;
 
 /// How much the features of others count, by channel.
 #[derive(Clone, Debug)]
@@ -9,7 +10,7 @@ pub struct Mean(Vec<f32>);
 impl Mean {
     /// Of logits.
     pub fn new(logits: &[f32]) -> Self {
-        Mean(logits.iter().map(|logit| 1.0 / (1.0 + (-logit).exp())).collect())
+        Mean(logits.iter().map(|logit| 1.0 / (1.0 + exp(-logit))).collect())
     }
 }
 
