@@ -57,6 +57,19 @@ fn listed(problems: &[String]) -> String {
 
 pub(crate) type Shapes<'a> = HashMap<&'a str, &'a [usize]>;
 
+/// The networks of V2X-Real: as model files name them, as [`full_size`] takes them, and what they are.
+pub const ARCHS: &[(&str, &str, &str)] = &[
+    (
+        "pointpillars",
+        "pointpillars",
+        "The detector of one agent, of early and late fusion",
+    ),
+    ("fcooper", "fcooper", "F-Cooper"),
+    ("attfuse", "attfuse", "AttFuse"),
+    ("v2xvit", "v2xvit", "V2X-ViT"),
+    ("v2vnet", "v2vnet", "V2VNet"),
+];
+
 /// V2X-Real's network of an architecture at full size, with the compressor that the checkpoint has; `None` if there is no
 /// such architecture.
 pub fn full_size(checkpoint: &Checkpoint, arch: &str) -> Option<Model> {
@@ -157,7 +170,7 @@ fn hint(checkpoint: &Checkpoint, model: &Model) -> String {
     }
     let Some(mut fitting) = fitting(&shapes) else {
         return "none of V2X-Real's networks at full size has these tensors: --model FILE.toml describes one of another size, \
-                and `realo checkpoint show` lists what is there"
+                and `realo-lab checkpoint show` lists what is there"
             .into();
     };
     let arch = fitting.arch.to_string();
@@ -168,5 +181,17 @@ fn hint(checkpoint: &Checkpoint, model: &Model) -> String {
             "names and shapes are those of --arch {arch}, which finds the compressor by itself; a --model file says \
              `compression = {compression}`"
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_network_that_is_named_has_a_model_and_every_model_a_name() {
+        let known: Vec<String> = full::models().iter().map(|model| model.arch.to_string()).collect();
+        let named: Vec<&str> = ARCHS.iter().map(|(arch, ..)| *arch).collect();
+        assert_eq!(named, known);
     }
 }

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use eyre::{Result, bail};
+use realo_cli::Outcome;
 use realo_graph::FlatGraph;
 
-use crate::Outcome;
-use crate::run::{Check, Choices, Pace, checks, cores, dora_on_this_machine, find_graph, pace};
+use crate::run::{Check, Choices, Pace, checks, cores, dora_on_this_machine, pace};
 
 /// Looks at this machine: shared memory, file descriptors, threads, network, dora, processor, and the rate that it does of a graph
 #[derive(clap::Args)]
@@ -29,7 +29,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     if let (None, Some(option)) = (&args.log, first_choice(&args.choices)) {
         bail!("{option} needs --log: settings only change the rate that is measured");
     }
-    let path = args.graph.as_deref().map(find_graph).transpose()?;
+    let path = args.graph.as_deref().map(realo_cli::find::graph).transpose()?;
     let graph = path.as_deref().map(FlatGraph::load).transpose()?;
     let mut all = checks(graph.as_ref());
     all.push(dora());

@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use eyre::Result;
+use realo_cli::Outcome;
 use realo_graph::{FlatNode, normalized, with_variables};
 use realo_host::dora::{self, Hosted};
 use realo_operator::Decided;
 
 use crate::run::{argument, decided_argument};
-use crate::{Outcome, demo, registry};
+use crate::{demo, registry};
 
 /// Hosts the stages of a module as one process of a graph (dora starts this)
 #[derive(clap::Args)]

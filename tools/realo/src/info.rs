@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::Result;
+use realo_cli::Outcome;
 use realo_logs::{Described, Log};
 use realo_player::Coop;
+use realo_results::scoring::{Collector, Protocol};
 use realo_results::{Run, Settings};
-use realo_scoring::{Collector, Protocol};
 
-use crate::Outcome;
 use crate::truth_reader::TruthReader;
 
 /// Describes a log, or a recording of a run
@@ -130,7 +130,7 @@ fn dropped_classes(described: &Described) -> Vec<Dropped> {
 #[cfg(test)]
 mod tests {
     use realo_logs::MAX_GAP;
-    use realo_sync::SyncConfig;
+    use realo_stages::SyncConfig;
 
     #[test]
     fn info_warns_of_the_gaps_that_sync_does_not_bridge() {

@@ -1,10 +1,11 @@
 //! `realo operators`: every operator and node with its ports, arguments and counters.
 
 use eyre::Result;
+use realo_cli::Outcome;
 use realo_operator::{Counter, Meaning, Port, Queue, Registration};
 use serde_json::{Value, json};
 
-use crate::{Outcome, registry};
+use crate::registry;
 
 /// Lists every operator and node with ports, types, arguments and counters
 #[derive(clap::Args)]
