@@ -341,9 +341,9 @@ def offsets(where, values, shape, there, stamp):
     if not seen.size:
         return out
     low, high = seen.min(), seen.max()
-    near = lambda unit, origin, least=0, most=1: (  # noqa: E731
+    near = lambda unit, origin, min=0, most=1: (  # noqa: E731
         max(abs(low - origin), abs(high - origin)) * unit < most * SECOND
-        and max(abs(low - origin), abs(high - origin)) * unit >= least)
+        and max(abs(low - origin), abs(high - origin)) * unit >= min)
     exact = array.dtype.kind != "f" or array.dtype.itemsize == 8
     seconds, rest = divmod(stamp, SECOND)
     if array.dtype.kind != "f":
@@ -638,7 +638,7 @@ class LogWriter:
             cdr.fixed(pose + [0] * 36)
             cdr.fixed(pose + [*b["size"][i]])
             cdr.text(b["track"][i])
-        # Boxes of no sweep have the greatest number.
+        # Boxes of no sweep have the largest number.
         info.put("QB", sweeps.get(stamp, 2**64 - 1), key)
         for column in [], b["yaw"], b["velocity"], []:
             info.array(column, "<f8")

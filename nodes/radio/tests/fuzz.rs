@@ -189,7 +189,7 @@ fn seeds() -> Vec<Seed> {
     rsu1.up(&"cav1".into(), moment(0));
     rsu1.offer(&offer(Kind::Features, 8, 1_500));
     rsu1.offer(&offer(Kind::Boxes, 1, 300));
-    rsu1.offer(&offer(Kind::EgoState, 1, 200));
+    rsu1.offer(&offer(Kind::AgentState, 1, 200));
     let mut sent = sends(&mut rsu1, moment(0));
     sent.extend(sends(&mut rsu1, moment(600 * MS)));
     for (place, (topic, bytes)) in sent.into_iter().enumerate() {
@@ -198,8 +198,8 @@ fn seeds() -> Vec<Seed> {
     let word = |value: Nanos| value.to_le_bytes().to_vec();
     for (case, asked, answered) in [
         ("answer", 0, 123_456 * MS),
-        ("answer_greatest", 0, Nanos::MAX),
-        ("answer_least", 0, Nanos::MIN),
+        ("answer_max", 0, Nanos::MAX),
+        ("answer_min", 0, Nanos::MIN),
         ("answer_to_nothing", Nanos::MAX, 5),
     ] {
         add(
@@ -211,17 +211,17 @@ fn seeds() -> Vec<Seed> {
     }
     for (case, line, error) in [
         ("synchronised", 40 * MS - WALL, MS / 10),
-        ("synchronised_line_greatest", Nanos::MAX, MS),
-        ("synchronised_line_least", Nanos::MIN, 0),
-        ("synchronised_error_greatest", 0, Nanos::MAX),
+        ("synchronised_line_max", Nanos::MAX, MS),
+        ("synchronised_line_min", Nanos::MIN, 0),
+        ("synchronised_error_max", 0, Nanos::MAX),
         ("synchronised_error_negative", 0, Nanos::MIN),
     ] {
         let answer = [0, 123_456 * MS, SESSION as Nanos, line, error].map(word).concat();
         add(Some(Topic::Clock), case, None, answer);
     }
     for (case, asked, session) in [
-        ("question_greatest", Nanos::MAX, SESSION as Nanos),
-        ("question_least", Nanos::MIN, SESSION as Nanos),
+        ("question_max", Nanos::MAX, SESSION as Nanos),
+        ("question_min", Nanos::MIN, SESSION as Nanos),
         ("question_of_a_later_session", 0, Nanos::MAX),
         ("question_of_the_last_session", 0, -1),
     ] {
@@ -248,7 +248,7 @@ fn seeds() -> Vec<Seed> {
         ("second_part", None, head, 1024),
         ("first_part_again", None, part(0, 3), 1024),
         (
-            "session_greatest",
+            "session_max",
             None,
             Head {
                 session: u64::MAX,
@@ -266,7 +266,7 @@ fn seeds() -> Vec<Seed> {
             10,
         ),
         ("session_0", old, Head { session: 0, ..head }, 10),
-        ("number_greatest", None, Head { seq: u64::MAX, ..head }, 10),
+        ("number_max", None, Head { seq: u64::MAX, ..head }, 10),
         ("number_0", None, Head { seq: 0, ..head }, 10),
         (
             "most_parts",
@@ -287,7 +287,7 @@ fn seeds() -> Vec<Seed> {
             10,
         ),
         (
-            "parts_greatest",
+            "parts_max",
             large,
             Head {
                 seq: 10,
@@ -303,7 +303,7 @@ fn seeds() -> Vec<Seed> {
         ("part_too_large", large, head, LARGEST - 1023),
         ("message_too_large", large, Head { seq: 10, ..part(0, 1) }, LARGEST + 1),
         (
-            "date_least",
+            "date_min",
             None,
             Head {
                 seq: 10,
@@ -314,7 +314,7 @@ fn seeds() -> Vec<Seed> {
             10,
         ),
         (
-            "date_greatest",
+            "date_max",
             None,
             Head {
                 seq: 10,
@@ -335,9 +335,9 @@ fn seeds() -> Vec<Seed> {
     let whole = Frame::Part(boxes, vec![2; 30].into()).to_bytes().to_vec();
     for (case, expected, head) in [
         ("empty", None, boxes),
-        ("number_greatest", None, Head { seq: u64::MAX, ..boxes }),
+        ("number_max", None, Head { seq: u64::MAX, ..boxes }),
         (
-            "session_greatest",
+            "session_max",
             None,
             Head {
                 session: u64::MAX,
@@ -353,7 +353,7 @@ fn seeds() -> Vec<Seed> {
             },
         ),
         (
-            "date_greatest",
+            "date_max",
             None,
             Head {
                 stamp: Nanos::MAX,
@@ -376,7 +376,7 @@ fn seeds() -> Vec<Seed> {
         ("kind_4", 2, 4),
         ("flags_2", 3, 2),
         ("no_parts", 24, 0),
-        ("index_greatest", 23, 255),
+        ("index_max", 23, 255),
     ] {
         let mut bytes = whole.clone();
         bytes[at] = value;
@@ -420,44 +420,44 @@ fn seeds() -> Vec<Seed> {
             },
         ),
         (
-            "index_greatest",
+            "index_max",
             Acknowledgement {
                 index: u32::MAX,
                 before: u32::MAX,
                 ..ack
             },
         ),
-        ("number_greatest", Acknowledgement { seq: u64::MAX, ..ack }),
+        ("number_max", Acknowledgement { seq: u64::MAX, ..ack }),
         (
-            "session_greatest",
+            "session_max",
             Acknowledgement {
                 session: u64::MAX,
                 ..ack
             },
         ),
         (
-            "sent_least",
+            "sent_min",
             Acknowledgement {
                 sent: Nanos::MIN,
                 ..ack
             },
         ),
         (
-            "sent_greatest",
+            "sent_max",
             Acknowledgement {
                 sent: Nanos::MAX,
                 ..ack
             },
         ),
         (
-            "received_least",
+            "received_min",
             Acknowledgement {
                 received: Nanos::MIN,
                 ..ack
             },
         ),
         (
-            "received_greatest",
+            "received_max",
             Acknowledgement {
                 received: Nanos::MAX,
                 ..ack
@@ -486,10 +486,10 @@ fn seeds() -> Vec<Seed> {
     let huge = u64::MAX;
     for (case, expected, text) in [
         ("empty", None, sheet(SESSION, 0, "")),
-        ("session_greatest", None, sheet(huge, huge, &lines(2))),
+        ("session_max", None, sheet(huge, huge, &lines(2))),
         ("session_before", None, sheet(SESSION - 1, 0, &lines(2))),
         (
-            "bytes_greatest",
+            "bytes_max",
             None,
             sheet(
                 SESSION,
@@ -499,7 +499,7 @@ fn seeds() -> Vec<Seed> {
         ),
         ("lines_above", None, sheet(SESSION, 0, &lines(1_025))),
         (
-            "told_twice",
+            "reported_twice",
             None,
             sheet(
                 SESSION,
@@ -568,8 +568,8 @@ fn seeds() -> Vec<Seed> {
     add(None, "no_codecs", None, body(&[], 5));
     add(None, "most_codecs", None, body(&[""; 255], 5));
     add(None, "long_codec", None, body(&[&"x".repeat(255)], 5));
-    add(None, "date_greatest", None, body(&["zstd"], Nanos::MAX));
-    add(None, "date_least", None, body(&["zstd"], Nanos::MIN));
+    add(None, "date_max", None, body(&["zstd"], Nanos::MAX));
+    add(None, "date_min", None, body(&["zstd"], Nanos::MIN));
     add(None, "date_alone", odd, vec![0; 8]);
     add(None, "nothing", odd, Vec::new());
     add(None, "codecs_missing", odd, [&word(5)[..], &[255]].concat());
@@ -790,10 +790,10 @@ impl Attack<'_> {
         }
         station.take_events(moment(now));
         assert_eq!(*station.refused(), self.refused, "refusals add up");
-        let told: u64 = (station.reports(moment(now)).iter())
+        let reported: u64 = (station.reports(moment(now)).iter())
             .flat_map(|report| report.refused.values())
             .sum();
-        assert_eq!(told, self.refused.values().sum::<u64>());
+        assert_eq!(reported, self.refused.values().sum::<u64>());
         station.end();
         sent
     }

@@ -297,7 +297,7 @@ mod tests {
     #[test]
     fn arguments_are_the_keys_of_the_configuration() {
         let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let told: Vec<&str> = PillarEncoder::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, told);
+        let reported: Vec<&str> = PillarEncoder::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, reported);
     }
 }

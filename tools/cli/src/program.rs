@@ -42,7 +42,7 @@ pub fn begin() {
             }
             std::process::exit(Outcome::Failed.exit_code().into());
         }
-        // What a plug-in sends may panic where it is read; that is caught, and told as an error of the plug-in.
+        // What a plug-in sends may panic where it is read; that is caught, and reported as an error of the plug-in.
         if !realo_operator::pipe::is_reading() {
             usual(panic);
         }
@@ -76,7 +76,7 @@ fn said_of(error: &clap::Error, own: &str, elsewhere: &Elsewhere) -> Option<Stri
     })
 }
 
-/// Lets options that take numbers take negative ones, so that whoever checks their range tells it.
+/// Lets options that take numbers take negative ones, so that whoever checks their range reports it.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     let numbers = [
         TypeId::of::<f64>(),

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 /// Moves the wall clock that a program reads (`wall_clock.rs`); empty where it could not be built.
 const LIBRARY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/wall_clock.so"));
 const LIBRARY_FILE: &str = "wall_clock.so";
-/// Names the file that tells by how much.
+/// Names the file that reports by how much.
 const VARIABLE: &str = "LINKEMU_WALL_CLOCK";
 /// Name the libraries that programs load before their own: of a program, and of a system.
 const PRELOAD: &str = "LD_PRELOAD";
@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     const TELLS: &str = "LINKEMU_TELLS_THE_TIME";
-    /// What tells the times may be held up by.
+    /// What reports the times may be held up by.
     const HELD_UP: f64 = 10.0;
 
     fn now() -> Duration {
@@ -119,7 +119,7 @@ mod tests {
 
     /// The program of the test below: for each line that it reads, the wall clock and the steady one, s.
     #[test]
-    fn tells_the_time() {
+    fn prints_the_time() {
         if std::env::var_os(TELLS).is_none() {
             return;
         }
@@ -136,7 +136,7 @@ mod tests {
         }
         let clock = WallClock::new().unwrap();
         let mut command = Command::new(std::env::current_exe().unwrap());
-        command.args(["--exact", "clock::tests::tells_the_time", "--nocapture"]);
+        command.args(["--exact", "clock::tests::prints_the_time", "--nocapture"]);
         clock.give(&mut command);
         command.env(TELLS, "").stdin(Stdio::piped()).stdout(Stdio::null());
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();

@@ -272,7 +272,7 @@ fn rough(
     ])
 }
 
-/// The least turn that makes an angle, either way, rad.
+/// The smallest turn that makes an angle, either way, rad.
 fn away(angle: f64) -> f64 {
     (angle - TAU * (angle / TAU).round()).abs()
 }

@@ -40,16 +40,16 @@ pub(super) struct Column {
     pub position: [f64; 3],
     pub velocity: [f64; 3],
     pub place_from_sensor: Rotation,
-    pub told_from_sensor: Rotation,
+    pub reported_from_sensor: Rotation,
 }
 
 /// The columns of a sweep, and how they are cut into wedges: a wedge has of each beam the rays that look between two
 /// azimuths, whatever columns they belong to.
 pub(super) struct Columns {
     pub all: Vec<Column>,
-    /// By how many columns each beam looks ahead, the least and the most.
+    /// By how many columns each beam looks ahead, the smallest and the most.
     shifts: Vec<isize>,
-    least: isize,
+    min: isize,
     most: isize,
     /// Azimuth from one column to the next, rad.
     step: f64,
@@ -70,8 +70,8 @@ impl Columns {
             .iter()
             .map(|beam| (beam.azimuth / step).round() as isize)
             .collect();
-        let (least, most) = shifts.iter().fold((0, 0), |(a, b), v| (a.min(*v), b.max(*v)));
-        let reach = most - least + WIDTH as isize;
+        let (min, most) = shifts.iter().fold((0, 0), |(a, b), v| (a.min(*v), b.max(*v)));
+        let reach = most - min + WIDTH as isize;
         let numbers = |number: &dyn Fn(&Column) -> f64| -> Vec<f64> {
             let last = all.len() as isize - 1;
             (-reach..all.len() as isize + reach)
@@ -87,25 +87,25 @@ impl Columns {
             height: shot.agent.info.sensor_height,
             all,
             shifts,
-            least,
+            min,
             most,
             step,
         }
     }
 
     fn reach(&self) -> usize {
-        (self.most - self.least) as usize + WIDTH
+        (self.most - self.min) as usize + WIDTH
     }
 
     /// How many wedges there are.
     pub fn wedges(&self) -> usize {
-        (self.all.len() + (self.most - self.least) as usize).div_ceil(WIDTH)
+        (self.all.len() + (self.most - self.min) as usize).div_ceil(WIDTH)
     }
 
     /// First and last bin of azimuth in each wedge, rounded outwards.
     pub fn bins(&self, shot: &Shot) -> Vec<[i16; 2]> {
         let bins = |wedge: usize| {
-            let first = (self.least + (wedge * WIDTH) as isize) as f64 * self.step;
+            let first = (self.min + (wedge * WIDTH) as isize) as f64 * self.step;
             let last = first + (WIDTH - 1) as f64 * self.step;
             let [low, high] =
                 [first - 0.6 * self.step, last + 0.6 * self.step].map(|azimuth| shot.span.bin_of(azimuth));
@@ -253,7 +253,7 @@ impl Wedge {
     pub fn fire(&mut self, shot: &Shot, columns: &Columns, number: usize) {
         let sensor = &*shot.agent.sensor;
         let per_column = sensor.beams.len().max(256);
-        self.first = columns.least + (number * WIDTH) as isize;
+        self.first = columns.min + (number * WIDTH) as isize;
         self.bins_per_column = columns.step / shot.span.bin;
         self.first_bin = (self.first as f64 * columns.step + LEAD) / shot.span.bin;
         for (number, (row, beam)) in self.rows.iter_mut().zip(&sensor.beams).enumerate() {
