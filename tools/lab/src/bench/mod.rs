@@ -63,8 +63,8 @@ enum Name {
     Transmission,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
     Framework,
-    /// Boxes beside clouds on a slow link, against Zenoh's own way; between two network namespaces where they can be made (realo
-    /// emulate), else over a relay on loopback
+    /// Boxes beside clouds on a slow link, against Zenoh's own way; between two network namespaces where they can be made
+    /// (realo-lab emulate), else over a relay on loopback
     Radio,
     /// Late fusion on two machines while links, peers and clocks fail; fails where the ego misses frames, books do not add up or
     /// fused is worse than alone; needs network namespaces (realo-lab emulate)
