@@ -11,8 +11,8 @@ use realo_cli::program::called_beside;
 
 /// Makes two machines of one, joined by a slow link, until it is interrupted
 ///
-/// As root, two network namespaces; else the same in a user namespace; where neither may be made, a relay on loopback, which carries
-/// TCP with the rate, delay, queue and cuts of the link, and loses nothing, nor carries it twice. It says which.
+/// As root, two network namespaces; else the same in a user namespace. Where neither may be made, a relay on loopback carries TCP
+/// with the rate, delay, queue and cuts of the link; it loses nothing, nor carries it twice. It says which.
 ///
 /// Lines of its standard input change the link: `rate 6`, `delay 30`, `jitter 5`, `queue 200`, `loss 0.01`, `duplicate 0.1`,
 /// `half_duplex 1`, `cut 1`, `cut 0`; `stat` reports what was carried.
