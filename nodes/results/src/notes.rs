@@ -78,7 +78,7 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 .collect();
             let classes = listed(&classes);
             let why = format!(
-                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/protocols.md)",
+                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/reference/protocols.md)",
                 classes.trim_end_matches(':')
             );
             said.push(line(strange, why));
