@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use realo_nn::arch::compression_of;
-use realo_nn::full;
-use realo_nn::model::Model;
+use realo_methods::Model;
+use realo_methods::full;
+use realo_nn::model::Architecture;
+use realo_nn::model::compression_of;
 use realo_nn::weights::{Tensor, Weights, WeightsError, expected, first_of, is_counter};
 
 use crate::checkpoint::{Checkpoint, ReadError};
@@ -57,19 +58,6 @@ fn listed(problems: &[String]) -> String {
 
 pub(crate) type Shapes<'a> = HashMap<&'a str, &'a [usize]>;
 
-/// The networks of V2X-Real: as model files name them, as [`full_size`] takes them, and what they are.
-pub const ARCHS: &[(&str, &str, &str)] = &[
-    (
-        "pointpillars",
-        "pointpillars",
-        "The detector of one agent, of early and late fusion",
-    ),
-    ("fcooper", "fcooper", "F-Cooper"),
-    ("attfuse", "attfuse", "AttFuse"),
-    ("v2xvit", "v2xvit", "V2X-ViT"),
-    ("v2vnet", "v2vnet", "V2VNet"),
-];
-
 /// V2X-Real's network of an architecture at full size, with the compressor that the checkpoint has; `None` if there is no
 /// such architecture.
 pub fn full_size(checkpoint: &Checkpoint, arch: &str) -> Option<Model> {
@@ -101,9 +89,8 @@ fn shapes(checkpoint: &Checkpoint) -> Shapes<'_> {
 /// The model with the compressor that the tensors tell, if it can have that.
 fn compressed(model: Model, shapes: &Shapes) -> Model {
     let mut with = model.clone();
-    if let Some(compression) = with.arch.compression_mut() {
-        *compression = compression_of(|name| shapes.get(name).copied());
-    }
+    with.arch
+        .set_compression(compression_of(|name| shapes.get(name).copied()));
     match with.validate() {
         Ok(()) => with,
         Err(_) => model,
@@ -168,30 +155,18 @@ fn hint(checkpoint: &Checkpoint, model: &Model) -> String {
     if fits(model, &shapes) {
         return "names and shapes fit: save the weights again, in a type with fractions and without NaN".into();
     }
-    let Some(mut fitting) = fitting(&shapes) else {
+    let Some(fitting) = fitting(&shapes) else {
         return "none of V2X-Real's networks at full size has these tensors: --model FILE.toml describes one of another size, \
                 and `realo-lab checkpoint show` lists what is there"
             .into();
     };
     let arch = fitting.arch.to_string();
-    let compression = fitting.arch.compression_mut().map_or(0, |compression| *compression);
+    let compression = fitting.arch.sharing().map_or(0, |sharing| sharing.compression);
     match compression {
         0 => format!("names and shapes are those of --arch {arch}"),
         _ => format!(
             "names and shapes are those of --arch {arch}, which finds the compressor by itself; a --model file says \
              `compression = {compression}`"
         ),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_network_that_is_named_has_a_model_and_every_model_a_name() {
-        let known: Vec<String> = full::models().iter().map(|model| model.arch.to_string()).collect();
-        let named: Vec<&str> = ARCHS.iter().map(|(arch, ..)| *arch).collect();
-        assert_eq!(named, known);
     }
 }

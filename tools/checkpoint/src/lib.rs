@@ -18,7 +18,7 @@ mod view;
 mod write;
 
 pub use checkpoint::{Checkpoint, ReadError};
-pub use convert::{ARCHS, ConvertError, Converted, convert, full_size};
+pub use convert::{ConvertError, Converted, convert, full_size};
 pub use dtype::Dtype;
 pub use listing::{ListError, Listing, Row, list};
 pub use pickle::PickleError;

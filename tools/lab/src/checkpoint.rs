@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use eyre::Result;
-use realo_checkpoint::{ARCHS, Checkpoint, Written};
+use realo_checkpoint::{Checkpoint, Written};
+use realo_cli::Outcome;
 use realo_cli::program::called_beside;
-use realo_cli::{Outcome, one_of};
-use realo_nn::model::Model;
+use realo_methods::Model;
 
 /// Reads checkpoints that PyTorch wrote, without running what is in them
 #[derive(clap::Args)]
@@ -35,14 +36,20 @@ struct Convert {
     #[arg(short = 'o', long = "output")]
     output: PathBuf,
     /// V2X-Real's network at full size; its compressor is recognised by the checkpoint
-    #[arg(long, value_parser = one_of(ARCHS), required_unless_present = "model")]
-    arch: Option<&'static str>,
+    #[arg(long, value_parser = networks(), required_unless_present = "model")]
+    arch: Option<String>,
     /// Model file of a network of another size
     #[arg(long, conflicts_with = "arch")]
     model: Option<PathBuf>,
     /// Replace files that are there
     #[arg(long)]
     force: bool,
+}
+
+/// The networks of V2X-Real, by their names in model files.
+fn networks() -> PossibleValuesParser {
+    let models = realo_methods::full::models().into_iter();
+    PossibleValuesParser::new(models.map(|model| PossibleValue::new(model.arch.name()).help(model.arch.title())))
 }
 
 /// Converts, or prints a table.
@@ -57,9 +64,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
 impl Convert {
     fn run(&self) -> Result<()> {
         let mut checkpoint = Checkpoint::open(&self.checkpoint)?;
-        let model = match (&self.model, self.arch) {
+        let model = match (&self.model, &self.arch) {
             (Some(file), _) => Model::read(file)?,
             (None, arch) => arch
+                .as_deref()
                 .and_then(|arch| realo_checkpoint::full_size(&checkpoint, arch))
                 .expect("clap asks for one of the networks"),
         };

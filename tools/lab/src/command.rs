@@ -6,7 +6,7 @@ use eyre::Result;
 use realo_cli::Outcome;
 use realo_cli::program::{self, Elsewhere};
 
-use crate::{bench, checkpoint, conformance, emulate, import, quantize, simulate, train};
+use crate::{bench, checkpoint, conformance, emulate, import, measure, quantize, simulate, train};
 
 /// What the car's program does, for who asks this one for it.
 const CAR: Elsewhere = Elsewhere {
@@ -51,6 +51,7 @@ enum Command {
     Conformance(conformance::Args),
     Bench(bench::Args),
     Emulate(emulate::Args),
+    Measure(measure::Args),
     #[command(hide = true)]
     RadioEnd(bench::radio::End),
     /// Prints all commands as Markdown
@@ -69,6 +70,7 @@ impl Command {
             Command::Conformance(args) => conformance::main(args),
             Command::Bench(args) => bench::main(args),
             Command::Emulate(args) => emulate::main(args),
+            Command::Measure(args) => measure::main(args).map(|()| Outcome::Complete),
             Command::RadioEnd(args) => bench::radio::end(args),
             Command::CliReference => {
                 print!("{}", realo_cli::markdown(command_line()));

@@ -8,6 +8,7 @@ mod command;
 mod conformance;
 mod emulate;
 mod import;
+pub mod measure;
 mod quantize;
 mod simulate;
 mod statistics;

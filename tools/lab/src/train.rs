@@ -6,8 +6,7 @@ use std::path::PathBuf;
 use eyre::{Result, bail};
 use realo_cli::find::model as find_model;
 use realo_cli::{Outcome, Progress, signals};
-use realo_nn::arch::Arch;
-use realo_nn::model::Model;
+use realo_methods::Model;
 use realo_training::data::{Augmentation, LeftOut, LoggedData};
 use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
@@ -224,7 +223,7 @@ impl Args {
         let from = self.from.as_deref().map(find_model).transpose()?;
         let model = Model::read(&file)?;
         // What is behind the encoder of a fusion begins with random numbers.
-        let is_tuned = from.is_some() && !matches!(model.arch, Arch::V2XViT(_));
+        let is_tuned = from.is_some() && !realo_training::learns_to_fuse(&model);
         let logged = |logs: &[PathBuf]| LoggedData {
             logs: logs.to_vec(),
             apart: self.apart,

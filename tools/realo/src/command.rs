@@ -23,6 +23,7 @@ const LAB: Elsewhere = Elsewhere {
         "conformance",
         "bench",
         "emulate",
+        "measure",
     ],
 };
 
