@@ -635,38 +635,10 @@ fn what_a_node_cannot_run_with_is_found_by_validate() {
 
 #[test]
 fn negative_numbers_are_reported_the_range() {
-    for (args, expected) in [
-        (
-            &[
-                "simulate",
-                "--seed",
-                "1",
-                "--seconds",
-                "1",
-                "-o",
-                "unused.mcap",
-                "--rain",
-                "-3",
-            ][..],
-            "[0, 300], found -3",
-        ),
-        (
-            &["simulate", "--seed", "1", "-o", "unused.mcap", "--seconds", "-1"],
-            "found -1",
-        ),
-        (
-            &["simulate", "--seed", "-1", "-o", "unused.mcap", "--seconds", "1"],
-            "invalid value '-1' for '--seed <SEED>'",
-        ),
-        (
-            &["run", &graph("late_fusion"), "--rate", "-2"],
-            "--rate: expected a positive number, found -2",
-        ),
-    ] {
-        let output = realo(args);
-        let said = text(&output.stderr);
-        assert!(!output.status.success() && said.contains(expected), "{args:?}: {said}");
-    }
+    let output = realo(["run", &graph("late_fusion"), "--rate", "-2"]);
+    let said = text(&output.stderr);
+    assert!(!output.status.success(), "{said}");
+    assert!(said.contains("--rate: expected a positive number, found -2"), "{said}");
 }
 
 #[test]

@@ -1,11 +1,11 @@
-//! Checkpoints that PyTorch wrote, from `realo checkpoint convert` to boxes.
+//! Checkpoints that PyTorch wrote, from `realo-lab checkpoint convert` to boxes.
 
 mod common;
 
 use std::path::{Path, PathBuf};
 
 use common::machine::decided;
-use common::{folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
+use common::{folder, graph, json, lab, lab_said, realo, realo_ok, root, run_virtual, simulated, text};
 use serde_json::Value;
 
 fn data(name: &str) -> String {
@@ -33,7 +33,7 @@ fn log() -> PathBuf {
 /// Converts a fixture of PyTorch's and returns its model file, and what was said.
 fn converted(dir: &Path, checkpoint: &str, model: &str) -> (String, String) {
     let output = dir.join(format!("{checkpoint}.safetensors"));
-    let said = realo_ok([
+    let said = lab_said([
         "checkpoint",
         "convert",
         &data(&format!("{checkpoint}.pth")),
@@ -128,7 +128,7 @@ fn a_graph_without_weights_is_refused_before_it_starts() {
     for part in [
         "full-v2xvit.toml: this model has no weights",
         "full-v2xvit.safetensors is not there",
-        "realo checkpoint convert",
+        "realo-lab checkpoint convert",
         "--model FILE",
     ] {
         assert!(said.contains(part), "{part}: {said}");
@@ -155,7 +155,7 @@ fn a_checkpoint_of_another_network_is_refused_and_leaves_nothing() {
     ];
     for (args, named) in cases {
         let all = [&["checkpoint", "convert", "-o", &output_text], args].concat();
-        let output = realo(all);
+        let output = lab(all);
         let said = text(&output.stderr);
         assert!(
             !output.status.success() && named.iter().all(|part| said.contains(part)),
@@ -168,7 +168,7 @@ fn a_checkpoint_of_another_network_is_refused_and_leaves_nothing() {
 
 #[test]
 fn tensors_are_listed_with_shape_type_and_epoch() {
-    let said = realo_ok(["checkpoint", "show", &data("nested.pth")]);
+    let said = lab_said(["checkpoint", "show", &data("nested.pth")]);
     for part in [
         "cls_head.weight                                   [8, 8, 1, 1]   float32",
         "num_batches_tracked",
@@ -176,7 +176,7 @@ fn tensors_are_listed_with_shape_type_and_epoch() {
     ] {
         assert!(said.contains(part), "{part}: {said}");
     }
-    let said = realo_ok([
+    let said = lab_said([
         "checkpoint",
         "show",
         &root().join("models/lite.safetensors").to_string_lossy(),
@@ -190,7 +190,7 @@ fn a_model_file_beside_that_is_not_of_the_tensors_is_named() {
     let file = dir.join("nested.pth");
     std::fs::copy(data("nested.pth"), &file).expect("the checkpoint can be copied");
     let beside = file.with_extension("toml");
-    let show = || realo_ok(["checkpoint", "show", &file.to_string_lossy()]);
+    let show = || lab_said(["checkpoint", "show", &file.to_string_lossy()]);
     let without = show();
     assert!(!without.contains("the model file beside it"), "{without}");
     std::fs::write(&beside, "name = 7").expect("it can be written");

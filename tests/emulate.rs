@@ -12,12 +12,12 @@ use std::time::Duration;
 use linkemu::{ADDRESSES, Link, Machines};
 
 use common::machine::{decided, quarter};
-use common::{Peer, REALO, arguments, end, folder, free_port, json, realo, root, simulated, text};
+use common::{LAB, Peer, REALO, arguments, end, folder, free_port, json, lab, root, simulated, text};
 use serde_json::Value;
 
 const NEEDS: &str = "network namespaces and /dev/net/tun, as root or in a user namespace";
 
-/// `realo emulate`, and what it has said.
+/// `realo-lab emulate`, and what it has said.
 struct Emulated {
     child: Child,
     lines: Lines<BufReader<ChildStdout>>,
@@ -26,13 +26,13 @@ struct Emulated {
 
 impl Emulated {
     fn start(args: &[&str]) -> Emulated {
-        let mut command = Command::new(REALO);
+        let mut command = Command::new(LAB.expect("a test of the package `realo-lab`"));
         command.arg("emulate").args(args).process_group(0).current_dir(root());
         command
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::null());
-        let mut child = command.spawn().expect("realo can be started");
+        let mut child = command.spawn().expect("the workbench can be started");
         let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
         let mut said = Vec::new();
         while !said.last().is_some_and(|line: &String| line.starts_with("Ctrl-C")) {
@@ -86,7 +86,7 @@ fn log() -> PathBuf {
     simulated("spread", &args.split(' ').collect::<Vec<_>>())
 }
 
-/// A graph as `realo emulate` says that it is started, for recorded detections.
+/// A graph as `realo-lab emulate` says that it is started, for recorded detections.
 fn on_machine((enter, set): &(Vec<String>, Option<String>), name: &str, out: &Path, repeat: u32) -> Command {
     let mut settings: Vec<String> = set.iter().cloned().collect();
     settings.push(format!("player.repeat={repeat}"));
@@ -187,12 +187,12 @@ fn a_relay_refuses_what_it_cannot_do() {
             "--delay: expected a number of ms from 0 to 1000000, found -3",
         ),
     ] {
-        let output = realo(["emulate", "--loopback"].iter().chain(&args));
+        let output = lab(["emulate", "--loopback"].iter().chain(&args));
         let said = text(&output.stderr);
         assert!(!output.status.success() && said.contains(expected), "{args:?}: {said}");
     }
     let taken = std::net::TcpListener::bind(format!("127.0.0.2:{port}")).expect("the port is free");
-    let said = text(&realo(["emulate", "--loopback", "--port", &port]).stderr);
+    let said = text(&lab(["emulate", "--loopback", "--port", &port]).stderr);
     assert!(said.contains("choose another --port") && said.contains(&port), "{said}");
     drop(taken);
 }
@@ -220,7 +220,7 @@ fn a_line_that_is_no_text_does_not_end_the_commands() {
 #[test]
 fn a_name_that_is_taken_or_none_is_reported_and_what_is_there_stays() {
     let taken = format!("realo{}taken", std::process::id());
-    let said = text(&realo(["emulate", "--names", "a/b,roadside"]).stderr);
+    let said = text(&lab(["emulate", "--names", "a/b,roadside"]).stderr);
     assert!(said.contains("neither . nor - at the beginning, found `a/b`"), "{said}");
     let ip = |arguments: &[&str]| Command::new("ip").args(arguments).output().ok();
     if !ip(&["netns", "add", &taken]).is_some_and(|output| output.status.success()) {
@@ -230,7 +230,7 @@ fn a_name_that_is_taken_or_none_is_reported_and_what_is_there_stays() {
     let other = format!("{taken}too");
     let mut all = Vec::new();
     for names in [format!("{taken},{other}"), format!("{other},{taken}")] {
-        all.push(text(&realo(["emulate", "--names", &names]).stderr));
+        all.push(text(&lab(["emulate", "--names", &names]).stderr));
     }
     let left = ip(&["netns", "list"])
         .map(|output| text(&output.stdout))
@@ -280,7 +280,7 @@ fn set_a_clock_meanwhile() {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn();
-    let mut asking = asking.expect("realo can be started");
+    let mut asking = asking.expect("the workbench can be started");
     let mut ahead_ms = 0.0;
     while asking.try_wait().expect("it is a child").is_none() {
         std::thread::sleep(Duration::from_millis(300));
@@ -306,7 +306,7 @@ fn bench(args: &[&str]) -> Option<Value> {
 
 /// The same of a bench that judges what it finds, with its verdict and what it says of it.
 fn judged(args: &[&str]) -> Option<(Value, bool, String)> {
-    let output = realo(["bench"].iter().chain(args).chain(&["--json"]));
+    let output = lab(["bench"].iter().chain(args).chain(&["--json"]));
     let said = text(&output.stderr);
     if said.contains("no network namespaces here") {
         skipped::skip(NEEDS);
@@ -363,7 +363,7 @@ fn cross_over_a_relay() {
         "{found}"
     );
     assert_boxes_cross(&found, 1);
-    let output = realo(["bench", "radio", "--loopback", "--only", "frost"]);
+    let output = lab(["bench", "radio", "--loopback", "--only", "frost"]);
     let said = text(&output.stderr);
     assert!(said.contains("no case is named so; there are: no loss; "), "{said}");
 }

@@ -5,7 +5,7 @@ mod common;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{counts, folder, json, realo, realo_ok, run_virtual, simulated, text};
+use common::{counts, folder, json, lab_ok, realo, realo_ok, run_virtual, simulated, text};
 use realo_logs::{Log, LogWriter, Stream};
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{AgentState, Boxes, Pose};
@@ -146,7 +146,7 @@ fn a_log_that_tilts_scores_as_its_level_copy() {
         said.contains("TILTS by up to 2.") && said.contains("levelled while played"),
         "{said}"
     );
-    realo_ok(["import", "log"].iter().map(|word| word.as_ref()).chain([
+    lab_ok(["import", "log"].iter().map(|word| word.as_ref()).chain([
         tilted.as_os_str(),
         "-o".as_ref(),
         level.as_os_str(),

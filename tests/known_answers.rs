@@ -4,7 +4,7 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{counts, realo_ok, run_virtual, simulated};
+use common::{counts, lab_ok, realo_ok, run_virtual, simulated};
 
 fn dair() -> Option<PathBuf> {
     imported("start")
@@ -14,7 +14,7 @@ fn dair() -> Option<PathBuf> {
 fn imported(stamp: &str) -> Option<PathBuf> {
     let data = skipped::shared("data/dair")?;
     Some(common::once(&format!("dair_{stamp}.mcap"), |path| {
-        realo_ok([
+        lab_ok([
             "import".as_ref(),
             "dair".as_ref(),
             data.as_os_str(),

@@ -22,9 +22,7 @@ fn a_file_that_realo_did_not_write_is_not_replaced() {
     let (mcap, svg, csv) = (at("notes.mcap"), at("notes.svg"), at("notes.csv"));
     let recorder = format!("score.recorder.path={mcap}");
     let out = folder.join("out").display().to_string();
-    let commands: [&[&str]; 7] = [
-        &["simulate", "--seed", "1", "--seconds", "1", "-o", &mcap],
-        &["import", "log", &log, "-o", &mcap],
+    let commands: [&[&str]; 5] = [
         &["merge", &log, &log, "-o", &mcap],
         &["precompute", &log, &graph, "-o", &mcap],
         &["render", &out, "-o", &svg],
@@ -54,10 +52,6 @@ fn a_file_that_realo_did_not_write_is_not_replaced() {
     for path in [&mcap, &svg, &csv] {
         assert_eq!(fs::read_to_string(path).ok().as_deref(), Some(NOTES), "{path}");
     }
-    let forced = ["import", "log", &log, "--level", "none", "-o", &mcap, "--force"];
-    let output = realo(forced);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    assert!(realo(forced[..7].iter()).status.success(), "a log is replaced by a log");
 }
 
 #[test]

@@ -6,28 +6,16 @@ use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
 
 use realo_operator::Registration;
 use realo_operator::pipe::{frame, hello};
 
 use crate::common::machine::{decided, quarter, three_quarters};
-use crate::common::{REALO, folder, graph, json, root, text};
+use crate::common::{REALO, folder, graph, hangups_are_ignored, json, kill, root, text, until};
 use crate::scene::Scene;
 
 /// What the player writes to the log once the first sweep of the ego is on its way.
 const PLAYS: &str = "the first message of `truth` was sent";
-
-/// A busy machine has so long for what takes a second elsewhere.
-const LONG: Duration = Duration::from_secs(180);
-
-fn until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let begun = Instant::now();
-    while !is_so() {
-        assert!(begun.elapsed() < LONG, "{what}: not within {LONG:?}");
-        std::thread::sleep(Duration::from_millis(50));
-    }
-}
 
 /// Processes that a run of a folder started, and itself.
 fn processes(out: &Path) -> Vec<(u32, String)> {
@@ -131,21 +119,6 @@ impl Run {
         until("no process is left", || processes(&out).is_empty());
         (output, out)
     }
-}
-
-fn kill(id: u32, signal: &str) {
-    let sent = Command::new("kill")
-        .args([&format!("-{signal}"), &id.to_string()])
-        .status();
-    assert!(sent.expect("there is a kill").success());
-}
-
-/// Whether whoever runs the tests said that a closing terminal does not matter.
-fn hangups_are_ignored() -> bool {
-    let status = fs::read_to_string("/proc/self/status").expect("it is Linux");
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    mask.expect("it has a mask of ignored signals") & 1 == 1
 }
 
 /// A run in virtual time, which ends at once.
@@ -310,40 +283,6 @@ fn a_signal_ends_a_batch_with_the_table_of_the_runs_that_are_complete() {
             "{}",
             of_run.display()
         );
-    }
-}
-
-/// Files whose names end so.
-fn unfinished(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder).expect("a folder").flatten();
-    let paths = entries.map(|entry| entry.path());
-    paths
-        .filter(|path| path.extension().is_some_and(|kind| kind == "partial"))
-        .collect()
-}
-
-#[test]
-fn a_signal_leaves_nothing_of_a_log_that_is_written() {
-    for (signal, code) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
-        if signal == "HUP" && hangups_are_ignored() {
-            skipped::skip("a process that inherits SIGHUP as `nohup` leaves it, ignored, is not ended by it");
-            continue;
-        }
-        let folder = folder(&format!("life-partial-{signal}"));
-        let out = folder.join("out.mcap");
-        let mut command = Command::new(REALO);
-        command
-            .args(["simulate", "--seed", "1", "--seconds", "600", "-o"])
-            .arg(&out);
-        let child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
-        let child = child.expect("realo can be started");
-        until("it writes", || !unfinished(&folder).is_empty());
-        kill(child.id(), signal);
-        let ended = child.wait_with_output().expect("it was started");
-        let said = text(&ended.stderr);
-        assert_eq!(ended.status.code(), Some(code), "{said}");
-        assert!(said.contains("out.mcap was complete; nothing of it was left"), "{said}");
-        assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 0, "{said}");
     }
 }
 
@@ -610,51 +549,4 @@ fn shared_memory_that_killed_processes_left_is_freed() {
     assert!(output.status.success(), "{said}");
     assert!(!said.contains("go through sockets"), "{said}");
     assert!(!left.contains("123456.zenoh") && left.contains("mine.zenoh"), "{left}");
-}
-
-#[test]
-fn a_signal_ends_a_training_after_its_step_with_weights_to_go_on_from() {
-    // All classes of the model must be there.
-    let scene = Scene {
-        class: |index| ["Car", "Pedestrian", "Truck"][index % 3],
-        ..Scene::default()
-    };
-    let log = scene.write("life-training");
-    let (out, frames) = (folder("life-training-out"), folder("life-training-frames"));
-    let train = |more: &[&str]| {
-        let mut command = Command::new(REALO);
-        command.args(["train", "lite", "--threads", "1", "--batch", "1", "--log"]);
-        command.arg(&log).arg("--out").arg(&out).arg("--cache").arg(&frames);
-        command.args(more).current_dir(root()).stdin(Stdio::null());
-        command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        command.spawn().expect("realo can be started")
-    };
-    let mut child = train(&["--steps", "100000"]);
-    let errors = BufReader::new(child.stderr.take().expect("a pipe"));
-    let mut said = Vec::new();
-    for line in errors.lines().map(|line| line.expect("text")) {
-        if line.contains("training: ") && said.iter().all(|known: &String| !known.contains("training: ")) {
-            kill(child.id(), "INT");
-        }
-        said.push(line);
-    }
-    assert_eq!(child.wait().expect("it was started").code(), Some(130), "{said:?}");
-    let last = said.last().expect("it has said something");
-    assert!(
-        last.contains("ended by Ctrl-C; --resume goes on from there"),
-        "{said:?}"
-    );
-    let steps = || {
-        fs::read_to_string(out.join("curve.csv"))
-            .expect("the curve so far")
-            .lines()
-            .count()
-    };
-    let before = steps();
-    assert!(out.join("checkpoint.safetensors").exists() && before > 1);
-    let resumed = train(&["--steps", "100000", "--resume", "--minutes", "0.03"]);
-    let resumed = resumed.wait_with_output().expect("it was started");
-    // Its steps are not done yet.
-    assert_eq!(resumed.status.code(), Some(3), "{}", text(&resumed.stderr));
-    assert!(steps() > before, "{before} steps");
 }

@@ -1,4 +1,4 @@
-//! What the end-to-end tests share: the binary, small logs made once, results read back.
+//! What the end-to-end tests share: the programs, small logs made once, results read back.
 #![allow(dead_code)]
 
 pub mod machine;
@@ -13,8 +13,15 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// The program under test.
-pub const REALO: &str = env!("CARGO_BIN_EXE_realo");
+/// The workbench; tests of the package `realo`, which does not have it, call its library.
+pub const LAB: Option<&str> = option_env!("CARGO_BIN_EXE_realo-lab");
+
+/// The program of the car: for tests of the workbench the one beside it.
+pub const REALO: &str = match (option_env!("CARGO_BIN_EXE_realo"), LAB) {
+    (Some(realo), _) => realo,
+    (None, Some(lab)) => lab.split_at(lab.len() - "-lab".len()).0,
+    (None, None) => panic!("the end-to-end tests are of the packages `realo` and `realo-lab`"),
+};
 
 /// The repository.
 pub fn root() -> PathBuf {
@@ -71,7 +78,36 @@ pub fn realo<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> Ou
         .current_dir(root())
         .env("COLUMNS", "400")
         .output()
-        .expect("realo can be started")
+        .unwrap_or_else(|error| not_built(&error))
+}
+
+/// Ends a test that needs a program which is not there. `cargo test --workspace` builds both.
+pub fn not_built(error: &std::io::Error) -> ! {
+    panic!("{REALO}: {error}; it is built by `cargo build --release -p realo`")
+}
+
+/// Runs a command of the workbench as a process of its own and returns what it said, whatever its exit code.
+pub fn lab<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> Output {
+    Command::new(LAB.expect("a test of the package `realo-lab`"))
+        .args(args)
+        .current_dir(root())
+        .env("COLUMNS", "400")
+        .output()
+        .expect("the workbench can be started")
+}
+
+/// Runs a command of the workbench as a process of its own, which must succeed, and returns its standard output.
+pub fn lab_said<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> String {
+    let output = lab(args);
+    let (out, err) = (text(&output.stdout), text(&output.stderr));
+    assert!(output.status.success(), "{:?}\n{out}\n{err}", output.status);
+    out
+}
+
+/// Runs a command of the workbench in this process; it must succeed.
+pub fn lab_ok<S: Into<std::ffi::OsString>>(args: impl IntoIterator<Item = S>) {
+    let outcome = realo_lab::run(args).unwrap_or_else(|error| panic!("{error:#}"));
+    assert_eq!(outcome, realo_cli::Outcome::Complete);
 }
 
 /// Runs `realo`, which must succeed, and returns its standard output.
@@ -109,9 +145,9 @@ pub fn simulated(name: &str, args: &[&str]) -> PathBuf {
     once(&format!("{name}.mcap"), |path| {
         let mut all = vec!["simulate"];
         all.extend(args);
-        let path = path.to_string_lossy().into_owned();
+        let path = path.to_string_lossy();
         all.extend(["-o", &path]);
-        realo_ok(all);
+        lab_ok(all);
     })
 }
 
@@ -226,7 +262,7 @@ impl Peer {
     /// Starts a graph by this command.
     pub fn of(mut command: Command) -> Peer {
         command.stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
-        Peer(command.spawn().expect("realo can be started"))
+        Peer(command.spawn().unwrap_or_else(|error| not_built(&error)))
     }
 }
 
@@ -266,4 +302,32 @@ pub fn files_below(dir: &Path) -> Vec<PathBuf> {
     paths
         .flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] })
         .collect()
+}
+
+/// What is waited for at most.
+const PATIENCE: Duration = Duration::from_secs(180);
+
+/// Waits until something is so.
+pub fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < PATIENCE, "{what}: not within {PATIENCE:?}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Sends a signal to a process.
+pub fn kill(id: u32, signal: &str) {
+    let sent = Command::new("kill")
+        .args([&format!("-{signal}"), &id.to_string()])
+        .status();
+    assert!(sent.expect("there is a kill").success());
+}
+
+/// Whether whoever runs the tests said that a closing terminal does not matter.
+pub fn hangups_are_ignored() -> bool {
+    let status = fs::read_to_string("/proc/self/status").expect("it is Linux");
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.expect("it has a mask of ignored signals") & 1 == 1
 }

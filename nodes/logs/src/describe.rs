@@ -261,8 +261,8 @@ impl Description {
     /// What becomes of body frames that tilt.
     fn mended(&self) -> &'static str {
         match self.info.precomputed {
-            None => "levelled while played; `realo import log` makes a level copy",
-            Some(_) => "its packets keep it so; level the log that they were made from by `realo import log`",
+            None => "levelled while played; `realo-lab import log` makes a level copy",
+            Some(_) => "its packets keep it so; level the log that they were made from by `realo-lab import log`",
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::McapFile;
 use crate::info::LOG_RECORD;
 
 /// Where the way from other data to a log is described.
-pub(crate) const GUIDE: &str = "docs/reference/log-format.md says what a log holds, python/realo_log.py writes one, `realo import` reads data sets, `realo simulate` makes one up";
+pub(crate) const GUIDE: &str = "docs/reference/log-format.md says what a log holds, python/realo_log.py writes one, `realo-lab import` reads data sets, `realo-lab simulate` makes one up";
 const NONE: &str = "no topics";
 /// Topics that are listed.
 const SHOWN: usize = 12;

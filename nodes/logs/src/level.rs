@@ -62,7 +62,7 @@ pub fn need_level(log: &Log) -> Result<(), LogError> {
         return Ok(());
     };
     let reason = format!(
-        "poses of `{agent}`: expected ones that are level within {LEVEL}°, found {tilt:.2}°: level the log by `realo import log` first"
+        "poses of `{agent}`: expected ones that are level within {LEVEL}°, found {tilt:.2}°: level the log by `realo-lab import log` first"
     );
     Err(LogError::Unfit {
         path: log.path().into(),

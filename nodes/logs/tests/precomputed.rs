@@ -137,7 +137,13 @@ fn packets_are_added_to_level_frames_alone() {
         LogCopy::begin(&log, &out, &precomputed(&[]), &[]).map(|_| ())
     };
     let error = begun(None).unwrap_err().to_string();
-    for part in ["raw.mcap", "poses of `rsu1`", "0.25°", "found 1.0", "realo import log"] {
+    for part in [
+        "raw.mcap",
+        "poses of `rsu1`",
+        "0.25°",
+        "found 1.0",
+        "realo-lab import log",
+    ] {
         assert!(error.contains(part), "no `{part}` in: {error}");
     }
     begun(Some("none")).unwrap();

@@ -378,7 +378,7 @@ fn says_what_is_wrong_and_what_there_is() {
     writer.finish().unwrap();
     let error = Log::open(&other).unwrap_err().to_string();
     assert!(
-        error.contains("no metadata record `realo`") && error.contains("realo simulate"),
+        error.contains("no metadata record `realo`") && error.contains("realo-lab simulate"),
         "{error}"
     );
 }

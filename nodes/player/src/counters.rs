@@ -111,7 +111,7 @@ pub const LEVELLED: Counter = Counter::loss(
     "levelled",
     "sweeps of agents whose body frames tilt, [levelled while played](log-format.md#level-frames)",
     "sweeps were levelled while played, by the poses of the log",
-    "`realo import log` makes a level copy",
+    "`realo-lab import log` makes a level copy",
 );
 pub const NO_POSE: Counter = Counter::log_fault(
     "no_pose",

@@ -437,7 +437,7 @@ fn check(settings: &Settings) -> Result<(), Error> {
 fn no_log(path: &Path) -> String {
     let path = path.display();
     format!(
-        "there is no log `{path}`; make one with `realo simulate --scenario intersection --seed 1 --seconds 10 -o {path}`"
+        "there is no log `{path}`; make one with `realo-lab simulate --scenario intersection --seed 1 --seconds 10 -o {path}`"
     )
 }
 

@@ -22,6 +22,13 @@ pub enum Coop {
 impl Coop {
     const ALL: [Coop; 4] = [Coop::All, Coop::V2v, Coop::V2i, Coop::I2i];
 
+    /// The modes that leave agents out, with their names and what they mean.
+    pub const RESTRICTED: &[(Coop, &str, &str)] = &[
+        (Coop::V2v, "v2v", "Vehicle ego, vehicles"),
+        (Coop::V2i, "v2i", "Vehicle ego, roadside units"),
+        (Coop::I2i, "i2i", "Roadside ego, roadside units"),
+    ];
+
     /// The mode's name.
     pub fn as_str(self) -> &'static str {
         match self {

@@ -441,7 +441,7 @@ fn says_what_a_log_lacks() {
     let (dir, path) = made();
     let error = refused(config(&dir.path().join("none.mcap")));
     assert!(
-        error.contains("none.mcap") && error.contains("realo simulate"),
+        error.contains("none.mcap") && error.contains("realo-lab simulate"),
         "{error}"
     );
     assert!(

@@ -35,6 +35,9 @@ pub use distribution::{Ages, Spread};
 pub use files::{
     FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_result, write_run, write_run_and_courses,
 };
+/// What scores are made of: types of [`RunResult`] and [`Samples`].
+pub use realo_scoring as scoring;
+
 pub use ledger::{ChannelKey, Fates, Ledger, Settled};
 pub use links::link_books;
 pub use result::{

@@ -36,6 +36,9 @@ mod vectors;
 
 pub use arch::{AnyMethod, Arch, Entry, METHODS, Model, add, methods};
 pub use method::Method;
+/// Which instructions compute a network.
+pub use realo_kernels::conv::Isa;
+
 pub use network::{AUTO, Kernels, LoadError, Loaded, Pillarer, load};
 
 // What the tests that crates share know by these names.

@@ -44,6 +44,30 @@ pub enum Project {
     Sender,
 }
 
+impl Project {
+    /// All, with their names and what they mean.
+    pub const ALL: &[(Project, &str, &str)] = &[
+        (
+            Project::Receiver,
+            "receiver",
+            "Whoever receives it, by the poses of the two stamps",
+        ),
+        (
+            Project::Sender,
+            "sender",
+            "Whoever sends it, with the newest state of the ego that has arrived",
+        ),
+    ];
+
+    /// As arguments name it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Project::Receiver => "receiver",
+            Project::Sender => "sender",
+        }
+    }
+}
+
 /// The operator `projector`.
 pub struct Projector {
     project: Project,

@@ -157,7 +157,7 @@ fn hint(checkpoint: &Checkpoint, model: &Model) -> String {
     }
     let Some(fitting) = fitting(&shapes) else {
         return "none of V2X-Real's networks at full size has these tensors: --model FILE.toml describes one of another size, \
-                and `realo checkpoint show` lists what is there"
+                and `realo-lab checkpoint show` lists what is there"
             .into();
     };
     let arch = fitting.arch.to_string();

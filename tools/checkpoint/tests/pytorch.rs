@@ -124,7 +124,7 @@ fn what_is_no_state_dict_or_not_the_models_is_refused_by_name() {
             &[
                 "`cls_head.bias` is not part",
                 "--model FILE.toml",
-                "realo checkpoint show",
+                "realo-lab checkpoint show",
             ],
         ),
     ];

@@ -63,6 +63,12 @@ pub enum RoadsideStamp {
     End,
 }
 
+impl RoadsideStamp {
+    /// All, with their names and what they mean.
+    pub const ALL: &[(RoadsideStamp, &str, &str)] =
+        &[(RoadsideStamp::Start, "start", ""), (RoadsideStamp::End, "end", "")];
+}
+
 /// How DAIR is imported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DairOptions {

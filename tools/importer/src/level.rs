@@ -19,6 +19,13 @@ pub enum Level {
 }
 
 impl Level {
+    /// All, with their names and what they mean.
+    pub const ALL: &[(Level, &str, &str)] = &[
+        (Level::Pose, "pose", ""),
+        (Level::Ground, "ground", ""),
+        (Level::None, "none", ""),
+    ];
+
     /// `pose`, `ground` or `none`.
     pub fn as_str(self) -> &'static str {
         match self {

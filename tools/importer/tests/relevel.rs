@@ -216,7 +216,7 @@ fn the_recorded_pose_levels_each_point_at_its_own_time() {
     assert!(shown.contains("LiDAR; levelled by pose, by 0.97° to"), "{shown}");
     let shown = describe(&raw).unwrap().to_string();
     assert!(
-        shown.contains("LiDAR; TILTS by up to 2.2") && shown.contains("levelled while played; `realo import log`"),
+        shown.contains("LiDAR; TILTS by up to 2.2") && shown.contains("levelled while played; `realo-lab import log`"),
         "{shown}"
     );
     // What is level stays as it is.

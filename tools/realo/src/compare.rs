@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, bail};
+use realo_cli::Outcome;
 use realo_results::{Run, run_folder};
 
-use crate::Outcome;
 use crate::tables::Show;
 
 /// Prints finished runs side by side, and what differs between them besides the strategy

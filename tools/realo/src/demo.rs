@@ -1,50 +1,41 @@
-//! The demo log: made once, under a lock, when a graph needs it.
+//! The demo log, for graphs that play it.
 
-use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, WrapErr};
+use eyre::Result;
+pub use realo_cli::demo::FILE;
 use realo_graph::FlatNode;
-use realo_simulator::Options;
 
 use crate::run::argument;
 
-/// Where the demo log lies below the folder of a target.
-pub const FILE: &str = "realo/demo.mcap";
-
-/// What is simulated for the demo log: two vehicles and a roadside unit at an intersection.
-pub fn options() -> Options {
-    Options {
-        seed: 900,
-        seconds: 10.0,
-        agents: ["cav1", "cav2", "rsu1"].map(String::from).to_vec(),
-        ..Options::default()
-    }
-}
-
-/// Makes the demo log at `path` unless it is there; of several processes one makes it and the others wait.
+/// Makes the demo log at `path` unless it is there.
 ///
 /// # Errors
-/// Why it could not be written.
+/// Why it could not be written; a build without the feature `demo`, which has no simulator.
 pub fn make(path: &Path) -> Result<()> {
-    if path.exists() {
-        return Ok(());
-    }
-    let folder = path.parent().unwrap_or(Path::new("."));
-    fs::create_dir_all(folder).wrap_err_with(|| no_demo(folder))?;
-    let lock_path = path.with_extension("lock");
-    let lock = File::create(&lock_path).wrap_err_with(|| no_demo(&lock_path))?;
-    lock.lock().wrap_err_with(|| format!("{}: lock", lock_path.display()))?;
-    if !path.exists() {
-        eprintln!("realo: making the demo log {} (once)", path.display());
-        crate::simulate::write(&options(), path)?;
-    }
+    realo_cli::demo::make(path, write)
+}
+
+#[cfg(feature = "demo")]
+fn write(path: &Path) -> Result<()> {
+    use realo_cli::{Progress, unfinished};
+
+    unfinished::note(path);
+    let progress = Progress::new("simulating", "sweeps", Some(0.0));
+    realo_simulator::write_log(&realo_simulator::Options::demo(), path, |far| match far.sweeps {
+        0 => progress.begin(0.0, far.of as f64),
+        sweeps => progress.set(sweeps as f64),
+    })?;
+    unfinished::done(path);
+    progress.finish();
     Ok(())
 }
 
-fn no_demo(path: &Path) -> String {
-    format!(
-        "{}: the demo log cannot be made there; name a log of your own (--log), or make one with `realo simulate`",
+#[cfg(not(feature = "demo"))]
+fn write(path: &Path) -> Result<()> {
+    eyre::bail!(
+        "this program was built without the feature `demo`: make the log by `cargo run --release -p realo-lab -- simulate --seed 900 \
+         --seconds 10 --agents cav1,cav2,rsu1 -o {}`, or name one (--log)",
         path.display()
     )
 }

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use eyre::{Result, bail};
+use realo_cli::Outcome;
 use realo_graph::FlatGraph;
 
-use crate::Outcome;
-use crate::run::{Check, Choices, Pace, checks, cores, dora_on_this_machine, find_graph, pace};
+use crate::run::{Check, Choices, Pace, checks, cores, dora_on_this_machine, pace};
 
 /// Looks at this machine: shared memory, file descriptors, threads, network, dora, processor, and the rate that it does of a graph
 #[derive(clap::Args)]
@@ -29,7 +29,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     if let (None, Some(option)) = (&args.log, first_choice(&args.choices)) {
         bail!("{option} needs --log: settings only change the rate that is measured");
     }
-    let path = args.graph.as_deref().map(find_graph).transpose()?;
+    let path = args.graph.as_deref().map(realo_cli::find::graph).transpose()?;
     let graph = path.as_deref().map(FlatGraph::load).transpose()?;
     let mut all = checks(graph.as_ref());
     all.push(dora());
@@ -156,7 +156,7 @@ fn dora() -> Check {
 
 fn processor() -> Check {
     let cores = cores();
-    let known: Vec<String> = realo_kernels::conv::Isa::ALL
+    let known: Vec<String> = realo_methods::Isa::ALL
         .iter()
         .filter(|isa| isa.is_available())
         .map(|isa| isa.to_string())
@@ -167,7 +167,7 @@ fn processor() -> Check {
             "{cores} cores; kernels {}, of which {} is taken; a realtime run that does not keep up says within ten seconds which \
              stage holds it up",
             known.join(", "),
-            realo_kernels::conv::Isa::detect()
+            realo_methods::Isa::detect()
         )),
     }
 }

@@ -2,7 +2,7 @@
 
 use eyre::{Result, bail};
 use realo_logs::{AgentKind, Log, Stream};
-use realo_scoring::{EgoKind, Labels, Protocol};
+use realo_results::scoring::{EgoKind, Labels, Protocol};
 
 /// Refuses a protocol for another kind of ego, or for labels that the log does not have.
 pub fn protocol_fits(protocol: &Protocol, log: &Log, ego: &str) -> Result<()> {

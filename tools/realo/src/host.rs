@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use eyre::Result;
+use realo_cli::Outcome;
 use realo_graph::{FlatNode, normalized, with_variables};
 use realo_host::dora::{self, Hosted};
 
 use crate::run::{argument, decided_argument};
-use crate::{Outcome, demo, registry, roles};
+use crate::{demo, registry, roles};
 
 /// Hosts the stages of a module as one process of a graph (dora starts this)
 #[derive(clap::Args)]

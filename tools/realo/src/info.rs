@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::Result;
+use realo_cli::Outcome;
 use realo_logs::{Described, Log};
 use realo_player::Coop;
+use realo_results::scoring::{Collector, Protocol};
 use realo_results::{Run, Settings};
-use realo_scoring::{Collector, Protocol};
 
-use crate::Outcome;
 use crate::truth_reader::TruthReader;
 
 /// Describes a log, or a recording of a run
@@ -130,10 +130,10 @@ fn dropped_classes(described: &Described) -> Vec<Dropped> {
 #[cfg(test)]
 mod tests {
     use realo_logs::MAX_GAP;
-    use realo_sync::Settings;
+    use realo_stages::SyncSettings;
 
     #[test]
     fn info_warns_of_the_gaps_that_sync_does_not_bridge() {
-        assert_eq!(MAX_GAP, i64::from(Settings::default().max_gap_ms) * 1_000_000);
+        assert_eq!(MAX_GAP, i64::from(SyncSettings::default().max_gap_ms) * 1_000_000);
     }
 }

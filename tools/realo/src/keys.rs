@@ -3,10 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use eyre::Result;
+use realo_cli::{Force, Outcome, Output};
 use realo_radio::keys::{Own, Trusted};
 
-use crate::Outcome;
-use crate::output::{Force, Output};
+/// The public key of one agent.
+const PUBLIC_KEY: Output = Output::Known {
+    name: "the public key of one agent",
+    begins: |head| {
+        let text = str::from_utf8(head);
+        text.is_ok_and(|text| Trusted::parse(text, Path::new("")).is_ok_and(|known| known.0.len() == 1))
+    },
+};
 
 /// Makes keys by which agents sign what they send, and lists of those that are trusted
 #[derive(clap::Args)]
@@ -51,7 +58,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Command::New { agent, output, force } => {
             let own = Own::new(agent)?;
             let private = output.join(format!("{agent}.key"));
-            force.check(&public_of(&own, &private), Output::PublicKey)?;
+            force.check(&public_of(&own, &private), PUBLIC_KEY)?;
             own.write(&private)?;
             if let Err(error) = write_public(&own, &private) {
                 // Nobody knows it yet.
@@ -62,7 +69,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         Command::Public { key, force } => {
             let own = Own::read(key)?;
-            force.check(&public_of(&own, key), Output::PublicKey)?;
+            force.check(&public_of(&own, key), PUBLIC_KEY)?;
             write_public(&own, key)?;
         }
         Command::Trust { public, list } => {
@@ -93,4 +100,20 @@ fn write_public(own: &Own, private: &Path) -> Result<()> {
     own.public().write(&public)?;
     println!("{}: for the others: realo keys trust {agent}.pub", public.display());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_another_kind_is_no_public_key() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("id.pub");
+        std::fs::write(&file, "ssh-ed25519 AAAA me\n").unwrap();
+        let said = Force::default().check(&file, PUBLIC_KEY).unwrap_err().to_string();
+        assert!(said.contains("expected the public key of one agent"), "{said}");
+        Own::new("cav1").unwrap().public().write(&file).unwrap();
+        Force::default().check(&file, PUBLIC_KEY).unwrap();
+    }
 }

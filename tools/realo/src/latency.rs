@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use clap::ArgGroup;
 use eyre::{Result, WrapErr, bail, eyre};
+use realo_cli::{Force, Outcome, Output};
 use realo_host::wall_now;
 use realo_logs::Log;
 use realo_operator::Waker;
@@ -26,9 +27,8 @@ use realo_schemas::report::Phase;
 use realo_schemas::{Kind, Name, Nanos, to_millis};
 use serde::Serialize;
 
-use crate::output::{Force, Output};
-use crate::paper::{Crossing, PaperTimes};
-use crate::{Outcome, demo, precompute, run};
+use crate::{demo, precompute, run};
+use realo_cli::paper::{Crossing, PaperTimes};
 
 /// Between two messages, unless the one before takes longer.
 const PERIOD: Duration = Duration::from_millis(100);
@@ -91,7 +91,7 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<Outcome> {
     match (&args.peer, &args.log) {
         (Some(peer), Some(log)) => {
-            args.force.check(&args.output, Output::Trace)?;
+            args.force.check(&args.output, Output::TRACE)?;
             let is_new = open_for_trace(&args.output)?;
             let measured = measure(args, peer, log);
             if measured.is_err() && is_new {

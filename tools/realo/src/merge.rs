@@ -3,12 +3,9 @@
 use std::path::PathBuf;
 
 use eyre::{Result, bail, eyre};
+use realo_cli::{Force, Outcome, Output, Progress, unfinished};
 use realo_logs::{Log, Merge};
 use realo_schemas::{Nanos, to_millis};
-
-use crate::output::{Force, Output};
-use crate::progress::Progress;
-use crate::{Outcome, unfinished};
 
 /// Joins the logs that several agents recorded of one drive, by the clock of the first
 #[derive(clap::Args)]

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
-
-use crate::command::called;
-use crate::{Outcome, run};
+use realo_cli::Outcome;
+use realo_cli::find::checkout;
+use realo_cli::program::called;
 
 /// Writes a plug-in that works, with its test, into a new folder
 #[derive(clap::Args)]
@@ -127,7 +127,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             bail!("a detector is written in Python here: add --python (in Rust: docs/reference/plugins.md)")
         }
     };
-    let checkout = run::checkout().ok_or_else(|| {
+    let checkout = checkout().ok_or_else(|| {
         eyre!(
             "expected the checkout of realo, whose code plug-ins use, above this program, above the current folder, or where this \
              program was built; found none"

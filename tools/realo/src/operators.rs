@@ -1,11 +1,12 @@
 //! `realo operators`: every operator and node with its ports, arguments and counters.
 
 use eyre::Result;
+use realo_cli::Outcome;
 use realo_operator::{Counter, Meaning, Port, Queue, Registration};
 use realo_schemas::{PayloadType, layout};
 use serde_json::{Value, json};
 
-use crate::{Outcome, registry, stages};
+use crate::{registry, stages};
 
 /// Lists every operator and node with ports, types, arguments and counters
 #[derive(clap::Args)]

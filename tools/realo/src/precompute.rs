@@ -6,15 +6,14 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
+use realo_cli::{Force, Outcome, Output, Progress, unfinished};
 use realo_host::{Stages, virtual_time};
 use realo_logs::{Log, LogCopy, Precomputed, SentPacket, Stream};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, Payload};
 
-use crate::output::{Force, Output};
-use crate::progress::Progress;
 use crate::run::{self, Lane};
 use crate::tables::Show;
-use crate::{Outcome, demo, registry, unfinished};
+use crate::{demo, registry};
 
 /// Adds to a log what agents send, so that a run computes for its ego alone
 #[derive(clap::Args)]

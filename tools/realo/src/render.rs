@@ -4,12 +4,11 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use eyre::Result;
+use realo_cli::{Force, Outcome, Output, Progress};
 use realo_render::{Format, Request, Scene};
 
 use crate::compare::names;
-use crate::output::{Force, Output};
-use crate::progress::Progress;
-use crate::{Outcome, demo};
+use crate::demo;
 
 /// Draws a frame of a run from above: truth, boxes, each agent's points, and what only cooperation saw. Of several runs it
 /// draws the same frame side by side
@@ -38,8 +37,8 @@ pub struct Args {
 /// Writes the picture and says what it shows.
 pub fn main(args: &Args) -> Result<Outcome> {
     let kind = match Format::of(&args.output)? {
-        Format::Svg => Output::Svg,
-        Format::Png => Output::Png,
+        Format::Svg => Output::SVG,
+        Format::Png => Output::PNG,
     };
     args.force.check(&args.output, kind)?;
     let request = Request {

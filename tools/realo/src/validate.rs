@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use eyre::Result;
+use realo_cli::Outcome;
 use realo_graph::{Finding, FlatGraph, Severity};
 use realo_host::Program;
 
-use crate::{Outcome, registry};
+use crate::registry;
 
 /// Checks graphs beyond what `dora validate` does, and says how to mend them
 #[derive(clap::Args)]
@@ -29,7 +30,7 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
     for path in &args.graphs {
-        let mut graph = FlatGraph::load(&crate::run::find_graph(path)?)?;
+        let mut graph = FlatGraph::load(&realo_cli::find::graph(path)?)?;
         crate::run::replace_stages(&mut graph, &args.replace, false)?;
         let missing = crate::run::missing_programs(&graph);
         for program in &missing {

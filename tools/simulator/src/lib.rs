@@ -45,6 +45,7 @@ mod bench;
 mod bodies;
 mod cast;
 mod detections;
+mod log;
 mod options;
 mod path;
 mod place;
@@ -59,6 +60,7 @@ mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
 pub use bench::{Bench, PlaceBench, SensorBench, bench, points_per_second};
+pub use log::{WriteError, Written, write_log};
 pub use options::{
     AGENTS, EPOCH, Error, MOST_AGENTS, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Weather, fleet,
 };

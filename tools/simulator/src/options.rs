@@ -174,6 +174,11 @@ pub enum Phase {
     Spread,
 }
 
+impl Phase {
+    /// All, with their names and what they mean.
+    pub const ALL: &[(Phase, &str, &str)] = &[(Phase::Locked, "locked", ""), (Phase::Spread, "spread", "")];
+}
+
 /// What a simulation is asked for; everything is derived from it, bit for bit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -219,6 +224,18 @@ pub struct Options {
     pub weather: Weather,
     /// Whether road users on a grid too have the bodies that they have elsewhere: rounded, inside their boxes.
     pub rounded_bodies: bool,
+}
+
+impl Options {
+    /// The demo log that shipped graphs play: two vehicles and a roadside unit at an intersection.
+    pub fn demo() -> Self {
+        Options {
+            seed: 900,
+            seconds: 10.0,
+            agents: ["cav1", "cav2", "rsu1"].map(String::from).to_vec(),
+            ..Options::default()
+        }
+    }
 }
 
 impl Default for Options {

@@ -90,7 +90,7 @@ fn a_model_that_does_not_say_what_bytes_stand_for_is_refused() {
         .expect("refused")
         .to_string();
     assert!(
-        error.contains("`activations`") && error.contains("realo quantize"),
+        error.contains("`activations`") && error.contains("realo-lab quantize"),
         "{error}"
     );
 }

@@ -49,7 +49,7 @@ pub enum NetworkError {
         layer: String,
     },
     /// The model does not say what bytes stand for.
-    #[error("model `{model}` has no `activations`, which int8 needs: `realo quantize` makes a model file that has")]
+    #[error("model `{model}` has no `activations`, which int8 needs: `realo-lab quantize` makes a model file that has")]
     NoActivations {
         /// The model's name.
         model: String,

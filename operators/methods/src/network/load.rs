@@ -313,7 +313,7 @@ mod tests {
         std::fs::remove_file(&weights).unwrap();
         let missing = error("auto", 1);
         assert!(
-            missing.contains("small.safetensors") && missing.contains("realo train"),
+            missing.contains("small.safetensors") && missing.contains("realo-lab train"),
             "{missing}"
         );
         std::fs::write(&weights, [255; 16]).unwrap();

@@ -170,7 +170,7 @@ impl<A: Architecture> Model<A> {
         let wanted: BTreeSet<&str> = wanted.iter().map(|(key, _)| &**key).collect();
         for key in wanted.iter().filter(|key| !self.activations.contains_key(**key)) {
             problems.0.push(format!(
-                "activations: expected the max result of layer `{key}`, which int8 needs, found none; `realo quantize` finds it"
+                "activations: expected the max result of layer `{key}`, which int8 needs, found none; `realo-lab quantize` finds it"
             ));
         }
         for (key, max) in &self.activations {

@@ -5,14 +5,13 @@ mod played;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
+use realo_cli::{Outcome, Progress};
 use realo_logs::{Log, McapFile};
+use realo_results::scoring::{Collector, Evaluation, Protocol, frame_scores};
 use realo_results::{FilesError, Run, Settings};
 use realo_schemas::{Boxes, GroundTruth};
-use realo_scoring::{Collector, Evaluation, Protocol, frame_scores};
 
-use crate::Outcome;
 use crate::fit::protocol_fits;
-use crate::progress::Progress;
 use crate::render::log_folders;
 use crate::run::log_content;
 use crate::tables::Show;

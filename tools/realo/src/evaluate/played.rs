@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use eyre::{Result, ensure, eyre};
+use realo_results::scoring::same_truth;
 use realo_schemas::{GroundTruth, Header, Nanos};
-use realo_scoring::same_truth;
 
 use crate::truth_reader::TruthReader;
 

@@ -5,11 +5,11 @@ use std::error::Error;
 use std::fmt;
 
 use eyre::{Report, Result, bail};
+use realo_cli::signals::{self, Ending};
 use realo_results::Run;
 
 use super::folders::Folders;
 use super::prepare::RunPlan;
-use super::signals::{self, Ending};
 use super::{Mode, realtime, replay, resume};
 
 /// Names that a note has at most.

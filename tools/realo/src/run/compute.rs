@@ -10,8 +10,8 @@ use realo_methods::Model;
 use realo_results::Run;
 
 use super::nodes::{argument, decided_argument, deciding};
-use crate::paper::PaperTimes;
 use crate::{registry, roles};
+use realo_cli::paper::PaperTimes;
 
 /// Name of the profile that charges what the paper measured.
 const PAPER: &str = "paper";

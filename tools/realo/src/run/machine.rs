@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use eyre::{Result, bail};
+use realo_cli::signals::MORE_PROCESSES;
 use realo_graph::FlatGraph;
 use realo_host::dora::{OVERLAY, POOL};
 use realo_radio::Endpoint;
@@ -29,9 +30,6 @@ const THREADS_OF_A_PROCESS: usize = 24;
 const THREADS_OF_A_CORE: usize = 2;
 /// Threads of a run in virtual time beside one for each core.
 const THREADS_OF_VIRTUAL: usize = 8;
-/// What helps where no thread can be had.
-pub const MORE_PROCESSES: &str = "raise the limit of processes and threads (`ulimit -u`; a service: TasksMax=; docker: \
-                                  --pids-limit), or end other programs of this user";
 /// Shared memory of a process with networks beside its pool, bytes: maps and messages under way.
 const WITH_NETWORKS: u64 = 48 << 20;
 /// Pool of a process whose messages go through sockets: none, and dora takes the heap.

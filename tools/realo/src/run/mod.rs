@@ -4,7 +4,6 @@ mod batch;
 mod choices;
 mod compute;
 mod dora;
-mod find;
 mod folders;
 mod lane;
 mod limit;
@@ -18,7 +17,6 @@ mod realtime;
 mod replace;
 mod replay;
 mod resume;
-pub(crate) mod signals;
 mod tether;
 
 use std::collections::BTreeSet;
@@ -26,9 +24,13 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use eyre::{Report, Result, WrapErr, bail, eyre};
+use realo_cli::signals::{self, Ending};
+use realo_cli::{find, one_of};
 use realo_graph::{FlatGraph, FlatNode};
 use realo_operator::Role;
+use realo_player::Coop;
 use realo_results::{Run, RunResult};
+use realo_stages::Project;
 
 use crate::tables::Show;
 use crate::{Outcome, registry, roles};
@@ -36,11 +38,9 @@ use batch::{Batch, Unfinished};
 use folders::Folders;
 use networks::Networks;
 use prepare::RunPlan;
-use signals::Ending;
 
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
-pub(crate) use find::{checkout, graph as find_graph, model as find_model};
 pub(crate) use machine::{Check, checks, cores};
 pub(crate) use nodes::{argument, decided_argument};
 pub(crate) use pace::{Pace, pace};
@@ -69,7 +69,7 @@ pub struct Args {
     #[arg(long)]
     pub rate: Option<f64>,
     /// Who cooperates [default: every vehicle is ego in turn, all others collaborate]
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = one_of(Coop::RESTRICTED))]
     pub coop: Option<Coop>,
     /// The ego [default: each that the mode allows, in turn]
     #[arg(long)]
@@ -119,7 +119,7 @@ pub struct Choices {
     #[arg(long)]
     pub device: Option<String>,
     /// Who brings what crosses the link to the ego's frame: its receiver, or its sender with the ego's newest known state
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = one_of(Project::ALL))]
     pub project: Option<Project>,
     /// Seed of the links' jitter and loss
     #[arg(long)]
@@ -130,25 +130,6 @@ pub struct Choices {
     /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/reference/plugins.md)
     #[arg(long)]
     pub replace: Vec<String>,
-}
-
-/// Who brings what crosses the link to the ego's frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Project {
-    /// Whoever receives it, by the poses of the two stamps.
-    Receiver,
-    /// Whoever sends it, with the newest state of the ego that has arrived.
-    Sender,
-}
-
-impl Project {
-    /// As nodes' arguments name it.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Project::Receiver => "receiver",
-            Project::Sender => "sender",
-        }
-    }
 }
 
 /// Which driver runs the graph.
@@ -166,28 +147,6 @@ impl Mode {
         match self {
             Mode::Realtime => "realtime",
             Mode::Virtual => "virtual",
-        }
-    }
-}
-
-/// Who cooperates with whom.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Coop {
-    /// Vehicle ego, vehicles.
-    V2v,
-    /// Vehicle ego, roadside units.
-    V2i,
-    /// Roadside ego, roadside units.
-    I2i,
-}
-
-impl Coop {
-    /// The player's mode.
-    pub fn for_player(self) -> realo_player::Coop {
-        match self {
-            Coop::V2v => realo_player::Coop::V2v,
-            Coop::V2i => realo_player::Coop::V2i,
-            Coop::I2i => realo_player::Coop::I2i,
         }
     }
 }
@@ -295,7 +254,7 @@ struct Planned<'a> {
 /// Runs every graph over every log and ego, pools, and prints. A graph that fails takes no other one with it: the table has
 /// the others, and its error follows.
 pub fn main(args: &Args) -> Result<Outcome> {
-    signals::catch()?;
+    signals::catch(realo_host::virtual_time::end_all)?;
     let mut args = args.clone();
     let mode = args.driver()?;
     machine::threads_of_virtual()?;

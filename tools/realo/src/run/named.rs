@@ -45,8 +45,8 @@ pub fn profile(path: &Path) -> String {
 
 /// A link: its file, with the trace that the file names, and the settings behind it.
 pub fn link(text: &str) -> String {
-    let files = realo_link::files(text);
-    realo_link::with_base(&realo_link::in_words(text), |name| with_hash(name, &files))
+    let files = realo_stages::link::files(text);
+    realo_stages::link::with_base(&realo_stages::link::in_words(text), |name| with_hash(name, &files))
 }
 
 /// The plug-ins of a graph, each behind its stage; a program in Python with the modules beside it.

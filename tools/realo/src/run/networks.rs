@@ -53,7 +53,7 @@ impl Networks {
             if let Some(weights) = weights.iter().find(|weights| !weights.exists()) {
                 bail!(
                     "{}: this model has no weights, {} is not there, the file that its `name`, `weights` or `encoder` names: \
-                     `realo checkpoint convert` makes them of a PyTorch checkpoint, `realo train` trains detectors and V2X-ViT's fusion; --model FILE, or --set NODE.model=FILE, names a model that has some",
+                     `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and V2X-ViT's fusion; --model FILE, or --set NODE.model=FILE, names a model that has some",
                     path.display(),
                     weights.display()
                 );

@@ -62,7 +62,7 @@ pub fn set_model(graph: &mut FlatGraph, path: &Path) -> Result<()> {
     decide(
         graph,
         roles::MODEL,
-        &std::path::absolute(super::find::model(path)?)?.to_string_lossy(),
+        &std::path::absolute(realo_cli::find::model(path)?)?.to_string_lossy(),
     );
     Ok(())
 }

@@ -8,8 +8,8 @@ use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_player::PlannedRun;
+use realo_results::scoring::Protocol;
 use realo_results::{RunSettings, Settings};
-use realo_scoring::Protocol;
 
 use super::batch::{Batch, Unplayable};
 use super::lane::{self, SendingLane};
@@ -167,7 +167,7 @@ impl Planner<'_> {
             eprintln!("realo: {}: {cut}", log_path.display());
         }
         let args = self.args;
-        let coop = args.coop.map_or(realo_player::Coop::All, super::Coop::for_player);
+        let coop = args.coop.unwrap_or_default();
         let ego = args.ego.as_deref().unwrap_or(&self.own);
         let plan = realo_player::plan(&log, ego, coop, &args.agents);
         let Some(plan) = self.unplayable.check(&stem, plan) else {
@@ -295,7 +295,7 @@ pub struct Lane {
 /// As [`batch`]; a graph in which nobody sends what is made of sweeps.
 pub fn lane(args: &Args) -> Result<Lane> {
     let set = settings(args)?;
-    let path = &super::find::graph(&args.graphs[0])?;
+    let path = &realo_cli::find::graph(&args.graphs[0])?;
     let base = base_graph(args, &set, path)?;
     let compute = args
         .compute
@@ -566,7 +566,7 @@ impl Decisions<'_> {
         decisions.extend(device.map(|device| (roles::DEVICE, device.clone())));
         if let Some(profile) = &args.choices.link {
             let named = |name: &str| name_or_file(name).unwrap_or_else(|_| name.into());
-            decisions.push((roles::LINK, realo_link::with_base(profile, named)));
+            decisions.push((roles::LINK, realo_stages::link::with_base(profile, named)));
         }
         Ok(decisions)
     }

@@ -9,6 +9,8 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use eyre::{Report, Result, WrapErr, bail};
+use realo_cli::Progress;
+use realo_cli::signals::{self, Ending};
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
 use realo_operator::Durations;
 use realo_results::Run;
@@ -16,10 +18,8 @@ use realo_results::Run;
 use super::batch::Unfinished;
 use super::nodes::{argument, deciding};
 use super::prepare::RunPlan;
-use super::signals::{self, Ending};
 use super::tether::Tether;
 use super::{dora, machine, pace};
-use crate::progress::Progress;
 
 /// From a signal to the end of all processes at most; what is left then is killed.
 const TO_END: Duration = Duration::from_millis(2600);

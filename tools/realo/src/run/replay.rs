@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use eyre::{Report, Result, WrapErr, eyre};
 use rayon::prelude::*;
+use realo_cli::{Progress, signals};
 use realo_graph::FlatGraph;
 use realo_host::{ComputeProfile, Stages, virtual_time};
 use realo_operator::Books;
@@ -13,8 +14,6 @@ use realo_schemas::{Nanos, to_seconds};
 
 use super::batch::Unfinished;
 use super::prepare::RunPlan;
-use super::signals;
-use crate::progress::Progress;
 use crate::registry;
 
 /// After a signal, runs have so long to come to their next event. A run inside a call is not waited for then, and ends with

@@ -8,6 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
 use eyre::{Result, WrapErr};
+use realo_cli::Progress;
 use realo_graph::FlatGraph;
 use realo_logs::McapFile;
 use realo_results::{RESULT_FILE, RunSettings};
@@ -15,7 +16,6 @@ use sha2::{Digest, Sha256};
 
 use super::prepare::{RunPlan, SETTINGS_FILE};
 use super::{folders, named};
-use crate::progress::Progress;
 
 /// What is read of a log at once, bytes.
 const BLOCK: usize = 1 << 20;

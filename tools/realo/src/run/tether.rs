@@ -8,12 +8,11 @@ use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use eyre::{Result, WrapErr, bail};
+use realo_cli::Outcome;
 use realo_host::dora::{TETHER_VARIABLE, tether_of};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::{FdFlags, fcntl_setfd};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
-
-use crate::Outcome;
 
 /// Runs a program that ends with the process that started it (`realo run` starts dora so)
 #[derive(clap::Args)]

@@ -1,0 +1,191 @@
+//! How a program begins, reads its command line and ends; and the program beside it.
+
+use std::any::TypeId;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{CommandFactory, FromArgMatches};
+use eyre::{Result, bail};
+
+use crate::Outcome;
+
+/// The commands of a program that another one has.
+#[derive(Clone, Copy)]
+pub struct Elsewhere {
+    /// The name of the other program, and of its package.
+    pub program: &'static str,
+    /// How the package is called.
+    pub package: &'static str,
+    /// The commands.
+    pub commands: &'static [&'static str],
+}
+
+/// Prepares this process: whoever reads what it prints may stop, and a full disk is an error as others are.
+pub fn begin() {
+    // A file that grows beyond the limit of the process is an error of whoever writes it, as on a full disk.
+    let beyond = std::sync::Arc::default();
+    if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, beyond) {
+        eprintln!(
+            "realo: cannot handle SIGXFSZ ({error}): a file above `ulimit -f` would end this program without a message"
+        );
+    }
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        // Whoever reads what we print may stop whenever he likes (`realo info LOG | head`).
+        let text = panic.payload_as_str().unwrap_or_default();
+        if text.starts_with("failed printing to") {
+            if !text.contains("Broken pipe") {
+                // Where even this cannot be written, the code says it.
+                let _ = writeln!(std::io::stderr(), "realo: {text}");
+            }
+            std::process::exit(Outcome::Failed.exit_code().into());
+        }
+        // What a plug-in sends may panic where it is read; that is caught, and reported as an error of the plug-in.
+        if !realo_operator::pipe::is_reading() {
+            usual(panic);
+        }
+    }));
+}
+
+/// Reads the command line, or ends the program with what is wrong with it.
+pub fn parse<P: CommandFactory + FromArgMatches>(elsewhere: &Elsewhere) -> P {
+    let command = with_negative_numbers(P::command());
+    let own = command.get_name().to_string();
+    let matches = command.try_get_matches().unwrap_or_else(|error| {
+        if let Some(said) = said_of(&error, &own, elsewhere) {
+            eprintln!("{said}");
+            // As clap ends.
+            std::process::exit(2);
+        }
+        error.exit()
+    });
+    P::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+/// Where a command is that this program does not have.
+fn said_of(error: &clap::Error, own: &str, elsewhere: &Elsewhere) -> Option<String> {
+    let ContextValue::String(command) = error.get(ContextKind::InvalidSubcommand)? else {
+        return None;
+    };
+    let has_it = error.kind() == ErrorKind::InvalidSubcommand && elsewhere.commands.contains(&&**command);
+    let Elsewhere { program, package, .. } = elsewhere;
+    has_it.then(|| {
+        format!("{own}: `{own} {command}` is `{program} {command}`: build it by `cargo build --release -p {package}`")
+    })
+}
+
+/// Lets options that take numbers take negative ones, so that whoever checks their range reports it.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let numbers = [
+        TypeId::of::<f64>(),
+        TypeId::of::<f32>(),
+        TypeId::of::<u16>(),
+        TypeId::of::<u32>(),
+        TypeId::of::<u64>(),
+        TypeId::of::<usize>(),
+    ];
+    let command = command.mut_args(|arg| {
+        let kind = arg.get_value_parser().type_id();
+        match numbers.iter().any(|number| kind == *number) {
+            true => arg.allow_negative_numbers(true),
+            false => arg,
+        }
+    });
+    command.mut_subcommands(with_negative_numbers)
+}
+
+/// Says what went wrong, and gives the exit code of a command.
+pub fn end(outcome: Result<Outcome>) -> ExitCode {
+    let code = outcome.map(Outcome::exit_code).unwrap_or_else(|error| {
+        eprintln!("realo: {error:#}{}", without_folder());
+        Outcome::Failed.exit_code()
+    });
+    ExitCode::from(code)
+}
+
+/// What explains an error where the current folder was removed; else nothing.
+fn without_folder() -> String {
+    let is_there = std::env::current_dir().is_ok();
+    let named = std::env::var("PWD").map_or_else(|_| String::new(), |folder| format!(", {folder},"));
+    match is_there {
+        true => String::new(),
+        false => format!("; the current folder{named} is not there any more: change to another one"),
+    }
+}
+
+/// This program as it was called, for commands that are printed: a name on `PATH`, or a path, quoted as a shell takes it.
+/// `cargo run` calls it by a path.
+pub fn called() -> String {
+    let called = std::env::args_os().next();
+    quoted(&called.map_or_else(|| "realo".into(), |program| program.to_string_lossy().into_owned()))
+}
+
+/// Another program of realo, for commands that are printed: where this one was called by a path, the one beside it.
+pub fn called_beside(name: &str) -> String {
+    let called = std::env::args_os().next();
+    quoted(
+        &Path::new(&called.unwrap_or_default())
+            .with_file_name(name)
+            .to_string_lossy(),
+    )
+}
+
+/// The text as a shell takes it.
+fn quoted(text: &str) -> String {
+    shlex::try_quote(text).map_or_else(|_| text.to_string(), |quoted| quoted.into_owned())
+}
+
+/// The file of another program of realo, which lies beside this one.
+///
+/// # Errors
+/// It is not there; with the command that builds it.
+pub fn beside(name: &str) -> Result<PathBuf> {
+    let path = std::env::current_exe()?.with_file_name(name);
+    if !path.is_file() {
+        bail!(
+            "{}: expected the program `{name}` beside this one, found none: build it by `cargo build --release -p {name}`",
+            path.display()
+        );
+    }
+    Ok(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LAB: Elsewhere = Elsewhere {
+        program: "realo-lab",
+        package: "realo-lab",
+        commands: &["train"],
+    };
+
+    #[test]
+    fn a_command_of_the_other_program_is_named_with_what_builds_it() {
+        let command = || clap::Command::new("realo").subcommand(clap::Command::new("run"));
+        let error = |words: &[&str]| command().try_get_matches_from(words).unwrap_err();
+        let said = said_of(&error(&["realo", "train", "--steps", "3"]), "realo", &LAB).unwrap();
+        assert_eq!(
+            said,
+            "realo: `realo train` is `realo-lab train`: build it by `cargo build --release -p realo-lab`"
+        );
+        assert_eq!(said_of(&error(&["realo", "trane"]), "realo", &LAB), None);
+        assert_eq!(said_of(&error(&["realo", "run", "--train"]), "realo", &LAB), None);
+    }
+
+    #[test]
+    fn a_program_that_is_not_beside_this_one_is_told_how_to_build() {
+        let said = beside("realo-nowhere").unwrap_err().to_string();
+        assert!(said.contains("cargo build --release -p realo-nowhere"), "{said}");
+    }
+
+    #[test]
+    fn negative_numbers_are_numbers() {
+        let value = clap::Arg::new("value").value_parser(clap::value_parser!(f64));
+        let command = with_negative_numbers(clap::Command::new("realo").arg(value));
+        let found = command.try_get_matches_from(["realo", "-3"]).unwrap();
+        assert_eq!(found.get_one::<f64>("value"), Some(&-3.0));
+    }
+}
