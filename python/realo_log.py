@@ -1,4 +1,4 @@
-"""Writes logs of realo from numpy arrays. Needs numpy alone; docs/log-format.md says what is written.
+"""Writes logs of realo from numpy arrays. Needs numpy alone; docs/reference/log-format.md says what is written.
 
     from realo_log import LogWriter, agent, boxes
 
@@ -166,7 +166,7 @@ def doubles(where, name, values, n):
     """`n` finite doubles; single precision is refused where it is coarser than a millimetre."""
     array = numbers(where, name, values)
     if array.size != n:
-        refuse(where, name, f"{n} numbers", f"shape {array.shape}", "see docs/log-format.md")
+        refuse(where, name, f"{n} numbers", f"shape {array.shape}", "see docs/reference/log-format.md")
     finite(where, name, array)
     given = [array.dtype] + [v.dtype for v in values if hasattr(v, "dtype")] if isinstance(values, (list, tuple)) else [array.dtype]
     for dtype in given:

@@ -406,7 +406,7 @@ fn files_of_other_programs_are_named() {
             &[
                 "folder of a bag",
                 "/points (sensor_msgs/msg/PointCloud2)",
-                "docs/log-format.md",
+                "docs/reference/log-format.md",
             ],
         ),
         (

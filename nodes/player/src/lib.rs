@@ -14,7 +14,7 @@
 //! Messages leave in order of their time on the log's line; at equal times poses go first, then clouds, recorded
 //! detections, packets, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
 //! up to the cut and counted as `log_truncated`. Body frames that tilt are levelled by their poses
-//! (`docs/log-format.md`, "Level frames"); those that are level pass as they are. Messages whose stamps are of another clock than
+//! (`docs/reference/log-format.md`, "Level frames"); those that are level pass as they are. Messages whose stamps are of another clock than
 //! the log's are left out and counted (`clock_off`). A roadside unit that does not move has its pose at all times.
 
 mod ahead;

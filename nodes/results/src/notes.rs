@@ -78,7 +78,7 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 .collect();
             let classes = listed(&classes);
             let why = format!(
-                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/protocols.md)",
+                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/reference/protocols.md)",
                 classes.trim_end_matches(':')
             );
             said.push(line(strange, why));
@@ -317,7 +317,7 @@ impl RunResult {
                     true,
                     format!(
                         "link {link}: {unaccounted} of {} {kind} messages are not accounted for, so it is not known whether they \
-                         were used; a fusion of your own says so by `used` (docs/compose.md)",
+                         were used; a fusion of your own says so by `used` (docs/reference/plugins.md)",
                         books.sent
                     ),
                 );

@@ -1,16 +1,18 @@
 //! BEV maps as messages: what a network makes, written; what another stage of the same model sent, read. And what computes
 //! the network: the [`Engine`].
 
+mod decoder;
 mod engine;
 
 use std::borrow::Cow;
 
 use arrow::buffer::Buffer;
-use realo_nn::Loaded;
-use realo_nn::network::{BevMap, BevView};
+use realo_kernels::bev::{BevMap, BevView};
+use realo_methods::Loaded;
 use realo_operator::Error;
 use realo_schemas::{DType, FeatureMap, Name, feature_map};
 
+pub use decoder::{Decoded, Decoder};
 pub use engine::{Device, Engine, EngineError};
 
 /// A map that does not fit the model that is to read it.

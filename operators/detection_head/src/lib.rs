@@ -12,17 +12,12 @@
 
 use std::path::PathBuf;
 
-use realo_bev::{Device, Engine, Maps};
-use realo_nn::Kernels;
+use realo_bev::{Decoder, Device, Engine, Maps};
+use realo_methods::Kernels;
 use realo_nn::anchors::Anchors;
-use realo_nn::decode::{Detection, candidates};
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
-use realo_schemas::geometry::is_valid;
-use realo_schemas::{Box3, Boxes, Elements, FeatureMap, Header, Kind, Name};
+use realo_schemas::{Boxes, Elements, FeatureMap, Header, Kind};
 use serde::{Deserialize, Serialize};
-
-/// Boxes that a frame gives at most.
-const MOST: usize = 1000;
 
 /// Settings of [`DetectionHead`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
@@ -34,10 +29,10 @@ pub struct Settings {
     /// Min score of a box; null: the model's.
     pub score_threshold: Option<f32>,
     /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
-    #[setting(default = realo_nn::AUTO.into(), role = "isa")]
+    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
     pub isa: String,
     /// Number type: auto (the model's), f32, bf16 or int8.
-    #[setting(default = realo_nn::AUTO.into(), role = "precision")]
+    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
     pub precision: String,
     /// Threads of the network; 0: one for each processor.
     pub threads: usize,
@@ -56,68 +51,6 @@ pub struct DetectionHead {
     engine: Engine,
     decoder: Decoder,
     maps: Maps,
-}
-
-/// From the numbers of the heads to boxes.
-#[derive(Clone, Debug)]
-pub struct Decoder {
-    anchors: Anchors,
-    classes: Vec<Name>,
-    threshold: f32,
-}
-
-/// The boxes of a frame.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Decoded {
-    /// Boxes above the threshold, best first.
-    pub boxes: Vec<Box3>,
-    /// Boxes above the threshold beyond the 1,000 best.
-    pub over_limit: u64,
-    /// Boxes with numbers that are not finite.
-    pub invalid: u64,
-}
-
-impl Decoder {
-    /// Boxes that score more than `threshold`, by the anchors of a head.
-    pub fn new(anchors: Anchors, threshold: f32) -> Self {
-        Decoder {
-            classes: anchors.classes.iter().map(|class| class.name.as_str().into()).collect(),
-            anchors,
-            threshold,
-        }
-    }
-
-    /// The boxes of scores and deltas, `[rows, columns, anchors * classes]` and `[rows, columns, anchors * 7]`.
-    ///
-    /// # Panics
-    /// If the maps' sizes are not those of the anchors.
-    pub fn decode(&self, scores: &[f32], deltas: &[f32]) -> Decoded {
-        let found = candidates(&self.anchors, scores, deltas, self.threshold, MOST);
-        let decoded = found.detections.len();
-        let boxes = found.detections.iter().map(|detection| self.boxed(detection));
-        let boxes: Vec<Box3> = boxes.filter(is_valid).collect();
-        Decoded {
-            invalid: (decoded - boxes.len()) as u64,
-            over_limit: found.over_limit,
-            boxes,
-        }
-    }
-
-    fn boxed(&self, detection: &Detection) -> Box3 {
-        let [x, y, z, height, width, length, yaw] = detection.hwl.map(f64::from);
-        Box3 {
-            center: [x, y, z],
-            length,
-            width,
-            height,
-            yaw: realo_schemas::geometry::normalize_yaw(yaw),
-            velocity: None,
-            class: self.classes[detection.class].clone(),
-            score: detection.score,
-            track: None,
-            covariance: None,
-        }
-    }
 }
 
 const OVER_LIMIT_BOXES: Counter = Counter::plain(
@@ -162,7 +95,7 @@ impl Operator for DetectionHead {
             precision: &settings.precision,
             threads: settings.threads,
         };
-        let loaded = realo_nn::load(&settings.model, kernels)?;
+        let loaded = realo_methods::load(&settings.model, kernels)?;
         let threshold = settings.score_threshold.unwrap_or(loaded.model.score_threshold);
         if !(0.0..1.0).contains(&threshold) {
             return Err(ScoreThreshold(threshold).into());
@@ -195,7 +128,8 @@ impl Operator for DetectionHead {
 mod tests {
     use super::*;
 
-    use realo_schemas::{DType, Message};
+    use realo_schemas::geometry::is_valid;
+    use realo_schemas::{Box3, DType, Message};
 
     const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
 
@@ -223,7 +157,7 @@ mod tests {
                 .flat_map(|value| value.to_le_bytes())
                 .collect::<Vec<u8>>()
                 .into(),
-            model: realo_nn::load(MODEL.as_ref(), Kernels::auto(1))
+            model: realo_methods::load(MODEL.as_ref(), Kernels::auto(1))
                 .unwrap()
                 .identity
                 .as_str()
@@ -249,10 +183,10 @@ mod tests {
     #[test]
     fn boxes_come_best_first_and_at_most_so_many() {
         let (boxes, over) = detected(&mut head(Some(0.0)).unwrap(), map(0.0)).unwrap();
-        assert_eq!(boxes.len(), MOST);
+        assert_eq!(boxes.len(), Decoder::MOST);
         assert_eq!(
             over,
-            100 * 256 * 6 - MOST as u64,
+            100 * 256 * 6 - Decoder::MOST as u64,
             "six anchors in each cell, all above 0"
         );
         assert!(boxes.windows(2).all(|pair| pair[0].score >= pair[1].score));

@@ -18,8 +18,9 @@ use std::path::PathBuf;
 use nalgebra::Isometry3;
 use realo_bev::{Device, Engine, Maps, Read};
 use realo_fusion::{Collaborator, Input, Pairing};
-use realo_nn::Kernels;
-use realo_nn::fuse::{Agent, Warp};
+use realo_kernels::agents::Agent;
+use realo_kernels::warp::Warp;
+use realo_methods::Kernels;
 use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::{Elements, FeatureMap, Header, Name, Nanos};
 use serde::{Deserialize, Serialize};
@@ -37,10 +38,10 @@ pub struct Settings {
     #[setting(role = "roadside")]
     pub roadside: String,
     /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
-    #[setting(default = realo_nn::AUTO.into(), role = "isa")]
+    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
     pub isa: String,
     /// Number type: auto (the model's), f32, bf16 or int8.
-    #[setting(default = realo_nn::AUTO.into(), role = "precision")]
+    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
     pub precision: String,
     /// Threads of the network; 0: one for each processor.
     pub threads: usize,
@@ -114,7 +115,7 @@ impl Operator for FusionFeatures {
             precision: &settings.precision,
             threads: settings.threads,
         };
-        let loaded = realo_nn::load(&settings.model, kernels)?;
+        let loaded = realo_methods::load(&settings.model, kernels)?;
         let most = loaded.model.arch.agents() - 1;
         if !loaded.model.arch.fuses() {
             return Err(FeatureError::Alone {
@@ -224,7 +225,7 @@ mod tests {
 
     use nalgebra::{Translation3, UnitQuaternion};
     use realo_engine::testkit::FusionCase;
-    use realo_nn::network::BevMap;
+    use realo_kernels::bev::BevMap;
     use realo_schemas::report::Fate;
     use realo_schemas::{Kind, Message, Pose, Selection};
 

@@ -26,7 +26,7 @@ const EMPTY_SWEEPS: Counter = Counter::log_fault(
     "empty_sweeps",
     "sweeps that have no point within 300 m of the ego, so that they add nothing",
     "sweeps have no point within 300 m of the ego, so that they added nothing",
-    "points are expected in metres, in the body frame of their agent (docs/log-format.md)",
+    "points are expected in metres, in the body frame of their agent (docs/reference/log-format.md)",
 );
 
 /// Settings of [`FusionPoints`].

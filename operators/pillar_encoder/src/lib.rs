@@ -19,9 +19,9 @@
 use std::path::PathBuf;
 
 use realo_bev::{Device, Engine, Maps};
-use realo_nn::network::BevView;
-use realo_nn::pillars::{Dropped, Points};
-use realo_nn::{Kernels, Pillarer};
+use realo_kernels::bev::BevView;
+use realo_methods::detect::pillars::{Dropped, Points};
+use realo_methods::{Kernels, Pillarer};
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, Steps};
 use realo_schemas::{Elements, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -34,10 +34,10 @@ pub struct Settings {
     #[setting(default = "../models/lite.toml", role = "model")]
     pub model: PathBuf,
     /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
-    #[setting(default = realo_nn::AUTO.into(), role = "isa")]
+    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
     pub isa: String,
     /// Number type: auto (the model's), f32, bf16 or int8.
-    #[setting(default = realo_nn::AUTO.into(), role = "precision")]
+    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
     pub precision: String,
     /// Threads of the network; 0: one for each processor.
     pub threads: usize,
@@ -63,7 +63,7 @@ const EMPTY_SWEEPS: Counter = Counter::log_fault(
     "sweeps that have no point in the model's grid, so that nothing can be found in them",
     "sweeps have no point in the range of the model, so that nothing was found in them",
     "where the log has detections in place of points, play these (`--recorded-detections`); else points are expected in metres, in \
-     the body frame of their agent (docs/log-format.md)",
+     the body frame of their agent (docs/reference/log-format.md)",
 );
 const NAN_POINTS: Counter = Counter::plain("nan_points", "points left out: not finite");
 const OUT_OF_RANGE_POINTS: Counter = Counter::plain("out_of_range_points", "points left out: outside the model's grid");
@@ -109,7 +109,7 @@ impl Operator for PillarEncoder {
             precision: &settings.precision,
             threads: settings.threads,
         };
-        let loaded = realo_nn::load(&settings.model, kernels)?;
+        let loaded = realo_methods::load(&settings.model, kernels)?;
         loaded.model.check_frame(&settings.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),
@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn arguments_name_all_instructions_and_number_types() {
-        let isas = realo_nn::conv::Isa::ALL.map(|isa| isa.to_string());
+        let isas = realo_kernels::conv::Isa::ALL.map(|isa| isa.to_string());
         let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
         for (argument, names) in [("isa", &isas[..]), ("precision", &precisions[..])] {
             let mut arguments = <Settings as realo_operator::StageSettings>::ARGUMENTS.iter();

@@ -30,19 +30,19 @@ const UNUSABLE_OBJECTS: Counter = Counter::loss(
     "unusable_objects",
     "objects of CPMs that make no box",
     "objects of CPMs were left out, because they lack a position, length, width or angle, or the time of their measurement",
-    "their sender has to say these (docs/transmission.md, \"From other stacks\")",
+    "their sender has to say these (docs/reference/packets.md, \"From other stacks\")",
 );
 const ASSUMED_OBJECTS: Counter = Counter::loss(
     "assumed_objects",
     "boxes of CPMs of which something was assumed",
     "boxes of CPMs have a height, angle, class or score that was assumed, because their sender does not say it",
-    "docs/transmission.md, \"From other stacks\", has what is assumed",
+    "docs/reference/packets.md, \"From other stacks\", has what is assumed",
 );
 const UNREAD_CONTAINERS: Counter = Counter::loss(
     "unread_containers",
     "containers of CPMs that are not read",
     "containers of CPMs were not read",
-    "objects are taken from perceived object containers only (docs/transmission.md)",
+    "objects are taken from perceived object containers only (docs/reference/packets.md)",
 );
 const SEGMENTS: Counter = Counter::loss(
     "segments",

@@ -164,7 +164,7 @@ OURS = {
 
 
 def ours(codec, case):
-    """The CPM of a case, by the rules that docs/transmission.md states."""
+    """The CPM of a case, by the rules that docs/reference/packets.md states."""
     there = Local(*case["origin"])
     x, y, z, yaw = case["pose"]
     longitude, latitude, height = there.place((x, y, z))

@@ -306,7 +306,7 @@ pub fn open_doors(graph: &FlatGraph) -> Vec<String> {
     let line = |node: &realo_graph::FlatNode| {
         format!(
             "node `{}` listens on {} and takes messages of everybody who can reach it; to require keys: `realo keys new`, \
-             then --set {}.key=FILE --set {}.trust=FILE (docs/machines.md)",
+             then --set {}.key=FILE --set {}.trust=FILE (docs/reference/machines.md)",
             node.id,
             given(node, "listen").unwrap_or_default(),
             node.id,

@@ -100,7 +100,7 @@ pub struct Args {
 /// What changes a graph, whoever runs it.
 #[derive(clap::Args, Clone)]
 pub struct Choices {
-    /// Channel model of the links: a name, a file, or settings: delay_ms=90,loss=0.05 (docs/links.md)
+    /// Channel model of the links: a name, a file, or settings: delay_ms=90,loss=0.05 (docs/reference/links.md)
     #[arg(long)]
     pub link: Option<String>,
     /// Agents report the detections that the log recorded
@@ -127,7 +127,7 @@ pub struct Choices {
     /// node.key=value: changes an argument of a node
     #[arg(long)]
     pub set: Vec<String>,
-    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/compose.md)
+    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/reference/plugins.md)
     #[arg(long)]
     pub replace: Vec<String>,
 }

@@ -89,7 +89,7 @@ pub fn remedies(share: f64) -> String {
         false => (share * 90.0).floor().max(1.0) / 100.0,
     };
     format!(
-        "play with `--rate {slower}`, or take a model of int8 (--model, docs/networks.md), recorded detections \
+        "play with `--rate {slower}`, or take a model of int8 (--model, docs/reference/networks.md), recorded detections \
          (--recorded-detections), or --mode virtual"
     )
 }

@@ -268,7 +268,7 @@ fn report_machines(graph: &FlatGraph, path: &Path) {
     if !machines.is_empty() {
         eprintln!(
             "realo: {}: what it has for the machines {} runs on this one; `dora start --attach {0}` starts it on theirs \
-             (docs/machines.md)",
+             (docs/reference/machines.md)",
             path.display(),
             machines.join(", ")
         );

@@ -1,11 +1,12 @@
 //! From a frame to what a network learns from: an ego, its collaborators, their merged cloud, augmented, as pillars with
 //! targets.
 
+use crate::targets::{Object, Targets, assign};
 use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
+use realo_methods::Model;
+use realo_methods::detect::pillars::{Pillariser, Points};
 use realo_nn::anchors::Anchors;
-use realo_nn::model::{Grid, Model};
-use realo_nn::pillars::{Pillariser, Points};
-use realo_nn::targets::{Object, Targets, assign};
+use realo_nn::model::Grid;
 use serde::{Deserialize, Serialize};
 
 use super::crowd::{clear, crowd};

@@ -7,9 +7,10 @@ use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use realo_nn::model::{Frame, Model, ModelFile};
+use realo_methods::Kernels;
+use realo_methods::Model;
+use realo_nn::model::{Frame, ModelFile};
 use realo_nn::weights::{Weights, sha256};
-use realo_nn::{Kernels, loss};
 
 use super::source::{Filling, Source};
 use super::time::{Pace, Time};
@@ -378,7 +379,7 @@ impl<'a> Training<'a> {
         } = &mut self.state;
         let step = optimizer.steps;
         let how = &self.options.optimizer;
-        let weights = loss::LossWeights::default();
+        let weights = crate::loss::LossWeights::default();
         let pass = match &batch.input {
             Input::Points(pillars) => network.pass(pillars, &batch.targets, &weights)?,
             Input::Maps(samples) => network.pass_on_maps(samples, &batch.targets, &weights)?,
@@ -422,7 +423,7 @@ impl<'a> Training<'a> {
             Some(start) => Some(self.scored(&self.network_of(start)?, true)?),
             None if self.writes_beside_model() => None,
             // Weights that cannot be loaded are not what the user would lose.
-            None => match realo_nn::load(&self.options.model, Kernels::auto(1)) {
+            None => match realo_methods::load(&self.options.model, Kernels::auto(1)) {
                 Ok(loaded) => Some(self.scored(&self.network_of(&loaded.weights)?, false)?),
                 Err(_) => None,
             },
