@@ -1,16 +1,5 @@
 //! Replays a log into both lanes of a graph: the ego's, and that of the agents that collaborate with it.
 //!
-//! | output | type | content |
-//! |---|---|---|
-//! | `ego_clouds` | PointCloud | the ego's sweeps |
-//! | `ego_poses` | AgentState | the ego's poses, as recorded or true |
-//! | `ego_recorded` | Boxes | detections recorded for the ego's sweeps; same seq and stamp |
-//! | `clouds` | PointCloud | the collaborators' sweeps |
-//! | `poses` | AgentState | their poses |
-//! | `recorded` | Boxes | their recorded detections |
-//! | `truth` | GroundTruth | one for each of the ego's sweeps, in its true body frame |
-//! | `packets` | Packet | with `precomputed`, what the collaborators give to the link; their sweeps then have no points |
-//!
 //! Messages leave in order of their time on the log's line; at equal times poses go first, then clouds, recorded
 //! detections, packets, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
 //! up to the cut and counted as `log_truncated`. Body frames that tilt are levelled by their poses

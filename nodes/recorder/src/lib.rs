@@ -1,15 +1,5 @@
 //! Records what a graph perceived: an MCAP file of standard ROS 2 messages.
 //!
-//! | input | type | recorded as |
-//! |---|---|---|
-//! | `boxes` | Boxes | `/<agent>/boxes`, `…_info`, `…_markers`: the final boxes; [`read_boxes`] restores them bit for bit |
-//! | `ego_boxes`, `other_boxes` | Boxes | `/<agent>/detections`, `…_info`: what each agent detected alone; [`read_detections`] |
-//! | `ego_state`, `states` | AgentState | `/<agent>/pose`, `/tf` |
-//! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers`, `…_views`; `/<agent>/own_labels` and the same |
-//! | `packets`, `state_packets` | Packet | `/packets`: their headers and sizes |
-//! | `evaluation`, `bank`, `fusion`, `link`, `link_state` | Report | `/reports`: JSON |
-//! | `ego_clouds`, `clouds` | PointCloud | `/<agent>/points`, if the argument `clouds` asks for it |
-//!
 //! The books of all nodes end `/reports`. Log time is ready, publish time the stamp. The file grows at least every half
 //! second of log time: the recording of a run that was killed can be read.
 

@@ -1,13 +1,5 @@
 //! What an agent's sensors gave, as a log.
 //!
-//! | input | type | recorded as |
-//! |---|---|---|
-//! | `clouds` | PointCloud | `/<agent>/points` and `/<agent>/sweeps` |
-//! | `poses` | AgentState | `/<agent>/pose`, `/tf` |
-//! | `recorded` | Boxes | `/<agent>/detections`, `…_info` |
-//! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers`, with the agent's own points; `…_views`; `/<agent>/own_labels` and theirs |
-//! | `peers` | Report | how far the clocks of others lie from the agent's, by which `realo merge` joins logs |
-//!
 //! Stamps and ready times are those of the messages. The file grows at least every half second of log time: that of a run that
 //! was killed can be read.
 

@@ -1,11 +1,5 @@
 //! The node `results`: closes the books of a run and writes the files of its folder, and reads them again.
 //!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `boxes` | Boxes | the final boxes |
-//! | in `truth` | GroundTruth | one for every sweep of the ego; without it the sweeps that gave no boxes are not known |
-//! | in `evaluation` | Report | topic `evaluation`, of the evaluator |
-//!
 //! | file | type | content |
 //! |---|---|---|
 //! | `result.json` | [`RunResult`] | scores, accounting, ages; written last, so it says that the run is complete |

@@ -1,14 +1,4 @@
 //! From BEV maps to boxes: the heads of a PointPillars model, decoded.
-//!
-//! | port | direction | types | meaning |
-//! |---|---|---|---|
-//! | `features` | in, latest | FeatureMap | BEV maps of the same model, f32 |
-//! | `boxes` | out | Boxes | what scores more than the threshold, best first, in the map's frame; duplicates stay for `nms` |
-//!
-//! | counter | meaning |
-//! |---|---|
-//! | `over_limit_boxes` | boxes above the threshold beyond the 1,000 best |
-//! | `invalid_boxes` | decoded boxes with numbers that are not finite |
 
 use std::path::PathBuf;
 

@@ -1,10 +1,4 @@
 //! Scores boxes against ground truth by a protocol, in a graph.
-//!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `truth` | GroundTruth | one for every sweep of the ego, in its true body frame |
-//! | in `boxes` | Boxes | what was detected, in the ego's body frame; joined with `truth` by (agent, seq) |
-//! | out `report` | Report | topic `evaluation`, at the end: an [`EvaluationReport`] |
 
 #[cfg(test)]
 mod tests;

@@ -1,13 +1,6 @@
 //! The feature bank: holds what collaborators sent, of any payload, and answers each message of the ego with what to
 //! fuse. Online nobody waits for a collaborator, unless the graph gives the bank patience.
 //!
-//! | port | direction | types | meaning |
-//! |---|---|---|---|
-//! | `ego` | in, all, query | PointCloud, FeatureMap, Boxes | what the ego says of itself; each message is a query |
-//! | `others` | in, all | PointCloud, FeatureMap, Boxes | what collaborators say |
-//! | `fused` | in, all, optional | Selection | what another bank selected for the ego's message of the same seq |
-//! | `selections` | out | Selection | exactly one for each query, with the query's header |
-//!
 //! **Online** a query takes, of each sender, the message of newest stamp that was ready when the query was, unless it
 //! is older than the window (age = the query's ready - the message's stamp).
 //! With `patience_ms` a query of whose senders one is due (a whole number of its periods after its newest message came, at

@@ -1,12 +1,6 @@
 //! Late fusion: brings the boxes of selected collaborators to the ego's body frame and lists them after the ego's own.
 //! Duplicates stay; the next stage is `nms`, whose order at equal scores is the order here.
 //!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `ego` | Boxes | the ego's detections; joined with `selections` by (agent, seq) |
-//! | in `selections` | Selection | what the bank chose for the ego's message of that seq |
-//! | out `proposals` | Boxes | the ego's boxes, then those of the collaborators by agent name and index, in the ego's frame |
-//!
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers. The motion of objects between the
 //! stamps is not removed.
 

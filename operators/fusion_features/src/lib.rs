@@ -1,12 +1,6 @@
 //! Intermediate fusion: brings the BEV maps of selected collaborators to the ego's and fuses them, as the model's `arch`
 //! says.
 //!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `ego` | FeatureMap | the ego's map; joined with `selections` by (agent, seq) |
-//! | in `selections` | Selection | what the bank chose for the ego's map of that seq |
-//! | out `features` | FeatureMap | one map for the heads, in the ego's frame |
-//!
 //! Maps of another model, size or place, and maps with numbers that are none are rejected, with an error that says why; the
 //! others are fused. A collaborator's map is turned
 //! and shifted as the ground moves from its frame at its stamp to the ego's at the ego's; in cells that it does not cover

@@ -1,15 +1,5 @@
 //! Early fusion: brings the points of selected collaborators to the ego's body frame and puts them behind the ego's own.
 //!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `ego` | PointCloud | the ego's sweep; joined with `selections` by (agent, seq) |
-//! | in `selections` | Selection | what the bank chose for the ego's sweep of that seq |
-//! | out `clouds` | PointCloud | the ego's points, then those of the collaborators by agent name, in the ego's frame |
-//!
-//! | counter | meaning |
-//! |---|---|
-//! | `empty_sweeps` | sweeps without a point within 300 m of the ego, of each agent |
-//!
 //! The transform is `ego_from_sender` of the two stamps, from the poses in the headers; times are offsets from the ego's
 //! stamp. The motion of objects between the stamps is not removed.
 

@@ -1,15 +1,5 @@
 //! The link between agents: a channel model on the true bytes of packets, and the range gate before it.
 //!
-//! | port | direction | types | meaning |
-//! |---|---|---|---|
-//! | `ego_state` | in, all, state | AgentState | where the ego is |
-//! | `states` | in, all, state | AgentState | where the others are |
-//! | `ego` | in, all, optional | Packet | what the ego sends |
-//! | `others`, `fallback`, `last_fallback` | in, all, optional | Packet | what the others send; the same moments in fallback forms |
-//! | `to_ego` | out | Packet | the others' packets, delivered to the ego |
-//! | `to_others` | out | Packet | the ego's packets, a copy for each other agent that is known |
-//! | `report` | out | Report | topic `link`: what crossed each channel, at the end |
-//!
 //! Delivered packets name their receiver in `header.to`; their `ready` is the time of sending plus the delay, exact in
 //! nanoseconds. Others are known once their state or a packet of theirs came in, the ego by the argument `ego` or once
 //! its own state or packet did; what comes in for nobody counts as `no_receiver`.

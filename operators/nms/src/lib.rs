@@ -1,10 +1,5 @@
 //! Rotated non-maximum suppression on the ground plane.
 //!
-//! | port | type | content |
-//! |---|---|---|
-//! | in `proposals` | Boxes | detections in any order, one frame |
-//! | out `boxes` | Boxes | the boxes without duplicates, best score first |
-//!
 //! A box is dropped if a kept one of better score (at equal scores: of lower index) has an IoU above the threshold with
 //! it. Before that: invalid boxes (NaN, an extent that is not positive, a score outside [0, 1]) are rejected and counted,
 //! boxes outside the region and below the smallest score are dropped, and only the best `max_boxes` stay candidates. With `vote`,

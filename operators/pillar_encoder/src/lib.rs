@@ -1,16 +1,5 @@
 //! From sweeps to BEV maps: pillars, the pillar net and the backbone of a PointPillars model.
 //!
-//! | port | direction | types | meaning |
-//! |---|---|---|---|
-//! | `clouds` | in, latest | PointCloud | sweeps in the agent's body frame |
-//! | `features` | out | FeatureMap | the BEV map `[rows, columns, channels]`, f32, in the sweep's frame |
-//!
-//! | counter | meaning |
-//! |---|---|
-//! | `empty_sweeps` | sweeps without a point in the model's volume |
-//! | `nan_points`, `out_of_range_points` | points that are no numbers, or outside the model's volume |
-//! | `over_points`, `over_pillars` | points beyond what a pillar takes, or of pillars beyond what a sweep may have |
-//!
 //! With `confidence=true` the model's head reads the map as well, and what it thinks of each cell goes with the map: a
 //! `transmission-encoder` may then send the cells that matter.
 //!

@@ -1,15 +1,4 @@
 //! Brings sweeps to the ego's frame where they are sent, by what the ego reported of itself; or leaves that to the receiver.
-//!
-//! | port | direction | types | meaning |
-//! |---|---|---|---|
-//! | `clouds` | in, latest | PointCloud | an agent's sweeps |
-//! | `state` | in, state, optional | AgentState | the ego's states as they arrive, for `project=sender` |
-//! | `projected` | out | PointCloud | the same sweeps; with `project=sender` in the ego's body frame at the stamp of its newest known state |
-//!
-//! | counter | meaning |
-//! |---|---|
-//! | `no_ego_state` | sweeps that were not sent on, for no state of the ego had arrived |
-//! | `of_another` | states of agents that nothing is projected for, which count as superseded |
 
 use std::collections::BTreeMap;
 

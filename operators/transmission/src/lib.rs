@@ -2,17 +2,7 @@
 //!
 //! `transmission-encoder`
 //!
-//! | port | direction | types | meaning |
-//! |---|---|---|---|
-//! | `messages` | in, latest | PointCloud, FeatureMap, Boxes, AgentState | what an agent says |
-//! | `packets` | out | Packet | the same as bytes |
-//!
 //! `transmission-decoder`
-//!
-//! | port | direction | types | meaning |
-//! |---|---|---|---|
-//! | `packets` | in, latest | Packet | what a link delivered |
-//! | `messages` | out | PointCloud, FeatureMap, Boxes, AgentState | what the sender said |
 //!
 //! Of maps that tell how sure their maker is of each cell those may cross that `min_confidence` and `budget_bytes` choose. Maps of f32
 //! are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as

@@ -63,17 +63,6 @@ impl Arch {
             *method = method.with_compression(compression);
         }
     }
-
-    /// V2X-ReaLO, Table III: how long the paper's network of this kind took, ns.
-    pub fn paper_inference(&self) -> Option<u64> {
-        match self.name() {
-            ALONE => Some(43_700_000),
-            "fcooper" => Some(61_600_000),
-            "attfuse" => Some(68_600_000),
-            "v2xvit" => Some(118_200_000),
-            _ => None,
-        }
-    }
 }
 
 impl Architecture for Arch {
