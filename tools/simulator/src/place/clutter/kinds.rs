@@ -23,92 +23,103 @@ pub(super) enum Lining {
     Bare,
 }
 
-/// How often stretches have what lining, by the kind of the verge; weights.
-pub(super) fn linings(kind: VergeKind) -> &'static [(Lining, f64)] {
-    use Lining::*;
+/// Linings and how often stretches of a verge have them, as weights.
+type Linings = [(Lining, f64)];
+
+const GARDEN: &Linings = &[
+    (Lining::Hedge, 5.0),
+    (Lining::WalledHedge, 3.0),
+    (Lining::Shrubs, 3.0),
+    (Lining::Trees, 2.0),
+    (Lining::Wall, 3.0),
+    (Lining::Fence, 1.5),
+    (Lining::Furniture, 1.5),
+    (Lining::Works, 0.3),
+    (Lining::Bare, 1.0),
+];
+const STREET: &Linings = &[
+    (Lining::Furniture, 3.0),
+    (Lining::Bicycles, 3.0),
+    (Lining::Shelter, 0.5),
+    (Lining::Hedge, 3.0),
+    (Lining::Shrubs, 3.0),
+    (Lining::Trees, 2.0),
+    (Lining::Wall, 1.0),
+    (Lining::Fence, 0.7),
+    (Lining::Works, 0.6),
+    (Lining::Bare, 1.0),
+];
+const PARK: &Linings = &[
+    (Lining::Hedge, 3.0),
+    (Lining::WalledHedge, 1.5),
+    (Lining::Shrubs, 5.0),
+    (Lining::Trees, 4.0),
+    (Lining::Grass, 2.0),
+    (Lining::Wall, 2.5),
+    (Lining::Fence, 1.0),
+    (Lining::Furniture, 1.5),
+    (Lining::Bicycles, 0.5),
+    (Lining::Shelter, 0.3),
+    (Lining::Works, 0.3),
+    (Lining::Bare, 1.0),
+];
+const FIELD: &Linings = &[
+    (Lining::Grass, 5.0),
+    (Lining::Shrubs, 3.0),
+    (Lining::Trees, 2.0),
+    (Lining::Hedge, 1.0),
+    (Lining::Rail, 1.0),
+    (Lining::Fence, 1.0),
+    (Lining::Furniture, 1.0),
+    (Lining::Bare, 2.0),
+];
+const EMBANKMENT: &Linings = &[
+    (Lining::Rail, 5.0),
+    (Lining::Shrubs, 4.0),
+    (Lining::Grass, 2.0),
+    (Lining::Fence, 1.0),
+    (Lining::Trees, 1.0),
+    (Lining::Furniture, 0.7),
+    (Lining::Works, 0.4),
+];
+const MEDIAN: &Linings = &[
+    (Lining::Hedge, 4.0),
+    (Lining::Rail, 2.0),
+    (Lining::Fence, 2.0),
+    (Lining::Shrubs, 1.5),
+    (Lining::Trees, 0.7),
+    (Lining::Works, 0.3),
+    (Lining::Bare, 1.5),
+];
+const CAR_PARK: &Linings = &[
+    (Lining::Hedge, 3.0),
+    (Lining::Shrubs, 2.0),
+    (Lining::Furniture, 2.0),
+    (Lining::Wall, 1.0),
+    (Lining::Fence, 1.0),
+    (Lining::Bicycles, 1.0),
+    (Lining::Trees, 1.0),
+    (Lining::Bare, 2.0),
+];
+const KERB: &Linings = &[
+    (Lining::Hedge, 6.0),
+    (Lining::Bicycles, 3.0),
+    (Lining::Furniture, 3.0),
+    (Lining::Fence, 0.3),
+    (Lining::Bare, 0.3),
+];
+
+/// How often stretches have what lining, by the kind of the verge.
+pub(super) fn linings(kind: VergeKind) -> &'static Linings {
     match kind {
-        VergeKind::Garden => &[
-            (Hedge, 5.0),
-            (WalledHedge, 3.0),
-            (Shrubs, 3.0),
-            (Trees, 2.0),
-            (Wall, 3.0),
-            (Fence, 1.5),
-            (Furniture, 1.5),
-            (Works, 0.3),
-            (Bare, 1.0),
-        ],
-        VergeKind::Street => &[
-            (Furniture, 3.0),
-            (Bicycles, 3.0),
-            (Shelter, 0.5),
-            (Hedge, 3.0),
-            (Shrubs, 3.0),
-            (Trees, 2.0),
-            (Wall, 1.0),
-            (Fence, 0.7),
-            (Works, 0.6),
-            (Bare, 1.0),
-        ],
-        VergeKind::Park => &[
-            (Hedge, 3.0),
-            (WalledHedge, 1.5),
-            (Shrubs, 5.0),
-            (Trees, 4.0),
-            (Grass, 2.0),
-            (Wall, 2.5),
-            (Fence, 1.0),
-            (Furniture, 1.5),
-            (Bicycles, 0.5),
-            (Shelter, 0.3),
-            (Works, 0.3),
-            (Bare, 1.0),
-        ],
-        VergeKind::Field => &[
-            (Grass, 5.0),
-            (Shrubs, 3.0),
-            (Trees, 2.0),
-            (Hedge, 1.0),
-            (Rail, 1.0),
-            (Fence, 1.0),
-            (Furniture, 1.0),
-            (Bare, 2.0),
-        ],
-        VergeKind::Embankment => &[
-            (Rail, 5.0),
-            (Shrubs, 4.0),
-            (Grass, 2.0),
-            (Fence, 1.0),
-            (Trees, 1.0),
-            (Furniture, 0.7),
-            (Works, 0.4),
-        ],
-        VergeKind::Median => &[
-            (Hedge, 4.0),
-            (Rail, 2.0),
-            (Fence, 2.0),
-            (Shrubs, 1.5),
-            (Trees, 0.7),
-            (Works, 0.3),
-            (Bare, 1.5),
-        ],
-        VergeKind::CarPark => &[
-            (Hedge, 3.0),
-            (Shrubs, 2.0),
-            (Furniture, 2.0),
-            (Wall, 1.0),
-            (Fence, 1.0),
-            (Bicycles, 1.0),
-            (Trees, 1.0),
-            (Bare, 2.0),
-        ],
-        VergeKind::Kerb => &[
-            (Hedge, 6.0),
-            (Bicycles, 3.0),
-            (Furniture, 3.0),
-            (Fence, 0.3),
-            (Bare, 0.3),
-        ],
+        VergeKind::Garden => GARDEN,
+        VergeKind::Street => STREET,
+        VergeKind::Park => PARK,
+        VergeKind::Field => FIELD,
+        VergeKind::Embankment => EMBANKMENT,
+        VergeKind::Median => MEDIAN,
+        VergeKind::CarPark => CAR_PARK,
+        VergeKind::Kerb => KERB,
     }
 }
 

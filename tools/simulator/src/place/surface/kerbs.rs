@@ -12,13 +12,20 @@ fn round_union(a: f64, b: f64, radius: f64) -> f64 {
     radius.max(a.min(b)) - (u * u + v * v).sqrt()
 }
 
-impl Surface {
-    pub(super) fn kerbs(roads: &[Road], nodes: &[Node], bounds: [f64; 4], corner: f64) -> (Field<f32>, Field<Ground>) {
-        let mut kerb = Field::new(bounds, CELL, FARTHEST as f32);
-        let mut ground = Field::new(bounds, CELL, Ground::Green);
-        let mut nearest = vec![f64::INFINITY; kerb.values.len()];
+/// What kerbs and ground are as far as roads and nodes have been added.
+struct KerbPlan {
+    kerb: Field<f32>,
+    ground: Field<Ground>,
+    /// Radius of corners, m.
+    corner: f64,
+}
+
+impl KerbPlan {
+    /// Roads that go on in each other, and the islands between their lanes.
+    fn add_strands(&mut self, roads: &[Road], nodes: &[Node], bounds: [f64; 4]) {
+        let mut nearest = vec![f64::INFINITY; self.kerb.values.len()];
         let mut islands = Vec::new();
-        let mut strand_kerb = vec![f64::INFINITY; kerb.values.len()];
+        let mut strand_kerb = vec![f64::INFINITY; self.kerb.values.len()];
         for strand in strands(roads, nodes) {
             let mut touched = Vec::new();
             for road in strand.into_iter().map(|road| &roads[road]) {
@@ -27,11 +34,11 @@ impl Surface {
                 let widest = section
                     .outer(0)
                     .max(section.outer(1))
-                    .max(section.half() + bays + corner);
+                    .max(section.half() + bays + self.corner);
                 let at = beside(&road.line, bounds, CELL, widest + BESIDE);
                 let length = road.line.length();
                 let [from, to] = road.span();
-                for (i, place) in at.found(&kerb) {
+                for (i, place) in at.found(&self.kerb) {
                     let (s, across) = (f64::from(place.along), f64::from(place.across));
                     let side = usize::from(across > 0.0);
                     let ends = (road.caps[0] - s).max(s - (length - road.caps[1]));
@@ -46,50 +53,70 @@ impl Surface {
                     if out < nearest[i] {
                         nearest[i] = out;
                         let paved = across.abs() < section.outer(side) + 0.01 && ends <= 0.0;
-                        ground.values[i] = if paved { Ground::Paving } else { Ground::Green };
+                        self.ground.values[i] = if paved { Ground::Paving } else { Ground::Green };
                     }
                 }
             }
             for i in touched {
-                kerb.values[i] = round_union(f64::from(kerb.values[i]), strand_kerb[i], corner) as f32;
+                self.kerb.values[i] = round_union(f64::from(self.kerb.values[i]), strand_kerb[i], self.corner) as f32;
                 strand_kerb[i] = f64::INFINITY;
             }
         }
         for (i, island) in islands {
-            kerb.values[i] = f64::from(kerb.values[i]).max(island) as f32;
+            self.kerb.values[i] = f64::from(self.kerb.values[i]).max(island) as f32;
             if island > 0.0 {
-                ground.values[i] = Ground::Green;
+                self.ground.values[i] = Ground::Green;
             }
         }
+    }
+
+    fn add_turning_places(&mut self, roads: &[Road]) {
         for (x, y, radius) in turning_places(roads) {
-            let [c0, c1, r0, r1] = kerb.around(x, y, radius + corner);
+            let [c0, c1, r0, r1] = self.kerb.around(x, y, radius + self.corner);
             for (row, column) in (r0..r1).flat_map(|row| (c0..c1).map(move |column| (row, column))) {
-                let i = row * kerb.columns + column;
-                let (dx, dy) = (kerb.node(i).0 - x, kerb.node(i).1 - y);
+                let i = row * self.kerb.columns + column;
+                let (dx, dy) = (self.kerb.node(i).0 - x, self.kerb.node(i).1 - y);
                 let outside = (dx * dx + dy * dy).sqrt() - radius;
-                kerb.values[i] = round_union(f64::from(kerb.values[i]), outside, corner) as f32;
+                self.kerb.values[i] = round_union(f64::from(self.kerb.values[i]), outside, self.corner) as f32;
             }
         }
+    }
+
+    fn add_rings(&mut self, nodes: &[Node]) {
         for node in nodes {
             let Control::Roundabout { radius, width } = node.control else {
                 continue;
             };
-            let reach = radius + 0.5 * width + corner + BESIDE;
-            let [c0, c1, r0, r1] = kerb.around(node.at[0], node.at[1], reach);
+            let reach = radius + 0.5 * width + self.corner + BESIDE;
+            let [c0, c1, r0, r1] = self.kerb.around(node.at[0], node.at[1], reach);
             for (row, column) in (r0..r1).flat_map(|row| (c0..c1).map(move |column| (row, column))) {
-                let i = row * kerb.columns + column;
-                let (x, y) = kerb.node(i);
+                let i = row * self.kerb.columns + column;
+                let (x, y) = self.kerb.node(i);
                 let (dx, dy) = (x - node.at[0], y - node.at[1]);
                 let distance = (dx * dx + dy * dy).sqrt();
                 let outside = distance - radius - 0.5 * width;
                 let island = radius - 0.5 * width - distance;
-                let out = round_union(f64::from(kerb.values[i]), outside, corner).max(island);
-                kerb.values[i] = out as f32;
+                let out = round_union(f64::from(self.kerb.values[i]), outside, self.corner).max(island);
+                self.kerb.values[i] = out as f32;
                 if outside < 3.5 {
-                    ground.values[i] = if outside < 0.0 { Ground::Green } else { Ground::Paving };
+                    self.ground.values[i] = if outside < 0.0 { Ground::Green } else { Ground::Paving };
                 }
             }
         }
+    }
+}
+
+impl Surface {
+    pub(super) fn kerbs(roads: &[Road], nodes: &[Node], bounds: [f64; 4], corner: f64) -> (Field<f32>, Field<Ground>) {
+        let mut plan = KerbPlan {
+            kerb: Field::new(bounds, CELL, FARTHEST as f32),
+            ground: Field::new(bounds, CELL, Ground::Green),
+            corner,
+        };
+        plan.add_strands(roads, nodes, bounds);
+        plan.add_turning_places(roads);
+        plan.add_rings(nodes);
+        let KerbPlan { kerb, mut ground, .. } = plan;
         // Corners of the pavements at nodes belong to it, whichever road is the nearest.
         for (i, out) in kerb.values.iter().enumerate() {
             if *out <= 0.0 {

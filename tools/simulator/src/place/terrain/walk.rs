@@ -18,93 +18,135 @@ impl Terrain {
     /// For flat rays: walks the cells where the ray is between the field's highest and lowest point.
     fn walk(&self, origin: [f64; 3], ray: [f64; 3], lift: f64, [from, limit]: [f64; 2]) -> Option<f64> {
         let down = 1.0 / ray[2];
-        let mut t = ((self.highest + lift - origin[2]) * down).max(from);
+        let t = ((self.highest + lift - origin[2]) * down).max(from);
         let end = ((self.lowest + lift - origin[2]) * down + 1e-6).min(limit);
         if t >= end {
             return None;
         }
-        let (u0, v0) = (
-            (origin[0] + self.half) * self.per_metre,
-            (origin[1] + self.half) * self.per_metre,
-        );
         let (du, dv) = (ray[0] * self.per_metre, ray[1] * self.per_metre);
-        let (u, v) = (u0 + du * t, v0 + dv * t);
+        let line = Line {
+            z: origin[2],
+            dz: ray[2],
+            lift,
+            u: Axis::new((origin[0] + self.half) * self.per_metre, du),
+            v: Axis::new((origin[1] + self.half) * self.per_metre, dv),
+            end,
+        };
+        let (u, v) = (line.u.at(t), line.v.at(t));
         let last = (NODES - 2) as f64;
         if !(0.0..=last).contains(&u) || !(0.0..=last).contains(&v) {
             return None;
         }
-        let (step_u, step_v) = (if du < 0.0 { -1 } else { 1 }, if dv < 0.0 { -1 } else { 1 });
-        let border = |cell: i32, step: i32| f64::from(if step > 0 { cell + 1 } else { cell });
-        let (inv_u, inv_v) = (1.0 / du, 1.0 / dv);
-        // Whole blocks are leapt over while the ray stays above their highest points.
-        let (mut a, mut b) = (u as i32 / BLOCK, v as i32 / BLOCK);
+        let (t, block) = self.leap(&line, t, [u as i32 / BLOCK, v as i32 / BLOCK])?;
+        self.walk_cells(&line, t, block)
+    }
+
+    /// Leaps over whole blocks while the ray stays above their highest points: where it is then, and in which block.
+    #[inline(always)]
+    fn leap(&self, line: &Line, mut t: f64, [mut a, mut b]: [i32; 2]) -> Option<(f64, [i32; 2])> {
+        let edge = |block: i32, step: i32| f64::from(if step > 0 { (block + 1) * BLOCK } else { block * BLOCK });
         loop {
-            let edge = |block: i32, step: i32| f64::from(if step > 0 { (block + 1) * BLOCK } else { block * BLOCK });
-            let to_u = if du == 0.0 {
-                f64::INFINITY
-            } else {
-                (edge(a, step_u) - u0) * inv_u
-            };
-            let to_v = if dv == 0.0 {
-                f64::INFINITY
-            } else {
-                (edge(b, step_v) - v0) * inv_v
-            };
-            let out = to_u.min(to_v).min(end).max(t);
-            if origin[2] + ray[2] * out - lift <= f64::from(self.tops[(b * BLOCKS + a) as usize]) {
-                break;
+            let to_u = line.u.reaches(edge(a, line.u.step));
+            let to_v = line.v.reaches(edge(b, line.v.step));
+            let out = to_u.min(to_v).min(line.end).max(t);
+            if line.z + line.dz * out - line.lift <= f64::from(self.tops[(b * BLOCKS + a) as usize]) {
+                return Some((t, [a, b]));
             }
-            if out >= end {
+            if out >= line.end {
                 return None;
             }
             t = out;
             if to_u < to_v {
-                a += step_u
+                a += line.u.step
             } else {
-                b += step_v
+                b += line.v.step
             }
             if a < 0 || b < 0 || a >= BLOCKS || b >= BLOCKS {
                 return None;
             }
         }
+    }
+
+    /// Where the ray comes down to the ground, cell by cell from a place in a block.
+    #[inline(always)]
+    fn walk_cells(&self, line: &Line, mut t: f64, [a, b]: [i32; 2]) -> Option<f64> {
+        let border = |cell: i32, step: i32| f64::from(if step > 0 { cell + 1 } else { cell });
         let within = |cell: f64, block: i32| (cell as i32).clamp(block * BLOCK, block * BLOCK + BLOCK - 1);
-        let (mut i, mut j) = (within(u0 + du * t, a), within(v0 + dv * t, b));
-        let mut next_u = if du == 0.0 {
-            f64::INFINITY
-        } else {
-            (border(i, step_u) - u0) * inv_u
-        };
-        let mut next_v = if dv == 0.0 {
-            f64::INFINITY
-        } else {
-            (border(j, step_v) - v0) * inv_v
-        };
+        let (mut i, mut j) = (within(line.u.at(t), a), within(line.v.at(t), b));
+        let mut next_u = line.u.reaches(border(i, line.u.step));
+        let mut next_v = line.v.reaches(border(j, line.v.step));
         let over =
-            |i: i32, j: i32, t: f64| origin[2] + ray[2] * t - lift - self.in_cell(i, j, u0 + du * t, v0 + dv * t);
+            |i: i32, j: i32, t: f64| line.z + line.dz * t - line.lift - self.in_cell(i, j, line.u.at(t), line.v.at(t));
         let mut above = over(i, j, t);
         if above <= 0.0 {
             return Some(t);
         }
         loop {
-            let out = next_u.min(next_v).min(end).max(t);
+            let out = next_u.min(next_v).min(line.end).max(t);
             let above_out = over(i, j, out);
             if above_out <= 0.0 {
                 return Some(root(t, above, out, above_out, |t| over(i, j, t)));
             }
-            if out >= end {
+            if out >= line.end {
                 return None;
             }
             (t, above) = (out, above_out);
             if next_u < next_v {
-                i += step_u;
-                next_u = (border(i, step_u) - u0) * inv_u;
+                i += line.u.step;
+                next_u = (border(i, line.u.step) - line.u.from) * line.u.inverse;
             } else {
-                j += step_v;
-                next_v = (border(j, step_v) - v0) * inv_v;
+                j += line.v.step;
+                next_v = (border(j, line.v.step) - line.v.from) * line.v.inverse;
             }
             if i < 0 || j < 0 || i > NODES as i32 - 2 || j > NODES as i32 - 2 {
                 return None;
             }
+        }
+    }
+}
+
+/// A ray over the terrain, along its axes in cells.
+struct Line {
+    z: f64,
+    dz: f64,
+    lift: f64,
+    u: Axis,
+    v: Axis,
+    /// Where it is below all ground, or ends.
+    end: f64,
+}
+
+/// A ray's way along one axis of the terrain.
+struct Axis {
+    from: f64,
+    per_t: f64,
+    inverse: f64,
+    /// To which neighbour it goes.
+    step: i32,
+}
+
+impl Axis {
+    #[inline(always)]
+    fn new(from: f64, per_t: f64) -> Axis {
+        Axis {
+            from,
+            per_t,
+            inverse: 1.0 / per_t,
+            step: if per_t < 0.0 { -1 } else { 1 },
+        }
+    }
+
+    #[inline(always)]
+    fn at(&self, t: f64) -> f64 {
+        self.from + self.per_t * t
+    }
+
+    /// When it reaches a border; never where it goes along it.
+    #[inline(always)]
+    fn reaches(&self, border: f64) -> f64 {
+        match self.per_t == 0.0 {
+            true => f64::INFINITY,
+            false => (border - self.from) * self.inverse,
         }
     }
 }

@@ -8,6 +8,32 @@ use super::{Conflict, Kind, Lanes, Mouth, Over, Zebra, lane};
 use crate::path::{Path, Pose2, angle_within};
 use crate::place::{Control, Network, Node};
 
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    Left,
+    Straight,
+    Right,
+}
+
+/// The lane on which one goes on in a direction, if one may; `leads`: riders go that way; `driving`: lanes that come in.
+fn exit(from: &Mouth, outgoing: &[Mouth], direction: Direction, leads: bool, driving: usize) -> Option<Mouth> {
+    let exits = || outgoing.iter().copied().filter(|mouth| mouth.strip.index.is_some());
+    let numbered = |index: usize| exits().find(|mouth| mouth.strip.index == Some(index));
+    let outermost = || exits().max_by_key(|mouth| mouth.strip.index);
+    match (from.strip.index, direction) {
+        // Where no cycle lane goes on, riders go on in the outermost lane.
+        (None, _) if leads => {
+            let cycle = outgoing.iter().copied().find(|mouth| mouth.strip.index.is_none());
+            cycle.or(outermost())
+        }
+        (None, _) => None,
+        (Some(index), Direction::Straight) => numbered(index).or(outermost().filter(|_| driving == 1)),
+        (Some(0), Direction::Left) => numbered(0),
+        (Some(index), Direction::Right) if index + 1 == driving => outermost(),
+        (Some(_), _) => None,
+    }
+}
+
 impl Lanes {
     pub(super) fn join(&mut self, network: &Network, number: usize, node: &Node, mouths: &[[Vec<Mouth>; 2]]) {
         let first = self.lanes.len();
@@ -91,30 +117,18 @@ impl Lanes {
         let driving = incoming.iter().filter(|mouth| mouth.strip.index.is_some()).count();
         for b in others.iter().copied() {
             let outgoing = &mouths[b][1];
-            let exits: Vec<Mouth> = outgoing.iter().copied().filter(|m| m.strip.index.is_some()).collect();
             let straight = ahead == Some(b);
             let left = bend_to(b) > 0.0;
             for from in incoming {
-                let to = match from.strip.index {
-                    None if straight || ahead.is_none() && !left => {
-                        // Where no cycle lane goes on, riders go on in the outermost lane.
-                        let cycle = outgoing.iter().copied().find(|m| m.strip.index.is_none());
-                        cycle.or(exits.iter().copied().max_by_key(|m| m.strip.index))
-                    }
-                    None => None,
-                    Some(index) if straight => {
-                        let same = exits.iter().copied().find(|m| m.strip.index == Some(index));
-                        same.or(exits
-                            .iter()
-                            .copied()
-                            .max_by_key(|m| m.strip.index)
-                            .filter(|_| driving == 1))
-                    }
-                    Some(index) if left && index == 0 => exits.iter().copied().find(|m| m.strip.index == Some(0)),
-                    Some(index) if !left && index + 1 == driving => exits.iter().copied().max_by_key(|m| m.strip.index),
-                    Some(_) => None,
+                let direction = match () {
+                    () if straight => Direction::Straight,
+                    () if left => Direction::Left,
+                    () => Direction::Right,
                 };
-                let Some(to) = to else { continue };
+                let leads = direction == Direction::Straight || ahead.is_none() && direction == Direction::Right;
+                let Some(to) = exit(from, outgoing, direction, leads, driving) else {
+                    continue;
+                };
                 let [start, end] = [&self.lanes[from.lane].path, &self.lanes[to.lane].path];
                 // Who turns right goes around the kerb's corner; who turns left has all the room of the node.
                 let half = |arm: usize| network.roads[node.arms[arm].road].section.half();
