@@ -1,4 +1,4 @@
-"""Writes logs of realo from numpy arrays. Needs numpy alone; docs/log-format.md says what is written.
+"""Writes logs of realo from numpy arrays. Needs numpy alone; docs/reference/log-format.md says what is written.
 
     from realo_log import LogWriter, agent, boxes
 
@@ -166,7 +166,7 @@ def doubles(where, name, values, n):
     """`n` finite doubles; single precision is refused where it is coarser than a millimetre."""
     array = numbers(where, name, values)
     if array.size != n:
-        refuse(where, name, f"{n} numbers", f"shape {array.shape}", "see docs/log-format.md")
+        refuse(where, name, f"{n} numbers", f"shape {array.shape}", "see docs/reference/log-format.md")
     finite(where, name, array)
     given = [array.dtype] + [v.dtype for v in values if hasattr(v, "dtype")] if isinstance(values, (list, tuple)) else [array.dtype]
     for dtype in given:
@@ -341,9 +341,9 @@ def offsets(where, values, shape, there, stamp):
     if not seen.size:
         return out
     low, high = seen.min(), seen.max()
-    near = lambda unit, origin, least=0, most=1: (  # noqa: E731
+    near = lambda unit, origin, min=0, most=1: (  # noqa: E731
         max(abs(low - origin), abs(high - origin)) * unit < most * SECOND
-        and max(abs(low - origin), abs(high - origin)) * unit >= least)
+        and max(abs(low - origin), abs(high - origin)) * unit >= min)
     exact = array.dtype.kind != "f" or array.dtype.itemsize == 8
     seconds, rest = divmod(stamp, SECOND)
     if array.dtype.kind != "f":
@@ -638,7 +638,7 @@ class LogWriter:
             cdr.fixed(pose + [0] * 36)
             cdr.fixed(pose + [*b["size"][i]])
             cdr.text(b["track"][i])
-        # Boxes of no sweep have the greatest number.
+        # Boxes of no sweep have the largest number.
         info.put("QB", sweeps.get(stamp, 2**64 - 1), key)
         for column in [], b["yaw"], b["velocity"], []:
             info.array(column, "<f8")

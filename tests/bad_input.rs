@@ -9,7 +9,7 @@ use common::{folder, graph, json, realo, simulated, text};
 use realo::registry;
 use realo_graph::{FlatGraph, Graph, InputSource, Severity, validate};
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
-use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Box3, Boxes, Nanos, PointCloud, PoseStatus};
 
 fn small() -> PathBuf {
     simulated(
@@ -283,8 +283,8 @@ fn a_link_that_is_not_told_where_the_agents_are_is_refused() {
 /// Sweeps of the odd log.
 const SWEEPS: Nanos = 5;
 
-fn standing() -> EgoState {
-    EgoState {
+fn standing() -> AgentState {
+    AgentState {
         map_from_body: Default::default(),
         covariance: None,
         velocity: None,
@@ -459,7 +459,7 @@ fn a_full_disk_while_recording_fails_the_run_by_name() {
 
 #[test]
 fn a_log_that_is_played_is_never_recorded_into() {
-    let dir = folder("spared").join("recording/cav1");
+    let dir = folder("refused").join("recording/cav1");
     fs::create_dir_all(&dir).expect("a folder");
     let log = dir.join("recording.mcap");
     fs::copy(small(), &log).expect("a copy");
@@ -537,7 +537,7 @@ fn what_an_option_decides_cannot_be_set_beside_it() {
 }
 
 #[test]
-fn what_a_node_cannot_run_with_is_told_before_dora_starts() {
+fn what_a_node_cannot_run_with_is_reported_before_dora_starts() {
     let dir = folder("examined");
     let (log, out) = (small(), dir.join("out"));
     let run = [
@@ -642,7 +642,7 @@ fn what_a_node_cannot_run_with_is_found_by_validate() {
 }
 
 #[test]
-fn negative_numbers_are_told_the_range() {
+fn negative_numbers_are_reported_the_range() {
     for (args, expected) in [
         (
             &[

@@ -42,14 +42,14 @@ impl Emulated {
         Emulated { child, lines, said }
     }
 
-    fn tell(&mut self, line: &str) {
+    fn report(&mut self, line: &str) {
         let input = self.child.stdin.as_mut().expect("a pipe");
         writeln!(input, "{line}").expect("it listens");
     }
 
     /// Bytes that were carried there and back.
     fn carried(&mut self) -> [u64; 2] {
-        self.tell("stat");
+        self.report("stat");
         [0, 1].map(|_| {
             let line = self.lines.next().expect("an answer").expect("text");
             let bytes = line.split(" bytes").next().and_then(|head| head.rsplit(' ').next());
@@ -218,7 +218,7 @@ fn a_line_that_is_no_text_does_not_end_the_commands() {
 }
 
 #[test]
-fn a_name_that_is_taken_or_none_is_told_and_what_is_there_stays() {
+fn a_name_that_is_taken_or_none_is_reported_and_what_is_there_stays() {
     let taken = format!("realo{}taken", std::process::id());
     let said = text(&realo(["emulate", "--names", "a/b,roadside"]).stderr);
     assert!(said.contains("neither . nor - at the beginning, found `a/b`"), "{said}");

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use common::{counts, folder, json, realo, realo_ok, run_virtual, simulated, text};
 use realo_logs::{Log, LogWriter, Stream};
 use realo_schemas::geometry::transform_box;
-use realo_schemas::{Boxes, EgoState, Pose};
+use realo_schemas::{AgentState, Boxes, Pose};
 use serde_json::Value;
 
 fn log(seed: &str) -> PathBuf {
@@ -102,7 +102,7 @@ fn nodding(from: &Path, to: &Path) {
         let written = match entry.stream {
             Stream::Pose | Stream::PoseTruth => {
                 let state = entry.pose().expect("a pose");
-                let state = EgoState {
+                let state = AgentState {
                     map_from_body: state.map_from_body * level_from_body,
                     ..state
                 };
@@ -313,14 +313,14 @@ fn without_a_log_that_of_the_run_is_taken() {
     let recording = recording("evaluate_alone", &log);
     let args = ["evaluate".into(), "--detections".into(), recording.clone()];
     let timing = recording.with_file_name("timing.json");
-    let tell = |path: Option<&Path>| {
+    let played_from = |path: Option<&Path>| {
         let mut document = common::json(&timing);
         document["log_path"] = path.map(|path| path.to_string_lossy()).into();
         fs::write(&timing, document.to_string()).expect("the file can be written");
     };
-    tell(Some(&log));
+    played_from(Some(&log));
     assert_eq!(realo_ok(args.clone()), realo_ok(evaluate(&log, &recording)));
-    tell(Some(Path::new("/nowhere/evaluated_911.mcap")));
+    played_from(Some(Path::new("/nowhere/evaluated_911.mcap")));
     let said = text(&realo(args.clone()).stderr);
     for part in ["recording.mcap", "/nowhere/evaluated_911.mcap", "realo evaluate LOG"] {
         assert!(said.contains(part), "no `{part}` in: {said}");

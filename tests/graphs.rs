@@ -403,7 +403,7 @@ fn features_cross_in_all_elements_and_detect_alike() {
     assert!(exact.len() >= 4 && exact.iter().any(|ap| *ap > 0.5), "{exact:?}");
     let elements = 100 * 256 * 64;
     assert!((4 * elements..4 * elements + 300).contains(&bytes_of_a_map(&plain)));
-    // Elements, how they are compressed, most bytes per element, greatest difference of an AP.
+    // Elements, how they are compressed, most bytes per element, largest difference of an AP.
     for (elements_name, zstd, most, bound) in [
         ("f32", "1", 2.0, 0.0),
         ("f16", "null", 2.01, 0.005),

@@ -101,8 +101,8 @@ fn covers_every_term<'a>(accounts: impl Iterator<Item = &'a (Account, Reached)>)
     for (account, _) in accounts {
         for (channel, line) in &account.channels {
             let what = match channel.split(['-', '.']).collect::<Vec<_>>()[..] {
-                [_, _, "ego_state"] if line.accounted => "the ego's states",
-                [_, _, "ego_state"] => continue,
+                [_, _, "agent_state"] if line.accounted => "the ego's states",
+                [_, _, "agent_state"] => continue,
                 _ => "sweeps",
             };
             for (term, count) in line.terms() {
@@ -118,7 +118,7 @@ fn covers_every_term<'a>(accounts: impl Iterator<Item = &'a (Account, Reached)>)
         add("fusions", account.fusions.len() as u64);
         add("sweeps without a known ego", account.no_ego_state);
         for (stage, count) in account
-            .passed_over
+            .skipped
             .iter()
             .filter(|(stage, _)| !["link", "state-link", "bank"].contains(&&***stage))
         {
@@ -132,7 +132,7 @@ fn covers_every_term<'a>(accounts: impl Iterator<Item = &'a (Account, Reached)>)
     );
 }
 
-/// How often, at the least, over all worlds.
+/// How often, at least, over all worlds.
 const RARE: [(&str, u64); 17] = [
     ("answers that the bank's limit changed", 200),
     ("answers offline that the bank's limit changed", 100),
@@ -161,11 +161,11 @@ fn reaches_what_is_rare<'a>(worlds: impl Iterator<Item = &'a Reached>) {
         *in_worlds += u64::from(*count > 0);
     }
     println!("times, and in how many worlds: {totals:#?}");
-    for (what, least) in RARE {
+    for (what, min) in RARE {
         let [times, in_worlds] = totals.get(what).copied().unwrap_or_default();
         assert!(
-            times >= least && in_worlds >= 20,
-            "{what}: {times} times in {in_worlds} worlds, expected {least} in 20"
+            times >= min && in_worlds >= 20,
+            "{what}: {times} times in {in_worlds} worlds, expected {min} in 20"
         );
     }
 }

@@ -314,8 +314,11 @@ fn share_maps() {
         used >= 10 && bytes <= 60_100 * sent,
         "{used} used of {sent}, {bytes} bytes"
     );
-    let [told, used, _] = books(&far, "cav1-rsu1", "ego_state");
-    assert!(used >= 10, "{used} of {told} states of the ego, by which it projected");
+    let [reported, used, _] = books(&far, "cav1-rsu1", "agent_state");
+    assert!(
+        used >= 10,
+        "{used} of {reported} states of the ego, by which it projected"
+    );
     assert_eq!(
         json(&far.join("result.json"))["frames"]["processed"],
         0,

@@ -185,7 +185,7 @@ fn differences(made: &[Made], fused: &Fused) -> (Vec<Nanos>, usize) {
     (differences, others)
 }
 
-/// How much longer than asked for this machine lets a thread sleep, ns: the greatest so far.
+/// How much longer than asked for this machine lets a thread sleep, ns: the largest so far.
 fn oversleep(stop: &std::sync::atomic::AtomicBool) -> Nanos {
     let mut most = 0;
     while !stop.load(std::sync::atomic::Ordering::Relaxed) {
@@ -345,11 +345,11 @@ fn tampered_transport() {
     let lost = get(edge, "lost");
     assert_eq!(get(&result["transport"], "total_lost"), lost);
     let notes = result["notes"].as_array().expect("notes");
-    let told = format!("dora lost {lost} messages");
+    let reported = format!("dora lost {lost} messages");
     assert!(
         notes
             .iter()
-            .any(|note| note.as_str().is_some_and(|note| note.contains(&told))),
+            .any(|note| note.as_str().is_some_and(|note| note.contains(&reported))),
         "{notes:?}"
     );
 }

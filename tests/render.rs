@@ -224,7 +224,7 @@ fn wrong_input_is_named_with_what_helps() {
         &["--log", &log],
         &["gone/x.png", "cannot be written", "-o"],
     );
-    let moved = told_of_log(&dir.join("moved"), Some(&dir.join(format!("away/{LOG}.mcap"))));
+    let moved = reported_of_log(&dir.join("moved"), Some(&dir.join(format!("away/{LOG}.mcap"))));
     check(
         &moved,
         &file,
@@ -253,7 +253,7 @@ fn wrong_input_is_named_with_what_helps() {
 }
 
 /// A copy of the run in which this stands as the path of its log.
-fn told_of_log(copy: &Path, log: Option<&Path>) -> PathBuf {
+fn reported_of_log(copy: &Path, log: Option<&Path>) -> PathBuf {
     let cell = copy.join(LOG).join("cav1");
     fs::create_dir_all(&cell).expect("the folder can be made");
     for file in ["result.json", "timing.json", "evaluation.json", "recording.mcap"] {
@@ -268,18 +268,18 @@ fn told_of_log(copy: &Path, log: Option<&Path>) -> PathBuf {
 #[test]
 fn a_log_that_has_not_moved_is_found() {
     let dir = folder("render_found");
-    let told = told_of_log(&dir.join("told"), Some(&log()));
-    let (code, said) = render(&told, &dir.join("x.svg"), &[]);
+    let reported = reported_of_log(&dir.join("reported"), Some(&log()));
+    let (code, said) = render(&reported, &dir.join("x.svg"), &[]);
     assert_eq!(code, Some(0), "{said}");
-    let untold = told_of_log(&dir.join("untold"), None);
-    let (code, said) = render(&untold, &dir.join("y.svg"), &[]);
+    let unreported = reported_of_log(&dir.join("unreported"), None);
+    let (code, said) = render(&unreported, &dir.join("y.svg"), &[]);
     assert_eq!(code, Some(1), "{said}");
     assert!(
         said.contains(&format!("target/realo/{LOG}.mcap")) && said.contains("--log"),
         "{said}"
     );
     // A file of a run names its folder.
-    let file = told.join(LOG).join("cav1/result.json");
+    let file = reported.join(LOG).join("cav1/result.json");
     let (code, said) = render(&file, &dir.join("z.svg"), &[]);
     assert_eq!(code, Some(0), "{said}");
 }

@@ -30,7 +30,7 @@ def clusters(x, y, cell):
 
 
 def fitted(x, y):
-    """The rectangle of the least area around points: centre, length, width, yaw. What is shorter than a car is made as
+    """The rectangle of the min area around points: centre, length, width, yaw. What is shorter than a car is made as
     long, away from the sensor, which sees the near sides alone."""
     angles = np.radians(np.arange(0, 90, 2.0))[:, None]
     along, across = x * np.cos(angles) + y * np.sin(angles), y * np.cos(angles) - x * np.sin(angles)
@@ -41,8 +41,8 @@ def fitted(x, y):
     if np.ptp(spans[0]) < np.ptp(spans[1]):
         # Length is the longer side: turn by a quarter.
         yaw, spans = yaw + np.pi / 2, [spans[1], [-spans[0][1], -spans[0][0]]]
-    for span, least in zip(spans, CAR):
-        missing = max(0.0, least - (span[1] - span[0]))
+    for span, min in zip(spans, CAR):
+        missing = max(0.0, min - (span[1] - span[0]))
         near = abs(span[0]) < abs(span[1])
         span[1 if near else 0] += missing if near else -missing
     (a, b), (c, d) = spans
@@ -50,7 +50,7 @@ def fitted(x, y):
     return u * np.cos(yaw) - v * np.sin(yaw), u * np.sin(yaw) + v * np.cos(yaw), b - a, d - c, yaw
 
 
-def detect(cloud, cell, least_points):
+def detect(cloud, cell, min_points):
     """Boxes of a cloud: columns of the payload `Boxes`."""
     high = (cloud["z"] > 0.3) & (cloud["z"] < 3.0) & (np.hypot(cloud["x"], cloud["y"]) < REACH)
     x, y, z = (cloud[axis][high].astype(float) for axis in "xyz")
@@ -60,7 +60,7 @@ def detect(cloud, cell, least_points):
         for number in range(of.max() + 1):
             its = of == number
             count = int(its.sum())
-            if count < least_points:
+            if count < min_points:
                 continue
             center_x, center_y, length, width, yaw = fitted(x[its], y[its])
             if length > 1.5 * CAR[0] or width > 1.6 * CAR[1]:
@@ -73,13 +73,13 @@ def detect(cloud, cell, least_points):
 
 class DetectorClusters(Operator):
     NAME = "detector-clusters"
-    #: cell: points whose cells of this size (m) touch are of one object; least_points: of an object.
-    DEFAULTS = {"cell": 0.6, "least_points": 10}
+    #: cell: points whose cells of this size (m) touch are of one object; min_points: of an object.
+    DEFAULTS = {"cell": 0.6, "min_points": 10}
     INPUTS = [Port("clouds", "PointCloud", "sweeps of any agent", queue="latest")]
     OUTPUTS = [Port("proposals", "Boxes", "boxes in the frame of the sweep")]
 
     def on_input(self, port, message, out):
-        found = detect(message.payload, self.config.cell, self.config.least_points)
+        found = detect(message.payload, self.config.cell, self.config.min_points)
         out.send("proposals", Message.boxes(message.header, found))
 
 

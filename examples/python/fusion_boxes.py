@@ -35,7 +35,7 @@ class FusionBoxes(Operator):
             is_rejected = entry.type != "Boxes" or map_from_sender is None or map_from_ego is None
             out.count(REJECTED, is_rejected, entry.header.agent, of=1)
             if is_rejected:
-                out.tell(entry.header, "rejected")
+                out.report(entry.header, "rejected")
                 continue
             out.used(entry.header, ego.header)
             ego_from_sender = geometry.relative(map_from_ego, map_from_sender)

@@ -36,7 +36,7 @@ class FusionMean(Operator):
             is_rejected = any(pose is None for pose in poses) or not geometry.same_grid(ego.payload, entry.payload)
             out.count(REJECTED, is_rejected, entry.header.agent, of=1)
             if is_rejected:
-                out.tell(entry.header, "rejected")
+                out.report(entry.header, "rejected")
                 continue
             features, covered = geometry.warp_map(geometry.relative(*poses), entry.payload)
             weight = np.where(covered, self.weight(features), 0)

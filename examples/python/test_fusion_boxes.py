@@ -17,7 +17,7 @@ def message(agent, x_in_map, *places, seq=0, to=""):
 
 
 def fused(ego, entries, query=None):
-    """What comes out for a query, and the fates that were told."""
+    """What comes out for a query, and the fates that were reported."""
     stage, out = FusionBoxes(SimpleNamespace(**FusionBoxes.DEFAULTS)), Outputs()
     stage.on_input("ego", ego, out)
     selection = {"query": ego.header.seq if query is None else query, "entries": entries}

@@ -14,7 +14,7 @@ _BOXES += "; velocity: [vector3]; covariance: [vector9]"
 #: The columns of each payload and their types, `[…]`: of a list; `Selection` has `entries` besides, whole messages.
 PAYLOADS = {
     "PointCloud": "x y z: [float]; intensity: [uint8]; time: [int32]; ring: [uint16]",
-    "EgoState": "map_from_body covariance velocity angular_rate: [double]; status: string",
+    "AgentState": "map_from_body covariance velocity angular_rate: [double]; status: string",
     "FeatureMap": "rows columns channels: uint32; cell: double; origin: [double]; dtype model: string; data: binary; confidence: [float]",
     "Packet": "codec: [string]; bytes: binary",
     "Selection": "query: uint64",

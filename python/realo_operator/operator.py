@@ -87,9 +87,9 @@ class Outputs:
 
     def used(self, header: Header, query: Header):
         """Says that a collaborator's message took part in a fusion with the ego's message `query`."""
-        self.tell(header, "used", use={"query": query.seq, "age_ns": query.ready - header.stamp})
+        self.report(header, "used", use={"query": query.seq, "age_ns": query.ready - header.stamp})
 
-    def tell(self, header: Header, fate, **more):
+    def report(self, header: Header, fate, **more):
         """Says what became of a message that crossed a link: `used`, `skipped`, `over_limit`, `stale`, `superseded`,
         `lost`, `rejected` or `in_flight`. Only whoever ends a message's way says so; of any other nothing is said."""
         if header.to:

@@ -17,7 +17,7 @@ import pyarrow as pa
 from .message import Message
 from .operator import Outputs
 
-VERSION = 3
+VERSION = 4
 FRAME_LIMIT = 256 << 20
 #: Frames of more bytes go through shared memory.
 SHARED_FROM = 64 << 10
@@ -74,7 +74,7 @@ def _answer(stage, call):
         "wakes": pa.array([sorted(out.wakes)], pa.list_(pa.int64())),
         "counters": pa.array([list(out.counts)], pa.list_(pa.string())),
         "counts": pa.array([list(out.counts.values())], pa.list_(pa.uint64())),
-        "told": [json.dumps({"fates": out.fates, "losses": out.losses})],
+        "reported": [json.dumps({"fates": out.fates, "losses": out.losses})],
         **{f"message_{i}": row for i, row in enumerate(out.rows)},
     }
 

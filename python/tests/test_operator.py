@@ -103,7 +103,7 @@ class TestPipe(unittest.TestCase):
             self.assertEqual(memory, "memfd" if shares else "pipe")
             back = Message.read(one.column("message_0"))
             np.testing.assert_array_equal(back.payload["x"], cloud(points).payload["x"])
-            self.assertIn('"fate": "used", "use": {"query": 5, "age_ns": 60}', one.column("told")[0].as_py())
+            self.assertIn('"fate": "used", "use": {"query": 5, "age_ns": 60}', one.column("reported")[0].as_py())
             self.assertEqual(bad.column("error")[0].as_py(), "no luck")
             self.assertEqual(end.column("ports")[0].as_py(), [])
 
@@ -197,10 +197,10 @@ class TestConfiguration(unittest.TestCase):
 
 
 class TestOutputs(unittest.TestCase):
-    def test_fates_are_told_of_what_crossed_a_link_only(self):
+    def test_fates_are_reported_of_what_crossed_a_link_only(self):
         out = Outputs()
-        out.tell(Header(agent="cav1"), "rejected")
-        out.tell(Header(agent="cav2", to="cav1", kind="boxes", seq=4), "stale")
+        out.report(Header(agent="cav1"), "rejected")
+        out.report(Header(agent="cav2", to="cav1", kind="boxes", seq=4), "stale")
         self.assertEqual(out.fates, [{"from": "cav2", "to": "cav1", "kind": "boxes", "seq": 4, "fate": "stale"}])
 
 

@@ -75,7 +75,7 @@ fn weigh(text: &str) -> Result<(), String> {
     let most = free + times * text.len();
     let left = Cell::new(Some(most));
     let document = serde_yaml::Deserializer::from_str(text);
-    // Any other error is found again, and told better, by whoever reads the document.
+    // Any other error is found again, and reported better, by whoever reads the document.
     let _ = Weight(&left).deserialize(document);
     match left.get() {
         Some(_) => Ok(()),

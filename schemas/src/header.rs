@@ -21,7 +21,7 @@ pub enum Kind {
     /// Detections.
     Boxes,
     /// Poses and velocities of agents.
-    EgoState,
+    AgentState,
     /// Ground truth.
     Truth,
     /// Counters, timings and scores.
@@ -34,7 +34,7 @@ impl Kind {
         Kind::Points,
         Kind::Features,
         Kind::Boxes,
-        Kind::EgoState,
+        Kind::AgentState,
         Kind::Truth,
         Kind::Report,
     ];
@@ -45,7 +45,7 @@ impl Kind {
             Kind::Points => "points",
             Kind::Features => "features",
             Kind::Boxes => "boxes",
-            Kind::EgoState => "ego_state",
+            Kind::AgentState => "agent_state",
             Kind::Truth => "truth",
             Kind::Report => "report",
         }
@@ -59,7 +59,7 @@ impl Kind {
             PayloadType::PointCloud => Some(Kind::Points),
             PayloadType::FeatureMap => Some(Kind::Features),
             PayloadType::Boxes => Some(Kind::Boxes),
-            PayloadType::EgoState => Some(Kind::EgoState),
+            PayloadType::AgentState => Some(Kind::AgentState),
             _ => None,
         }
     }

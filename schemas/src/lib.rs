@@ -17,7 +17,7 @@ pub mod wire;
 pub use header::{Clock, Header, Kind, Name, Pose, TraceEntry};
 pub use message::{Message, Payload, PayloadType, UnexpectedPayload};
 pub use payload::{
-    Box3, Boxes, DType, EgoState, Elements, FeatureMap, GroundTruth, OwnLabels, Packet, PointCloud, PoseStatus, Report,
-    Selection,
+    AgentState, Box3, Boxes, DType, Elements, FeatureMap, GroundTruth, OwnLabels, Packet, PointCloud, PoseStatus,
+    Report, Selection,
 };
 pub use time::{Nanos, SAME_STAMP, are_one_time_line, from_seconds, is_same_stamp, to_millis, to_seconds};

@@ -2,7 +2,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Boxes, EgoState, FeatureMap, GroundTruth, Header, Packet, PointCloud, Report, Selection};
+use crate::{AgentState, Boxes, FeatureMap, GroundTruth, Header, Packet, PointCloud, Report, Selection};
 
 /// A header and what it speaks of.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,7 +19,7 @@ pub enum Payload {
     /// Points of a sweep.
     PointCloud(PointCloud),
     /// An agent's pose and motion.
-    EgoState(EgoState),
+    AgentState(AgentState),
     /// A BEV feature map.
     FeatureMap(FeatureMap),
     /// Bytes on a link.
@@ -39,7 +39,7 @@ pub enum Payload {
 #[allow(missing_docs)]
 pub enum PayloadType {
     PointCloud,
-    EgoState,
+    AgentState,
     FeatureMap,
     Packet,
     Selection,
@@ -52,7 +52,7 @@ impl PayloadType {
     /// Every type.
     pub const ALL: [PayloadType; 8] = [
         PayloadType::PointCloud,
-        PayloadType::EgoState,
+        PayloadType::AgentState,
         PayloadType::FeatureMap,
         PayloadType::Packet,
         PayloadType::Selection,
@@ -65,7 +65,7 @@ impl PayloadType {
     pub fn as_str(self) -> &'static str {
         match self {
             PayloadType::PointCloud => "PointCloud",
-            PayloadType::EgoState => "EgoState",
+            PayloadType::AgentState => "AgentState",
             PayloadType::FeatureMap => "FeatureMap",
             PayloadType::Packet => "Packet",
             PayloadType::Selection => "Selection",
@@ -98,7 +98,7 @@ impl Payload {
     pub fn payload_type(&self) -> PayloadType {
         match self {
             Payload::PointCloud(_) => PayloadType::PointCloud,
-            Payload::EgoState(_) => PayloadType::EgoState,
+            Payload::AgentState(_) => PayloadType::AgentState,
             Payload::FeatureMap(_) => PayloadType::FeatureMap,
             Payload::Packet(_) => PayloadType::Packet,
             Payload::Selection(_) => PayloadType::Selection,
@@ -135,7 +135,7 @@ macro_rules! conversions {
 }
 conversions!(
     PointCloud,
-    EgoState,
+    AgentState,
     FeatureMap,
     Packet,
     Selection,

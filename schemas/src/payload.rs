@@ -92,7 +92,7 @@ pub enum PoseStatus {
 
 /// Where an agent is and how it moves, at the header's stamp.
 #[derive(Clone, Debug, PartialEq)]
-pub struct EgoState {
+pub struct AgentState {
     /// Maps points of the agent's body frame into `map`; metres.
     pub map_from_body: Isometry3<f64>,
     /// Row-major 6×6 over (x, y, z, roll, pitch, yaw), m² and rad², where known.
@@ -288,7 +288,7 @@ impl OwnLabels {
     }
 }
 
-impl EgoState {
+impl AgentState {
     /// The pose at `dt` ns from the state's stamp, by constant velocity and angular rate.
     pub fn extrapolated(&self, dt: Nanos) -> Isometry3<f64> {
         let seconds = crate::to_seconds(dt);

@@ -172,7 +172,7 @@ pub struct Peer {
     /// By how much exchanges contradict what the two machines say of their clocks, one of which is wrong, ms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clock_contradiction_ms: Option<f64>,
-    /// Least round trip of late, of parts or, where none was sent, of questions about the time, ms.
+    /// Smallest round trip of late, of parts or, where none was sent, of questions about the time, ms.
     pub round_trip_ms: Option<f64>,
     /// What the way to it was found to carry at the end, bits/s.
     pub bits_per_second: Option<f64>,
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_fate_that_fits_is_the_least() {
+    fn the_first_fate_that_fits_is_the_min() {
         assert!(Fate::ALL.is_sorted_by(|a, b| a < b));
         assert_eq!(Fate::Stale.min(Fate::OverLimit), Fate::OverLimit);
     }

@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 
 use crate::geometry::View;
 use crate::{
-    Box3, Boxes, Clock, DType, EgoState, FeatureMap, GroundTruth, Header, Kind, Message, Name, OwnLabels, Packet,
+    AgentState, Box3, Boxes, Clock, DType, FeatureMap, GroundTruth, Header, Kind, Message, Name, OwnLabels, Packet,
     Payload, PayloadType, PointCloud, Pose, PoseStatus, Report, Selection, TraceEntry,
 };
 use columns::{Builder, Row};
@@ -64,7 +64,7 @@ pub fn to_arrow(message: &Message) -> StructArray {
     header_columns(&message.header, message.payload.payload_type(), &mut row);
     match &message.payload {
         Payload::PointCloud(cloud) => cloud_columns(cloud, &mut row),
-        Payload::EgoState(state) => state_columns(state, &mut row),
+        Payload::AgentState(state) => state_columns(state, &mut row),
         Payload::FeatureMap(map) => map_columns(map, &mut row),
         Payload::Packet(packet) => packet_columns(packet, &mut row),
         Payload::Selection(selection) => selection_columns(selection, &mut row),
@@ -99,7 +99,7 @@ fn read_row(row: &Row) -> Result<Message, WireError> {
     let header = read_header(row)?;
     let payload = match payload_type {
         PayloadType::PointCloud => read_cloud(row)?.into(),
-        PayloadType::EgoState => read_state(row)?.into(),
+        PayloadType::AgentState => read_state(row)?.into(),
         PayloadType::FeatureMap => read_map(row)?.into(),
         PayloadType::Packet => Packet {
             codec: row.texts("codec")?.into_iter().map(Into::into).collect(),
@@ -275,7 +275,7 @@ fn read_cloud(row: &Row) -> Result<PointCloud, WireError> {
     cloud.ok_or_else(|| WireError::content("x", "the columns of a cloud differ in length"))
 }
 
-fn state_columns(state: &EgoState, row: &mut Builder) {
+fn state_columns(state: &AgentState, row: &mut Builder) {
     let (t, q) = Pose::exact(state.map_from_body).to_parts();
     row.list_f64("map_from_body", [t.as_slice(), &q].concat());
     row.list_f64(
@@ -293,7 +293,7 @@ fn state_columns(state: &EgoState, row: &mut Builder) {
     row.text("status", status);
 }
 
-fn read_state(row: &Row) -> Result<EgoState, WireError> {
+fn read_state(row: &Row) -> Result<AgentState, WireError> {
     let pose = read_pose(row, "map_from_body", "covariance")?
         .ok_or_else(|| WireError::content("map_from_body", "a state needs a pose"))?;
     let vector = |field: &str| match &row.list_f64(field)?[..] {
@@ -310,7 +310,7 @@ fn read_state(row: &Row) -> Result<EgoState, WireError> {
         "extrapolated" => PoseStatus::Extrapolated,
         other => return Err(WireError::content("status", format!("unknown status `{other}`"))),
     };
-    Ok(EgoState {
+    Ok(AgentState {
         map_from_body: pose.map_from_frame,
         covariance: pose.covariance,
         velocity: vector("velocity")?,

@@ -246,11 +246,11 @@ fn a_track_knows_poses_at_between_and_a_little_beyond() {
 }
 
 #[test]
-fn a_gap_is_bridged_up_to_the_greatest() {
+fn a_gap_is_bridged_up_to_the_max() {
     let wide = |gap: Nanos| x_at(&track(&[0, gap]), gap / 2);
     assert_eq!(wide(150 * MS), Some(0.75));
     assert_eq!(wide(150 * MS + 2), None);
-    // Nothing tells how one pose goes on.
+    // Nothing says how one pose goes on.
     assert_eq!(x_at(&track(&[0]), 1_001), None);
     assert_eq!(x_at(&track(&[0]), 0), Some(0.0));
 }

@@ -27,7 +27,7 @@ fn kinds_have_names_and_payloads() {
         (PayloadType::PointCloud, Some(Kind::Points)),
         (PayloadType::FeatureMap, Some(Kind::Features)),
         (PayloadType::Boxes, Some(Kind::Boxes)),
-        (PayloadType::EgoState, Some(Kind::EgoState)),
+        (PayloadType::AgentState, Some(Kind::AgentState)),
         (PayloadType::GroundTruth, None),
         (PayloadType::Packet, None),
     ];

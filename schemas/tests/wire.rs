@@ -60,7 +60,7 @@ fn payloads() -> Vec<(Kind, Payload)> {
         vec![-8, 9],
         vec![1u16, 2],
     );
-    let state = EgoState {
+    let state = AgentState {
         map_from_body: Isometry3::translation(1.0, 2.0, 3.0),
         covariance: None,
         velocity: Some(Vector3::new(1.0, 2.0, 3.0)),
@@ -113,7 +113,7 @@ fn payloads() -> Vec<(Kind, Payload)> {
     vec![
         (Kind::Points, cloud.expect("columns of one length").into()),
         (Kind::Points, PointCloud::empty().into()),
-        (Kind::EgoState, state.into()),
+        (Kind::AgentState, state.into()),
         (Kind::Features, map.into()),
         (Kind::Features, sparse.into()),
         (
@@ -301,10 +301,10 @@ fn every_field_is_held_to_its_content() {
         (Boxes, "yaw", numbers(&[0.0; 3]), "differ in length"),
         (Boxes, "velocity", numbers(&[0.0; 2]), "expected FixedSizeListArray"),
         (PointCloud, "y", f32s(3), "differ in length"),
-        (EgoState, "map_from_body", numbers(&[]), "needs a pose"),
-        (EgoState, "velocity", numbers(&[1.0]), "3 numbers, found 1"),
-        (EgoState, "angular_rate", numbers(&[1.0, 2.0]), "3 numbers, found 2"),
-        (EgoState, "status", word("guessed"), "unknown status `guessed`"),
+        (AgentState, "map_from_body", numbers(&[]), "needs a pose"),
+        (AgentState, "velocity", numbers(&[1.0]), "3 numbers, found 1"),
+        (AgentState, "angular_rate", numbers(&[1.0, 2.0]), "3 numbers, found 2"),
+        (AgentState, "status", word("guessed"), "unknown status `guessed`"),
         (FeatureMap, "dtype", word("f64"), "unknown element type `f64`"),
         (FeatureMap, "dtype", word("f32"), "[2, 1, 2] needs 16 bytes, found 8"),
         (FeatureMap, "rows", size(3), "[3, 1, 2] needs 12 bytes, found 8"),
@@ -381,14 +381,14 @@ fn every_element_type_and_status_survives() {
         assert_eq!(from_arrow(&to_arrow(&message)).as_ref(), Ok(&message));
     }
     for status in [PoseStatus::Truth, PoseStatus::Recorded, PoseStatus::Extrapolated] {
-        let state = EgoState {
+        let state = AgentState {
             map_from_body: Isometry3::translation(1.0, 2.0, 3.0),
             covariance: Some(Box::new([0.5; 36])),
             velocity: None,
             angular_rate: Some(Vector3::new(0.1, 0.2, 0.3)),
             status,
         };
-        let message = Message::new(header(Kind::EgoState), state);
+        let message = Message::new(header(Kind::AgentState), state);
         assert_eq!(from_arrow(&to_arrow(&message)).as_ref(), Ok(&message));
     }
 }

@@ -107,7 +107,7 @@ fn truth_that_was_logged_late_is_scored() {
 }
 
 #[test]
-fn a_log_of_boxes_alone_is_told_how_to_play_them() {
+fn a_log_of_boxes_alone_is_reported_how_to_play_them() {
     let log = Scene {
         points: false,
         ..Scene::default()

@@ -430,14 +430,14 @@ fn truth_or_detections_alone_on_another_clock_are_named() {
         for (mode, options) in MODES {
             let ran = late_fusion(&log, &format!("{name}-{mode}"), options);
             assert_eq!(ran.code, 3, "{name} {mode}: {ran:?}");
-            let told = if stream == "detections" {
+            let reported = if stream == "detections" {
                 "no recorded detections"
             } else {
                 kind
             };
             let notes = ran.notes();
-            let is_told = notes.contains(told) || notes.contains("recorded detections were left out");
-            assert!(is_told, "{name} {mode}: {notes}");
+            let is_reported = notes.contains(reported) || notes.contains("recorded detections were left out");
+            assert!(is_reported, "{name} {mode}: {notes}");
         }
     }
 }

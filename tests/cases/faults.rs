@@ -40,7 +40,7 @@ fn offline(log: &Path, name: &str) -> Ran {
 }
 
 /// A run and `realo info` name a fault and end with 3.
-fn told(log: &Path, name: &str, note: &str, problem: &str) -> Ran {
+fn reported(log: &Path, name: &str, note: &str, problem: &str) -> Ran {
     let ran = offline(log, name);
     assert!(ran.code == 3 && ran.notes().contains(note), "{name}: {ran:?}");
     let (said, code) = info(log);
@@ -97,7 +97,7 @@ fn headings_of_two_values_are_named() {
         }
     });
     let words = "a `yaw` of -162.000 rad and a quaternion of -2.827 rad: looks like degrees";
-    let ran = told(&degrees, "yaw-degrees", words, words);
+    let ran = reported(&degrees, "yaw-degrees", words, words);
     assert!(
         ran.notes().contains("mast: 80 of 80 recorded detections"),
         "{}",
@@ -107,7 +107,7 @@ fn headings_of_two_values_are_named() {
         object.yaw += if of_companion { 1.0 } else { 0.0 };
     });
     let problem = "/car/ground_truth_info: 160 of 160 boxes have another heading";
-    told(
+    reported(
         &turned,
         "truth-turned",
         "objects of the ground truth have another heading",
@@ -120,7 +120,7 @@ fn headings_of_two_values_are_named() {
             0.0
         };
     });
-    told(
+    reported(
         &beyond,
         "yaw-beyond",
         "a `yaw` beyond ±4π",
@@ -155,12 +155,12 @@ fn boxes_are_judged_with_their_companions_before_a_run_too() {
         ("no-yaw", nan, "a number that is not finite"),
         ("no-velocity", fast, "a velocity or covariance that is not finite"),
     ] {
-        told(&log, name, fault, "/mast/detections: 80 of 80 boxes are left out");
+        reported(&log, name, fault, "/mast/detections: 80 of 80 boxes are left out");
     }
 }
 
 #[test]
-fn footprints_that_no_vehicle_has_are_told() {
+fn footprints_that_no_vehicle_has_are_reported() {
     let with = |name: &str, footprint: &str| {
         let base = Scene::default().write(&format!("{name}-base"));
         let record = |record: &mut BTreeMap<String, String>| {
@@ -197,7 +197,7 @@ fn covariances_that_cannot_be_right_do_not_end_cooperation() {
             }
         });
         let problem = "/mast/pose: 52 of 52 poses have a covariance that cannot be right";
-        let ran = told(&log, name, words, problem);
+        let ran = reported(&log, name, words, problem);
         assert_eq!(ran.ap("0.5"), 1.0, "{name}");
     }
 }
@@ -233,7 +233,7 @@ fn true_poses_that_do_not_reach_the_sweeps_are_named() {
                 out
             },
         );
-        told(&log, name, "these are the poses of `pose_truth`", problem);
+        reported(&log, name, "these are the poses of `pose_truth`", problem);
     }
 }
 
@@ -338,7 +338,7 @@ fn a_run_and_info_agree_on_late_sweeps_topics_of_sweeps_and_stamps_of_truth() {
         let (agent, topic) = message.parts();
         agent != "mast" || topic == "pose" || message.sequence == 19
     });
-    told(
+    reported(
         &last,
         "mast-last",
         "mast: 19 of 20 sweeps are missing",
@@ -348,14 +348,14 @@ fn a_run_and_info_agree_on_late_sweeps_topics_of_sweeps_and_stamps_of_truth() {
         message.topic != "/mast/sweeps" || message.sequence % 2 == 0
     });
     let words = "10 of 20 sweeps are on one of `points` and `sweeps` alone";
-    told(&half, "half-of-sweeps", words, words);
+    reported(&half, "half-of-sweeps", words, words);
     let ahead = changed("truth-ahead", |message| {
         if message.topic == "/mast/ground_truth" || message.topic == "/mast/ground_truth_info" {
             message.shift(400_000_000);
         }
     });
     let words = "stamps 0.310 s later than log times";
-    told(&ahead, "truth-ahead", words, words);
+    reported(&ahead, "truth-ahead", words, words);
 }
 
 #[test]
@@ -369,7 +369,7 @@ fn the_last_sweeps_without_detections_are_counted() {
             !message.topic.starts_with("/mast/detections") || keeps(message.sequence)
         });
         let words = format!("{count} of 20 sweeps have no recorded detections");
-        told(&log, name, &format!("mast: {words}"), &format!("`mast`: {words}"));
+        reported(&log, name, &format!("mast: {words}"), &format!("`mast`: {words}"));
     }
     // A log that ends before detections come lacks none.
     let late = |message: &mut Raw| {
@@ -404,7 +404,7 @@ fn transforms_of_the_map_that_are_not_at_the_poses_are_named() {
     let near = in_map("map-near", 0.3);
     assert_eq!(offline(&near, "map-near").code, 0);
     let words = "20 of 20 sweeps were brought from the frame of the map to the body by transforms on /tf";
-    told(
+    reported(
         &in_map("map-far", 400.0),
         "map-far",
         words,
@@ -466,14 +466,14 @@ fn what_shows_only_in_a_run_is_found_before_it() {
         agent != "mast" || !topic.starts_with("ground_truth") || message.sequence < 8
     });
     let words = "sweeps of the ego were scored without the truth of mast";
-    told(&stops, "mast-truth-stops", words, words);
+    reported(&stops, "mast-truth-stops", words, words);
     let late = changed("late-companions", |message| {
         if message.topic == "/mast/detections_info" {
             message.log_time += 300_000_000;
         }
     });
     let words = "played without velocities and covariances";
-    told(&late, "late-companions", words, words);
+    reported(&late, "late-companions", words, words);
 }
 
 #[test]
@@ -481,7 +481,7 @@ fn poses_that_do_not_fit_the_boxes_of_the_other_are_named() {
     let moved = |name: &str, by: f64| with_poses(name, "/mast/pose", |pose, _| pose[0] += by);
     let near = moved("mast-near", 0.8);
     assert_eq!((offline(&near, "mast-near").code, info(&near).1), (0, Some(0)));
-    let ran = told(
+    let ran = reported(
         &moved("mast-moved", 3.0),
         "mast-moved",
         "positions of parked objects differ by more than 1 m between the truth of the two agents",
@@ -510,8 +510,8 @@ fn scores_of_a_recording_tell_the_faults_of_its_log() {
             let output = common::realo(args);
             let said = common::text(&output.stdout) + &common::text(&output.stderr);
             assert_eq!(output.status.code(), Some(code), "{name}: {said}");
-            let is_told = said.contains("objects of the ground truth have another heading");
-            assert_eq!(is_told, code == 3, "{name}: {said}");
+            let is_reported = said.contains("objects of the ground truth have another heading");
+            assert_eq!(is_reported, code == 3, "{name}: {said}");
         }
     }
 }
@@ -532,11 +532,11 @@ fn truth_whose_companion_is_missing_is_counted() {
         agent != "mast" || !topic.starts_with("ground_truth")
     });
     let words = "20 of 20 sweeps of the ego were scored without the truth of mast";
-    told(&none, "mast-without-truth", words, words);
+    reported(&none, "mast-without-truth", words, words);
 }
 
 #[test]
-fn an_agent_that_the_record_does_not_name_is_told() {
+fn an_agent_that_the_record_does_not_name_is_reported() {
     let base = Scene::default().write("undeclared-base");
     let record = |record: &mut BTreeMap<String, String>| {
         let mut agents: Vec<serde_json::Value> = serde_json::from_str(&record["agents"]).expect("JSON");
@@ -545,21 +545,21 @@ fn an_agent_that_the_record_does_not_name_is_told() {
     };
     let log = rewrite_with(&base, "undeclared", &[], record, |message| vec![message]);
     let words = "messages were not played, because `agents` of the log's record `realo` does not name the agent";
-    told(&log, "undeclared", words, words);
+    reported(&log, "undeclared", words, words);
 }
 
 #[test]
-fn poses_that_nothing_can_have_are_told() {
+fn poses_that_nothing_can_have_are_reported() {
     let with = |name: &str, change: fn(&mut [f64], u32)| with_poses(name, "/car/pose", change);
     let order = with("pose-wxyz", |pose, _| pose[3..].rotate_right(1));
     let words = "is the quaternion in the order x, y, z, w?";
-    told(&order, "pose-wxyz", words, words);
+    reported(&order, "pose-wxyz", words, words);
     let jumps = with("pose-jumps", |pose, n| pose[0] += if n % 9 == 0 { 20.0 } else { 0.0 });
     let words = "poses jump faster than any vehicle drives";
-    told(&jumps, "pose-jumps", words, words);
+    reported(&jumps, "pose-jumps", words, words);
     let far = with("pose-far", |pose, n| pose[1] += if n == 3 { 1e300 } else { 0.0 });
     let words = "expected a position within 80,000 km of the map's origin";
-    told(&far, "pose-far", words, words);
+    reported(&far, "pose-far", words, words);
 }
 
 #[test]

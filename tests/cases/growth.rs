@@ -6,7 +6,7 @@ use std::process::Output;
 use std::time::SystemTime;
 
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
-use realo_schemas::{EgoState, Nanos, PointCloud, Pose, PoseStatus};
+use realo_schemas::{AgentState, Nanos, PointCloud, Pose, PoseStatus};
 use serde_json::Value;
 
 use crate::common::{self, folder, json, realo, text};
@@ -195,7 +195,7 @@ fn crowd(name: &str, others: &[(&str, f64)]) -> PathBuf {
     for step in -4i64..12 {
         let stamp: Nanos = T0 + step * SWEEP / 2;
         for (agent, x) in &all {
-            let state = EgoState {
+            let state = AgentState {
                 map_from_body: Pose::from_parts([*x, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
                     .expect("a pose")
                     .map_from_frame,

@@ -11,7 +11,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter, McapFile};
-use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, Pose, PoseStatus};
+use realo_schemas::{AgentState, Box3, Boxes, Nanos, PointCloud, Pose, PoseStatus};
 use serde_json::Value;
 
 use crate::common;
@@ -163,11 +163,11 @@ fn pose_of(who: usize, seconds: f64) -> ([f64; 2], f64) {
     }
 }
 
-fn state_of(who: usize, seconds: f64) -> EgoState {
+fn state_of(who: usize, seconds: f64) -> AgentState {
     let ([x, y], yaw) = pose_of(who, seconds);
     let rotation = [0.0, 0.0, (yaw / 2.0).sin(), (yaw / 2.0).cos()];
     let pose = Pose::from_parts([x, y, 0.0], rotation).expect("a rotation");
-    EgoState {
+    AgentState {
         map_from_body: pose.map_from_frame,
         covariance: None,
         velocity: None,

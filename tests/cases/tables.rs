@@ -626,7 +626,7 @@ fn files_of_one_name_that_hold_something_else_differ() {
     for field in ["link", "compute", "programs"] {
         assert!(differences.contains(&format!("{field} differs: ")), "{differences}");
     }
-    // What has no file is told as ever.
+    // What has no file is reported as before.
     let near = json(&runs()[2].join("result.json"));
     assert_eq!((&near["link"], near.get("programs")), (&"paper".into(), None));
 }
@@ -640,7 +640,7 @@ fn folder_of(name: &str) -> PathBuf {
 }
 
 #[test]
-fn logs_that_hold_the_same_are_told_and_logs_of_one_name_that_do_not() {
+fn logs_that_hold_the_same_are_reported_and_logs_of_one_name_that_do_not() {
     let dir = folder("tables_contents");
     let log = |folder: &str, name: &str, scene: &Scene| {
         let log = dir.join(folder).join(format!("{name}.mcap"));

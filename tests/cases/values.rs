@@ -92,7 +92,7 @@ fn agents_that_number_objects_each_by_itself_are_named() {
 
 #[test]
 fn tracks_that_are_wrong_in_part_are_named() {
-    let told = |name: &str, track: fn(&str, u64) -> String, note: &str, problem: &str| {
+    let reported = |name: &str, track: fn(&str, u64) -> String, note: &str, problem: &str| {
         let log = with_tracks(name, track);
         let late = run("late_fusion", &log, name, &["--offline"]);
         assert_eq!(late.code, 3, "{late:?}");
@@ -103,7 +103,7 @@ fn tracks_that_are_wrong_in_part_are_named() {
     };
     // Three of eight objects have numbers of the mast's own, or none.
     let split = "are of two tracks or of none";
-    told(
+    reported(
         "own-3-of-8",
         |agent, number| match (agent, number) {
             ("mast", 6..) => (number + 100).to_string(),
@@ -112,7 +112,7 @@ fn tracks_that_are_wrong_in_part_are_named() {
         split,
         "PROBLEM: 117 of 312 objects that `car` and `mast` both have are of two tracks or of none",
     );
-    told(
+    reported(
         "none-of-the-mast",
         |agent, number| {
             if agent == "mast" {
@@ -124,7 +124,7 @@ fn tracks_that_are_wrong_in_part_are_named() {
         split,
         "PROBLEM: 312 of 312 objects that",
     );
-    told(
+    reported(
         "minus-one",
         |_, _| "-1".into(),
         "have the track of another one of the same message",
@@ -406,7 +406,7 @@ fn files_of_other_programs_are_named() {
             &[
                 "folder of a bag",
                 "/points (sensor_msgs/msg/PointCloud2)",
-                "docs/log-format.md",
+                "docs/reference/log-format.md",
             ],
         ),
         (

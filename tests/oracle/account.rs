@@ -105,8 +105,8 @@ pub struct Account {
     pub no_ego_state: u64,
     /// Sweeps that the encoder could not take.
     pub errors: u64,
-    /// Messages that a stage passed over because it was busy, and parts of sets that were discarded.
-    pub passed_over: BTreeMap<String, u64>,
+    /// Messages that a stage skipped because it was busy, and parts of sets that were discarded.
+    pub skipped: BTreeMap<String, u64>,
 }
 
 impl Account {
@@ -114,7 +114,7 @@ impl Account {
     pub fn difference(&self, oracle: &Account) -> Option<String> {
         first("Selection", &self.selections, &oracle.selections)
             .or_else(|| first("fusion", &self.fusions, &oracle.fusions))
-            .or_else(|| differing("stage", &self.passed_over, &oracle.passed_over))
+            .or_else(|| differing("stage", &self.skipped, &oracle.skipped))
             .or_else(|| first("no_ego_state", &[self.no_ego_state], &[oracle.no_ego_state]))
             .or_else(|| first("errors", &[self.errors], &[oracle.errors]))
             .or_else(|| differing("channel", &self.channels, &oracle.channels))

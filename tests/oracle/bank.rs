@@ -8,7 +8,7 @@ use crate::account::{Reached, add, id};
 use crate::stage::{At, Class, Place, freed, serve_all};
 use crate::world::{EGO, MS, World};
 
-/// Greatest difference of stamps offline, inclusive.
+/// Largest difference of stamps offline, inclusive.
 pub const REACH: Nanos = 50 * MS;
 /// Messages of one sender that are held.
 const HELD: usize = 16;
@@ -333,7 +333,7 @@ fn newest<'w>(there: impl Iterator<Item = At<'w>>, world: &World, query: At) -> 
         .max_by_key(|at| at.said.stamp)
 }
 
-/// Offline: the least difference of stamps, at most the reach; of two the earlier.
+/// Offline: the smallest difference of stamps, at most the reach; of two the earlier.
 fn nearest<'w>(there: impl Iterator<Item = At<'w>>, query: At) -> Option<At<'w>> {
     let away = |at: &At| (at.said.stamp.abs_diff(query.said.stamp), at.said.stamp);
     there.min_by_key(away).filter(|at| away(at).0 <= REACH.unsigned_abs())

@@ -9,7 +9,8 @@ use realo_operator::{Argument, Books, Describe, Error, Port, PortId, Registratio
 use realo_results::{Ledger, LinkBooks, link_books};
 use realo_schemas::report::Fated;
 use realo_schemas::{
-    Box3, Boxes, EgoState, Header, Kind, Message, Nanos, Payload, PayloadType, PointCloud, Pose, PoseStatus, Selection,
+    AgentState, Box3, Boxes, Header, Kind, Message, Nanos, Payload, PayloadType, PointCloud, Pose, PoseStatus,
+    Selection,
 };
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +20,7 @@ use crate::world::{EGO, Said, Spot, Strategy, World, content};
 const BOXES: &[PayloadType] = &[PayloadType::Boxes];
 const POINTS: &[PayloadType] = &[PayloadType::PointCloud];
 const FUSED: &[PayloadType] = &[PayloadType::Boxes, PayloadType::PointCloud];
-const STATES: &[PayloadType] = &[PayloadType::EgoState];
+const STATES: &[PayloadType] = &[PayloadType::AgentState];
 
 /// Settings of [`Log`].
 #[derive(Default, Serialize, Deserialize)]
@@ -115,14 +116,14 @@ fn cloud(said: &Said) -> Message {
 }
 
 fn state(said: &Said) -> Message {
-    let state = EgoState {
+    let state = AgentState {
         map_from_body: pose(said.spot.expect("a state is somewhere")).map_from_frame,
         covariance: None,
         velocity: None,
         angular_rate: None,
         status: PoseStatus::Recorded,
     };
-    Message::new(header(said, Kind::EgoState), state)
+    Message::new(header(said, Kind::AgentState), state)
 }
 
 thread_local! {
@@ -321,7 +322,7 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
     for stage in world.stages() {
         let inputs = books.nodes[stage].inputs.values();
         let passed = inputs.map(|input| input.skipped.total() + input.unjoined.total()).sum();
-        account.passed_over.insert(stage.into(), passed);
+        account.skipped.insert(stage.into(), passed);
     }
     Ok(account)
 }

@@ -8,7 +8,7 @@ use crate::draw::{Copies, Message, copies};
 use crate::stage::{At, Class, Place, serve_all};
 use crate::world::{Channel, EGO, Strategy, World};
 
-/// Packets of one sender that wait until it has told a position.
+/// Packets of one sender that wait until it has reported a position.
 const WAITING: usize = 16;
 
 /// A message that entered a channel.
@@ -69,7 +69,7 @@ impl<'w> Link<'w> {
 
     /// The link of states.
     pub fn of_states(world: &'w World, ego: &[At<'w>], others: &[At<'w>]) -> Self {
-        Link::new(world, "state-link", "ego_state", world.state_channel, ego, others)
+        Link::new(world, "state-link", "agent_state", world.state_channel, ego, others)
     }
 
     fn new(
@@ -99,7 +99,7 @@ impl<'w> Link<'w> {
         }
     }
 
-    /// The packets of others to the ego. One whose sender has told no position yet waits for it, offline for the ego's too.
+    /// The packets of others to the ego. One whose sender has reported no position yet waits for it, offline for the ego's too.
     pub fn to_ego(&self) -> Crossed<'w> {
         let mut crossed = Crossed::default();
         for (number, (place, what)) in self.calls.iter().enumerate() {
@@ -157,11 +157,11 @@ impl<'w> Link<'w> {
 
     /// The position of newest stamp among the first calls.
     fn position(&self, agent: &str, calls: usize) -> Option<[f64; 2]> {
-        let told = self.calls[..calls].iter().filter_map(|(_, what)| match what {
+        let reported = self.calls[..calls].iter().filter_map(|(_, what)| match what {
             What::Position(at) if at.agent() == agent => Some(at.said),
             _ => None,
         });
-        told.max_by_key(|said| said.stamp)?.spot.map(|spot| spot.at)
+        reported.max_by_key(|said| said.stamp)?.spot.map(|spot| spot.at)
     }
 
     /// Sends a packet after so many calls, in a call that began at `start`; it came at `came`.
@@ -180,7 +180,7 @@ impl<'w> Link<'w> {
             seq: at.said.seq,
         };
         let bytes = match self.kind {
-            "ego_state" => envelope(&at) + 2 + 56,
+            "agent_state" => envelope(&at) + 2 + 56,
             _ => bytes(world, &at),
         };
         let at_once = Copies {

@@ -13,71 +13,75 @@ use crate::world::{EGO, Strategy, World, content};
 
 /// The states of the ego that came to the others over their link, and what became of them on the way.
 #[derive(Default)]
-struct Told<'w> {
+struct Reported<'w> {
     to_ego: Crossed<'w>,
     to_others: Crossed<'w>,
     /// By receiver: the calls in which its encoder took a state.
     known: BTreeMap<&'w str, Vec<(Place<'w>, At<'w>)>>,
-    /// Receiver and number of those that a busy decoder passed over.
+    /// Receiver and number of those that a busy decoder skipped.
     skipped: BTreeSet<(&'w str, u64)>,
     /// Receiver and number of those by which a sweep was brought to the ego's frame.
     used: BTreeSet<(&'w str, u64)>,
-    /// Messages passed over, by stage.
-    passed_over: BTreeMap<String, u64>,
+    /// Messages skipped, by stage.
+    by_stage: BTreeMap<String, u64>,
 }
 
 /// Everybody's states through the link of states.
-fn tell(world: &World) -> Told<'_> {
+fn report(world: &World) -> Reported<'_> {
     let (own, others): (Vec<At>, Vec<At>) = world.states.iter().map(At::log).partition(|at| at.agent() == EGO);
     let own = serve_latest(&own, world.compute("ego-sender"));
     let others = serve_latest(&others, world.compute("state-sender"));
     let link = Link::of_states(world, &own.done(), &others.done());
-    let mut told = Told {
+    let mut reported = Reported {
         to_ego: link.to_ego(),
         to_others: link.to_others(),
-        ..Told::default()
+        ..Reported::default()
     };
-    let receivers: BTreeSet<&str> = told.to_others.sent.iter().map(|sent| sent.to).collect();
+    let receivers: BTreeSet<&str> = reported.to_others.sent.iter().map(|sent| sent.to).collect();
     let mut late = 0;
     for receiver in receivers {
-        let sent = told.to_others.sent.iter().filter(|sent| sent.to == receiver);
+        let sent = reported.to_others.sent.iter().filter(|sent| sent.to == receiver);
         let arrivals: Vec<At> = sent.flat_map(Sent::arrivals).collect();
         // What came for one agent does not wait for, nor replace, what came for another.
         let decoded = serve_latest(&arrivals, world.compute("state-receiver"));
-        late += decoded.passed_over.len();
-        let skipped = decoded.passed_over.iter().map(|at| (receiver, at.said.seq));
-        told.skipped.extend(skipped);
+        late += decoded.skipped.len();
+        let skipped = decoded.skipped.iter().map(|at| (receiver, at.said.seq));
+        reported.skipped.extend(skipped);
         let taken = decoded.done().into_iter().map(|at| (at.place(Class::State, 1), at));
-        told.known
+        reported
+            .known
             .insert(receiver, serve_all(taken.collect(), world.compute("encoder")));
     }
-    told.known.retain(|_, taken| !taken.is_empty());
+    reported.known.retain(|_, taken| !taken.is_empty());
     let count = [
-        ("ego-sender", own.passed_over.len()),
-        ("state-sender", others.passed_over.len()),
+        ("ego-sender", own.skipped.len()),
+        ("state-sender", others.skipped.len()),
         ("state-link", 0),
         ("state-receiver", late),
     ];
-    told.passed_over = count.map(|(stage, count)| (stage.to_string(), count as u64)).into();
-    told
+    reported.by_stage = count.map(|(stage, count)| (stage.to_string(), count as u64)).into();
+    reported
 }
 
-impl Told<'_> {
+impl Reported<'_> {
     /// The books of the channels of states.
     fn channels(&self) -> BTreeMap<String, Line> {
-        let mut channels = books("ego_state", &self.to_ego);
+        let mut channels = books("agent_state", &self.to_ego);
         for sent in &self.to_ego.sent {
-            let line = channels.get_mut(&name(sent, "ego_state")).expect("it has a line");
+            let line = channels.get_mut(&name(sent, "agent_state")).expect("it has a line");
             line.lost += u64::from(sent.copies.first.is_none());
         }
-        channels.extend(books("ego_state", &self.to_others));
+        channels.extend(books("agent_state", &self.to_others));
         for (name, line) in &mut channels {
             // The encoder takes what the channel delivers: it had some of this receiver.
-            let (_, to) = name.trim_end_matches(".ego_state").split_once('-').expect("two agents");
+            let (_, to) = name
+                .trim_end_matches(".agent_state")
+                .split_once('-')
+                .expect("two agents");
             line.accounted = self.known.contains_key(to);
         }
         for sent in &self.to_others.sent {
-            let line = channels.get_mut(&name(sent, "ego_state")).expect("it has a line");
+            let line = channels.get_mut(&name(sent, "agent_state")).expect("it has a line");
             let (number, stamp) = ((sent.to, sent.at.said.seq), sent.at.said.stamp);
             let taken = || self.known.get(sent.to).into_iter().flatten().map(|(_, at)| at.said);
             let there = taken().any(|said| said.stamp == stamp);
@@ -123,16 +127,16 @@ fn books(kind: &str, crossed: &Crossed) -> BTreeMap<String, Line> {
 #[derive(Default)]
 struct Encoded<'w> {
     packets: Vec<At<'w>>,
-    passed_over: u64,
+    skipped: u64,
     no_ego_state: u64,
     errors: u64,
 }
 
 /// Sweeps to packets; a sender that projects takes the newest state of the ego that it has received.
-fn encode<'w>(world: &World, sweeps: &[At<'w>], told: &mut Told<'w>, reached: &mut Reached) -> Encoded<'w> {
+fn encode<'w>(world: &World, sweeps: &[At<'w>], reported: &mut Reported<'w>, reached: &mut Reached) -> Encoded<'w> {
     let served = serve_latest(sweeps, world.compute("encoder"));
     let mut encoded = Encoded {
-        passed_over: served.passed_over.len() as u64,
+        skipped: served.skipped.len() as u64,
         ..Encoded::default()
     };
     for (place, at) in &served.calls {
@@ -140,7 +144,7 @@ fn encode<'w>(world: &World, sweeps: &[At<'w>], told: &mut Told<'w>, reached: &m
             encoded.packets.push(*at);
             continue;
         }
-        let taken = told.known.get(at.agent()).into_iter().flatten();
+        let taken = reported.known.get(at.agent()).into_iter().flatten();
         let before = taken.filter(|(taken, _)| taken < place);
         let Some(ego) = before.map(|(_, state)| state.said).max_by_key(|said| said.stamp) else {
             encoded.no_ego_state += 1;
@@ -150,7 +154,7 @@ fn encode<'w>(world: &World, sweeps: &[At<'w>], told: &mut Told<'w>, reached: &m
             encoded.errors += 1;
             continue;
         }
-        told.used.insert((at.agent(), ego.seq));
+        reported.used.insert((at.agent(), ego.seq));
         encoded.packets.push(At { by: Some(ego), ..*at });
         let log_had = world
             .states
@@ -188,7 +192,7 @@ fn fuse<'w>(world: &World, asked: &[Asked<'w>]) -> (Vec<At<'w>>, u64) {
         .map(|number| sets[number])
         .collect();
     let served = serve_latest(&complete, world.compute("fusion"));
-    let not_fused = sets.len() - complete.len() + served.passed_over.len();
+    let not_fused = sets.len() - complete.len() + served.skipped.len();
     (served.done(), not_fused as u64)
 }
 
@@ -235,7 +239,7 @@ struct History {
     selected: BTreeSet<Id>,
     used: BTreeSet<Id>,
     /// By the decoder, or in a Selection that no fusion took up.
-    passed_over: BTreeSet<Id>,
+    skipped: BTreeSet<Id>,
     over_limit: BTreeSet<Id>,
     stale: BTreeSet<Id>,
     superseded: BTreeSet<Id>,
@@ -250,7 +254,7 @@ impl History {
         let asked_for = self.selected.contains(&id);
         let terms = [
             (self.used.contains(&id), &mut line.used),
-            (self.passed_over.contains(&id), &mut line.skipped),
+            (self.skipped.contains(&id), &mut line.skipped),
             (self.over_limit.contains(&id), &mut line.over_limit),
             (self.stale.contains(&id) && !asked_for, &mut line.stale),
             (self.superseded.contains(&id) && !asked_for, &mut line.superseded),
@@ -291,23 +295,23 @@ fn offline(asked: &[Asked], held: &[Held], history: &mut History) {
 /// What a run of the world must give, and what of it is rare.
 pub fn account(world: &World) -> (Account, Reached) {
     let mut reached = Reached::new();
-    let mut passed_over: BTreeMap<String, u64> = BTreeMap::new();
+    let mut skipped: BTreeMap<String, u64> = BTreeMap::new();
     let (own, others): (Vec<At>, Vec<At>) = world.sweeps.iter().map(At::log).partition(|at| at.agent() == EGO);
     let (queries, others) = match world.strategy {
         Strategy::Late => {
             let own = serve_latest(&own, world.compute("ego-nms"));
             let others = serve_latest(&others, world.compute("nms"));
-            passed_over.insert("ego-nms".into(), own.passed_over.len() as u64);
-            passed_over.insert("nms".into(), others.passed_over.len() as u64);
+            skipped.insert("ego-nms".into(), own.skipped.len() as u64);
+            skipped.insert("nms".into(), others.skipped.len() as u64);
             (own.done(), others.done())
         }
         Strategy::Early | Strategy::Projected => (own, others),
     };
-    let mut told = match world.strategy {
-        Strategy::Projected => tell(world),
-        Strategy::Late | Strategy::Early => Told::default(),
+    let mut reported = match world.strategy {
+        Strategy::Projected => report(world),
+        Strategy::Late | Strategy::Early => Reported::default(),
     };
-    let encoded = encode(world, &others, &mut told, &mut reached);
+    let encoded = encode(world, &others, &mut reported, &mut reached);
     let crossed = Link::of_sweeps(world, &encoded.packets).to_ego();
     add(
         &mut reached,
@@ -327,7 +331,7 @@ pub fn account(world: &World) -> (Account, Reached) {
     let mut history = History {
         selected: asked.iter().flat_map(|asked| ids(&asked.entries)).collect(),
         rejected: rejected.iter().chain(&too_large).map(|at| id(at.said)).collect(),
-        passed_over: decoded.passed_over.iter().map(|at| id(at.said)).collect(),
+        skipped: decoded.skipped.iter().map(|at| id(at.said)).collect(),
         ..History::default()
     };
     match world.offline {
@@ -357,7 +361,7 @@ pub fn account(world: &World) -> (Account, Reached) {
     }
     for asked in &asked {
         if !fused.iter().any(|set| set.said == asked.query.said) {
-            history.passed_over.extend(ids(&asked.entries));
+            history.skipped.extend(ids(&asked.entries));
         }
     }
 
@@ -366,7 +370,7 @@ pub fn account(world: &World) -> (Account, Reached) {
         history.count(sent, channels.get_mut(&name(sent, kind(world))).expect("it has a line"));
     }
     channels.values_mut().for_each(|line| line.accounted = true);
-    channels.extend(told.channels());
+    channels.extend(reported.channels());
     let answers = asked.iter().map(|asked| Answer {
         query: asked.query.said.seq,
         ready: asked.ready,
@@ -377,21 +381,21 @@ pub fn account(world: &World) -> (Account, Reached) {
             .collect(),
     });
     let shared = [
-        ("encoder", encoded.passed_over),
+        ("encoder", encoded.skipped),
         ("link", 0),
-        ("decoder", decoded.passed_over.len() as u64),
+        ("decoder", decoded.skipped.len() as u64),
         ("bank", 0),
         ("fusion", 2 * not_fused),
     ];
-    passed_over.extend(shared.map(|(stage, count)| (stage.to_string(), count)));
-    passed_over.extend(told.passed_over);
+    skipped.extend(shared.map(|(stage, count)| (stage.to_string(), count)));
+    skipped.extend(reported.by_stage);
     let account = Account {
         selections: answers.collect(),
         fusions,
         channels,
         no_ego_state: encoded.no_ego_state,
         errors: encoded.errors,
-        passed_over,
+        skipped,
     };
     (account, reached)
 }

@@ -73,7 +73,7 @@ pub fn serve_all<'w, T>(mut arrivals: Vec<(Place<'w>, T)>, compute: Nanos) -> Ve
 pub struct Served<'w> {
     /// The calls: when they began, and what the stage was called with, ready when the call was done.
     pub calls: Vec<(Place<'w>, At<'w>)>,
-    pub passed_over: Vec<At<'w>>,
+    pub skipped: Vec<At<'w>>,
 }
 
 impl<'w> Served<'w> {
@@ -103,9 +103,9 @@ pub fn serve_latest<'w>(arrivals: &[At<'w>], compute: Nanos) -> Served<'w> {
             if free <= at.ready {
                 free = call(at, at.place(Class::Data, 0));
             } else if waiting.is_some_and(|waiting| waiting.said.stamp > at.said.stamp) {
-                served.passed_over.push(at);
+                served.skipped.push(at);
             } else {
-                served.passed_over.extend(waiting.replace(at));
+                served.skipped.extend(waiting.replace(at));
             }
         }
         waiting.map(|last| call(last, freed(free, last.agent())));

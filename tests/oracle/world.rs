@@ -101,7 +101,7 @@ pub enum Strategy {
     Projected,
 }
 
-/// One log, and everything that the graph is told.
+/// One log, and all settings of the graph.
 #[derive(Clone, Debug)]
 pub struct World {
     /// What crosses.
@@ -122,9 +122,9 @@ pub struct World {
     pub channel_seed: u64,
     /// Reach of the channels, m.
     pub range_m: f64,
-    /// Greatest packet that is taken, bytes.
+    /// Largest packet that is taken, bytes.
     pub max_bytes: usize,
-    /// Greatest age that the bank selects, ms.
+    /// Largest age that the bank selects, ms.
     pub window_ms: u32,
     /// How long a query waits in the bank for a message that its sender's rhythm announces, ms.
     pub patience_ms: u32,
@@ -199,7 +199,7 @@ impl World {
             _ => random.pick(&[64 << 20, 64 << 20, 200, 150]),
         };
         // Sends so much while queries wait that the bank does not hold it all.
-        let hasty = random.chance(10);
+        let ends_early = random.chance(10);
         let range_m = random.pick(&[70.0, 70.0, 30.0, 1000.0, 1000.0]);
         let others = &OTHERS[..random.within(1, 5) as usize];
         let mut world = World {
@@ -211,7 +211,7 @@ impl World {
             channel: channel(random, style.grid),
             state_channel: channel(random, style.grid),
             channel_seed: random.next(),
-            range_m: if hasty { 1000.0 } else { range_m },
+            range_m: if ends_early { 1000.0 } else { range_m },
             max_bytes,
             window_ms: random.pick(&[400, 400, 400, 150, 0]),
             patience_ms: random.pick(&[0, 0, 0, 0, 0, 5, 30, 80, 200]),
@@ -223,14 +223,14 @@ impl World {
             world.has_patience(random.pick(&[5, 30, 80, 200]));
         }
         if !offline {
-            world.compute = match hasty {
+            world.compute = match ends_early {
                 true => [("bank.ego".to_string(), random.within(100, 400) * MS)].into(),
                 false => compute(random, style.grid, &world.stages()),
             };
         }
         for (number, other) in others.iter().enumerate() {
-            let hasty = hasty && number == 0;
-            world.sweeps.extend(sweeps(random, other, style, hasty));
+            let ends_early = ends_early && number == 0;
+            world.sweeps.extend(sweeps(random, other, style, ends_early));
             // An agent whose position is not known does not pass the gate.
             if random.chance(90) {
                 world.states.extend(states(random, other, style));
@@ -261,7 +261,7 @@ impl World {
 
     /// The channels as a profile.
     pub fn profile(&self) -> String {
-        self.channel.table("default") + &self.state_channel.table("kinds.ego_state")
+        self.channel.table("default") + &self.state_channel.table("kinds.agent_state")
     }
 
     /// What a call of a stage takes, ns.
@@ -280,7 +280,7 @@ fn multiple(time: Nanos, grid: Nanos) -> Nanos {
     time.div_euclid(grid) * grid
 }
 
-fn sweeps(random: &mut Random, agent: &str, style: Style, hasty: bool) -> Vec<Said> {
+fn sweeps(random: &mut Random, agent: &str, style: Style, ends_early: bool) -> Vec<Said> {
     let Style {
         offline,
         grid,
@@ -288,7 +288,7 @@ fn sweeps(random: &mut Random, agent: &str, style: Style, hasty: bool) -> Vec<Sa
         unposed,
         rhythmic,
     } = style;
-    let period = match hasty {
+    let period = match ends_early {
         true if offline => random.within(2 * MS, 3 * MS),
         true => random.within(5 * MS, 12 * MS),
         false => multiple(random.within(50 * MS, 250 * MS), grid),
@@ -342,7 +342,7 @@ fn states(random: &mut Random, agent: &str, style: Style) -> Vec<Said> {
     let first = spot(random);
     let mut each_second = |most: i64| random.within(-most * 1000, most * 1000) as f64 / 1000.0;
     let ([vx, vy], turn) = ([each_second(30), each_second(30)], each_second(1));
-    // Who tells late where it is has its packets wait.
+    // Who reports its position late has its packets wait.
     let silent = if random.chance(20) {
         random.within(0, style.duration / 2)
     } else {

@@ -26,7 +26,7 @@ pub fn folder(name: &str, sections: &[&str]) -> PathBuf {
         let (_, content) = content.expect("a file's content follows its mark");
         let path = mine.join(name);
         fs::create_dir_all(path.parent().expect("it lies in a folder")).expect("the folder can be made");
-        // Below this repository cargo has to be told that the crate is none of its members.
+        // Below this repository cargo has to know that the crate is none of its members.
         let content = match name {
             "Cargo.toml" => format!("{content}\n[workspace]\n"),
             _ => content.into(),

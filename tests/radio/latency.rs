@@ -77,7 +77,7 @@ fn messages_of_each_kind_go_there_and_back_and_the_way_is_replayed() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_told() {
+fn what_cannot_be_measured_is_reported() {
     let (log, out) = (super::log().display().to_string(), folder("latency_wrong"));
     let refused = |args: &[&str]| {
         let output = realo_in(&out, &[&["latency"], args].concat());

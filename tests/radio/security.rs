@@ -76,7 +76,7 @@ fn only_what_trusted_agents_signed_comes_in_and_all_else_is_named() {
 }
 
 #[test]
-fn keys_that_cannot_be_are_told() {
+fn keys_that_cannot_be_are_reported() {
     let (dir, log, near) = (folder("security_wrong"), log(), folder("security_wrong_out"));
     keys(&dir, &["cav1", "rsu1"]);
     let file = |name: &str| dir.join(name).display().to_string();

@@ -171,10 +171,10 @@ fn two_daemons() {
         &one.to_string_lossy(),
     ]);
     assert!(said.status.success(), "{}", text(&said.stderr));
-    let told = text(&said.stderr);
+    let reported = text(&said.stderr);
     assert!(
-        told.contains("for the machines compute, sensors runs on this one"),
-        "{told}"
+        reported.contains("for the machines compute, sensors runs on this one"),
+        "{reported}"
     );
     let expected = boxes(&one);
 

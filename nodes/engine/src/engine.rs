@@ -9,7 +9,7 @@ use realo_schemas::{Clock, Message, Name, Nanos};
 
 use crate::event::{Event, Key, Order, What};
 use crate::intake::{Intake, Overflow, Work};
-use crate::stage::{Call, Called, Stage, crossings, told};
+use crate::stage::{Call, Called, Stage, crossings, reported};
 use crate::{Feed, Wiring};
 
 /// What triggers the last call of a stage.
@@ -70,7 +70,7 @@ pub struct Task {
     pub ticket: Ticket,
     /// What the stage is called for.
     pub call: Call,
-    /// What a sink has not been told yet.
+    /// Fates that a sink has not seen yet.
     pub fates: Vec<Fated>,
 }
 
@@ -130,8 +130,8 @@ struct Running {
     last_in: Vec<Nanos>,
     open_inputs: usize,
     /// Whether one of its inputs has ended.
-    hurries: bool,
-    /// Of a sink: what it has not been told yet.
+    ends_early: bool,
+    /// Of a sink: fates that it has not seen yet.
     fates: Vec<Fated>,
     life: Life,
 }
@@ -157,7 +157,7 @@ impl Running {
 
     /// Whether an output ended before its stage.
     fn is_closed(&self, output: usize) -> bool {
-        self.hurries && self.stage.registration.outputs[output].hasty
+        self.ends_early && self.stage.registration.outputs[output].ends_early
     }
 
     /// Which outputs have ended.
@@ -201,7 +201,7 @@ impl Engine {
             let outputs = registration.outputs.len();
             Running {
                 stage: Stage::new(wired.id.clone(), registration),
-                hurries: false,
+                ends_early: false,
                 open_inputs: fed.iter().filter(|fed| **fed).count(),
                 intake: Intake::new(registration.inputs, fed),
                 busy: BTreeMap::new(),
@@ -325,7 +325,7 @@ impl Engine {
     }
 
     /// Takes what was said of messages over links: for this engine's sinks, and for those outside.
-    pub fn tell(&mut self, fates: Vec<Fated>) {
+    pub fn report(&mut self, fates: Vec<Fated>) {
         for sink in self.stages.iter_mut().filter(|running| running.role() == Role::Sink) {
             sink.fates.extend(fates.iter().cloned());
         }
@@ -442,7 +442,7 @@ impl Engine {
         }
         let lines = running.stage.count(&mut called);
         self.complaints.extend(lines);
-        self.tell(called.made.fates);
+        self.report(called.made.fates);
         // Nobody is woken after the end.
         let ends = self.stages[ticket.stage].life == Life::Ending;
         for time in called.made.wakes.into_iter().filter(|_| !ends) {
@@ -495,7 +495,7 @@ impl Engine {
                 let running = &mut self.stages[stage];
                 running.open_inputs -= 1;
                 let before = running.ended_outputs();
-                running.hurries = true;
+                running.ends_early = true;
                 self.end_outputs(stage, &before, time);
                 self.open.push_back((stage, Name::default()));
             }
@@ -533,13 +533,13 @@ impl Engine {
 
     /// Says of messages over links that a stage will never be given that it passed them over.
     fn pass_over(&mut self, stage: usize) {
-        let gone = self.stages[stage].intake.take_passed_over();
+        let gone = self.stages[stage].intake.take_skipped();
         let fates: Vec<Fated> = gone
             .iter()
-            .flat_map(|message| told(crossings(message), Fate::Skipped))
+            .flat_map(|message| reported(crossings(message), Fate::Skipped))
             .collect();
         if !fates.is_empty() {
-            self.tell(fates);
+            self.report(fates);
         }
     }
 
@@ -649,7 +649,7 @@ impl Engine {
     fn dispatch(&mut self, stage: usize, sent: Vec<(PortId, Message)>, input: Nanos, start: Nanos, done: Nanos) {
         for (port, mut message) in sent {
             if self.stages[stage].is_closed(port.0) {
-                self.tell(Fated::of(&message.header, Fate::InFlight).into_iter().collect());
+                self.report(Fated::of(&message.header, Fate::InFlight).into_iter().collect());
                 continue;
             }
             if self.clock.is_some() {

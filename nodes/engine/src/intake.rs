@@ -48,7 +48,7 @@ pub(crate) struct Intake {
     held: Vec<usize>,
     arrivals: u64,
     /// Messages that the stage will never be given.
-    passed_over: Vec<Message>,
+    skipped: Vec<Message>,
 }
 
 impl Intake {
@@ -67,7 +67,7 @@ impl Intake {
             partial: BTreeMap::new(),
             waiting: BTreeMap::new(),
             arrivals: 0,
-            passed_over: Vec::new(),
+            skipped: Vec::new(),
         }
     }
 
@@ -129,8 +129,8 @@ impl Intake {
     }
 
     /// What was replaced or never joined since the last call.
-    pub fn take_passed_over(&mut self) -> Vec<Message> {
-        std::mem::take(&mut self.passed_over)
+    pub fn take_skipped(&mut self) -> Vec<Message> {
+        std::mem::take(&mut self.skipped)
     }
 
     /// Place in line of the next work of a server: its time and class.
@@ -165,7 +165,7 @@ impl Intake {
     fn count_unjoined(&mut self, parts: Vec<(PortId, Message)>) {
         for (port, message) in parts {
             self.books_of(port).unjoined.add(&message);
-            self.passed_over.push(message);
+            self.skipped.push(message);
         }
     }
 
@@ -247,7 +247,7 @@ impl Intake {
     }
 
     /// Empties the slot of a `latest` port, agent, receiver and kind for newer work; what is older than the waiting one is
-    /// passed over itself.
+    /// skipped itself.
     fn replace_waiting(&mut self, server: &str, port: PortId, work: Work) -> Option<Work> {
         let Header {
             agent, to, kind, stamp, ..
@@ -276,7 +276,7 @@ impl Intake {
     fn skip(&mut self, work: Work) {
         for (port, message) in work.calls {
             self.books_of(port).skipped.add(&message);
-            self.passed_over.push(message);
+            self.skipped.push(message);
         }
     }
 
@@ -352,7 +352,7 @@ mod tests {
             2,
             "the part of y never met its partner"
         );
-        let gone: Vec<(Name, u64)> = intake.take_passed_over().iter().map(of).collect();
+        let gone: Vec<(Name, u64)> = intake.take_skipped().iter().map(of).collect();
         assert_eq!(gone, [("x".into(), 1), ("x".into(), 1), ("y".into(), 1)]);
     }
 
@@ -367,7 +367,7 @@ mod tests {
         assert_eq!(seqs(intake.next("").unwrap()), [(3, 2)]);
         assert!(intake.next("").is_none() && intake.is_idle());
         assert_eq!(intake.books()["latest"].skipped.total(), 2);
-        let gone: Vec<(Name, u64)> = intake.take_passed_over().iter().map(of).collect();
+        let gone: Vec<(Name, u64)> = intake.take_skipped().iter().map(of).collect();
         assert_eq!(gone, [("x".into(), 0), ("x".into(), 1)]);
     }
 
@@ -420,7 +420,7 @@ mod tests {
             intake.offer(&x, PortId(3), same).unwrap();
         }
         assert_eq!(seqs(intake.next("x").unwrap()), [(3, 6)]);
-        let gone: Vec<(Name, u64)> = intake.take_passed_over().iter().map(of).collect();
+        let gone: Vec<(Name, u64)> = intake.take_skipped().iter().map(of).collect();
         assert_eq!(gone, [("x".into(), 5), ("x".into(), 4)]);
     }
 
@@ -448,8 +448,8 @@ mod tests {
         assert_eq!(intake.books()["a"].received.total(), 2);
         assert!(!intake.is_idle());
         assert_eq!(seqs(intake.next("x").unwrap()), [(0, 1), (1, 1)]);
-        assert_eq!(intake.take_passed_over().len(), 1);
-        assert!(intake.take_passed_over().is_empty());
+        assert_eq!(intake.take_skipped().len(), 1);
+        assert!(intake.take_skipped().is_empty());
     }
 
     #[test]
@@ -471,7 +471,7 @@ mod tests {
         intake.offer(&x, PortId(1), message("x", 3)).unwrap();
         assert_eq!(seqs(intake.next("x").unwrap()), [(0, 3), (1, 3)]);
         intake.close();
-        assert!(intake.take_passed_over().len() == 2 && intake.first("x").is_none());
+        assert!(intake.take_skipped().len() == 2 && intake.first("x").is_none());
     }
 
     #[test]
@@ -490,7 +490,7 @@ mod tests {
         assert_eq!(intake.books()["a"].unjoined.total(), 1);
         intake.offer(&x, PortId(0), message("x", 10 + more)).unwrap();
         assert_eq!(intake.books()["a"].unjoined.total(), 2, "the oldest went");
-        assert_eq!(of(&intake.take_passed_over()[1]), ("x".into(), 10));
+        assert_eq!(of(&intake.take_skipped()[1]), ("x".into(), 10));
     }
 
     #[test]

@@ -6,10 +6,10 @@ use realo_operator::{AnyOperator, Built, Counts, Error, Made, NodeBooks, Outputs
 use realo_schemas::report::{Crossing, Fate, Fated};
 use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry, file};
 
-/// Errors of a stage that are told; the rest is only counted.
-const TOLD_ERRORS: u64 = 5;
-/// Characters of an error that are told: what a plug-in says may be of any length.
-const TOLD_CHARACTERS: usize = 1000;
+/// Errors of a stage that are reported; the rest is only counted.
+const REPORTED_ERRORS: u64 = 5;
+/// Characters of an error that are reported: what a plug-in says may be of any length.
+const REPORTED_CHARACTERS: usize = 1000;
 
 /// Why a stage can no longer be called; the run fails.
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +40,7 @@ pub struct Called {
 }
 
 impl Call {
-    /// Calls a stage; `out` tells when the call starts, `fates` what a sink has not been told yet.
+    /// Calls a stage; `out` says when the call starts, `fates` what a sink has not seen yet.
     pub fn make(self, built: &mut Built, inputs: &Registration, mut out: Outputs, fates: &[Fated]) -> Called {
         let mut called = Called::default();
         match built {
@@ -83,7 +83,7 @@ impl Call {
                     called
                         .errors
                         .push(format!("input `{name}`, {text}: {}", words_of(&error)));
-                    called.made.fates.extend(told(carried, Fate::Rejected));
+                    called.made.fates.extend(reported(carried, Fate::Rejected));
                 }
             }
             Call::Wake => called.note(&format!("wake at {start} ns"), operator.on_wake(start, out)),
@@ -121,7 +121,7 @@ impl Called {
 /// What an error says, as a terminal may have it.
 fn words_of(error: &Error) -> String {
     let plain = |c: char| if c.is_control() && c != '\n' { ' ' } else { c };
-    file::head(&error.to_string(), TOLD_CHARACTERS)
+    file::head(&error.to_string(), REPORTED_CHARACTERS)
         .chars()
         .map(plain)
         .collect()
@@ -139,7 +139,7 @@ pub(crate) fn crossings(message: &Message) -> Vec<Crossing> {
     }
 }
 
-pub(crate) fn told(messages: Vec<Crossing>, fate: Fate) -> impl Iterator<Item = Fated> {
+pub(crate) fn reported(messages: Vec<Crossing>, fate: Fate) -> impl Iterator<Item = Fated> {
     messages.into_iter().map(move |message| Fated {
         message,
         fate,
@@ -170,7 +170,7 @@ impl Stage {
         }
     }
 
-    /// Takes over what was counted; gives what is to be told of counters that the stage does not declare.
+    /// Takes over what was counted; gives what is to be reported of counters that the stage does not declare.
     pub fn count_up(&mut self, counts: Counts) -> Vec<String> {
         let declared = self.registration.counters;
         let is_new = |name: &&str| !declared.is_empty() && !self.books.counters.contains_key(*name);
@@ -185,7 +185,7 @@ impl Stage {
         lines
     }
 
-    /// Counts what came of a call; gives what is to be told of its errors.
+    /// Counts what came of a call; gives what is to be reported of its errors.
     pub fn count(&mut self, called: &mut Called) -> Vec<String> {
         let mut lines = self.count_up(std::mem::take(&mut called.made.counts));
         self.books.explained.append(&mut called.made.explained);
@@ -204,14 +204,14 @@ impl Stage {
         self.books.errors += 1;
         self.books.other_errors += called.other_errors;
         self.books.first_error.get_or_insert_with(|| first.clone());
-        if self.books.errors <= TOLD_ERRORS {
+        if self.books.errors <= REPORTED_ERRORS {
             let more = match errors.len() {
                 1 => String::new(),
                 all => format!(" (and {} more of this set)", all - 1),
             };
             lines.push(format!("{} ({}): {first}{more}", self.id, self.registration.name));
         }
-        if self.books.errors == TOLD_ERRORS {
+        if self.books.errors == REPORTED_ERRORS {
             lines.push(format!("{}: further errors are counted, not printed", self.id));
         }
         lines
@@ -220,7 +220,7 @@ impl Stage {
     /// Stamps an outgoing message: its number on the output, when it is ready, and this stage in its trace.
     ///
     /// The operator saw the call begin at `start`; a `ready` beyond that is a delay which follows the computation.
-    /// Before the first message `start` may be the least time there is.
+    /// Before the first message `start` may be the smallest time there is.
     pub fn stamp(&mut self, port: PortId, message: &mut Message, input: Nanos, start: Nanos, done: Nanos) {
         let header = &mut message.header;
         header.ready = header.ready.max(start) + (done - start);
@@ -287,7 +287,7 @@ mod tests {
             match message.header.seq {
                 9 => return Err(Box::new(Gone("dead".into()))),
                 odd if odd % 2 == 1 => return Err("odd".into()),
-                _ => out.tell(&message.header, Fate::Used),
+                _ => out.report(&message.header, Fate::Used),
             }
             out.send(port, message);
             Ok(())
@@ -397,7 +397,7 @@ mod tests {
     fn a_sink_hears_of_fates_first_and_its_errors_fail_the_run() {
         let notes = Notes::default();
         let mut built = Built::Sink(Box::new(notes.clone()));
-        let fate: Vec<Fated> = told(crossings(&message(0)), Fate::Lost).collect();
+        let fate: Vec<Fated> = reported(crossings(&message(0)), Fate::Lost).collect();
         let mut make = |call: Call, fates: &[Fated]| {
             let called = call.make(&mut built, &PORTS, Outputs::at(7), fates);
             let said = std::mem::take(&mut *notes.0.lock().unwrap());
@@ -470,7 +470,10 @@ mod tests {
         let error: Error = "one\ntwo\x1b[31m\tthree".into();
         assert_eq!(words_of(&error), "one\ntwo [31m three");
         let long: Error = "é".repeat(5000).into();
-        assert_eq!(words_of(&long).chars().filter(|c| *c == 'é').count(), TOLD_CHARACTERS);
+        assert_eq!(
+            words_of(&long).chars().filter(|c| *c == 'é').count(),
+            REPORTED_CHARACTERS
+        );
         assert!(words_of(&long).ends_with("… (10000 bytes)"));
     }
 }

@@ -127,7 +127,7 @@ impl FusionCase {
         );
     }
 
-    /// Each set is answered once, with the ego's header, and a fate is told of every message that was selected for it;
+    /// Each set is answered once, with the ego's header, and a fate is reported of every message that was selected for it;
     /// after the last input wakes come to an end, and the end is taken without an error.
     ///
     /// # Panics
@@ -154,12 +154,12 @@ impl FusionCase {
         for seq in 0..3 {
             for entry in &self.entries {
                 let agent = &*entry.header.agent;
-                let told = rig
+                let reported = rig
                     .fates
                     .iter()
                     .any(|fated| fated.message.seq == seq && fated.message.from == agent);
                 assert!(
-                    told,
+                    reported,
                     "what became of message {seq} of {agent}: `out.used` or `out.tell` says it"
                 );
             }

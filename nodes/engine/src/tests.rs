@@ -63,7 +63,7 @@ static GATEWAY: Registration = stage(
     "gateway",
     Role::Gateway,
     &[port("in"), port("state")],
-    &[port("out"), port("states").hasty()],
+    &[port("out"), port("states").ends_early()],
 );
 
 fn message(agent: &str, seq: u64, ready: Nanos) -> Message {
@@ -118,8 +118,8 @@ struct Rig<'a> {
     /// Each call: time, stage, trigger, messages.
     log: Vec<String>,
     released: Vec<usize>,
-    /// What each call was told of fates.
-    told: Vec<(String, Vec<Fated>)>,
+    /// Fates that each call was given.
+    reported: Vec<(String, Vec<Fated>)>,
     /// What sinks were given at the end.
     books: Vec<(String, Books)>,
 }
@@ -132,7 +132,7 @@ impl<'a> Rig<'a> {
             now: Nanos::MIN,
             log: Vec::new(),
             released: Vec::new(),
-            told: Vec::new(),
+            reported: Vec::new(),
             books: Vec::new(),
         }
     }
@@ -182,7 +182,7 @@ impl<'a> Rig<'a> {
                     assert_eq!(task.ticket.start, self.now);
                     assert_eq!(task.ticket.is_end(), matches!(task.call, Call::End(_)));
                     let answer = (self.script)(&id, &task.call, task.ticket.start);
-                    self.told.push((id, task.fates));
+                    self.reported.push((id, task.fates));
                     self.answer(&task.ticket, answer)?;
                 }
             }
@@ -280,7 +280,7 @@ fn an_instant_goes_by_class_then_port_then_agent_then_kind_then_number() {
     rig.give(3, message("b", 99, 0));
     assert_eq!(rig.until(9), ["0 s state 3.b99"]);
     let mut other = message("a", 1, 10);
-    other.header.kind = Kind::EgoState;
+    other.header.kind = Kind::AgentState;
     let mut points = message("a", 7, 10);
     points.header.kind = Kind::Points;
     for (port, message) in [
@@ -341,7 +341,7 @@ fn what_waits_for_a_busy_stage_goes_in_the_order_of_events() {
     });
     rig.give(3, message("b", 99, 0));
     let mut other = message("a", 1, 10);
-    other.header.kind = Kind::EgoState;
+    other.header.kind = Kind::AgentState;
     for (port, message) in [
         (0, message("a", 1, 10)),
         (2, message("a", 4, 10)),
@@ -505,7 +505,7 @@ fn wakes_belong_to_the_server_that_asked_and_come_once_each() {
     assert_eq!(rig.rest(), expected);
 }
 
-// Slots, sets, and what is passed over.
+// Slots, sets, and what is skipped.
 
 #[test]
 fn a_busy_stage_says_of_messages_over_links_that_it_passed_them_over() {
@@ -844,7 +844,7 @@ fn what_is_sent_at_the_end_still_arrives_and_nobody_is_woken_after_it() {
 }
 
 #[test]
-fn a_hasty_output_ends_with_the_first_input_of_its_gateway_so_that_what_it_feeds_can() {
+fn a_early_output_ends_with_the_first_input_of_its_gateway_so_that_what_it_feeds_can() {
     let mut wiring = alone(&GATEWAY);
     wiring.add("lane", &RELAY, &[("in", "s", "states")]).unwrap();
     wiring.add("far", &RELAY, &[("in", "s", "out")]).unwrap();
@@ -909,7 +909,7 @@ fn stages_that_nothing_feeds_end_at_once_and_sinks_last_with_the_books_of_all() 
     assert_eq!(names(&of("late")), ["far", "idle", "late", "relay", "source"]);
     assert_eq!(of("late").nodes["late"].inputs["in"].received.total(), 1);
     assert_eq!(of("late").nodes["relay"].name, "relay");
-    assert_eq!(names(&of("relay")), Vec::<String>::new(), "an operator is told nothing");
+    assert_eq!(names(&of("relay")), Vec::<String>::new(), "an operator gets no fates");
     let all = rig.engine.books();
     assert_eq!(names(&all), ["early", "far", "idle", "late", "relay", "source"]);
     assert_eq!(all.nodes["late"].compute.len(), 0, "sinks are not charged");
@@ -959,18 +959,18 @@ fn fates_reach_every_sink_with_its_next_call_and_leave_once() {
     rig.until(0);
     assert_eq!(rig.engine.take_fates(), [fated(0)]);
     assert_eq!(rig.engine.take_fates(), []);
-    rig.engine.tell(vec![fated(5)]);
+    rig.engine.report(vec![fated(5)]);
     rig.give(0, message("a", 1, 1));
     rig.end();
     rig.rest();
     assert_eq!(rig.engine.take_fates(), [fated(5), fated(1)]);
-    let told = |sink: &str| {
-        let of = rig.told.iter().filter(|(id, _)| id == sink);
+    let reported = |sink: &str| {
+        let of = rig.reported.iter().filter(|(id, _)| id == sink);
         of.map(|(_, fates)| fates.clone()).collect::<Vec<_>>()
     };
-    assert_eq!(told("first"), [vec![fated(0)], vec![fated(5), fated(1)], vec![]]);
-    assert_eq!(told("second"), [vec![fated(0), fated(5), fated(1)]], "at its end");
-    assert_eq!(told("s"), vec![Vec::<Fated>::new(); 3], "only sinks are told");
+    assert_eq!(reported("first"), [vec![fated(0)], vec![fated(5), fated(1)], vec![]]);
+    assert_eq!(reported("second"), [vec![fated(0), fated(5), fated(1)]], "at its end");
+    assert_eq!(reported("s"), vec![Vec::<Fated>::new(); 3], "only sinks get fates");
 }
 
 #[test]
@@ -1041,7 +1041,7 @@ fn what_a_stage_counts_is_summed_in_its_books() {
 }
 
 #[test]
-fn errors_are_counted_and_the_first_five_are_told() {
+fn errors_are_counted_and_the_first_five_are_reported() {
     let mut rig = Rig::one(&RELAY, |_, call, _| match call {
         Call::Inputs(calls) => Answer {
             errors: if calls[0].1.header.seq == 0 {
@@ -1168,7 +1168,7 @@ fn random_wiring(stages: &[RandomStage]) -> (Wiring, Vec<(usize, PortId)>) {
     (wiring, outside)
 }
 
-/// Calls, what left, books, fates, and what each call was told of them.
+/// Calls, what left, books, fates, and the fates that each call was given.
 type Trail = (Vec<String>, Vec<String>, Books, Vec<Fated>, Vec<(String, Vec<Fated>)>);
 
 fn drive(
@@ -1236,7 +1236,7 @@ fn drive(
         leaving,
         rig.engine.books(),
         rig.engine.take_fates(),
-        rig.told.clone(),
+        rig.reported.clone(),
     )
 }
 
@@ -1264,7 +1264,7 @@ proptest! {
         let of_sink = |line: &String| stages.iter().enumerate().any(|(index, stage)| stage.kind == 4 && line.contains(&format!(" s{index} ")));
         let first = log.iter().position(|line| of_sink(line) && line.ends_with("end")).unwrap_or(log.len());
         prop_assert!(log[first..].iter().all(of_sink));
-        // What an input received was taken, passed over, or part of no set; and of what was not taken it was told.
+        // What an input received was taken, skipped, or part of no set; and what was not taken was reported to it.
         let mut passed = 0;
         for (index, stage) in stages.iter().enumerate() {
             let node = &books.nodes[&format!("s{index}")];

@@ -446,7 +446,7 @@ impl FlatGraph {
     }
 
     /// Lets every stage be hosted by this binary, so that a graph runs on the program that read it. Its name must be
-    /// `realo`, by which stages are told from foreign programs.
+    /// `realo`, by which stages are distinguished from foreign programs.
     pub fn host_in(&mut self, realo: &Path) {
         let processes = self.nodes.iter_mut().chain(&mut self.hosts);
         for node in processes.filter(|node| node.is_realo()) {
@@ -466,7 +466,7 @@ impl FlatGraph {
                 node: node.id.clone(),
                 reason,
             };
-            nodes.push(Value::from(self.told(node).to_yaml().map_err(wrong)?));
+            nodes.push(Value::from(self.reported(node).to_yaml().map_err(wrong)?));
         }
         let mut out = self.settings.clone();
         out.insert("nodes".into(), nodes.into());
@@ -477,7 +477,7 @@ impl FlatGraph {
     }
 
     /// A process with all the arguments of the stages that it hosts.
-    fn told(&self, process: &FlatNode) -> FlatNode {
+    fn reported(&self, process: &FlatNode) -> FlatNode {
         let mut process = process.clone();
         for input in process.inputs.values_mut() {
             input.source = self.as_dora_has_it(&input.source);

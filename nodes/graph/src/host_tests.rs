@@ -18,8 +18,8 @@ nodes:
       ego_recorded: realo/v1/Boxes
       clouds: realo/v1/PointCloud
       recorded: realo/v1/Boxes
-      ego_poses: realo/v1/EgoState
-      poses: realo/v1/EgoState
+      ego_poses: realo/v1/AgentState
+      poses: realo/v1/AgentState
       truth: realo/v1/GroundTruth
   - id: ego
     path: bin/realo
@@ -77,7 +77,7 @@ nodes:
     args: operator transmission-decoder
     inputs: { packets: _mod/from_ego }
     outputs: [data]
-    output_types: { data: realo/v1/EgoState }
+    output_types: { data: realo/v1/AgentState }
   - id: sender
     path: ../bin/realo
     args: operator transmission-encoder

@@ -6,14 +6,14 @@ use std::path::Path;
 use arrow::datatypes::DataType;
 use realo_schemas::wire::to_arrow;
 use realo_schemas::{
-    Boxes, DType, EgoState, FeatureMap, GroundTruth, Header, Kind, Message, Packet, Payload, PayloadType, PointCloud,
+    AgentState, Boxes, DType, FeatureMap, GroundTruth, Header, Kind, Message, Packet, Payload, PayloadType, PointCloud,
     Pose, PoseStatus, Report, Selection,
 };
 
 fn example(payload: PayloadType) -> Payload {
     match payload {
         PayloadType::PointCloud => PointCloud::empty().into(),
-        PayloadType::EgoState => EgoState {
+        PayloadType::AgentState => AgentState {
             map_from_body: Pose::from_parts([0.0; 3], [0.0, 0.0, 0.0, 1.0]).unwrap().map_from_frame,
             covariance: None,
             velocity: None,
@@ -64,7 +64,9 @@ fn name(data_type: &DataType) -> String {
 fn about(payload: PayloadType) -> &'static str {
     match payload {
         PayloadType::PointCloud => "Points of one sweep: metres in the header's frame, time in ns from its stamp",
-        PayloadType::EgoState => "Where an agent is and how it moves: x y z qx qy qz qw, m/s, rad/s; empty if unknown",
+        PayloadType::AgentState => {
+            "Where an agent is and how it moves: x y z qx qy qz qw, m/s, rad/s; empty if unknown"
+        }
         PayloadType::FeatureMap => {
             "A BEV feature map, [rows (y), columns (x), channels]; cell and origin in metres; cells of confidence 0 are not there"
         }

@@ -205,7 +205,7 @@ struct Simulation<'a> {
     now: Nanos,
     /// What the calls of each stage took on this machine, ns.
     took: Vec<Nanos>,
-    /// A sink has been told that all is over: what the others write has to come as well.
+    /// A sink knows that all is over: what the others write has to come as well.
     concludes: bool,
 }
 
@@ -273,7 +273,7 @@ impl<'a> Simulation<'a> {
         for line in self.engine.take_complaints() {
             eprintln!("realo: {line}");
         }
-        // The sinks of this graph have been told.
+        // The sinks of this graph know it.
         self.engine.take_fates();
         for Leaving { stage, port, message } in self.engine.take_leaving() {
             if let Some(observer) = &mut self.observer {

@@ -28,7 +28,7 @@ pub(crate) fn box_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogError
         let has_companion = log.has(agent, companion);
         if !has_companion && array != Stream::Detections {
             found.push(format!(
-                "{topic}: {of_companion} is missing, without which a run does not play it; write both for each sweep (docs/log-format.md)"
+                "{topic}: {of_companion} is missing, without which a run does not play it; write both for each sweep (docs/reference/log-format.md)"
             ));
         }
         let mut wanted = vec![(agent, array)];

@@ -179,10 +179,10 @@ impl<'a> CdrReader<'a> {
         Ok(values)
     }
 
-    /// Length of a sequence whose elements take at least `least` bytes each.
-    pub fn length(&mut self, least: usize) -> Result<usize, CdrError> {
+    /// Length of a sequence whose elements take at least `min` bytes each.
+    pub fn length(&mut self, min: usize) -> Result<usize, CdrError> {
         let length = self.u32()? as usize;
-        match length.checked_mul(least) {
+        match length.checked_mul(min) {
             Some(bytes) if bytes <= self.left(self.at) => Ok(length),
             _ => Err(format!(
                 "a sequence of {length} elements in {} bytes",

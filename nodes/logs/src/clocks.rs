@@ -100,7 +100,7 @@ pub enum Step {
 }
 
 impl Step {
-    /// Of a message of a stream. Boxes and packets may be computed late: only their being early tells.
+    /// Of a message of a stream. Boxes and packets may be computed late: only early ones show a clock that is off.
     pub fn of(stream: Stream, stamp: Nanos, ready: Nanos) -> Step {
         let sensed = matches!(
             stream,
@@ -143,7 +143,7 @@ const LEAPS: [(Nanos, &str); 6] = [
     (-19, "GPS time against TAI, 19 s"),
 ];
 
-/// What kind of clock gives `stamp` when that of the log gives `log_time`; `None` where that cannot be told.
+/// What kind of clock gives `stamp` when that of the log gives `log_time`; `None` where that is unknown.
 pub fn kind_of_clock(stamp: Nanos, log_time: Nanos) -> Option<String> {
     let ahead = stamp.saturating_sub(log_time);
     let is_near = |offset: Nanos| {
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clocks_are_told_by_what_they_differ() {
+    fn clocks_are_reported_by_what_they_differ() {
         let now = 1_700_000_000 * SECOND;
         let kind = |offset: Nanos, latency: Nanos| kind_of_clock(now + offset, now + latency).unwrap_or_default();
         for latency in [0, 90_000_000, 500_000_000] {

@@ -188,7 +188,7 @@ impl<'a> CloudReader<'a> {
     fn strange_time(&self, field: &Field, value: f64, stamp: Nanos) -> CdrError {
         format!(
             "times of points: `{}` ({}) is {value} where the stamp is {stamp} ns; expected offsets of the stamp within a period of the \
-             sweeps (ns if integer, s if float; ms or µs are told by a sweep's length), or times since 1970 or since the full hour by the \
+             sweeps (ns if integer, s if float; ms or µs are reported by a sweep's length), or times since 1970 or since the full hour by the \
              stamp's clock; write int32 ns from the stamp",
             field.name,
             field.type_name()
@@ -200,7 +200,7 @@ impl<'a> CloudReader<'a> {
         self.find("intensity").map(Field::type_name)
     }
 
-    /// The greatest finite intensity, where intensities are of another type than a byte and some are above 0.
+    /// The largest finite intensity, where intensities are of another type than a byte and some are above 0.
     pub fn brightest(&self) -> Option<f32> {
         let field = self.find("intensity").filter(|field| field.datatype != UINT8)?;
         let values = self.points.column::<f32>(field).into_iter();

@@ -30,7 +30,7 @@ pub struct Description {
     pub topics: BTreeMap<String, TopicInfo>,
     /// How each agent's sweeps are read.
     pub sweeps: BTreeMap<String, SweepsInfo>,
-    /// How each agent's body frame was levelled, where the log tells.
+    /// How each agent's body frame was levelled, where the log says so.
     pub levelled: BTreeMap<String, Levelled>,
     /// How far the body frames of the others tilt by their poses at most, degrees.
     pub tilted: BTreeMap<String, f64>,

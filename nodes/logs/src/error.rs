@@ -6,7 +6,7 @@ use realo_schemas::{Nanos, to_seconds};
 /// What helps where the file system refuses, as the end of a sentence.
 fn advice(reason: &io::Error) -> &'static str {
     match reason.kind() {
-        io::ErrorKind::NotFound => "; correct the path, or write a log there first (docs/log-format.md)",
+        io::ErrorKind::NotFound => "; correct the path, or write a log there first (docs/reference/log-format.md)",
         io::ErrorKind::PermissionDenied => "; look at the file's and the folder's permissions",
         _ => "",
     }

@@ -102,8 +102,8 @@ pub const SWEEPS_OF_TWO_TOPICS: [&str; 2] = [
 /// that was cut, one may reach further.
 pub fn sweeps_of_one_topic(log: &Log, agent: &str) -> Option<[u64; 2]> {
     let [points, sweeps] = [Stream::Points, Stream::Sweeps].map(|stream| log.count(agent, stream));
-    let is_told = points > 0 && sweeps > 0 && points != sweeps && log.truncation().is_none();
-    is_told.then(|| [points.abs_diff(sweeps), points.max(sweeps)])
+    let is_reported = points > 0 && sweeps > 0 && points != sweeps && log.truncation().is_none();
+    is_reported.then(|| [points.abs_diff(sweeps), points.max(sweeps)])
 }
 
 fn sweeps_of_two_topics(log: &Log, agent: &str) -> Option<String> {

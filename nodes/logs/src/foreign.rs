@@ -8,7 +8,7 @@ use crate::McapFile;
 use crate::info::LOG_RECORD;
 
 /// Where the way from other data to a log is described.
-pub(crate) const GUIDE: &str = "docs/log-format.md says what a log holds, python/realo_log.py writes one, `realo import` reads data sets, `realo simulate` makes one up";
+pub(crate) const GUIDE: &str = "docs/reference/log-format.md says what a log holds, python/realo_log.py writes one, `realo import` reads data sets, `realo simulate` makes one up";
 const NONE: &str = "no topics";
 /// Topics that are listed.
 const SHOWN: usize = 12;
@@ -212,7 +212,7 @@ mod tests {
             (b"SQLite format 3\0", ["SQLite", "ros2 bag convert"]),
             (b"#ROSBAG V2.0\n", ["ROS 1", "python/realo_log.py"]),
             (b"", ["empty", "copy"]),
-            (b"hello", ["found [68, 65, 6c, 6c, 6f]", "docs/log-format.md"]),
+            (b"hello", ["found [68, 65, 6c, 6c, 6f]", "docs/reference/log-format.md"]),
         ] {
             let found = not_mcap(path, head);
             assert!(expected.iter().all(|part| found.contains(part)), "{found}");
@@ -234,7 +234,7 @@ mod tests {
         for part in [
             "files: bag_0.mcap, bag_1.db3)",
             "/imu (sensor_msgs/msg/Imu), /points (sensor_msgs/msg/PointCloud2);",
-            "docs/log-format.md",
+            "docs/reference/log-format.md",
         ] {
             assert!(found.contains(part), "{found}");
         }

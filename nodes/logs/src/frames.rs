@@ -298,7 +298,7 @@ mod tests {
         )
     }
 
-    /// map → base → lidar, base → body; base moves by 10 m/s and tells so every 100 ms for 2 s, but not between 0.5 and 0.9 s.
+    /// map → base → lidar, base → body; base moves by 10 m/s and says so every 100 ms for 2 s, but not between 0.5 and 0.9 s.
     fn frames() -> Frames {
         let mut frames = Frames::default();
         frames.add("/tf_static", 5, "base", "lidar", pose(1.0, std::f64::consts::FRAC_PI_2));

@@ -63,7 +63,7 @@ pub struct AgentInfo {
 pub struct Levelled {
     /// By what: `pose`, `ground`, or `none`.
     pub by: String,
-    /// The least and the greatest tilt that was taken out of a sweep, degrees.
+    /// The smallest and the largest tilt that was taken out of a sweep, degrees.
     pub degrees: [f64; 2],
 }
 
@@ -78,10 +78,10 @@ impl Levelled {
 
 impl fmt::Display for Levelled {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let [least, most] = self.degrees;
+        let [min, most] = self.degrees;
         match self.by.as_str() {
             Self::BY_NOTHING => f.write_str("not levelled"),
-            by => write!(f, "levelled by {by}, by {least:.2}° to {most:.2}°"),
+            by => write!(f, "levelled by {by}, by {min:.2}° to {most:.2}°"),
         }
     }
 }
@@ -103,7 +103,7 @@ pub struct LogInfo {
     pub key_frames: String,
     /// Log time of the first message, ns, where known beforehand.
     pub start: Option<Nanos>,
-    /// Log time of the last message, ns, where known beforehand; a cut log is told by it.
+    /// Log time of the last message, ns, where known beforehand; a cut log is recognised by it.
     pub end: Option<Nanos>,
     /// What of it was computed beforehand.
     #[serde(default, skip_serializing_if = "Option::is_none")]

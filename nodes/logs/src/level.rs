@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3};
 use realo_schemas::geometry::{Motion, PoseTrack, View, level_from_body, tilt_degrees, transform_boxes};
-use realo_schemas::{Box3, EgoState, Nanos, PointCloud};
+use realo_schemas::{AgentState, Box3, Nanos, PointCloud};
 
 use crate::{Log, LogError, Stream};
 
@@ -18,10 +18,10 @@ pub const LEVEL: f64 = 0.25;
 /// # Errors
 /// A log that cannot be read.
 pub(crate) fn tilts(log: &Log) -> Result<BTreeMap<String, f64>, LogError> {
-    let told = log.levelled()?;
+    let reported = log.levelled()?;
     let agents = log.info().agents.iter().map(|agent| agent.name.as_str());
     let streams = agents.flat_map(|agent| [Stream::Pose, Stream::PoseTruth].map(|stream| (agent, stream)));
-    let there = |(agent, stream): &(&str, Stream)| !told.contains_key(*agent) && log.has(agent, *stream);
+    let there = |(agent, stream): &(&str, Stream)| !reported.contains_key(*agent) && log.has(agent, *stream);
     let wanted: Vec<(&str, Stream)> = streams.filter(there).collect();
     let mut tilts: BTreeMap<String, f64> = wanted.iter().map(|(agent, _)| (agent.to_string(), 0.0)).collect();
     let mut reader = log.read_all(&wanted)?;
@@ -71,9 +71,9 @@ pub fn need_level(log: &Log) -> Result<(), LogError> {
 }
 
 /// The pose of the level frame: the heading and the place of the body's.
-pub fn level_state(state: EgoState) -> EgoState {
+pub fn level_state(state: AgentState) -> AgentState {
     let body_from_level = level_from_body(&state.map_from_body.rotation).inverse();
-    EgoState {
+    AgentState {
         map_from_body: state.map_from_body * body_from_level,
         angular_rate: state.angular_rate.map(|rate| body_from_level.inverse() * rate),
         ..state
@@ -88,7 +88,7 @@ impl Attitude {
     /// Poses further apart say nothing of what lies between, ns.
     pub const MAX_GAP: Nanos = 1_000_000_000;
 
-    /// By all poses of a stream; what is no pose is passed over.
+    /// By all poses of a stream; what is no pose is skipped.
     ///
     /// # Errors
     /// A log that cannot be read, or that does not have the stream.
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_level_pose_keeps_heading_and_place() {
-        let state = EgoState {
+        let state = AgentState {
             map_from_body: pose(70 * MS),
             covariance: None,
             velocity: None,

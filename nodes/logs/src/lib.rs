@@ -22,7 +22,7 @@
 //! counts per topic from 0. Messages of one sweep (points, detections, truth) share their stamp. Chunks are zstd, at
 //! most 0.5 s long, and never hold clouds or packets beside other messages. A log that was cut is read up to the time before which
 //! neither clouds nor anything else is missing. The metadata record `realo` at the beginning says what
-//! the log is ([`LogInfo`]); `realo_end` lists the scored frames. `docs/log-format.md` has all that a writer must know.
+//! the log is ([`LogInfo`]); `realo_end` lists the scored frames. `docs/reference/log-format.md` has all that a writer must know.
 //!
 //! Points that others wrote in the frame of their sensor are brought to the body frame by `/tf_static` and `/tf`. No
 //! length in a file is believed: what a file may take of memory is bounded by its size.

@@ -3,7 +3,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use realo_schemas::geometry::View;
-use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud, PoseStatus, SAME_STAMP, to_seconds};
+use realo_schemas::{AgentState, Boxes, Name, Nanos, PointCloud, PoseStatus, SAME_STAMP, to_seconds};
 
 use crate::cdr::CdrReader;
 use crate::frames::bare;
@@ -610,7 +610,7 @@ impl Entry {
     ///
     /// # Errors
     /// Bytes that are no such message; another frame than the map's; numbers that are no pose.
-    pub fn pose(&self) -> Result<EgoState, LogError> {
+    pub fn pose(&self) -> Result<AgentState, LogError> {
         let status = match self.stream {
             Stream::PoseTruth => PoseStatus::Truth,
             _ => PoseStatus::Recorded,

@@ -3,7 +3,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use realo_schemas::geometry::View;
-use realo_schemas::{Box3, Boxes, EgoState, Name, Nanos, PointCloud};
+use realo_schemas::{AgentState, Box3, Boxes, Name, Nanos, PointCloud};
 
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD, check_agents};
 use crate::mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
@@ -38,7 +38,7 @@ impl LogWriter {
     /// Writes in place: what is there if the program dies can be read.
     ///
     /// # Errors
-    /// A file that cannot be created; agents that cannot be told apart.
+    /// A file that cannot be created; agents of one name.
     pub fn create(path: impl AsRef<Path>, info: &LogInfo) -> Result<Self, LogError> {
         let path = path.as_ref();
         check_agents(&info.agents).map_err(|reason| LogError::input(path, reason))?;
@@ -117,7 +117,7 @@ impl LogWriter {
     ///
     /// # Errors
     /// As [`LogWriter::cloud`].
-    pub fn pose(&mut self, agent: &str, stamp: Nanos, ready: Nanos, state: &EgoState) -> Result<(), LogError> {
+    pub fn pose(&mut self, agent: &str, stamp: Nanos, ready: Nanos, state: &AgentState) -> Result<(), LogError> {
         let map = self.map_frame.clone();
         self.write(agent, Stream::Pose, stamp, ready, |out| {
             pose::encode(out, stamp, &map, state)
@@ -136,7 +136,7 @@ impl LogWriter {
     ///
     /// # Errors
     /// As [`LogWriter::cloud`].
-    pub fn pose_truth(&mut self, agent: &str, stamp: Nanos, ready: Nanos, state: &EgoState) -> Result<(), LogError> {
+    pub fn pose_truth(&mut self, agent: &str, stamp: Nanos, ready: Nanos, state: &AgentState) -> Result<(), LogError> {
         let map = self.map_frame.clone();
         self.write(agent, Stream::PoseTruth, stamp, ready, |out| {
             pose::encode(out, stamp, &map, state)
@@ -219,12 +219,12 @@ impl LogWriter {
         self.write_boxes(agent, streams, stamp, ready, &detections.0, &info)
     }
 
-    /// How far the clocks of other agents lie from the log's, which the closing record tells.
+    /// How far the clocks of other agents lie from the log's, which the closing record reports.
     pub fn clocks(&mut self, clocks: Vec<PeerClock>) {
         self.clocks = clocks;
     }
 
-    /// How the body frames of agents were levelled, which the closing record tells.
+    /// How the body frames of agents were levelled, which the closing record reports.
     pub fn levelled(&mut self, levelled: BTreeMap<String, Levelled>) {
         self.levelled = levelled;
     }

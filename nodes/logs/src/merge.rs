@@ -44,7 +44,7 @@ pub struct Moved {
 }
 
 impl<'a> Merge<'a> {
-    /// Logs of agents that differ in name, the clocks of all related to the first log's: by what a log tells of the agents of
+    /// Logs of agents that differ in name, the clocks of all related to the first log's: by what a log reports of the agents of
     /// another, or through others; or by `given`, what an agent's clock is ahead of the first log's, ns, which stands above.
     ///
     /// # Errors

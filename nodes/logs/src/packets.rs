@@ -87,7 +87,7 @@ mod tests {
         for length in 0..payload.len() {
             assert!(decode(&payload[..length]).is_err(), "cut at {length}");
         }
-        for (kind, expected) in [(Kind::Truth, "found truth"), (Kind::EgoState, "found ego_state")] {
+        for (kind, expected) in [(Kind::Truth, "found truth"), (Kind::AgentState, "found agent_state")] {
             let mut payload = Vec::new();
             encode(&mut payload, 5, &SentPacket { kind, ..packet() });
             let error = decode(&payload).unwrap_err();

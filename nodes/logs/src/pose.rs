@@ -1,13 +1,13 @@
-//! `EgoState` as `geometry_msgs/msg/PoseWithCovarianceStamped`, and as a frame for viewers.
+//! `AgentState` as `geometry_msgs/msg/PoseWithCovarianceStamped`, and as a frame for viewers.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use realo_schemas::geometry::tilt_degrees;
-use realo_schemas::{EgoState, Nanos, PoseStatus};
+use realo_schemas::{AgentState, Nanos, PoseStatus};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
 
 /// Appends a pose as CDR. An unknown covariance is written as zeros.
-pub fn encode(buffer: &mut Vec<u8>, stamp: Nanos, frame: &str, state: &EgoState) {
+pub fn encode(buffer: &mut Vec<u8>, stamp: Nanos, frame: &str, state: &AgentState) {
     let mut out = CdrWriter::new(buffer);
     out.header(stamp, frame);
     write_isometry(&mut out, &state.map_from_body);
@@ -49,7 +49,7 @@ pub(crate) fn wrong_covariance(payload: &[u8]) -> Option<String> {
 ///
 /// # Errors
 /// Bytes that are no such message; numbers that are no pose.
-pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, EgoState), CdrError> {
+pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, AgentState), CdrError> {
     let mut input = CdrReader::new(payload)?;
     let (stamp, _) = input.header()?;
     let map_from_body = isometry(&input.f64s()?)?;
@@ -58,7 +58,7 @@ pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, EgoState), C
         .map(Box::new);
     Ok((
         stamp,
-        EgoState {
+        AgentState {
             map_from_body,
             covariance,
             velocity: None,
@@ -72,7 +72,7 @@ pub fn decode(payload: &[u8], status: PoseStatus) -> Result<(Nanos, EgoState), C
 const FARTHEST: f64 = 8e7;
 
 /// Why no agent can have a pose, in words; `None` for one that can be.
-pub(crate) fn fault(state: &EgoState) -> Option<String> {
+pub(crate) fn fault(state: &AgentState) -> Option<String> {
     let pose = &state.map_from_body;
     // Without squares, which overflow.
     let far = pose
@@ -176,7 +176,7 @@ mod tests {
         let rotation = UnitQuaternion::from_euler_angles(0.01, -0.02, 2.5);
         let pose = Isometry3::from_parts(Translation3::new(1e5 + 0.1, -3.3, 0.7), rotation);
         for covariance in [None, Some(covariance)] {
-            let state = EgoState {
+            let state = AgentState {
                 map_from_body: pose,
                 covariance,
                 velocity: None,

@@ -1,7 +1,7 @@
 //! Whether an agent's poses reach its sweeps, and roadside units that do not move.
 
 use realo_schemas::geometry::PoseTrack;
-use realo_schemas::{EgoState, Nanos, is_same_stamp};
+use realo_schemas::{AgentState, Nanos, is_same_stamp};
 
 use crate::{AgentKind, Log, LogError, Stream};
 
@@ -16,7 +16,7 @@ const STILL_DEGREES: f64 = 0.05;
 #[derive(Clone, Debug)]
 pub struct Standing {
     /// Where it is.
-    pub state: EgoState,
+    pub state: AgentState,
     /// Stamps of its poses, rising.
     pub stamps: Vec<Nanos>,
 }
@@ -34,7 +34,7 @@ impl Standing {
         if !is_roadside || !log.has(agent, stream) {
             return Ok(None);
         }
-        let (mut first, mut stamps): (Option<EgoState>, _) = (None, Vec::new());
+        let (mut first, mut stamps): (Option<AgentState>, _) = (None, Vec::new());
         let mut reader = log.read_all(&[(agent, stream)])?;
         while let Some(entry) = reader.next()? {
             // What is no pose is counted when the log is played.
@@ -51,7 +51,7 @@ impl Standing {
     }
 }
 
-fn is_same(one: &EgoState, other: &EgoState) -> bool {
+fn is_same(one: &AgentState, other: &AgentState) -> bool {
     let (one, other) = (&one.map_from_body, &other.map_from_body);
     let far = (one.translation.vector - other.translation.vector).norm();
     far <= STILL && one.rotation.angle_to(&other.rotation).to_degrees() <= STILL_DEGREES

@@ -16,7 +16,7 @@ use crate::{LogError, McapFile, Stream};
 
 /// Sweeps of a topic that tell the range of its intensities and the unit of its times.
 const LOOKED_AT: usize = 10;
-/// Greatest intensities of sensors whose range is more than a byte.
+/// Largest intensities of sensors whose range is more than a byte.
 const RANGES: [f32; 3] = [1_023.0, 4_095.0, 65_535.0];
 
 /// How the sweeps of a channel are read.
@@ -233,7 +233,7 @@ impl std::fmt::Display for SweepsInfo {
 }
 
 /// What intensities are multiplied by: floats of which the brightest is at most 1 fill the byte; what exceeds a byte is
-/// divided by the least range of sensors that holds the brightest. `kind` is a type's name as `uint8` or `float32`.
+/// divided by the smallest range of sensors that holds the brightest. `kind` is a type's name as `uint8` or `float32`.
 pub fn intensity_scale(kind: &str, brightest: f32) -> f32 {
     let float = kind.starts_with("float");
     match brightest {

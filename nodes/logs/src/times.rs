@@ -6,7 +6,7 @@ use realo_schemas::Nanos;
 
 /// Points are measured within this of their sweep's stamp, ns.
 pub const REACH: f64 = 1e9;
-/// A sweep takes more, ns: so its length tells the unit.
+/// A sweep takes more, ns: so its length shows the unit.
 const SHORTEST: f64 = 5e6;
 /// All points of a sweep that takes less are of one time, ns: whatever lies between is of a unit that is not known.
 const INSTANT: f64 = 2e5;
@@ -108,9 +108,9 @@ impl TimeRule {
                 })
         };
         let fits = |rule: &TimeRule| looks.iter().all(|look| rule.fits(look, kind));
-        let told = rules().find(|rule| as_long_as_a_sweep(rule) && fits(rule));
+        let reported = rules().find(|rule| as_long_as_a_sweep(rule) && fits(rule));
         // Without a span, what lies at the stamp: offsets in the usual unit, times since 1970 in any.
-        told.or_else(|| {
+        reported.or_else(|| {
             rules().find(|rule| (rule.base != Base::Stamp || *rule == usual) && at_once(rule) && fits(rule))
         })
     }

@@ -31,7 +31,7 @@ const AHEAD: f64 = 50.0;
 const BESIDE: f64 = 30.0;
 /// Poses further apart say nothing of what lies between, ns.
 const GAP: Nanos = 1_000_000_000;
-/// Of more objects than one in so many a fault is told: labels are made by people.
+/// Of more objects than one in so many a fault is reported: labels are made by people.
 const ONE_IN: usize = 50;
 
 /// What is wrong with ground truth.
@@ -303,7 +303,7 @@ fn counts_points(log: &Log, agent: &str) -> Result<bool, LogError> {
     let (Some(boxes), Some(info)) = (first(Stream::GroundTruth)?, first(Stream::GroundTruthInfo)?) else {
         return Ok(false);
     };
-    // What cannot be read is told where it is played.
+    // What cannot be read is reported where it is played.
     let points = boxes.boxes().and_then(|mut boxes| info.info(&mut boxes));
     Ok(points.is_ok_and(|info| info.points.is_some()))
 }
@@ -497,7 +497,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_is_told_of_more_than_one_object_in_fifty() {
+    fn a_fault_is_reported_of_more_than_one_object_in_fifty() {
         let of = |count| finding(Vec::new(), TruthFault::Split, count, 1000).is_some();
         assert_eq!([of(0), of(20), of(21)], [false, false, true]);
     }

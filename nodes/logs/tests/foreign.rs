@@ -432,7 +432,7 @@ fn an_mcap_file_of_others_is_described_by_its_topics() {
         for part in [
             "rosbag2",
             "/front/header (std_msgs/msg/Header)",
-            "docs/log-format.md",
+            "docs/reference/log-format.md",
             "python/realo_log.py",
         ] {
             assert!(error.contains(part), "no `{part}` in {error}");

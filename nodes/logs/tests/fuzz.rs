@@ -16,12 +16,12 @@ use realo_logs::{
     BoxesInfo, Log, LogError, McapFile, SentPacket, Stream, boxes, cloud, describe_any, packets, pose, views,
 };
 use realo_schemas::geometry::View;
-use realo_schemas::{Box3, Boxes, EgoState, Kind, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Box3, Boxes, Kind, Nanos, PointCloud, PoseStatus};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 const START: u64 = 1_700_000_000_000_000_000;
 
-/// Memory that a file may take: four times what its greatest chunk may unpack to.
+/// Memory that a file may take: four times what its largest chunk may unpack to.
 fn bound(bytes: usize) -> u64 {
     4 * ((16 << 20) + 1024 * bytes as u64)
 }
@@ -227,7 +227,7 @@ fn channels() -> Vec<Channel> {
         };
         (0..3).map(payload).collect::<Vec<_>>()
     };
-    let state = EgoState {
+    let state = AgentState {
         map_from_body: Isometry3::translation(1.0, 2.0, 3.0),
         covariance: None,
         velocity: None,

@@ -122,11 +122,16 @@ fn packets_are_added_to_level_frames_alone() {
         let mut state = common::state(0.0, PoseStatus::Recorded);
         state.map_from_body.rotation *= nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.02, 0.0);
         log.pose("rsu1", START, START, &state).unwrap();
-        let told = |by: &str| Levelled {
+        let reported = |by: &str| Levelled {
             by: by.into(),
             degrees: [0.0, 0.0],
         };
-        log.levelled(levelled.map(|by| ("rsu1".to_string(), told(by))).into_iter().collect());
+        log.levelled(
+            levelled
+                .map(|by| ("rsu1".to_string(), reported(by)))
+                .into_iter()
+                .collect(),
+        );
         log.finish().unwrap();
         let log = Log::open(&raw).unwrap();
         LogCopy::begin(&log, &out, &precomputed(&[]), &[]).map(|_| ())

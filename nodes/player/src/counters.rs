@@ -151,27 +151,27 @@ pub const TILTED_POSES: Counter = Counter::loss(
      not to be levelled",
     "poses are not level and were played as they are, beside precomputed packets or since the log says that it is not to be \
      levelled",
-    "networks look for the ground at z = 0 (docs/log-format.md, \"Level frames\")",
+    "networks look for the ground at z = 0 (docs/reference/log-format.md, \"Level frames\")",
 );
 pub const CLOCK_OFF: Counter = Counter::log_fault(
     "clock_off",
     "messages left out: their [stamps](log-format.md#clocks) are of another clock than the log times",
     "messages were left out, because their stamps are of another clock than that of the log",
     "set the sensor's clock to the recorder's, or take that difference from the stamps when the log is written \
-     (docs/log-format.md, \"Clocks\")",
+     (docs/reference/log-format.md, \"Clocks\")",
 );
 pub const CLOCK_AHEAD: Counter = Counter::log_fault(
     "clock_ahead",
     "messages played although their stamps are 50 ms to 1 s later than their [log times](log-format.md#clocks)",
     "messages were played although their stamps are later than the times at which they were logged",
     "no message is logged before it is measured, so the agent's clock is ahead of the recorder's: set it, or take that difference \
-     from the stamps when the log is written (docs/log-format.md, \"Clocks\")",
+     from the stamps when the log is written (docs/reference/log-format.md, \"Clocks\")",
 );
 pub const STAMPS_DIFFER: Counter = Counter::log_fault(
     "stamps_differ",
     "messages whose publish time is not the stamp of their header, which counts",
     "messages have a publish time that is not the stamp of their header, which was used",
-    "write the stamp as both (docs/log-format.md, \"Frames, units, times\")",
+    "write the stamp as both (docs/reference/log-format.md, \"Frames, units, times\")",
 );
 pub const NO_COMMON_TIME: Counter = Counter::log_fault(
     "no_common_time",
@@ -306,7 +306,7 @@ pub const TRUTH_PARTIAL: Counter = Counter::log_fault(
     "objects that a collaborator's truth has up to 50 m ahead of the ego and 30 m beside, and the ego's truth has not, where these are \
      more than 2 % of all; not where the ego's labels have views",
     "objects ahead of the ego are in the truth of others alone, so that whoever finds them by cooperation is counted as wrong",
-    "the ego's truth must have all objects around it, those too that it does not see (docs/log-format.md)",
+    "the ego's truth must have all objects around it, those too that it does not see (docs/reference/log-format.md)",
 );
 pub const TOO_FAR: Counter = Counter::loss(
     "too_far",

@@ -11,7 +11,7 @@ use realo_logs::{
 use realo_operator::{Counter, PortId};
 use realo_schemas::geometry::{box_fault, tilt_degrees};
 use realo_schemas::{
-    EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
+    AgentState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, to_seconds,
 };
 
 use crate::counters::{
@@ -593,7 +593,7 @@ impl Feed {
                     false => state,
                 };
                 let ports = [ports::EGO_POSES, ports::POSES];
-                let (port, message) = self.message((*rank, [time; 2]), seq, Kind::EgoState, ports, state);
+                let (port, message) = self.message((*rank, [time; 2]), seq, Kind::AgentState, ports, state);
                 self.queue((*rank, time), port, message);
                 self.script.counters.add(&POSES_HELD, &agent, 1, 0);
             }
@@ -602,7 +602,7 @@ impl Feed {
     }
 
     /// Counts a pose further from the one before than anything drives.
-    fn count_jump(&mut self, entry: &Entry, state: &EgoState) {
+    fn count_jump(&mut self, entry: &Entry, state: &AgentState) {
         let (stamp, place) = (entry.stamp(), state.map_from_body.translation.vector);
         let before = self.last_positions.insert(entry.agent.clone(), (stamp, place));
         let jump = before.and_then(|(from, known)| {
@@ -637,11 +637,11 @@ impl Feed {
             self.count_jump(entry, &state);
             let state = self.level_pose(entry, state);
             let ports = [ports::EGO_POSES, ports::POSES];
-            self.send(entry, entry.seq(), Kind::EgoState, ports, state);
+            self.send(entry, entry.seq(), Kind::AgentState, ports, state);
         }
     }
 
-    fn level_pose(&self, entry: &Entry, state: EgoState) -> EgoState {
+    fn level_pose(&self, entry: &Entry, state: AgentState) -> AgentState {
         if self.levels.contains_key(&entry.agent) {
             return level_state(state);
         }
@@ -893,7 +893,7 @@ impl Feed {
     ) -> (PortId, Message) {
         let shift = Nanos::from(self.pass) * self.period;
         let [poses, sweeps] = self.per_pass[rank];
-        let per_pass = if kind == Kind::EgoState { poses } else { sweeps };
+        let per_pass = if kind == Kind::AgentState { poses } else { sweeps };
         let seq = seq + u64::from(self.pass) * per_pass;
         let (run, agent) = (&self.script.run, &self.agents[rank]);
         let header = Header::origin(run, agent, kind, seq, stamp + shift, release + shift);

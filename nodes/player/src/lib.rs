@@ -3,10 +3,10 @@
 //! | output | type | content |
 //! |---|---|---|
 //! | `ego_clouds` | PointCloud | the ego's sweeps |
-//! | `ego_poses` | EgoState | the ego's poses, as recorded or true |
+//! | `ego_poses` | AgentState | the ego's poses, as recorded or true |
 //! | `ego_recorded` | Boxes | detections recorded for the ego's sweeps; same seq and stamp |
 //! | `clouds` | PointCloud | the collaborators' sweeps |
-//! | `poses` | EgoState | their poses |
+//! | `poses` | AgentState | their poses |
 //! | `recorded` | Boxes | their recorded detections |
 //! | `truth` | GroundTruth | one for each of the ego's sweeps, in its true body frame |
 //! | `packets` | Packet | with `precomputed`, what the collaborators give to the link; their sweeps then have no points |
@@ -14,7 +14,7 @@
 //! Messages leave in order of their time on the log's line; at equal times poses go first, then clouds, recorded
 //! detections, packets, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
 //! up to the cut and counted as `log_truncated`. Body frames that tilt are levelled by their poses
-//! (`docs/log-format.md`, "Level frames"); those that are level pass as they are. Messages whose stamps are of another clock than
+//! (`docs/reference/log-format.md`, "Level frames"); those that are level pass as they are. Messages whose stamps are of another clock than
 //! the log's are left out and counted (`clock_off`). A roadside unit that does not move has its pose at all times.
 
 mod ahead;
@@ -261,7 +261,7 @@ impl Wall {
         message.header.ready += shift;
         let [poses, others] = self.per_pass.get(&message.header.agent).copied().unwrap_or_default();
         message.header.seq += passes
-            * if message.header.kind == Kind::EgoState {
+            * if message.header.kind == Kind::AgentState {
                 poses
             } else {
                 others
@@ -358,7 +358,7 @@ impl Describe for Player {
     const INPUTS: &'static [Port] = &[];
     const OUTPUTS: &'static [Port] = &[
         Port::new("ego_clouds", &[PayloadType::PointCloud], "the ego's sweeps").of(Lane::Ego),
-        Port::new("ego_poses", &[PayloadType::EgoState], "the ego's poses").of(Lane::Ego),
+        Port::new("ego_poses", &[PayloadType::AgentState], "the ego's poses").of(Lane::Ego),
         Port::new(
             "ego_recorded",
             &[PayloadType::Boxes],
@@ -366,7 +366,7 @@ impl Describe for Player {
         )
         .of(Lane::Ego),
         Port::new("clouds", &[PayloadType::PointCloud], "the collaborators' sweeps").of(Lane::Others),
-        Port::new("poses", &[PayloadType::EgoState], "the collaborators' poses").of(Lane::Others),
+        Port::new("poses", &[PayloadType::AgentState], "the collaborators' poses").of(Lane::Others),
         Port::new(
             "recorded",
             &[PayloadType::Boxes],

@@ -92,7 +92,7 @@ impl Nearest {
         others.take(self.limit).count() == self.limit
     }
 
-    /// The greatest distance of an agent at the stamps of those of its messages that may be fused when the ego asks; `None`
+    /// The largest distance of an agent at the stamps of those of its messages that may be fused when the ego asks; `None`
     /// where none is there for certain.
     fn farthest(&self, rank: usize, [stamp, ready]: [Nanos; 2]) -> Option<f64> {
         let track = &self.tracks[rank];

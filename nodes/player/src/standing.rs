@@ -1,7 +1,7 @@
 //! Roadside units that do not move: their pose holds where the log has none.
 
 use realo_logs::{Entry, Log, LogError, MAX_GAP, Standing, Stream, is_posed};
-use realo_schemas::{EgoState, Nanos};
+use realo_schemas::{AgentState, Nanos};
 
 /// Time between poses that are sent, ns.
 pub const STEP: Nanos = 50_000_000;
@@ -10,7 +10,7 @@ const LEAD: Nanos = 500_000_000;
 
 /// The pose of a unit, to be sent again and again.
 pub struct Held {
-    state: EgoState,
+    state: AgentState,
     next: Nanos,
     sent: u64,
 }
@@ -35,7 +35,7 @@ impl Held {
     }
 
     /// The next pose that is due until a time: its number, its time, and what it says.
-    pub fn due(&mut self, until: Nanos) -> Option<(u64, Nanos, EgoState)> {
+    pub fn due(&mut self, until: Nanos) -> Option<(u64, Nanos, AgentState)> {
         if until.saturating_sub(self.next) > 2 * LEAD {
             self.next = until - LEAD;
         }

@@ -11,7 +11,7 @@ use realo_schemas::{Box3, Boxes, GroundTruth, Name, Nanos, OwnLabels, SAME_STAMP
 
 /// The truth of a collaborator that has been silent for so long is not awaited any more, ns.
 const SILENT: Nanos = 10_000_000_000;
-/// Of more sweeps than one in so many a fault is told: truth may begin and end within a sweep's time.
+/// Of more sweeps than one in so many a fault is reported: truth may begin and end within a sweep's time.
 const ONE_IN: u64 = 50;
 /// As many sweeps at the ends of an agent's truth are none.
 const AT_ENDS: u64 = 2;

@@ -10,7 +10,7 @@ use realo_operator::{Describe, Error, Source};
 use realo_player::{Config, Coop, Detections, Player, PoseSource, TimeLine, next_pass, plan};
 use realo_schemas::geometry::{View, tilt_degrees};
 use realo_schemas::{
-    Box3, Boxes, EgoState, GroundTruth, Kind, Message, Nanos, OwnLabels, Payload, PointCloud, PoseStatus,
+    AgentState, Box3, Boxes, GroundTruth, Kind, Message, Nanos, OwnLabels, Payload, PointCloud, PoseStatus,
 };
 
 const START: Nanos = 1_700_000_000_000_000_000;
@@ -23,9 +23,9 @@ const AGENTS: [(&str, AgentKind, Nanos); 3] = [
     ("rsu1", AgentKind::Roadside, 20),
 ];
 
-fn state(seconds: f64, status: PoseStatus) -> EgoState {
+fn state(seconds: f64, status: PoseStatus) -> AgentState {
     let pose = Isometry3::from_parts(Translation3::new(seconds, 0.0, 0.0), UnitQuaternion::identity());
-    EgoState {
+    AgentState {
         map_from_body: pose,
         covariance: None,
         velocity: None,
@@ -193,7 +193,7 @@ fn plays_both_lanes_in_order_of_release() {
     for pair in played.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
         assert!(!pair[1].1.ends_with("poses") || pair[0].1.ends_with("poses"));
     }
-    let Payload::EgoState(pose) = &on(&played, "ego_poses")[3].payload else {
+    let Payload::AgentState(pose) = &on(&played, "ego_poses")[3].payload else {
         panic!()
     };
     assert_eq!(*pose, state(0.53, PoseStatus::Recorded));
@@ -296,7 +296,7 @@ fn offline_everything_is_ready_at_its_stamp_with_true_poses() {
         counts.map(|port| on(&played, port).len()),
         [20, 20, 20, 40, 40, 200, 400]
     );
-    let Payload::EgoState(pose) = &on(&played, "ego_poses")[3].payload else {
+    let Payload::AgentState(pose) = &on(&played, "ego_poses")[3].payload else {
         panic!()
     };
     assert_eq!(*pose, state(0.03, PoseStatus::Truth));
@@ -340,7 +340,7 @@ fn without_points_sweeps_keep_their_headers() {
     assert!(
         on(&off, "poses")
             .iter()
-            .all(|m| matches!(&m.payload, Payload::EgoState(s) if s.status == PoseStatus::Truth))
+            .all(|m| matches!(&m.payload, Payload::AgentState(s) if s.status == PoseStatus::Truth))
     );
 }
 
@@ -551,10 +551,10 @@ fn nodding(path: &Path, degrees: f64, more: impl FnOnce(&mut LogWriter), info: &
     log.finish().unwrap();
 }
 
-/// The greatest tilt of the poses on a port, degrees.
+/// The largest tilt of the poses on a port, degrees.
 fn tilt_on(played: &Played, port: &str) -> f64 {
     let tilt = |message: &&Message| match &message.payload {
-        Payload::EgoState(state) => tilt_degrees(&state.map_from_body.rotation),
+        Payload::AgentState(state) => tilt_degrees(&state.map_from_body.rotation),
         other => panic!("{other:?}"),
     };
     on(played, port).iter().map(tilt).fold(0.0, f64::max)

@@ -9,7 +9,7 @@ use realo_schemas::report::{Crossing, Fate, Fated, Traffic};
 use realo_schemas::{Kind, Name, Nanos};
 use serde::{Deserialize, Serialize};
 
-use crate::protocol::{Outcome, Told};
+use crate::protocol::{Outcome, Report};
 use crate::refusal::Refusal;
 
 const SECOND: Nanos = 1_000_000_000;
@@ -54,8 +54,8 @@ impl Sent {
     }
 
     /// Messages left the sender's hands.
-    pub fn told(&mut self, told: &[Told]) {
-        for Told { kind, seq, outcome } in told {
+    pub fn reported(&mut self, reported: &[Report]) {
+        for Report { kind, seq, outcome } in reported {
             let bytes = self.sizes.remove(&(*kind, *seq)).unwrap_or(0);
             self.lines.push(Line(*kind, *seq, bytes, *outcome));
         }
@@ -77,7 +77,7 @@ impl Sent {
     }
 }
 
-/// What is to be told of a channel.
+/// What is to be reported of a channel.
 #[derive(Debug, Default, PartialEq)]
 pub struct News {
     /// By kind: what entered the channel.

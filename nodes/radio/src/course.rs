@@ -6,7 +6,7 @@ use realo_schemas::{Nanos, to_millis};
 const SECOND: Nanos = 1_000_000_000;
 /// Rate of a way on which nothing was large enough to tell, bit/s.
 const UNKNOWN: f64 = 1e9;
-/// What takes less from its first part to its last tells of pauses, not of the way.
+/// What takes less from its first part to its last shows pauses, not the way.
 const SHORTEST: Nanos = 5_000_000;
 /// Seconds that are kept: of a longer run the first ones.
 const MOST: usize = 100_000;
@@ -60,7 +60,7 @@ impl Course {
         let crossing = (8e9 * came.bytes as f64 / known) as Nanos;
         if let Some(on_the_way) = came.on_the_way {
             let delay = (on_the_way - crossing).max(0);
-            self.delay = Some(self.delay.map_or(delay, |least| least.min(delay)));
+            self.delay = Some(self.delay.map_or(delay, |min| min.min(delay)));
         }
     }
 

@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_key_is_told_without_showing_a_private_one() {
+    fn what_is_no_key_is_reported_without_showing_a_private_one() {
         let folder = folder();
         let path = folder.path().join("bad.key");
         for (text, names) in [

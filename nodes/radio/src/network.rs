@@ -31,11 +31,11 @@ const WAITING: usize = 4096;
 const WAITING_BYTES: usize = 32 << 20;
 /// What comes in one name takes so much of both at most, a half: the others are heard beside it.
 const SHARE: usize = 2;
-/// What the thread hears before it sends and tells again.
+/// Messages that the thread reads before it sends and reports again.
 const AT_A_TIME: usize = 64;
 /// Events that wait for the graph; of more the oldest go.
 const EVENTS: usize = 65_536;
-/// Bytes of the messages among them; of more the oldest messages are passed over.
+/// Bytes of the messages among them; of more the oldest messages are skipped.
 const EVENT_BYTES: usize = 64 << 20;
 /// How long the thread sleeps at most.
 const LOOK: Nanos = 100_000_000;
@@ -342,7 +342,7 @@ struct Loop {
     hears: Receiver<Heard>,
     shared: Arc<Mutex<Shared>>,
     waker: Waker,
-    /// When what is known of peers is told again though nothing came of them.
+    /// When what is known of peers is reported again though nothing came of them.
     report_at: Nanos,
     /// What the user says that the wall clock is off by at most.
     clock_error: Option<Nanos>,
@@ -465,7 +465,7 @@ mod tests {
     }
 
     #[test]
-    fn a_graph_that_stands_still_is_told_of_every_message_and_given_the_newest() {
+    fn a_graph_that_stands_still_is_reported_of_every_message_and_given_the_newest() {
         let mut shared = Shared::default();
         let bytes = Bytes::from(vec![0; EVENT_BYTES / 8]);
         for seq in 0..100 {

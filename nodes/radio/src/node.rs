@@ -68,7 +68,7 @@ pub struct Config {
     pub deadline_ms: f64,
     /// What points and features may add to the delay of everything else, ms.
     pub queue_ms: f64,
-    /// Greatest message that is taken, bytes.
+    /// Largest message that is taken, bytes.
     pub max_bytes: usize,
     /// A peer of whom nothing was heard for so long has gone, ms.
     pub lease_ms: u64,
@@ -160,7 +160,7 @@ impl Describe for Radio {
         },
         Argument {
             name: "max_bytes",
-            about: "greatest message that is taken",
+            about: "max message that is taken",
         },
         Argument {
             name: "lease_ms",
@@ -169,16 +169,16 @@ impl Describe for Radio {
     ];
     const INPUTS: &'static [Port] = &[
         Port::new("packets", &[PayloadType::Packet], "what this agent has for all others").optional(),
-        Port::new("state", &[PayloadType::EgoState], "where this agent is, for all others")
+        Port::new("state", &[PayloadType::AgentState], "where this agent is, for all others")
             .optional()
             .of(Lane::Ego),
         Port::new(
-            "poorer",
+            "fallback",
             &[PayloadType::Packet],
-            "the same moments in a poorer form, as features or boxes for points: of large kinds the richest goes that arrives in time",
+            "the same moments in a fallback form, as features or boxes for points: of large kinds the richest goes that arrives in time",
         )
         .optional(),
-        Port::new("poorest", &[PayloadType::Packet], "the same in a poorer form still").optional(),
+        Port::new("last_fallback", &[PayloadType::Packet], "the same in a fallback form still").optional(),
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::new("to_ego", &[PayloadType::Packet], "what the others have for this agent").of(Lane::OthersReceived),
@@ -189,7 +189,7 @@ impl Describe for Radio {
         ),
         Port::new("states", &[PayloadType::Packet], "where the others are")
             .of(Lane::EgoReceived)
-            .hasty(),
+            .ends_early(),
     ];
     const COUNTERS: &'static [Counter] = refusal::COUNTERS;
     const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Ego, "agent")];
@@ -289,7 +289,7 @@ impl Gateway for Radio {
         let unheard = unheard::dropped();
         out.count(&OVERSIZED_FRAMES, "", unheard - self.unheard);
         self.unheard = unheard;
-        let passed = passed_over(&taken.events);
+        let passed = skipped(&taken.events);
         for (event, is_passed) in taken.events.into_iter().zip(passed) {
             match event {
                 Event::Arrived(from, message, _) if is_passed => {
@@ -347,7 +347,7 @@ impl Radio {
             Event::Arrived(from, message, clock) => self.deliver(&from, message, &clock, out),
             Event::PassedOver(from, passed) => {
                 let header = self.header(&from, passed, out);
-                out.tell(&header, Fate::Superseded);
+                out.report(&header, Fate::Superseded);
             }
             Event::Books(from, News { traffic, fates }) => {
                 for (kind, traffic) in traffic {
@@ -364,16 +364,20 @@ impl Radio {
 
     /// Gives a message of a peer to the graph, on this agent's time line.
     fn deliver(&mut self, from: &Name, message: Arrived, clock: &Estimate, out: &mut Outputs) {
-        let told = Passed::from(&message);
+        let reported = Passed::from(&message);
         match self.moved(from, &message, clock, out) {
             Ok((packet, stamp)) => {
-                let port = if message.kind == Kind::EgoState { STATES } else { TO_EGO };
-                let header = self.header(from, Passed { stamp, ..told }, out);
+                let port = if message.kind == Kind::AgentState {
+                    STATES
+                } else {
+                    TO_EGO
+                };
+                let header = self.header(from, Passed { stamp, ..reported }, out);
                 out.send(port, Message::new(header, packet));
             }
             Err(refusal) => {
                 out.count(refusal.counter(), from, 1);
-                out.tell(&self.header(from, told, out), Fate::Rejected);
+                out.report(&self.header(from, reported, out), Fate::Rejected);
                 let refused = self.refused.entry(from.clone()).or_default();
                 *refused.entry(refusal).or_default() += 1;
             }
@@ -473,7 +477,7 @@ fn shift(clock: &Estimate) -> Option<Nanos> {
 
 /// Which events are messages of a kind of which a peer's newer ones came at once, more of them than the stages below may find in
 /// their queues: what came before this agent's time began, or while its process stood still.
-fn passed_over(events: &[Event]) -> Vec<bool> {
+fn skipped(events: &[Event]) -> Vec<bool> {
     let mut newer: BTreeMap<(&Name, Kind), usize> = BTreeMap::new();
     let mut passed: Vec<bool> = events
         .iter()
@@ -531,9 +535,9 @@ fn check(config: &Config) -> Result<(), Error> {
         .into());
     }
     let (bytes, lease) = (config.max_bytes as u64, config.lease_ms);
-    for (name, least, found, unit) in [("max_bytes", 1024, bytes, "bytes"), ("lease_ms", 100, lease, "ms")] {
-        if found < least {
-            return Err(format!("argument `{name}`: expected {least} {unit} or more, found {found}").into());
+    for (name, min, found, unit) in [("max_bytes", 1024, bytes, "bytes"), ("lease_ms", 100, lease, "ms")] {
+        if found < min {
+            return Err(format!("argument `{name}`: expected {min} {unit} or more, found {found}").into());
         }
     }
     Ok(())
@@ -568,7 +572,7 @@ fn seal(config: &Config) -> Result<Option<Seal>, Error> {
     Ok(Some(Seal::new(&config.site, own, trusted)))
 }
 
-/// The step that tells how long a message took, from its sender's radio to this one, by both clocks.
+/// The step that shows how long a message took, from its sender's radio to this one, by both clocks.
 fn on_the_way_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Points => "points on the way",
@@ -605,9 +609,9 @@ mod tests {
         };
         let mut events: Vec<Event> = (0..30).map(|seq| arrived("rsu1", Kind::Boxes, seq)).collect();
         events.insert(3, Event::Books("rsu1".into(), News::default()));
-        events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu1", Kind::EgoState, seq)));
+        events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu1", Kind::AgentState, seq)));
         events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu2", Kind::Boxes, seq)));
-        let passed = passed_over(&events);
+        let passed = skipped(&events);
         let given = events.iter().zip(&passed).filter(|(_, passed)| !**passed);
         let given: Vec<String> = given
             .map(|(event, _)| match event {
@@ -618,7 +622,7 @@ mod tests {
             .collect();
         let mut expected = vec!["rsu1 books".to_string()];
         expected.extend((26..30).map(|seq| format!("rsu1 boxes {seq}")));
-        expected.extend((0..4).map(|seq| format!("rsu1 ego_state {seq}")));
+        expected.extend((0..4).map(|seq| format!("rsu1 agent_state {seq}")));
         expected.extend((0..4).map(|seq| format!("rsu2 boxes {seq}")));
         assert_eq!(given, expected);
     }

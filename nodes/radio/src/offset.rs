@@ -10,7 +10,7 @@ const MS: Nanos = 1_000_000;
 const WINDOW: Nanos = 60_000 * MS;
 /// Of so long only the best exchange is kept.
 const STRETCH: Nanos = 1_000 * MS;
-/// Round trips that are longer than the least by more than this tell of a queue.
+/// Round trips that are longer than the smallest by more than this tell of a queue.
 const QUEUED: Nanos = 2 * MS;
 /// Offsets are taken to drift once they are known for so long.
 const DRIFTS: Nanos = 10_000 * MS;
@@ -77,7 +77,7 @@ pub struct Estimate {
     /// How much exchanges without a queue differ, ns: ways of which one is always longer than the other do not show in it. Of what
     /// machines say, what both clocks are off by at most.
     pub uncertainty: Nanos,
-    /// The offset of exchanges is off by no more, ns: half of the least round trip.
+    /// The offset of exchanges is off by no more, ns: half of the smallest round trip.
     pub bound: Nanos,
     /// What the offset grows by, ns a second.
     pub drift: f64,
@@ -90,7 +90,7 @@ pub struct Estimate {
 pub struct Offset {
     /// When machines said so, the offset by their clocks, and what it is off by at most.
     said: Option<(Nanos, Nanos, Nanos)>,
-    /// When each stretch of time began, and its exchange with the least round trip; oldest first.
+    /// When each stretch of time began, and its exchange with the smallest round trip; oldest first.
     best: VecDeque<(Nanos, Exchange)>,
 }
 

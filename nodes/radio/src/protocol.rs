@@ -20,7 +20,7 @@ mod window;
 
 pub use frame::{ACKNOWLEDGEMENT_BYTES, Acknowledgement, Frame, FrameError, HEAD_BYTES, Head};
 pub use receiver::{Arrived, Received, Receiver, ReceiverCounts};
-pub use sender::{Offer, Outcome, Sender, Settings, Told};
+pub use sender::{Offer, Outcome, Report, Sender, Settings};
 pub use window::Window;
 
 use realo_schemas::Kind;

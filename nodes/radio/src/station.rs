@@ -14,7 +14,7 @@ use crate::seal::{SEAL_BYTES, Seal};
 const MS: Nanos = 1_000_000;
 /// Peers at a time at most, so that strangers cannot take all memory.
 pub const MOST_PEERS: usize = 64;
-/// What is kept of all peers' messages, in messages of the greatest size.
+/// What is kept of all peers' messages, in messages of the largest size.
 const MOST_KEPT: usize = 4;
 /// Bytes of a frame, a question or a sheet at most, with its seal.
 pub const MOST_BYTES: usize = (128 << 10) + SEAL_BYTES;
@@ -103,14 +103,14 @@ pub enum Event {
     Books(Name, News),
 }
 
-/// A message that is passed over.
+/// A message that is skipped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Passed {
     /// What it carried.
     pub kind: Kind,
     /// Its number.
     pub seq: u64,
-    /// When what it tells was measured, as its sender said.
+    /// When what it reports was measured, as its sender said.
     pub stamp: Nanos,
 }
 
@@ -132,7 +132,7 @@ pub struct Report {
     pub peer: Name,
     /// How far its time line lies from this agent's.
     pub clock: Option<Estimate>,
-    /// Least round trip of late of parts, ns.
+    /// Smallest round trip of late of parts, ns.
     pub round_trip: Option<Nanos>,
     /// Bytes a second that the way to it carries, as far as it was used.
     pub rate: Option<f64>,
@@ -216,7 +216,7 @@ impl Station {
         if let Some(peer) = self.peers.get_mut(name) {
             peer.is_up = false;
             peer.sender.disconnected();
-            peer.sent.told(&peer.sender.take_told());
+            peer.sent.reported(&peer.sender.take_reported());
             peer.outgoing.clear();
         }
     }
@@ -459,14 +459,14 @@ impl Peer {
             }
             Frame::Acknowledgement(ack) => {
                 self.sender.acknowledged(&ack, now.steady);
-                self.sent.told(&self.sender.take_told());
+                self.sent.reported(&self.sender.take_reported());
             }
         }
         Ok(())
     }
 
     /// Something is of a session of the peer. One that begins may have another time line, which is asked for at once; what waited for
-    /// that of the session before is passed over.
+    /// that of the session before is skipped.
     fn is_of(&mut self, session: u64, now: Moment, name: &Name, events: &mut Vec<Event>) -> Result<(), Refusal> {
         if session < self.session {
             return Err(Refusal::Replayed);
@@ -596,7 +596,7 @@ impl Peer {
             }
         }
         let frame = self.sender.next(now.steady);
-        self.sent.told(&self.sender.take_told());
+        self.sent.reported(&self.sender.take_reported());
         frame.map(|frame| {
             let topic = match &frame {
                 Frame::Part(head, _) if is_bulk(head.kind) => Topic::Bulk,

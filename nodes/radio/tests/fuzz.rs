@@ -176,10 +176,10 @@ impl Attack<'_> {
         }
         station.take_events(moment(now));
         assert_eq!(*station.refused(), self.refused, "refusals add up");
-        let told: u64 = (station.reports(moment(now)).iter())
+        let reported: u64 = (station.reports(moment(now)).iter())
             .flat_map(|report| report.refused.values())
             .sum();
-        assert_eq!(told, self.refused.values().sum::<u64>());
+        assert_eq!(reported, self.refused.values().sum::<u64>());
         station.end();
         sent
     }

@@ -1,6 +1,6 @@
 //! The protocol over networks that are drawn at random, with peers that are: each seed is a network, what is sent, and what
 //! goes wrong. `REALO_SEEDS=100000 cargo test --release -p realo-radio --test simulated` tries more of them, `REALO_SEEDS=93032..93033`
-//! one; all that fail are told at the end, a line each.
+//! one; all that fail are reported at the end, a line each.
 
 use std::any::Any;
 use std::cmp::Reverse;
@@ -208,18 +208,18 @@ impl Stream {
 fn streams(draws: &mut Draws) -> Vec<Stream> {
     let period = draws.between(50e6, 200e6) as Nanos;
     let mut streams = Vec::new();
-    for (kind, least, most, often) in [
+    for (kind, min, most, often) in [
         (Kind::Points, 2e4, LARGEST as f64, 0.6),
         (Kind::Features, 5e3, 1.5e6, 0.6),
         (Kind::Boxes, 200.0, 5e3, 0.9),
-        (Kind::EgoState, 300.0, 301.0, 0.7),
+        (Kind::AgentState, 300.0, 301.0, 0.7),
     ] {
         if draws.chance(often) {
             let together = draws.chance(0.5);
             streams.push(Stream {
                 kind,
-                bytes: draws.scaled(least, most) as usize,
-                period: if kind == Kind::EgoState { 20 * MS } else { period },
+                bytes: draws.scaled(min, most) as usize,
+                period: if kind == Kind::AgentState { 20 * MS } else { period },
                 phase: if together {
                     0
                 } else {
@@ -244,7 +244,7 @@ enum Event {
 #[derive(Debug, Default)]
 struct Story {
     offered: BTreeMap<(Kind, u64), Nanos>,
-    told: BTreeMap<(Kind, u64), Outcome>,
+    reported: BTreeMap<(Kind, u64), Outcome>,
     given: BTreeMap<(Kind, u64), Nanos>,
     largest_held: (usize, usize),
 }
@@ -252,7 +252,7 @@ struct Story {
 /// Where contents begin in what they are cut from: at as many places.
 const PLACES: usize = 1 << 20;
 
-/// Contents that tell the message, and in which each part differs from all others: cut, without a copy, from bytes that no rule tells.
+/// Contents that tell the message, and in which each part differs from all others: cut, without a copy, from bytes that follow no rule.
 fn contents(kind: Kind, seq: u64, bytes: usize) -> Bytes {
     static NOISE: LazyLock<Bytes> = LazyLock::new(|| {
         let mut noise = vec![0; PLACES + LARGEST];
@@ -321,7 +321,7 @@ fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings
                 };
                 sender.acknowledged(&ack, now);
             }
-            // Whoever was told of an earlier time does not ask at the later one.
+            // Whoever heard of an earlier time does not ask at the later one.
             Event::Wake if wake != Some(now) => continue,
             Event::Wake => wake = None,
         }
@@ -342,16 +342,16 @@ fn live(streams: &[Stream], [mut there, mut back]: [Way; 2], settings: &Settings
             wake = Some(time);
             push(time, Event::Wake);
         }
-        for told in sender.take_told() {
-            let twice = story.told.insert((told.kind, told.seq), told.outcome);
-            assert_eq!(twice, None, "{told:?}: a message has one outcome");
+        for reported in sender.take_reported() {
+            let twice = story.reported.insert((reported.kind, reported.seq), reported.outcome);
+            assert_eq!(twice, None, "{reported:?}: a message has one outcome");
         }
         let (sending, receiving) = story.largest_held;
         story.largest_held = (sending.max(sender.held()), receiving.max(receiver.held()));
         assert!(now < 2 * LASTS, "everything comes to an end");
     }
     let open: BTreeSet<(Kind, u64)> = (story.offered.keys().copied())
-        .filter(|message| !story.told.contains_key(message))
+        .filter(|message| !story.reported.contains_key(message))
         .collect();
     assert!(
         open.is_empty(),
@@ -378,7 +378,7 @@ fn check(seed: u64) {
     let [there, back] = &ways;
     let about = || format!("seed {seed}: {streams:?} over {there:?} and {back:?}");
 
-    for (message, outcome) in &story.told {
+    for (message, outcome) in &story.reported {
         let (kind, seq) = *message;
         // Where messages overtake each other, an older one is forgotten for a newer one.
         let newer = || story.given.range((kind, seq)..).any(|((of, _), _)| *of == kind);
@@ -411,7 +411,7 @@ fn check(seed: u64) {
         let part = (16_384.0f64.min(slowest * 0.01).max(1024.0) / slowest * 1e9) as Nanos;
         let own = (12_000.0 / slowest * 1e9) as Nanos;
         let bound = there.delay + 2 * there.jitter + back.jitter + 3 * settings.queue + 8 * part + own;
-        for kind in [Kind::Boxes, Kind::EgoState] {
+        for kind in [Kind::Boxes, Kind::AgentState] {
             let worst = ages(&story, kind, settled).into_iter().max().unwrap_or(0);
             assert!(worst <= bound, "{kind} of age {worst} ns, bound {bound}; {}", about());
         }
@@ -496,8 +496,8 @@ fn check_turns(seed: u64) {
     let rate = ways[0].rates[0].1;
     let deadline = settings.deadline as f64;
     let period = draws.between(50e6, 200e6);
-    let mut stream = |kind, least: f64, most: f64, part: f64| {
-        let crossing = draws.scaled(least, most) * deadline;
+    let mut stream = |kind, min: f64, most: f64, part: f64| {
+        let crossing = draws.scaled(min, most) * deadline;
         Stream {
             kind,
             bytes: ((crossing * 1e-9 * rate) as usize).min(LARGEST),
@@ -654,7 +654,7 @@ fn holds_over_networks_drawn_at_random() {
     over_seeds(1000, check);
 }
 
-/// Way back out of order so that one word told of all of a trial; jitter as long as a trial; small messages on a full link, in several
+/// Way back out of order so that one acknowledgement covers a whole trial; jitter as long as a trial; small messages on a full link, in several
 /// ways; a long way that was just found to carry more; small messages that leave no room, so that most of what begins is given up.
 #[test]
 fn holds_over_networks_that_showed_something() {

@@ -34,7 +34,7 @@ enum Next {
     Wake,
 }
 
-/// What an agent has been told of another one's messages.
+/// What an agent knows of another one's messages.
 #[derive(Default)]
 struct Account {
     sent: u64,
@@ -209,7 +209,10 @@ impl World {
                     account.sent += news.traffic.values().map(|traffic| traffic.sent).sum::<u64>();
                     for fated in news.fates {
                         let key = (fated.message.kind, fated.message.seq);
-                        assert!(account.gone.insert(key, fated.fate).is_none(), "told twice: {fated:?}");
+                        assert!(
+                            account.gone.insert(key, fated.fate).is_none(),
+                            "reported twice: {fated:?}"
+                        );
                     }
                 }
             }

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | `boxes` | Boxes | `/<agent>/boxes`, `…_info`, `…_markers`: the final boxes; [`read_boxes`] restores them bit for bit |
 //! | `ego_boxes`, `other_boxes` | Boxes | `/<agent>/detections`, `…_info`: what each agent detected alone; [`read_detections`] |
-//! | `ego_state`, `states` | EgoState | `/<agent>/pose`, `/tf` |
+//! | `ego_state`, `states` | AgentState | `/<agent>/pose`, `/tf` |
 //! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers`, `…_views`; `/<agent>/own_labels` and the same |
 //! | `packets`, `state_packets` | Packet | `/packets`: their headers and sizes |
 //! | `evaluation`, `bank`, `fusion`, `link`, `link_state` | Report | `/reports`: JSON |
@@ -82,10 +82,10 @@ impl Describe for Recorder {
         Port::new("other_boxes", &[PayloadType::Boxes], "what the collaborators detected")
             .optional()
             .of(Lane::Others),
-        Port::new("ego_state", &[PayloadType::EgoState], "the ego's poses")
+        Port::new("ego_state", &[PayloadType::AgentState], "the ego's poses")
             .optional()
             .of(Lane::Ego),
-        Port::new("states", &[PayloadType::EgoState], "the collaborators' poses")
+        Port::new("states", &[PayloadType::AgentState], "the collaborators' poses")
             .optional()
             .of(Lane::Others),
         Port::new("truth", &[PayloadType::GroundTruth], "ground truth")
@@ -122,7 +122,7 @@ impl Sink for Recorder {
         match &message.payload {
             Payload::Boxes(boxes) if port == BOXES => recording.boxes("boxes", header, boxes)?,
             Payload::Boxes(boxes) => recording.boxes("detections", header, boxes)?,
-            Payload::EgoState(state) => recording.state(header, state)?,
+            Payload::AgentState(state) => recording.state(header, state)?,
             Payload::GroundTruth(truth) => recording.truth(header, truth)?,
             Payload::Packet(packet) => recording.packet(header, packet)?,
             Payload::Report(report) => recording.report(header, report)?,

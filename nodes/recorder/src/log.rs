@@ -3,7 +3,7 @@
 //! | input | type | recorded as |
 //! |---|---|---|
 //! | `clouds` | PointCloud | `/<agent>/points` and `/<agent>/sweeps` |
-//! | `poses` | EgoState | `/<agent>/pose`, `/tf` |
+//! | `poses` | AgentState | `/<agent>/pose`, `/tf` |
 //! | `recorded` | Boxes | `/<agent>/detections`, `…_info` |
 //! | `truth` | GroundTruth | `/<agent>/ground_truth`, `…_info`, `…_markers`, with the agent's own points; `…_views`; `/<agent>/own_labels` and theirs |
 //! | `peers` | Report | how far the clocks of others lie from the agent's, by which `realo merge` joins logs |
@@ -27,9 +27,9 @@ pub struct LogConfig {
     pub path: PathBuf,
     /// Whose sensors they are.
     pub agent: String,
-    /// What the agent is, where no other log tells.
+    /// What the agent is, where no other log says so.
     pub kind: AgentKind,
-    /// A log that has this agent, and tells of it what no message does: what is played.
+    /// A log that has this agent, and says of it what no message does: what is played.
     pub like: PathBuf,
     /// Whether sweeps have points.
     pub points: bool,
@@ -83,7 +83,7 @@ impl Describe for LogRecorder {
     ];
     const INPUTS: &'static [Port] = &[
         Port::new("clouds", &[PayloadType::PointCloud], "the agent's sweeps").of(Lane::Ego),
-        Port::new("poses", &[PayloadType::EgoState], "what it believes of its pose").of(Lane::Ego),
+        Port::new("poses", &[PayloadType::AgentState], "what it believes of its pose").of(Lane::Ego),
         Port::new(
             "recorded",
             &[PayloadType::Boxes],
@@ -141,7 +141,7 @@ impl Sink for LogRecorder {
         match &message.payload {
             Payload::PointCloud(cloud) if self.points => log.cloud(&self.agent, stamp, ready, cloud)?,
             Payload::PointCloud(_) => log.sweep(&self.agent, stamp, ready)?,
-            Payload::EgoState(state) => log.pose(&self.agent, stamp, ready, state)?,
+            Payload::AgentState(state) => log.pose(&self.agent, stamp, ready, state)?,
             Payload::Boxes(boxes) => log.detections(&self.agent, stamp, ready, boxes)?,
             Payload::GroundTruth(truth) => {
                 let (agent, points) = (&self.agent, own_points(truth, &self.agent));

@@ -10,7 +10,7 @@ use realo_logs::{
 use realo_operator::Books;
 use realo_schemas::geometry::View;
 use realo_schemas::report::Fated;
-use realo_schemas::{Box3, Boxes, EgoState, GroundTruth, Header, Nanos, Packet, PointCloud, Report};
+use realo_schemas::{AgentState, Box3, Boxes, GroundTruth, Header, Nanos, Packet, PointCloud, Report};
 use serde_json::{Value, json};
 
 /// Topic of the reports that say what became of messages.
@@ -84,7 +84,7 @@ impl Recording {
         self.views("own_labels", header, &own.views)
     }
 
-    /// Where the boxes of a topic could be labelled, if that is told.
+    /// Where the boxes of a topic could be labelled, if that is known.
     fn views(&mut self, topic: &str, header: &Header, views: &[View]) -> Result<(), LogError> {
         if views.is_empty() {
             return Ok(());
@@ -115,7 +115,7 @@ impl Recording {
         })
     }
 
-    pub fn state(&mut self, header: &Header, state: &EgoState) -> Result<(), LogError> {
+    pub fn state(&mut self, header: &Header, state: &AgentState) -> Result<(), LogError> {
         let (stamp, topic) = (header.stamp, format!("/{}/pose", header.agent));
         let schema = Schema::PoseWithCovarianceStamped;
         self.write(&topic, schema, header, |out| pose::encode(out, stamp, "map", state))?;

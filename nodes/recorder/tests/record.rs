@@ -8,7 +8,7 @@ use realo_operator::{Books, Describe, NodeBooks, PortId, Sink};
 use realo_recorder::{Config, FATES, Recorder, read_boxes, read_reports, read_truth};
 use realo_schemas::report::{Crossing, Fate, Fated, Use};
 use realo_schemas::{
-    Box3, Boxes, EgoState, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, Pose,
+    AgentState, Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, Pose,
     PoseStatus, Report,
 };
 
@@ -71,14 +71,14 @@ fn truth(seq: u64) -> Message {
 
 fn record(recorder: &mut Recorder, seq: u64) -> Result<(), realo_operator::Error> {
     let mut send = |name: &str, message: Message| recorder.accept(port(name), message);
-    let state = EgoState {
+    let state = AgentState {
         map_from_body: Isometry3::identity(),
         covariance: None,
         velocity: None,
         angular_rate: None,
         status: PoseStatus::Recorded,
     };
-    send("ego_state", Message::new(header("cav1", Kind::EgoState, seq), state))?;
+    send("ego_state", Message::new(header("cav1", Kind::AgentState, seq), state))?;
     let mut packet = header("rsu1", Kind::Boxes, seq);
     packet.to = Some("cav1".into());
     send(

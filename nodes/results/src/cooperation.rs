@@ -43,7 +43,7 @@ impl Cooperation {
     /// What a run's books say; `None` where its graph takes nothing from others.
     pub(crate) fn of(result: &RunResult, books: &Books) -> Option<Self> {
         let inputs = || books.nodes.values().flat_map(|node| node.inputs.values());
-        let fuses = inputs().any(|input| input.accounts.iter().any(|kind| *kind != Kind::EgoState));
+        let fuses = inputs().any(|input| input.accounts.iter().any(|kind| *kind != Kind::AgentState));
         if !fuses {
             return None;
         }
@@ -172,7 +172,7 @@ fn books_of(result: &RunResult, agent: &str) -> Vec<LinkBooks> {
         .egos
         .iter()
         .filter_map(|ego| result.links.get(&format!("{agent}-{ego}")));
-    let kinds = links.flatten().filter(|(kind, _)| **kind != Kind::EgoState.as_str());
+    let kinds = links.flatten().filter(|(kind, _)| **kind != Kind::AgentState.as_str());
     kinds.map(|(_, books)| books.clone()).collect()
 }
 
@@ -187,7 +187,7 @@ pub(crate) fn sent_and_kept(result: &RunResult, agent: &str) -> [u64; 2] {
 fn unplaced(agent: &str, books: &Books) -> u64 {
     let carries = |node: &&NodeBooks| {
         let mut channels = node.channels.iter();
-        channels.any(|channel| channel.from == agent && channel.kind != Kind::EgoState)
+        channels.any(|channel| channel.from == agent && channel.kind != Kind::AgentState)
     };
     let losses = books.nodes.values().filter(carries);
     let losses = losses.filter_map(|node| node.losses.get("unplaced")?.agents.get(agent));

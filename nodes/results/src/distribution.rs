@@ -11,7 +11,7 @@ pub struct Spread {
     pub p95: Option<f64>,
     /// 99 % of all are not greater.
     pub p99: Option<f64>,
-    /// The greatest.
+    /// The largest.
     pub max: Option<f64>,
     /// How many.
     pub count: u64,
@@ -104,7 +104,7 @@ impl Ages {
     }
 }
 
-/// The `n`th duration, from 1 for the least.
+/// The `n`th duration, from 1 for the smallest.
 fn nth(durations: &Durations, n: u64) -> Option<Nanos> {
     // Half a step below the n/count-quantile, so that rounding never reaches the next one.
     durations.quantile((n as f64 - 0.5) / durations.count() as f64)

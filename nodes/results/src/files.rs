@@ -411,7 +411,7 @@ mod tests {
         let file = folder.path().join(RESULT_FILE);
         for (text, expected) in [
             ("{\"score\": 1}", "JSON without a schema"),
-            ("{\"schema\": \"other\", \"version\": 1}", "found \"schema\": \"other\""),
+            ("{\"schema\": \"other\", \"version\": 2}", "found \"schema\": \"other\""),
             ("result", "no JSON"),
         ] {
             std::fs::write(&file, text).unwrap();
@@ -424,7 +424,7 @@ mod tests {
         std::fs::write(&file, "{\"schema\": \"realo/result\", \"version\": 99}").unwrap();
         let error = read_run(folder.path()).unwrap_err().to_string();
         assert!(error.contains("version 99"), "{error}");
-        std::fs::write(&file, "{\"schema\": \"realo/result\", \"version\": 1}").unwrap();
+        std::fs::write(&file, "{\"schema\": \"realo/result\", \"version\": 2}").unwrap();
         let error = read_run(folder.path()).unwrap_err().to_string();
         assert!(
             error.contains("result.json") && error.contains("missing field"),

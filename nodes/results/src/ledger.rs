@@ -251,23 +251,23 @@ mod tests {
     proptest! {
         #[test]
         fn the_order_in_which_stages_speak_does_not_matter(
-            told in prop::collection::vec((0u64..30, 0usize..8), 0..80),
+            reported in prop::collection::vec((0u64..30, 0usize..8), 0..80),
         ) {
-            let sum = |told: &[(u64, usize)]| {
+            let sum = |reported: &[(u64, usize)]| {
                 let mut ledger = Ledger::default();
-                told.iter().for_each(|(seq, fate)| ledger.take(&fated(*seq, Fate::ALL[*fate])));
+                reported.iter().for_each(|(seq, fate)| ledger.take(&fated(*seq, Fate::ALL[*fate])));
                 close(ledger)
             };
-            let mut least: BTreeMap<u64, usize> = BTreeMap::new();
-            for (seq, fate) in &told {
-                let known = least.entry(*seq).or_insert(*fate);
+            let mut min: BTreeMap<u64, usize> = BTreeMap::new();
+            for (seq, fate) in &reported {
+                let known = min.entry(*seq).or_insert(*fate);
                 *known = (*known).min(*fate);
             }
             let mut expected = Settled::default();
-            least.values().for_each(|fate| expected.count(Fate::ALL[*fate]));
-            let reversed: Vec<_> = told.iter().rev().copied().collect();
-            prop_assert_eq!(sum(&told).0, expected);
-            prop_assert_eq!(sum(&reversed), sum(&told));
+            min.values().for_each(|fate| expected.count(Fate::ALL[*fate]));
+            let reversed: Vec<_> = reported.iter().rev().copied().collect();
+            prop_assert_eq!(sum(&reported).0, expected);
+            prop_assert_eq!(sum(&reversed), sum(&reported));
         }
     }
 }

@@ -41,5 +41,5 @@ pub use result::{
     Accounted, AgeTable, EdgeBooks, Frames, LinkBooks, NodeSummary, RESULT, RunResult, Settings, Transport, VERSION,
 };
 pub use run::{Run, SAMPLES, Samples, add_name};
-pub use sink::{Config, Results, Told};
+pub use sink::{Config, Results, RunSettings};
 pub use timing::{END_TO_END, FRAMEWORK, StageSamples, TIMING, Timing, TimingSamples};

@@ -50,7 +50,7 @@ pub fn link_books(
 fn is_accounted(channel: &Channel, books: &Books) -> bool {
     let inputs = books.nodes.values().flat_map(|node| node.inputs.values());
     let mut takers = inputs.filter(|input| input.accounts.contains(&channel.kind));
-    let one_way = channel.kind != Kind::EgoState;
+    let one_way = channel.kind != Kind::AgentState;
     takers.any(|InputBooks { receivers, .. }| receivers.contains(&channel.to) || (one_way && receivers.is_empty()))
 }
 
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_or_too_much_is_told() {
+    fn what_is_missing_or_too_much_is_reported() {
         for (used, expected) in [(8, 1), (9, 0), (10, -1)] {
             let books = books(&[channel("cav1", Kind::Boxes, 10)], &[Kind::Boxes], &["cav1"]);
             let links = link_books(&settled(used, 1), &books);
@@ -121,7 +121,7 @@ mod tests {
         let sent = [
             channel("cav1", Kind::Boxes, 1),
             channel("cav2", Kind::Boxes, 1),
-            channel("cav1", Kind::EgoState, 1),
+            channel("cav1", Kind::AgentState, 1),
         ];
         let accounted = |receivers: &[&str]| {
             let links = link_books(&settled(1, 0), &books(&sent, &[Kind::Boxes], receivers));
@@ -129,18 +129,18 @@ mod tests {
             [
                 of("rsu1-cav1", "boxes"),
                 of("rsu1-cav2", "boxes"),
-                of("rsu1-cav1", "ego_state"),
+                of("rsu1-cav1", "agent_state"),
             ]
         };
         assert_eq!(accounted(&["cav1"]), [true, false, false]);
         assert_eq!(accounted(&[]), [true, true, false], "nothing came at all");
         let states = ["cav1", "rsu1"].map(|to| Channel {
             from: if to == "cav1" { "rsu1".into() } else { "cav1".into() },
-            ..channel(to, Kind::EgoState, 1)
+            ..channel(to, Kind::AgentState, 1)
         });
         let accounted = |receivers: &[&str]| {
-            let links = link_books(&BTreeMap::new(), &books(&states, &[Kind::EgoState], receivers));
-            ["rsu1-cav1", "cav1-rsu1"].map(|link| links[link]["ego_state"].accounted.is_some())
+            let links = link_books(&BTreeMap::new(), &books(&states, &[Kind::AgentState], receivers));
+            ["rsu1-cav1", "cav1-rsu1"].map(|link| links[link]["agent_state"].accounted.is_some())
         };
         assert_eq!(accounted(&["rsu1"]), [false, true]);
         assert_eq!(

@@ -78,7 +78,7 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
                 .collect();
             let classes = listed(&classes);
             let why = format!(
-                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/protocols.md)",
+                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/reference/protocols.md)",
                 classes.trim_end_matches(':')
             );
             said.push(line(strange, why));
@@ -240,7 +240,7 @@ impl RunResult {
         let runs = self.counter(LOG_CUT);
         let which = match cut {
             0 if runs == 0 => return None,
-            // Nobody told the names.
+            // No one gave the names.
             0 if self.runs == 1 => "the log is cut".into(),
             0 => format!("{runs} of {} runs played a cut log", self.runs),
             _ if all == 1 => format!("the log {} is cut", self.logs_cut[0]),

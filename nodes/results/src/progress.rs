@@ -17,7 +17,7 @@ pub(crate) struct Progress {
     ages: Vec<Nanos>,
     /// Of the whole run.
     lost: u64,
-    told: u64,
+    reported: u64,
 }
 
 impl Progress {
@@ -28,7 +28,7 @@ impl Progress {
             boxes: 0,
             ages: Vec::new(),
             lost: 0,
-            told: 0,
+            reported: 0,
         }
     }
 
@@ -49,7 +49,7 @@ impl Progress {
     pub fn fates(&mut self, fates: &[Fated]) {
         self.ages
             .extend(fates.iter().filter_map(|fated| Some(fated.r#use?.age_ns)));
-        self.told += fates.len() as u64;
+        self.reported += fates.len() as u64;
         self.lost += fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;
     }
 
@@ -60,7 +60,7 @@ impl Progress {
         if let Some(age) = self.ages.get(self.ages.len() / 2) {
             line.push_str(&format!(", data {:.0} ms old when fused", to_millis(*age)));
         }
-        if self.told > 0 {
+        if self.reported > 0 {
             line.push_str(&format!(", {} messages lost on links", self.lost));
         }
         line

@@ -11,7 +11,7 @@ use crate::sink::happened;
 use crate::{Fates, Samples, Spread, notes};
 
 /// Version of the files; a reader refuses what is newer.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// Names `result.json`.
 pub const RESULT: &str = "realo/result";
 
@@ -86,7 +86,7 @@ pub struct RunResult {
     pub notes: Vec<String>,
 }
 
-/// What was run, as the graph was told.
+/// What was run, with the settings that the graph got.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Name of the graph.
@@ -260,7 +260,7 @@ pub struct NodeSummary {
     /// Runs in which the operator failed on half of its messages or more, or failed and sent nothing at all.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub failed_runs: u64,
-    /// Messages that it passed over because it was busy.
+    /// Messages that it skipped because it was busy.
     pub skipped: u64,
     /// Parts of sets that never became complete.
     pub unjoined: u64,

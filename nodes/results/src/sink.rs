@@ -24,8 +24,8 @@ use crate::{
 pub struct Config {
     /// Folder of the files; it is made, and an earlier run's files in it are replaced.
     pub out: PathBuf,
-    /// File with what the result tells of the run, a [`Told`] in JSON; empty: the graph is named as the folder is.
-    pub told: PathBuf,
+    /// File with what the result reports of the run, a [`RunSettings`] in JSON; empty: the graph is named as the folder is.
+    pub run_settings: PathBuf,
 }
 
 impl Default for Config {
@@ -33,7 +33,7 @@ impl Default for Config {
         Config {
             // dora starts nodes in the folder of the graph.
             out: "../target/realo/run".into(),
-            told: PathBuf::new(),
+            run_settings: PathBuf::new(),
         }
     }
 }
@@ -41,7 +41,7 @@ impl Default for Config {
 /// What whoever prepared a run knows of it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Told {
+pub struct RunSettings {
     /// The log's path, or its name alone, by which pooled runs are resampled. The name stands in the result, the path in
     /// `timing.json` only.
     pub log: String,
@@ -54,20 +54,20 @@ pub struct Told {
 }
 
 impl Config {
-    fn told(&self) -> Result<Told, Error> {
-        if self.told.as_os_str().is_empty() {
+    fn run_settings(&self) -> Result<RunSettings, Error> {
+        if self.run_settings.as_os_str().is_empty() {
             let graph = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let settings = Settings {
                 graph,
                 ..Settings::default()
             };
-            return Ok(Told {
+            return Ok(RunSettings {
                 settings,
-                ..Told::default()
+                ..RunSettings::default()
             });
         }
-        let wrong = |reason: String| format!("argument `told`: {}: {reason}", self.told.display());
-        let text = std::fs::read_to_string(&self.told).map_err(|error| wrong(error.to_string()))?;
+        let wrong = |reason: String| format!("argument `run_settings`: {}: {reason}", self.run_settings.display());
+        let text = std::fs::read_to_string(&self.run_settings).map_err(|error| wrong(error.to_string()))?;
         Ok(serde_json::from_str(&text).map_err(|error| wrong(format!("not what a run tells of itself: {error}")))?)
     }
 }
@@ -120,7 +120,7 @@ impl Describe for Results {
             about: "folder of the files; an earlier run's files in it are replaced",
         },
         Argument {
-            name: "told",
+            name: "run_settings",
             about: "file with what the result tells of the run (JSON); empty = the graph is named as the folder is",
         },
     ];
@@ -143,7 +143,8 @@ impl Describe for Results {
         Port::new("peers", &[PayloadType::Report], "topic `peers`, of the radio").optional(),
     ];
     const OUTPUTS: &'static [Port] = &[];
-    const DECIDED: &'static [(Decided, &'static str)] = &[(Decided::Out, "out"), (Decided::Told, "told")];
+    const DECIDED: &'static [(Decided, &'static str)] =
+        &[(Decided::Out, "out"), (Decided::RunSettings, "run_settings")];
 }
 
 impl Sink for Results {
@@ -152,12 +153,12 @@ impl Sink for Results {
             return Err("argument `out`: expected a folder, found nothing".into());
         }
         claim(&config.out)?;
-        let Told {
+        let RunSettings {
             log,
             log_hash,
             settings,
             ..
-        } = config.told()?;
+        } = config.run_settings()?;
         let (log, log_path) = name_and_path(log);
         let mut samples = Samples::default();
         if !log_hash.is_empty() {
@@ -173,7 +174,7 @@ impl Sink for Results {
             boxes: Sweeps::default(),
             truth: Sweeps::default(),
             realtime: false,
-            progress: config.told.as_os_str().is_empty().then(Progress::new),
+            progress: config.run_settings.as_os_str().is_empty().then(Progress::new),
             courses: BTreeMap::new(),
             out: config.out,
         })
@@ -223,7 +224,7 @@ impl Sink for Results {
     }
 }
 
-/// A log's name, and its path if that was told.
+/// A log's name, and its path if that is known.
 fn name_and_path(log: String) -> (String, Option<String>) {
     let path = Path::new(&log);
     match path.file_stem().filter(|_| path.components().count() > 1) {

@@ -20,7 +20,7 @@ pub struct Timing {
     pub schema: String,
     /// [`VERSION`].
     pub version: u32,
-    /// Where the log lay that was played; `None` where nobody told, and of runs over several logs.
+    /// Where the log lay that was played; `None` where that is unknown, and of runs over several logs.
     #[serde(default)]
     pub log_path: Option<String>,
     /// By stage: from its start to its end; and [`END_TO_END`] and [`FRAMEWORK`].

@@ -1,9 +1,9 @@
-//! What `docs/results.md` says is so.
+//! What `docs/reference/results.md` says is so.
 
 use realo_results::{Run, RunResult, Samples, Settings, Timing};
 use realo_scoring::{Detection, Outline, Truth};
 
-const PAGE: &str = include_str!("../../../docs/results.md");
+const PAGE: &str = include_str!("../../../docs/reference/results.md");
 
 #[test]
 fn the_page_shows_the_units_of_outlines() {

@@ -32,7 +32,7 @@ const MOST: usize = 1000;
 pub struct Config {
     /// The model file; its weights lie beside it.
     pub model: PathBuf,
-    /// Least score; `None`: the model's.
+    /// Smallest score; `None`: the model's.
     pub score_threshold: Option<f32>,
     /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
     pub isa: String,
@@ -151,7 +151,7 @@ impl Describe for DetectionHead {
         },
         Argument {
             name: "score_threshold",
-            about: "least score of a box; null: the model's",
+            about: "min score of a box; null: the model's",
         },
         realo_bev::ISA,
         realo_bev::PRECISION,
@@ -312,7 +312,7 @@ mod tests {
         let error = head(Some(1.5)).err().expect("refused").to_string();
         assert!(error.contains("`score_threshold`") && error.contains("1.5"), "{error}");
         let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let told: Vec<&str> = DetectionHead::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, told);
+        let reported: Vec<&str> = DetectionHead::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, reported);
     }
 }

@@ -6,7 +6,7 @@ use realo_schemas::{Header, Message, Name, Nanos, PayloadType, to_millis};
 
 use crate::sender::{Departed, Sender};
 
-/// Greatest difference of stamps offline, ns; inclusive.
+/// Largest difference of stamps offline, ns; inclusive.
 pub const OFFLINE_REACH: Nanos = 50_000_000;
 
 /// Messages that are held of a sender; more than a query that waits for its turn can still ask for.
@@ -74,7 +74,7 @@ pub struct Answer {
 
 /// Holds what collaborators sent.
 pub struct Bank {
-    /// Greatest age online, ns; inclusive.
+    /// Largest age online, ns; inclusive.
     pub window: Nanos,
     /// Whether the nearest stamp is taken instead of the newest.
     pub offline: bool,

@@ -19,12 +19,12 @@
 //! what was when it was ready. Ages, and the window, count to when the query was ready all the same. Offline nobody has
 //! patience.
 //!
-//! **Offline** it takes the message of least |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
+//! **Offline** it takes the message of smallest |difference in stamp| within ±50 ms (tie: the earlier one), and is answered
 //! 50 ms after its stamp.
 //!
 //! **Several forms**: where agents send points and boxes of the same moments, a bank of points and one of boxes follow each other,
 //! and the first one's selections are `fused` for the second: who is in the one for a seq already is in the ego's message of that seq
-//! and is passed over by its query here.
+//! and is skipped by its query here.
 //!
 //! **Limit**: of each sender 16 messages are held. Where one more comes, that of the oldest stamp makes room (of one
 //! stamp the one that came first), which may be the one that came; no query takes it any more. So a query that has waited

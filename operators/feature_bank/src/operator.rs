@@ -25,7 +25,7 @@ const NANOS_PER_MILLI: Nanos = 1_000_000;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BankConfig {
-    /// Greatest age of what is selected, ms.
+    /// Largest age of what is selected, ms.
     pub window_ms: u32,
     /// How long a query waits online for a message that its sender's rhythm announces, ms.
     pub patience_ms: u32,
@@ -83,7 +83,7 @@ impl Describe for FeatureBank {
     const ARGUMENTS: &'static [Argument] = &[
         Argument {
             name: "window_ms",
-            about: "greatest age of what is selected online, ms",
+            about: "max age of what is selected online, ms",
         },
         Argument {
             name: "patience_ms",
@@ -195,7 +195,7 @@ impl FeatureBank {
         answer
             .departed
             .iter()
-            .for_each(|(header, fate)| out.tell(header, *fate));
+            .for_each(|(header, fate)| out.report(header, *fate));
         let selection = Selection {
             query: query.seq,
             entries: answer.entries,
@@ -270,7 +270,7 @@ impl Operator for FeatureBank {
             self.answer(waiting.query, out);
         }
         let departed = self.bank.close();
-        departed.iter().for_each(|(header, fate)| out.tell(header, *fate));
+        departed.iter().for_each(|(header, fate)| out.report(header, *fate));
         Ok(())
     }
 }

@@ -17,14 +17,14 @@ struct Held {
     payload: PayloadType,
     selected: bool,
     stale: bool,
-    passed_over: bool,
+    skipped: bool,
 }
 
 impl Held {
     /// Leaves the bank; `unasked` is the fate of a message which no query asked for. Of one that was selected whoever
     /// takes the selection says what became of it.
     fn leave(&self, unasked: Fate, departed: &mut Departed) {
-        let fate = match (self.selected, self.stale, self.passed_over) {
+        let fate = match (self.selected, self.stale, self.skipped) {
             (true, _, _) => return,
             (_, _, true) => Fate::Superseded,
             (_, true, _) => Fate::Stale,
@@ -132,7 +132,7 @@ impl Sender {
                 message,
                 selected: false,
                 stale: false,
-                passed_over: false,
+                skipped: false,
             },
         );
         if self.held.len() > limit {
@@ -161,7 +161,7 @@ impl Sender {
     }
 
     /// Online: the message of newest stamp that is ready at `ready`, unless its stamp lies before `oldest`. One that is not
-    /// `wanted` is passed over.
+    /// `wanted` is skipped.
     pub fn newest(&mut self, ready: Nanos, oldest: Nanos, wanted: bool, departed: &mut Departed) -> Option<Message> {
         let newest = self.held.iter().rposition(|held| held.message.header.ready <= ready)?;
         let mut place = 0;
@@ -176,7 +176,7 @@ impl Sender {
         let held = self.held.iter_mut().rfind(|held| held.message.header.ready <= ready)?;
         let in_time = held.message.header.stamp >= oldest;
         held.selected |= in_time && wanted;
-        held.passed_over |= in_time && !wanted;
+        held.skipped |= in_time && !wanted;
         held.stale |= !in_time;
         (in_time && wanted).then(|| held.message.clone())
     }
@@ -184,7 +184,7 @@ impl Sender {
     /// Offline: the message whose stamp is nearest, at most `reach` away; of two the earlier one.
     pub fn nearest(&mut self, stamp: Nanos, reach: Nanos, wanted: bool, departed: &mut Departed) -> Option<Message> {
         let distance = |held: &Held| held.message.header.stamp.abs_diff(stamp);
-        // The first of least distance is the earlier one, and of one stamp the one that came first.
+        // The first of smallest distance is the earlier one, and of one stamp the one that came first.
         let nearest = self
             .held
             .iter()
@@ -196,7 +196,7 @@ impl Sender {
             let within = distance(held) <= reach.unsigned_abs();
             let is_selected = wanted && nearest == Some(at);
             held.selected |= is_selected;
-            held.passed_over |= within && !is_selected;
+            held.skipped |= within && !is_selected;
         }
         let selected = nearest.filter(|_| wanted).map(|at| self.held[at].message.clone());
         let mut keep = |held: &Held| {

@@ -202,7 +202,7 @@ impl<T> Set<T> {
             let over_limit = u64::from(*fate == Fate::OverLimit);
             out.count(&OVER_LIMIT_MESSAGES, &header.agent, over_limit);
             out.count_of(&REJECTED_MESSAGES, &header.agent, 1 - over_limit, 1);
-            out.tell(header, *fate);
+            out.report(header, *fate);
         }
         out.send(FUSED, Message::new(self.header, fused));
     }
@@ -211,7 +211,7 @@ impl<T> Set<T> {
 #[cfg(test)]
 mod tests {
     use nalgebra::{Point3, Translation3, UnitQuaternion};
-    use realo_schemas::{Boxes, EgoState, Kind, Pose, PoseStatus};
+    use realo_schemas::{AgentState, Boxes, Kind, Pose, PoseStatus};
 
     use super::*;
 
@@ -356,7 +356,7 @@ mod tests {
     fn leaves_out_what_has_no_place_or_is_something_else() {
         let mut lost = boxes("cav2", 1.0);
         lost.header.pose = None;
-        let state = EgoState {
+        let state = AgentState {
             map_from_body: pose(0.0, 0.0),
             covariance: None,
             velocity: None,

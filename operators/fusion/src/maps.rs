@@ -41,12 +41,12 @@ impl Set<FeatureMap> {
         let expected = kind(&self.ego);
         let fits = |map: &FeatureMap| {
             let cells = expected.0[0] * expected.0[1];
-            let tells_all = map
+            let reports_all = map
                 .confidence
                 .as_ref()
                 .is_none_or(|confidence| confidence.len() == cells);
             let sound = |map: &FeatureMap| map.numbers().is_ok_and(|numbers| feature_map::are_sound(&numbers));
-            kind(map) == expected && tells_all && sound(map)
+            kind(map) == expected && reports_all && sound(map)
         };
         self.reject(|collaborator| !fits(&collaborator.payload));
         let others = self.collaborators.iter().map(PlacedMap::of);

@@ -24,7 +24,7 @@ pub struct Config {
     pub ego_boxes: bool,
     /// Collaborators that a fusion takes, the nearest to the ego; `None`: all.
     pub max_collaborators: Option<usize>,
-    /// Least score of a box, the ego's own included.
+    /// Smallest score of a box, the ego's own included.
     pub min_score: f32,
 }
 
@@ -159,14 +159,14 @@ mod tests {
     }
 
     /// Who, and what became of its message.
-    type Told = Vec<(String, Fate)>;
+    type Reported = Vec<(String, Fate)>;
 
     fn boxes(agent: &str, map_from_body: Option<Isometry3<f64>>, boxes: Vec<Box3>) -> Message {
         Message::new(header(agent, 3, map_from_body), Boxes(boxes))
     }
 
     /// Feeds one set of an ego 100 km from the map's origin.
-    fn fuse_set(config: Config, ego_boxes: Vec<Box3>, entries: Vec<Message>) -> (Vec<Box3>, Told, Outputs) {
+    fn fuse_set(config: Config, ego_boxes: Vec<Box3>, entries: Vec<Message>) -> (Vec<Box3>, Reported, Outputs) {
         let mut operator = FusionBoxes::new(config).unwrap();
         let mut out = Outputs::at(100);
         let ego = header("cav1", 7, Some(pose(1e5, -1e5, 0.4)));
@@ -184,11 +184,11 @@ mod tests {
             (fused_header.agent, fused_header.seq, fused_header.pose),
             (ego.agent, 7, ego.pose)
         );
-        let told = out
+        let reported = out
             .take_fates()
             .into_iter()
             .map(|fated| (fated.message.from, fated.fate));
-        (fused, told.collect(), out)
+        (fused, reported.collect(), out)
     }
 
     #[test]
@@ -243,13 +243,13 @@ mod tests {
             boxes("rsu1", at, vec![numbered(5)]),
             boxes("cav2", at, vec![numbered(3), numbered(4)]),
         ];
-        let (fused, told, _) = fuse_set(Config::default(), vec![numbered(1), numbered(2)], entries);
+        let (fused, reported, _) = fuse_set(Config::default(), vec![numbered(1), numbered(2)], entries);
         assert_eq!(
             fused.iter().map(|b| b.track.unwrap()).collect::<Vec<_>>(),
             [1, 2, 3, 4, 5]
         );
         assert_eq!(
-            told,
+            reported,
             [("cav2".to_string(), Fate::Used), ("rsu1".to_string(), Fate::Used)]
         );
     }
@@ -257,9 +257,9 @@ mod tests {
     #[test]
     fn passes_the_ego_alone_on_without_entries() {
         let own = object([1.0, 2.0, 0.0], 0.0, 0.5);
-        let (fused, told, _) = fuse_set(Config::default(), vec![own.clone()], vec![]);
+        let (fused, reported, _) = fuse_set(Config::default(), vec![own.clone()], vec![]);
         assert_eq!(fused, [own]);
-        assert_eq!(told, []);
+        assert_eq!(reported, []);
     }
 
     #[test]
@@ -273,9 +273,9 @@ mod tests {
             ego_boxes: false,
             ..Config::default()
         };
-        let (fused, told, _) = fuse_set(config, vec![object([1.0, 2.0, 0.0], 0.0, 0.9)], vec![theirs]);
+        let (fused, reported, _) = fuse_set(config, vec![object([1.0, 2.0, 0.0], 0.0, 0.9)], vec![theirs]);
         assert_eq!(fused.iter().map(|b| b.score).collect::<Vec<_>>(), [0.5]);
-        assert_eq!(told, [("rsu1".to_string(), Fate::Used)]);
+        assert_eq!(reported, [("rsu1".to_string(), Fate::Used)]);
     }
 
     #[test]
@@ -288,14 +288,14 @@ mod tests {
             max_collaborators: Some(1),
             ..Config::default()
         };
-        let (fused, told, out) = fuse_set(config, vec![], entries);
+        let (fused, reported, out) = fuse_set(config, vec![], entries);
         assert_eq!(fused.len(), 1);
         let expected = [
             ("cav2", Fate::Used),
             ("cav3", Fate::OverLimit),
             ("rsu1", Fate::OverLimit),
         ];
-        assert_eq!(told, expected.map(|(agent, fate)| (agent.to_string(), fate)));
+        assert_eq!(reported, expected.map(|(agent, fate)| (agent.to_string(), fate)));
         assert_eq!(out.counted("over_limit_messages"), 2);
     }
 
@@ -303,9 +303,12 @@ mod tests {
     fn rejects_entries_that_have_no_pose_or_are_no_boxes() {
         let cloud = Message::new(header("cav3", 1, Some(pose(0.0, 0.0, 0.0))), PointCloud::empty());
         let entries = vec![boxes("cav2", None, vec![object([0.0; 3], 0.0, 0.5)]), cloud];
-        let (fused, told, out) = fuse_set(Config::default(), vec![object([0.0; 3], 0.0, 0.1)], entries);
+        let (fused, reported, out) = fuse_set(Config::default(), vec![object([0.0; 3], 0.0, 0.1)], entries);
         assert_eq!(fused.len(), 1);
-        assert_eq!(told, ["cav2", "cav3"].map(|agent| (agent.to_string(), Fate::Rejected)));
+        assert_eq!(
+            reported,
+            ["cav2", "cav3"].map(|agent| (agent.to_string(), Fate::Rejected))
+        );
         assert_eq!(out.counted("rejected_messages"), 2);
     }
 

@@ -279,9 +279,9 @@ mod tests {
         ego: FeatureMap,
         entries: Vec<Message>,
     ) -> (FeatureMap, Vec<(String, Fate)>) {
-        let (fused, told, error) = try_to_fuse(operator, ego, entries);
+        let (fused, reported, error) = try_to_fuse(operator, ego, entries);
         assert_eq!(error, "");
-        (fused, told)
+        (fused, reported)
     }
 
     /// The fused map, what became of whom, and the error.
@@ -299,10 +299,10 @@ mod tests {
         let error = operator.on_input(SELECTIONS, selection, &mut out).err();
         let (port, fused) = out.take_sent().remove(0);
         assert_eq!((port, fused.header.kind, fused.header.seq), (FUSED, Kind::Features, 7));
-        let told = out.take_fates().into_iter();
-        let told = told.map(|fated| (fated.message.from, fated.fate)).collect();
+        let reported = out.take_fates().into_iter();
+        let reported = reported.map(|fated| (fated.message.from, fated.fate)).collect();
         let error = error.map(|error| error.to_string()).unwrap_or_default();
-        (fused.into_parts().unwrap().1, told, error)
+        (fused.into_parts().unwrap().1, reported, error)
     }
 
     fn feature(map: &FeatureMap, row: usize, column: usize) -> f32 {
@@ -317,8 +317,8 @@ mod tests {
         let ego = map(&operator, |_, _| 1.0);
         // 10 cells ahead: its column 0 is the ego's column 10.
         let entry = Message::new(header("cav2", 8.0), other.clone());
-        let (fused, told) = fuse(&mut operator, ego, vec![entry]);
-        assert_eq!(told, [("cav2".to_string(), Fate::Used)]);
+        let (fused, reported) = fuse(&mut operator, ego, vec![entry]);
+        assert_eq!(reported, [("cav2".to_string(), Fate::Used)]);
         assert_eq!(feature(&fused, 40, 9), 1.0, "it does not reach there");
         for column in [10, 100, 255] {
             assert!((feature(&fused, 40, column) - feature(&other, 40, column - 10)).abs() < 1e-2);
@@ -402,7 +402,7 @@ mod tests {
         };
         let maps = [("a", poisoned), ("b", other_model), ("c", good.clone())];
         let entries = maps.map(|(agent, map)| Message::new(header(agent, 0.0), map));
-        let (fused, told, error) = try_to_fuse(&mut operator, good.clone(), entries.to_vec());
+        let (fused, reported, error) = try_to_fuse(&mut operator, good.clone(), entries.to_vec());
         for reason in [
             "numbers as a network makes them",
             "found one of lite-0: name one model file in both",
@@ -411,10 +411,10 @@ mod tests {
         }
         assert_eq!(fused, good, "the ego's and the one that is the same");
         let expected = [("c", Fate::Used), ("a", Fate::Rejected), ("b", Fate::Rejected)];
-        assert_eq!(told, expected.map(|(agent, fate)| (agent.to_string(), fate)));
+        assert_eq!(reported, expected.map(|(agent, fate)| (agent.to_string(), fate)));
         let maps = [("a", narrow), ("b", cut), ("c", elsewhere)];
         let entries = maps.map(|(agent, map)| Message::new(header(agent, 0.0), map));
-        let (alone, told, error) = try_to_fuse(&mut operator, good.clone(), entries.to_vec());
+        let (alone, reported, error) = try_to_fuse(&mut operator, good.clone(), entries.to_vec());
         for reason in [
             "found [100, 128, 64]",
             "expected 4 bytes for each number",
@@ -424,8 +424,8 @@ mod tests {
         }
         assert_eq!(alone, good);
         assert!(
-            told.len() == 3 && told.iter().all(|(_, fate)| *fate == Fate::Rejected),
-            "{told:?}"
+            reported.len() == 3 && reported.iter().all(|(_, fate)| *fate == Fate::Rejected),
+            "{reported:?}"
         );
     }
 
@@ -434,9 +434,9 @@ mod tests {
         let mut operator = operator("lite-attfuse");
         let all = map(&operator, |_, _| 2.0);
         let entry = |k: usize| Message::new(header(&format!("cav{k}"), 0.0), all.clone());
-        let (_, told) = fuse(&mut operator, all.clone(), (2..7).map(entry).collect());
-        let used = told.iter().filter(|(_, fate)| *fate == Fate::Used).count();
-        let over = told.iter().filter(|(_, fate)| *fate == Fate::OverLimit).count();
+        let (_, reported) = fuse(&mut operator, all.clone(), (2..7).map(entry).collect());
+        let used = reported.iter().filter(|(_, fate)| *fate == Fate::Used).count();
+        let over = reported.iter().filter(|(_, fate)| *fate == Fate::OverLimit).count();
         assert_eq!((used, over), (3, 2));
     }
 
@@ -459,8 +459,8 @@ mod tests {
         });
         assert!(limit.contains("`max_collaborators`: expected at most 3"), "{limit}");
         let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let told: Vec<&str> = FusionFeatures::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, told);
+        let reported: Vec<&str> = FusionFeatures::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, reported);
     }
 
     #[test]

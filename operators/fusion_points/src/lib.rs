@@ -26,7 +26,7 @@ const EMPTY_SWEEPS: Counter = Counter::log_fault(
     "empty_sweeps",
     "sweeps that have no point within 300 m of the ego, so that they add nothing",
     "sweeps have no point within 300 m of the ego, so that they added nothing",
-    "points are expected in metres, in the body frame of their agent (docs/log-format.md)",
+    "points are expected in metres, in the body frame of their agent (docs/reference/log-format.md)",
 );
 
 /// Settings of [`FusionPoints`].
@@ -199,10 +199,10 @@ mod tests {
     }
 
     /// Who, and what became of its message.
-    type Told = Vec<(String, Fate)>;
+    type Reported = Vec<(String, Fate)>;
 
     /// Feeds one set of an ego 100 km from the map's origin.
-    fn fuse(config: Config, entries: Vec<Message>) -> (PointCloud, Told) {
+    fn fuse(config: Config, entries: Vec<Message>) -> (PointCloud, Reported) {
         let mut operator = FusionPoints::new(config).unwrap();
         let mut out = Outputs::at(200 * MS);
         let ego = header("cav1", 7, 100 * MS, Some(pose(1e5, -1e5, 0.4)));
@@ -214,14 +214,14 @@ mod tests {
         let (port, merged) = sent.next().unwrap();
         assert_eq!((port, merged.header.kind, merged.header.seq), (FUSED, Kind::Points, 7));
         assert!(sent.next().is_none());
-        let told = out
+        let reported = out
             .take_fates()
             .into_iter()
             .map(|fated| (fated.message.from, fated.fate));
-        (merged.into_parts().unwrap().1, told.collect())
+        (merged.into_parts().unwrap().1, reported.collect())
     }
 
-    fn told<const N: usize>(expected: [(&str, Fate); N]) -> Told {
+    fn reported<const N: usize>(expected: [(&str, Fate); N]) -> Reported {
         expected.map(|(agent, fate)| (agent.to_string(), fate)).into()
     }
 
@@ -239,7 +239,7 @@ mod tests {
             Message::new(header("cav2", 3, 101 * MS, Some(near)), seen_from(near)),
         ];
         let (merged, fates) = fuse(Config::default(), entries);
-        let both = told([("cav2", Fate::Used), ("rsu1", Fate::Used)]);
+        let both = reported([("cav2", Fate::Used), ("rsu1", Fate::Used)]);
         assert_eq!((merged.len(), fates), (3, both));
         assert_eq!([merged.x[0], merged.y[0], merged.z[0]], [1.0, 2.0, 3.0]);
         let expected = map_from_ego.inverse() * still;
@@ -266,7 +266,7 @@ mod tests {
         };
         let (merged, fates) = fuse(config, entries);
         assert_eq!([merged.x[1], merged.y[1], merged.z[1]], [5.0, 6.0, 7.0]);
-        let expected = told([("rsu1", Fate::Used), ("rsu2", Fate::Rejected)]);
+        let expected = reported([("rsu1", Fate::Used), ("rsu2", Fate::Rejected)]);
         assert_eq!((merged.len(), fates), (2, expected), "rsu2 did not project");
     }
 
@@ -316,7 +316,7 @@ mod tests {
         };
         let (merged, fates) = fuse(config, entries);
         assert_eq!(merged.len(), 2);
-        let expected = told([
+        let expected = reported([
             ("rsu2", Fate::Used),
             ("cav2", Fate::Rejected),
             ("rsu1", Fate::Rejected),

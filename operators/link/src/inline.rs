@@ -21,7 +21,7 @@ const KEYS: [&str; 8] = [
     "duplicate",
 ];
 const CHANNEL_KEYS: [&str; 3] = ["channel.bits_per_second", "channel.queue_ms", "channel.half_duplex"];
-/// The greatest rate; f64 still holds all whole numbers up to here.
+/// The largest rate; f64 still holds all whole numbers up to here.
 const MOST_BITS: f64 = 9e15;
 
 /// Whether a profile is written in a word rather than named.
@@ -161,7 +161,7 @@ fn unknown(key: &str) -> String {
     });
     let all: Vec<&str> = KEYS.into_iter().chain(CHANNEL_KEYS).collect();
     format!(
-        "unknown key{}; there are: {}; for one kind alone behind points., features., boxes. or ego_state.",
+        "unknown key{}; there are: {}; for one kind alone behind points., features., boxes. or agent_state.",
         hint.unwrap_or_default(),
         all.join(", ")
     )

@@ -2,10 +2,10 @@
 //!
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
-//! | `ego_state` | in, all, state | EgoState | where the ego is |
-//! | `states` | in, all, state | EgoState | where the others are |
+//! | `ego_state` | in, all, state | AgentState | where the ego is |
+//! | `states` | in, all, state | AgentState | where the others are |
 //! | `ego` | in, all, optional | Packet | what the ego sends |
-//! | `others`, `poorer`, `poorest` | in, all, optional | Packet | what the others send; the same moments in poorer forms |
+//! | `others`, `fallback`, `last_fallback` | in, all, optional | Packet | what the others send; the same moments in fallback forms |
 //! | `to_ego` | out | Packet | the others' packets, delivered to the ego |
 //! | `to_others` | out | Packet | the ego's packets, a copy for each other agent that is known |
 //! | `report` | out | Report | topic `link`: what crossed each channel, at the end |
@@ -15,7 +15,7 @@
 //! its own state or packet did; what comes in for nobody counts as `no_receiver`.
 //!
 //! **Range gate**: a packet is sent if the newest known positions of the two agents lie at most `range_m` apart in
-//! (x, y). It acts before `sent`. Packets for the ego wait until their sender has told a position, offline until the ego has
+//! (x, y). It acts before `sent`. Packets for the ego wait until their sender has reported a position, offline until the ego has
 //! too, at most 16 of each sender; their delay counts from when they were sent all the same. A packet of which a position
 //! is unknown then is out of range too, and the counter `unplaced` says how many they were. There is always a gate; a
 //! `range_m` as large as the map lets everything through that is placed.
@@ -30,7 +30,7 @@
 //! step_ms = 0.0                  # cuts delays down to multiples of this; 0: not at all
 //! loss = 0.02                    # probability that a packet is lost
 //! duplicate = 0.0                # probability that one more copy arrives, with a jitter of its own
-//! [kinds.boxes]                  # points, features, boxes, ego_state
+//! [kinds.boxes]                  # points, features, boxes, agent_state
 //! fixed_ms = 10.0
 //! [channel]                      # what all packets share; without it each crosses as if it was alone
 //! bits_per_second = 27_000_000   # or trace = "drive.csv", with lines seconds,bits_per_second,delay_ms,loss

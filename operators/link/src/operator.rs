@@ -5,7 +5,7 @@ use realo_operator::{
     wrong_port,
 };
 use realo_schemas::report::{Fate, Traffic};
-use realo_schemas::{EgoState, Header, Message, Name, Nanos, Packet, PayloadType};
+use realo_schemas::{AgentState, Header, Message, Name, Nanos, Packet, PayloadType};
 use serde::{Deserialize, Serialize};
 
 use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
@@ -25,7 +25,7 @@ const TO_OTHERS: PortId = PortId(1);
 pub struct LinkConfig {
     /// Name of a built-in profile, or a file.
     pub profile: String,
-    /// Greatest distance over which packets are sent, m; an agent whose position is unknown is out of range.
+    /// Largest distance over which packets are sent, m; an agent whose position is unknown is out of range.
     pub range_m: f64,
     /// Keeps the gate and the counts, without delay, jitter or loss.
     pub offline: bool,
@@ -130,7 +130,7 @@ impl Describe for Link {
         },
         Argument {
             name: "range_m",
-            about: "greatest distance in (x, y) over which packets are sent, m; inclusive",
+            about: "max distance in (x, y) over which packets are sent, m; inclusive",
         },
         Argument {
             name: "offline",
@@ -146,10 +146,10 @@ impl Describe for Link {
         },
     ];
     const INPUTS: &'static [Port] = &[
-        Port::new("ego_state", &[PayloadType::EgoState], "where the ego is")
+        Port::new("ego_state", &[PayloadType::AgentState], "where the ego is")
             .state()
             .of(Lane::Ego),
-        Port::new("states", &[PayloadType::EgoState], "where the others are")
+        Port::new("states", &[PayloadType::AgentState], "where the others are")
             .state()
             .of(Lane::Others),
         Port::new("ego", &[PayloadType::Packet], "what the ego sends")
@@ -159,15 +159,19 @@ impl Describe for Link {
             .optional()
             .of(Lane::Others),
         Port::new(
-            "poorer",
+            "fallback",
             &[PayloadType::Packet],
-            "the same moments in a poorer form, as boxes for points",
+            "the same moments in a fallback form, as boxes for points",
         )
         .optional()
         .of(Lane::Others),
-        Port::new("poorest", &[PayloadType::Packet], "the same in a poorer form still")
-            .optional()
-            .of(Lane::Others),
+        Port::new(
+            "last_fallback",
+            &[PayloadType::Packet],
+            "the same in a fallback form still",
+        )
+        .optional()
+        .of(Lane::Others),
     ];
     const OUTPUTS: &'static [Port] = &[
         Port::new(
@@ -212,7 +216,7 @@ impl Link {
         Ok(())
     }
 
-    fn state(&mut self, header: Header, state: &EgoState, out: &mut Outputs) -> Result<(), Error> {
+    fn state(&mut self, header: Header, state: &AgentState, out: &mut Outputs) -> Result<(), Error> {
         let t = &state.map_from_body.translation.vector;
         if !(t.x.is_finite() && t.y.is_finite()) {
             return Err(format!("position ({}, {}) is not finite", t.x, t.y).into());
@@ -330,7 +334,7 @@ impl Link {
             ..header.clone()
         };
         if first.is_none() {
-            out.tell(&header, Fate::Lost);
+            out.report(&header, Fate::Lost);
         }
         for delay in [first, second].into_iter().flatten() {
             let ready = sent.saturating_add(delay);
@@ -381,7 +385,7 @@ impl Operator for Link {
             _ => return Err(wrong_port(Self::INPUTS, port)),
         }
         if matches!(port, EGO_STATE | STATES) {
-            let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+            let (header, state): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
             return self.state(header, &state, out);
         }
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;

@@ -20,7 +20,7 @@ pub const BUILT_IN: &[(&str, &str)] = &[
 const LONGEST_MS: f64 = 3_600_000.0;
 
 /// Kinds that a link carries.
-pub(super) const CARRIED: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState];
+pub(super) const CARRIED: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::AgentState];
 
 /// What a channel does, by kind of content.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -213,7 +213,7 @@ impl Profile {
             channel,
         };
         if let Some(kind) = profile.kinds.keys().find(|kind| !CARRIED.contains(kind)) {
-            let reason = format!("`kinds.{kind}`: no link carries it; expected points, features, boxes or ego_state");
+            let reason = format!("`kinds.{kind}`: no link carries it; expected points, features, boxes or agent_state");
             return Err(ProfileError::Syntax {
                 path: path.into(),
                 reason,

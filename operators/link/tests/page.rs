@@ -1,9 +1,9 @@
-//! What `docs/links.md` says of profiles is so.
+//! What `docs/reference/links.md` says of profiles is so.
 
 use realo_link::{BUILT_IN, Jitter, Model, Profile};
 use realo_schemas::Kind;
 
-const PAGE: &str = include_str!("../../../docs/links.md");
+const PAGE: &str = include_str!("../../../docs/reference/links.md");
 
 #[test]
 fn the_profile_of_the_page_is_read_as_the_page_says() {

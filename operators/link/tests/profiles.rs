@@ -8,7 +8,7 @@ use realo_schemas::Kind;
 const YAML: &str = "
 about: all of it
 default: { fixed_ms: 2.5, bits_per_second: 20000000, jitter: { gaussian_ms: 1.5, uniform_ms: 3 }, loss: 0.02, duplicate: 1 }
-kinds: { boxes: { fixed_ms: 1 }, points: { loss: 1.0 }, ego_state: { jitter: { uniform_ms: 3600000 } } }
+kinds: { boxes: { fixed_ms: 1 }, points: { loss: 1.0 }, agent_state: { jitter: { uniform_ms: 3600000 } } }
 ";
 const TOML: &str = "
 about = 'all of it'
@@ -26,7 +26,7 @@ const WORDS: &[&str] = &[
     "boxes",
     "points",
     "features",
-    "ego_state",
+    "agent_state",
     "report",
     "fixed_ms",
     "bits_per_second",

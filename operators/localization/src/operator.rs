@@ -1,7 +1,7 @@
 use realo_operator::{
     Argument, Decided, Describe, Error, Operator, Outputs, Port, PortId, StreamKey, unexpected, wrong_port,
 };
-use realo_schemas::{EgoState, Header, Kind, Message, PayloadType, PointCloud, Pose, PoseStatus};
+use realo_schemas::{AgentState, Header, Kind, Message, PayloadType, PointCloud, Pose, PoseStatus};
 use serde::{Deserialize, Serialize};
 
 use crate::{PoseError, PoseNoise};
@@ -49,7 +49,7 @@ pub struct LocalizationConfig {
     pub seed: u64,
 }
 
-/// Greatest standard deviations, m and degrees.
+/// Largest standard deviations, m and degrees.
 const MOST_NOISE: [f64; 2] = [1000.0, 180.0];
 
 /// The noise that is asked for; `None` without any.
@@ -94,11 +94,11 @@ enum Draw {
 
 impl Noise {
     /// The state with the error of its agent and sweep.
-    fn of(&self, header: &Header, mut state: EgoState) -> EgoState {
+    fn of(&self, header: &Header, mut state: AgentState) -> AgentState {
         let error = match &self.draws {
             Draw::Each(key) => self
                 .noise
-                .drawn(key.draws(&header.agent, "", Kind::EgoState, header.seq)),
+                .drawn(key.draws(&header.agent, "", Kind::AgentState, header.seq)),
             Draw::Same(error) => *error,
         };
         state.map_from_body = error.of(&state.map_from_body);
@@ -116,7 +116,7 @@ impl Noise {
 ///
 /// # Errors
 /// If true poses are asked for and the state is not one.
-pub fn localize(source: Source, prior: EgoState) -> Result<EgoState, Error> {
+pub fn localize(source: Source, prior: AgentState) -> Result<AgentState, Error> {
     if source == Source::True && prior.status != PoseStatus::Truth {
         let found = prior.status;
         return Err(format!("argument `source`: expected true poses, found one that is {found:?}; play the log's true poses, or set source=recorded").into());
@@ -170,7 +170,7 @@ impl Describe for Localization {
         .joined("sweep"),
         Port::new(
             "states",
-            &[PayloadType::EgoState],
+            &[PayloadType::AgentState],
             "what is known of pose and motion then",
         )
         .latest()
@@ -184,7 +184,7 @@ impl Describe for Localization {
         ),
         Port::new(
             "state",
-            &[PayloadType::EgoState],
+            &[PayloadType::AgentState],
             "the estimated pose and motion at the sweep's stamp",
         ),
     ];
@@ -203,7 +203,7 @@ impl Operator for Localization {
         match port {
             CLOUDS => self.sweep = Some(message.into_parts().map_err(unexpected)?),
             STATES => {
-                let (state_header, prior): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+                let (state_header, prior): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
                 let sweep = self.sweep.take();
                 let same = |(header, _): &(Header, PointCloud)| {
                     (&header.agent, header.seq, header.stamp)
@@ -259,14 +259,14 @@ mod tests {
     }
 
     fn state(seq: u64, status: PoseStatus) -> Message {
-        let state = EgoState {
+        let state = AgentState {
             map_from_body: Isometry3::translation(1.0, 2.0, 3.0),
             covariance: Some(Box::new([0.5; 36])),
             velocity: None,
             angular_rate: None,
             status,
         };
-        Message::new(header(Kind::EgoState, seq), state)
+        Message::new(header(Kind::AgentState, seq), state)
     }
 
     #[test]
@@ -286,7 +286,7 @@ mod tests {
         assert_eq!(sent.len(), 2);
         assert_eq!(
             (sent[0].0, sent[0].1.header.kind, sent[0].1.header.pose.as_ref()),
-            (OUT_STATE, Kind::EgoState, Some(&pose))
+            (OUT_STATE, Kind::AgentState, Some(&pose))
         );
         assert_eq!(
             (sent[1].0, sent[1].1.header.kind, sent[1].1.header.pose.as_ref()),
@@ -345,7 +345,7 @@ mod tests {
     }
 
     /// The state that leaves for a true one of an agent.
-    fn state_of(config: LocalizationConfig, agent: &str, seq: u64) -> EgoState {
+    fn state_of(config: LocalizationConfig, agent: &str, seq: u64) -> AgentState {
         let mut localization = Localization::new(config).unwrap();
         let mut out = Outputs::at(150);
         for (port, mut message) in [(CLOUDS, cloud(seq)), (STATES, state(seq, PoseStatus::Truth))] {
@@ -355,7 +355,7 @@ mod tests {
         let sent = out.take_sent();
         let poses: Vec<_> = sent.iter().map(|(_, message)| message.header.pose.clone()).collect();
         assert_eq!(poses[0], poses[1], "the sweep has the pose of the state");
-        let (_, state): (Header, EgoState) = sent.into_iter().next().unwrap().1.into_parts().unwrap();
+        let (_, state): (Header, AgentState) = sent.into_iter().next().unwrap().1.into_parts().unwrap();
         assert_eq!(poses[0].as_ref().unwrap().map_from_frame, state.map_from_body);
         state
     }

@@ -5,7 +5,7 @@ const NONE: u32 = u32::MAX;
 /// Footprints by the cell of their centre; cells are so large that overlapping hulls lie in neighbouring ones.
 struct Grid<'a> {
     footprints: &'a [Footprint],
-    least: [f64; 2],
+    min: [f64; 2],
     per_metre: f64,
     columns: usize,
     rows: usize,
@@ -17,30 +17,26 @@ struct Grid<'a> {
 
 impl<'a> Grid<'a> {
     fn new(footprints: &'a [Footprint], order: &[u32]) -> Self {
-        let (mut least, mut greatest, mut reach) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], 0.0f64);
+        let (mut min, mut max, mut reach) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], 0.0f64);
         // In order of memory; a few more than `order` names do no harm. Comparisons with NaN leave it out.
         for object in footprints {
             for axis in 0..2 {
                 let (center, hull) = (object.center[axis], object.hull[axis]);
-                least[axis] = if center < least[axis] { center } else { least[axis] };
-                greatest[axis] = if center > greatest[axis] {
-                    center
-                } else {
-                    greatest[axis]
-                };
+                min[axis] = if center < min[axis] { center } else { min[axis] };
+                max[axis] = if center > max[axis] { center } else { max[axis] };
                 reach = if hull > reach { hull } else { reach };
             }
         }
         // About four cells a box at most, and a little more than twice the reach, for the rounding of cell indices.
         let side_cells = (4.0 * order.len() as f64 + 16.0).sqrt();
-        let span = (greatest[0] - least[0]).max(greatest[1] - least[1]);
+        let span = (max[0] - min[0]).max(max[1] - min[1]);
         let cell = (2.0 * reach * (1.0 + 1e-6)).max(span / side_cells);
         let per_metre = if cell > 0.0 && cell.is_finite() {
             1.0 / cell
         } else {
             0.0
         };
-        let cells = |axis: usize| ((greatest[axis] - least[axis]).max(0.0) * per_metre) as usize + 1;
+        let cells = |axis: usize| ((max[axis] - min[axis]).max(0.0) * per_metre) as usize + 1;
         let (columns, rows) = (
             cells(0).min(side_cells as usize + 2),
             cells(1).min(side_cells as usize + 2),
@@ -48,7 +44,7 @@ impl<'a> Grid<'a> {
         let heads = vec![NONE; (columns + 2) * (rows + 2)];
         Grid {
             footprints,
-            least,
+            min,
             per_metre,
             columns,
             rows,
@@ -59,7 +55,7 @@ impl<'a> Grid<'a> {
 
     fn cell(&self, object: &Footprint) -> usize {
         // A cast takes NaN to 0 and what is too large to the last cell.
-        let index = |axis: usize| ((object.center[axis] - self.least[axis]) * self.per_metre) as u32 as usize;
+        let index = |axis: usize| ((object.center[axis] - self.min[axis]) * self.per_metre) as u32 as usize;
         let (column, row) = (index(0).min(self.columns - 1), index(1).min(self.rows - 1));
         (row + 1) * (self.columns + 2) + column + 1
     }
@@ -182,7 +178,7 @@ mod tests {
     fn what_has_no_place_or_extent_gets_the_first_cell() {
         let footprints = [square(f64::NAN, 3.0), square(2.0, 3.0), square(30.0, 3.0)];
         let some = grid(&footprints);
-        assert_eq!(some.least, [2.0, 3.0]);
+        assert_eq!(some.min, [2.0, 3.0]);
         assert_eq!(some.cell(&footprints[0]), some.cell(&footprints[1]));
         let points = [Footprint::new([7.0, 7.0], 0.0, 0.0, 0.0); 3];
         let points = grid(&points);

@@ -7,7 +7,7 @@
 //!
 //! A box is dropped if a kept one of better score (at equal scores: of lower index) has an IoU above the threshold with
 //! it. Before that: invalid boxes (NaN, an extent that is not positive, a score outside [0, 1]) are rejected and counted,
-//! boxes outside the region and below the least score are dropped, and only the best `max_boxes` stay candidates. With `vote`,
+//! boxes outside the region and below the smallest score are dropped, and only the best `max_boxes` stay candidates. With `vote`,
 //! a kept box is then moved to the mean of itself and the candidates that overlap it: several views of an object, of one
 //! network's anchors or of several agents whose poses are a little off, err less than the best of them.
 
@@ -33,7 +33,7 @@ use vote::vote;
 pub struct Config {
     /// IoU above which a box is a duplicate, in [0, 1].
     pub threshold: f64,
-    /// Least score of a box.
+    /// Smallest score of a box.
     pub min_score: f32,
     /// Boxes that enter suppression, the best ones.
     pub max_boxes: usize,
@@ -77,9 +77,9 @@ pub struct Outcome {
     pub invalid: u64,
     /// Boxes outside the region.
     pub outside: u64,
-    /// Boxes below the least score.
+    /// Boxes below the smallest score.
     pub low_score: u64,
-    /// Boxes beyond the greatest number.
+    /// Boxes beyond the largest number.
     pub over_limit: u64,
     /// Duplicates.
     pub suppressed: u64,
@@ -247,9 +247,9 @@ impl Operator for Nms {
             .into());
         }
         if !(config.threshold..=1.0).contains(&config.vote) {
-            let [least, found] = [config.threshold, config.vote];
+            let [min, found] = [config.threshold, config.vote];
             return Err(
-                format!("argument `vote`: expected an IoU from `threshold`, {least}, to 1, found {found}").into(),
+                format!("argument `vote`: expected an IoU from `threshold`, {min}, to 1, found {found}").into(),
             );
         }
         // Above 1 no box would be left.
@@ -286,7 +286,7 @@ impl Operator for Nms {
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::{EgoState, Kind, PoseStatus};
+    use realo_schemas::{AgentState, Kind, PoseStatus};
 
     use super::*;
 
@@ -495,7 +495,7 @@ mod tests {
             });
             assert!(error.contains("`min_score`"), "{error}");
         }
-        let state = EgoState {
+        let state = AgentState {
             map_from_body: Default::default(),
             covariance: None,
             velocity: None,
@@ -507,7 +507,7 @@ mod tests {
             .on_input(PortId(0), Message::new(header(), state), &mut Outputs::at(0))
             .unwrap_err();
         assert!(
-            error.to_string().contains("expected a Boxes, found a EgoState"),
+            error.to_string().contains("expected a Boxes, found a AgentState"),
             "{error}"
         );
     }

@@ -27,7 +27,7 @@ pub enum Ties {
     Last,
 }
 
-/// Indices of scores, greatest first; NaN has no place among them and must not occur.
+/// Indices of scores, largest first; NaN has no place among them and must not occur.
 pub fn order(scores: &[f32], ties: Ties) -> Vec<u32> {
     // One number each, whose order is that of (score descending, index): sorts several times as fast as pairs.
     let flip = match ties {

@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let weights = Weights::new(&model, tensors)?;
     let work = operations(&model);
     println!(
-        "{}: {:.2} GFLOP a sweep, least and median of {runs} runs",
+        "{}: {:.2} GFLOP a sweep, min and median of {runs} runs",
         model.name,
         work / 1e9
     );
@@ -56,12 +56,12 @@ fn main() -> Result<(), Box<dyn Error>> {
                     .map(|_| time(|| network.forward(&canvas).map(drop)))
                     .collect::<Result<_, _>>()?;
                 times.sort_by(f64::total_cmp);
-                let (least, median) = (times[0], times[times.len() / 2]);
-                let rate = work / least / 1e9;
+                let (min, median) = (times[0], times[times.len() / 2]);
+                let rate = work / min / 1e9;
                 print!(
                     "{}: {:.1} ms, {:.1} ms, {rate:.0} GFLOP/s",
                     network.choice(),
-                    least * 1e3,
+                    min * 1e3,
                     median * 1e3
                 );
                 let cpu = cpu_seconds().zip(cpu_before).filter(|_| threads == 1);
@@ -82,7 +82,7 @@ fn time<E>(work: impl FnOnce() -> Result<(), E>) -> Result<f64, E> {
     Ok(start.elapsed().as_secs_f64())
 }
 
-/// Time that this thread has run, where Linux tells: other processes may share the cores.
+/// Time that this thread has run, where Linux says so: other processes may share the cores.
 fn cpu_seconds() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     let nanos: f64 = text.split_whitespace().next()?.parse().ok()?;

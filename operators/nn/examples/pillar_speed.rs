@@ -93,8 +93,8 @@ fn report(what: &str, mut step: impl FnMut()) {
         })
         .collect();
     times.sort();
-    let [least, median] = [times[0], times[RUNS / 2]].map(|time| time.as_secs_f64() * 1e3);
-    println!("{what}: {least:.2} ms at least, {median:.2} ms median");
+    let [min, median] = [times[0], times[RUNS / 2]].map(|time| time.as_secs_f64() * 1e3);
+    println!("{what}: {min:.2} ms at least, {median:.2} ms median");
 }
 
 /// Numbers in [-1, 1) without a pattern.

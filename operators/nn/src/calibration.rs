@@ -1,4 +1,4 @@
-//! What bytes stand for: the greatest result of every layer that they keep, found over some sweeps.
+//! What bytes stand for: the largest result of every layer that they keep, found over some sweeps.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -69,7 +69,7 @@ impl Calibration {
         Ok(())
     }
 
-    /// The greatest result of each layer that bytes keep best. A layer that never gave more than 0 counts as having given 1.
+    /// The largest result of each layer that bytes keep best. A layer that never gave more than 0 counts as having given 1.
     pub fn activations(&self) -> BTreeMap<String, f32> {
         let results = self.results.iter();
         results
@@ -108,8 +108,8 @@ impl Default for Histogram {
 
 impl Histogram {
     fn add(&mut self, numbers: &[f32]) {
-        let greatest = f64::from(numbers.iter().copied().fold(0.0, f32::max));
-        while greatest >= self.width * BINS as f64 {
+        let max = f64::from(numbers.iter().copied().fold(0.0, f32::max));
+        while max >= self.width * BINS as f64 {
             let pairs = self.counts.chunks_exact(2).map(|pair| pair[0] + pair[1]);
             self.counts = pairs.chain([0; BINS / 2]).collect();
             self.width *= 2.0;
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn small_results_have_fine_limits_and_what_is_no_number_is_told() {
+    fn small_results_have_fine_limits_and_what_is_no_number_is_reported() {
         let small: Vec<f32> = (0..10_000).map(|i| 1e-7 * i as f32 / 10_000.0).collect();
         let mut results = BTreeMap::new();
         note(&mut results, "layer", &small).unwrap();

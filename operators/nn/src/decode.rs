@@ -63,11 +63,11 @@ struct Best {
 }
 
 fn above(scores: &[f32], classes: usize, threshold: f32) -> Vec<Best> {
-    let least = lowest_logit(threshold);
+    let min = lowest_logit(threshold);
     let mut found = Vec::new();
     for (block, logits) in scores.chunks(BLOCK * classes).enumerate() {
         // Nearly all blocks end here; without a branch inside, this runs on vectors.
-        if logits.iter().fold(false, |any, logit| any | (*logit >= least)) {
+        if logits.iter().fold(false, |any, logit| any | (*logit >= min)) {
             let best = (block * BLOCK..)
                 .zip(logits.chunks_exact(classes))
                 .map(|(anchor, logits)| best(anchor, logits));

@@ -184,7 +184,7 @@ pub(crate) fn fuse(fusion: CellFusion, agents: &[Agent], pool: &mut Pool) -> Vec
 /// A fusion that looks at one cell at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum CellFusion {
-    /// The greatest of each feature.
+    /// The largest of each feature.
     Max,
     /// Attention of the ego, with products scaled for so many channels.
     Attention {
@@ -206,7 +206,7 @@ dispatch! {
             }
             let sampled = &scratch[..covering * channels];
             match fusion {
-                CellFusion::Max => greatest(own, sampled, to),
+                CellFusion::Max => max(own, sampled, to),
                 CellFusion::Attention { width } => attention(own, sampled, width, to),
             }
         }
@@ -294,7 +294,7 @@ fn nearest(place: [f64; 2], size: [usize; 2]) -> Option<[usize; 2]> {
 }
 
 #[inline(always)]
-fn greatest(own: &[f32], others: &[f32], to: &mut [f32]) {
+fn max(own: &[f32], others: &[f32], to: &mut [f32]) {
     to.copy_from_slice(own);
     for other in others.chunks_exact(own.len()) {
         for (to, other) in to.iter_mut().zip(other) {
@@ -308,15 +308,15 @@ fn attention(own: &[f32], others: &[f32], width: usize, to: &mut [f32]) {
     let scale = 1.0 / (width as f32).sqrt();
     let own_score = product(own, own) * scale;
     // With one pass over the agents: what was summed before a greater score came is made smaller.
-    let (mut greatest, mut sum) = (own_score, 1.0);
+    let (mut max, mut sum) = (own_score, 1.0);
     to.copy_from_slice(own);
     for other in others.chunks_exact(own.len()) {
         let score = product(own, other) * scale;
-        let (before, now) = match score > greatest {
-            true => (exp(greatest - score), 1.0),
-            false => (1.0, exp(score - greatest)),
+        let (before, now) = match score > max {
+            true => (exp(max - score), 1.0),
+            false => (1.0, exp(score - max)),
         };
-        greatest = greatest.max(score);
+        max = max.max(score);
         sum = sum * before + now;
         for (to, other) in to.iter_mut().zip(other) {
             *to = *to * before + other * now;

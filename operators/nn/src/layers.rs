@@ -74,7 +74,7 @@ pub struct FuseLayer {
 /// How the maps of several agents, brought to the ego's place, become one of the same size.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fusion {
-    /// The greatest of each feature.
+    /// The largest of each feature.
     Max,
     /// In each cell the agents' features, weighted by the softmax of their products with the ego's over `√width`.
     Attention {

@@ -61,7 +61,7 @@ pub struct Model {
     /// Convolutions with bias and ReLU after the backbone; none if empty.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shrink: Vec<Shrink>,
-    /// The greatest number that bytes keep of each layer's results, by the layer's key; for `precision = "int8"`.
+    /// The largest number that bytes keep of each layer's results, by the layer's key; for `precision = "int8"`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub activations: BTreeMap<String, f32>,
 }
@@ -574,16 +574,16 @@ impl Model {
         let wanted: BTreeSet<&str> = wanted.iter().map(|(key, _)| &**key).collect();
         for key in wanted.iter().filter(|key| !self.activations.contains_key(**key)) {
             problems.0.push(format!(
-                "activations: expected the greatest result of layer `{key}`, which int8 needs, found none; `realo quantize` finds it"
+                "activations: expected the max result of layer `{key}`, which int8 needs, found none; `realo quantize` finds it"
             ));
         }
-        for (key, greatest) in &self.activations {
+        for (key, max) in &self.activations {
             problems.require(wanted.contains(&**key), || {
                 format!("activations: `{key}` is no layer whose results int8 layers read")
             });
-            problems.require(ACTIVATIONS.contains(greatest), || {
-                let [least, most] = [ACTIVATIONS.start(), ACTIVATIONS.end()];
-                format!("activations: `{key}`: expected {least} to {most}, found {greatest}")
+            problems.require(ACTIVATIONS.contains(max), || {
+                let [min, most] = [ACTIVATIONS.start(), ACTIVATIONS.end()];
+                format!("activations: `{key}`: expected {min} to {most}, found {max}")
             });
         }
         for (key, products) in Layers::of(self).products_in_bytes() {
@@ -659,15 +659,15 @@ impl Problems {
         }
     }
 
-    pub(crate) fn within(&mut self, what: &str, found: usize, least: usize, most: usize) {
-        self.require((least..=most).contains(&found), || {
-            format!("{what}: expected {least} to {most}, found {found}")
+    pub(crate) fn within(&mut self, what: &str, found: usize, min: usize, most: usize) {
+        self.require((min..=most).contains(&found), || {
+            format!("{what}: expected {min} to {most}, found {found}")
         });
     }
 
-    fn each_within(&mut self, what: &str, found: &[usize], least: usize, most: usize) {
+    fn each_within(&mut self, what: &str, found: &[usize], min: usize, most: usize) {
         for (index, found) in found.iter().enumerate() {
-            self.within(&format!("{what}[{index}]"), *found, least, most);
+            self.within(&format!("{what}[{index}]"), *found, min, most);
         }
     }
 }

@@ -97,8 +97,8 @@ impl Heads {
     /// The score of the surest class and anchor of each cell, 0 to 1, `[rows, columns]`.
     pub fn confidence(&self) -> Vec<f32> {
         let cells = self.scores.chunks_exact(self.scores.len() / (self.rows * self.columns));
-        let greatest = cells.map(|scores| scores.iter().copied().fold(f32::NEG_INFINITY, f32::max));
-        greatest.map(score).collect()
+        let max = cells.map(|scores| scores.iter().copied().fold(f32::NEG_INFINITY, f32::max));
+        max.map(score).collect()
     }
 }
 
@@ -255,8 +255,8 @@ impl Parts<'_> {
     /// What 1 stands for where a map is kept in bytes.
     fn byte_step(&self, map: MapId) -> f32 {
         let members = self.layers.members(map).into_iter();
-        let greatest = members.filter_map(|map| self.activations.get(&self.layers.key(map)));
-        greatest.fold(0.0, |a, b| f32::max(a, *b)) / 255.0
+        let max = members.filter_map(|map| self.activations.get(&self.layers.key(map)));
+        max.fold(0.0, |a, b| f32::max(a, *b)) / 255.0
     }
 }
 
@@ -596,7 +596,7 @@ impl Network {
     }
 
     /// How sure the heads are that each cell of a map that agents share holds an object, 0 to 1, `[rows, columns]`, by this map
-    /// alone: a fusion, which makes nothing of a single map that tells one cell from another, is left out.
+    /// alone: a fusion, which changes nothing in a single map that tells one cell from another, is left out.
     ///
     /// # Errors
     /// Those of [`Network::heads`].
@@ -703,7 +703,7 @@ pub fn check_map(model: &str, map: BevView, expected: MapSize) -> Result<(), Net
     }
 }
 
-/// Whether an agent tells its confidence of as many cells as its map has, if it does.
+/// Whether an agent reports its confidence of as many cells as its map has, if it does.
 ///
 /// # Errors
 /// [`NetworkError::Length`] if it does not.

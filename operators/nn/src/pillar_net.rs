@@ -252,8 +252,8 @@ impl Block {
             let of_center = self.center[0][lane] * center[0] + self.center[1][lane] * center[1];
             let of_mean = self.mean[0][lane] * mean[0] + self.mean[1][lane] * mean[1] + self.mean[2][lane] * mean[2];
             let value = best[lane] + (of_center - of_mean + self.bias[lane]);
-            let least = if empty { self.empty[lane] } else { 0.0 };
-            features[lane] = if value > least { value } else { least };
+            let min = if empty { self.empty[lane] } else { 0.0 };
+            features[lane] = if value > min { value } else { min };
         }
         features
     }

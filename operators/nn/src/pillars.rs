@@ -42,7 +42,7 @@ pub struct Dropped {
     pub out_of_range: u64,
     /// Points that came after the last that their pillar takes.
     pub over_points: u64,
-    /// Points of pillars beyond the greatest number of pillars.
+    /// Points of pillars beyond the largest number of pillars.
     pub over_pillars: u64,
 }
 

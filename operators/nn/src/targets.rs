@@ -133,12 +133,12 @@ fn shapes(anchors: &Anchors, class: usize) -> Vec<Hull> {
 fn for_anchors_near(anchors: &Anchors, class: usize, shapes: &[Hull], hull: &Hull, mut visit: impl FnMut(usize, f32)) {
     let cells = &anchors.cells;
     let span = |axis: usize, count: usize| {
-        let least = shapes.iter().map(|shape| shape.min[axis]).fold(0.0, f32::min);
+        let min = shapes.iter().map(|shape| shape.min[axis]).fold(0.0, f32::min);
         let most = shapes.iter().map(|shape| shape.max[axis]).fold(0.0, f32::max);
         let cell = |position: f64| (position - cells.origin[axis]) / cells.size[axis] - 0.5;
         // A cell more on both sides makes up for rounding.
         let from = cell(f64::from(hull.min[axis] - most) - PIXEL) - 1.0;
-        let to = cell(f64::from(hull.max[axis] - least) + PIXEL) + 2.0;
+        let to = cell(f64::from(hull.max[axis] - min) + PIXEL) + 2.0;
         let within = |cell: f64| cell.clamp(0.0, count as f64) as usize;
         within(from.floor())..within(to.ceil())
     };

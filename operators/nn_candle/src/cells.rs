@@ -5,8 +5,8 @@ use candle_core::{D, Result, Tensor, bail};
 use crate::ops::softmax;
 use crate::warp::Placed;
 
-/// The greatest of each feature, `[rows, columns, channels]`; the first map is the ego's.
-pub(crate) fn greatest(maps: &[Placed]) -> Result<Tensor> {
+/// The largest of each feature, `[rows, columns, channels]`; the first map is the ego's.
+pub(crate) fn max(maps: &[Placed]) -> Result<Tensor> {
     let present = |placed: &Placed| placed.map.broadcast_add(&placed.absence()?);
     let all = maps.iter().map(present).collect::<Result<Vec<Tensor>>>()?;
     Tensor::stack(&all, 0)?.max(0)

@@ -4,7 +4,7 @@ use candle_core::{DType, Result, Tensor};
 use realo_nn::network::BevMap;
 use realo_schemas::Elements;
 
-/// Steps between the least and the greatest code.
+/// Steps between the smallest and the largest code.
 const STEPS: f64 = 255.0;
 
 /// Copies maps of one network to the host. Cells that say what they say of an empty sweep are masked: they stay on the device,
@@ -23,7 +23,7 @@ pub struct Taken {
     cells: Vec<u32>,
     /// `[cells that cross, channels]`, if any do.
     elements: Option<Tensor>,
-    /// Least number and step of each channel, of codes.
+    /// Smallest number and step of each channel, of codes.
     scales: Option<[Tensor; 2]>,
 }
 
@@ -63,7 +63,7 @@ impl Copier {
                 let scales = Scales::of(&numbers)?;
                 let codes = [&numbers, &self.empty].map(|numbers| scales.codes(numbers));
                 let [elements, empty] = codes;
-                (elements?, empty?, Some([scales.least, scales.step]))
+                (elements?, empty?, Some([scales.min, scales.step]))
             }
         };
         let says_more: Vec<u8> = elements.ne(&empty)?.max(1)?.to_vec1()?;
@@ -98,10 +98,10 @@ impl Copier {
             let crossed = elements.flatten_all()?;
             match &taken.scales {
                 None => fill(&mut data, taken, &numbers(&crossed)?, |number, _| number),
-                Some([least, step]) => {
-                    let [least, step] = [least, step].map(|scale| scale.to_vec1::<f32>());
-                    let (least, step) = (least?, step?);
-                    let number = |code: u8, channel: usize| least[channel] + f32::from(code) * step[channel];
+                Some([min, step]) => {
+                    let [min, step] = [min, step].map(|scale| scale.to_vec1::<f32>());
+                    let (min, step) = (min?, step?);
+                    let number = |code: u8, channel: usize| min[channel] + f32::from(code) * step[channel];
                     fill(&mut data, taken, &crossed.to_vec1::<u8>()?, number);
                 }
             }
@@ -133,29 +133,29 @@ fn numbers(crossed: &Tensor) -> Result<Vec<f32>> {
     on_host.to_dtype(DType::F32)?.to_vec1()
 }
 
-/// In half precision, bounded by its greatest number.
+/// In half precision, bounded by its largest number.
 fn half(numbers: &Tensor) -> Result<Tensor> {
     const GREATEST: f32 = 65_504.0;
     numbers.clamp(-GREATEST, GREATEST)?.to_dtype(DType::F16)
 }
 
-/// What a code of each channel means: `least + code * step`.
+/// What a code of each channel means: `smallest + code * step`.
 struct Scales {
-    least: Tensor,
+    min: Tensor,
     step: Tensor,
 }
 
 impl Scales {
     fn of(numbers: &Tensor) -> Result<Self> {
-        let least = numbers.min(0)?;
-        let step = ((numbers.max(0)? - &least)? / STEPS)?;
+        let min = numbers.min(0)?;
+        let step = ((numbers.max(0)? - &min)? / STEPS)?;
         // One over a lesser step would not be finite.
         let step = step.maximum(f64::from(f32::MIN_POSITIVE))?;
-        Ok(Scales { least, step })
+        Ok(Scales { min, step })
     }
 
     fn codes(&self, numbers: &Tensor) -> Result<Tensor> {
-        let steps = numbers.broadcast_sub(&self.least)?.broadcast_div(&self.step)?;
+        let steps = numbers.broadcast_sub(&self.min)?.broadcast_div(&self.step)?;
         steps.round()?.clamp(0.0, STEPS)?.to_dtype(DType::U8)
     }
 }

@@ -81,7 +81,7 @@ impl Network {
         })
     }
 
-    /// Waits until the device has computed everything that it was told to.
+    /// Waits until the device has computed everything that it was asked for.
     ///
     /// # Errors
     /// Those of the device.
@@ -176,7 +176,7 @@ impl Network {
             placed.collect::<candle_core::Result<Vec<Placed>>>()
         };
         Ok(match fusion {
-            Fusion::Max => by_cell::greatest(&placed()?),
+            Fusion::Max => by_cell::max(&placed()?),
             Fusion::Attention { width } => by_cell::attention(&placed()?, *width),
             Fusion::Transformer(settings) => {
                 let agents = agents.iter().zip(placed()?).map(|(agent, placed)| transformer::Agent {

@@ -4,9 +4,9 @@ use candle_core::{D, Result, Tensor};
 
 /// The softmax along a dimension.
 pub(crate) fn softmax(scores: &Tensor, dimension: usize) -> Result<Tensor> {
-    // The greatest only keeps numbers small: nothing depends on it.
-    let greatest = scores.detach().max_keepdim(dimension)?;
-    let weights = scores.broadcast_sub(&greatest)?.exp()?;
+    // The largest only keeps numbers small: nothing depends on it.
+    let max = scores.detach().max_keepdim(dimension)?;
+    let weights = scores.broadcast_sub(&max)?.exp()?;
     weights.broadcast_div(&weights.sum_keepdim(dimension)?)
 }
 

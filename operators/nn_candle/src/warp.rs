@@ -18,7 +18,7 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// Brings a map, `[rows, columns, channels]` in f32, to the ego's cells, as many as it has itself; of one that tells its
+    /// Brings a map, `[rows, columns, channels]` in f32, to the ego's cells, as many as it has itself; of one that reports its
     /// confidence, the cells that are there.
     ///
     /// # Errors

@@ -335,7 +335,7 @@ fn maps_come_to_the_host_without_the_cells_that_say_nothing() -> Result<(), Erro
     let channels = layers.size(layers.features)[2];
     let range = |channel: usize| {
         let of_channel = exact.iter().skip(channel).step_by(channels);
-        of_channel.fold([f32::MAX, f32::MIN], |[least, most], v| [least.min(*v), most.max(*v)])
+        of_channel.fold([f32::MAX, f32::MIN], |[min, most], v| [min.min(*v), most.max(*v)])
     };
     for (elements, width) in [(Elements::F32, 4), (Elements::F16, 2), (Elements::Int8, 1)] {
         let copier = Copier::new(elements, &empty)?;
@@ -345,12 +345,12 @@ fn maps_come_to_the_host_without_the_cells_that_say_nothing() -> Result<(), Erro
         let crossed = copied.bytes as f64 / (exact.len() * width) as f64;
         assert!((0.01..0.9).contains(&crossed), "{elements:?}: {crossed} of all cells");
         for (index, (found, exact)) in copied.map.data.iter().zip(&exact).enumerate() {
-            let [least, most] = range(index % channels);
+            let [min, most] = range(index % channels);
             let bound = match elements {
                 Elements::F32 => 0.0,
                 Elements::F16 => exact.abs() / 1024.0 + 1e-7,
                 // Where both are the same code, the empty sweep's number stands for the map's.
-                Elements::Int8 => (most - least) / 255.0 * 1.01,
+                Elements::Int8 => (most - min) / 255.0 * 1.01,
             };
             assert!((found - exact).abs() <= bound, "{elements:?} {index}: {found}, {exact}");
         }

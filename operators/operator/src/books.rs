@@ -93,7 +93,7 @@ impl NodeBooks {
 pub struct InputBooks {
     /// Messages that reached the stage.
     pub received: Tally,
-    /// Messages passed over because the stage was busy.
+    /// Messages skipped because the stage was busy.
     pub skipped: Tally,
     /// Parts of incomplete sets that were discarded.
     pub unjoined: Tally,
@@ -182,7 +182,7 @@ impl Durations {
         (!self.0.is_empty()).then(|| self.0.value_at_quantile(share) as Nanos)
     }
 
-    /// The greatest duration.
+    /// The largest duration.
     pub fn max(&self) -> Option<Nanos> {
         (!self.0.is_empty()).then(|| self.0.max() as Nanos)
     }

@@ -98,7 +98,7 @@ pub enum Decided {
     /// Folder of the results.
     Out,
     /// What the results tell of the run, a file.
-    Told,
+    RunSettings,
     /// Path of the recording.
     Recording,
 }
@@ -324,7 +324,7 @@ impl Outputs {
     /// Says what became of a message that crossed a link; of any other nothing is said.
     ///
     /// Only whoever ends a message's way says so; several may, and the first [`Fate`] that fits stands.
-    pub fn tell(&mut self, header: &Header, fate: Fate) {
+    pub fn report(&mut self, header: &Header, fate: Fate) {
         self.made.fates.extend(Fated::of(header, fate));
     }
 

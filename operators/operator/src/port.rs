@@ -102,7 +102,7 @@ pub struct Port {
     /// the outputs.
     pub lane: Option<Lane>,
     /// Whether it ends as soon as one of the inputs has (outputs of gateways).
-    pub hasty: bool,
+    pub ends_early: bool,
     /// Inputs of a graph that say the same word here hang on one wire.
     pub wire: Option<&'static str>,
 }
@@ -121,7 +121,7 @@ impl Port {
             accounts: false,
             needed: None,
             lane: None,
-            hasty: false,
+            ends_early: false,
             wire: None,
         }
     }
@@ -189,8 +189,8 @@ impl Port {
 
     /// Ends as soon as one of the inputs of its gateway has, so that a stage which it feeds and which feeds the gateway can
     /// end: what would come later stays on its way.
-    pub const fn hasty(mut self) -> Self {
-        self.hasty = true;
+    pub const fn ends_early(mut self) -> Self {
+        self.ends_early = true;
         self
     }
 

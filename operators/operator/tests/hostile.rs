@@ -6,7 +6,7 @@ mod replies;
 use arrow_buffer::Buffer;
 use damage::{Draw, most_held};
 use realo_operator::pipe::memory::Memory;
-use realo_operator::pipe::words::{Call, Reply, Told};
+use realo_operator::pipe::words::{Call, Reply, Reported};
 use realo_operator::pipe::{frame, hello, is_reading};
 use realo_operator::{Argument, Describe, Error, Operator, Outputs, Port, PortId, Registration};
 use realo_schemas::{Message, PayloadType};

@@ -78,7 +78,7 @@ const EMPTY_SWEEPS: Counter = Counter::log_fault(
     "sweeps that have no point in the model's grid, so that nothing can be found in them",
     "sweeps have no point in the range of the model, so that nothing was found in them",
     "where the log has detections in place of points, play these (`--recorded-detections`); else points are expected in metres, in \
-     the body frame of their agent (docs/log-format.md)",
+     the body frame of their agent (docs/reference/log-format.md)",
 );
 const NAN_POINTS: Counter = Counter::plain("nan_points", "points left out: not finite");
 const OUT_OF_RANGE_POINTS: Counter = Counter::plain("out_of_range_points", "points left out: outside the model's grid");
@@ -297,7 +297,7 @@ mod tests {
     #[test]
     fn arguments_are_the_keys_of_the_configuration() {
         let keys: Vec<String> = realo_operator::config::defaults::<Config>().keys().cloned().collect();
-        let told: Vec<&str> = PillarEncoder::ARGUMENTS.iter().map(|argument| argument.name).collect();
-        assert_eq!(keys, told);
+        let reported: Vec<&str> = PillarEncoder::ARGUMENTS.iter().map(|argument| argument.name).collect();
+        assert_eq!(keys, reported);
     }
 }

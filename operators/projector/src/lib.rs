@@ -1,9 +1,9 @@
-//! Brings sweeps to the ego's frame where they are sent, by what the ego told of itself; or leaves that to the receiver.
+//! Brings sweeps to the ego's frame where they are sent, by what the ego reported of itself; or leaves that to the receiver.
 //!
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
 //! | `clouds` | in, latest | PointCloud | an agent's sweeps |
-//! | `state` | in, state, optional | EgoState | the ego's states as they arrive, for `project=sender` |
+//! | `state` | in, state, optional | AgentState | the ego's states as they arrive, for `project=sender` |
 //! | `projected` | out | PointCloud | the same sweeps; with `project=sender` in the ego's body frame at the stamp of its newest known state |
 //!
 //! | counter | meaning |
@@ -18,7 +18,7 @@ use realo_operator::{
 };
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
-use realo_schemas::{EgoState, Header, Message, Name, Nanos, PayloadType, PointCloud, Pose};
+use realo_schemas::{AgentState, Header, Message, Name, Nanos, PayloadType, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
 /// How long a receiver may have heard nothing of the ego before what it knows is forgotten, ns.
@@ -57,7 +57,7 @@ pub struct Projector {
 /// A state of the ego that has arrived.
 struct Known {
     header: Header,
-    state: EgoState,
+    state: AgentState,
     /// Whether something was projected with it.
     used: bool,
 }
@@ -94,7 +94,7 @@ impl Describe for Projector {
     ];
     const INPUTS: &'static [Port] = &[
         Port::new("clouds", &[PayloadType::PointCloud], "an agent's sweeps").latest(),
-        Port::new("state", &[PayloadType::EgoState], "the ego's states, as they arrive")
+        Port::new("state", &[PayloadType::AgentState], "the ego's states, as they arrive")
             .state()
             .accounting()
             .needed_when("project", "sender")
@@ -118,10 +118,10 @@ impl Operator for Projector {
         match port {
             CLOUDS => self.project(message, out),
             STATE => {
-                let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+                let (header, state): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
                 if !self.only.is_empty() && header.agent != self.only {
                     out.count(&OF_ANOTHER, &header.agent, 1);
-                    out.tell(&header, Fate::Superseded);
+                    out.report(&header, Fate::Superseded);
                     return Ok(());
                 }
                 let receiver = header.to.clone();
@@ -132,7 +132,7 @@ impl Operator for Projector {
                 {
                     // A copy that the channel made takes nobody's place, nor does it lose its own.
                     if known.header.seq != header.seq {
-                        out.tell(&header, Fate::Superseded);
+                        out.report(&header, Fate::Superseded);
                     }
                     return Ok(());
                 }
@@ -163,7 +163,7 @@ impl Known {
     /// Is given up; `unused` is the fate of one that nothing was projected with.
     fn leave(self, unused: Fate, out: &mut Outputs) {
         if !self.used {
-            out.tell(&self.header, unused);
+            out.report(&self.header, unused);
         }
     }
 }
@@ -194,7 +194,7 @@ impl Projector {
         let Some(known) = known else { return Ok(()) };
         let projected = projected(header, &cloud, known)?;
         known.used = true;
-        out.tell(&known.header, Fate::Used);
+        out.report(&known.header, Fate::Used);
         out.send(PROJECTED, projected);
         Ok(())
     }
@@ -225,9 +225,9 @@ mod tests {
 
     /// Where `agent` is, as rsu1 received it.
     fn state(agent: &str, x: f64, stamp: Nanos) -> Message {
-        let mut header = Header::origin(&"run".into(), &agent.into(), Kind::EgoState, 0, stamp, stamp);
+        let mut header = Header::origin(&"run".into(), &agent.into(), Kind::AgentState, 0, stamp, stamp);
         header.to = Some("rsu1".into());
-        let state = EgoState {
+        let state = AgentState {
             map_from_body: Isometry3::translation(x, 0.0, 0.0),
             covariance: None,
             velocity: None,
@@ -280,13 +280,13 @@ mod tests {
             let mut header = Header::origin(
                 &"run".into(),
                 &"cav1".into(),
-                Kind::EgoState,
+                Kind::AgentState,
                 k as u64,
                 stamp,
                 stamp + 7,
             );
             header.to = Some(format!("cav{k}").as_str().into());
-            let state = EgoState {
+            let state = AgentState {
                 map_from_body: Isometry3::identity(),
                 covariance: None,
                 velocity: None,

@@ -9,7 +9,7 @@ use crate::Protocol;
 /// A rectangle on the ground plane, in the ego's body frame.
 ///
 /// Whole numbers, so that frames are small and come back bit by bit from any file: pooled runs are scored exactly.
-/// Rounding moves an edge by less than a micrometre; what is too large for a number takes the greatest one.
+/// Rounding moves an edge by less than a micrometre; what is too large for a number takes the largest one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outline {
     /// Centre (x, y), µm.
@@ -242,7 +242,7 @@ fn is_none(count: &u64) -> bool {
 }
 
 impl Scene {
-    /// Whether the log tells the ego's points on every object.
+    /// Whether the log reports the ego's points on every object.
     pub(crate) fn knows_points(&self) -> bool {
         self.frames
             .iter()

@@ -30,11 +30,11 @@ pub struct Protocol {
     /// Whether raw names are compared without regard to letter case.
     #[serde(default = "ignores_case")]
     pub ignore_case: bool,
-    /// Least IoUs at which a detection is true.
+    /// Smallest IoUs at which a detection is true.
     pub ious: Vec<f64>,
-    /// Least points of all agents on an object, where they are known.
+    /// Smallest points of all agents on an object, where they are known.
     pub min_points: u64,
-    /// Least points of the ego on an object that counts as seen.
+    /// Smallest points of the ego on an object that counts as seen.
     pub seen_points: u64,
     /// Lower edges of range bins, m from the ego, ascending from 0; the last bin is open.
     pub range_edges: Vec<f64>,

@@ -71,7 +71,7 @@ pub struct Counts {
 /// at its own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RangeBin {
-    /// Least distance of centres from the ego, m.
+    /// Smallest distance of centres from the ego, m.
     pub from: f64,
     /// Distance that is no longer included, m; `None` in the last bin.
     pub to: Option<f64>,
@@ -87,7 +87,7 @@ pub struct RangeBin {
 /// Recall of objects on which the ego has so many points of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointsBin {
-    /// Least points.
+    /// Smallest points.
     pub from: u64,
     /// Points that are no longer included; `None` in the last bin.
     pub to: Option<u64>,

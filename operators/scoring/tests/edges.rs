@@ -224,7 +224,7 @@ fn what_was_dropped_adds_up_over_scenes() {
 
 #[test]
 fn the_protocol_of_the_page_has_every_key() {
-    let page = include_str!("../../../docs/protocols.md");
+    let page = include_str!("../../../docs/reference/protocols.md");
     let text = page.split("```yaml").nth(1).and_then(|rest| rest.split("```").next());
     let protocol = Protocol::parse("page", text.expect("the page has an example")).unwrap();
     assert_eq!((&*protocol.name, protocol.class_of("walker")), ("mine", Some(1)));

@@ -3,7 +3,7 @@ use std::time::Instant;
 
 use nalgebra::{Isometry3, Vector3};
 use realo_operator::{Operator, Outputs, PortId};
-use realo_schemas::{EgoState, Header, Kind, Message, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Header, Kind, Message, Nanos, PointCloud, PoseStatus};
 use realo_sync::{Sync, SyncConfig};
 
 const MS: Nanos = 1_000_000;
@@ -29,14 +29,14 @@ fn main() {
                 let seconds = realo_schemas::to_seconds(stamp);
                 let map_from_body = Isometry3::new(Vector3::x() * 20.0 * seconds, Vector3::z() * 0.5 * seconds);
                 let (covariance, velocity, angular_rate, status) = (None, None, None, PoseStatus::Truth);
-                let state = EgoState {
+                let state = AgentState {
                     map_from_body,
                     covariance,
                     velocity,
                     angular_rate,
                     status,
                 };
-                let pose = Message::new(header(Kind::EgoState, 0, stamp, stamp), state);
+                let pose = Message::new(header(Kind::AgentState, 0, stamp, stamp), state);
                 sync.on_input(PortId(0), pose, &mut Outputs::at(stamp))
                     .expect("a good pose");
             }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector3;
 use realo_schemas::geometry::{Motion, PoseTrack};
-use realo_schemas::{EgoState, Header, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Header, Nanos, PointCloud, PoseStatus};
 
 /// Poses older than the newest one are kept for so long, ns.
 const KEEP: Nanos = 2_000_000_000;
@@ -21,7 +21,7 @@ type Covariance = Option<Box<[f64; 36]>>;
 #[derive(Clone, Debug)]
 pub struct Pairing {
     /// Pose and motion at the sweep's stamp.
-    pub state: EgoState,
+    pub state: AgentState,
     /// The motion during the sweep, where it is known.
     pub motion: Option<Motion>,
 }
@@ -72,7 +72,7 @@ impl Lane {
     }
 
     /// Takes a pose.
-    pub fn insert(&mut self, stamp: Nanos, state: EgoState) {
+    pub fn insert(&mut self, stamp: Nanos, state: AgentState) {
         self.track.insert(stamp, state.map_from_body);
         let at = self.points.partition_point(|point| point.stamp < stamp);
         let point = PosePoint {
@@ -114,7 +114,7 @@ impl Lane {
         let status = if beyond { PoseStatus::Extrapolated } else { near.status };
         let covariance = near.covariance.clone();
         Some(Pairing {
-            state: EgoState {
+            state: AgentState {
                 map_from_body,
                 covariance,
                 velocity,

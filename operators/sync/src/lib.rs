@@ -3,10 +3,10 @@
 //!
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
-//! | `poses` | in, all, state | EgoState | poses of the agents, at any rate |
+//! | `poses` | in, all, state | AgentState | poses of the agents, at any rate |
 //! | `clouds` | in, latest | PointCloud | raw sweeps, each point in the body frame at its own time |
 //! | `clouds` | out | PointCloud | the sweeps in the body frame at their stamp; `header.pose` is map_from_body then |
-//! | `states` | out | EgoState | pose and motion at each sweep's stamp, with the sweep's seq, stamp and ready |
+//! | `states` | out | AgentState | pose and motion at each sweep's stamp, with the sweep's seq, stamp and ready |
 //!
 //! Poses between two recorded ones are interpolated, and beyond the newest one carried on by its motion, over at most
 //! `max_gap_ms`; so a sweep waits for nothing that it can do without, but 2 ms for a pose that its last points need and that

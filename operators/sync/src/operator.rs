@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use realo_operator::{Argument, Counter, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port};
-use realo_schemas::{EgoState, Header, Kind, Message, Name, Nanos, PayloadType, PointCloud, Pose};
+use realo_schemas::{AgentState, Header, Kind, Message, Name, Nanos, PayloadType, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::lane::Unposed;
@@ -117,7 +117,7 @@ impl Describe for Sync {
         },
     ];
     const INPUTS: &'static [Port] = &[
-        Port::new("poses", &[PayloadType::EgoState], "poses of the agents, at any rate").state(),
+        Port::new("poses", &[PayloadType::AgentState], "poses of the agents, at any rate").state(),
         Port::new("clouds", &[PayloadType::PointCloud], "raw sweeps").latest(),
     ];
     const OUTPUTS: &'static [Port] = &[
@@ -128,7 +128,7 @@ impl Describe for Sync {
         ),
         Port::new(
             "states",
-            &[PayloadType::EgoState],
+            &[PayloadType::AgentState],
             "pose and motion at each sweep's stamp",
         ),
     ];
@@ -144,7 +144,7 @@ impl Describe for Sync {
 }
 
 impl Sync {
-    fn pose(&mut self, header: &Header, state: EgoState, out: &mut Outputs) -> Result<(), Error> {
+    fn pose(&mut self, header: &Header, state: AgentState, out: &mut Outputs) -> Result<(), Error> {
         let t = &state.map_from_body.translation.vector;
         let q = state.map_from_body.rotation.quaternion();
         if !(t.iter().all(|v| v.is_finite()) && (q.norm() - 1.0).abs() < 1e-6) {
@@ -238,7 +238,7 @@ impl SweepRules {
             OUT_STATES,
             Message::new(
                 Header {
-                    kind: Kind::EgoState,
+                    kind: Kind::AgentState,
                     ..header.clone()
                 },
                 state,
@@ -282,7 +282,7 @@ fn not_ahead(header: &Header, now: Nanos) -> Result<(), Error> {
     Ok(())
 }
 
-/// Least and greatest time of a sweep's points, ns from its stamp.
+/// Min and max time of a sweep's points, ns from its stamp.
 fn span(cloud: &PointCloud) -> Option<[i32; 2]> {
     let [first, last] = cloud
         .time
@@ -324,7 +324,7 @@ impl Operator for Sync {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
         match port {
             POSES => {
-                let (header, state): (Header, EgoState) = message.into_parts().map_err(unexpected)?;
+                let (header, state): (Header, AgentState) = message.into_parts().map_err(unexpected)?;
                 self.pose(&header, state, out)
             }
             CLOUDS => {

@@ -7,7 +7,7 @@ use realo_schemas::FeatureMap;
 
 use crate::error::{DecodeError, EncodeError};
 
-/// Greatest code of a confidence.
+/// Largest code of a confidence.
 const GREATEST: f32 = 255.0;
 
 /// Numbers of the cells of a map that are at least so sure, the surest first.
@@ -15,7 +15,7 @@ const GREATEST: f32 = 255.0;
 /// # Errors
 /// [`EncodeError::NoConfidence`] of a map that does not tell how sure it is, [`EncodeError::Length`] of one that does not tell it
 /// of each cell.
-pub(crate) fn ranked(map: &FeatureMap, least: f32) -> Result<Vec<u32>, EncodeError> {
+pub(crate) fn ranked(map: &FeatureMap, min: f32) -> Result<Vec<u32>, EncodeError> {
     let confidence = map.confidence.as_ref().ok_or(EncodeError::NoConfidence)?;
     let cells = map.rows as usize * map.columns as usize;
     if confidence.len() != cells {
@@ -27,7 +27,7 @@ pub(crate) fn ranked(map: &FeatureMap, least: f32) -> Result<Vec<u32>, EncodeErr
     }
     let sure = (0..cells as u32).filter(|cell| {
         let confidence = confidence[*cell as usize];
-        confidence > 0.0 && confidence >= least
+        confidence > 0.0 && confidence >= min
     });
     let mut sure: Vec<u32> = sure.collect();
     let order = |a: &u32, b: &u32| -> Ordering {

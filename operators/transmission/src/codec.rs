@@ -11,7 +11,7 @@ use crate::cpm::{self, Geodetic, Unused};
 use crate::encoder::BoxesLayout;
 use crate::envelope::Envelope;
 use crate::error::{DecodeError, EncodeError};
-use crate::{EncoderConfig, boxes, ego_state, envelope, features, points};
+use crate::{EncoderConfig, agent_state, boxes, envelope, features, points};
 
 /// The last codec of every packet that is no CPM, in [`Packet::codec`]; before it stands how the points of a cloud or
 /// the elements of a feature map crossed.
@@ -36,7 +36,7 @@ pub struct Dropped {
     pub points: u64,
     /// Boxes that are not valid.
     pub boxes: u64,
-    /// Features beyond the range of half precision; its greatest number was sent for them.
+    /// Features beyond the range of half precision; its largest number was sent for them.
     pub range: u64,
     /// Cells of a feature map that are not sure enough, or too many for its budget.
     pub cells: u64,
@@ -127,8 +127,8 @@ impl Encoder {
         if config.step_m != 0.0 && !points::STEPS.contains(&config.step_m) {
             return Err(EncodeError::Step(config.step_m));
         }
-        if !(0.0..=1.0).contains(&config.least_confidence) {
-            return Err(EncodeError::Confidence(config.least_confidence));
+        if !(0.0..=1.0).contains(&config.min_confidence) {
+            return Err(EncodeError::Confidence(config.min_confidence));
         }
         let columns = Columns {
             time: config.time,
@@ -182,7 +182,7 @@ impl Encoder {
                 (dropped.range, dropped.cells) = (written.beyond, written.left_out);
             }
             Payload::Boxes(list) => dropped.boxes = boxes::write(&mut out, list)?,
-            Payload::EgoState(state) => ego_state::write(&mut out, state)?,
+            Payload::AgentState(state) => agent_state::write(&mut out, state)?,
             _ => return Err(refused()),
         }
         codec.push(CODEC.into());
@@ -197,7 +197,7 @@ fn kind_of(payload: &Payload) -> Option<Kind> {
         Payload::PointCloud(_) => Some(Kind::Points),
         Payload::FeatureMap(_) => Some(Kind::Features),
         Payload::Boxes(_) => Some(Kind::Boxes),
-        Payload::EgoState(_) => Some(Kind::EgoState),
+        Payload::AgentState(_) => Some(Kind::AgentState),
         _ => None,
     }
 }
@@ -276,7 +276,7 @@ impl Decoder {
                 map.into()
             }
             Kind::Boxes => boxes::read(&mut bytes)?.into(),
-            Kind::EgoState => ego_state::read(&mut bytes)?.into(),
+            Kind::AgentState => agent_state::read(&mut bytes)?.into(),
             Kind::Truth | Kind::Report => {
                 let found = envelope.kind.to_string();
                 return Err(DecodeError::Value {

@@ -1,5 +1,5 @@
 //! Boxes as a Collective Perception Message: ETSI TS 103 324 v2.1.1 with the common data dictionary TS 102 894-2 v2.2.1, in
-//! unaligned PER, as it goes on the air behind the headers of its network. docs/transmission.md tells what survives.
+//! unaligned PER, as it goes on the air behind the headers of its network. docs/reference/packets.md says what survives.
 
 mod classes;
 mod clock;

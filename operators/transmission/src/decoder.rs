@@ -9,7 +9,7 @@ use crate::{DecodeError, Decoder};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DecoderConfig {
-    /// Greatest packet that is taken, and greatest feature map or quantised cloud that is made of one, bytes.
+    /// Largest packet that is taken, and largest feature map or quantised cloud that is made of one, bytes.
     pub max_bytes: usize,
     /// Where on Earth the origin of `map` is, for CPMs.
     pub origin: Geodetic,
@@ -44,19 +44,19 @@ const UNUSABLE_OBJECTS: Counter = Counter::loss(
     "unusable_objects",
     "objects of CPMs that make no box",
     "objects of CPMs were left out, because they lack a position, length, width or angle, or the time of their measurement",
-    "their sender has to say these (docs/transmission.md, \"From other stacks\")",
+    "their sender has to say these (docs/reference/packets.md, \"From other stacks\")",
 );
 const ASSUMED_OBJECTS: Counter = Counter::loss(
     "assumed_objects",
     "boxes of CPMs of which something was assumed",
     "boxes of CPMs have a height, angle, class or score that was assumed, because their sender does not say it",
-    "docs/transmission.md, \"From other stacks\", has what is assumed",
+    "docs/reference/packets.md, \"From other stacks\", has what is assumed",
 );
 const UNREAD_CONTAINERS: Counter = Counter::loss(
     "unread_containers",
     "containers of CPMs that are not read",
     "containers of CPMs were not read",
-    "objects are taken from perceived object containers only (docs/transmission.md)",
+    "objects are taken from perceived object containers only (docs/reference/packets.md)",
 );
 const SEGMENTS: Counter = Counter::loss(
     "segments",
@@ -72,7 +72,7 @@ impl Describe for TransmissionDecoder {
     const ARGUMENTS: &'static [Argument] = &[
         Argument {
             name: "max_bytes",
-            about: "greatest packet, and greatest feature map or quantised cloud in memory, bytes; a greater one is rejected",
+            about: "max packet, and max feature map or quantised cloud in memory, bytes; a greater one is rejected",
         },
         Argument {
             name: "origin",
@@ -80,13 +80,13 @@ impl Describe for TransmissionDecoder {
         },
         Argument {
             name: "kind",
-            about: "take packets of this kind only, points, features, boxes or ego_state, for another decoder takes the others; null = all",
+            about: "take packets of this kind only, points, features, boxes or agent_state, for another decoder takes the others; null = all",
         },
     ];
     const INPUTS: &'static [Port] = &[Port::new("packets", &[PayloadType::Packet], "what a link delivered").latest()];
     const OUTPUTS: &'static [Port] = &[
         Port::new("messages", FUSED, "the points, features or boxes that the sender sent"),
-        Port::new("states", &[PayloadType::EgoState], "where the sender was"),
+        Port::new("states", &[PayloadType::AgentState], "where the sender was"),
     ];
     const COUNTERS: &'static [Counter] = &[UNUSABLE_OBJECTS, ASSUMED_OBJECTS, UNREAD_CONTAINERS, SEGMENTS];
 }
@@ -135,7 +135,7 @@ impl Operator for TransmissionDecoder {
         let (header, packet): (Header, Packet) = message.into_parts().map_err(unexpected)?;
         let message = self.message(header, &packet, out)?;
         let port = match message.payload {
-            Payload::EgoState(_) => STATES,
+            Payload::AgentState(_) => STATES,
             _ => MESSAGES,
         };
         out.send(port, message);

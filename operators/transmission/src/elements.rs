@@ -8,9 +8,9 @@ use realo_schemas::DType;
 
 use crate::error::{DecodeError, EncodeError};
 
-/// Greatest number of half precision.
+/// Largest number of half precision.
 const GREATEST: f32 = 65_504.0;
-/// Steps between the least and the greatest code.
+/// Steps between the smallest and the largest code.
 const STEPS: f32 = 255.0;
 /// Added to a number below 2²², it leaves the nearest whole one in the low bits.
 const ROUND: f32 = 12_582_912.0;
@@ -74,14 +74,14 @@ pub(crate) fn from_f16(bytes: &[u8]) -> Result<Vec<f32>, DecodeError> {
     Ok(numbers)
 }
 
-/// What a code of each channel means: the number `least + code × step`.
+/// What a code of each channel means: the number `smallest + code × step`.
 ///
-/// A channel's codes go from its least number in the map to its greatest. Behind a ReLU the least one is 0 almost
+/// A channel's codes go from its smallest number in the map to its largest. Behind a ReLU the smallest one is 0 almost
 /// everywhere, and with it the code 0 is exactly 0; codes of both signs about 0 would leave half of them unused. A map
 /// without a ReLU has numbers of both signs, and the same rule.
 #[derive(Debug, Default)]
 pub(crate) struct Scales {
-    pub least: Vec<f32>,
+    pub min: Vec<f32>,
     pub step: Vec<f32>,
     /// One over the step.
     rate: Vec<f32>,
@@ -93,22 +93,22 @@ impl Scales {
     /// # Errors
     /// [`EncodeError::Range`] of a channel whose range is not finite. All numbers are.
     fn measure(&mut self, numbers: &[f32], channels: usize) -> Result<(), EncodeError> {
-        let Scales { least, step, rate } = self;
-        least.clear();
-        least.extend_from_slice(&numbers[..channels]);
-        // The greatest for now.
-        step.clone_from(least);
+        let Scales { min, step, rate } = self;
+        min.clear();
+        min.extend_from_slice(&numbers[..channels]);
+        // The largest for now.
+        step.clone_from(min);
         for cell in numbers.chunks_exact(channels) {
-            for ((least, most), number) in least.iter_mut().zip(step.iter_mut()).zip(cell) {
-                *least = if *number < *least { *number } else { *least };
+            for ((min, most), number) in min.iter_mut().zip(step.iter_mut()).zip(cell) {
+                *min = if *number < *min { *number } else { *min };
                 *most = if *number > *most { *number } else { *most };
             }
         }
-        for (channel, (least, most)) in least.iter().zip(step.iter_mut()).enumerate() {
-            let range = *most - *least;
+        for (channel, (min, most)) in min.iter().zip(step.iter_mut()).enumerate() {
+            let range = *most - *min;
             if !range.is_finite() {
-                let (least, most) = (*least, *most);
-                return Err(EncodeError::Range { channel, least, most });
+                let (min, most) = (*min, *most);
+                return Err(EncodeError::Range { channel, min, most });
             }
             // One over a lesser step would not be finite.
             *most = (range / STEPS).max(f32::MIN_POSITIVE);
@@ -127,9 +127,9 @@ impl Scales {
         out.resize(numbers.len(), 0);
         let cells = numbers.chunks_exact(channels).zip(out.chunks_exact_mut(channels));
         for (cell, codes) in cells {
-            let scales = self.least.iter().zip(&self.rate);
-            for ((code, number), (least, rate)) in codes.iter_mut().zip(cell).zip(scales) {
-                *code = ((number - least) * rate + ROUND).to_bits() as u8;
+            let scales = self.min.iter().zip(&self.rate);
+            for ((code, number), (min, rate)) in codes.iter_mut().zip(cell).zip(scales) {
+                *code = ((number - min) * rate + ROUND).to_bits() as u8;
             }
         }
         Ok(())
@@ -138,13 +138,13 @@ impl Scales {
     /// Reads codes.
     pub fn dequantise(&self, codes: &[u8]) -> Vec<f32> {
         let mut numbers = Vec::with_capacity(codes.len());
-        for codes in codes.chunks_exact(self.least.len()) {
-            let scales = self.least.iter().zip(&self.step);
+        for codes in codes.chunks_exact(self.min.len()) {
+            let scales = self.min.iter().zip(&self.step);
             numbers.extend(
                 codes
                     .iter()
                     .zip(scales)
-                    .map(|(code, (least, step))| least + f32::from(*code) * step),
+                    .map(|(code, (min, step))| min + f32::from(*code) * step),
             );
         }
         numbers
@@ -154,17 +154,17 @@ impl Scales {
     ///
     /// # Errors
     /// [`DecodeError::Value`] of a channel with numbers that are not finite, or a step that is not above 0.
-    pub fn take(&mut self, least: Vec<f32>, step: Vec<f32>) -> Result<(), DecodeError> {
-        for (channel, (least, step)) in least.iter().zip(&step).enumerate() {
-            if !(least.is_finite() && *step > 0.0 && (least + STEPS * step).is_finite()) {
+    pub fn take(&mut self, min: Vec<f32>, step: Vec<f32>) -> Result<(), DecodeError> {
+        for (channel, (min, step)) in min.iter().zip(&step).enumerate() {
+            if !(min.is_finite() && *step > 0.0 && (min + STEPS * step).is_finite()) {
                 return Err(DecodeError::Value {
                     field: "scale of a channel",
-                    expected: "a least number and a step above 0 whose codes are finite numbers",
-                    found: format!("least {least}, step {step} in channel {channel}"),
+                    expected: "a min number and a step above 0 whose codes are finite numbers",
+                    found: format!("min {min}, step {step} in channel {channel}"),
                 });
             }
         }
-        (self.least, self.step) = (least, step);
+        (self.min, self.step) = (min, step);
         Ok(())
     }
 }
@@ -224,11 +224,11 @@ mod tests {
         );
         let mut scales = Scales::default();
         let error = scales.quantise(&[0.0, f32::MAX, 1.0, -f32::MAX], 2, &mut Vec::new());
-        let (channel, least, most) = (1, -f32::MAX, f32::MAX);
-        assert_eq!(error, Err(EncodeError::Range { channel, least, most }));
+        let (channel, min, most) = (1, -f32::MAX, f32::MAX);
+        assert_eq!(error, Err(EncodeError::Range { channel, min, most }));
         let (beyond, found) = through_f16(&[65_504.0, 65_505.0, -1e30, 3.0e-8, -2e-8]);
         assert_eq!((beyond, &found[..3]), (2, &[65_504.0, 65_504.0, -65_504.0][..]));
-        assert_eq!(found[3..], [2f32.powi(-24), -0.0], "below the least of half precision");
+        assert_eq!(found[3..], [2f32.powi(-24), -0.0], "below the min of half precision");
     }
 
     #[test]
@@ -270,9 +270,9 @@ mod tests {
             let numbers: Vec<f32> = (0..channels * cells).map(number).collect();
             let (scales, found) = through_codes(&numbers, channels);
             for (i, (found, number)) in found.iter().zip(&numbers).enumerate() {
-                let (least, step) = (scales.least[i % channels], scales.step[i % channels]);
+                let (min, step) = (scales.min[i % channels], scales.step[i % channels]);
                 // Half a step, and the rounding of f32 in a sum of numbers of this size.
-                let bound = 0.5001 * step + 1e-6 * (least.abs() + 255.0 * step);
+                let bound = 0.5001 * step + 1e-6 * (min.abs() + 255.0 * step);
                 prop_assert!((found - number).abs() <= bound, "{found} for {number}, step {step}");
             }
         }

@@ -10,7 +10,7 @@ pub(crate) const CARRIED: &[PayloadType] = &[
     PayloadType::PointCloud,
     PayloadType::FeatureMap,
     PayloadType::Boxes,
-    PayloadType::EgoState,
+    PayloadType::AgentState,
 ];
 
 /// What boxes cross as.
@@ -38,8 +38,8 @@ pub struct EncoderConfig {
     pub elements: Elements,
     /// Whether bytes of the same place in every cell lie together.
     pub shuffle: bool,
-    /// Least confidence of a cell of a feature map that crosses, 0 to 1; 0: any.
-    pub least_confidence: f32,
+    /// Smallest confidence of a cell of a feature map that crosses, 0 to 1; 0: any.
+    pub min_confidence: f32,
     /// Bytes that the packet of a feature map may take: its surest cells cross, as many as fit. `None`: any number.
     pub budget_bytes: Option<usize>,
     /// Level of zstd for feature maps and quantised points, -7 to 19 but not 0; `None`: not compressed.
@@ -62,7 +62,7 @@ impl Default for EncoderConfig {
             step_m: 0.0,
             elements: Elements::Int8,
             shuffle: true,
-            least_confidence: 0.0,
+            min_confidence: 0.0,
             budget_bytes: None,
             zstd: Some(1),
             boxes: BoxesLayout::Plain,
@@ -101,7 +101,7 @@ const BOUNDED_FEATURES: Counter = Counter::loss(
 );
 const LEFT_OUT_CELLS: Counter = Counter::plain(
     "left_out_cells",
-    "cells of feature maps that did not cross: not sure enough (`least_confidence`), or too many for `budget_bytes`",
+    "cells of feature maps that did not cross: not sure enough (`min_confidence`), or too many for `budget_bytes`",
 );
 const OUT_OF_RANGE_BOXES: Counter = Counter::loss(
     "out_of_range_boxes",
@@ -149,8 +149,8 @@ impl Describe for TransmissionEncoder {
             about: "whether the bytes of a channel of a feature map lie together, so that they compress better",
         },
         Argument {
-            name: "least_confidence",
-            about: "least confidence of a cell of a feature map that crosses, 0 to 1; 0 = any",
+            name: "min_confidence",
+            about: "min confidence of a cell of a feature map that crosses, 0 to 1; 0 = any",
         },
         Argument {
             name: "budget_bytes",

@@ -33,7 +33,7 @@ fn code_of(kind: Kind) -> Option<u8> {
         Kind::Points => Some(1),
         Kind::Features => Some(2),
         Kind::Boxes => Some(3),
-        Kind::EgoState => Some(4),
+        Kind::AgentState => Some(4),
         Kind::Truth | Kind::Report => None,
     }
 }

@@ -6,7 +6,9 @@ use realo_schemas::{Name, Nanos};
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EncodeError {
     /// A payload that no link carries, or a header of another kind than its payload.
-    #[error("a {payload} whose header says `{kind}` cannot be sent: links carry points, features, boxes and ego_state")]
+    #[error(
+        "a {payload} whose header says `{kind}` cannot be sent: links carry points, features, boxes and agent_state"
+    )]
     Content {
         /// Type of the payload.
         payload: &'static str,
@@ -28,7 +30,7 @@ pub enum EncodeError {
     NotFinite(&'static str),
     /// A map of which some cells are to cross, but that does not tell which.
     #[error(
-        "feature map: `budget_bytes` and `least_confidence` choose cells by how sure the map is of each, which it does not tell: \
+        "feature map: `budget_bytes` and `min_confidence` choose cells by how sure the map is of each, which it does not tell: \
          say `confidence=true` to its pillar-encoder"
     )]
     NoConfidence,
@@ -41,18 +43,16 @@ pub enum EncodeError {
         budget: usize,
     },
     /// A confidence that no cell can have.
-    #[error("argument `least_confidence`: expected 0 to 1, found {0}")]
+    #[error("argument `min_confidence`: expected 0 to 1, found {0}")]
     Confidence(f32),
     /// A channel that 255 finite steps do not span.
-    #[error(
-        "feature map: channel {channel} goes from {least} to {most}, too far for int8: send it with `elements=f32`"
-    )]
+    #[error("feature map: channel {channel} goes from {min} to {most}, too far for int8: send it with `elements=f32`")]
     Range {
         /// The channel.
         channel: usize,
-        /// Its least number.
-        least: f32,
-        /// Its greatest number.
+        /// Its smallest number.
+        min: f32,
+        /// Its largest number.
         most: f32,
     },
     /// A step that clouds cannot have.

@@ -1,4 +1,4 @@
-//! Feature maps as bytes: converted, shuffled and compressed as the encoder is told; the bytes say how.
+//! Feature maps as bytes: converted, shuffled and compressed as the encoder's settings say; the bytes say how.
 
 use arrow::buffer::{Buffer, MutableBuffer};
 use realo_operator::Steps;
@@ -58,7 +58,7 @@ pub(crate) struct Written {
 /// Which cells of a map cross, where not all do.
 #[derive(Clone, Copy, Debug)]
 struct Choice {
-    least_confidence: f32,
+    min_confidence: f32,
     /// Bytes that a packet may take.
     budget: Option<usize>,
 }
@@ -75,7 +75,7 @@ pub(crate) struct Writer {
     compressed: Vec<u8>,
     places: Vec<u8>,
     compressed_places: Vec<u8>,
-    /// The greatest packet so far that is within the budget.
+    /// The largest packet so far that is within the budget.
     best: Vec<u8>,
 }
 
@@ -83,10 +83,10 @@ impl Writer {
     /// A writer; the level of zstd is one that it has.
     pub fn new(config: &EncoderConfig) -> std::io::Result<Self> {
         let choice = Choice {
-            least_confidence: config.least_confidence,
+            min_confidence: config.min_confidence,
             budget: config.budget_bytes,
         };
-        let chooses = choice.least_confidence > 0.0 || choice.budget.is_some();
+        let chooses = choice.min_confidence > 0.0 || choice.budget.is_some();
         Ok(Writer {
             choice: chooses.then_some(choice),
             elements: config.elements,
@@ -108,7 +108,7 @@ impl Writer {
         let Some(choice) = self.choice else {
             return self.write_cells(out, map, None, steps);
         };
-        let ranked = steps.time("selection", || cells::ranked(map, choice.least_confidence))?;
+        let ranked = steps.time("selection", || cells::ranked(map, choice.min_confidence))?;
         match choice.budget {
             None => self.write_cells(out, map, Some(&ranked), steps),
             Some(budget) => self.write_within(budget, out, map, &ranked, steps),
@@ -145,9 +145,9 @@ impl Writer {
                 false => beyond = count,
             }
             let share = budget.saturating_sub(before) as f64 / (found - before) as f64;
-            let least = held.as_ref().map_or(0, |(count, _)| *count);
-            count = ((NEARLY * share * count as f64) as usize).clamp(least, beyond - 1);
-            if held.is_some() && count - least <= least / 32 {
+            let min = held.as_ref().map_or(0, |(count, _)| *count);
+            count = ((NEARLY * share * count as f64) as usize).clamp(min, beyond - 1);
+            if held.is_some() && count - min <= min / 32 {
                 break;
             }
         }
@@ -214,7 +214,7 @@ impl Writer {
             }
             if crossing > 0 {
                 if elements == Elements::Int8 {
-                    put_column(out, &self.scales.least, f32::to_le_bytes);
+                    put_column(out, &self.scales.min, f32::to_le_bytes);
                     put_column(out, &self.scales.step, f32::to_le_bytes);
                 }
                 put(out, bytes, coding.zstd)?;
@@ -228,7 +228,7 @@ impl Writer {
         })
     }
 
-    /// Converts numbers of a map of f32 as told; any other map stays as it is.
+    /// Converts numbers of a map of f32 as the settings say; any other map stays as it is.
     fn convert(&mut self, map: &FeatureMap) -> Result<(Elements, u64), EncodeError> {
         if !are_finite(&map.data, map.dtype) {
             return Err(EncodeError::NotFinite("feature map"));
@@ -313,7 +313,7 @@ fn head(out: &mut Vec<u8>, map: &FeatureMap, coding: Coding) -> Result<(), Encod
 
 /// Gets maps out of bytes; what it works in serves one map after another.
 pub(crate) struct Parser {
-    /// Greatest map that is made, bytes.
+    /// Largest map that is made, bytes.
     limit: usize,
     zstd: Decompressor<'static>,
     scales: Scales,
@@ -394,7 +394,7 @@ impl Parser {
         }
         if coding.elements == Elements::Int8 {
             let mut scales = |field| Ok(column(bytes.take(channels, 4, field)?, f32::from_le_bytes));
-            self.scales.take(scales("least numbers")?, scales("steps")?)?;
+            self.scales.take(scales("min numbers")?, scales("steps")?)?;
         }
         let width = match coding.elements {
             Elements::F32 => map.dtype.size(),

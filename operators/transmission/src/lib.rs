@@ -4,7 +4,7 @@
 //!
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
-//! | `messages` | in, latest | PointCloud, FeatureMap, Boxes, EgoState | what an agent says |
+//! | `messages` | in, latest | PointCloud, FeatureMap, Boxes, AgentState | what an agent says |
 //! | `packets` | out | Packet | the same as bytes |
 //!
 //! `transmission-decoder`
@@ -12,13 +12,13 @@
 //! | port | direction | types | meaning |
 //! |---|---|---|---|
 //! | `packets` | in, latest | Packet | what a link delivered |
-//! | `messages` | out | PointCloud, FeatureMap, Boxes, EgoState | what the sender said |
+//! | `messages` | out | PointCloud, FeatureMap, Boxes, AgentState | what the sender said |
 //!
-//! Of maps that tell how sure their maker is of each cell those may cross that `least_confidence` and `budget_bytes` choose. Maps of f32
+//! Of maps that tell how sure their maker is of each cell those may cross that `min_confidence` and `budget_bytes` choose. Maps of f32
 //! are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
 //! f32 again; maps of other elements are not quantised. With the argument `step_m` coordinates of points cross as whole steps, all
 //! columns as differences, shuffled and compressed; without it they are exact. With `boxes=cpm` boxes cross as a message of ETSI
-//! ([`cpm`]) in place of the layout below. docs/transmission.md tells why, how exactly, and what is refused. Both stages time the steps
+//! ([`cpm`]) in place of the layout below. docs/reference/packets.md says why, how exactly, and what is refused. Both stages time the steps
 //! of a cloud and of a feature map ([`realo_operator::Steps`]).
 //!
 //! # Layout of the codec `plain`, version 2
@@ -34,7 +34,7 @@
 //! |---|---|
 //! | 2 | `rl` |
 //! | u8 | version, 2 |
-//! | u8 | content: 1 points, 2 features, 3 boxes, 4 ego_state |
+//! | u8 | content: 1 points, 2 features, 3 boxes, 4 agent_state |
 //! | u8 | flags: 1 pose, 2 covariance of the pose, 4 a frame other than `<agent>/body` |
 //! | u64 | seq |
 //! | i64 | stamp, ns |
@@ -52,26 +52,27 @@
 //! Points: count (u32), flags (u8: 1 time, 2 ring, 4 quantised, 8 zstd, with 4 only), then the columns x, y, z (f32, m),
 //! intensity (u8), time (i32, ns from the stamp), ring (u16). Without its column every time or ring is 0.
 //!
-//! Quantised points (flag 4): step (f64, m), whether lanes follow (u8, 0 or 1); for each column that crosses its least number (i32)
+//! Quantised points (flag 4): step (f64, m), whether lanes follow (u8, 0 or 1); for each column that crosses its smallest number (i32)
 //! and a width (u8, bytes, no more than the column's type has); then planes of count bytes each: of the lanes, if they follow, and of
 //! each column as many as it is wide. With flag 8 each plane is a length (u32) and a zstd frame. The plane of lanes has the difference
-//! of each point's lane from that of the point before, modulo 256. A coordinate is a number of steps. A number of a column is its least
+//! of each point's lane from that of the point before, modulo 256. A coordinate is a number of steps. A number of a column is its smallest
 //! one plus a sum modulo 256 to the power of the width: that of the differences up to it in its lane, or up to it in the column
 //! where there are no lanes. Differences 0, -1, 1, -2 and so on cross as 0, 1, 2, 3; first byte 0 of all, then byte 1.
 //!
-//! EgoState: flags (u8: 1 covariance, 2 velocity, 4 angular rate), status (u8: 0 truth, 1 recorded, 2 extrapolated),
+//! AgentState: flags (u8: 1 covariance, 2 velocity, 4 angular rate), status (u8: 0 truth, 1 recorded, 2 extrapolated),
 //! pose, triangle of the 6×6 covariance, velocity x y z (f64, m/s in `map`), angular rate x y z (f64, rad/s).
 //!
 //! Features: rows, columns, channels (u32), cell (f64, m), origin x y (f64, m), element type of the map (u8: 0 f32, 1 f16,
 //! 2 bf16, 3 u8), model (text: its name and a hash of model file and weights), conversion of f32 (u8: 0 none, 1 f16, 2 int8),
 //! flags (u8: 1 shuffled, 2 zstd, 4 some cells only). With flag 4: how many cells cross (u32), a bit for each cell of the map, the first
 //! in the lowest bit of the first byte, and for each that crosses the root of its confidence in 255ths (u8, at least 1); with flag 2
-//! the bits and confidences are a length (u32) and a zstd frame. Without a cell that crosses nothing follows. With int8 the columns least number and step (f32) of the channels, of which a number is
-//! least + code × step; with flag 2 a length (u32) and a zstd frame of the elements, else the elements. They come cell by cell that
+//! the bits and confidences are a length (u32) and a zstd frame. Without a cell that crosses nothing follows. With int8 the columns smallest number and step (f32) of the channels, of which a number is
+//! smallest + code × step; with flag 2 a length (u32) and a zstd frame of the elements, else the elements. They come cell by cell that
 //! crosses, `[rows, columns, channels]`; shuffled, first byte 0 of every cell, then byte 1, and so on.
 //!
 //! Nothing else of a header crosses: the receiver's own clock, times and trace stay with the packet's header.
 
+mod agent_state;
 mod boxes;
 mod bytes;
 mod cells;
@@ -79,7 +80,6 @@ mod codec;
 mod compression;
 pub mod cpm;
 mod decoder;
-mod ego_state;
 mod elements;
 mod encoder;
 mod envelope;

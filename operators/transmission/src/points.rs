@@ -1,4 +1,4 @@
-//! Clouds as bytes: columns as they are, or in whole steps and compressed as the encoder is told; the bytes say how.
+//! Clouds as bytes: columns as they are, or in whole steps and compressed as the encoder's settings say; the bytes say how.
 
 mod column;
 mod lanes;

@@ -39,12 +39,12 @@ fn timed<T>(mut work: impl FnMut() -> T) -> (T, f64) {
         let begun = Instant::now();
         (work(), begun.elapsed().as_secs_f64())
     };
-    let mut least = round();
+    let mut min = round();
     for _ in 1..ROUNDS {
         let (done, seconds) = round();
-        least = (done, least.1.min(seconds));
+        min = (done, min.1.min(seconds));
     }
-    least
+    min
 }
 
 /// Holds the cloud that came back against the one that was sent.
@@ -57,12 +57,8 @@ fn check(found: &PointCloud, sent: &PointCloud, path: &Path) {
             .iter()
             .zip(&**sent)
             .map(|(found, sent)| (f64::from(*found) - f64::from(*sent)).abs());
-        let greatest = errors.fold(0.0, f64::max);
-        assert!(
-            found.len() == sent.len() && greatest <= bound,
-            "{}: {greatest} m",
-            path.display()
-        );
+        let max = errors.fold(0.0, f64::max);
+        assert!(found.len() == sent.len() && max <= bound, "{}: {max} m", path.display());
     }
 }
 

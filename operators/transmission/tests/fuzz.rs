@@ -8,11 +8,11 @@ use damage::{Draw, cases, most_held};
 use nalgebra::{Isometry3, Vector3};
 use realo_operator::Steps;
 use realo_schemas::{
-    Box3, Boxes, DType, EgoState, Elements, FeatureMap, Header, Kind, Message, Payload, PointCloud, Pose, PoseStatus,
+    AgentState, Box3, Boxes, DType, Elements, FeatureMap, Header, Kind, Message, Payload, PointCloud, Pose, PoseStatus,
 };
 use realo_transmission::{Content, Decoder, Encoder, EncoderConfig};
 
-/// Greatest feature map that the decoders make here, bytes.
+/// Largest feature map that the decoders make here, bytes.
 const LIMIT: usize = 1 << 18;
 
 /// A box of 34 bytes takes 200, and twice as many more while their list grows. A compressed map or cloud of few bytes may be one of
@@ -76,7 +76,7 @@ fn message(draw: &mut Draw) -> Message {
             cloud.unwrap().into()
         }
         1 => Boxes((0..draw.below(9)).map(|_| object(draw)).collect()).into(),
-        2 => EgoState {
+        2 => AgentState {
             map_from_body: Isometry3::translation(5.0, 6.0, 7.0),
             covariance: draw.chance(2).then(|| Box::new([0.5; 36])),
             velocity: draw.chance(2).then(|| Vector3::new(1.0, 2.0, 3.0)),
@@ -112,7 +112,7 @@ fn message(draw: &mut Draw) -> Message {
     let kind = match &payload {
         Payload::PointCloud(_) => Kind::Points,
         Payload::Boxes(_) => Kind::Boxes,
-        Payload::EgoState(_) => Kind::EgoState,
+        Payload::AgentState(_) => Kind::AgentState,
         _ => Kind::Features,
     };
     Message::new(header(draw, kind), payload)
@@ -125,7 +125,7 @@ fn bytes_of(draw: &mut Draw, message: &Message) -> Vec<u8> {
         step_m: draw.pick(&[0.0, 0.01, 0.001]),
         elements: draw.pick(&[Elements::F32, Elements::F16, Elements::Int8]),
         shuffle: draw.chance(2),
-        least_confidence: draw.pick(&[0.0, 0.0, 0.3, 1.0]),
+        min_confidence: draw.pick(&[0.0, 0.0, 0.3, 1.0]),
         budget_bytes: draw.chance(3).then_some(300),
         zstd: draw.chance(2).then(|| draw.pick(&[-7, 1, 3])),
         ..EncoderConfig::default()

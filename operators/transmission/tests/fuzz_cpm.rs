@@ -12,11 +12,11 @@ use realo_schemas::{Header, Message, Packet, Payload, geometry};
 use realo_transmission::cpm::{Geodetic, received};
 use realo_transmission::{BoxesLayout, Decoder, Encoder, EncoderConfig};
 
-/// Least bits of an object that makes a box.
+/// Smallest bits of an object that makes a box.
 const OBJECT: usize = 8 * 14;
 
 /// 255 objects decoded take 50 KB and their boxes as much, twice while the list grows. A length that somebody made up reserves an element
-/// for every bit that is left at most, the greatest of which takes 24 bytes.
+/// for every bit that is left at most, the largest of which takes 24 bytes.
 fn bound(bytes: usize) -> u64 {
     (256 << 10) + (8 * 24 + 64) * bytes as u64
 }
@@ -54,8 +54,8 @@ fn check(case: u64, bytes: &[u8], origins: &[Geodetic]) -> bool {
         panic!("case {case}: not boxes")
     };
     assert!(boxes.0.iter().all(geometry::is_valid), "case {case}: {boxes:?}");
-    let told = OBJECT * boxes.0.len();
-    assert!(told <= 8 * bytes.len(), "case {case}: {} boxes", boxes.0.len());
+    let reported = OBJECT * boxes.0.len();
+    assert!(reported <= 8 * bytes.len(), "case {case}: {} boxes", boxes.0.len());
     // What was taken can be sent on.
     let config = EncoderConfig {
         boxes: BoxesLayout::Cpm,

@@ -56,7 +56,7 @@ impl PoseTrack {
     }
 
     /// The pose at `stamp`: recorded, interpolated between neighbours, or carried on by the motion of the last two
-    /// poses; `None` where that bridges more than the greatest gap. A pose whose stamp is the same but for rounding is at `stamp`.
+    /// poses; `None` where that bridges more than the largest gap. A pose whose stamp is the same but for rounding is at `stamp`.
     pub fn at(&self, stamp: Nanos) -> Option<Isometry3<f64>> {
         self.between(stamp).or_else(|| {
             let after = self.poses.partition_point(|(t, _)| *t < stamp);

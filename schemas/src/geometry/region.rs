@@ -7,9 +7,9 @@ use crate::geometry::bottom_corners;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Region {
-    /// Least and greatest x.
+    /// Min and max x.
     pub x: [f64; 2],
-    /// Least and greatest y.
+    /// Min and max y.
     pub y: [f64; 2],
 }
 

@@ -59,7 +59,7 @@ impl View {
     /// the margin, has a point in common with the image. Corners behind the camera are in no image.
     pub fn shows(&self, object: &Box3) -> bool {
         let camera_from_frame = self.frame_from_camera.inverse();
-        let mut least = [f64::INFINITY; 2];
+        let mut min = [f64::INFINITY; 2];
         let mut most = [f64::NEG_INFINITY; 2];
         for corner in corners(object) {
             let point = camera_from_frame * corner;
@@ -68,11 +68,11 @@ impl View {
             }
             for (axis, aside) in [point.x, point.y].into_iter().enumerate() {
                 let at = |metres: f64| self.center[axis] + self.focal[axis] * metres / point.z;
-                least[axis] = least[axis].min(at(aside - self.margin));
+                min[axis] = min[axis].min(at(aside - self.margin));
                 most[axis] = most[axis].max(at(aside + self.margin));
             }
         }
-        (0..2).all(|axis| least[axis] <= f64::from(self.size[axis]) && most[axis] >= 0.0)
+        (0..2).all(|axis| min[axis] <= f64::from(self.size[axis]) && most[axis] >= 0.0)
     }
 
     /// The same view in another frame.

@@ -193,7 +193,7 @@ impl Checkpoint {
         names.for_each(|name| _ = name.drain(..prefix.len()));
     }
 
-    /// The epoch that is told beside the state dict.
+    /// The epoch beside the state dict.
     pub fn epoch(&self) -> Option<i64> {
         self.epoch
     }

@@ -17,7 +17,7 @@ pub struct Converted {
     pub model: Model,
     /// Its weights.
     pub weights: Weights,
-    /// The checkpoint in words: its file and, if it tells one, its epoch.
+    /// The checkpoint in words: its file and, if it has one, its epoch.
     pub origin: String,
 }
 

@@ -26,7 +26,7 @@ pub struct Listing {
     pub others: Vec<String>,
     /// The key under which the state dict was found, if not at the top.
     pub within: Option<String>,
-    /// The epoch that it tells.
+    /// The epoch that it has.
     pub epoch: Option<i64>,
     /// The model that has these tensors, in words.
     pub model: Option<String>,

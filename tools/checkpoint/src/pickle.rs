@@ -403,7 +403,10 @@ impl<R: Read> Machine<R> {
     fn protocol(&mut self) -> Result<(), PickleError> {
         match self.byte()? {
             2 => Ok(()),
-            _ => Err(self.nonsense("its protocol is not 2, the one that torch.save writes unless it is told another")),
+            _ => {
+                Err(self
+                    .nonsense("its protocol is not 2, the one that torch.save writes unless it is reported another"))
+            }
         }
     }
 
@@ -435,7 +438,7 @@ impl<R: Read> Machine<R> {
             *byte = self.byte()?;
         }
         let unused = 8 * (bytes.len() - length) as u32;
-        // The highest bit that is there tells the sign.
+        // The highest bit that is there is the sign.
         Ok(i128::from_le_bytes(bytes)
             .checked_shl(unused)
             .map_or(0, |number| number >> unused))
@@ -648,7 +651,7 @@ impl<R: Read> Machine<R> {
             }),
             _ => None,
         };
-        let storage = storage.ok_or_else(|| self.nonsense("a storage that is not told as torch.save does"))?;
+        let storage = storage.ok_or_else(|| self.nonsense("a storage that is not reported as torch.save does"))?;
         self.push(Object::Storage(storage));
         Ok(())
     }

@@ -38,7 +38,7 @@ fn refusal(name: &str, model: Model) -> String {
     converted(name, model).err().expect("refused")
 }
 
-/// The greatest difference of a number from the plain checkpoint's.
+/// The largest difference of a number from the plain checkpoint's.
 fn difference(weights: &Weights) -> f32 {
     let plain = attfuse("plain");
     let keys = expected(&model("small-attfuse")).into_iter();
@@ -84,7 +84,7 @@ fn every_form_of_a_state_dict_gives_the_same_weights() {
 }
 
 #[test]
-fn what_stands_beside_the_state_dict_is_told() {
+fn what_stands_beside_the_state_dict_is_reported() {
     let cases = [
         ("plain", None, None, 4),
         ("nested", Some("model_state_dict"), Some(30), 4),

@@ -109,7 +109,7 @@ fn corners(vector: &Vector) -> Result<(), String> {
     let region = region(vector.setting("eval_range")?);
     let inside = boxes.iter().map(|object| region.contains_box(object)).collect();
     mask("mask_eval_range_all_corners", inside)?;
-    // The reference's filter of sizes: here a box must have an extent, and its greatest size is nobody's business.
+    // The reference's filter of sizes: here a box must have an extent, and its largest size is nobody's business.
     mask("mask_not_large", boxes.iter().map(is_valid).collect())
 }
 

@@ -59,7 +59,7 @@ fn agents(tensors: &Tensors, name: &str, all: usize) -> Result<Vec<usize>, Strin
     }
 }
 
-/// Fusions alone: by the maximum, or by attention where the case tells the width of features.
+/// Fusions alone: by the maximum, or by attention where the case has the width of features.
 fn of_maps(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let (cells, [maps, channels, rows, columns]) = tensors.channels_last("in.x")?;

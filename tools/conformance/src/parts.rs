@@ -40,7 +40,7 @@ const FORWARD: &str = "fusion_net.encoder.layers.0.1.";
 const DELAYS: &str = "fusion_net.encoder.rte.";
 
 /// Settings with as little as can be of what a vector is not about.
-fn least(channels: usize) -> Transformer {
+fn smallest(channels: usize) -> Transformer {
     Transformer {
         agents: 1,
         compression: 0,
@@ -89,7 +89,7 @@ fn delays(vector: &Vector) -> Result<(), String> {
     let settings = Transformer {
         delays: table.first().copied().unwrap_or_default(),
         delay_ratio: count(vector, "rte_ratio")?,
-        ..least(channels)
+        ..smallest(channels)
     };
     let delays = tensors.shaped("in.dt", &[samples, agents])?;
     let mut parts = parts(&tensors, DELAYS, settings.clone(), [rows, columns, channels])?;
@@ -118,7 +118,7 @@ fn over_agents(vector: &Vector) -> Result<(), String> {
     let settings = Transformer {
         heads: count(vector, "heads")?,
         head_width: count(vector, "dim_head")?,
-        ..least(channels)
+        ..smallest(channels)
     };
     let mut parts = parts(&tensors, AGENTS, settings, [rows, columns, channels])?;
     let mask = tensors.shaped("in.mask_bhw1l", &[samples, rows, columns, 1, agents])?;
@@ -175,7 +175,7 @@ fn within_windows(vector: &Vector) -> Result<(), String> {
     };
     let settings = Transformer {
         windows: vec![window],
-        ..least(channels)
+        ..smallest(channels)
     };
     let prefix = format!("{WINDOWS}pwmsa.0.");
     let mut parts = parts(&tensors, &prefix, settings, [rows, columns, channels])?;
@@ -197,7 +197,7 @@ fn over_windows(vector: &Vector) -> Result<(), String> {
     });
     let settings = Transformer {
         windows: windows.collect(),
-        ..least(channels)
+        ..smallest(channels)
     };
     let mut parts = parts(&tensors, WINDOWS, settings, [rows, columns, channels])?;
     each_map(vector, &tensors, &maps, |map| parts.over_windows(map).data)
@@ -219,7 +219,7 @@ fn split_attention(vector: &Vector) -> Result<(), String> {
     let [_, _, rows, columns, channels] = shape;
     let settings = Transformer {
         windows: vec![LEAST_WINDOW; made.len()],
-        ..least(channels)
+        ..smallest(channels)
     };
     let prefix = format!("{WINDOWS}split_attn.");
     let mut parts = parts(&tensors, &prefix, settings, [rows, columns, channels])?;
@@ -244,7 +244,7 @@ fn feed_forward(vector: &Vector) -> Result<(), String> {
             .first()
             .copied()
             .unwrap_or_default(),
-        ..least(channels)
+        ..smallest(channels)
     };
     let mut parts = parts(&tensors, FORWARD, settings, [1, 1, channels])?;
     let cells = BevView {

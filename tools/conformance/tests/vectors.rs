@@ -69,7 +69,7 @@ fn the_vectors_of_the_repository_pass() {
 #[test]
 fn every_file_of_the_repository_has_its_origin() {
     let origin = fs::read_to_string(own().join("ORIGIN")).unwrap();
-    let told: BTreeSet<&str> = origin
+    let reported: BTreeSet<&str> = origin
         .lines()
         .filter(|line| line.contains("; licence: "))
         .filter_map(|line| line.split_once(": source: ").map(|(file, _)| file))
@@ -78,7 +78,7 @@ fn every_file_of_the_repository_has_its_origin() {
     let manifest = manifest(&own());
     let files = manifest["files"].as_array().unwrap().iter();
     listed.extend(files.map(|entry| entry["file"].as_str().unwrap().to_string()));
-    assert_eq!(told, listed.iter().map(String::as_str).collect());
+    assert_eq!(reported, listed.iter().map(String::as_str).collect());
     let mut there = BTreeSet::from(["manifest.json".to_string()]);
     for folder in fs::read_dir(own())
         .unwrap()

@@ -22,7 +22,7 @@ use std::path::Path;
 
 use nalgebra::Isometry3;
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
-use realo_schemas::{Boxes, EgoState, Nanos, PoseStatus};
+use realo_schemas::{AgentState, Boxes, Nanos, PoseStatus};
 
 use self::faults::FaultsOfSweep;
 use self::index::Frame;
@@ -289,8 +289,8 @@ fn changed(faults: FaultsOfSweep) -> ImportError {
     faults.first().expect("what cannot be read has a fault")
 }
 
-fn state(map_from_body: Isometry3<f64>) -> EgoState {
-    EgoState {
+fn state(map_from_body: Isometry3<f64>) -> AgentState {
+    AgentState {
         map_from_body,
         covariance: None,
         velocity: None,

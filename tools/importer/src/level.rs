@@ -12,7 +12,7 @@ pub enum Level {
     /// By the recorded pose: z is that of the map; the height over ground is known from elsewhere.
     #[default]
     Pose,
-    /// By a plane through the ground around the sensor, which tells the height too.
+    /// By a plane through the ground around the sensor, which gives the height too.
     Ground,
     /// Not at all: the axes are the sensor's.
     None,
@@ -44,7 +44,7 @@ pub(crate) fn by_pose(map_from_sensor: &UnitQuaternion<f64>, height: f64) -> Iso
 /// Body from sensor by the ground: z = 0 is the plane, z points away from it, and x has the sensor's heading.
 pub(crate) fn by_ground(ground: &Plane) -> Isometry3<f64> {
     let up = ground.normal();
-    // The least rotation leaves the heading on the plane as it is to second order; what it turns is turned back.
+    // The smallest rotation leaves the heading on the plane as it is to second order; what it turns is turned back.
     let level = UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_default();
     let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_of(&level));
     let height = -ground.offset * up.z;

@@ -75,7 +75,7 @@ impl Default for Intensities {
 }
 
 impl Intensities {
-    /// The greatest finite one above 0 where they are not bytes.
+    /// The largest finite one above 0 where they are not bytes.
     pub fn brightest(&self) -> Option<f32> {
         let Intensities::Others { values, .. } = self else {
             return None;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, Translation3};
 use realo_logs::{Attitude, Attitudes, Entry, LEVEL, Levelled, Log, LogReader, LogWriter, Stream, level_state};
 use realo_schemas::geometry::{View, tilt_degrees, transform_boxes, transform_cloud};
-use realo_schemas::{Boxes, EgoState, Name, Nanos, PointCloud};
+use realo_schemas::{AgentState, Boxes, Name, Nanos, PointCloud};
 
 use crate::ImportError;
 use crate::level::{Level, Plane, by_ground};
@@ -81,14 +81,14 @@ pub fn relevel_with(
         .agents
         .iter()
         .map(|(agent, leveller)| {
-            let told = leveller.told(level);
+            let reported = leveller.reported(level);
             // What was level by an earlier making stays so in words too.
             let before = before.remove(&**agent).filter(|before| match level {
                 Level::None => true,
-                Level::Pose => before.by != Levelled::BY_NOTHING && told.degrees[1] <= LEVEL,
+                Level::Pose => before.by != Levelled::BY_NOTHING && reported.degrees[1] <= LEVEL,
                 Level::Ground => false,
             });
-            (agent.to_string(), before.unwrap_or(told))
+            (agent.to_string(), before.unwrap_or(reported))
         })
         .collect();
     copy.writer.levelled(levelled.clone());
@@ -114,7 +114,7 @@ fn reader(log: &Log) -> Result<LogReader, ImportError> {
 /// How an agent's frames are levelled.
 struct Leveller {
     by: By,
-    /// Least and greatest tilt of its sweeps, degrees.
+    /// Min and max tilt of its sweeps, degrees.
     degrees: Option<[f64; 2]>,
 }
 
@@ -164,8 +164,8 @@ impl Leveller {
     fn cloud(&mut self, stamp: Nanos, cloud: PointCloud) -> Result<PointCloud, String> {
         let whole = self.at(stamp, false)?;
         let tilt = tilt_degrees(&whole.rotation);
-        let [least, most] = self.degrees.unwrap_or([tilt; 2]);
-        self.degrees = Some([least.min(tilt), most.max(tilt)]);
+        let [min, most] = self.degrees.unwrap_or([tilt; 2]);
+        self.degrees = Some([min.min(tilt), most.max(tilt)]);
         Ok(match &self.by {
             By::Pose(attitudes) => attitudes.sweeps.cloud(stamp, cloud),
             By::Ground(_) => transform_cloud(&whole, &cloud),
@@ -174,7 +174,7 @@ impl Leveller {
     }
 
     /// The pose of the level frame.
-    fn state(&self, state: EgoState) -> EgoState {
+    fn state(&self, state: AgentState) -> AgentState {
         match &self.by {
             By::Nothing => state,
             By::Pose(_) => level_state(state),
@@ -187,7 +187,7 @@ impl Leveller {
         }
     }
 
-    fn told(&self, level: Level) -> Levelled {
+    fn reported(&self, level: Level) -> Levelled {
         Levelled {
             by: level.as_str().into(),
             degrees: self.degrees.unwrap_or_default(),

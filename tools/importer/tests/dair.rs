@@ -302,7 +302,7 @@ fn all_labels_of_a_side_are_in_the_view_of_its_camera_and_cooperative_ones_in_on
     }
 }
 
-/// Least-squares slope of the road near an agent, degrees along x and y, and its height at the agent.
+/// Smallest-squares slope of the road near an agent, degrees along x and y, and its height at the agent.
 fn road(cloud: &realo_schemas::PointCloud) -> [f64; 3] {
     let points = cloud.x.iter().zip(cloud.y.iter()).zip(cloud.z.iter());
     let points = points.map(|((x, y), z)| [x, y, z].map(|v| f64::from(*v)));
@@ -325,11 +325,11 @@ fn bodies_are_level_by_the_pose_or_by_the_ground() {
             return;
         };
         let levelled = log.levelled().unwrap();
-        for (agent, [least, most]) in [(VEHICLE, vehicle), (ROADSIDE, roadside)] {
+        for (agent, [min, most]) in [(VEHICLE, vehicle), (ROADSIDE, roadside)] {
             let found = &levelled[agent];
             assert_eq!(found.by, level.as_str());
             assert!(
-                found.degrees[0] >= least && found.degrees[1] <= most,
+                found.degrees[0] >= min && found.degrees[1] <= most,
                 "{level}: {found:?}"
             );
             for sweep in sweeps(&log, agent) {
@@ -393,7 +393,7 @@ fn levelling_turns_no_heading_and_moves_no_label_on_the_road() {
             }
         }
     }
-    // The body's origin lies below the sensor by gravity, not along its axis, which tells nothing of where labels are.
+    // The body's origin lies below the sensor by gravity, not along its axis, which reports nothing of where labels are.
     assert!(most < 1e-9, "{most} m");
 }
 

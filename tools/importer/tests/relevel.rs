@@ -9,7 +9,7 @@ use realo_logs::{AgentInfo, AgentKind, Lane, Log, LogInfo, LogWriter, McapFile, 
 use realo_operator::Source;
 use realo_player::{Config, Player, PoseSource};
 use realo_schemas::geometry::{View, transform_box, yaw_of};
-use realo_schemas::{Box3, Boxes, EgoState, Message, Nanos, Payload, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Box3, Boxes, Message, Nanos, Payload, PointCloud, PoseStatus};
 
 const START: Nanos = 1_700_000_000_000_000_000;
 const MS: Nanos = 1_000_000;
@@ -25,8 +25,8 @@ fn tilt(t: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_euler_angles(0.017, 0.035 * (3.0 * t).sin(), 0.0)
 }
 
-fn state(pose: Isometry3<f64>) -> EgoState {
-    EgoState {
+fn state(pose: Isometry3<f64>) -> AgentState {
+    AgentState {
         map_from_body: pose,
         covariance: None,
         velocity: None,
@@ -139,7 +139,7 @@ fn make_with(path: &Path, attitude: bool, error: Option<f64>) {
     log.finish().unwrap();
 }
 
-/// The greatest distance of points, objects and poses from where they are in a level frame, m and rad.
+/// The largest distance of points, objects and poses from where they are in a level frame, m and rad.
 fn worst(path: &Path) -> [f64; 3] {
     let log = Log::open(path).unwrap();
     let streams = Stream::ALL.into_iter().filter(|stream| log.has("car", *stream));
@@ -210,11 +210,8 @@ fn the_recorded_pose_levels_each_point_at_its_own_time() {
         points < 1e-3 && boxes < 1e-3 && poses < 1e-9,
         "{points} m, {boxes}, {poses}"
     );
-    let [least, most] = levelled["car"].degrees;
-    assert!(
-        (0.9..1.1).contains(&least) && (2.0..2.3).contains(&most),
-        "{levelled:?}"
-    );
+    let [min, most] = levelled["car"].degrees;
+    assert!((0.9..1.1).contains(&min) && (2.0..2.3).contains(&most), "{levelled:?}");
     let shown = describe(&level).unwrap().to_string();
     assert!(shown.contains("LiDAR; levelled by pose, by 0.97° to"), "{shown}");
     let shown = describe(&raw).unwrap().to_string();
@@ -338,7 +335,7 @@ fn the_pose_that_is_played_levels_what_is_played_with_it() {
                         assert!((found - Point3::from(point)).norm() < 1e-3, "{found} for {point:?}");
                     }
                 }
-                Payload::EgoState(found) => {
+                Payload::AgentState(found) => {
                     assert!((found.map_from_body.inverse() * level_pose(t)).rotation.angle() < 1e-9);
                 }
                 Payload::Boxes(boxes) => assert!(is_object(&boxes.0[0])),

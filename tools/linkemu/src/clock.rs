@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 /// Moves the wall clock that a program reads (`wall_clock.rs`); empty where it could not be built.
 const LIBRARY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/wall_clock.so"));
 const LIBRARY_FILE: &str = "wall_clock.so";
-/// Names the file that tells by how much.
+/// Names the file that reports by how much.
 const VARIABLE: &str = "LINKEMU_WALL_CLOCK";
 /// Name the libraries that programs load before their own: of a program, and of a system.
 const PRELOAD: &str = "LD_PRELOAD";

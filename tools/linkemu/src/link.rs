@@ -53,9 +53,9 @@ const LOST: usize = 2;
 const OVERFLOWN: usize = 3;
 const DUPLICATED: usize = 4;
 
-/// Least rate above 0, Mbit/s.
+/// Smallest rate above 0, Mbit/s.
 const LEAST: f64 = 1e-3;
-/// Greatest rate, Mbit/s, and time, ms.
+/// Largest rate, Mbit/s, and time, ms.
 const MOST: f64 = 1e6;
 /// Shares are of so many.
 const ALL: u64 = 1_000_000;

@@ -167,7 +167,7 @@ impl Machines {
     /// Kills all that runs on a machine, as a power cut would.
     ///
     /// # Errors
-    /// Where the machine's processes cannot be told.
+    /// Where the machine's processes is unknown.
     pub fn kill(&self, machine: usize) -> Result<(), Error> {
         for process in self.processes(machine)? {
             // One that has ended meanwhile is as dead.
@@ -269,7 +269,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_cannot_be_are_told() {
+    fn names_that_cannot_be_are_reported() {
         for (names, expected) in [
             (
                 ["a/b", "car"],
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn what_ip_refuses_is_told_as_it_says_it() {
+    fn what_ip_refuses_is_reported_as_it_says_it() {
         let error = ip(&["netns", "exec"]).unwrap_err().to_string();
         assert!(
             error.starts_with("`ip netns exec`: ") && !error.contains("root"),

@@ -20,7 +20,7 @@ const PARTS: usize = 4096;
 const TAKEN: libc::c_int = 32 << 10;
 /// Of Ethernet: loopback's own segments are as long as what the relay takes.
 const SEGMENT: libc::c_int = 1448;
-/// How often a state that nobody tells of is looked at.
+/// How often a state that nobody reports of is looked at.
 const LOOK: Duration = Duration::from_millis(1);
 
 /// Carries TCP connections with a link's rate, delay, jitter and queue; a cut holds what is on its way. It goes when this is

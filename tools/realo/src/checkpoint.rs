@@ -35,7 +35,7 @@ struct Convert {
     /// The weights to write; the model file gets the same name with .toml
     #[arg(short = 'o', long = "output")]
     output: PathBuf,
-    /// V2X-Real's network at full size; its compressor is told by the checkpoint
+    /// V2X-Real's network at full size; its compressor is recognised by the checkpoint
     #[arg(long, value_enum, required_unless_present = "model")]
     arch: Option<Arch>,
     /// Model file of a network of another size

@@ -51,7 +51,7 @@ enum Command {
     Host(host::ModuleArgs),
 }
 
-/// Lets options that take numbers take negative ones, so that whoever checks their range tells it.
+/// Lets options that take numbers take negative ones, so that whoever checks their range reports it.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     let numbers = [
         TypeId::of::<f64>(),
@@ -120,7 +120,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
             }
             std::process::exit(Outcome::Failed.exit_code().into());
         }
-        // What a plug-in sends may panic where it is read; that is caught, and told as an error of the plug-in.
+        // What a plug-in sends may panic where it is read; that is caught, and reported as an error of the plug-in.
         if !realo_operator::pipe::is_reading() {
             usual(panic);
         }

@@ -16,7 +16,7 @@ use crate::command::called;
 /// TCP with the rate, delay, queue and cuts of the link, and loses nothing, nor carries it twice. It says which.
 ///
 /// Lines of its standard input change the link: `rate 6`, `delay 30`, `jitter 5`, `queue 200`, `loss 0.01`, `duplicate 0.1`,
-/// `half_duplex 1`, `cut 1`, `cut 0`; `stat` tells what was carried.
+/// `half_duplex 1`, `cut 1`, `cut 0`; `stat` reports what was carried.
 #[derive(clap::Args)]
 pub struct Args {
     /// Mbit/s each way, 0: no limit
@@ -112,7 +112,7 @@ fn place(args: &Args, names: [&str; 2], link: &Arc<Link>) -> Result<Place> {
     if !args.loopback {
         match Machines::join(names[0], names[1], link.clone()) {
             Ok(machines) => {
-                tell_of_namespaces(names)?;
+                report_namespaces(names)?;
                 return Ok(Place::Namespaces(machines));
             }
             Err(error @ linkemu::Error::Nowhere { .. }) => eprintln!("realo: {error}"),
@@ -153,7 +153,7 @@ pub(crate) fn relayed(port: u16) -> [[SocketAddr; 2]; 2] {
         .map(|host| [port, port.saturating_add(1)].map(|port| SocketAddr::from((host, port))))
 }
 
-fn tell_of_namespaces([first, second]: [&str; 2]) -> Result<()> {
+fn report_namespaces([first, second]: [&str; 2]) -> Result<()> {
     let enter = match Ground::find()? {
         Ground::System => {
             println!("two network namespaces");

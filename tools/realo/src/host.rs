@@ -97,7 +97,7 @@ fn filled_in(args: &[String]) -> Vec<String> {
 fn report(stages: &[FlatNode], folder: &Path) -> Result<Outcome> {
     for stage in stages {
         let value = |decided| argument(stage, decided_argument(stage, decided)?);
-        let (Some(out), Some("")) = (value(Decided::Out), value(Decided::Told).as_deref()) else {
+        let (Some(out), Some("")) = (value(Decided::Out), value(Decided::RunSettings).as_deref()) else {
             continue;
         };
         let out = normalized(&folder.join(out));

@@ -56,7 +56,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
 /// The faults of a log that a run of it would report, for the first ego for which there are any.
 fn faults_of_runs(path: &Path) -> Result<Vec<String>> {
     let log = Log::open(path)?;
-    // What is wrong with its protocol is told with the classes.
+    // What is wrong with its protocol is reported with the classes.
     let Ok(protocol) = Protocol::load(&log.info().protocol) else {
         return Ok(Vec::new());
     };

@@ -37,7 +37,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const MEETING: Duration = Duration::from_secs(20);
 /// First messages of a kind, which find out what the way carries and do not count.
 const FIRST: usize = 3;
-/// Greatest message.
+/// Largest message.
 const LARGEST: usize = 64 << 20;
 /// What the paper found over its Wi-Fi, as half of a round trip: kind, KB, ms.
 const PAPER: [(Kind, f64, f64); 3] = [
@@ -467,7 +467,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_is_not_met_is_told_what_is_in_the_way() {
+    fn who_is_not_met_is_reported_what_is_in_the_way() {
         let refused = |all: &[(Refusal, u64)]| all.iter().copied().collect::<Refusals>();
         for (all, signs, expected) in [
             (

@@ -14,7 +14,7 @@ pub struct Args {
     /// As JSON
     #[arg(long)]
     json: bool,
-    /// What they count, as a table of docs/results.md
+    /// What they count, as a table of docs/reference/results.md
     #[arg(long, conflicts_with = "json")]
     counters: bool,
 }
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn the_page_has_every_counter() {
         let entries: Vec<&Registration> = registry().0.iter().collect();
-        let page = include_str!("../../../docs/results.md");
+        let page = include_str!("../../../docs/reference/results.md");
         let missing: Vec<String> = counters(&entries)
             .lines()
             .filter(|row| !page.lines().any(|line| line == *row))
@@ -189,7 +189,7 @@ mod tests {
             .collect();
         assert!(
             page.contains(&counters(&entries)),
-            "the table of docs/results.md is not what `realo operators --counters` prints: {missing:#?}"
+            "the table of docs/reference/results.md is not what `realo operators --counters` prints: {missing:#?}"
         );
     }
 

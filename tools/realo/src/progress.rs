@@ -68,10 +68,10 @@ impl Progress {
     fn lines(state: State, every: Duration, say: impl Fn(String) + Send + 'static) -> Self {
         let state = Arc::new(Mutex::new(state));
         let (end, ended) = channel::<()>();
-        let told = state.clone();
+        let reported = state.clone();
         let thread = std::thread::spawn(move || {
             while ended.recv_timeout(every) == Err(RecvTimeoutError::Timeout) {
-                let line = open(&told).line();
+                let line = open(&reported).line();
                 say(line);
             }
         });

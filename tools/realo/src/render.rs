@@ -94,7 +94,7 @@ fn in_words(scene: &Scene) -> String {
         return format!("{frame}: {} detected", judged.detected.len());
     }
     let (hits, wrong, missed) = (judged.hits(), judged.wrong(), judged.missed());
-    let gain = match judged.tells_gain() {
+    let gain = match judged.knows_gain() {
         true => format!("; {} only by cooperation", judged.added()),
         false => String::new(),
     };

@@ -1,4 +1,4 @@
-//! `realo simulate --statistics`: what clouds are like, real or simulated, in the figures of `docs/world.md`.
+//! `realo simulate --statistics`: what clouds are like, real or simulated, in the figures of `docs/reference/world.md`.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

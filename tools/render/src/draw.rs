@@ -9,7 +9,7 @@ use crate::style::{self, Style};
 use crate::thin::{STEPS, thin};
 use crate::view::{Rect, TOP, View, WIDTH, line, polygon};
 
-/// Least distance of dots, m.
+/// Smallest distance of dots, m.
 const DOT_CELL_M: f64 = 0.2;
 /// Diameter of dots, px.
 const DOT_PX: f64 = 1.5;
@@ -65,7 +65,7 @@ fn grid(drawing: &mut Drawing, view: &View) {
     }
 }
 
-/// All agents' points, those on the ground first and faint; gives the least distance of dots, m.
+/// All agents' points, those on the ground first and faint; gives the smallest distance of dots, m.
 fn points(drawing: &mut Drawing, view: &View, scene: &Scene) -> f64 {
     let clouds: Vec<&[[f32; 3]]> = scene.agents.iter().map(|agent| &agent.points[..]).collect();
     let (cell, thinned) = thin(&clouds, &view.shown, DOT_CELL_M);
@@ -90,7 +90,7 @@ fn points(drawing: &mut Drawing, view: &View, scene: &Scene) -> f64 {
 fn boxes(drawing: &mut Drawing, view: &View, scene: &Scene) {
     for object in &scene.judged.there {
         let (class, style) = look_of_object(object);
-        drawing.told(
+        drawing.reported(
             class,
             Some(object.class.clone()),
             box_path(view, &object.outline),
@@ -111,7 +111,7 @@ fn boxes(drawing: &mut Drawing, view: &View, scene: &Scene) {
             _ => headed_path(view, &detection.outline),
         };
         let (class, style) = look.style();
-        drawing.told(class, Some(text_of(detection)), path, style);
+        drawing.reported(class, Some(text_of(detection)), path, style);
     }
 }
 
@@ -126,7 +126,7 @@ fn text_of(detection: &Detected) -> String {
     format!("{} {:.2}", detection.class, detection.score)
 }
 
-/// What a detection is, least important first.
+/// What a detection is, smallest important first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Look {
     Detected,
@@ -168,7 +168,7 @@ fn agents(drawing: &mut Drawing, view: &View, scene: &Scene) {
     for (index, agent) in scene.agents.iter().enumerate().rev() {
         let mark = agent_mark(view, agent);
         let style = style::agent_body(style::agent(index));
-        drawing.told("agent", Some(agent.name.clone()), mark.path, style);
+        drawing.reported("agent", Some(agent.name.clone()), mark.path, style);
     }
 }
 

@@ -28,7 +28,7 @@ pub enum Item {
 pub struct Mark {
     /// What it stands for.
     pub class: &'static str,
-    /// What a reader is told of it, if anything.
+    /// What a reader is reported of it, if anything.
     pub title: Option<String>,
     /// Path data as in SVG, px.
     pub path: String,
@@ -56,11 +56,11 @@ pub struct Dots {
 impl Drawing {
     /// Adds a shape.
     pub fn mark(&mut self, class: &'static str, path: String, style: Style) {
-        self.told(class, None, path, style);
+        self.reported(class, None, path, style);
     }
 
-    /// Adds a shape that tells something.
-    pub fn told(&mut self, class: &'static str, title: Option<String>, path: String, style: Style) {
+    /// Adds a shape that reports something.
+    pub fn reported(&mut self, class: &'static str, title: Option<String>, path: String, style: Style) {
         self.items.push(Item::Mark(Mark {
             class,
             title,

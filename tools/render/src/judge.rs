@@ -105,12 +105,12 @@ impl Judged {
         self.there.iter().filter(|object| !object.found).count()
     }
 
-    /// Whether it can be told what only cooperation found: others were heard, and points are counted.
-    pub fn tells_gain(&self) -> bool {
+    /// Whether it is known what only cooperation found: others were heard, and points are counted.
+    pub fn knows_gain(&self) -> bool {
         self.cooperated && self.knows_points()
     }
 
-    /// Whether the log tells the ego's points on every object.
+    /// Whether the log reports the ego's points on every object.
     pub fn knows_points(&self) -> bool {
         self.there.iter().all(|object| object.hidden.is_some())
     }

@@ -136,7 +136,7 @@ fn kinds_of_boxes(scene: &Scene) -> Vec<(&'static str, Style, String)> {
     }
     let (hits, added) = (judged.hits(), judged.added());
     let mut kinds = Vec::new();
-    if judged.tells_gain() {
+    if judged.knows_gain() {
         let few = scene.seen_points;
         let text = format!("{added} found only by cooperation (the ego has fewer than {few} points on it)");
         kinds.push(("sample-added", style::ADDED, text));

@@ -44,7 +44,7 @@ pub struct Chosen {
     pub agents: Vec<String>,
     /// What counts.
     pub protocol: Protocol,
-    /// Least IoU at which a detection is true here: the least of the protocol.
+    /// Smallest IoU at which a detection is true here: the smallest of the protocol.
     pub iou: f64,
     /// Number of the ego's sweep.
     pub seq: u64,

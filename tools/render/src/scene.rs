@@ -15,7 +15,7 @@ pub struct Scene {
     pub log: String,
     /// How the graph was run, in words.
     pub how: String,
-    /// Name of the protocol and the least IoU of a true detection.
+    /// Name of the protocol and the smallest IoU of a true detection.
     pub rule: String,
     /// Number of the ego's sweep.
     pub seq: u64,
@@ -29,7 +29,7 @@ pub struct Scene {
     pub processed: bool,
     /// Whether the log says what is there.
     pub has_truth: bool,
-    /// Least points of the ego alone on an object that it counts as having seen.
+    /// Smallest points of the ego alone on an object that it counts as having seen.
     pub seen_points: u64,
     /// Where objects count.
     pub region: Region,

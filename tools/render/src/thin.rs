@@ -22,9 +22,9 @@ pub struct Dots {
 }
 
 /// Thins each agent's points on a grid of cells with this side at least, m, over a part of the ground plane; gives the
-/// side that was taken. Rows run along y, and both count from the region's least x and y; cells are in order.
-pub fn thin(clouds: &[&[[f32; 3]]], region: &Region, least_cell_m: f64) -> (f64, Vec<Dots>) {
-    let mut cell = least_cell_m;
+/// side that was taken. Rows run along y, and both count from the region's smallest x and y; cells are in order.
+pub fn thin(clouds: &[&[[f32; 3]]], region: &Region, min_cell_m: f64) -> (f64, Vec<Dots>) {
+    let mut cell = min_cell_m;
     loop {
         let dots: Vec<Dots> = clouds.iter().map(|cloud| thin_one(cloud, region, cell)).collect();
         let total: usize = dots.iter().map(|dots| dots.ground.len() + dots.raised.len()).sum();

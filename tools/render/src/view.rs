@@ -7,7 +7,7 @@ pub const WIDTH: f64 = 1600.0;
 pub const MARGIN: f64 = 28.0;
 /// Height of the title above the view, px.
 pub const TOP: f64 = 84.0;
-/// Greatest height of the view, px.
+/// Largest height of the view, px.
 const MOST_HEIGHT: f64 = 1200.0;
 /// What is shown beyond the region's edges, m.
 const BEYOND_M: f64 = 4.0;
@@ -82,7 +82,7 @@ pub struct Rect {
 }
 
 impl Rect {
-    /// The least rectangle with all the points.
+    /// The smallest rectangle with all the points.
     pub fn around(points: &[Px]) -> Self {
         let fold = |axis: usize, fold: fn(f64, f64) -> f64, start| points.iter().map(|p| p[axis]).fold(start, fold);
         Rect {

@@ -10,7 +10,7 @@ use crate::settings::{self, Setting};
 /// Offline nothing is late, and computing takes no time.
 pub const OFFLINE: &str = "offline";
 /// The kind of what agents say of where they are.
-pub const STATE: &str = "ego_state";
+pub const STATE: &str = "agent_state";
 
 /// A value of a run.
 #[derive(Clone, Debug, PartialEq)]

@@ -230,7 +230,7 @@ fn field_that_differs(one: &Protocol, other: &Protocol) -> String {
         .map_or("something".into(), |(name, _)| format!("`{name}`"))
 }
 
-/// The first scene that two runs of one protocol have, and of which they were told different things.
+/// The first scene that two runs of one protocol have, and of which they were reported different things.
 fn of_truth(runs: &[(&str, &Run)]) -> Option<String> {
     for (index, (name, run)) in runs.iter().enumerate() {
         let Some(evaluation) = evaluation(run) else {
@@ -247,18 +247,18 @@ fn of_truth(runs: &[(&str, &Run)]) -> Option<String> {
                 continue;
             };
             let (log, ego) = (&scene.name, &scene.ego);
-            let told = by_value(&[(earlier, told(known)), (*name, told(scene))]);
-            let told = match told.split_once("; ") {
-                Some(_) => told,
-                None => format!("as many, but not the same objects: {told}"),
+            let reported = by_value(&[(earlier, reported(known)), (*name, reported(scene))]);
+            let reported = match reported.split_once("; ") {
+                Some(_) => reported,
+                None => format!("as many, but not the same objects: {reported}"),
             };
-            return Some(format!("truth differs, first in log `{log}`, ego {ego}: {told}"));
+            return Some(format!("truth differs, first in log `{log}`, ego {ego}: {reported}"));
         }
     }
     None
 }
 
-fn told(scene: &Scene) -> String {
+fn reported(scene: &Scene) -> String {
     let keys = keys(scene);
     let objects: usize = keys.iter().map(|frame| frame.truths.len()).sum();
     format!("{objects} objects in {} scored frames", keys.len())

@@ -89,7 +89,7 @@ fn of_one_log(runs: &[(&str, &Run)]) -> String {
         .iter()
         .filter(|(_, run)| scored(run) && run.result.intervals.is_none());
     let frames: Vec<u64> = lacking.map(|(_, run)| run.result.frames.key).collect();
-    let Some(least) = frames.iter().min() else {
+    let Some(min) = frames.iter().min() else {
         return String::new();
     };
     let whose = match frames.len() == runs.len() {
@@ -99,7 +99,7 @@ fn of_one_log(runs: &[(&str, &Run)]) -> String {
     format!(
         "note: one log{whose}, {} scored frames: there is no 95 % interval, and a small difference may be chance; play more \
          logs (--log A.mcap --log B.mcap).",
-        count(*least)
+        count(*min)
     )
 }
 

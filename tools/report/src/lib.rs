@@ -3,7 +3,7 @@
 //! - [`pool`]: several logs and egos as one run; scores come from the frames of all, not from means of scores.
 //! - [`shown`]: runs as text for a terminal, Markdown, CSV, LaTeX or JSON.
 //! - [`differences`]: why runs should not be compared number by number.
-//! - [`read_run`], [`write_run`]: folders of runs, see `docs/results.md`.
+//! - [`read_run`], [`write_run`]: folders of runs, see `docs/reference/results.md`.
 
 mod cells;
 mod columns;

@@ -88,12 +88,12 @@ struct Block<'a> {
 /// As few tables as fit: names are broken first.
 fn blocks<'a>(columns: &'a [Column], names: &[String], width: usize) -> Vec<Block<'a>> {
     let longest = names.iter().map(|name| width_of(name)).max().unwrap_or(0);
-    let least = longest.min(LEAST_NAME);
+    let min = longest.min(LEAST_NAME);
     let mut blocks: Vec<Block> = Vec::new();
     let mut used = 0;
     for group in groups(columns) {
         let more = GAP + group.width();
-        match blocks.last_mut().filter(|_| least + used + more <= width) {
+        match blocks.last_mut().filter(|_| min + used + more <= width) {
             Some(block) => {
                 block.groups.push(group);
                 used += more;
@@ -107,7 +107,7 @@ fn blocks<'a>(columns: &'a [Column], names: &[String], width: usize) -> Vec<Bloc
     }
     for block in &mut blocks {
         let used: usize = block.groups.iter().map(|group| GAP + group.width()).sum();
-        block.names = longest.min(width.saturating_sub(used)).max(least);
+        block.names = longest.min(width.saturating_sub(used)).max(min);
     }
     blocks
 }

@@ -426,12 +426,15 @@ fn distances(rows: &mut Rows) {
     }
 }
 
+/// Kinds of messages over links, in alphabetical order but for the states of agents, which come last.
 fn kinds(runs: &[&Run]) -> Vec<String> {
-    names(
+    let mut kinds = names(
         runs.iter()
             .flat_map(|run| run.result.links.values())
             .flat_map(|kinds| kinds.keys()),
-    )
+    );
+    kinds.sort_by_key(|kind| kind == STATE);
+    kinds
 }
 
 /// What all channels of a kind carried together; `None` without any.

@@ -71,7 +71,7 @@ fn run(log: &str, ego: &str, luck: u64) -> Run {
         bytes: 6000,
         ..LinkBooks::default()
     };
-    let kinds = [("boxes".to_string(), books), ("ego_state".to_string(), state)];
+    let kinds = [("boxes".to_string(), books), ("agent_state".to_string(), state)];
     run.result.links.insert(format!("rsu1-{ego}"), kinds.into());
     let node = NodeSummary {
         operator: "nms".into(),
@@ -247,7 +247,7 @@ fn the_table_says_what_was_measured() {
     assert_eq!(cells(&text, "sweeps of the ego"), ["6", "6"]);
     assert_eq!(cells(&text, "used"), ["–", "6"]);
     assert_eq!(cells(&text, "stale"), ["–", "2"]);
-    assert_eq!(cells(&text, "ego_state"), ["–", "10.00 / 1.00"]);
+    assert_eq!(cells(&text, "agent_state"), ["–", "10.00 / 1.00"]);
     assert!(!text.contains("over limit") && !text.contains("unaccounted"), "{text}");
     assert_eq!(cells(&text, "end to end")[1].split(" / ").count(), 3);
     assert!(text.contains("note (no_fusion, late_fusion): "), "{text}");
@@ -309,7 +309,7 @@ fn sweep() -> Vec<(String, Run)> {
 }
 
 #[test]
-fn logs_of_one_name_programs_and_rates_that_differ_are_told() {
+fn logs_of_one_name_programs_and_rates_that_differ_are_reported() {
     let [mut one, mut other] = [run("a", "cav1", 1), run("a", "cav1", 1)];
     let differ = |one: &Run, other: &Run| differences(&[("one", one), ("other", other)]);
     assert_eq!(differ(&one, &other), [""; 0]);
@@ -636,7 +636,7 @@ fn agents_that_took_part_in_some_runs_only_are_named_with_these_runs() {
 }
 
 #[test]
-fn long_lists_are_cut_short_and_lacks_are_told() {
+fn long_lists_are_cut_short_and_lacks_are_reported() {
     let (mut one, mut other) = (run("a", "cav1", 1), run("a", "cav1", 2));
     one.result.logs = (0..9).map(|i| format!("log{i}")).collect();
     other.result.logs = names(["log8"]);
@@ -697,7 +697,7 @@ fn truth_is_compared_object_by_object() {
         let found = changed(change);
         assert!(found.ends_with(moved), "{found}");
     }
-    // Scenes that only one of them has are told as logs.
+    // Scenes that only one of them has are reported as logs.
     assert_eq!(changed(|evaluation| evaluation.scenes[0].name = "b".into()), "");
     // Of two protocols the objects are never the same.
     let other = changed(|evaluation| {
@@ -847,10 +847,10 @@ fn what_was_not_sent_is_no_part_of_what_was() {
         .links
         .get_mut("rsu1-cav1")
         .unwrap()
-        .insert("ego_state".into(), state);
+        .insert("agent_state".into(), state);
     let text = table(&[("one", &one)], true, 100);
     let at = |label: &str| text.find(label).unwrap_or_else(|| panic!("no `{label}` in {text}"));
-    let section = at("messages over links: ego_state");
+    let section = at("messages over links: agent_state");
     let rows: Vec<&str> = text[section..].lines().skip(1).take(4).collect();
     let labels = [
         "  not sent: out of range",

@@ -248,14 +248,14 @@ impl Agent {
 
 impl BodyState {
     /// The state as a message says it, exact.
-    pub fn to_ego_state(self, place: &Scenery, map_offset: [f64; 2]) -> EgoState {
+    pub fn to_agent_state(self, place: &Scenery, map_offset: [f64; 2]) -> AgentState {
         let (sin, cos) = libm::sincos(place.heading);
         let turn = |x: f64, y: f64| (x * cos - y * sin, x * sin + y * cos);
         let (x, y) = turn(self.position[0], self.position[1]);
         let (vx, vy) = turn(self.velocity[0], self.velocity[1]);
         let rotation = rotation(0.0, 0.0, self.heading + place.heading);
         let translation = Translation3::new(x + map_offset[0], y + map_offset[1], self.position[2]);
-        EgoState {
+        AgentState {
             map_from_body: Isometry3::from_parts(translation, rotation),
             covariance: None,
             velocity: Some(Vector3::new(vx, vy, self.velocity[2])),

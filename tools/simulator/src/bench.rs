@@ -45,17 +45,17 @@ pub struct SensorBench {
     /// Finished points of a round.
     pub points: usize,
     /// Processor time of the quickest round, s; wall time where the system does not tell.
-    pub least_seconds: f64,
+    pub min_seconds: f64,
     /// The same of the median round.
     pub median_seconds: f64,
 }
 
 /// Finished points per second of one core over some sensors: in each one's quickest round, and in its median one.
 pub fn points_per_second<'a>(sensors: impl IntoIterator<Item = &'a SensorBench>) -> [f64; 2] {
-    let sums = sensors.into_iter().fold([0.0; 3], |[points, least, median], sensor| {
+    let sums = sensors.into_iter().fold([0.0; 3], |[points, min, median], sensor| {
         [
             points + sensor.points as f64,
-            least + sensor.least_seconds,
+            min + sensor.min_seconds,
             median + sensor.median_seconds,
         ]
     });
@@ -115,7 +115,7 @@ fn measure(places: &[(Scenario, bool)], seconds: f64, mut progress: impl FnMut(f
                 agent: agent.name.to_string(),
                 model: agent.sensor.clone(),
                 points,
-                least_seconds: times[0],
+                min_seconds: times[0],
                 median_seconds: times[times.len() / 2],
             }
         };
@@ -137,8 +137,8 @@ fn measure(places: &[(Scenario, bool)], seconds: f64, mut progress: impl FnMut(f
 fn cpu_time(began: Instant) -> f64 {
     // The system adds up a thread's time when it leaves the processor, else only at each tick.
     std::thread::sleep(Duration::from_micros(1));
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let nanos = told.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
+    let reported = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
+    let nanos = reported.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
     nanos.map_or_else(|| began.elapsed().as_secs_f64(), |nanos| nanos * 1e-9)
 }
 
@@ -157,13 +157,13 @@ mod tests {
             let agents: Vec<&str> = place.sensors.iter().map(|sensor| &*sensor.agent).collect();
             assert_eq!(agents, ["cav1", "cav2", "rsu1", "rsu2"]);
             assert!(place.sensors.iter().all(|sensor| sensor.points > 40_000));
-            assert!(place.sensors.iter().all(|sensor| sensor.least_seconds > 0.0));
+            assert!(place.sensors.iter().all(|sensor| sensor.min_seconds > 0.0));
         }
-        let sensor = |points, least_seconds, median_seconds| SensorBench {
+        let sensor = |points, min_seconds, median_seconds| SensorBench {
             agent: "a".into(),
             model: "m".into(),
             points,
-            least_seconds,
+            min_seconds,
             median_seconds,
         };
         let two = [sensor(300, 1.0, 2.0), sensor(100, 1.0, 3.0)];

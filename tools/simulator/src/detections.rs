@@ -1,7 +1,7 @@
 //! What a detector might have made of a sweep: the simulated "recorded detections".
 //!
 //! The noise model. An object with n own points at range R (m) is found with probability `1 − exp(−n/8)`, if n is at
-//! least `detection_min_points`. Its box errs by
+//! smallest `detection_min_points`. Its box errs by
 //!
 //! | what | standard deviation |
 //! |---|---|

@@ -37,7 +37,7 @@
 //! release checks. All draws come from named streams of one seed and per-ray hashes: the same options give the same
 //! bits on any number of threads.
 
-/// Rises with every change of what a seed gives, so that what was made of it earlier can be told apart.
+/// Rises with every change of what a seed gives, so that what was made of it earlier is known apart.
 pub const WORLD: u32 = 8;
 
 mod agents;

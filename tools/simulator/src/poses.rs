@@ -1,7 +1,7 @@
 //! What agents believe of their own poses: the truth and the errors of a GNSS/INS.
 
 use nalgebra::{Isometry3, Translation3, Vector3};
-use realo_schemas::{EgoState, Nanos, PoseStatus};
+use realo_schemas::{AgentState, Nanos, PoseStatus};
 
 use crate::agents::{Agent, AgentKind, rotation, since_epoch};
 use crate::cast::World;
@@ -14,9 +14,9 @@ pub struct PoseSample {
     /// When.
     pub stamp: Nanos,
     /// Where the agent is.
-    pub truth: EgoState,
+    pub truth: AgentState,
     /// Where it believes to be; with covariance.
-    pub believed: EgoState,
+    pub believed: AgentState,
 }
 
 /// 100 poses a second, from a period before the first sweep until a period after the last, one at the start, the
@@ -30,7 +30,7 @@ pub(crate) fn poses(world: &World, agent: &Agent, options: &Options) -> Vec<Pose
         .map(|k| {
             let stamp = first + k * POSE_PERIOD;
             let body = agent.body(world.place, world.traffic, since_epoch(stamp));
-            let truth = body.to_ego_state(world.place, options.map_offset_m);
+            let truth = body.to_agent_state(world.place, options.map_offset_m);
             let believed = errors.next(&truth, body.heading + world.place.heading);
             PoseSample { stamp, truth, believed }
         })
@@ -79,7 +79,7 @@ impl Errors {
     }
 
     /// The next belief; `heading`: the body's true heading in `map`.
-    fn next(&mut self, truth: &EgoState, heading: f64) -> EgoState {
+    fn next(&mut self, truth: &AgentState, heading: f64) -> AgentState {
         let mut error = [0.0; 6];
         for (k, error) in error.iter_mut().enumerate() {
             let step = self.deviation[k] * (1.0 - self.keep[k] * self.keep[k]).sqrt();
@@ -95,7 +95,7 @@ impl Errors {
         }
         let mut scatter = |deviation: f64| Vector3::from_fn(|_, _| deviation * self.draws.normal());
         let (velocity, rate) = (scatter(self.velocity), scatter(self.rate));
-        EgoState {
+        AgentState {
             map_from_body: Isometry3::from_parts(translation, rotation),
             covariance: Some(covariance),
             velocity: truth.velocity.map(|v| v + velocity),

@@ -333,8 +333,8 @@ fn poses_fall_on_starts_middles_and_ends() {
         assert!(poses[poses.len() - 1].stamp > sweeps[sweeps.len() - 1].ready);
         for pair in poses.windows(2) {
             let [a, b] = [&pair[0].truth, &pair[1].truth];
-            let foretold = a.extrapolated(POSE_PERIOD);
-            let off = (foretold.translation.vector - b.map_from_body.translation.vector).norm();
+            let predicted = a.extrapolated(POSE_PERIOD);
+            let off = (predicted.translation.vector - b.map_from_body.translation.vector).norm();
             assert!(off < 0.002, "{agent}: {off} m off after 10 ms");
         }
     }

@@ -66,8 +66,9 @@ impl TrainingPlan {
     pub fn differences(&self, asked: &TrainingPlan) -> Vec<String> {
         let mut asked = asked.clone();
         asked.optimizer.rate = self.optimizer.rate;
-        let told = differences(self, &asked).into_iter();
-        told.map(|(name, was, asked)| format!("{name}: was {was}, now {asked} is asked for"))
+        let reported = differences(self, &asked).into_iter();
+        reported
+            .map(|(name, was, asked)| format!("{name}: was {was}, now {asked} is asked for"))
             .collect()
     }
 }
@@ -170,10 +171,10 @@ impl Checkpoint {
         let about = about.metadata().clone().unwrap_or_default();
         let field = |key: &str| about.get(key).ok_or(format!("expected metadata `{key}`, found none"));
         let plan: TrainingPlan = serde_json::from_str(field("plan")?).map_err(|error| format!("`plan`: {error}"))?;
-        let told = field("steps")?;
-        let steps = told.parse().ok().filter(|steps| *steps <= plan.steps);
+        let reported = field("steps")?;
+        let steps = reported.parse().ok().filter(|steps| *steps <= plan.steps);
         let steps =
-            steps.ok_or_else(|| format!("`steps`: expected 0 to {} of the plan, found `{told}`", plan.steps))?;
+            steps.ok_or_else(|| format!("`steps`: expected 0 to {} of the plan, found `{reported}`", plan.steps))?;
         let file = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
         let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
             let view = file

@@ -89,12 +89,12 @@ impl Curve {
             .iter()
             .flat_map(|p| [p.loss(), p.class, p.regression])
             .filter(|v| *v > 0.0);
-        let (least, most) = losses.fold((f64::INFINITY, 0.0_f64), |(least, most), v| (least.min(v), most.max(v)));
-        let (low, high) = match least < most {
-            true => (least.log10().floor(), most.log10().ceil()),
+        let (min, most) = losses.fold((f64::INFINITY, 0.0_f64), |(min, most), v| (min.min(v), most.max(v)));
+        let (low, high) = match min < most {
+            true => (min.log10().floor(), most.log10().ceil()),
             false => (-1.0, 1.0),
         };
-        let greatest = means.iter().map(|p| p.rate).fold(f64::MIN_POSITIVE, f64::max);
+        let max = means.iter().map(|p| p.rate).fold(f64::MIN_POSITIVE, f64::max);
         let x = |step: u64| MARGIN + step as f64 / last * (WIDTH - 2.0 * MARGIN);
         let up = |share: f64| HEIGHT - MARGIN - share * (HEIGHT - 2.0 * MARGIN);
         let y = |loss: f64| up((loss.max(1e-30).log10() - low) / (high - low));
@@ -121,12 +121,8 @@ impl Curve {
             line(&mut svg, colour, means.iter().map(|p| (x(p.step), y(value(p)))));
             legend(&mut svg, index, name, colour);
         }
-        line(
-            &mut svg,
-            "#999",
-            means.iter().map(|p| (x(p.step), up(p.rate / greatest))),
-        );
-        legend(&mut svg, 3, &format!("learning rate (greatest {greatest:.1e})"), "#999");
+        line(&mut svg, "#999", means.iter().map(|p| (x(p.step), up(p.rate / max))));
+        legend(&mut svg, 3, &format!("learning rate (max {max:.1e})"), "#999");
         let _ = writeln!(
             svg,
             "<text x=\"{:.0}\" y=\"{}\">{last} steps</text>\n</svg>",

@@ -135,8 +135,9 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
         },
         ..of.clone()
     };
-    let told = differences(&maps(model), &maps(encoder)).into_iter();
-    told.map(|(name, expected, found)| format!("{name}: expected {expected}, found {found}"))
+    let reported = differences(&maps(model), &maps(encoder)).into_iter();
+    reported
+        .map(|(name, expected, found)| format!("{name}: expected {expected}, found {found}"))
         .collect()
 }
 

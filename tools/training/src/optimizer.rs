@@ -10,7 +10,7 @@ use crate::network::{Gradients, Network};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OptimizerSettings {
-    /// Greatest learning rate.
+    /// Largest learning rate.
     pub rate: f64,
     /// Share of the steps in which the rate rises.
     pub warm_up: f64,
@@ -32,7 +32,7 @@ impl Default for OptimizerSettings {
 }
 
 impl OptimizerSettings {
-    /// The learning rate of a step of so many: from a tenth up to the greatest, then down to a thousandth, along cosines
+    /// The learning rate of a step of so many: from a tenth up to the largest, then down to a thousandth, along cosines
     /// (Smith 2018).
     pub fn rate_at(&self, step: u64, steps: u64) -> f64 {
         let share = step as f64 / steps.max(1) as f64;

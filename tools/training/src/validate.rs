@@ -53,7 +53,7 @@ impl ClassScore {
 pub struct ClassScore {
     /// Name.
     pub name: String,
-    /// Least IoU on the ground plane.
+    /// Smallest IoU on the ground plane.
     pub iou: f64,
     /// Each way by name, and what was reached on objects with at least 5 points of those who take part.
     pub reached: Vec<(&'static str, Option<f64>)>,
@@ -168,7 +168,7 @@ impl<'a> Books<'a> {
 
     fn add(&mut self, way: usize, found: &[Detection], objects: &[Object]) {
         for (class, ledger) in self.ways[way].1.iter_mut().enumerate() {
-            ledger.add(found, objects, class, least_iou(&self.model.classes[class].name));
+            ledger.add(found, objects, class, min_iou(&self.model.classes[class].name));
         }
     }
 
@@ -178,7 +178,7 @@ impl<'a> Books<'a> {
             let reached = |(way, ledgers): &(&'static str, Vec<Ledger>)| (*way, ledgers[index].average_precision());
             ClassScore {
                 name: class.name.clone(),
-                iou: least_iou(&class.name),
+                iou: min_iou(&class.name),
                 reached: self.ways.iter().map(reached).collect(),
             }
         });
@@ -217,7 +217,7 @@ pub(crate) fn each_scene(
 }
 
 /// The overlaps that are customary.
-fn least_iou(class: &str) -> f64 {
+fn min_iou(class: &str) -> f64 {
     if class == "pedestrian" { 0.3 } else { 0.5 }
 }
 
@@ -264,7 +264,7 @@ struct Ledger {
 
 impl Ledger {
     /// Each detection takes the free object that it overlaps with most.
-    fn add(&mut self, found: &[Detection], objects: &[Object], class: usize, least: f64) {
+    fn add(&mut self, found: &[Detection], objects: &[Object], class: usize, min: f64) {
         let mut free: Vec<Footprint> = objects
             .iter()
             .filter(|o| o.class == class)
@@ -276,7 +276,7 @@ impl Ledger {
             let overlaps = free.iter().map(|object| iou(object, &outline)).enumerate();
             let best = overlaps
                 .max_by(|a, b| a.1.total_cmp(&b.1))
-                .filter(|(_, overlap)| *overlap >= least);
+                .filter(|(_, overlap)| *overlap >= min);
             self.found.push((detection.score, best.is_some()));
             if let Some((index, _)) = best {
                 free.swap_remove(index);

@@ -9,7 +9,7 @@ use realo_nn::weights::{self, Weights, WeightsError};
 
 use crate::random::Stream;
 
-/// A channel's part of a weight before the parts are made to add up, least and greatest. Were all alike, the copies of a channel would
+/// A channel's part of a weight before the parts are made to add up, smallest and largest. Were all alike, the copies of a channel would
 /// learn alike for ever.
 const PART: [f64; 2] = [0.5, 1.5];
 

@@ -79,7 +79,7 @@ impl<const FLAW: usize> Toy<FLAW> {
             match placed || FLAW == USES_WITHOUT_A_POSE {
                 _ if silent => {}
                 true => out.used(&of, &header),
-                false => out.tell(&of, Fate::Rejected),
+                false => out.report(&of, Fate::Rejected),
             }
             if placed || FLAW == FUSES_WITHOUT_A_POSE {
                 fused.extend(boxes);

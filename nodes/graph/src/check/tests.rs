@@ -15,11 +15,11 @@ struct Settings {
 
 const CLOUDS: &[PayloadType] = &[PayloadType::PointCloud];
 const BOXES: &[PayloadType] = &[PayloadType::Boxes];
-const STATES: &[PayloadType] = &[PayloadType::EgoState];
+const STATES: &[PayloadType] = &[PayloadType::AgentState];
 const PACKETS: &[PayloadType] = &[PayloadType::Packet];
 const REPORTS: &[PayloadType] = &[PayloadType::Report];
 const TRUTH: &[PayloadType] = &[PayloadType::GroundTruth];
-const CONTENT: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::Boxes, PayloadType::EgoState];
+const CONTENT: &[PayloadType] = &[PayloadType::PointCloud, PayloadType::Boxes, PayloadType::AgentState];
 
 const fn port(name: &'static str, types: &'static [PayloadType]) -> Port {
     Port::new(name, types, "what a test needs")
@@ -247,8 +247,8 @@ nodes:
       ego_recorded: realo/v1/Boxes
       clouds: realo/v1/PointCloud
       recorded: realo/v1/Boxes
-      ego_poses: realo/v1/EgoState
-      poses: realo/v1/EgoState
+      ego_poses: realo/v1/AgentState
+      poses: realo/v1/AgentState
       truth: realo/v1/GroundTruth
   - id: ego-detect
     path: bin/realo
@@ -395,8 +395,8 @@ fn graph_of_all(placed: &str) -> String {
 }
 
 #[test]
-fn what_a_foreign_node_gives_makes_no_lane_of_what_is_told_beside_it() {
-    let told = r#"
+fn what_a_foreign_node_gives_makes_no_lane_of_what_is_reported_beside_it() {
+    let reported = r#"
   - { id: camera, path: bin/camera, outputs: [boxes], output_types: { boxes: realo/v1/Boxes } }
   - id: tell
     path: bin/realo
@@ -421,7 +421,7 @@ fn what_a_foreign_node_gives_makes_no_lane_of_what_is_told_beside_it() {
 "#;
     let lanes = |state: &str| -> Vec<String> {
         let inputs = format!("{{ data: camera/boxes, state: {state} }}");
-        let text = changed(GRAPH, "{ data: detect/proposals }", &inputs) + told;
+        let text = changed(GRAPH, "{ data: detect/proposals }", &inputs) + reported;
         let found = findings(&text).into_iter().map(|finding| finding.to_string());
         found.filter(|finding| finding.contains("through a link")).collect()
     };
@@ -483,15 +483,15 @@ const CASES: &[(&str, &str, &[&str])] = &[
         &[
             "port `data`",
             "found `realo/v1/Box` (did you mean `realo/v1/Boxes`?)",
-            "port `others`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/EgoState`, found `realo/v1/Box` from `decoder/data`",
+            "port `others`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/AgentState`, found `realo/v1/Box` from `decoder/data`",
         ],
     ),
     (
         "output_types: { data: realo/v1/Boxes }",
         "output_types: { data: realo/v1/Packet }",
         &[
-            "port `data`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/EgoState`, found `realo/v1/Packet`",
-            "port `others`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/EgoState`, found `realo/v1/Packet`",
+            "port `data`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/AgentState`, found `realo/v1/Packet`",
+            "port `others`: expected `realo/v1/PointCloud` or `realo/v1/Boxes` or `realo/v1/AgentState`, found `realo/v1/Packet`",
         ],
     ),
     (

@@ -15,7 +15,7 @@ use crate::time::wall_now;
 use crate::{Stages, running_time};
 
 use super::edges::Edge;
-use super::inbox::{Heard, Inbox, Nudge};
+use super::inbox::{Heard, Inbox, WakeHandle};
 use super::load::Load;
 use super::marks::{End, Fates, Hello};
 use super::{HostError, source};
@@ -56,7 +56,7 @@ pub(super) struct Shared {
     /// Wall time of the last message.
     last_sent: AtomicI64,
     exits: BTreeMap<(usize, PortId), Vec<DataId>>,
-    nudge: Nudge,
+    wake: WakeHandle,
 }
 
 pub(super) struct State {
@@ -65,7 +65,7 @@ pub(super) struct State {
     built: Vec<Option<Built>>,
     load: Load,
     /// When the dora thread looks around again, in wall time.
-    looks_at: Nanos,
+    next_poll: Nanos,
     failed: Option<HostError>,
     over: bool,
 }
@@ -98,7 +98,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
             engine: Engine::new(&stages.wiring, Servers::One),
             load: Load::of(built.len()),
             built: built.into_iter().map(Some).collect(),
-            looks_at: 0,
+            next_poll: 0,
             failed: None,
             over: false,
         }),
@@ -106,7 +106,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         sender: Mutex::new(Some(node)),
         last_sent: AtomicI64::new(0),
         exits,
-        nudge: inbox.nudge(),
+        wake: inbox.wake(),
     });
     open_gateways(&shared)?;
     start_threads(&shared);
@@ -216,7 +216,7 @@ fn call(
     let mut state = shared.lock();
     state.built[ticket.stage] = Some(built);
     state.load.call(ticket.stage, begun.elapsed());
-    state.tell_load();
+    state.report_load();
     let done = state.log_now().max(ticket.start);
     let completed = state.engine.complete(&ticket, called, done, took);
     completed.map_err(|error: EngineError| HostError::Stage(error.to_string()))?;
@@ -228,14 +228,14 @@ fn call(
     let now = state.log_now();
     state.engine.free(&ticket, now, now);
     if ticket.is_end() {
-        shared.nudge.give();
+        shared.wake.give();
     }
     Ok(())
 }
 
 impl State {
     /// Says once which stage does not keep up.
-    fn tell_load(&mut self) {
+    fn report_load(&mut self) {
         let State { engine, load, .. } = self;
         let slow = load.slow(|stage| engine.skipped(stage), |stage| engine.id(stage).to_string());
         if let Some(slow) = slow {
@@ -271,7 +271,7 @@ impl Shared {
         }
         match state.engine.next_due() {
             Some(due) if due <= now => self.work.notify_one(),
-            Some(due) if state.wall_at(due) < state.looks_at => self.nudge.give(),
+            Some(due) if state.wall_at(due) < state.next_poll => self.wake.give(),
             _ => {}
         }
     }
@@ -332,8 +332,8 @@ impl Shared {
     }
 
     /// Lets the dora thread look around.
-    pub fn nudge(&self) {
-        self.nudge.give();
+    pub fn wake(&self) {
+        self.wake.give();
     }
 
     pub fn fail(&self, error: HostError) {
@@ -343,7 +343,7 @@ impl Shared {
     fn fail_in(&self, mut state: MutexGuard<State>, error: HostError) {
         state.failed.get_or_insert(error);
         self.work.notify_all();
-        self.nudge.give();
+        self.wake.give();
     }
 }
 
@@ -396,7 +396,7 @@ impl Host {
             let edges = self.edges.iter().filter_map(|edge| edge.reorder.deadline());
             let until = edges.chain(due).min().unwrap_or(Nanos::MAX);
             let until = until.min(wall_now() + IDLE);
-            state.looks_at = until;
+            state.next_poll = until;
             drop(state);
             if let Some(heard) = self.inbox.wait(until) {
                 self.hear(heard)?;
@@ -481,7 +481,7 @@ impl Host {
         }
         state.engine.merge_books(&books);
         if let Some(fates) = fates {
-            self.known.tell(&mut state, fates);
+            self.known.report(&mut state, fates);
         }
         Ok(())
     }
@@ -595,7 +595,7 @@ fn deliver(
 ) -> Result<(), String> {
     for message in ready {
         match Fates::of(&message)? {
-            Some(fates) => known.tell(state, fates),
+            Some(fates) => known.report(state, fates),
             None => inputs
                 .iter()
                 .for_each(|(stage, port)| state.engine.deliver(*stage, *port, message.clone())),
@@ -610,10 +610,10 @@ struct Known(BTreeMap<String, BTreeSet<u64>>);
 
 impl Known {
     /// Takes fates to the sinks, unless they came on another way already.
-    fn tell(&mut self, state: &mut State, fates: Fates) {
+    fn report(&mut self, state: &mut State, fates: Fates) {
         let numbers = self.0.entry(fates.origin).or_default();
         if numbers.insert(fates.number) {
-            state.engine.tell(fates.fates);
+            state.engine.report(fates.fates);
         }
         while numbers.len() > REMEMBERED {
             numbers.pop_first();

@@ -56,14 +56,14 @@ pub(super) struct Inbox {
     /// The stream has ended.
     over: bool,
     waker: Waker,
-    nudge: Nudge,
+    wake: WakeHandle,
 }
 
 /// Ends another thread's wait.
 #[derive(Clone)]
-pub(super) struct Nudge(Arc<(Thread, AtomicBool)>);
+pub(super) struct WakeHandle(Arc<(Thread, AtomicBool)>);
 
-impl Nudge {
+impl WakeHandle {
     /// Lets [`Inbox::wait`] return at once.
     pub fn give(&self) {
         self.0.1.store(true, Ordering::Release);
@@ -93,23 +93,23 @@ impl Inbox {
             bytes: 0,
             over: false,
             waker: Waker::from(Arc::new(Unpark(here.clone()))),
-            nudge: Nudge(Arc::new((here, AtomicBool::new(false)))),
+            wake: WakeHandle(Arc::new((here, AtomicBool::new(false)))),
         }
     }
 
     /// What other threads end a wait with.
-    pub fn nudge(&self) -> Nudge {
-        self.nudge.clone()
+    pub fn wake(&self) -> WakeHandle {
+        self.wake.clone()
     }
 
-    /// The next event before wall time `until`; `None` when that time has come, or after a nudge.
+    /// The next event before wall time `until`; `None` when that time has come, or after a wake.
     pub fn wait(&mut self, until: Nanos) -> Option<Heard> {
         loop {
             if let Some(heard) = self.poll() {
                 return Some(heard);
             }
             // Once the stream is closed, the time still has to pass for what is held.
-            if self.nudge.taken() {
+            if self.wake.taken() {
                 return None;
             }
             std::thread::park_timeout(left(until)?);

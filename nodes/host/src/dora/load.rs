@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// How a line begins that says which stage does not keep up, in words and then in JSON.
 const SLOW: &str = "realo: does not keep up: ";
-/// What is measured at a time: short enough to be told within ten seconds.
+/// What is measured at a time: short enough to be reported within ten seconds.
 const WINDOW: Duration = Duration::from_secs(4);
 /// The share of its time in which a stage that does not keep up is busy.
 const BUSY: f64 = 0.85;
@@ -54,7 +54,7 @@ impl fmt::Display for Slow {
 pub(super) struct Load {
     stages: Vec<Calls>,
     since: Option<Instant>,
-    told: bool,
+    reported: bool,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -70,7 +70,7 @@ impl Load {
         Load {
             stages: vec![Calls::default(); stages],
             since: None,
-            told: false,
+            reported: false,
         }
     }
 
@@ -87,7 +87,7 @@ impl Load {
     /// Once, the stage that holds the process up; `skipped` are the messages that a stage skipped so far, `id` its name.
     pub fn slow(&mut self, skipped: impl Fn(usize) -> u64, id: impl Fn(usize) -> String) -> Option<Slow> {
         let passed = self.since?.elapsed();
-        if self.told || passed < WINDOW {
+        if self.reported || passed < WINDOW {
             return None;
         }
         self.since = Some(Instant::now());
@@ -99,12 +99,12 @@ impl Load {
             let share = before.made as f64 / (before.made as f64 + missed).max(1.0);
             let busy = before.took.as_secs_f64() / passed.as_secs_f64();
             let is_slow = before.made > 0 && busy > BUSY && share < 1.0 - SKIPPED;
-            if is_slow && slowest.is_none_or(|(_, least, _)| share < least) {
+            if is_slow && slowest.is_none_or(|(_, min, _)| share < min) {
                 slowest = Some((stage, share, before.took.as_secs_f64() * 1e3 / before.made as f64));
             }
         }
         let (stage, share, call_ms) = slowest?;
-        self.told = true;
+        self.reported = true;
         Some(Slow {
             node: id(stage),
             call_ms,

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_yaml::Value;
 
-/// Where dora tells a process what it is.
+/// Where dora describes a process.
 const VARIABLE: &str = "DORA_NODE_CONFIG";
 
 /// Id and ports of a process.
@@ -21,7 +21,7 @@ pub(super) struct Plan {
 type Process = (String, Vec<String>);
 
 impl Plan {
-    /// What dora tells this process.
+    /// What dora says of this process.
     ///
     /// # Errors
     /// A process that dora did not start.

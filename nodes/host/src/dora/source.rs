@@ -82,7 +82,7 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
     let now = state.log_now();
     state.engine.close_source(stage, source.counts(), now);
     shared.follow(&mut state, now);
-    shared.nudge();
+    shared.wake();
     Ok(())
 }
 

@@ -219,7 +219,7 @@ impl Child {
         calls
             .send((call, self.shares))
             .map_err(|_| "nobody writes to it any more".to_string())?;
-        // Whether the program has gone, and how, its answer tells better than the pipe to it.
+        // Whether the program has gone, and how, its answer shows better than the pipe to it.
         let reply = match self.wait_for_reply(silence) {
             Ok(reply) => reply.map_err(|error| format!("no reply: {error}"))?,
             Err(RecvTimeoutError::Timeout) if self.exited(Duration::ZERO).is_some() => {
@@ -289,15 +289,15 @@ impl Child {
             counts: Counts {
                 counters: reply.counts.into_iter().map(|(name, n)| (name.into(), n)).collect(),
                 losses: reply
-                    .told
+                    .reported
                     .losses
                     .into_iter()
                     .map(|(name, loss)| (name.into(), loss))
                     .collect(),
             },
-            explained: reply.told.explained,
-            fates: reply.told.fates,
-            traffic: reply.told.traffic,
+            explained: reply.reported.explained,
+            fates: reply.reported.fates,
+            traffic: reply.reported.traffic,
             steps: Vec::new(),
         });
         Ok(reply.error)

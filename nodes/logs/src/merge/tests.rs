@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use nalgebra::Isometry3;
-use realo_schemas::{Box3, EgoState, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Box3, PointCloud, PoseStatus};
 
 use super::*;
 use crate::{AgentInfo, AgentKind};
@@ -69,7 +69,7 @@ impl Rig {
         let mut log = LogWriter::create(&path, info).unwrap();
         for sweep in 0..10 {
             let stamp = BEGIN + sweep * 100 * MS + ahead;
-            let state = EgoState {
+            let state = AgentState {
                 map_from_body: Isometry3::translation(sweep as f64, 0.0, 0.0),
                 covariance: None,
                 velocity: None,
@@ -123,19 +123,19 @@ fn what_agents_recorded_stands_at_the_time_of_the_first_ones_clock() {
     let ahead = 200 * MS + 37;
     let alone = Rig::new();
     let expected = sweeps(&alone.log("rsu1", 0, vec![]), "rsu1");
-    for told_by in ["first", "second", "user"] {
-        let tell = |by: &str, clock: PeerClock| if told_by == by { vec![clock] } else { vec![] };
+    for reported_by in ["first", "second", "user"] {
+        let saw = |by: &str, clock: PeerClock| if reported_by == by { vec![clock] } else { vec![] };
         let logs = [
-            rig.log("cav1", 0, tell("first", clock("rsu1", ahead, 1000))),
-            rig.log("rsu1", ahead, tell("second", clock("cav1", -ahead, 1000))),
+            rig.log("cav1", 0, saw("first", clock("rsu1", ahead, 1000))),
+            rig.log("rsu1", ahead, saw("second", clock("cav1", -ahead, 1000))),
         ];
-        let given = if told_by == "user" {
+        let given = if reported_by == "user" {
             vec![("rsu1", ahead)]
         } else {
             vec![]
         };
         let log = merged(&rig, &logs, &given).unwrap();
-        assert_eq!(sweeps(&log, "rsu1"), expected, "{told_by}");
+        assert_eq!(sweeps(&log, "rsu1"), expected, "{reported_by}");
         assert_eq!(sweeps(&log, "cav1"), sweeps(&logs[0], "cav1"));
         let keys = log.key_frames().unwrap();
         assert_eq!(keys["rsu1"], keys["cav1"]);

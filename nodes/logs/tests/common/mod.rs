@@ -4,7 +4,7 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, LogError, LogInfo, LogWriter};
-use realo_schemas::{Box3, Boxes, EgoState, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Box3, Boxes, Nanos, PointCloud, PoseStatus};
 
 pub const START: Nanos = 1_700_000_000_000_000_000;
 pub const MS: Nanos = 1_000_000;
@@ -46,10 +46,10 @@ pub fn cloud(points: usize, seed: u32) -> PointCloud {
     PointCloud::new(x, y, z, intensity, time, ring).unwrap()
 }
 
-pub fn state(seconds: f64, status: PoseStatus) -> EgoState {
+pub fn state(seconds: f64, status: PoseStatus) -> AgentState {
     let rotation = UnitQuaternion::from_euler_angles(0.001, -0.002, 0.3 * seconds);
     let pose = Isometry3::from_parts(Translation3::new(1e5 + 10.0 * seconds, -2.0, 0.3), rotation);
-    EgoState {
+    AgentState {
         map_from_body: pose,
         covariance: None,
         velocity: None,

@@ -4,14 +4,14 @@
 //! |---|---|---|
 //! | 0 | version, 1 | version, 1 |
 //! | 1 | what: 0 | what: 1 |
-//! | 2 | kind: 0 points, 1 features, 2 boxes, 3 ego_state | kind |
+//! | 2 | kind: 0 points, 1 features, 2 boxes, 3 agent_state | kind |
 //! | 3 | 0, 1: asks for acknowledgement, 3: at once | 0 |
 //! | 4–11 | session of the sender | session |
 //! | 12–19 | number of the message | number |
 //! | 20–23 | index of the part | index |
 //! | 24–27 | number of parts | which of the 32 parts before came in: bit k for index − 1 − k |
 //! | 28–35 | time of sending | time of sending, as it came |
-//! | 36–43 | when what it tells was measured | time of receipt |
+//! | 36–43 | when what it reports was measured | time of receipt |
 //! | 44– | the part | |
 
 use bytes::Bytes;
@@ -25,7 +25,7 @@ pub const HEAD_BYTES: usize = 44;
 /// Bytes of an acknowledgement.
 pub const ACKNOWLEDGEMENT_BYTES: usize = 44;
 /// Kinds by their number on the wire.
-const KINDS: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState];
+const KINDS: [Kind; 4] = [Kind::Points, Kind::Features, Kind::Boxes, Kind::AgentState];
 
 /// What crosses the network.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,7 +55,7 @@ pub struct Head {
     pub count: u32,
     /// When it was sent, on the sender's clock.
     pub sent: Nanos,
-    /// When what the message tells was measured, on the log's time line.
+    /// When what the message reports was measured, on the log's time line.
     pub stamp: Nanos,
 }
 
@@ -84,7 +84,7 @@ pub enum FrameError {
     /// Too few bytes.
     #[error("expected a frame of at least {expected} bytes, found {found}")]
     Short {
-        /// The least.
+        /// The smallest.
         expected: usize,
         /// How many there are.
         found: usize,

@@ -28,7 +28,7 @@ pub struct Arrived {
     pub kind: Kind,
     /// Its number.
     pub seq: u64,
-    /// When what it tells was measured, as its sender said.
+    /// When what it reports was measured, as its sender said.
     pub stamp: Nanos,
     /// What crossed.
     pub bytes: Bytes,
@@ -280,7 +280,7 @@ impl Lane {
             .is_some_and(|last| (0..TOGETHER).contains(&(now - last)));
         let waits = head.waits || complete;
         let unsaid = self.unsaid.take().filter(|(seq, _)| *seq == head.seq);
-        // One that overtook this part is told of together with it.
+        // One that overtook this part is acknowledged together with it.
         let further = unsaid
             .map(|(_, index)| index)
             .filter(|index| index.saturating_sub(head.index) <= 32 && *index < head.count);
@@ -350,8 +350,8 @@ mod tests {
         };
         assert!(take(0).is_some());
         assert_eq!([take(1), take(4), take(2)], [None; 3]);
-        let told = take(3).unwrap();
-        assert_eq!((told.index, told.before), (4, 0b1111));
+        let reported = take(3).unwrap();
+        assert_eq!((reported.index, reported.before), (4, 0b1111));
     }
 
     #[test]

@@ -62,7 +62,7 @@ pub struct Offer {
     pub kind: Kind,
     /// Counts the messages of a kind.
     pub seq: u64,
-    /// When what it tells was measured, on the log's time line; messages of several kinds with one stamp say the same.
+    /// When what it reports was measured, on the log's time line; messages of several kinds with one stamp say the same.
     pub stamp: Nanos,
     /// The same on the sender's clock.
     pub born: Nanos,
@@ -86,7 +86,7 @@ pub enum Outcome {
 
 /// That a message left the sender's hands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Told {
+pub struct Report {
     /// Which.
     pub kind: Kind,
     /// Which.
@@ -126,7 +126,7 @@ pub struct Sender {
     starts: u64,
     /// When each kind was last tried although it did not fit.
     tried: BTreeMap<Kind, Nanos>,
-    told: Vec<Told>,
+    reported: Vec<Report>,
     /// When it was last asked what goes out.
     asked: Nanos,
     /// When parts last went out or came in.
@@ -152,7 +152,7 @@ impl Sender {
             started: BTreeMap::new(),
             starts: 0,
             tried: BTreeMap::new(),
-            told: Vec::new(),
+            reported: Vec::new(),
             asked: Nanos::MIN,
             moved: Nanos::MIN,
             heard: Nanos::MIN,
@@ -167,7 +167,7 @@ impl Sender {
             false => &mut self.small,
         };
         if let Some(older) = slots.insert(offer.kind, offer) {
-            self.tell(&older, Outcome::Superseded);
+            self.report(&older, Outcome::Superseded);
         }
     }
 
@@ -262,15 +262,15 @@ impl Sender {
     pub fn disconnected(&mut self) {
         let lost: Vec<Transfer> = self.transfers.drain(..).collect();
         lost.iter()
-            .for_each(|transfer| self.tell(&transfer.offer, Outcome::Lost));
+            .for_each(|transfer| self.report(&transfer.offer, Outcome::Lost));
         self.flying.clear();
         self.flying_bytes = 0;
         self.window.lost();
     }
 
     /// Messages that left the sender's hands since the last call, in that order.
-    pub fn take_told(&mut self) -> Vec<Told> {
-        std::mem::take(&mut self.told)
+    pub fn take_reported(&mut self) -> Vec<Report> {
+        std::mem::take(&mut self.reported)
     }
 
     /// What is known of the way.
@@ -290,8 +290,8 @@ impl Sender {
         self.flying_bytes
     }
 
-    fn tell(&mut self, offer: &Offer, outcome: Outcome) {
-        self.told.push(Told {
+    fn report(&mut self, offer: &Offer, outcome: Outcome) {
+        self.reported.push(Report {
             kind: offer.kind,
             seq: offer.seq,
             outcome,
@@ -299,7 +299,7 @@ impl Sender {
     }
 
     fn whole(&mut self, offer: &Offer, now: Nanos) -> Frame {
-        self.tell(offer, Outcome::Sent);
+        self.report(offer, Outcome::Sent);
         let head = Head {
             kind: offer.kind,
             asks: false,
@@ -381,7 +381,7 @@ impl Sender {
                 true => None,
                 // However fast the way is.
                 false if now > must => {
-                    self.tell(&offer, Outcome::Late);
+                    self.report(&offer, Outcome::Late);
                     continue;
                 }
                 // What else crosses would be in the way of what a trial is to find out.
@@ -397,14 +397,14 @@ impl Sender {
                     })
                 }
                 false => {
-                    self.tell(&offer, Outcome::Late);
+                    self.report(&offer, Outcome::Late);
                     continue;
                 }
             };
             self.starts += 1;
             self.started.insert(kind, self.starts);
             if trial.is_none() {
-                self.supersede_poorer(kind, offer.stamp);
+                self.supersede_fallbacks(kind, offer.stamp);
             }
             self.transfers
                 .push_back(Transfer::new(offer, self.window.part(), trial));
@@ -425,12 +425,14 @@ impl Sender {
         same.map(|offer| offer.kind).min()
     }
 
-    fn supersede_poorer(&mut self, kind: Kind, stamp: Nanos) {
-        let poorer = self
+    fn supersede_fallbacks(&mut self, kind: Kind, stamp: Nanos) {
+        let fallback = self
             .waiting
             .extract_if(.., |other, offer| *other > kind && offer.stamp == stamp);
-        let poorer: Vec<Offer> = poorer.map(|(_, offer)| offer).collect();
-        poorer.iter().for_each(|offer| self.tell(offer, Outcome::Superseded));
+        let fallback: Vec<Offer> = fallback.map(|(_, offer)| offer).collect();
+        fallback
+            .iter()
+            .for_each(|offer| self.report(offer, Outcome::Superseded));
     }
 
     /// Whether a kind that does not fit may be tried again.
@@ -486,7 +488,7 @@ impl Sender {
                 self.transfers[place].trial = Some(more);
             } else if transfer.remaining() > 0 && late {
                 let transfer = self.transfers.remove(place).expect("it was just there");
-                self.tell(&transfer.offer, Outcome::Late);
+                self.report(&transfer.offer, Outcome::Late);
             } else if is_under_trial {
                 self.transfers[place].trial = None;
             }
@@ -547,8 +549,8 @@ impl Sender {
     fn finish(&mut self) {
         while let Some(place) = self.transfers.iter().position(Transfer::is_complete) {
             let transfer = self.transfers.remove(place).expect("it was just there");
-            self.tell(&transfer.offer, Outcome::Sent);
-            self.supersede_poorer(transfer.offer.kind, transfer.offer.stamp);
+            self.report(&transfer.offer, Outcome::Sent);
+            self.supersede_fallbacks(transfer.offer.kind, transfer.offer.stamp);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! How many bytes of bulk may be on the way: as many as the link carries in the least round trip and a little more, so that
+//! How many bytes of bulk may be on the way: as many as the link carries in the smallest round trip and a little more, so that
 //! it is never idle and its queues stay short.
 
 use std::collections::VecDeque;
@@ -12,11 +12,11 @@ const TRAIN: Nanos = 200 * MS;
 const SHORTEST: Nanos = 20 * MS;
 /// Acknowledgements do not overtake each other by so long: the peer's clock stepped.
 const STEP: Nanos = 1_000 * MS;
-/// The greatest rate of so long holds.
+/// The largest rate of so long holds.
 const MEMORY: Nanos = 500 * MS;
 /// A longer round trip is none: the peer made the time of sending up.
 const LONGEST: Nanos = 60_000 * MS;
-/// A least round trip is looked for anew after so long,
+/// A smallest round trip is looked for anew after so long,
 const LEAST_HOLDS: Nanos = 10_000 * MS;
 /// with so much of what fills it on the way.
 const EMPTIED: f64 = 0.75;
@@ -56,8 +56,8 @@ pub struct Window {
     ran_out: bool,
     /// When rates were measured, and the rates, bytes/s: those that a later one does not exceed.
     rates: VecDeque<(Nanos, f64)>,
-    /// The least round trip, and when it was found.
-    least: Option<(Nanos, Nanos)>,
+    /// The smallest round trip, and when it was found.
+    min: Option<(Nanos, Nanos)>,
     /// Since when so little is on the way that nothing of it waits in a queue, to see the round trip without.
     emptied: Option<Nanos>,
     /// When all that went out has crossed, at the pace of sending.
@@ -79,7 +79,7 @@ impl Window {
             rests: true,
             ran_out: false,
             rates: VecDeque::new(),
-            least: None,
+            min: None,
             emptied: None,
             crossed: Nanos::MIN,
             grew: None,
@@ -89,9 +89,9 @@ impl Window {
     /// Bytes that may be on the way.
     pub fn bytes(&self) -> usize {
         let of = |time: f64| self.rate().map_or(0, |rate| (rate * time * 1e-9) as usize);
-        match (self.least, self.emptied) {
-            (Some((least, _)), None) => of((least + self.queue) as f64).max(PARTS * self.part()),
-            (Some((least, _)), Some(_)) => of(EMPTIED * least as f64).max(self.part()),
+        match (self.min, self.emptied) {
+            (Some((min, _)), None) => of((min + self.queue) as f64).max(PARTS * self.part()),
+            (Some((min, _)), Some(_)) => of(EMPTIED * min as f64).max(self.part()),
             (None, _) => PARTS * self.part(),
         }
     }
@@ -109,9 +109,9 @@ impl Window {
         self.rates.front().map(|(_, rate)| *rate)
     }
 
-    /// The least round trip of late, ns.
+    /// The smallest round trip of late, ns.
     pub fn round_trip(&self) -> Option<Nanos> {
-        self.least.map(|(least, _)| least)
+        self.min.map(|(min, _)| min)
     }
 
     /// Whether the way was found to carry more than was known, after this time.
@@ -152,10 +152,10 @@ impl Window {
     /// How much faster than is known parts go out while the way may carry more. Of a window that goes out before anything is heard of it,
     /// the way carries meanwhile what it is known to, at least.
     fn greater_haste(&self) -> f64 {
-        let Some((least, _)) = self.least else {
+        let Some((min, _)) = self.min else {
             return GREATER_HASTE;
         };
-        let window = (least + self.queue) as f64;
+        let window = (min + self.queue) as f64;
         let goes_in = (window - EXCESS * self.queue as f64).max(window / GREATER_HASTE);
         (window / goes_in).max(HASTE)
     }
@@ -197,11 +197,11 @@ impl Window {
             if accepts {
                 self.see_rate(now, rate);
             }
-        } else if let (Some(known), Some((least, _))) = (self.rate(), self.least) {
-            // One acknowledgement told of the whole train, for it overtook the others or they were lost: the train took what its
-            // round trip lasted beyond the least, which one part takes.
+        } else if let (Some(known), Some((min, _))) = (self.rate(), self.min) {
+            // One acknowledgement was for the whole train, for it overtook the others or they were lost: the train took what its
+            // round trip lasted beyond the smallest, which one part takes.
             let (then, first) = self.set_out;
-            let span = now.saturating_sub(then).saturating_sub(least);
+            let span = now.saturating_sub(then).saturating_sub(min);
             let rate = over(self.delivered.saturating_sub(first), span);
             if rate > known {
                 self.see_rate(now, rate);
@@ -239,8 +239,8 @@ impl Window {
 
     /// Whether a part stood in a queue on the way.
     fn waited(&self, now: Nanos, sent: Nanos) -> bool {
-        let least = self.round_trip().unwrap_or(0);
-        now.saturating_sub(sent).saturating_sub(least) >= self.queue / 4
+        let min = self.round_trip().unwrap_or(0);
+        now.saturating_sub(sent).saturating_sub(min) >= self.queue / 4
     }
 
     fn see_round_trip(&mut self, now: Nanos, sent: Nanos) {
@@ -249,14 +249,14 @@ impl Window {
             return;
         }
         let anew = self.emptied.is_some_and(|since| sent >= since);
-        match self.least {
-            Some((least, when)) if found > least && !anew => {
+        match self.min {
+            Some((min, when)) if found > min && !anew => {
                 if now - when > LEAST_HOLDS {
                     self.emptied.get_or_insert(now);
                 }
             }
             _ => {
-                self.least = Some((found, now));
+                self.min = Some((found, now));
                 if anew {
                     self.emptied = None;
                 }
@@ -318,8 +318,8 @@ mod tests {
                 longest < 80 * MS,
                 "{megabits} Mbit/s, {delay} ms: {longest} ns in the queue"
             );
-            let least = window.round_trip().unwrap();
-            assert!((2 * delay * MS..2 * delay * MS + 30 * MS).contains(&least), "{least}");
+            let min = window.round_trip().unwrap();
+            assert!((2 * delay * MS..2 * delay * MS + 30 * MS).contains(&min), "{min}");
         }
     }
 
@@ -342,8 +342,8 @@ mod tests {
         let mut window = Window::new(PART_BYTES, 20 * MS);
         drive(&mut window, 0, 5_000 * MS, 3e6, 5 * MS, 0);
         drive(&mut window, 5_100 * MS, 12_000 * MS, 3e6, 50 * MS, 0);
-        let least = window.round_trip().unwrap();
-        assert!((100 * MS..130 * MS).contains(&least), "{least}");
+        let min = window.round_trip().unwrap();
+        assert!((100 * MS..130 * MS).contains(&min), "{min}");
     }
 
     #[test]
@@ -401,20 +401,20 @@ mod tests {
     }
 
     #[test]
-    fn a_train_that_is_told_of_in_one_word_raises_the_rate() {
+    fn a_train_that_is_reported_of_in_one_word_raises_the_rate() {
         let mut window = Window::new(PART_BYTES, 20 * MS);
         drive(&mut window, 0, 2_000 * MS, 1e5, 40 * MS, 0);
         let (before, part, later) = (window.rate().unwrap(), window.part(), 4_000 * MS);
-        let tell = |window: &mut Window, took: Nanos| {
+        let acknowledge = |window: &mut Window, took: Nanos| {
             window.runs_out(true);
             (0..4).for_each(|_| window.sent(later, part));
             window.acknowledged(later + took, later, later + took / 2, 4 * part);
             window.rate().unwrap() / before
         };
-        let least = window.round_trip().unwrap();
+        let min = window.round_trip().unwrap();
         // Three parts in 60 ms are no more than was known, in 20 ms about twice as much.
-        assert_eq!(tell(&mut window.clone(), least + 60 * MS), 1.0);
-        let grown = tell(&mut window, least + 5 * MS);
+        assert_eq!(acknowledge(&mut window.clone(), min + 60 * MS), 1.0);
+        let grown = acknowledge(&mut window, min + 5 * MS);
         assert!((1.4..1.7).contains(&grown), "{grown}");
         assert!(window.grew_since(later));
     }
@@ -425,7 +425,7 @@ mod tests {
         let mut window = Window::new(PART_BYTES, 20 * MS);
         drive(&mut window, 0, 2_000 * MS, 1e6, 20 * MS, 0);
         let (before, offset) = (window.rate().unwrap(), 1_234_567_890);
-        let tell = |window: &mut Window, sent: Nanos, takes: Nanos| {
+        let acknowledge = |window: &mut Window, sent: Nanos, takes: Nanos| {
             (0..4).for_each(|_| window.sent(sent, PART_BYTES));
             window.runs_out(false);
             for part in 1..=4 {
@@ -434,9 +434,9 @@ mod tests {
             }
         };
         window.runs_out(true);
-        tell(&mut window, 4_000 * MS, 30 * MS);
+        acknowledge(&mut window, 4_000 * MS, 30 * MS);
         window.empties(4_160 * MS);
-        tell(&mut window, 4_160 * MS, 8 * MS);
+        acknowledge(&mut window, 4_160 * MS, 8 * MS);
         let faster = window.rate().unwrap() / before;
         assert!((1.8..2.3).contains(&faster), "{faster}");
     }

@@ -141,23 +141,23 @@ fn books(channels: &[Channel]) -> Books {
 
 /// Of the ten sweeps: what two links carried.
 fn both() -> Books {
-    books(&[channel(Kind::Boxes, 17), channel(Kind::EgoState, 100)])
+    books(&[channel(Kind::Boxes, 17), channel(Kind::AgentState, 100)])
 }
 
 fn sink(out: &Path) -> Results {
-    let told = Told {
+    let reported = RunSettings {
         log: "intersection".into(),
         settings: Settings {
             graph: "late_fusion".into(),
             ..Settings::default()
         },
-        ..Told::default()
+        ..RunSettings::default()
     };
-    let path = out.join("told.json");
-    std::fs::write(&path, serde_json::to_string(&told).unwrap()).unwrap();
+    let path = out.join("run.json");
+    std::fs::write(&path, serde_json::to_string(&reported).unwrap()).unwrap();
     Results::new(Config {
         out: out.into(),
-        told: path,
+        run_settings: path,
     })
     .unwrap()
 }
@@ -175,8 +175,8 @@ fn ten_sweeps() -> Vec<(PortId, Message)> {
     messages
 }
 
-/// Of the ten sweeps: sweep 3 is passed over, the fusion takes no more at 5, the rest uses what was selected; one message
-/// each is passed over, rejected, stale, superseded, in flight, and two are lost.
+/// Of the ten sweeps: sweep 3 is skipped, the fusion takes no more at 5, the rest uses what was selected; one message
+/// each is skipped, rejected, stale, superseded, in flight, and two are lost.
 fn ten_fates() -> Vec<Fated> {
     let selected = (0..10).map(|seq| match seq {
         3 => Fate::Skipped,
@@ -196,7 +196,7 @@ fn ten_fates() -> Vec<Fated> {
     let mut fates: Vec<_> = all.map(|(fate, seq)| fated(Kind::Boxes, seq, fate)).collect();
     // What several stages say of a message is joined.
     fates.push(fated(Kind::Boxes, 2, Fate::Superseded));
-    fates.extend((0..7).map(|seq| fated(Kind::EgoState, seq, Fate::Lost)));
+    fates.extend((0..7).map(|seq| fated(Kind::AgentState, seq, Fate::Lost)));
     fates
 }
 
@@ -237,7 +237,7 @@ fn accounts_for_every_message() {
         ..LinkBooks::default()
     };
     assert_eq!(result.links["rsu1-cav1"]["boxes"], expected);
-    let state = &result.links["rsu1-cav1"]["ego_state"];
+    let state = &result.links["rsu1-cav1"]["agent_state"];
     assert_eq!((state.sent, state.lost, state.accounted), (100, 7, None));
     assert_eq!((result.age_ms.all.count, result.age_ms.by_kind["boxes"].count), (8, 8));
     assert!((result.age_ms.all.p50.unwrap() - 30.0).abs() < 0.05);
@@ -360,7 +360,7 @@ fn what_busy_nodes_skip_of_collaborators_is_a_note() {
     };
     if let Some(bank) = books.nodes.get_mut("bank") {
         bank.inputs.insert("maps".into(), input("rsu1", Kind::Features));
-        bank.inputs.insert("states".into(), input("rsu1", Kind::EgoState));
+        bank.inputs.insert("states".into(), input("rsu1", Kind::AgentState));
         bank.inputs.insert("own".into(), input("cav1", Kind::Features));
     }
     let messages = vec![
@@ -485,11 +485,14 @@ fn without_being_told_the_graph_is_named_as_its_folder() {
         ("my_graph", "virtual", "cav1")
     );
     for (text, expected) in [("{", "not what a run tells"), ("{\"lag\": 1}", "lag")] {
-        let told = folder.path().join("bad.json");
-        std::fs::write(&told, text).unwrap();
-        let config = Config { out: out.clone(), told };
+        let reported = folder.path().join("bad.json");
+        std::fs::write(&reported, text).unwrap();
+        let config = Config {
+            out: out.clone(),
+            run_settings: reported,
+        };
         let error = Results::new(config).err().unwrap().to_string();
-        assert!(error.contains("`told`") && error.contains(expected), "{error}");
+        assert!(error.contains("`run_settings`") && error.contains(expected), "{error}");
     }
 }
 

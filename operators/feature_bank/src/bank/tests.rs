@@ -386,7 +386,7 @@ struct Came {
     sent: Sent,
     selected: bool,
     stale: bool,
-    passed_over: bool,
+    skipped: bool,
 }
 
 /// The rules as they are written in the design, over everything that ever came in.
@@ -399,12 +399,12 @@ impl Naive {
     fn insert(&mut self, sent: &Sent) {
         let id = |sent: &Sent| (sent.agent, sent.seq, sent.stamp);
         if self.came.iter().all(|came| id(&came.sent) != id(sent)) {
-            let (sent, selected, stale, passed_over) = (sent.clone(), false, false, false);
+            let (sent, selected, stale, skipped) = (sent.clone(), false, false, false);
             self.came.push(Came {
                 sent,
                 selected,
                 stale,
-                passed_over,
+                skipped,
             });
         }
     }
@@ -449,7 +449,7 @@ impl Naive {
             .map(|(at, _)| at);
         for (at, came) in self.came.iter_mut().enumerate().filter(|(_, c)| c.sent.agent == agent) {
             came.selected |= nearest == Some(at);
-            came.passed_over |= nearest != Some(at) && distance(came) <= 50;
+            came.skipped |= nearest != Some(at) && distance(came) <= 50;
             came.stale |= came.sent.stamp < stamp - 50;
         }
         nearest
@@ -465,7 +465,7 @@ impl Naive {
         let order = |at: usize, came: &Came| (came.sent.stamp, at);
         let newer = |(i, c): (usize, &Came)| c.sent.agent == came.sent.agent && order(i, c) > order(at, came);
         match came {
-            Came { passed_over: true, .. } => Fate::Superseded,
+            Came { skipped: true, .. } => Fate::Superseded,
             Came { stale: true, .. } => Fate::Stale,
             _ if !self.offline && self.came.iter().enumerate().any(newer) => Fate::Superseded,
             _ => Fate::InFlight,

@@ -81,7 +81,7 @@ fn answers_each_query_at_once_with_the_querys_header() {
 }
 
 #[test]
-fn who_is_in_the_egos_message_already_is_passed_over_by_its_query() {
+fn who_is_in_the_egos_message_already_is_skipped_by_its_query() {
     for offline in [false, true] {
         let mut bank = bank(offline);
         let mut out = Outputs::at(140 * MS);
@@ -306,7 +306,7 @@ fn nobody_waits_for_what_is_not_expected_within_the_patience() {
         (330, late(), true),
         (329, late(), false),
         (250, [last_at(160), vec![message("rsu1", 2, 100, 170)]].concat(), true),
-        // The newest difference of stamps counts, were it the least.
+        // The newest difference of stamps counts, were it the smallest.
         (
             430,
             [(0, 0), (1, 200), (2, 300)]
@@ -320,7 +320,7 @@ fn nobody_waits_for_what_is_not_expected_within_the_patience() {
     ];
     for (at, messages, waits) in cases {
         let mut bank = patient();
-        let told = format!(
+        let reported = format!(
             "{at}: {:?}",
             messages.iter().map(|m| m.header.ready / MS).collect::<Vec<_>>()
         );
@@ -328,7 +328,7 @@ fn nobody_waits_for_what_is_not_expected_within_the_patience() {
             give(&mut bank, OTHERS, message);
         }
         let (answered, wakes) = give(&mut bank, EGO, message("cav1", 2, 200, at));
-        assert_eq!((answered.is_empty(), !wakes.is_empty()), (waits, waits), "{told}");
+        assert_eq!((answered.is_empty(), !wakes.is_empty()), (waits, waits), "{reported}");
     }
 }
 

@@ -20,14 +20,14 @@ fn packet(agent: &str, kind: Kind, seq: u64, at: Nanos, bytes: usize) -> Message
 }
 
 fn state(agent: &str, at: Nanos, x: f64, y: f64) -> Message {
-    let state = EgoState {
+    let state = AgentState {
         map_from_body: Isometry3::translation(x, y, 900.0),
         covariance: None,
         velocity: None,
         angular_rate: None,
         status: PoseStatus::Recorded,
     };
-    Message::new(header(agent, Kind::EgoState, 0, at), state)
+    Message::new(header(agent, Kind::AgentState, 0, at), state)
 }
 
 /// A link, and what it said of its channels.
@@ -119,7 +119,7 @@ fn paper_delays_by_kind_from_the_time_of_sending() {
         (Kind::Boxes, 10_000_000),
         (Kind::Points, 144_200_000),
         (Kind::Features, 41_700_000),
-        (Kind::EgoState, 10_000_000),
+        (Kind::AgentState, 10_000_000),
     ];
     for (kind, delay) in kinds {
         let mut out = Outputs::at(17);
@@ -137,7 +137,7 @@ fn paper_delays_by_kind_from_the_time_of_sending() {
     let channels = report(&mut link);
     assert_eq!(
         channels.iter().map(|c| c.kind).collect::<Vec<_>>(),
-        [Kind::Points, Kind::Features, Kind::Boxes, Kind::EgoState]
+        [Kind::Points, Kind::Features, Kind::Boxes, Kind::AgentState]
     );
     assert!(channels.iter().all(|c| (c.sent, c.bytes, c.lost) == (1, 100, 0)));
 }
@@ -233,11 +233,11 @@ fn packets_wait_for_the_first_position_of_their_sender_and_offline_of_the_ego() 
         "of whom none came"
     );
     let channels = report(&mut link);
-    let told: Vec<_> = channels.iter().map(|c| (&*c.from, c.sent, c.out_of_range)).collect();
+    let reported: Vec<_> = channels.iter().map(|c| (&*c.from, c.sent, c.out_of_range)).collect();
     assert_eq!(
-        told,
+        reported,
         [("cav2", 0, 1), ("rsu1", 0, 1)],
-        "who never told a position is out of range"
+        "who never reported a position is out of range"
     );
 }
 
@@ -248,10 +248,10 @@ fn the_egos_packets_go_to_every_other_agent() {
     link.on_input(EGO_STATE, state("cav1", 0, 0.0, 0.0), &mut out).unwrap();
     link.on_input(STATES, state("cav2", 0, 0.0, 20.0), &mut out).unwrap();
     link.on_input(STATES, state("rsu2", 0, 10.0, 0.0), &mut out).unwrap();
-    link.on_input(OTHERS, packet("cav2", Kind::EgoState, 0, 0, 10), &mut out)
+    link.on_input(OTHERS, packet("cav2", Kind::AgentState, 0, 0, 10), &mut out)
         .unwrap();
     out.take_sent();
-    link.on_input(EGO, packet("cav1", Kind::EgoState, 0, 0, 20), &mut out)
+    link.on_input(EGO, packet("cav1", Kind::AgentState, 0, 0, 20), &mut out)
         .unwrap();
     let sent: Vec<_> = out
         .take_sent()

@@ -1,4 +1,4 @@
-//! F-Cooper: the greatest of each feature (Chen et al. 2019), as V2X-Real builds it.
+//! F-Cooper: the largest of each feature (Chen et al. 2019), as V2X-Real builds it.
 
 use super::pointpillars::{backbone, heads, pillars, shrink};
 use super::sharing::Sharing;

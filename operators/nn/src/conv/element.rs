@@ -7,8 +7,8 @@ pub trait Element: Copy + Default + Send + Sync + 'static {
 
     fn to_f32(self) -> f32;
 
-    /// The number that a weight is a multiple of, from the greatest of its output's.
-    fn weight_step(_greatest: f32) -> f32 {
+    /// The number that a weight is a multiple of, from the largest of its output's.
+    fn weight_step(_max: f32) -> f32 {
         1.0
     }
 
@@ -58,7 +58,7 @@ impl Element for Bf16 {
 #[repr(transparent)]
 pub struct U8(pub u8);
 
-/// Greatest weight in steps: two products with it, added, fit 16 bits, which AVX2 needs.
+/// Largest weight in steps: two products with it, added, fit 16 bits, which AVX2 needs.
 const MOST_WEIGHT: f32 = 64.0;
 
 impl Element for U8 {
@@ -75,8 +75,8 @@ impl Element for U8 {
         f32::from(self.0)
     }
 
-    fn weight_step(greatest: f32) -> f32 {
-        if greatest > 0.0 { greatest / MOST_WEIGHT } else { 1.0 }
+    fn weight_step(max: f32) -> f32 {
+        if max > 0.0 { max / MOST_WEIGHT } else { 1.0 }
     }
 
     fn weight(steps: f32) -> Self {

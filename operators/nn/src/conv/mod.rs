@@ -59,8 +59,8 @@ impl Convolution {
         }
     }
 
-    /// The greatest weight of each output, without its sign.
-    pub(crate) fn greatest_weights(&self) -> impl Iterator<Item = f32> {
+    /// The largest weight of each output, without its sign.
+    pub(crate) fn max_weights(&self) -> impl Iterator<Item = f32> {
         let taps = self.kernel * self.kernel;
         (0..self.outputs).map(move |output| {
             let weights = (0..self.inputs * taps).map(|i| {

@@ -60,7 +60,7 @@ pub(crate) struct Packed<E, O = E> {
     pub(super) stride: usize,
     /// Factor of enlargement; 1 if not transposed.
     pub(super) up: usize,
-    /// Least result.
+    /// Smallest result.
     pub(super) floor: f32,
     /// Rows and columns of outputs that are computed as one: 1, or those of a tile of [`winograd`].
     pub(super) side: usize,
@@ -115,7 +115,7 @@ impl<E: Kernel<O>, O: Element> Packed<E, O> {
         let tiled = E::winograd(isa, outputs).filter(|_| tiles);
         let side = if tiled.is_some() { winograd::SIDE } else { 1 };
         let (run, block) = tiled.unwrap_or_else(direct);
-        let weight_steps = layer.greatest_weights().map(E::weight_step);
+        let weight_steps = layer.max_weights().map(E::weight_step);
         let weight_steps: Vec<f32> = weight_steps.collect();
         let filled = |numbers: &mut dyn Iterator<Item = f32>| {
             let mut numbers: Vec<f32> = numbers.collect();

@@ -201,7 +201,7 @@ fn verify_bytes(case: &Case) {
     let mut in_steps = layer.clone();
     in_steps.relu = false;
     in_steps.bias.fill(0.0);
-    let weight_steps: Vec<f32> = layer.greatest_weights().map(U8::weight_step).collect();
+    let weight_steps: Vec<f32> = layer.max_weights().map(U8::weight_step).collect();
     let taps = layer.kernel * layer.kernel;
     let output_of = |index: usize| match layer.transposed {
         true => index / taps % layer.outputs,

@@ -59,7 +59,7 @@ impl<E: Number> OverAgents<E> {
 }
 
 dispatch! {
-    /// Takes one agent's answers to queries into the sums. `weighed` has for each cell the heads' greatest scores so far, then
+    /// Takes one agent's answers to queries into the sums. `weighed` has for each cell the heads' largest scores so far, then
     /// their sums of weights.
     fn weigh(asked: [&[f32]; 2], covered: &[bool], heads: usize, sums: &mut [f32], weighed: &mut [f32]) {
         let channels = sums.len() / covered.len();
@@ -78,13 +78,13 @@ dispatch! {
                 *score = product(query, key) * scale;
             }
             // What was summed before a greater score came is made smaller.
-            let (greatest, weights) = weighed.split_at_mut(heads);
-            for (((greatest, weight), before), now) in greatest.iter_mut().zip(weights).zip(&mut *before).zip(&mut *now) {
-                let most = greatest.max(*now);
-                *before = exp(*greatest - most);
+            let (max, weights) = weighed.split_at_mut(heads);
+            for (((max, weight), before), now) in max.iter_mut().zip(weights).zip(&mut *before).zip(&mut *now) {
+                let most = max.max(*now);
+                *before = exp(*max - most);
                 *now = exp(*now - most);
                 *weight = *weight * *before + *now;
-                *greatest = most;
+                *max = most;
             }
             let of_heads = sums.chunks_exact_mut(width).zip(values.chunks_exact(width));
             for ((sums, values), (before, now)) in of_heads.zip(before.iter().zip(&*now)) {
@@ -97,7 +97,7 @@ dispatch! {
 }
 
 dispatch! {
-    /// Sums over the sums of weights that stand behind the greatest scores in `weighed`.
+    /// Sums over the sums of weights that stand behind the largest scores in `weighed`.
     fn divide<E: Number>(summed: [&[f32]; 2], heads: usize, cell: [usize; 2], to: &mut [E]) {
         let [channels, stored] = cell;
         let width = channels / heads;

@@ -108,7 +108,7 @@ impl Tiles {
     }
 }
 
-/// The least one.
+/// The smallest one.
 fn common_multiple(a: usize, b: usize) -> usize {
     let (mut divisor, mut rest) = (a, b);
     while rest > 0 {

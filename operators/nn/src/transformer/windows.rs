@@ -159,17 +159,17 @@ fn score(queries: &[Lanes], key: &[f32]) -> Lanes {
 /// Makes weights of scores, but for the factors that it returns.
 #[inline(always)]
 fn weights(scores: &mut [Lanes], positions: &[Lanes]) -> Lanes {
-    let mut greatest = [f32::NEG_INFINITY; LANES];
+    let mut max = [f32::NEG_INFINITY; LANES];
     for (scores, positions) in scores.iter_mut().zip(positions) {
-        for ((score, position), greatest) in scores.iter_mut().zip(positions).zip(&mut greatest) {
+        for ((score, position), max) in scores.iter_mut().zip(positions).zip(&mut max) {
             *score += position;
-            *greatest = greatest.max(*score);
+            *max = max.max(*score);
         }
     }
     let mut sums = [0.0; LANES];
     for scores in scores {
-        for ((score, greatest), sum) in scores.iter_mut().zip(&greatest).zip(&mut sums) {
-            *score = exp(*score - greatest);
+        for ((score, max), sum) in scores.iter_mut().zip(&max).zip(&mut sums) {
+            *score = exp(*score - max);
             *sum += *score;
         }
     }
@@ -210,8 +210,8 @@ impl Split {
         let mut counts = linear(&self.second, &hidden);
         for channel in 0..channels {
             let of = || (channel..self.second.len() / channels).step_by(channels);
-            let greatest = of().fold(f32::NEG_INFINITY, |greatest, at| greatest.max(counts[at]));
-            of().for_each(|at| counts[at] = exp(counts[at] - greatest));
+            let max = of().fold(f32::NEG_INFINITY, |max, at| max.max(counts[at]));
+            of().for_each(|at| counts[at] = exp(counts[at] - max));
             let all: f32 = of().map(|at| counts[at]).sum();
             of().for_each(|at| counts[at] /= all);
         }

@@ -167,7 +167,7 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         accounts: port.words.accounts,
         needed: None,
         lane: port.words.lane,
-        hasty: false,
+        ends_early: false,
         wire: port.words.wire.as_deref().map(leaked),
     });
     Box::leak(ports.collect())
@@ -278,7 +278,7 @@ mod tests {
                 .latest()
                 .joined("frame")
                 .query(),
-            Port::new("state", &[PayloadType::EgoState, PayloadType::Packet], "")
+            Port::new("state", &[PayloadType::AgentState, PayloadType::Packet], "")
                 .state()
                 .accounting()
                 .optional(),

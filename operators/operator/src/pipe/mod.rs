@@ -21,7 +21,7 @@
 //! |---|---|---|
 //! | hello | first from the program | `version` (u32), `name`, `memory` (`memfd` or `pipe`), `ports` (JSON: `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`, `accounts`, `wire`, and for both `lane`) |
 //! | call | to the program | `call` (`input`, `wake` or `end`), `port`, `now` (i64, ns), for an input `message` (struct) |
-//! | reply | one for each call | `error` (empty: none), `ports` (list), `message_0`, `message_1`, … (structs; one for each of `ports`), `wakes` (list of i64, ns), `counters` (list), `counts` (list of u64), `told` (JSON: `fates` and `traffic`, what the operator says of messages that cross links; `losses`, by counter what is lost: `meaning`, `note`, `remedy`, `agents`) |
+//! | reply | one for each call | `error` (empty: none), `ports` (list), `message_0`, `message_1`, … (structs; one for each of `ports`), `wakes` (list of i64, ns), `counters` (list), `counts` (list of u64), `reported` (JSON: `fates` and `traffic`, what the operator says of messages that cross links; `losses`, by counter what is lost: `meaning`, `note`, `remedy`, `agents`) |
 //!
 //! A message is a struct as [`realo_schemas::wire`] makes it; its `ready` is when the program wishes it to be sent. An
 //! error in a reply belongs to one message and is counted; a program that exits, closes its output or answers
@@ -39,7 +39,7 @@ pub use row::is_reading;
 pub use serve::serve;
 
 /// The version of the protocol; both sides must have the same.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 /// Is set to [`DRIVER`] for a program that is to serve the protocol.
 pub const DRIVER_VARIABLE: &str = "REALO_DRIVER";

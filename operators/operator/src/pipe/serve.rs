@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 
 use super::memory::Memory;
-use super::words::{Call, Reply, Told};
+use super::words::{Call, Reply, Reported};
 use super::{FrameError, frame, hello};
 use crate::{AnyOperator, Built, Outputs, PortId, Registration};
 
@@ -83,7 +83,7 @@ fn answer(
             .into_iter()
             .map(|(name, n)| (name.into_owned(), n))
             .collect(),
-        told: Told {
+        reported: Reported {
             fates: made.fates,
             traffic: made.traffic,
             losses: made

@@ -39,13 +39,13 @@ pub struct Reply {
     /// What it counted.
     pub counts: Vec<(String, u64)>,
     /// What it said of messages that cross links, and of what was lost.
-    pub told: Told,
+    pub reported: Reported,
 }
 
 /// What an operator says of messages that cross links, and of what was lost.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Told {
+pub struct Reported {
     /// What became of messages.
     pub fates: Vec<Fated>,
     /// What channels carried.
@@ -102,7 +102,7 @@ impl Reply {
     /// # Errors
     /// What Arrow cannot write.
     pub fn to_parts(&self) -> Result<Vec<Buffer>, String> {
-        let told = serde_json::to_string(&self.told).map_err(|error| error.to_string())?;
+        let reported = serde_json::to_string(&self.reported).map_err(|error| error.to_string())?;
         let row = Row::default()
             .text("error", self.error.as_deref().unwrap_or_default())
             .texts("ports", self.sent.iter().map(|(port, _)| port.as_str()))
@@ -112,7 +112,7 @@ impl Reply {
                 "counts",
                 UInt64Array::from_iter_values(self.counts.iter().map(|(_, n)| *n)),
             )
-            .text("told", &told);
+            .text("reported", &reported);
         let messages = self.sent.iter().enumerate();
         messages
             .fold(row, |row, (i, (_, message))| {
@@ -139,9 +139,10 @@ impl Reply {
             ));
         }
         let error = row.text("error")?;
-        let told = serde_json::from_str(row.text("told")?).map_err(|error| format!("column `told`: {error}"))?;
+        let reported =
+            serde_json::from_str(row.text("reported")?).map_err(|error| format!("column `reported`: {error}"))?;
         Ok(Reply {
-            told,
+            reported,
             error: (!error.is_empty()).then(|| error.into()),
             sent,
             wakes: row.i64s("wakes")?,
@@ -187,9 +188,9 @@ mod tests {
         let words = r#"{"fates": [], "losses": {"late": {"meaning": "loss", "note": "boxes were late", "remedy": "wait longer",
             "agents": {"rsu1": {"count": 3, "of": 15}}}, "off": {"meaning": "log_fault", "note": "boxes have no pose", "remedy":
             "write poses", "agents": {"": {"count": 1, "of": 0}}}}}"#;
-        let told: Told = serde_json::from_str(words).unwrap();
+        let reported: Reported = serde_json::from_str(words).unwrap();
         let said = |counter: &str| {
-            let loss = &told.losses[counter];
+            let loss = &reported.losses[counter];
             let agents = loss.worth_a_note().map(|(agent, share)| (agent, share.count, share.of));
             (loss.meaning, &*loss.note, agents.collect::<Vec<_>>())
         };

@@ -4,7 +4,7 @@ use arrow_buffer::Buffer;
 use realo_schemas::report::{Crossing, Fate, Fated, Use};
 use realo_schemas::{Box3, Boxes, Header, Kind, Message, Nanos, PointCloud, Selection};
 
-use super::{Reply, Told};
+use super::{Reply, Reported};
 
 pub fn boxes(agent: &str, n: usize) -> Message {
     let object = Box3 {
@@ -46,7 +46,7 @@ pub fn reply(points: usize) -> Reply {
         ],
         wakes: vec![-5, Nanos::MAX],
         counts: vec![("low".into(), u64::MAX)],
-        told: Told {
+        reported: Reported {
             fates: vec![Fated {
                 message: Crossing {
                     from: "rsu1".into(),

@@ -17,10 +17,10 @@ fn pose_at(time: Nanos) -> Isometry3<f64> {
     )
 }
 
-fn state(time: Nanos) -> EgoState {
+fn state(time: Nanos) -> AgentState {
     let mut covariance = Box::new([0.0; 36]);
     covariance[0] = time as f64;
-    EgoState {
+    AgentState {
         map_from_body: pose_at(time),
         covariance: Some(covariance),
         velocity: None,
@@ -30,7 +30,7 @@ fn state(time: Nanos) -> EgoState {
 }
 
 fn pose(agent: &str, time: Nanos) -> Message {
-    Message::new(header(agent, Kind::EgoState, time as u64, time, time), state(time))
+    Message::new(header(agent, Kind::AgentState, time as u64, time, time), state(time))
 }
 
 /// A sweep of 100 ms around its stamp of a thing that stands at (1e5 - 3, 40, 2) in the map.
@@ -55,7 +55,7 @@ fn run(sync: &mut Sync, inputs: impl IntoIterator<Item = Message>) -> (Vec<Messa
     let mut all = Vec::new();
     let mut last = Outputs::at(0);
     for message in inputs {
-        let port = if matches!(message.payload, realo_schemas::Payload::EgoState(_)) {
+        let port = if matches!(message.payload, realo_schemas::Payload::AgentState(_)) {
             POSES
         } else {
             CLOUDS
@@ -67,7 +67,7 @@ fn run(sync: &mut Sync, inputs: impl IntoIterator<Item = Message>) -> (Vec<Messa
     (all, last)
 }
 
-fn parts(sent: &[Message]) -> (Header, EgoState, Header, PointCloud) {
+fn parts(sent: &[Message]) -> (Header, AgentState, Header, PointCloud) {
     let [state, cloud] = sent else {
         panic!("expected a state and a cloud, found {}", sent.len())
     };
@@ -84,7 +84,7 @@ fn removes_the_motion_and_says_where_the_agent_is() {
     let (state_header, state, cloud_header, cloud) = parts(&sent);
     assert_eq!(
         (state_header.kind, state_header.seq, state_header.stamp),
-        (Kind::EgoState, 7, 204 * MS)
+        (Kind::AgentState, 7, 204 * MS)
     );
     assert_eq!((state_header.ready, cloud_header.ready), (254 * MS, 254 * MS));
     assert_eq!(cloud_header.kind, Kind::Points);
@@ -240,8 +240,8 @@ fn refuses_stamps_from_the_future_and_poses_that_are_none() {
     assert!(refuse(POSES, pose("cav1", 1001)).contains("1.001 s"));
     let mut bad = state(0);
     bad.map_from_body.translation.x = f64::NAN;
-    assert!(refuse(POSES, Message::new(header("cav1", Kind::EgoState, 0, 0, 0), bad)).contains("finite"));
-    assert!(refuse(POSES, sweep("cav1", 0, 0)).contains("EgoState"));
+    assert!(refuse(POSES, Message::new(header("cav1", Kind::AgentState, 0, 0, 0), bad)).contains("finite"));
+    assert!(refuse(POSES, sweep("cav1", 0, 0)).contains("AgentState"));
     let refuse = |own_body: &[f32]| {
         let config = SyncConfig {
             own_body: own_body.to_vec(),

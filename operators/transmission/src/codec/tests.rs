@@ -2,7 +2,7 @@ use arrow::buffer::Buffer;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use realo_operator::{Describe, Operator, Outputs, PortId, Steps};
-use realo_schemas::{Box3, Boxes, DType, EgoState, Elements, FeatureMap, Name, PointCloud, Pose, PoseStatus};
+use realo_schemas::{AgentState, Box3, Boxes, DType, Elements, FeatureMap, Name, PointCloud, Pose, PoseStatus};
 
 use super::*;
 use crate::{DecoderConfig, EncoderConfig, TransmissionDecoder, TransmissionEncoder};
@@ -69,7 +69,7 @@ fn messages() -> Vec<Message> {
         vec![-50_000_000, 50_000_000],
         vec![0u16, 127],
     );
-    let state = EgoState {
+    let state = AgentState {
         map_from_body: pose().map_from_frame,
         covariance: pose().covariance,
         velocity: Some(Vector3::new(13.9, 0.1, -0.01)),
@@ -87,7 +87,7 @@ fn messages() -> Vec<Message> {
         model: "0123abcd".into(),
         confidence: None,
     };
-    let bare_state = EgoState {
+    let bare_state = AgentState {
         covariance: None,
         velocity: None,
         angular_rate: None,
@@ -101,8 +101,8 @@ fn messages() -> Vec<Message> {
         Message::new(no_pose, Boxes::default()),
         Message::new(header(Kind::Points), cloud.unwrap()),
         Message::new(header(Kind::Points), PointCloud::empty()),
-        Message::new(header(Kind::EgoState), state),
-        Message::new(header(Kind::EgoState), bare_state),
+        Message::new(header(Kind::AgentState), state),
+        Message::new(header(Kind::AgentState), bare_state),
         Message::new(header(Kind::Features), map),
     ]
 }
@@ -114,7 +114,7 @@ const ALL: EncoderConfig = EncoderConfig {
     step_m: 0.0,
     elements: Elements::F32,
     shuffle: false,
-    least_confidence: 0.0,
+    min_confidence: 0.0,
     budget_bytes: None,
     zstd: None,
     boxes: BoxesLayout::Plain,
@@ -127,7 +127,7 @@ const ALL: EncoderConfig = EncoderConfig {
     max_objects: 255,
 };
 
-/// Greatest map that is made in these tests, bytes.
+/// Largest map that is made in these tests, bytes.
 const LIMIT: usize = 1 << 20;
 
 fn packed(message: &Message, config: &EncoderConfig) -> Result<(Packet, Dropped), EncodeError> {
@@ -279,7 +279,7 @@ fn packets_keep_the_receivers_header_and_the_senders_content() {
         let mut decoder = TransmissionDecoder::new(DecoderConfig::default()).unwrap();
         decoder.on_input(PortId(0), packet.clone(), &mut out).unwrap();
         let (port, found) = out.take_sent().remove(0);
-        let is_state = matches!(message.payload, Payload::EgoState(_));
+        let is_state = matches!(message.payload, Payload::AgentState(_));
         assert_eq!(port, PortId(usize::from(is_state)), "states have a port of their own");
         let expected = Header {
             to: packet.header.to,

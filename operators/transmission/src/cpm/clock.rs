@@ -13,7 +13,7 @@ const LEAPS: [i64; 5] = [
     1_435_708_800,
     1_483_228_800,
 ];
-/// Greatest `TimestampIts`.
+/// Largest `TimestampIts`.
 const GREATEST: i64 = 4_398_046_511_103;
 const MILLI: Nanos = 1_000_000;
 

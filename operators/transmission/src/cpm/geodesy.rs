@@ -13,9 +13,9 @@ const FLATTENING: f64 = 1.0 / 298.257_223_563;
 /// Square of the first eccentricity.
 const ECCENTRICITY_2: f64 = FLATTENING * (2.0 - FLATTENING);
 
-/// Greatest latitude of a map's origin, degrees: at a pole there is no east.
+/// Largest latitude of a map's origin, degrees: at a pole there is no east.
 const LATITUDE: f64 = 89.0;
-/// Heights that a CPM tells, m.
+/// Heights that a CPM reports, m.
 const HEIGHT: std::ops::Range<f64> = -1_000.0..8_000.0;
 
 /// A place on Earth: WGS84, height over the ellipsoid.

@@ -33,7 +33,7 @@ const DELTAS: std::ops::RangeInclusive<i16> = -2_047..=2_046;
 
 /// Stamps and `referenceTime` of one message may differ by as much, ns: the one is exact, the other a whole millisecond.
 const APART: Nanos = 1_000_000;
-/// An object whose angle is not told and that is faster than this faces where it goes, m/s.
+/// An object whose angle is not given and that is faster than this faces where it goes, m/s.
 const MOVES: f64 = 1.0;
 /// Score of an object without any confidence.
 const SCORE: f32 = 0.5;
@@ -184,8 +184,8 @@ fn box_of(object: &PerceivedObject) -> Option<(Box3, bool)> {
     let known_z = position.z_coordinate.as_ref().and_then(metres);
     let velocity = object.velocity.as_ref().and_then(velocity_of);
 
-    let told = object.angles.as_ref();
-    let known_yaw = told.and_then(|angles| radians(&angles.z_angle));
+    let reported = object.angles.as_ref();
+    let known_yaw = reported.and_then(|angles| radians(&angles.z_angle));
     let moving = velocity.filter(|velocity| velocity.xy().norm() > MOVES);
     let course = moving.map(|velocity| libm::atan2(velocity.y, velocity.x));
     let yaw = known_yaw.or(course).or(walks.then_some(0.0))?;
@@ -205,7 +205,8 @@ fn box_of(object: &PerceivedObject) -> Option<(Box3, bool)> {
     let variances = [
         variance_of_coordinate(&position.x_coordinate),
         variance_of_coordinate(&position.y_coordinate),
-        told.filter(|_| known_yaw.is_some())
+        reported
+            .filter(|_| known_yaw.is_some())
             .and_then(|angles| variance_of_angle(&angles.z_angle)),
     ];
     // An age of 0 says that the id has not meant anything before.
@@ -240,7 +241,7 @@ fn class_of(object: &PerceivedObject) -> Option<(&ObjectClass, Option<u8>)> {
     classes.reduce(|best, next| if next.1 > best.1 { next } else { best })
 }
 
-/// m/s east, north and up; upwards 0 where that is not told.
+/// m/s east, north and up; upwards 0 where that is not given.
 fn velocity_of(velocity: &Velocity3dWithConfidence) -> Option<Vector3<f64>> {
     let (x, y, up) = match velocity {
         Velocity3dWithConfidence::cartesianVelocity(velocity) => (

@@ -12,10 +12,10 @@ pub(crate) fn agent_of(station: u32) -> Name {
 
 /// `station-4711` has the `StationId` 4711; that of any other name is its 32-bit FNV-1a hash, the same everywhere.
 pub(crate) fn station_of(agent: &str) -> u32 {
-    let told = agent.strip_prefix(STATION).and_then(|number| number.parse().ok());
+    let reported = agent.strip_prefix(STATION).and_then(|number| number.parse().ok());
     // `station-007` and `station-+7` are names as any other.
-    let told = told.filter(|station| *agent_of(*station) == *agent);
-    told.unwrap_or_else(|| hash_of(agent.as_bytes()))
+    let reported = reported.filter(|station| *agent_of(*station) == *agent);
+    reported.unwrap_or_else(|| hash_of(agent.as_bytes()))
 }
 
 /// The id of a track in 16 bits: itself where it fits, else its 32-bit FNV-1a hash, upper half xor lower half.

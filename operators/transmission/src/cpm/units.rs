@@ -18,7 +18,7 @@ const DECI: f64 = 0.1;
 /// Half the width of the interval that holds 95 % of a normal distribution, in standard deviations.
 const SIGMAS_95: f64 = 1.959_963_985;
 
-/// The greatest numbers that mean what they say; beyond are "out of range" and "unavailable".
+/// The largest numbers that mean what they say; beyond are "out of range" and "unavailable".
 const COORDINATES: f64 = 131_070.0;
 const VELOCITIES: std::ops::RangeInclusive<f64> = -16_382.0..=16_381.0;
 const DIMENSIONS: f64 = 254.0;
@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn angles_at_the_edges_are_told_as_they_should_be() {
+    fn angles_at_the_edges_are_reported_as_they_should_be() {
         let cases = [
             (0.0, 0),
             (-0.04, 0),
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_at_the_edges_of_their_ranges_are_told_or_left_out() {
+    fn numbers_at_the_edges_of_their_ranges_are_reported_or_left_out() {
         let number = |metres| coordinate(metres, None).map(|coordinate| coordinate.value.0);
         assert_eq!(number(-0.004), Some(0));
         assert_eq!(number(1_310.704), Some(131_070));
@@ -193,9 +193,9 @@ mod tests {
     #[test]
     fn variances_are_bounds_of_95_per_cent() {
         // A deviation of 0.25 m: 0.49 m.
-        let told = coordinate(0.0, Some(0.0625)).unwrap();
-        assert_eq!(told.confidence.0, 49);
-        let back = variance_of_coordinate(&told).unwrap();
+        let reported = coordinate(0.0, Some(0.0625)).unwrap();
+        assert_eq!(reported.confidence.0, 49);
+        let back = variance_of_coordinate(&reported).unwrap();
         assert!((back.sqrt() - 0.25).abs() < CENTI / SIGMAS_95, "{back}");
         assert_eq!(
             coordinate(0.0, Some(1e9)).unwrap().confidence.0,
@@ -203,8 +203,8 @@ mod tests {
         );
         assert_eq!(coordinate(0.0, Some(0.0)).unwrap().confidence.0, 1);
         for unknown in [f64::NAN, -0.25] {
-            let told = coordinate(0.0, Some(unknown)).unwrap();
-            assert_eq!(told.confidence.0, UNAVAILABLE_COORDINATE);
+            let reported = coordinate(0.0, Some(unknown)).unwrap();
+            assert_eq!(reported.confidence.0, UNAVAILABLE_COORDINATE);
         }
         assert_eq!(variance_of_coordinate(&coordinate(0.0, None).unwrap()), None);
         // A deviation of 2 degrees: 3.92 degrees; one of 7 is beyond.

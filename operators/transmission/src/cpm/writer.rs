@@ -33,7 +33,7 @@ use crate::{Dropped, EncodeError, EncoderConfig};
 const UNAVAILABLE_AXIS: u16 = 4_095;
 const UNAVAILABLE_ANGLE: u16 = 3_601;
 const UNAVAILABLE_CONFIDENCE: u8 = 127;
-/// Longitudes of -180 degrees are told as 180.
+/// Longitudes of -180 degrees are reported as 180.
 const WEST: i32 = -1_800_000_000;
 /// Heights that have a number, cm.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -99_999.0..=799_999.0;
@@ -194,7 +194,7 @@ fn map_from_frame(header: &Header) -> Result<Isometry3<f64>, EncodeError> {
     Ok(pose)
 }
 
-/// The place of the sender as a CPM tells it, and the place that this is to the last digit: boxes are told from there.
+/// The place of the sender as a CPM reports it, and the place that this is to the last digit: boxes are relative to it.
 fn reference_position(
     origin: &Geodetic,
     map_from_frame: &Isometry3<f64>,

@@ -235,17 +235,17 @@ fn scales_that_no_encoder_makes_are_refused() {
     let packet = encoded(map_of(numbers()), &config(Elements::Int8, false, None))
         .unwrap()
         .0;
-    let least = ENVELOPE + HEAD + 2;
-    let step = least + 4 * SHAPE[2];
+    let min = ENVELOPE + HEAD + 2;
+    let step = min + 4 * SHAPE[2];
     let with = |at: usize, value: f32| {
         let mut bytes = packet.bytes.to_vec();
         bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
         bytes
     };
-    assert!(decoded(&with(least + 8, -3.0)).is_ok() && decoded(&with(step + 8, 0.5)).is_ok());
+    assert!(decoded(&with(min + 8, -3.0)).is_ok() && decoded(&with(step + 8, 0.5)).is_ok());
     for (at, value) in [
-        (least, f32::NAN),
-        (least, f32::INFINITY),
+        (min, f32::NAN),
+        (min, f32::INFINITY),
         (step, f32::NAN),
         (step, f32::INFINITY),
         (step, 0.0),
@@ -366,7 +366,7 @@ fn cells_there(map: &FeatureMap) -> Vec<usize> {
 fn of_a_map_of_which_some_cells_cross_these_come_back_and_zeros() {
     for config in all_configs() {
         let config = EncoderConfig {
-            least_confidence: 0.7,
+            min_confidence: 0.7,
             ..config
         };
         let mut encoder = Encoder::new(&config).unwrap();
@@ -389,7 +389,7 @@ fn of_a_map_of_which_some_cells_cross_these_come_back_and_zeros() {
             ..kept
         };
         let plain = EncoderConfig {
-            least_confidence: 0.0,
+            min_confidence: 0.0,
             ..config.clone()
         };
         let expected = decoded(&encoded(kept, &plain).unwrap().0.bytes).unwrap();
@@ -409,7 +409,7 @@ fn a_budget_holds_the_surest_cells_and_nearly_as_many_as_fit() {
         let within = |budget: Option<usize>| {
             let config = EncoderConfig {
                 budget_bytes: budget,
-                least_confidence: if budget.is_none() { 1e-6 } else { 0.0 },
+                min_confidence: if budget.is_none() { 1e-6 } else { 0.0 },
                 ..config.clone()
             };
             let mut encoder = Encoder::new(&config).unwrap();
@@ -453,12 +453,12 @@ fn a_budget_holds_the_surest_cells_and_nearly_as_many_as_fit() {
     let error = encoded(map_of(numbers()), &config).unwrap_err().to_string();
     assert!(error.contains("confidence=true"), "{error}");
     let config = EncoderConfig {
-        least_confidence: 1.5,
+        min_confidence: 1.5,
         ..EncoderConfig::default()
     };
     let error = Encoder::new(&config).err().expect("refused").to_string();
     assert!(
-        error.contains("`least_confidence`: expected 0 to 1, found 1.5"),
+        error.contains("`min_confidence`: expected 0 to 1, found 1.5"),
         "{error}"
     );
 }
@@ -467,7 +467,7 @@ fn a_budget_holds_the_surest_cells_and_nearly_as_many_as_fit() {
 fn a_map_of_which_no_cell_is_sure_crosses_without_any() {
     for config in all_configs() {
         let config = EncoderConfig {
-            least_confidence: 1.0,
+            min_confidence: 1.0,
             ..config
         };
         let doubtful = FeatureMap {
@@ -484,7 +484,7 @@ fn a_map_of_which_no_cell_is_sure_crosses_without_any() {
 #[test]
 fn cells_that_are_not_as_many_as_a_packet_says_are_refused() {
     let config = EncoderConfig {
-        least_confidence: 0.7,
+        min_confidence: 0.7,
         ..config(Elements::F32, false, None)
     };
     let packet = encoded(unsure(), &config).unwrap().0;

@@ -2,10 +2,10 @@
 
 use super::lanes::LANES;
 
-/// Bytes that hold every number of a column above its least one.
+/// Bytes that hold every number of a column above its smallest one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Range {
-    pub least: i32,
+    pub min: i32,
     /// 0 to 4.
     pub width: usize,
 }
@@ -13,11 +13,11 @@ pub(super) struct Range {
 impl Range {
     /// That of a column; of an empty one nothing.
     pub fn of(values: &[i32]) -> Self {
-        let least = values.iter().copied().min().unwrap_or_default();
+        let min = values.iter().copied().min().unwrap_or_default();
         let most = values.iter().copied().max().unwrap_or_default();
-        let span = most.wrapping_sub(least) as u32;
+        let span = most.wrapping_sub(min) as u32;
         let width = (u32::BITS - span.leading_zeros()).div_ceil(8) as usize;
-        Range { least, width }
+        Range { min, width }
     }
 
     /// Bits above those of the width.
@@ -26,7 +26,7 @@ impl Range {
     }
 }
 
-/// Differences of a column, each from the number before it in its lane, or from the least one; modulo 256 to the power
+/// Differences of a column, each from the number before it in its lane, or from the smallest one; modulo 256 to the power
 /// of the width, of both signs in turn: 0, -1, 1, -2 become 0, 1, 2, 3.
 pub(super) fn differences(values: &[i32], lanes: Option<&[u8]>, range: Range, out: &mut Vec<u32>) {
     out.clear();
@@ -35,12 +35,12 @@ pub(super) fn differences(values: &[i32], lanes: Option<&[u8]>, range: Range, ou
     }
     match lanes {
         None => {
-            out.extend(values.first().map(|first| first.wrapping_sub(range.least) as u32));
+            out.extend(values.first().map(|first| first.wrapping_sub(range.min) as u32));
             let pairs = values.iter().zip(values.iter().skip(1));
             out.extend(pairs.map(|(before, value)| value.wrapping_sub(*before) as u32));
         }
         Some(lanes) => {
-            let mut last = [range.least; LANES];
+            let mut last = [range.min; LANES];
             out.extend(values.iter().zip(lanes).map(|(value, lane)| {
                 let before = std::mem::replace(&mut last[usize::from(*lane)], *value);
                 value.wrapping_sub(before) as u32
@@ -74,14 +74,14 @@ impl Planes<'_> {
     /// The next column.
     pub fn column<T: Clone>(&mut self, range: Range, from: impl Fn(i32) -> T) -> Vec<T> {
         if range.width == 0 {
-            return vec![from(range.least); self.count];
+            return vec![from(range.min); self.count];
         }
         let (own, rest) = self.planes.split_at(range.width * self.count);
         self.planes = rest;
         self.merge(own);
         self.add_up();
         let mask = u32::MAX >> range.spare();
-        let number = |sum: &u32| from(range.least.wrapping_add((sum & mask) as i32));
+        let number = |sum: &u32| from(range.min.wrapping_add((sum & mask) as i32));
         self.sums.iter().map(number).collect()
     }
 

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use realo_schemas::PointCloud;
 
-/// Greatest number of lanes.
+/// Largest number of lanes.
 pub(super) const LANES: usize = 256;
 
 /// Side of a bin of the tangent of elevation: a third of a degree, the distance of the beams of many sensors, and less
@@ -24,13 +24,13 @@ const RUN: usize = 512;
 
 /// Bin of elevation of a point as seen from the sensor; those beyond ±37° share the last ones.
 fn bin([x, y, z]: [f32; 3], height: f32) -> u8 {
-    // At least the least positive number, so that the quotient is one.
+    // At least the smallest positive number, so that the quotient is one.
     let distance = (x * x + y * y).sqrt().max(f32::MIN_POSITIVE);
     let bin = ((z - height) / distance * (1.0 / BIN)).clamp(-127.0, 127.0) + 128.0;
     (bin + ROUND).to_bits() as u8
 }
 
-/// Chooses the lane of each point, if lanes are worth it: its beam, or its bin of elevation where the cloud tells no beams.
+/// Chooses the lane of each point, if lanes are worth it: its beam, or its bin of elevation where the cloud reports no beams.
 /// `places` are the quantised coordinates of the same points.
 pub(super) fn choose(cloud: &PointCloud, places: [&[i32]; 3], lanes: &mut Vec<u8>) -> bool {
     if cloud.len() < RUNS {
@@ -45,10 +45,10 @@ pub(super) fn choose(cloud: &PointCloud, places: [&[i32]; 3], lanes: &mut Vec<u8
     }
     let by_elevation = |height: f32| sampled(places, |i| bin([cloud.x[i], cloud.y[i], cloud.z[i]], height));
     let tried = HEIGHTS.map(|height| (by_elevation(height), height));
-    let Some((least, height)) = tried.into_iter().min_by_key(|(bits, _)| *bits) else {
+    let Some((min, height)) = tried.into_iter().min_by_key(|(bits, _)| *bits) else {
         return false;
     };
-    if least >= alone {
+    if min >= alone {
         return false;
     }
     let points = cloud.x.iter().zip(&*cloud.y).zip(&*cloud.z);

@@ -21,7 +21,7 @@ const POINT: usize = 3 * 4 + 1 + 4 + 2;
 /// Added to a number below 2⁵¹, it leaves the nearest whole one in the low bits.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
-/// Columns in the order in which they cross, and the greatest width of each, bytes.
+/// Columns in the order in which they cross, and the largest width of each, bytes.
 const COLUMNS: [(&str, usize); 6] = [("x", 4), ("y", 4), ("z", 4), ("intensity", 1), ("time", 4), ("ring", 2)];
 
 /// Which of [`COLUMNS`] cross.
@@ -60,7 +60,7 @@ impl Writer {
     pub fn quantise(&mut self, cloud: &PointCloud, columns: Columns) -> bool {
         let rate = 1.0 / self.step;
         let places = [&cloud.x, &cloud.y, &cloud.z];
-        let fits = |values: &[f32]| f64::from(greatest(values)) * rate < f64::from(i32::MAX);
+        let fits = |values: &[f32]| f64::from(max(values)) * rate < f64::from(i32::MAX);
         if !places.iter().all(|values| fits(values)) {
             return false;
         }
@@ -106,7 +106,7 @@ impl Writer {
         let lanes = has_lanes.then_some(&self.lanes[..]);
         for k in crossing(columns) {
             let range = Range::of(&self.columns[k]);
-            out.extend(range.least.to_le_bytes());
+            out.extend(range.min.to_le_bytes());
             out.push(range.width as u8);
             differences(&self.columns[k], lanes, range, &mut self.differences);
             (0..range.width).for_each(|byte| plane(&self.differences, byte, &mut self.planes));
@@ -149,8 +149,8 @@ fn fill<T: Copy>(out: &mut Vec<i32>, values: &[T], number: impl Fn(T) -> i32) {
     out.extend(values.iter().map(|value| number(*value)));
 }
 
-/// The greatest size of numbers, all finite.
-fn greatest(values: &[f32]) -> f32 {
+/// The largest size of numbers, all finite.
+fn max(values: &[f32]) -> f32 {
     // Bits of numbers without a sign go up as the numbers do, and the maximum of whole numbers is one of vectors.
     let sizes = values.iter().map(|value| (value.to_bits() & 0x7fff_ffff) as i32);
     f32::from_bits(sizes.max().unwrap_or_default() as u32)
@@ -158,7 +158,7 @@ fn greatest(values: &[f32]) -> f32 {
 
 /// Gets clouds out of bytes; what it works in serves one cloud after another.
 pub(super) struct Parser {
-    /// Greatest cloud that is made, bytes.
+    /// Largest cloud that is made, bytes.
     limit: usize,
     zstd: Decompressor<'static>,
     decompressed: Vec<u8>,
@@ -257,15 +257,15 @@ impl Parser {
 }
 
 fn range(bytes: &mut Reader, column: usize) -> Result<Range, DecodeError> {
-    let (name, greatest) = COLUMNS[column];
-    let least = bytes.u32("least number of a column")? as i32;
+    let (name, max) = COLUMNS[column];
+    let min = bytes.u32("min number of a column")? as i32;
     let width = usize::from(bytes.u8("width of a column")?);
-    if width > greatest {
+    if width > max {
         return Err(DecodeError::Value {
             field: "width of a column",
             expected: "no more bytes than its numbers have",
             found: format!("{width} of {name}"),
         });
     }
-    Ok(Range { least, width })
+    Ok(Range { min, width })
 }

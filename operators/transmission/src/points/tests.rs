@@ -61,7 +61,7 @@ fn scattered(count: usize, radius: f32) -> PointCloud {
 }
 
 /// A sweep of a spinning sensor: column after column, the beams of which see walls at different distances.
-fn swept(columns: usize, beams: usize, tells_beams: bool) -> PointCloud {
+fn swept(columns: usize, beams: usize, knows_beams: bool) -> PointCloud {
     let count = columns * beams;
     let place = |i: usize| {
         let (column, beam) = (i / beams, i % beams);
@@ -72,7 +72,7 @@ fn swept(columns: usize, beams: usize, tells_beams: bool) -> PointCloud {
     };
     let coordinate = |k: usize| (0..count).map(|i| place(i)[k]).collect::<Vec<f32>>();
     let ring: Vec<u16> = (0..count)
-        .map(|i| if tells_beams { (i % beams) as u16 } else { 0 })
+        .map(|i| if knows_beams { (i % beams) as u16 } else { 0 })
         .collect();
     let time: Vec<i32> = (0..count).map(|i| (i / beams) as i32 * 55_556 - 50_000_000).collect();
     let intensity: Vec<u8> = (0..count)
@@ -176,7 +176,7 @@ fn a_million_points_cross_and_equal_ones_take_no_bytes() {
 
 #[test]
 fn a_cloud_too_far_out_for_its_step_crosses_as_it_is() {
-    // The greatest f32 below 2³¹, and that number.
+    // The largest f32 below 2³¹, and that number.
     for (far, quantised) in [(2_147_483_520.0f32, true), (2_147_483_648.0, false), (f32::MAX, false)] {
         for far in [far, -far] {
             let mut cloud = scattered(100, 5.0);
@@ -219,7 +219,7 @@ fn beams_that_fire_in_turn_get_lanes_and_lines_do_not() {
         assert_eq!(packet.bytes[LANES], lanes);
         packet.bytes.len()
     };
-    let told = size(&swept(300, 32, true), 1);
+    let reported = size(&swept(300, 32, true), 1);
     let guessed = size(&swept(300, 32, false), 1);
     let mut on_a_roof = swept(300, 32, false);
     on_a_roof.z = on_a_roof.z.iter().map(|z| z + 2.0).collect();
@@ -231,8 +231,8 @@ fn beams_that_fire_in_turn_get_lanes_and_lines_do_not() {
         .collect();
     let lines = size(&pick(&cloud, &by_beam), 0);
     assert!(
-        told < lines + lines / 5 && guessed < lines + lines / 5,
-        "{told}, {guessed}, {lines}"
+        reported < lines + lines / 5 && guessed < lines + lines / 5,
+        "{reported}, {guessed}, {lines}"
     );
     size(&scattered(5000, 80.0), 0);
 }
@@ -256,8 +256,8 @@ fn bytes_are_laid_out_as_documented() {
     expected.extend(0.5f64.to_le_bytes());
     expected.push(0);
     // x: 2, -2, 300; y: 4, 4, 4; z: 0, 0 (midway, to the even one), 2.
-    for (least, width) in [(-2i32, 2), (4, 0), (0, 1), (9, 1), (-5, 1), (7, 2)] {
-        expected.extend(least.to_le_bytes());
+    for (min, width) in [(-2i32, 2), (4, 0), (0, 1), (9, 1), (-5, 1), (7, 2)] {
+        expected.extend(min.to_le_bytes());
         expected.push(width);
     }
     // x: 4, -4, 302; z: 0, 0, 2; intensity: 1, 2, -3; time: 0, 10, 0; ring: 0, 0, 293.

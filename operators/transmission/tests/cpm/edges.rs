@@ -52,12 +52,12 @@ fn fastest<T>(mut work: impl FnMut() -> T) -> (T, f64) {
         let begun = Instant::now();
         (work(), begun.elapsed().as_secs_f64() * 1e6)
     };
-    let mut least = round();
+    let mut min = round();
     for _ in 1..200 {
         let (done, took) = round();
-        least = (done, least.1.min(took));
+        min = (done, min.1.min(took));
     }
-    least
+    min
 }
 
 #[test]

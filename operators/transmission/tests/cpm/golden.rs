@@ -1,4 +1,4 @@
-//! Our bytes and those of an independent encoder: `vectors.py` makes them, and tells how.
+//! Our bytes and those of an independent encoder: `vectors.py` makes them, and says how.
 
 use std::path::Path;
 
@@ -132,7 +132,7 @@ fn cpms_of_another_stack_become_boxes() {
         let bytes = bytes_of(&case.name);
         let message = received(&bytes, &"run".into(), 7, vectors.stamp + 5).unwrap();
         let header = &message.header;
-        // The CPM tells whole milliseconds.
+        // A CPM has whole milliseconds.
         assert_eq!(
             (&*header.agent, header.kind, header.seq, header.stamp),
             (&*case.agent, Kind::Boxes, 7, vectors.stamp - 300_000),

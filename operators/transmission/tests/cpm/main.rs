@@ -103,8 +103,8 @@ fn check(found: &Box3, sent: &Box3) {
         (found.width, sent.width),
         (found.height, sent.height),
     ] {
-        let least = sent.max(0.1);
-        assert!((found - least).abs() < 0.050_001, "{found} m, {sent} m");
+        let min = sent.max(0.1);
+        assert!((found - min).abs() < 0.050_001, "{found} m, {sent} m");
     }
     match (found.velocity, sent.velocity) {
         (Some(found), Some(sent)) => {
@@ -113,9 +113,9 @@ fn check(found: &Box3, sent: &Box3) {
         }
         (found, sent) => assert_eq!(found, sent),
     }
-    let least = sent.score.max(0.01);
+    let min = sent.score.max(0.01);
     assert!(
-        (found.score - least).abs() < 0.005_001,
+        (found.score - min).abs() < 0.005_001,
         "{} of {}",
         found.score,
         sent.score

@@ -32,7 +32,7 @@ CODES = {"vehicle": CAR, "truck": TRUCK, "pedestrian": PEDESTRIAN, "Bus": ("vehi
 
 def modules(folder):
     cdd, cpm = [(pathlib.Path(folder) / name).read_text(encoding="utf-8", errors="replace") for name in ("cdd_2_2_1.asn", "cpm_2_1_1.asn")]
-    # asn1tools takes a union of named numbers for its first member; 14 is the greatest one.
+    # asn1tools takes a union of named numbers for its first member; 14 is the largest one.
     union = "TrafficParticipantType (unknown|passengerCar..tram|agricultural)"
     if union not in cdd:
         sys.exit(f"{folder}/cdd_2_2_1.asn: expected `{union}`: another release of the common data dictionary?")
@@ -164,7 +164,7 @@ OURS = {
 
 
 def ours(codec, case):
-    """The CPM of a case, by the rules that docs/transmission.md states."""
+    """The CPM of a case, by the rules that docs/reference/packets.md states."""
     there = Local(*case["origin"])
     x, y, z, yaw = case["pose"]
     longitude, latitude, height = there.place((x, y, z))
@@ -335,13 +335,13 @@ def main():
     if len(sys.argv) not in (2, 3) or sys.argv[2:] not in ([], ["--check"]):
         sys.exit(__doc__)
     codec = modules(sys.argv[1])
-    files, told = {}, {"stamp": STAMP, "ours": [], "theirs": []}
+    files, reported = {}, {"stamp": STAMP, "ours": [], "theirs": []}
     for name, case in OURS.items():
         files[name] = ours(codec, case)
-        told["ours"].append({"name": name, "roadside": "", **case})
+        reported["ours"].append({"name": name, "roadside": "", **case})
     for name, data, case in theirs(codec):
         files[name] = data
-        told["theirs"].append({"name": name, **case})
+        reported["theirs"].append({"name": name, **case})
     for name, data in files.items():
         message = codec.decode("CollectivePerceptionMessage", data)
         assert codec.encode("CollectivePerceptionMessage", message) == data, name
@@ -349,7 +349,7 @@ def main():
             if container["containerId"] == 5:
                 content = codec.decode("PerceivedObjectContainer", container["containerData"])
                 assert codec.encode("PerceivedObjectContainer", content) == container["containerData"], name
-    text = json.dumps(told, indent=1) + "\n"
+    text = json.dumps(reported, indent=1) + "\n"
     if sys.argv[2:]:
         kept = {path.stem: path.read_bytes() for path in CORPUS.glob("*.uper")}
         wrong = sorted(name for name in files if kept.get(name) != files[name])

@@ -53,7 +53,7 @@ fn calibration(path: &Path, transform: &Transform, skew: f64) -> Result<Parts, I
     Ok((rotation, translation))
 }
 
-/// Map from a LiDAR, by the calibration that tells how it lies in the world.
+/// Map from a LiDAR, by the calibration of the LiDAR in the world.
 fn pose_of_lidar(path: &Path, parts: &Parts) -> Result<Isometry3<f64>, ImportError> {
     let map_from_lidar = isometry(parts);
     let tilt = tilt_degrees(&map_from_lidar.rotation);

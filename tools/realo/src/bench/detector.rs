@@ -162,14 +162,14 @@ fn peer(python: &Path, model: &Model, cloud: &PointCloud) -> Result<Peer> {
     let bytes = xyz.flat_map(|((x, y), z)| [*x, *y, *z, 0.0]).flat_map(f32::to_le_bytes);
     fs::write(&file, bytes.collect::<Vec<u8>>())?;
     let grid = &model.grid;
-    let told = json!({
+    let reported = json!({
         "points": file,
         "size": [grid.cell, grid.cell, grid.z[1] - grid.z[0]],
         "range": [grid.x[0], grid.y[0], grid.z[0], grid.x[1], grid.y[1], grid.z[1]],
         "max_points": model.pillars.points,
         "max_pillars": model.pillars.pillars,
     });
-    Peer::start(python, "voxels", &told)
+    Peer::start(python, "voxels", &reported)
 }
 
 fn time(run: impl FnOnce()) -> f64 {
@@ -188,7 +188,7 @@ fn step(name: &str, seconds: &[f64], goal_ms: Option<f64>) -> Step {
     }
 }
 
-/// Least and median.
+/// Smallest and median.
 pub fn spread(values: &[f64]) -> (f64, f64) {
     let mut values = values.to_vec();
     values.sort_by(f64::total_cmp);
@@ -218,7 +218,7 @@ impl fmt::Display for Detector {
         for step in &self.steps {
             write!(
                 f,
-                "{:<60} least {:.2}, median {:.2}",
+                "{:<60} min {:.2}, median {:.2}",
                 step.name, step.minimum_ms, step.median_ms
             )?;
             match step.goal_ms {
@@ -229,7 +229,7 @@ impl fmt::Display for Detector {
         match &self.peer {
             Some(peer) => write!(
                 f,
-                "{:<60} least {:.2}, median {:.2}; ours is {:.2} of it (minima), {:.2} (paired; goal {})",
+                "{:<60} min {:.2}, median {:.2}; ours is {:.2} of it (minima), {:.2} (paired; goal {})",
                 format!("the same by {}", peer.name),
                 peer.minimum_ms,
                 peer.median_ms,

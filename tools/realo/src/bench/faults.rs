@@ -70,7 +70,7 @@ struct Row {
     clock_ms: Option<f64>,
     /// mAP at IoU 0.3 and 0.5.
     accuracy: Option<[f64; 2]>,
-    /// Greatest resident memory of the vehicle's radio, MB.
+    /// Largest resident memory of the vehicle's radio, MB.
     memory_mb: f64,
     /// Where it is not as it must be.
     broken: Vec<String>,
@@ -556,7 +556,7 @@ fn wait_until(at: Nanos) {
 
 /// What was seen of a run.
 struct Watched {
-    /// Greatest resident memory of the vehicle's radio, bytes.
+    /// Largest resident memory of the vehicle's radio, bytes.
     memory: u64,
     /// Most that the link carried to the vehicle over some looks, bits/s.
     carried: f64,

@@ -172,12 +172,12 @@ fn encoders(
     let canvas = canvas(&model, &weights, points);
     let layers = Layers::of(&model);
     let operations = operations(&layers, [layers.canvas, layers.features]);
-    let told = told(&model, threads, 1, 0);
-    let in_openvino = |precision: &str| ("openvino", with(&told, "precision", precision));
+    let reported = reported(&model, threads, 1, 0);
+    let in_openvino = |precision: &str| ("openvino", with(&reported, "precision", precision));
     let each = [
         (
             Precision::F32,
-            vec![("onnxruntime", told.clone()), ("pytorch", told.clone())],
+            vec![("onnxruntime", reported.clone()), ("pytorch", reported.clone())],
         ),
         (Precision::Bf16, vec![in_openvino("bf16")]),
         (Precision::Int8, vec![in_openvino("int8")]),
@@ -198,7 +198,7 @@ fn encoders(
         for peer in peers {
             let peer = python
                 .zip(peer)
-                .map(|(python, (name, told))| Peer::start(python, name, &told));
+                .map(|(python, (name, reported))| Peer::start(python, name, &reported));
             let measured = against(peer.transpose()?, || {
                 network.encode(&canvas)?;
                 Ok(())
@@ -230,8 +230,8 @@ fn frame(
         };
         let mut network = Network::new(&model, &weights, options)?;
         let outputs = anchors.classes.len() * model.rotations.len() * (anchors.classes.len() + 7);
-        let told = told(&model, threads, 2, outputs);
-        let peer = python.map(|python| Peer::start(python, &model.arch.to_string(), &told));
+        let reported = reported(&model, threads, 2, outputs);
+        let peer = python.map(|python| Peer::start(python, &model.arch.to_string(), &reported));
         let measured = against(peer.transpose()?, || {
             let [ego, other] = [network.encode(&canvas)?, network.encode(&canvas)?];
             let fused = network.fuse(&[Agent::beside(&ego), Agent::beside(&other)])?;
@@ -265,7 +265,7 @@ fn operations(layers: &Layers, [from, to]: [MapId; 2]) -> f64 {
 }
 
 /// What a peer needs to know to make the same network.
-fn told(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
+fn reported(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
     json!({
         "threads": threads,
         "batch": batch,
@@ -279,10 +279,10 @@ fn told(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
     })
 }
 
-fn with(told: &Value, key: &str, value: &str) -> Value {
-    let mut told = told.clone();
-    told[key] = value.into();
-    told
+fn with(reported: &Value, key: &str, value: &str) -> Value {
+    let mut reported = reported.clone();
+    reported[key] = value.into();
+    reported
 }
 
 /// Our times and a peer's, in turns.
@@ -352,7 +352,7 @@ fn timed(rounds: usize, mut run: impl FnMut() -> Result<()>) -> Result<Vec<f64>>
 
 impl fmt::Display for Networks {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        writeln!(f, "{} points of a simulated sweep; least and median, ms", self.points)?;
+        writeln!(f, "{} points of a simulated sweep; min and median, ms", self.points)?;
         for row in &self.rows {
             write!(f, "{:<78} {:>8.2} {:>8.2}", row.what, row.minimum_ms, row.median_ms)?;
             if let Some(gigaoperations) = row.gigaoperations {

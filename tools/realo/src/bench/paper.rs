@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::transmission::{Crossed, Way, cross};
 
-/// Rate at which the paper's points crossed its Wi-Fi, 3.7 MB in 144.2 ms, bit/s: messages of here are told at the same.
+/// Rate at which the paper's points crossed its Wi-Fi, 3.7 MB in 144.2 ms, bit/s: messages of here are reported at the same.
 const RATE: f64 = 205e6;
 /// Boxes of a sweep.
 const BOXES: usize = 50;

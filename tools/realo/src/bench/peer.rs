@@ -23,9 +23,9 @@ pub struct Peer {
 
 impl Peer {
     /// Starts one of `peers.py` by an interpreter that has its packages.
-    pub fn start(python: &Path, which: &str, told: &Value) -> Result<Self> {
+    pub fn start(python: &Path, which: &str, reported: &Value) -> Result<Self> {
         let mut child = Command::new(python)
-            .args(["-c", SCRIPT, which, &told.to_string()])
+            .args(["-c", SCRIPT, which, &reported.to_string()])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

@@ -5,7 +5,7 @@ import sys
 import time
 
 
-def voxels(told):
+def voxels(reported):
     """spconv's CPU voxeliser on a file of x, y, z, intensity as 32-bit floats."""
     import importlib.metadata
 
@@ -13,20 +13,20 @@ def voxels(told):
     import numpy
     from spconv.utils import Point2VoxelCPU3d
 
-    points = numpy.fromfile(told["points"], dtype=numpy.float32).reshape(-1, 4)
+    points = numpy.fromfile(reported["points"], dtype=numpy.float32).reshape(-1, 4)
     voxeliser = Point2VoxelCPU3d(
-        vsize_xyz=told["size"],
-        coors_range_xyz=told["range"],
+        vsize_xyz=reported["size"],
+        coors_range_xyz=reported["range"],
         num_point_features=4,
-        max_num_points_per_voxel=told["max_points"],
-        max_num_voxels=told["max_pillars"],
+        max_num_points_per_voxel=reported["max_points"],
+        max_num_voxels=reported["max_pillars"],
     )
     # The tensor does not keep the array alive.
     kept = [points, tv.from_numpy(points)]
     return f"spconv {importlib.metadata.version('spconv')}", lambda: voxeliser.point_to_voxel(kept[1])
 
 
-def point_pillars(told):
+def point_pillars(reported):
     """The network from the canvas to its last map: backbone, shrink layers, and heads if there are any."""
     import torch
     from torch import nn
@@ -42,7 +42,7 @@ def point_pillars(told):
     class PointPillars(nn.Module):
         def __init__(self):
             super().__init__()
-            backbone, inputs = told["backbone"], told["channels"]
+            backbone, inputs = reported["backbone"], reported["channels"]
             blocks, ups = [], []
             each = zip(*(backbone[key] for key in ("layers", "strides", "channels", "up_strides", "up_channels")))
             for layers, stride, channels, up_stride, up_channels in each:
@@ -52,12 +52,12 @@ def point_pillars(told):
                 inputs = channels
             self.blocks, self.ups = nn.ModuleList(blocks), nn.ModuleList(ups)
             channels, shrink = sum(backbone["up_channels"]), []
-            for layer in told["shrink"]:
+            for layer in reported["shrink"]:
                 kernel = layer["kernel"]
                 shrink += [nn.Conv2d(channels, layer["channels"], kernel, padding=kernel // 2), nn.ReLU()]
                 channels = layer["channels"]
             self.shrink = nn.Sequential(*shrink)
-            self.heads = nn.Conv2d(channels, told["outputs"], 1) if told["outputs"] else nn.Identity()
+            self.heads = nn.Conv2d(channels, reported["outputs"], 1) if reported["outputs"] else nn.Identity()
 
         def features(self, canvas):
             maps = []
@@ -72,23 +72,23 @@ def point_pillars(told):
     return PointPillars().to(memory_format=torch.channels_last)
 
 
-def canvas_of(told):
+def canvas_of(reported):
     """A canvas as full as a sweep's: features above 0 in a few of its cells."""
     import torch
 
-    shape = told["batch"], told["channels"], told["rows"], told["columns"]
+    shape = reported["batch"], reported["channels"], reported["rows"], reported["columns"]
     full = torch.rand(shape[0], 1, *shape[2:]) < 0.1
     return (torch.relu(torch.randn(shape)) * full).to(memory_format=torch.channels_last)
 
 
-def training(told):
+def training(reported):
     """A step of the same network in PyTorch: forward, backward and AdamW, from a canvas that is there already."""
     import torch
 
-    torch.set_num_threads(told["threads"])
-    network = point_pillars(told).train()
+    torch.set_num_threads(reported["threads"])
+    network = point_pillars(reported).train()
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
-    canvas = canvas_of(told)
+    canvas = canvas_of(reported)
 
     def step():
         optimizer.zero_grad()
@@ -98,13 +98,13 @@ def training(told):
     return f"PyTorch {torch.__version__}, f32, channels_last", step
 
 
-def fusing(told, fuse):
+def fusing(reported, fuse):
     """A whole frame in PyTorch, from canvases that are there already: all encoders, a fusion of [agents, rows, columns,
     channels] that gives the ego's map, heads."""
     import torch
 
-    torch.set_num_threads(told["threads"])
-    network, canvas = point_pillars(told).eval(), canvas_of(told)
+    torch.set_num_threads(reported["threads"])
+    network, canvas = point_pillars(reported).eval(), canvas_of(reported)
 
     @torch.inference_mode()
     def run():
@@ -114,12 +114,12 @@ def fusing(told, fuse):
     return f"PyTorch {torch.__version__}, f32, channels_last", run
 
 
-def fcooper(told):
-    """F-Cooper: the greatest of each feature."""
-    return fusing(told, lambda maps: maps.amax(0))
+def fcooper(reported):
+    """F-Cooper: the max of each feature."""
+    return fusing(reported, lambda maps: maps.amax(0))
 
 
-def attfuse(told):
+def attfuse(reported):
     """AttFuse: attention in each cell."""
 
     def fuse(maps):
@@ -127,15 +127,15 @@ def attfuse(told):
         weights = (maps @ maps.transpose(2, 3) / maps.shape[3] ** 0.5).softmax(3)
         return (weights @ maps)[:, :, 0]
 
-    return fusing(told, fuse)
+    return fusing(reported, fuse)
 
 
-def v2xvit(told):
+def v2xvit(reported):
     """V2X-ViT: its transformer for all agents, of which the ego's map is taken; no agents are added to fill a batch."""
     import torch
     from torch import nn
 
-    settings, channels = told["arch"], told["shrink"][-1]["channels"]
+    settings, channels = reported["arch"], reported["shrink"][-1]["channels"]
 
     class OverAgents(nn.Module):
         """In each cell, with layers for each kind of agent and matrices for each pair of kinds."""
@@ -216,17 +216,17 @@ def v2xvit(told):
             return maps[0]
 
     transformer = Transformer().eval()
-    vehicles = torch.zeros(told["batch"], dtype=torch.long)
+    vehicles = torch.zeros(reported["batch"], dtype=torch.long)
     everywhere = lambda maps: torch.ones(maps.shape[:3], dtype=torch.bool)
-    return fusing(told, lambda maps: transformer(maps, vehicles, vehicles, everywhere(maps)))
+    return fusing(reported, lambda maps: transformer(maps, vehicles, vehicles, everywhere(maps)))
 
 
-def pytorch(told):
+def pytorch(reported):
     """The encoder in PyTorch."""
     import torch
 
-    torch.set_num_threads(told["threads"])
-    network, canvas = point_pillars(told).eval(), canvas_of(told)
+    torch.set_num_threads(reported["threads"])
+    network, canvas = point_pillars(reported).eval(), canvas_of(reported)
 
     @torch.inference_mode()
     def run():
@@ -235,36 +235,36 @@ def pytorch(told):
     return f"PyTorch {torch.__version__}, f32, channels_last", run
 
 
-def openvino(told):
+def openvino(reported):
     """The encoder in OpenVINO, in f32, bf16 or int8."""
     import openvino
     import torch
 
-    network, canvas = point_pillars(told).eval(), canvas_of(told).contiguous()
+    network, canvas = point_pillars(reported).eval(), canvas_of(reported).contiguous()
     model = openvino.convert_model(network, example_input=canvas, input=[tuple(canvas.shape)])
-    if told["precision"] == "int8":
+    if reported["precision"] == "int8":
         import nncf
 
         model = nncf.quantize(model, nncf.Dataset([canvas.numpy()]), subset_size=1)
-    hint = {"int8": "f32", "bf16": "bf16", "f32": "f32"}[told["precision"]]
-    settings = {"INFERENCE_PRECISION_HINT": hint, "INFERENCE_NUM_THREADS": told["threads"], "PERFORMANCE_HINT": "LATENCY"}
+    hint = {"int8": "f32", "bf16": "bf16", "f32": "f32"}[reported["precision"]]
+    settings = {"INFERENCE_PRECISION_HINT": hint, "INFERENCE_NUM_THREADS": reported["threads"], "PERFORMANCE_HINT": "LATENCY"}
     compiled = openvino.Core().compile_model(model, "CPU", settings)
     request, numbers = compiled.create_infer_request(), canvas.numpy()
-    return f"OpenVINO {openvino.__version__.split('-')[0]}, {told['precision']}", lambda: request.infer([numbers])
+    return f"OpenVINO {openvino.__version__.split('-')[0]}, {reported['precision']}", lambda: request.infer([numbers])
 
 
-def onnxruntime(told):
+def onnxruntime(reported):
     """The encoder in ONNX Runtime, in f32."""
     import io
 
     import onnxruntime
     import torch
 
-    network, canvas = point_pillars(told).eval(), canvas_of(told).contiguous()
+    network, canvas = point_pillars(reported).eval(), canvas_of(reported).contiguous()
     file = io.BytesIO()
     torch.onnx.export(network, (canvas,), file, input_names=["canvas"], dynamo=False)
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = told["threads"]
+    options.intra_op_num_threads = reported["threads"]
     session = onnxruntime.InferenceSession(file.getvalue(), options, providers=["CPUExecutionProvider"])
     numbers = {"canvas": canvas.numpy()}
     return f"ONNX Runtime {onnxruntime.__version__}, f32", lambda: session.run(None, numbers)

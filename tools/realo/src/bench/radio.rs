@@ -34,7 +34,7 @@ const MEETING: Duration = Duration::from_secs(2);
 /// How long the link is cut, from `CUT_AT` on.
 const CUT: Duration = Duration::from_secs(8);
 const CUT_AT: Duration = Duration::from_secs(4);
-/// Greatest message.
+/// Largest message.
 const LARGEST: usize = 8 << 20;
 
 /// What carries the messages.
@@ -56,7 +56,7 @@ pub struct End {
     /// Where it listens, or whom the one that sends finds
     #[arg(long)]
     address: String,
-    /// Whether it sends; the other one tells what came
+    /// Whether it sends; the other one reports what came
     #[arg(long)]
     sends: bool,
     /// How long

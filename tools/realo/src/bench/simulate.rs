@@ -105,7 +105,7 @@ impl fmt::Display for Simulate {
             .iter()
             .flat_map(|place| [(place, "usual", place.usual), (place, "dense", place.dense)]);
         if let Some((place, traffic, rate)) = all.min_by(|a, b| a.2.median.total_cmp(&b.2.median)) {
-            writeln!(f, "  {:<32} {rate}", format!("least: {}, {traffic}", place.name))?;
+            writeln!(f, "  {:<32} {rate}", format!("min: {}, {traffic}", place.name))?;
         }
         writeln!(f, "  {:<32} {}", "over all", self.over_all)?;
         write!(f, "dense intersection by sensor")?;

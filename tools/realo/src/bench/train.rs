@@ -100,10 +100,10 @@ pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
     }
     let (minimum, median) = spread(&ours);
     let peer = peer.map(|peer| {
-        let (least, middle) = spread(&theirs);
+        let (min, middle) = spread(&theirs);
         PeerStep {
             name: peer.name.clone(),
-            minimum: least,
+            minimum: min,
             median: middle,
             ratio: median / middle,
             goal: 1.0,
@@ -120,7 +120,7 @@ pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
 fn peer(python: &Path, threads: usize) -> Result<Peer> {
     let model = Model::read(Path::new(MODEL))?;
     let anchors = model.rotations.len() * model.classes.len();
-    let told = json!({
+    let reported = json!({
         "threads": threads,
         "batch": BATCH,
         "rows": model.grid.rows(),
@@ -131,20 +131,20 @@ fn peer(python: &Path, threads: usize) -> Result<Peer> {
         // A score of each class and seven numbers of the box for each anchor.
         "outputs": anchors * (model.classes.len() + 7),
     });
-    Peer::start(python, "training", &told)
+    Peer::start(python, "training", &reported)
 }
 
 impl fmt::Display for Train {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         writeln!(
             f,
-            "models/lite, batch {BATCH}, full range, {} threads: least {:.3} s a step, median {:.3} s",
+            "models/lite, batch {BATCH}, full range, {} threads: min {:.3} s a step, median {:.3} s",
             self.threads, self.minimum, self.median
         )?;
         match &self.peer {
             Some(peer) => write!(
                 f,
-                "{}, without data and loss: least {:.3} s, median {:.3} s; ours is {:.2} of it (medians; goal {})",
+                "{}, without data and loss: min {:.3} s, median {:.3} s; ours is {:.2} of it (medians; goal {})",
                 peer.name, peer.minimum, peer.median, peer.ratio, peer.goal
             ),
             None => write!(f, "add --python PYTHON, one with torch, to compare"),

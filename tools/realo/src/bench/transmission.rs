@@ -17,7 +17,7 @@ use super::paper::{self, Tables};
 use crate::progress::Progress;
 
 const ROUNDS: usize = 41;
-/// Greatest map that is taken, bytes.
+/// Largest map that is taken, bytes.
 const LIMIT: usize = 64 << 20;
 
 /// Bytes of a point before it crosses, by which rates are counted: x, y, z and intensity in f32.
@@ -53,8 +53,8 @@ struct CloudCoding {
     step_m: f64,
     zstd: Option<i32>,
     bytes: usize,
-    /// Greatest difference of a coordinate that crossed, m.
-    greatest_error: f32,
+    /// Largest difference of a coordinate that crossed, m.
+    max_error: f32,
     encode: Way,
     decode: Way,
 }
@@ -65,8 +65,8 @@ struct Coding {
     shuffle: bool,
     zstd: Option<i32>,
     bytes: usize,
-    /// Greatest difference of a number that crossed.
-    greatest_error: f32,
+    /// Largest difference of a number that crossed.
+    max_error: f32,
     encode: Way,
     decode: Way,
 }
@@ -75,7 +75,7 @@ struct Coding {
 pub(super) struct Way {
     /// In the order in which they are done.
     steps: Vec<Step>,
-    /// Least and median of the whole way.
+    /// Smallest and median of the whole way.
     pub(super) minimum_ms: f64,
     pub(super) median_ms: f64,
 }
@@ -244,7 +244,7 @@ fn coding(sent: &Message, config: &EncoderConfig) -> Result<Coding> {
         shuffle: config.shuffle,
         zstd: config.zstd,
         bytes: crossed.bytes,
-        greatest_error: difference(feature_map(sent)?, feature_map(&crossed.found)?)?,
+        max_error: difference(feature_map(sent)?, feature_map(&crossed.found)?)?,
         encode: crossed.encode,
         decode: crossed.decode,
     })
@@ -259,12 +259,12 @@ fn cloud_coding(sent: &Message, step_m: f64, zstd: Option<i32>) -> Result<CloudC
     let crossed = cross(sent, &config)?;
     let (sent, found) = (point_cloud(sent)?, point_cloud(&crossed.found)?);
     let columns = [(&sent.x, &found.x), (&sent.y, &found.y), (&sent.z, &found.z)];
-    let errors = columns.map(|(sent, found)| greatest_difference(sent, found));
+    let errors = columns.map(|(sent, found)| max_difference(sent, found));
     Ok(CloudCoding {
         step_m,
         zstd,
         bytes: crossed.bytes,
-        greatest_error: errors.into_iter().fold(0.0, f32::max),
+        max_error: errors.into_iter().fold(0.0, f32::max),
         encode: crossed.encode,
         decode: crossed.decode,
     })
@@ -274,10 +274,10 @@ fn difference(sent: &FeatureMap, found: &FeatureMap) -> Result<f32> {
     let (Ok(sent), Ok(found)) = (sent.numbers(), found.numbers()) else {
         bail!("expected maps of f32");
     };
-    Ok(greatest_difference(&sent, &found))
+    Ok(max_difference(&sent, &found))
 }
 
-fn greatest_difference(sent: &[f32], found: &[f32]) -> f32 {
+fn max_difference(sent: &[f32], found: &[f32]) -> f32 {
     let differences = sent.iter().zip(found).map(|(sent, found)| (sent - found).abs());
     differences.fold(0.0, f32::max)
 }
@@ -370,7 +370,7 @@ impl fmt::Display for Transmission {
         ] {
             write!(f, "\n{title:<20}")?;
             names.iter().try_for_each(|name| write!(f, "{name:>17}"))?;
-            writeln!(f, "{:>9}{:>9}{:>12}{:>14}", "all", "least", "bytes", "largest error")?;
+            writeln!(f, "{:>9}{:>9}{:>12}{:>14}", "all", "min", "bytes", "largest error")?;
             for coding in &self.codings {
                 let way = way(coding);
                 write!(f, "{:<20}", coding.name())?;
@@ -380,12 +380,8 @@ impl fmt::Display for Transmission {
                         None => write!(f, "{:>17}", "–")?,
                     }
                 }
-                let (all, least) = (way.median_ms, way.minimum_ms);
-                writeln!(
-                    f,
-                    "{all:>9.2}{least:>9.2}{:>12}{:>14.4}",
-                    coding.bytes, coding.greatest_error
-                )?;
+                let (all, min) = (way.median_ms, way.minimum_ms);
+                writeln!(f, "{all:>9.2}{min:>9.2}{:>12}{:>14.4}", coding.bytes, coding.max_error)?;
             }
         }
         self.fmt_clouds(f)?;
@@ -422,7 +418,7 @@ impl Transmission {
                 let rate = (POINT * self.points) as f64 / 1e3 / way.median_ms;
                 write!(f, "{:>14.2}{rate:>17.0}", way.median_ms)?;
             }
-            writeln!(f, "{:>18.5}", cloud.greatest_error)?;
+            writeln!(f, "{:>18.5}", cloud.max_error)?;
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use eyre::{Report, Result, bail};
 use realo_results::Run;
 
 use super::folders::Folders;
-use super::prepare::Cell;
+use super::prepare::RunPlan;
 use super::signals::{self, Ending};
 use super::{Mode, realtime, replay, resume};
 
@@ -44,8 +44,8 @@ impl Unplayable {
 
 /// The runs of one graph.
 pub struct Batch {
-    cells: Vec<Cell>,
-    /// Numbers of the cells that an earlier batch brought to their end.
+    plans: Vec<RunPlan>,
+    /// Numbers of the plans that an earlier batch brought to their end.
     taken: BTreeSet<usize>,
     failed: Vec<Failed>,
     /// Names of those that a signal kept from results.
@@ -86,12 +86,12 @@ impl Batch {
     ///
     /// # Errors
     /// If no log can be played: what is the matter with each.
-    pub fn new(cells: Vec<Cell>, Unplayable(failed): Unplayable) -> Result<Self> {
-        if cells.is_empty() {
+    pub fn new(plans: Vec<RunPlan>, Unplayable(failed): Unplayable) -> Result<Self> {
+        if plans.is_empty() {
             return Err(all_failed(failed));
         }
         Ok(Batch {
-            cells,
+            plans,
             taken: BTreeSet::new(),
             failed,
             unfinished: Vec::new(),
@@ -100,8 +100,8 @@ impl Batch {
     }
 
     /// All runs, those that are there already too.
-    pub fn cells(&self) -> &[Cell] {
-        &self.cells
+    pub fn plans(&self) -> &[RunPlan] {
+        &self.plans
     }
 
     /// Claims the folders of the runs; with `resume` those stay as they are in which the same run has come to its end.
@@ -110,22 +110,22 @@ impl Batch {
     /// As [`Folders::claim`].
     pub fn claim(&mut self, folders: &mut Folders, resume: bool) -> Result<()> {
         let mut changed = Vec::new();
-        for (number, cell) in self.cells.iter().enumerate() {
+        for (number, plan) in self.plans.iter().enumerate() {
             if resume {
-                match resume::earlier(cell) {
+                match resume::earlier(plan) {
                     resume::Earlier::Same => {
                         self.taken.insert(number);
                         continue;
                     }
-                    resume::Earlier::Other => changed.push(cell.name.as_str()),
+                    resume::Earlier::Other => changed.push(plan.name.as_str()),
                     resume::Earlier::None => {}
                 }
             }
-            folders.claim(&cell.out, &cell.recordings())?;
-            cell.tell()?;
+            folders.claim(&plan.out, &plan.recordings())?;
+            plan.write_settings()?;
         }
         if resume {
-            let (all, taken) = (self.cells.len(), self.taken.len());
+            let (all, taken) = (self.plans.len(), self.taken.len());
             eprintln!(
                 "realo: {taken} of {all} runs are complete and taken as they are, {} run now",
                 all - taken
@@ -147,20 +147,20 @@ impl Batch {
     /// If every run failed: [`Unfinished`] where a signal ended one of them, and [`Batch::reasons`] has the others; results that
     /// cannot be read.
     pub fn run(&mut self, mode: Mode, rate: f64) -> Result<Vec<Run>> {
-        let open: Vec<usize> = (0..self.cells.len())
+        let open: Vec<usize> = (0..self.plans.len())
             .filter(|number| !self.taken.contains(number))
             .collect();
-        let cells: Vec<&Cell> = open.iter().map(|number| &self.cells[*number]).collect();
+        let plans: Vec<&RunPlan> = open.iter().map(|number| &self.plans[*number]).collect();
         let ended: Vec<Result<()>> = match mode {
-            Mode::Virtual => replay::all(&cells)?,
-            Mode::Realtime => cells.iter().map(|cell| realtime::run(cell, rate)).collect(),
+            Mode::Virtual => replay::all(&plans)?,
+            Mode::Realtime => plans.iter().map(|plan| realtime::run(plan, rate)).collect(),
         };
         let mut failed = BTreeSet::new();
         let mut unfinished = None;
         for (number, ended) in open.into_iter().zip(ended) {
             let Err(reason) = ended else { continue };
             failed.insert(number);
-            let name = self.cells[number].name.clone();
+            let name = self.plans[number].name.clone();
             match reason.is::<Unfinished>() {
                 true => {
                     self.unfinished.push(name);
@@ -169,22 +169,22 @@ impl Batch {
                 false => self.failed.push(Failed { name, reason }),
             }
         }
-        if failed.len() == self.cells.len() {
+        if failed.len() == self.plans.len() {
             return Err(unfinished.unwrap_or_else(|| all_failed(std::mem::take(&mut self.failed))));
         }
         let done = self
-            .cells
+            .plans
             .iter()
             .enumerate()
             .filter(|(number, _)| !failed.contains(number));
         let mut runs = Vec::new();
-        for (_, cell) in done {
-            let run = realo_results::read_run(&cell.out)?;
+        for (_, plan) in done {
+            let run = realo_results::read_run(&plan.out)?;
             if run.result.ended_by.is_some() {
                 let sweeps = run.result.frames.total as usize;
                 self.cut_short.push(format!(
                     "{} after {} of its ego",
-                    cell.name,
+                    plan.name,
                     count(sweeps, "sweep", "sweeps")
                 ));
             }
@@ -196,8 +196,8 @@ impl Batch {
     /// Whether something is missing from what the runs came to, because of a log.
     pub fn is_partial(&self) -> bool {
         !self.failed.is_empty()
-            || self.cells.iter().any(|cell| cell.truncated)
-            || !same_content(self.cells.iter().map(Cell::log)).is_empty()
+            || self.plans.iter().any(|plan| plan.truncated)
+            || !same_content(self.plans.iter().map(RunPlan::log)).is_empty()
     }
 
     /// The signal that kept a run from its end.
@@ -218,8 +218,8 @@ impl Batch {
             )
         });
         let of_signal = self.ended_by().map(|ending| {
-            let all = count(self.cells.len(), "run", "runs");
-            let cut_short = (!self.cut_short.is_empty()).then(|| match self.cells.len() {
+            let all = count(self.plans.len(), "run", "runs");
+            let cut_short = (!self.cut_short.is_empty()).then(|| match self.plans.len() {
                 1 => format!(
                     "{ending} ended the run early: these numbers are of what was played until then, {}",
                     few(&self.cut_short)
@@ -242,7 +242,7 @@ impl Batch {
             });
             cut_short.into_iter().chain(unfinished)
         });
-        let same = same_content(self.cells.iter().map(Cell::log));
+        let same = same_content(self.plans.iter().map(RunPlan::log));
         of_signal.into_iter().flatten().chain(failed).chain(same).collect()
     }
 

@@ -14,7 +14,7 @@ use rustix::fs::OFlags;
 use rustix::io::{FdFlags, fcntl_setfd};
 
 use super::compute;
-use super::prepare::TOLD;
+use super::prepare::SETTINGS_FILE;
 
 /// What a run records, in its folder.
 const RECORDING: &str = "recording.mcap";
@@ -28,7 +28,7 @@ const ASIDE: &str = ".earlier";
 const OWNED: &str = ".of-a-run";
 /// Where an earlier run's files stay if it came to its end and the one after it did not.
 const COMPLETE: &str = "complete-run-before";
-/// Key that every `told.json` of a run has.
+/// Key that every `run.json` of a run has.
 const FINGERPRINT: &str = "\"fingerprint\"";
 /// Is locked while a run writes to the folder.
 const LOCK: &str = ".running";
@@ -46,7 +46,7 @@ pub(super) struct Folders {
     locks: Vec<(PathBuf, File)>,
 }
 
-/// Takes a lock, or tells that somebody has it and keeps it.
+/// Takes a lock, or reports that somebody has it and keeps it.
 fn is_held(file: &File) -> bool {
     let begun = Instant::now();
     // A file system without locks keeps nobody away.
@@ -129,7 +129,7 @@ impl Folders {
             refuse_foreign_files(folder)?;
             // Of a run that was killed.
             put_back(folder);
-            files.extend([RECORDING, TOLD].map(|name| folder.join(name)));
+            files.extend([RECORDING, SETTINGS_FILE].map(|name| folder.join(name)));
             files.extend(realo_results::earlier(folder)?);
             self.claimed.push(folder.into());
         }
@@ -179,13 +179,13 @@ fn open_lock(path: &Path) -> Result<File> {
 
 /// Refuses a folder that has something of somebody else where a run puts its own.
 fn refuse_foreign_files(folder: &Path) -> Result<()> {
-    let [aside, told, recording] = [ASIDE, TOLD, RECORDING].map(|name| folder.join(name));
+    let [aside, reported, recording] = [ASIDE, SETTINGS_FILE, RECORDING].map(|name| folder.join(name));
     if fs::symlink_metadata(&aside).is_ok() && !is_of_a_run(&aside) {
         return Err(not_of_a_run(&aside));
     }
     // A link to nowhere is none of a run either.
-    if fs::symlink_metadata(&told).is_ok() && !is_told_of_run(&told) {
-        return Err(not_of_a_run(&told));
+    if fs::symlink_metadata(&reported).is_ok() && !is_reported_of_run(&reported) {
+        return Err(not_of_a_run(&reported));
     }
     // Sensors cannot be played again for what they gave.
     match Owner::of(&recording) {
@@ -194,17 +194,17 @@ fn refuse_foreign_files(folder: &Path) -> Result<()> {
     }
 }
 
-/// Whether a run wrote a `told.json`; one that could not write it leaves it empty.
-fn is_told_of_run(path: &Path) -> bool {
-    let is_told = |text: String| text.is_empty() || text.contains(FINGERPRINT);
-    path.is_file() && fs::read_to_string(path).is_ok_and(is_told)
+/// Whether a run wrote a `run.json`; one that could not write it leaves it empty.
+fn is_reported_of_run(path: &Path) -> bool {
+    let is_reported = |text: String| text.is_empty() || text.contains(FINGERPRINT);
+    path.is_file() && fs::read_to_string(path).is_ok_and(is_reported)
 }
 
 /// Whether a run put aside what lies there; a run that was killed may have come no further than to make the folder.
 fn is_of_a_run(aside: &Path) -> bool {
     let is_empty = || fs::read_dir(aside).is_ok_and(|mut entries| entries.next().is_none());
     fs::symlink_metadata(aside).is_ok_and(|found| found.is_dir())
-        && (aside.join(OWNED).is_file() || is_told_of_run(&aside.join(TOLD)) || is_empty())
+        && (aside.join(OWNED).is_file() || is_reported_of_run(&aside.join(SETTINGS_FILE)) || is_empty())
 }
 
 fn not_of_a_run(path: &Path) -> Report {
@@ -367,9 +367,9 @@ impl Drop for Folders {
         for folder in self.made.iter().rev() {
             let Ok(entries) = fs::read_dir(folder) else { continue };
             let names: Vec<_> = entries.flatten().map(|entry| entry.file_name()).collect();
-            // What was to be told of a run that told nothing.
-            if names.iter().all(|name| name == TOLD) {
-                let _ = fs::remove_file(folder.join(TOLD));
+            // What was to be reported of a run that reported nothing.
+            if names.iter().all(|name| name == SETTINGS_FILE) {
+                let _ = fs::remove_file(folder.join(SETTINGS_FILE));
                 let _ = fs::remove_dir(folder);
             }
         }
@@ -393,7 +393,7 @@ mod tests {
             for folder in ["there", "there/out/a", "there/out/b", "made/c/d", "made/e"] {
                 folders.claim(&at(folder), &[]).unwrap();
             }
-            fs::write(at("made/c/d").join(TOLD), "{}").unwrap();
+            fs::write(at("made/c/d").join(SETTINGS_FILE), "{}").unwrap();
             fs::write(at("there/out/b/dora.log"), "it failed").unwrap();
         }
         assert!(at("there/out/b/dora.log").exists());
@@ -405,9 +405,9 @@ mod tests {
     }
 
     fn write_earlier(folder: &Path) {
-        let result = r#"{"schema": "realo/result", "version": 1}"#;
-        let told = format!("{{{FINGERPRINT}: 1}} earlier");
-        for (name, text) in [("result.json", result), (TOLD, &told)] {
+        let result = r#"{"schema": "realo/result", "version": 2}"#;
+        let reported = format!("{{{FINGERPRINT}: 1}} earlier");
+        for (name, text) in [("result.json", result), (SETTINGS_FILE, &reported)] {
             fs::write(folder.join(name), text).unwrap();
         }
         for name in [RECORDING, LOG] {
@@ -460,7 +460,7 @@ mod tests {
                 assert!(!folder.join(name).exists(), "{name} does not stand for this run");
             }
             if begun {
-                for name in [RECORDING, LOG, TOLD] {
+                for name in [RECORDING, LOG, SETTINGS_FILE] {
                     fs::write(folder.join(name), "failed").unwrap();
                 }
                 fs::write(folder.join(TRACE), trace("failed")).unwrap();
@@ -469,12 +469,12 @@ mod tests {
                 true => {
                     std::mem::take(&mut folders.claimed);
                     drop(folders);
-                    assert!(folder.join(ASIDE).exists() && !folder.join(TOLD).exists());
+                    assert!(folder.join(ASIDE).exists() && !folder.join(SETTINGS_FILE).exists());
                     drop(Folders::default().claim(folder, &[]));
                 }
                 false => drop(folders),
             }
-            for file in [RECORDING, LOG, TOLD] {
+            for file in [RECORDING, LOG, SETTINGS_FILE] {
                 assert!(fs::read(folder.join(file)).unwrap().ends_with(b"earlier"), "{file}");
             }
             assert_eq!(fs::read_to_string(folder.join(TRACE)).unwrap(), trace("earlier"));
@@ -506,7 +506,7 @@ mod tests {
         let folder = root.path();
         write_earlier(folder);
         let kept = folder.join(COMPLETE);
-        let ended = r#"{"schema": "realo/result", "version": 1, "ended_by": "Ctrl-C"}"#;
+        let ended = r#"{"schema": "realo/result", "version": 2, "ended_by": "Ctrl-C"}"#;
         let run = |result: &str| {
             let mut folders = Folders::default();
             folders.claim(folder, &[folder.join(LOG)]).unwrap();
@@ -518,7 +518,7 @@ mod tests {
         for _ in 0..2 {
             run(ended);
             assert_eq!(fs::read_to_string(folder.join(RESULT_FILE)).unwrap(), ended);
-            assert_eq!(names(&kept), [LOG, "channels", RECORDING, "result.json", TOLD]);
+            assert_eq!(names(&kept), [LOG, "channels", RECORDING, "result.json", SETTINGS_FILE]);
             assert_eq!(fs::read(kept.join(RECORDING)).unwrap(), recorded("earlier"));
         }
         run("{}");
@@ -528,20 +528,23 @@ mod tests {
     #[test]
     fn of_several_runs_each_keeps_what_it_came_to_but_not_their_old_sum() {
         let root = tempfile::tempdir().unwrap();
-        let cells = ["a", "b"].map(|cell| root.path().join(cell));
+        let plans = ["a", "b"].map(|plan| root.path().join(plan));
         let mut folders = Folders::default();
         write_earlier(root.path());
         folders.lock(root.path()).unwrap();
-        for cell in &cells {
-            fs::create_dir(cell).unwrap();
-            write_earlier(cell);
-            folders.claim(cell, &[cell.join(LOG)]).unwrap();
+        for plan in &plans {
+            fs::create_dir(plan).unwrap();
+            write_earlier(plan);
+            folders.claim(plan, &[plan.join(LOG)]).unwrap();
         }
-        fs::write(cells[0].join("result.json"), "new").unwrap();
+        fs::write(plans[0].join("result.json"), "new").unwrap();
         drop(folders);
         assert_eq!(names(root.path()), ["a", "b", LOG, "channels"]);
-        assert_eq!(names(&cells[0]), ["channels", "result.json"]);
-        assert_eq!(names(&cells[1]), [LOG, "channels", RECORDING, "result.json", TOLD]);
+        assert_eq!(names(&plans[0]), ["channels", "result.json"]);
+        assert_eq!(
+            names(&plans[1]),
+            [LOG, "channels", RECORDING, "result.json", SETTINGS_FILE]
+        );
     }
 
     #[test]
@@ -596,7 +599,7 @@ mod tests {
         let mut folders = claim().unwrap();
         assert!(!profile.exists());
         fs::write(&profile, written("ended = 1")).unwrap();
-        let ended = r#"{"schema": "realo/result", "version": 1, "ended_by": "Ctrl-C"}"#;
+        let ended = r#"{"schema": "realo/result", "version": 2, "ended_by": "Ctrl-C"}"#;
         fs::write(folder.join(RESULT_FILE), ended).unwrap();
         folders.keep_new();
         drop(folders);
@@ -652,7 +655,7 @@ mod tests {
         };
         let cases = [
             (RESULT_FILE, &b"mine"[..]),
-            (TOLD, b"{\"mine\": 1}"),
+            (SETTINGS_FILE, b"{\"mine\": 1}"),
             (LOCK, b"mine"),
             (RECORDING, &log),
         ];

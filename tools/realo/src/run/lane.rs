@@ -203,7 +203,7 @@ fn is_heard(graph: &FlatGraph, link: &FlatNode) -> bool {
 
 /// Whether what a sender sends are states.
 fn carries_states(graph: &FlatGraph, sender: &str) -> bool {
-    let states = format!("{TYPE_PREFIX}{}", PayloadType::EgoState);
+    let states = format!("{TYPE_PREFIX}{}", PayloadType::AgentState);
     let Some(sender) = graph.node(sender) else { return false };
     let mut sources = sender.inputs.values().filter_map(|input| input.output());
     sources.any(|(node, output)| {

@@ -79,8 +79,8 @@ mod tests {
 
     use super::*;
 
-    /// What the player is told in a graph that is changed so.
-    fn told(name: &str, offline: bool, changes: &[(&str, &str, &str)]) -> Option<String> {
+    /// What the player is reported in a graph that is changed so.
+    fn reported(name: &str, offline: bool, changes: &[(&str, &str, &str)]) -> Option<String> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut graph = FlatGraph::load(&root.join(format!("dataflows/{name}.yml"))).unwrap();
         super::super::nodes::anchor_paths(&mut graph).unwrap();
@@ -94,25 +94,25 @@ mod tests {
     #[test]
     fn sweeps_are_left_out_only_where_it_is_certain_that_nobody_takes_them() {
         let three = Some("3".to_string());
-        assert_eq!(told("attfuse", false, &[]), three, "as the model says");
+        assert_eq!(reported("attfuse", false, &[]), three, "as the model says");
         let one = [("fusion.fusion", "max_collaborators", "1")];
-        assert_eq!(told("attfuse", false, &one), Some("1".into()));
-        assert_eq!(told("late_fusion", false, &one), Some("1".into()));
+        assert_eq!(reported("attfuse", false, &one), Some("1".into()));
+        assert_eq!(reported("late_fusion", false, &one), Some("1".into()));
         for name in ["late_fusion", "early_fusion", "hybrid_fusion", "no_fusion"] {
-            assert_eq!(told(name, false, &[]), None, "{name} takes all, or has two fusions");
+            assert_eq!(reported(name, false, &[]), None, "{name} takes all, or has two fusions");
         }
         let paper = ("v2x.link", "profile", "paper");
-        assert_eq!(told("attfuse", false, &[paper]), None, "messages come late");
-        assert_eq!(told("attfuse", true, &[paper]), three, "offline none does");
+        assert_eq!(reported("attfuse", false, &[paper]), None, "messages come late");
+        assert_eq!(reported("attfuse", true, &[paper]), three, "offline none does");
         let noise = ("others.sense.localization", "position_noise_m", "0.2");
         assert_eq!(
-            told("attfuse", false, &[noise]),
+            reported("attfuse", false, &[noise]),
             None,
             "who is nearest is a matter of chance"
         );
-        assert_eq!(told("attfuse", false, &[("fusion.bank", "window_ms", "150")]), None);
+        assert_eq!(reported("attfuse", false, &[("fusion.bank", "window_ms", "150")]), None);
         assert_eq!(
-            told("attfuse", false, &[("player", "fused_at_most", "null")]),
+            reported("attfuse", false, &[("player", "fused_at_most", "null")]),
             Some("null".into())
         );
     }

@@ -16,7 +16,7 @@ use rustix::fs::statvfs;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::nodes::{deciding, given};
-use super::prepare::Cell;
+use super::prepare::RunPlan;
 
 /// Where the nodes' shared memory lies.
 const SHARED: &str = "/dev/shm";
@@ -85,22 +85,22 @@ impl Memory {
 ///
 /// # Errors
 /// What keeps the run from running, with what helps.
-pub fn prepare(cell: &Cell) -> Result<Memory> {
+pub fn prepare(plan: &RunPlan) -> Result<Memory> {
     for check in [
         descriptors(),
-        threads(threads_of(cell.graph.processes().len())),
+        threads(threads_of(plan.graph.processes().len())),
         loopback(),
     ] {
         if let Err(reason) = check.found {
-            bail!("{}: nothing was started: {reason}", cell.name);
+            bail!("{}: nothing was started: {reason}", plan.name);
         }
     }
     free_orphans();
-    let needed = shared_memory_of(&cell.graph);
+    let needed = shared_memory_of(&plan.graph);
     Ok(match free_shared() {
         Some(free) if free >= needed => Memory::Shared,
         free => {
-            eprintln!("realo: {}: {}", cell.name, through_sockets(free, needed));
+            eprintln!("realo: {}: {}", plan.name, through_sockets(free, needed));
             Memory::Sockets
         }
     })
@@ -306,7 +306,7 @@ pub fn open_doors(graph: &FlatGraph) -> Vec<String> {
     let line = |node: &realo_graph::FlatNode| {
         format!(
             "node `{}` listens on {} and takes messages of everybody who can reach it; to require keys: `realo keys new`, \
-             then --set {}.key=FILE --set {}.trust=FILE (docs/machines.md)",
+             then --set {}.key=FILE --set {}.trust=FILE (docs/reference/machines.md)",
             node.id,
             given(node, "listen").unwrap_or_default(),
             node.id,

@@ -35,7 +35,7 @@ use crate::{Outcome, registry};
 use batch::{Batch, Unfinished};
 use folders::Folders;
 use networks::Networks;
-use prepare::Cell;
+use prepare::RunPlan;
 use signals::Ending;
 
 pub use dora::find as find_dora;
@@ -100,7 +100,7 @@ pub struct Args {
 /// What changes a graph, whoever runs it.
 #[derive(clap::Args, Clone)]
 pub struct Choices {
-    /// Channel model of the links: a name, a file, or settings: delay_ms=90,loss=0.05 (docs/links.md)
+    /// Channel model of the links: a name, a file, or settings: delay_ms=90,loss=0.05 (docs/reference/links.md)
     #[arg(long)]
     pub link: Option<String>,
     /// Agents report the detections that the log recorded
@@ -364,8 +364,8 @@ fn plan<'a>(
         let batch = failures.note(name, prepare::batch(&own, mode, graph, name))?;
         planned.extend(batch.map(|batch| Planned { name, batch, skipped }));
     }
-    let mut cells = planned.iter().flat_map(|planned| planned.batch.cells());
-    if args.choices.project.is_some() && !planned.is_empty() && !cells.any(Cell::can_project) {
+    let mut plans = planned.iter().flat_map(|planned| planned.batch.plans());
+    if args.choices.project.is_some() && !planned.is_empty() && !plans.any(RunPlan::can_project) {
         return Err(prepare::nobody_projects(&names.join(", ")));
     }
     refuse_without_network(&args.choices, &planned, names)?;
@@ -379,9 +379,9 @@ fn refuse_without_network(choices: &Choices, planned: &[Planned], names: &[Strin
         (Decided::Precision, "--precision", choices.precision.is_some()),
         (Decided::Device, "--device", choices.device.is_some()),
     ] {
-        let mut cells = planned.iter().flat_map(|planned| planned.batch.cells());
-        let follows = |cell: &Cell| nodes::deciding(&cell.graph, decided).next().is_some();
-        if is_given && !planned.is_empty() && !cells.any(follows) {
+        let mut plans = planned.iter().flat_map(|planned| planned.batch.plans());
+        let follows = |plan: &RunPlan| nodes::deciding(&plan.graph, decided).next().is_some();
+        if is_given && !planned.is_empty() && !plans.any(follows) {
             let names = names.join(", ");
             bail!("{option}: no network runs in {names}: drop {option}, or --recorded-detections where it is given");
         }
@@ -399,9 +399,9 @@ fn play<'a>(
     let mut runs = Vec::new();
     for Planned { name, batch, skipped } in planned {
         if mode == Mode::Realtime
-            && let Some(cell) = batch.cells().first()
+            && let Some(plan) = batch.plans().first()
         {
-            machine::open_doors(&cell.graph)
+            machine::open_doors(&plan.graph)
                 .iter()
                 .for_each(|line| eprintln!("realo: {line}"));
         }
@@ -444,7 +444,7 @@ fn conclude(planned: &[Planned], runs: &[(&str, Run)], failures: &Failures) -> O
     not_played
         .iter()
         .for_each(|reason| eprintln!("realo: not played: {reason}"));
-    let has_failed = failures.told();
+    let has_failed = failures.reported();
     if let Some(ending) = signals::first() {
         if !runs.is_empty() {
             eprintln!("realo: ended by {ending}; these are the results until then");
@@ -536,8 +536,8 @@ impl Failures {
         }
     }
 
-    /// Tells all errors, and whether there was one.
-    fn told(&self) -> bool {
+    /// Reports all errors, and whether there was one.
+    fn reported(&self) -> bool {
         // A log that is missing is the same error of every graph.
         let mut known: Vec<String> = Vec::new();
         for (graph, error) in &self.failed {

@@ -89,7 +89,7 @@ pub fn remedies(share: f64) -> String {
         false => (share * 90.0).floor().max(1.0) / 100.0,
     };
     format!(
-        "play with `--rate {slower}`, or take a model of int8 (--model, docs/networks.md), recorded detections \
+        "play with `--rate {slower}`, or take a model of int8 (--model, docs/reference/networks.md), recorded detections \
          (--recorded-detections), or --mode virtual"
     )
 }
@@ -117,13 +117,13 @@ pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> R
         show: Show::default(),
     };
     let batch = prepare::batch(&args, Mode::Virtual, graph, &prepare::stem(graph))?;
-    let Some(cell) = batch.cells().first() else {
+    let Some(plan) = batch.plans().first() else {
         bail!("{}: no run of it", graph.display());
     };
-    std::fs::create_dir_all(&cell.out).wrap_err_with(|| cell.out.display().to_string())?;
-    cell.tell()?;
+    std::fs::create_dir_all(&plan.out).wrap_err_with(|| plan.out.display().to_string())?;
+    plan.write_settings()?;
     let ego =
-        deciding(&cell.graph, Decided::Ego).find_map(|node| argument(node, decided_argument(node, Decided::Ego)?));
+        deciding(&plan.graph, Decided::Ego).find_map(|node| argument(node, decided_argument(node, Decided::Ego)?));
     let ego = ego.ok_or_else(|| eyre!("{}: no node has an ego", graph.display()))?;
     if Log::open(log)?.count(&ego, Stream::Points) == 0 {
         bail!(
@@ -131,8 +131,8 @@ pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> R
             log.display()
         );
     }
-    let sources = sources(&cell.graph);
-    let stages = Stages::of(&cell.graph, &registry()).map_err(|error| eyre!(error))?;
+    let sources = sources(&plan.graph);
+    let stages = Stages::of(&plan.graph, &registry()).map_err(|error| eyre!(error))?;
     let measured = virtual_time::pace(&stages, FRAMES, PATIENCE, |stage, message| {
         let header = &message.header;
         header.kind == Kind::Points && *header.agent == *ego && sources.iter().any(|source| source == stage)

@@ -9,7 +9,7 @@ use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_operator::Decided;
 use realo_player::PlannedRun;
-use realo_results::{Settings, Told as ToldFile};
+use realo_results::{RunSettings, Settings};
 use realo_scoring::Protocol;
 
 use super::batch::{Batch, Unplayable};
@@ -25,7 +25,7 @@ use crate::fit::protocol_fits;
 use crate::{demo, registry};
 
 /// One run: a graph over a log with an ego.
-pub struct Cell {
+pub struct RunPlan {
     /// What is shown while it runs.
     pub name: String,
     /// The graph with all its arguments.
@@ -38,17 +38,17 @@ pub struct Cell {
     pub truncated: bool,
     /// How long stages take in virtual time.
     pub compute: ComputeProfile,
-    /// What the result tells of the run.
-    told: ToldFile,
+    /// What the result reports of the run.
+    run_settings: RunSettings,
 }
 
-/// The file in a run's folder that says what its result tells of it.
-pub(super) const TOLD: &str = "told.json";
+/// The file in a run's folder that says what its result reports of it.
+pub(super) const SETTINGS_FILE: &str = "run.json";
 
-impl Cell {
+impl RunPlan {
     /// Whether somebody can choose who brings what crosses the link to the ego's frame.
     pub fn can_project(&self) -> bool {
-        !self.told.settings.project.is_empty()
+        !self.run_settings.settings.project.is_empty()
     }
 
     /// The files in the folder of its results that it records into.
@@ -60,18 +60,18 @@ impl Cell {
 
     /// Name of the log, and a hash of what it holds.
     pub fn log(&self) -> (String, &str) {
-        (stem(Path::new(&self.told.log)), &self.told.log_hash)
+        (stem(Path::new(&self.run_settings.log)), &self.run_settings.log_hash)
     }
 
     /// What the run is known by when it is prepared again.
     pub fn fingerprint(&self) -> &str {
-        &self.told.fingerprint
+        &self.run_settings.fingerprint
     }
 
-    /// Writes what the result tells of the run to where the graph has it.
-    pub fn tell(&self) -> Result<()> {
-        let path = self.out.join(TOLD);
-        let text = serde_json::to_string_pretty(&self.told)?;
+    /// Writes what the result reports of the run to where the graph has it.
+    pub fn write_settings(&self) -> Result<()> {
+        let path = self.out.join(SETTINGS_FILE);
+        let text = serde_json::to_string_pretty(&self.run_settings)?;
         std::fs::write(&path, text).wrap_err_with(|| format!("{}", path.display()))
     }
 }
@@ -84,7 +84,7 @@ const OWNED: &[(Decided, &str)] = &[
     (Decided::Agents, "--agents"),
     (Decided::Offline, "--offline"),
     (Decided::Out, "--out"),
-    (Decided::Told, "--link, --seed and the like"),
+    (Decided::RunSettings, "--link, --seed and the like"),
 ];
 
 /// The runs of one graph. A log that cannot be played does not keep the others from it.
@@ -95,7 +95,7 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
     let set = settings(args)?;
     let graph = base_graph(args, &set, path)?;
     if mode == Mode::Realtime {
-        tell_of_machines(&graph, path);
+        report_machines(&graph, path);
     }
     let graph = graph.on_one_machine();
     let own = values(&graph, Decided::Own, str::to_string);
@@ -120,11 +120,11 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
         networks: Networks::default(),
         unplayable: Unplayable::default(),
     };
-    let mut cells = Vec::new();
+    let mut plans = Vec::new();
     for log_path in planner.logs.clone() {
-        cells.extend(planner.cells_of(&log_path)?);
+        plans.extend(planner.plans_of(&log_path)?);
     }
-    Batch::new(cells, planner.unplayable)
+    Batch::new(plans, planner.unplayable)
 }
 
 /// Refuses logs of one name: the folders of their results would be the same.
@@ -159,7 +159,7 @@ struct Planner<'a> {
 
 impl Planner<'_> {
     /// The runs over one log; a log that cannot be played has none, and its reason is kept.
-    fn cells_of(&mut self, log_path: &Path) -> Result<Vec<Cell>> {
+    fn plans_of(&mut self, log_path: &Path) -> Result<Vec<RunPlan>> {
         let stem = stem(log_path);
         let Some(log) = self.unplayable.check(&stem, Log::open(log_path)) else {
             return Ok(Vec::new());
@@ -174,22 +174,22 @@ impl Planner<'_> {
         let Some(plan) = self.unplayable.check(&stem, plan) else {
             return Ok(Vec::new());
         };
-        let mut cells = Vec::new();
+        let mut plans = Vec::new();
         for planned in plan.runs {
             if planned.collaborators.is_empty() {
                 let ego = &planned.ego;
                 eprintln!("realo: {stem}: no agent can collaborate with {ego} in mode {coop}: it runs alone");
             }
-            cells.extend(self.cell(log_path, &log, &planned, coop.as_str())?);
+            plans.extend(self.plan(log_path, &log, &planned, coop.as_str())?);
         }
-        Ok(cells)
+        Ok(plans)
     }
 
     /// The run of one ego; `None`, with its reason kept, where the log cannot give it.
-    fn cell(&mut self, log_path: &Path, log: &Log, planned: &PlannedRun, coop: &str) -> Result<Option<Cell>> {
+    fn plan(&mut self, log_path: &Path, log: &Log, planned: &PlannedRun, coop: &str) -> Result<Option<RunPlan>> {
         let (args, stem) = (self.args, stem(log_path));
         let out = std::path::absolute(dir_of(args, self.name).join(&stem).join(&planned.ego))?;
-        let told = Told {
+        let decisions = Decisions {
             args,
             mode: self.mode,
             graph: self.name,
@@ -199,7 +199,7 @@ impl Planner<'_> {
             coop,
             out: &out,
         };
-        let (graph, mut settings) = told.to(&self.graph, &self.set)?;
+        let (graph, mut settings) = decisions.to(&self.graph, &self.set)?;
         let words = self.networks.check(&graph)?;
         (settings.isa, settings.model) = (words.kernels, words.models);
         let name = format!("{}, {stem}, {}", self.name, planned.ego);
@@ -218,7 +218,7 @@ impl Planner<'_> {
         let graph = self.checked(graph, &settings)?;
         let decided = [serde_json::to_string(&settings)?, serde_json::to_string(&self.compute)?];
         let fingerprint = resume::fingerprint(&graph, log_path, &out, &decided)?;
-        Ok(Some(Cell {
+        Ok(Some(RunPlan {
             name,
             graph,
             seconds: log
@@ -226,7 +226,7 @@ impl Planner<'_> {
                 .map_or(0.0, |(first, last)| realo_schemas::to_seconds(last - first)),
             truncated: log.truncation().is_some(),
             compute: self.compute.clone(),
-            told: ToldFile {
+            run_settings: RunSettings {
                 log: log_path.to_string_lossy().into_owned(),
                 log_hash: resume::log_content(log_path)?,
                 settings,
@@ -242,7 +242,7 @@ impl Planner<'_> {
         if self.mode == Mode::Virtual && takes_no_time {
             limit::leave_out_too_far(&mut graph, self.args.offline, &mut self.networks)?;
         }
-        spare(&graph, &self.logs)?;
+        refuse_to_overwrite(&graph, &self.logs)?;
         check(&graph)?;
         if self.mode == Mode::Realtime {
             // In virtual time nothing is started before all are built.
@@ -264,12 +264,12 @@ fn fitting_protocols(graph: &FlatGraph, log: &Log, ego: &str) -> Result<()> {
 }
 
 /// Says that all machines of a graph are this one.
-fn tell_of_machines(graph: &FlatGraph, path: &Path) {
+fn report_machines(graph: &FlatGraph, path: &Path) {
     let machines: Vec<&str> = graph.machines().into_iter().collect();
     if !machines.is_empty() {
         eprintln!(
             "realo: {}: what it has for the machines {} runs on this one; `dora start --attach {0}` starts it on theirs \
-             (docs/machines.md)",
+             (docs/reference/machines.md)",
             path.display(),
             machines.join(", ")
         );
@@ -314,7 +314,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
     }
     let log_path = std::path::absolute(&args.log[0])?;
     let log = Log::open(&log_path)?;
-    let told = Told {
+    let decisions = Decisions {
         args,
         mode: Mode::Virtual,
         graph: "",
@@ -324,7 +324,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
         coop: realo_player::Coop::All.as_str(),
         out: Path::new(""),
     };
-    let (graph, settings) = told.to(&base, &set)?;
+    let (graph, settings) = decisions.to(&base, &set)?;
     if args.choices.project.is_some() && settings.project.is_empty() {
         return Err(nobody_projects(&path.display().to_string()));
     }
@@ -336,7 +336,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
         bail!("{file}: no agent sends what it makes of its sweeps in this graph: there is nothing to precompute");
     };
     if lane.knows_ego(&graph) {
-        eprintln!("realo: senders project: what they send is for {} alone", told.ego);
+        eprintln!("realo: senders project: what they send is for {} alone", decisions.ego);
     }
     Ok(Lane {
         described: lane.described(&graph, &mut networks)?,
@@ -347,7 +347,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
     })
 }
 
-/// What `--project` is told where it decides nothing.
+/// What `--project` is reported where it decides nothing.
 pub fn nobody_projects(graphs: &str) -> Report {
     let node = takers(Decided::Project);
     eyre!("--project: no {node} of {graphs} gets the ego's states, so no sender can project")
@@ -398,7 +398,7 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
 }
 
 /// Refuses a graph that would record into a log that is played.
-fn spare(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
+fn refuse_to_overwrite(graph: &FlatGraph, logs: &[PathBuf]) -> Result<()> {
     let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     for node in deciding(graph, Decided::Recording) {
         let argument = decided_argument(node, Decided::Recording).unwrap_or_default();
@@ -449,7 +449,7 @@ fn links_of_offline(graph: &mut FlatGraph, set: &[Setting]) -> Result<()> {
 }
 
 /// All that decides the arguments of one run.
-struct Told<'a> {
+struct Decisions<'a> {
     args: &'a Args,
     mode: Mode,
     /// Name of the graph.
@@ -462,15 +462,15 @@ struct Told<'a> {
     out: &'a Path,
 }
 
-impl Told<'_> {
+impl Decisions<'_> {
     /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
     fn to(&self, base: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
         let mut graph = base.clone();
-        let mut told = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
+        let mut decisions = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
         if !values(&graph, Decided::Own, str::to_string).is_empty() {
-            told.push((Decided::Own, self.ego.into()));
+            decisions.push((Decided::Own, self.ego.into()));
         }
-        for (decided, value) in told {
+        for (decided, value) in decisions {
             decide(&mut graph, decided, &value);
         }
         if let Some(model) = &self.args.choices.model {
@@ -538,44 +538,47 @@ impl Told<'_> {
             (Decided::Coop, self.coop.into()),
             (Decided::Agents, self.args.agents.join(",")),
             (Decided::Out, self.out.to_string_lossy().into_owned()),
-            (Decided::Told, self.out.join(TOLD).to_string_lossy().into_owned()),
+            (
+                Decided::RunSettings,
+                self.out.join(SETTINGS_FILE).to_string_lossy().into_owned(),
+            ),
         ]
     }
 
     fn of_options(&self) -> Result<Vec<(Decided, String)>> {
         let args = self.args;
-        let mut told = Vec::new();
+        let mut decisions = Vec::new();
         if args.offline {
-            told.push((Decided::Offline, "true".into()));
+            decisions.push((Decided::Offline, "true".into()));
         }
         if args.choices.recorded_detections {
-            told.push((Decided::Detections, "required".into()));
+            decisions.push((Decided::Detections, "required".into()));
         }
-        told.extend(args.rate.map(|rate| (Decided::Rate, rate.to_string())));
-        told.extend(args.choices.seed.map(|seed| (Decided::Seed, seed.to_string())));
-        told.extend(args.choices.isa.iter().map(|isa| (Decided::Isa, isa.clone())));
-        told.extend(
+        decisions.extend(args.rate.map(|rate| (Decided::Rate, rate.to_string())));
+        decisions.extend(args.choices.seed.map(|seed| (Decided::Seed, seed.to_string())));
+        decisions.extend(args.choices.isa.iter().map(|isa| (Decided::Isa, isa.clone())));
+        decisions.extend(
             args.choices
                 .precision
                 .iter()
                 .map(|precision| (Decided::Precision, precision.clone())),
         );
         let device = args.choices.device.iter();
-        told.extend(device.map(|device| (Decided::Device, device.clone())));
+        decisions.extend(device.map(|device| (Decided::Device, device.clone())));
         if let Some(profile) = &args.choices.link {
             let named = |name: &str| name_or_file(name).unwrap_or_else(|_| name.into());
-            told.push((Decided::Link, realo_link::with_base(profile, named)));
+            decisions.push((Decided::Link, realo_link::with_base(profile, named)));
         }
-        Ok(told)
+        Ok(decisions)
     }
 
     fn of_log(&self, graph: &FlatGraph) -> Result<Vec<(Decided, String)>> {
         let info = self.log.info();
         let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
-        let mut told = vec![(Decided::Protocol, name_or_file(protocol)?)];
+        let mut decisions = vec![(Decided::Protocol, name_or_file(protocol)?)];
         let roadside = info.agents.iter().filter(|agent| agent.kind == AgentKind::Roadside);
         let roadside: Vec<&str> = roadside.map(|agent| &*agent.name).collect();
-        told.push((Decided::Roadside, roadside.join(",")));
+        decisions.push((Decided::Roadside, roadside.join(",")));
         let has = |agent: &str, stream| self.log.has(agent, stream);
         let names = info.agents.iter().map(|agent| agent.name.as_str());
         let bare: Vec<&str> = names
@@ -592,9 +595,9 @@ impl Told<'_> {
                 );
             }
             eprintln!("realo: {stem}: a log without points of {agents}; all sweeps are played empty");
-            told.push((Decided::Points, "false".into()));
+            decisions.push((Decided::Points, "false".into()));
         }
-        Ok(told)
+        Ok(decisions)
     }
 }
 
@@ -690,8 +693,8 @@ mod tests {
             ("0.5", "0.5"),
         ] {
             let setting: Setting = format!("v2x.connect={value}").parse().unwrap();
-            let told = change_in_words(&setting);
-            assert_eq!(told, ("v2x.connect".to_string(), expected.to_string()));
+            let reported = change_in_words(&setting);
+            assert_eq!(reported, ("v2x.connect".to_string(), expected.to_string()));
         }
     }
 }

@@ -14,7 +14,7 @@ use realo_results::Run;
 
 use super::batch::Unfinished;
 use super::nodes::{argument, deciding};
-use super::prepare::Cell;
+use super::prepare::RunPlan;
 use super::signals::{self, Ending};
 use super::tether::Tether;
 use super::{dora, machine, pace};
@@ -32,20 +32,20 @@ const AGAIN: Duration = Duration::from_secs(30);
 /// A graph may take so long until all its nodes are ready.
 const TO_BEGIN: Duration = Duration::from_secs(60);
 
-/// Has dora run a cell and checks that the run is complete.
+/// Has dora run a plan and checks that the run is complete.
 ///
 /// # Errors
 /// Which node failed, or what is missing; dora's own words are in `dora.log`.
-pub fn run(cell: &Cell, rate: f64) -> Result<()> {
+pub fn run(plan: &RunPlan, rate: f64) -> Result<()> {
     if signals::first().is_some() {
-        return Err(Unfinished::of(&cell.name).into());
+        return Err(Unfinished::of(&plan.name).into());
     }
-    let memory = machine::prepare(cell)?;
+    let memory = machine::prepare(plan)?;
     let dora = dora::find()?;
-    let graph = write_graph(cell)?;
+    let graph = write_graph(plan)?;
     let overlay = graph.with_file_name("zenoh.json5");
     fs::write(&overlay, memory.overlay())?;
-    let log_path = cell.out.join("dora.log");
+    let log_path = plan.out.join("dora.log");
     let log = File::create(&log_path).wrap_err_with(|| format!("{}", log_path.display()))?;
     let output = log.try_clone()?;
     let (tether, child) = Tether::start(&dora, |command| {
@@ -53,7 +53,7 @@ pub fn run(cell: &Cell, rate: f64) -> Result<()> {
             .arg("run")
             .arg(&graph)
             .env(OVERLAY_VARIABLE, &overlay)
-            .env(FOLDER_VARIABLE, cell.graph.file.parent().unwrap_or(Path::new("/")))
+            .env(FOLDER_VARIABLE, plan.graph.file.parent().unwrap_or(Path::new("/")))
             .stdin(Stdio::null())
             .stdout(output)
             .stderr(log);
@@ -61,12 +61,12 @@ pub fn run(cell: &Cell, rate: f64) -> Result<()> {
             command.env(POOL_VARIABLE, pool.to_string());
         }
     })?;
-    let ended = watch(tether, child, cell, rate, &log_path)?;
+    let ended = watch(tether, child, plan, rate, &log_path)?;
     // What was killed could not do it.
     machine::free_orphans();
     match signals::first() {
-        Some(ending) => conclude(cell, ending, ended.killed),
-        None => check(cell, &ended, &log_path),
+        Some(ending) => conclude(plan, ending, ended.killed),
+        None => check(plan, &ended, &log_path),
     }
 }
 
@@ -80,10 +80,10 @@ struct Ended {
 }
 
 /// Says in a run's result what ended it.
-fn conclude(cell: &Cell, ending: Ending, killed: bool) -> Result<()> {
-    if !cell.out.join(realo_results::RESULT_FILE).exists() {
+fn conclude(plan: &RunPlan, ending: Ending, killed: bool) -> Result<()> {
+    if !plan.out.join(realo_results::RESULT_FILE).exists() {
         return Err(no_results(
-            cell,
+            plan,
             &match killed {
                 true => format!(
                     "the graph did not end within {:.1} s, and was killed",
@@ -93,30 +93,30 @@ fn conclude(cell: &Cell, ending: Ending, killed: bool) -> Result<()> {
             },
         ));
     }
-    let mut run = realo_results::read_run(&cell.out)?;
-    if has_nothing(cell, &run) {
+    let mut run = realo_results::read_run(&plan.out)?;
+    if has_nothing(plan, &run) {
         // An earlier run's results are worth more.
-        realo_results::claim(&cell.out)?;
-        return Err(no_results(cell, "it ended before the first sweep"));
+        realo_results::claim(&plan.out)?;
+        return Err(no_results(plan, "it ended before the first sweep"));
     }
     run.result.ended_by = Some(ending.to_string());
     let note = format!("{ending} ended the run early: these numbers are of what was played until then");
     run.result.notes.insert(0, note);
-    Ok(realo_results::write_result(&cell.out, &run.result)?)
+    Ok(realo_results::write_result(&plan.out, &run.result)?)
 }
 
 /// The error of a run that a signal ended without results.
-fn no_results(cell: &Cell, why: &str) -> Report {
+fn no_results(plan: &RunPlan, why: &str) -> Report {
     let unfinished = Unfinished {
-        name: cell.name.clone(),
+        name: plan.name.clone(),
         reason: format!("no results: {why}"),
     };
     unfinished.into()
 }
 
 /// Whether a run that a signal ended had no sweep of the ego yet; where none is scored, whether nothing had been played.
-fn has_nothing(cell: &Cell, run: &Run) -> bool {
-    let mut results = deciding(&cell.graph, Decided::Out);
+fn has_nothing(plan: &RunPlan, run: &Run) -> bool {
+    let mut results = deciding(&plan.graph, Decided::Out);
     let (frames, samples) = (&run.result.frames, &run.timing.samples);
     match results.any(|node| ["boxes", "truth"].iter().any(|port| node.inputs.contains_key(*port))) {
         true => frames.total + frames.processed == 0,
@@ -133,9 +133,9 @@ fn is_empty(durations: &Durations) -> bool {
 }
 
 /// Writes the expanded graph with this very program behind every stage, and its types beside it.
-fn write_graph(cell: &Cell) -> Result<PathBuf> {
-    let folder = std::path::absolute(cell.out.join("graph"))?;
-    let mut graph = cell.graph.clone();
+fn write_graph(plan: &RunPlan) -> Result<PathBuf> {
+    let folder = std::path::absolute(plan.out.join("graph"))?;
+    let mut graph = plan.graph.clone();
     graph.host_in(&std::env::current_exe()?);
     copy_folder(&graph.types(), &folder.join("types"))?;
     let path = folder.join("graph.yml");
@@ -160,9 +160,9 @@ fn copy_folder(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Path) -> Result<Ended> {
-    let seconds = (cell.seconds * repeats(cell) / rate).ceil();
-    let progress = Progress::new(cell.name.clone(), "s", Some(seconds));
+fn watch(mut tether: Tether, mut child: Child, plan: &RunPlan, rate: f64, log: &Path) -> Result<Ended> {
+    let seconds = (plan.seconds * repeats(plan) / rate).ceil();
+    let progress = Progress::new(plan.name.clone(), "s", Some(seconds));
     let begun = Instant::now();
     let mut follower = Follower::new(log, rate);
     let (mut asked, mut failed): (Option<Instant>, Option<Instant>) = (None, None);
@@ -174,7 +174,7 @@ fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Pat
             asked = Some(Instant::now());
         }
         for line in follower.read() {
-            progress.beside(|| eprintln!("realo: {}: {line}", cell.name));
+            progress.beside(|| eprintln!("realo: {}: {line}", plan.name));
         }
         if follower.culprit.is_some() {
             failed.get_or_insert_with(Instant::now);
@@ -187,7 +187,7 @@ fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Pat
         let playing = follower.ready.unwrap_or(begun + TO_BEGIN);
         if asked.is_none() && playing.elapsed() > remind {
             let late = playing.elapsed().as_secs_f64() - seconds;
-            progress.beside(|| eprintln!("realo: {}: {}", cell.name, not_ended(late, &follower.running)));
+            progress.beside(|| eprintln!("realo: {}: {}", plan.name, not_ended(late, &follower.running)));
             remind += AGAIN;
         }
         progress.set((begun.elapsed().as_secs() as f64).min(seconds));
@@ -205,8 +205,8 @@ fn watch(mut tether: Tether, mut child: Child, cell: &Cell, rate: f64, log: &Pat
 }
 
 /// How often the log is played.
-fn repeats(cell: &Cell) -> f64 {
-    let players = deciding(&cell.graph, Decided::Log);
+fn repeats(plan: &RunPlan) -> f64 {
+    let players = deciding(&plan.graph, Decided::Log);
     let repeats = players.filter_map(|node| argument(node, "repeat")?.parse::<f64>().ok());
     repeats.fold(1.0, f64::max)
 }
@@ -230,7 +230,7 @@ fn is_stopped(process: u32) -> bool {
     state.starts_with(['T', 't'])
 }
 
-fn check(cell: &Cell, ended: &Ended, log: &Path) -> Result<()> {
+fn check(plan: &RunPlan, ended: &Ended, log: &Path) -> Result<()> {
     let text = plain(&fs::read_to_string(log).unwrap_or_default());
     if let Some((node, how)) = &ended.culprit {
         let prefix = format!("{node}: ");
@@ -239,7 +239,7 @@ fn check(cell: &Cell, ended: &Ended, log: &Path) -> Result<()> {
         let said: String = own.map(|line| format!("\n  {line}")).collect();
         bail!(
             "{}: the run failed: node `{node}` {how}{said}\n  see {}",
-            cell.name,
+            plan.name,
             log.display()
         );
     }
@@ -247,15 +247,15 @@ fn check(cell: &Cell, ended: &Ended, log: &Path) -> Result<()> {
         let who: String = culprits(&text).iter().map(|line| format!("\n  {line}")).collect();
         bail!(
             "{}: the run failed: dora ended with {}{who}\n  see {}",
-            cell.name,
+            plan.name,
             ended.status,
             log.display()
         );
     }
-    if !cell.out.join(realo_results::RESULT_FILE).exists() {
+    if !plan.out.join(realo_results::RESULT_FILE).exists() {
         bail!(
             "{}: the run ended without results, and no node says why: another program may have stopped dora; see {}",
-            cell.name,
+            plan.name,
             log.display()
         );
     }
@@ -380,7 +380,7 @@ fn culprits(log: &str) -> Vec<String> {
     let mut known = BTreeSet::new();
     let lines: Vec<(&str, &str)> = log.lines().map(said).collect();
     for (at, (speaker, text)) in lines.iter().enumerate() {
-        if !is_told(text) {
+        if !is_reported(text) {
             continue;
         }
         // Other nodes speak in between.
@@ -388,15 +388,15 @@ fn culprits(log: &str) -> Vec<String> {
             .iter()
             .filter(|(by, _)| by == speaker)
             .map(|(_, text)| *text);
-        let belongs = |text: &&str| !text.is_empty() && !is_fence(text) && !is_told(text);
+        let belongs = |text: &&str| !text.is_empty() && !is_fence(text) && !is_reported(text);
         let mut all = vec![*text];
         if text.ends_with("stderr output:") {
-            // dora repeats at the end what a node said, between fences; of ours it is told already.
+            // dora repeats at the end what a node said, between fences; of ours it is reported already.
             let repeated: Vec<&str> = own
                 .skip_while(|text| is_fence(text))
                 .take_while(|text| !is_fence(text))
                 .collect();
-            if repeated.iter().any(|text| is_told(text)) {
+            if repeated.iter().any(|text| is_reported(text)) {
                 continue;
             }
             all.extend(repeated);
@@ -428,7 +428,7 @@ fn is_fence(line: &str) -> bool {
     line.starts_with("-----")
 }
 
-fn is_told(line: &str) -> bool {
+fn is_reported(line: &str) -> bool {
     line.contains("realo: ") || (line.contains("ode `") && line.contains("failed"))
 }
 
@@ -476,21 +476,22 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_that_does_not_keep_up_is_told_what_to_do() {
+    fn a_machine_that_does_not_keep_up_is_reported_what_to_do() {
         let slow = Slow {
             node: "ego.encoder".into(),
             call_ms: 170.0,
             share: 0.58,
         };
-        let told = keeping_up(&slow, 1.0);
+        let reported = keeping_up(&slow, 1.0);
         assert!(
-            told.contains("node `ego.encoder` takes 170 ms a call and does 58 % of what comes; play with `--rate 0.5`"),
-            "{told}"
+            reported
+                .contains("node `ego.encoder` takes 170 ms a call and does 58 % of what comes; play with `--rate 0.5`"),
+            "{reported}"
         );
     }
 
     #[test]
-    fn a_failure_is_told_once_with_all_its_lines() {
+    fn a_failure_is_reported_once_with_all_its_lines() {
         let log = "\
 17:48:12 INFO   fusion: daemon node is ready
 17:48:16 stdout ego: 40 sweeps
@@ -523,8 +524,8 @@ no device
         ];
         assert_eq!(culprits(log), expected);
         let long = format!("realo: ego: it failed\n{}", "a line\n".repeat(100));
-        let told = culprits(&long).concat();
-        assert_eq!(told.lines().count(), SHOWN + 1);
-        assert!(told.ends_with("… and 89 lines more"), "{told}");
+        let reported = culprits(&long).concat();
+        assert_eq!(reported.lines().count(), SHOWN + 1);
+        assert!(reported.ends_with("… and 89 lines more"), "{reported}");
     }
 }

@@ -12,7 +12,7 @@ use realo_operator::Books;
 use realo_schemas::{Nanos, to_seconds};
 
 use super::batch::Unfinished;
-use super::prepare::Cell;
+use super::prepare::RunPlan;
 use super::signals;
 use crate::progress::Progress;
 use crate::registry;
@@ -35,15 +35,15 @@ enum Said {
     Ended(usize, Result<()>),
 }
 
-/// Runs all cells, several at a time; they do not know of each other. Gives how each ended.
+/// Runs all plans, several at a time; they do not know of each other. Gives how each ended.
 ///
 /// # Errors
 /// A system without threads.
-pub fn all(cells: &[&Cell]) -> Result<Vec<Result<()>>> {
-    let seconds = cells.iter().map(|cell| cell.seconds).sum();
-    let progress = Progress::new(format!("replaying {}", named(cells)), "s of logs", Some(seconds));
+pub fn all(plans: &[&RunPlan]) -> Result<Vec<Result<()>>> {
+    let seconds = plans.iter().map(|plan| plan.seconds).sum();
+    let progress = Progress::new(format!("replaying {}", named(plans)), "s of logs", Some(seconds));
     let (sender, said) = channel();
-    let replays: Vec<Replay> = cells.iter().map(|cell| Replay::of(cell)).collect();
+    let replays: Vec<Replay> = plans.iter().map(|plan| Replay::of(plan)).collect();
     // Threads of their own: who waits here can leave a call that takes long.
     let playing = std::thread::Builder::new().spawn(move || {
         replays
@@ -58,8 +58,8 @@ pub fn all(cells: &[&Cell]) -> Result<Vec<Result<()>>> {
             });
     });
     playing.map_err(signals::no_thread)?;
-    let mut ended: Vec<Option<Result<()>>> = cells.iter().map(|_| None).collect();
-    let mut is_concluding = vec![false; cells.len()];
+    let mut ended: Vec<Option<Result<()>>> = plans.iter().map(|_| None).collect();
+    let mut is_concluding = vec![false; plans.len()];
     while ended.iter().any(Option::is_none) {
         match said.recv_timeout(LOOK) {
             Ok(Said::Played(seconds)) => progress.add(seconds),
@@ -78,19 +78,19 @@ pub fn all(cells: &[&Cell]) -> Result<Vec<Result<()>>> {
         }
     }
     progress.finish();
-    let left = |cell: &Cell, is_concluding: bool| -> Result<()> {
+    let left = |plan: &RunPlan, is_concluding: bool| -> Result<()> {
         // Partial results must not be taken for a run. A run that still writes them writes last what makes them one.
         if !is_concluding {
-            realo_results::claim(&cell.out)?;
+            realo_results::claim(&plan.out)?;
         }
         match signals::first() {
-            Some(_) => Err(Unfinished::of(&cell.name).into()),
-            None => Err(panicked(&cell.name)),
+            Some(_) => Err(Unfinished::of(&plan.name).into()),
+            None => Err(panicked(&plan.name)),
         }
     };
-    let named = ended.into_iter().zip(is_concluding).zip(cells);
+    let named = ended.into_iter().zip(is_concluding).zip(plans);
     Ok(named
-        .map(|((ended, is_concluding), cell)| ended.unwrap_or_else(|| left(cell, is_concluding)))
+        .map(|((ended, is_concluding), plan)| ended.unwrap_or_else(|| left(plan, is_concluding)))
         .collect())
 }
 
@@ -100,12 +100,12 @@ fn panicked(name: &str) -> Report {
 }
 
 /// The run, or how many of which graph.
-fn named(cells: &[&Cell]) -> String {
-    match cells {
+fn named(plans: &[&RunPlan]) -> String {
+    match plans {
         [one] => one.name.clone(),
         _ => {
-            let graph = cells.first().and_then(|cell| cell.name.split(',').next());
-            format!("{} runs of {}", cells.len(), graph.unwrap_or_default())
+            let graph = plans.first().and_then(|plan| plan.name.split(',').next());
+            format!("{} runs of {}", plans.len(), graph.unwrap_or_default())
         }
     }
 }
@@ -119,12 +119,12 @@ struct Replay {
 }
 
 impl Replay {
-    fn of(cell: &Cell) -> Self {
+    fn of(plan: &RunPlan) -> Self {
         Replay {
-            name: cell.name.clone(),
-            graph: cell.graph.clone(),
-            compute: cell.compute.clone(),
-            seconds: cell.seconds,
+            name: plan.name.clone(),
+            graph: plan.graph.clone(),
+            compute: plan.compute.clone(),
+            seconds: plan.seconds,
         }
     }
 

@@ -10,10 +10,10 @@ use std::time::SystemTime;
 use eyre::{Result, WrapErr};
 use realo_graph::FlatGraph;
 use realo_logs::McapFile;
-use realo_results::{RESULT_FILE, Told};
+use realo_results::{RESULT_FILE, RunSettings};
 use sha2::{Digest, Sha256};
 
-use super::prepare::{Cell, TOLD};
+use super::prepare::{RunPlan, SETTINGS_FILE};
 use super::{folders, named};
 use crate::progress::Progress;
 
@@ -33,17 +33,17 @@ pub enum Earlier {
 }
 
 /// What the folder of a run holds. What a killed run put aside there is put back first.
-pub fn earlier(cell: &Cell) -> Earlier {
-    folders::recover(&cell.out);
-    let complete = cell.out.join(RESULT_FILE).exists()
-        && realo_results::read_run(&cell.out).is_ok_and(|run| run.result.complete && run.result.ended_by.is_none());
+pub fn earlier(plan: &RunPlan) -> Earlier {
+    folders::recover(&plan.out);
+    let complete = plan.out.join(RESULT_FILE).exists()
+        && realo_results::read_run(&plan.out).is_ok_and(|run| run.result.complete && run.result.ended_by.is_none());
     let is_whole = |path: &PathBuf| McapFile::open(path).is_ok_and(|file| file.truncation().is_none());
-    if !complete || !cell.recordings().iter().all(is_whole) {
+    if !complete || !plan.recordings().iter().all(is_whole) {
         return Earlier::None;
     }
-    let told = std::fs::read(cell.out.join(TOLD)).ok();
-    let told = told.and_then(|text| serde_json::from_slice::<Told>(&text).ok());
-    match told.is_some_and(|told| told.fingerprint == cell.fingerprint()) {
+    let reported = std::fs::read(plan.out.join(SETTINGS_FILE)).ok();
+    let reported = reported.and_then(|text| serde_json::from_slice::<RunSettings>(&text).ok());
+    match reported.is_some_and(|reported| reported.fingerprint == plan.fingerprint()) {
         true => Earlier::Same,
         false => Earlier::Other,
     }

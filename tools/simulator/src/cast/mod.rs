@@ -149,7 +149,7 @@ fn tilt([along, across]: [f64; 2]) -> Rotation {
 struct Mounted {
     body_from_sensor: Rotation,
     /// From the body frame to what it is taken for.
-    told_from_body: Rotation,
+    reported_from_body: Rotation,
 }
 
 impl Mounted {
@@ -158,7 +158,7 @@ impl Mounted {
         let mount = agent.mount;
         Some(Mounted {
             body_from_sensor: turned(mount.roll, mount.pitch, mount.yaw),
-            told_from_body: turned(agent.misalignment[0], agent.misalignment[1], 0.0),
+            reported_from_body: turned(agent.misalignment[0], agent.misalignment[1], 0.0),
         })
     }
 }
@@ -227,9 +227,9 @@ impl<'a> Shot<'a> {
             velocity: body.velocity,
             place_from_sensor: times(&about_z(body.heading), &body_from_sensor),
             // What nobody knows of the mounting stays in the points.
-            told_from_sensor: match &self.mounted {
+            reported_from_sensor: match &self.mounted {
                 None => body_from_sensor,
-                Some(mounted) => times(&mounted.told_from_body, &body_from_sensor),
+                Some(mounted) => times(&mounted.reported_from_body, &body_from_sensor),
             },
         }
     }
@@ -274,7 +274,7 @@ pub(crate) fn cast(world: &World, agent: &Agent, casting: &Casting) -> Cast {
                 points[user as usize] += 1;
             }
             if casting.clouds {
-                let d = rotate(&column.told_from_sensor, &beam.direction).map(|axis| axis * found.range);
+                let d = rotate(&column.reported_from_sensor, &beam.direction).map(|axis| axis * found.range);
                 let time = to_start + (column.fires + beam.fires) * 1e9;
                 kept.push([d[0], d[1], d[2] + agent.info.sensor_height]);
                 kept.intensity.push(found.intensity);

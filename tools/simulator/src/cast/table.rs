@@ -8,7 +8,7 @@ pub(super) struct Extent {
     /// Bounds of the slope of rays that meet it.
     pub low: f32,
     pub high: f32,
-    /// Least distance over ground, m.
+    /// Smallest distance over ground, m.
     pub near: f64,
 }
 

@@ -169,8 +169,8 @@ impl<'a> Eye<'a> {
     fn slopes(&self, foliage: &Foliage, body: &BodyState, distance: f64, [moved, risen]: [f64; 2]) -> [f32; 2] {
         let up = foliage.center[2] - body.position[2] - self.agent.info.sensor_height;
         let radius = foliage.radius();
-        let (least, most) = ((distance - radius - moved).max(1e-3), distance + radius + moved);
-        let slope = |height: f64, toward: f64| height / if height * toward > 0.0 { least } else { most };
+        let (min, most) = ((distance - radius - moved).max(1e-3), distance + radius + moved);
+        let slope = |height: f64, toward: f64| height / if height * toward > 0.0 { min } else { most };
         let corners = [
             slope(up - foliage.rise() - risen, -1.0),
             slope(up + foliage.rise() + risen, 1.0),

@@ -84,7 +84,7 @@ impl Wedge {
     pub fn fire(&mut self, shot: &Shot, columns: &Columns, number: usize) {
         let sensor = &*shot.agent.sensor;
         let per_column = sensor.beams.len().max(256);
-        self.first = columns.least + (number * WIDTH) as isize;
+        self.first = columns.min + (number * WIDTH) as isize;
         self.bins_per_column = columns.step / shot.span.bin;
         self.first_bin = (self.first as f64 * columns.step + LEAD) / shot.span.bin;
         for (number, (row, beam)) in self.rows.iter_mut().zip(&sensor.beams).enumerate() {

@@ -7,7 +7,7 @@ use crate::solid::Hit;
 /// Reflectivity of leaves in the near infrared, and the cosine that stands for leaves, which point anywhere.
 const RHO: f64 = 0.45;
 const COS: f64 = 0.6;
-/// Least and greatest mean depth of a lump, of the foliage's.
+/// Min and max mean depth of a lump, of the foliage's.
 const THIN: f64 = 0.3;
 const THICK: f64 = 1.7;
 /// Lumps along a metre.

@@ -120,7 +120,7 @@ struct Draft {
     mix: TrafficMix,
     kerbs: bool,
     roadside: [Stand; 2],
-    /// Least and greatest slope of the place.
+    /// Min and max slope of the place.
     grade: [f64; 2],
     cell: f64,
     merges: Vec<Merge>,

@@ -152,10 +152,10 @@ impl Terrain {
         // Where not all are of one kind, each is cast by the way of its own.
         let (mut found, mut steep) = ([f64::NAN; N], [false; N]);
         let mut down = [false; N];
-        let least = if self.hilly { 1.4 } else { 4.0 } * self.steepest;
+        let min = if self.hilly { 1.4 } else { 4.0 } * self.steepest;
         for k in 0..N {
             down[k] = rise[k] < 0.0 && (self.highest + lift - up[k]) / rise[k] <= limit[k];
-            steep[k] = down[k] && rise[k] * rise[k] > least * least * (dx[k] * dx[k] + dy[k] * dy[k]);
+            steep[k] = down[k] && rise[k] * rise[k] > min * min * (dx[k] * dx[k] + dy[k] * dy[k]);
         }
         if steep.contains(&true) {
             let rays = ([x, y, &up], [dx, dy, &rise]);

@@ -155,7 +155,7 @@ pub(super) fn fence(length: f64, height: f64, pass: f64) -> Vec<Part> {
 /// A tree beside a street: its crown, a body that rays do not enter far, on a trunk; ranges of the crown's radius, of its foot's
 /// height and of half its height, m.
 pub(super) fn street_tree(radius: [f64; 2], foot: [f64; 2], up: [f64; 2], draws: &mut Stream) -> Vec<Part> {
-    let [radius, foot, up] = [radius, foot, up].map(|[least, most]| draws.between(least, most));
+    let [radius, foot, up] = [radius, foot, up].map(|[min, most]| draws.between(min, most));
     let crown = Shape::Crown {
         center: [0.0, 0.0, foot + up],
         radii: [radius, radius, up],

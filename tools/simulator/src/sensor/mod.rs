@@ -23,9 +23,9 @@ pub struct Sensor {
     pub(crate) columns: usize,
     /// In the order in which they fire.
     pub(crate) beams: Vec<Beam>,
-    /// Greatest rise or fall of a beam, as a sine.
+    /// Largest rise or fall of a beam, as a sine.
     pub(crate) steepest: f64,
-    /// How far azimuths move for a small tilt, at most: the greatest slope of a beam, with a margin.
+    /// How far azimuths move for a small tilt, at most: the largest slope of a beam, with a margin.
     pub(crate) slant: f64,
     pub(crate) scan: Scan,
     /// Where it is mounted; `None` leaves that to the agent's kind, level and without error.
@@ -84,7 +84,7 @@ pub(crate) struct Beam {
 }
 
 impl Beam {
-    /// From degrees and microseconds; the ring is still to be told.
+    /// From degrees and microseconds; the ring is still to be reported.
     fn new(elevation: f64, azimuth: f64, fires: f64, every: usize) -> Beam {
         let (sin_el, cos_el) = libm::sincos(elevation.to_radians());
         let azimuth = azimuth.to_radians();

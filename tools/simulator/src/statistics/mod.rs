@@ -148,7 +148,7 @@ struct Parts<'a> {
 }
 
 impl Statistics {
-    /// Sweeps whose beams cannot be told, so that all of their points count whatever beams were asked for.
+    /// Sweeps whose beams is unknown, so that all of their points count whatever beams were asked for.
     pub fn whole_sweeps(&self) -> usize {
         self.whole_sweeps
     }
@@ -425,15 +425,15 @@ mod tests {
             statistics
         });
         for name in ["rays answered at -8", "off its ring", "25-60 m"] {
-            let [told, found] = figures.each_ref().map(|statistics| values(statistics, name));
+            let [reported, found] = figures.each_ref().map(|statistics| values(statistics, name));
             assert!(
-                !told.is_empty() && told.len() == found.len(),
-                "{name}: {told:?}, {found:?}"
+                !reported.is_empty() && reported.len() == found.len(),
+                "{name}: {reported:?}, {found:?}"
             );
-            for (told, found) in told.iter().zip(&found) {
+            for (reported, found) in reported.iter().zip(&found) {
                 assert!(
-                    (told - found).abs() < 4.0,
-                    "{name}: {told} by numbers, {found} by elevations"
+                    (reported - found).abs() < 4.0,
+                    "{name}: {reported} by numbers, {found} by elevations"
                 );
             }
         }

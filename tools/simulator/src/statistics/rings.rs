@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use realo_schemas::PointCloud;
 
-/// Step of the histogram that tells beams by their elevations, rad, and points that an occupied bin has at least.
+/// Step of the histogram that reports beams by their elevations, rad, and points that an occupied bin has at least.
 const BIN: f64 = 0.000_35;
 const OCCUPIED: usize = 4;
 /// Empty bins that separate two beams.
@@ -34,7 +34,7 @@ pub(super) struct Ring {
 }
 
 /// The rings of a spinning sensor, from the lowest up; empty if the points do not lie on rings. `points` are relative
-/// to the sensor. Beams are told by the cloud's own numbers, or by their elevations where it has none.
+/// to the sensor. Beams are recognised by the cloud's own numbers, or by their elevations where it has none.
 pub(super) fn rings(cloud: &PointCloud, points: &[[f64; 3]]) -> Vec<Ring> {
     let elevation = |p: &[f64; 3]| libm::atan2(p[2], (p[0] * p[0] + p[1] * p[1]).sqrt());
     let numbered = cloud.ring.iter().any(|ring| *ring != cloud.ring[0]);

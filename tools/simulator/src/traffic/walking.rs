@@ -40,7 +40,7 @@ impl Gait {
 }
 
 /// Lets walkers in, each with its own draws and the time from which it walks: `count` at the begin, and later at the ends
-/// of the roads about as many as leave there. `admit` tells how many came at once.
+/// of the roads about as many as leave there. `admit` reports how many came at once.
 pub(super) fn admit_all(seed: u64, count: usize, until: f64, mut admit: impl FnMut(&mut Stream, f64) -> usize) {
     let (mut index, mut here) = (0, 0);
     while here < count {

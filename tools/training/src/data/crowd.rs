@@ -38,7 +38,7 @@ const CLEARED_HEIGHTS: std::ops::Range<f32> = 0.3..3.5;
 const CELL: f32 = 4.0;
 
 /// Puts background of other places, which is as far from the ego, around each far object with a probability, and as much anywhere else,
-/// so that it tells of no object. It may stand on a road, and in front of what is still seen behind it: foliage lets rays through.
+/// so that it reports of no object. It may stand on a road, and in front of what is still seen behind it: foliage lets rays through.
 pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
     let objects: Vec<Object> = scene.seen().copied().collect();
     if probability == 0.0 || !objects.iter().any(is_far) {
@@ -69,7 +69,7 @@ pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
     }
 }
 
-/// Takes, with a probability, the background around all far objects away, and as much anywhere else, so that what is missing tells of no
+/// Takes, with a probability, the background around all far objects away, and as much anywhere else, so that what is missing reports of no
 /// object.
 pub(crate) fn clear(scene: &mut Scene, probability: f64, draws: &mut Stream) {
     if !draws.chance(probability) {
@@ -109,7 +109,7 @@ fn is_far(object: &Object) -> bool {
     object.hwl[0].hypot(object.hwl[1]) >= FAR.into()
 }
 
-/// The lowest point of each cell, which tells the ground.
+/// The lowest point of each cell, which reports the ground.
 struct Lowest {
     cells: Cells,
     lowest: CellMap<f32>,
@@ -120,8 +120,8 @@ impl Lowest {
         let cells = Cells::new(CELL);
         let mut lowest: CellMap<f32> = CellMap::default();
         for [x, y, z] in scene.iter() {
-            let least = lowest.entry(cells.cell([x, y])).or_insert(z);
-            *least = least.min(z);
+            let min = lowest.entry(cells.cell([x, y])).or_insert(z);
+            *min = min.min(z);
         }
         Lowest { cells, lowest }
     }

@@ -204,8 +204,8 @@ impl Frame {
             .sweeps()
             .flat_map(|agent| &agent.objects)
             .map(|object| object.class);
-        let greatest = classes.max();
-        if let Some(class) = greatest.filter(|class| *class >= frame.classes.len()) {
+        let max = classes.max();
+        if let Some(class) = max.filter(|class| *class >= frame.classes.len()) {
             return Err(format!("an object of class {class} of {}", frame.classes.len()));
         }
         if frame.agents.is_empty() {
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_files_are_told() {
+    fn damaged_files_are_reported() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.frame");
         frame().write(&path).unwrap();

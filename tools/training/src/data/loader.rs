@@ -232,7 +232,7 @@ mod tests {
     use super::super::frame::{AgentSweep, Seen};
     use super::*;
 
-    /// Frames with a car each on even ground; its distance tells which frame it is.
+    /// Frames with a car each on even ground; its distance reports which frame it is.
     struct Rows(usize);
 
     impl Frames for Rows {

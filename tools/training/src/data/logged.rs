@@ -378,7 +378,7 @@ impl Reading {
         let mut best = None;
         while let Some(entry) = reader.next()? {
             let off = (entry.stamp() - stamp).abs();
-            if off <= NEAR && best.as_ref().is_none_or(|(least, _)| off < *least) {
+            if off <= NEAR && best.as_ref().is_none_or(|(min, _)| off < *min) {
                 best = Some((off, entry));
             }
         }
@@ -428,7 +428,7 @@ fn contains(object: &Box3, point: [f32; 3]) -> bool {
 mod tests {
     use nalgebra::{Translation3, UnitQuaternion};
     use realo_logs::{AgentInfo, LogInfo, LogWriter};
-    use realo_schemas::{EgoState, PoseStatus};
+    use realo_schemas::{AgentState, PoseStatus};
 
     use super::*;
 
@@ -446,8 +446,8 @@ mod tests {
         }
     }
 
-    fn state(x: f64, y: f64, yaw: f64) -> EgoState {
-        EgoState {
+    fn state(x: f64, y: f64, yaw: f64) -> AgentState {
+        AgentState {
             map_from_body: Isometry3::from_parts(
                 Translation3::new(x, y, 0.0),
                 UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),

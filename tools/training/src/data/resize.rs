@@ -12,13 +12,13 @@ const ABOVE_GROUND: f32 = 0.1;
 
 /// Makes each object greater or smaller along its length, width and height, by a factor each, about its middle on the ground, with the
 /// points on it.
-pub(crate) fn resize(scene: &mut Scene, [least, greatest]: [f64; 2], draws: &mut Stream) {
-    if least == greatest {
+pub(crate) fn resize(scene: &mut Scene, [min, max]: [f64; 2], draws: &mut Stream) {
+    if min == max {
         return;
     }
     let (mut outlines, mut factors) = (Vec::new(), Vec::new());
     for object in scene.objects.iter_mut().chain(&mut scene.faint) {
-        let by = [(); 3].map(|()| draws.between(least, greatest));
+        let by = [(); 3].map(|()| draws.between(min, max));
         outlines.push(Outline::new(&object.hwl, MARGIN));
         factors.push(by.map(|factor| factor as f32));
         let [_, _, z, height, width, length, _] = &mut object.hwl;
@@ -89,10 +89,10 @@ mod tests {
             assert!(scene.iter().skip(4).eq(before.iter().skip(4)));
         }
         for sizes in sizes {
-            let [least, greatest] = [f64::min, f64::max].map(|of| sizes.iter().copied().reduce(of).unwrap());
+            let [min, max] = [f64::min, f64::max].map(|of| sizes.iter().copied().reduce(of).unwrap());
             assert!(
-                (0.8..0.85).contains(&least) && (1.25..1.3).contains(&greatest),
-                "{least} to {greatest}"
+                (0.8..0.85).contains(&min) && (1.25..1.3).contains(&max),
+                "{min} to {max}"
             );
         }
         let mut same = scene();

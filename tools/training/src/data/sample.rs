@@ -31,19 +31,19 @@ pub struct Augmentation {
     pub alone: f64,
     /// Probability that everybody within 70 m takes part; else everybody does by a coin of his own.
     pub everybody: f64,
-    /// Greatest rotation of what is seen on the whole grid, rad; squares are turned by any angle. At 45 degrees the road,
+    /// Largest rotation of what is seen on the whole grid, rad; squares are turned by any angle. At 45 degrees the road,
     /// along which the grid is longest, would leave it after 55 m, at 20 degrees after 115 m.
     pub rotation: f64,
-    /// Greatest pitch and roll, rad.
+    /// Largest pitch and roll, rad.
     pub tilt: f64,
-    /// Greatest rise and fall, m.
+    /// Largest rise and fall, m.
     pub lift: f64,
     /// Probability that what is seen is neither tilted nor lifted: frames are levelled before they reach a network, and from afar
     /// their heights alone tell vans from cars.
     pub level: f64,
-    /// Least and greatest scale.
+    /// Min and max scale.
     pub scale: [f64; 2],
-    /// Least and greatest factor of each object's length, width and height, with its points; recorded sizes are others than ours.
+    /// Min and max factor of each object's length, width and height, with its points; recorded sizes are others than ours.
     pub resize: [f64; 2],
     /// Probability that a far object has more background around it, if the ego is a vehicle.
     pub crowd: f64,
@@ -55,7 +55,7 @@ pub struct Augmentation {
     pub drop_beams: f64,
     /// Probability that points are dropped.
     pub drop: f64,
-    /// Least share of points that is kept then.
+    /// Smallest share of points that is kept then.
     pub keep: f64,
     /// Decoys that a sample has at most: background that looked like an object when the network was last validated.
     pub decoys: usize,
@@ -267,7 +267,7 @@ pub(crate) struct Change {
 }
 
 impl Change {
-    /// `rotation`: the greatest, rad.
+    /// `rotation`: the largest, rad.
     pub fn draw(how: &Augmentation, rotation: f64, draws: &mut Stream) -> Self {
         let mirror = [(); 2].map(|()| if draws.chance(how.mirror) { -1.0 } else { 1.0 });
         let turn = draws.between(-rotation, rotation);

@@ -23,7 +23,7 @@ impl CustomOp2 for Bias {
         if bias.len() != map.channels {
             bail!("a bias of {} numbers for {} channels", bias.len(), map.channels);
         }
-        let least = if self.relu { 0.0 } else { f32::NEG_INFINITY };
+        let min = if self.relu { 0.0 } else { f32::NEG_INFINITY };
         let mut out = buffer(map.len());
         map.fill_rows(&mut out, |image, row, cells| {
             let from = map.row(x, image, row).chunks_exact(map.channels);
@@ -31,7 +31,7 @@ impl CustomOp2 for Bias {
                 for ((out, x), b) in out.iter_mut().zip(x).zip(bias) {
                     // Not `max`, which would hide NaN.
                     let sum = x + b;
-                    *out = if sum < least { least } else { sum };
+                    *out = if sum < min { min } else { sum };
                 }
             }
         });

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::map::{MapShape, buffer, numbers, tensor, with_numbers};
 use super::product::{Arithmetic, View, multiply};
 
-/// Least cells of one product: enough that packing the weights anew for it costs little.
+/// Smallest cells of one product: enough that packing the weights anew for it costs little.
 const BAND: usize = 512;
 
 /// Parts of the weight gradient's sum.

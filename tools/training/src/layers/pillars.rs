@@ -155,7 +155,7 @@ pub struct PillarLayer {
     pub batch: Arc<PillarBatch>,
     /// Of the batch norm.
     pub statistics: Statistics,
-    /// For each chunk, pillar and channel the point with the greatest value.
+    /// For each chunk, pillar and channel the point with the largest value.
     winners: Arc<OnceLock<Vec<Vec<u32>>>>,
 }
 
@@ -409,7 +409,7 @@ impl Block {
             .collect()
     }
 
-    /// The greatest value of each channel before the shift, and which point has it.
+    /// The largest value of each channel before the shift, and which point has it.
     fn best(&self, points: &[[f32; POINT_FEATURES]]) -> (Lanes, [u32; LANES]) {
         let (mut best, mut winner) = ([f32::NEG_INFINITY; LANES], [0; LANES]);
         for (index, point) in points.iter().enumerate() {

@@ -64,7 +64,7 @@ impl Source {
 /// Threads that make frames; they end with the training.
 #[derive(Default)]
 pub struct Filling {
-    /// Tells the threads to end.
+    /// Reports the threads to end.
     pub stop: Arc<AtomicBool>,
     /// Threads that make frames.
     pub threads: Vec<std::thread::JoinHandle<Result<(), TrainError>>>,

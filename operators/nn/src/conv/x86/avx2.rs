@@ -111,7 +111,7 @@ impl Store<U8> for Avx2Bytes {
     #[inline(always)]
     unsafe fn store(results: __m256, to: *mut U8) {
         unsafe {
-            // Beyond 2^31 the conversion gives the least number: cut off before. NaN stays NaN there, and becomes 0.
+            // Beyond 2^31 the conversion gives the smallest number: cut off before. NaN stays NaN there, and becomes 0.
             let steps = _mm256_cvtps_epi32(_mm256_min_ps(_mm256_set1_ps(255.0), results));
             let (low, high) = (_mm256_castsi256_si128(steps), _mm256_extracti128_si256::<1>(steps));
             let bytes = _mm_packus_epi16(_mm_packs_epi32(low, high), _mm_setzero_si128());

@@ -173,7 +173,7 @@ impl Store<U8> for Avx512Bytes {
     #[inline(always)]
     unsafe fn store(results: __m512, to: *mut U8) {
         unsafe {
-            // Beyond 2^31 the conversion gives the least number: cut off before. NaN stays NaN there, and becomes 0.
+            // Beyond 2^31 the conversion gives the smallest number: cut off before. NaN stays NaN there, and becomes 0.
             let steps = _mm512_cvtps_epi32(_mm512_min_ps(_mm512_set1_ps(255.0), results));
             let steps = _mm512_max_epi32(steps, _mm512_setzero_si512());
             _mm_storeu_si128(to.cast(), _mm512_cvtepi32_epi8(steps));

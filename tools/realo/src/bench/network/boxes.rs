@@ -14,7 +14,7 @@ use realo_schemas::Box3;
 use realo_schemas::geometry::{Footprint, iou};
 use serde::Serialize;
 
-/// Candidates before suppression of duplicates, in f32: their least score is the threshold of both.
+/// Candidates before suppression of duplicates, in f32: their smallest score is the threshold of both.
 const CANDIDATES: usize = 800;
 /// Spread of scores before the sigmoid and of deltas, about those of trained detectors. Heads are linear, so that it does not
 /// matter whether their weights or their results are brought to it; those that nobody trained give numbers of any size.
@@ -37,9 +37,9 @@ pub struct Agreement {
     /// Share of these whose score is within 0.02 and whose IoU is at least 0.95.
     same: f64,
     /// Of the matched ones.
-    greatest_score_difference: f32,
+    max_score_difference: f32,
     /// Of the matched ones.
-    least_iou: f64,
+    min_iou: f64,
     median_iou: f64,
     /// What int8 changes in a score before the sigmoid and in a delta, root mean square, over their spread.
     noise: [f64; 2],
@@ -103,10 +103,10 @@ pub fn agreement(
 
 /// The score that so many anchors exceed.
 fn threshold(logits: &[f32], classes: usize) -> f32 {
-    let greatest = |scores: &[f32]| scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    let mut greatest: Vec<f32> = logits.chunks_exact(classes).map(greatest).collect();
-    greatest.sort_by(|a, b| b.total_cmp(a));
-    let logit = greatest[CANDIDATES.min(greatest.len() - 1)];
+    let max = |scores: &[f32]| scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let mut max: Vec<f32> = logits.chunks_exact(classes).map(max).collect();
+    max.sort_by(|a, b| b.total_cmp(a));
+    let logit = max[CANDIDATES.min(max.len() - 1)];
     1.0 / (1.0 + (-logit).exp())
 }
 
@@ -154,8 +154,8 @@ fn compared(model: &str, single: &[Box3], bytes: &[Box3], noise: [f64; 2]) -> Ag
         boxes_int8: bytes.len(),
         matched: pairs.len() as f64 / single.len() as f64,
         same: same as f64 / single.len() as f64,
-        greatest_score_difference: pairs.iter().map(|(_, score)| *score).fold(0.0, f32::max),
-        least_iou: ious.first().copied().unwrap_or(0.0),
+        max_score_difference: pairs.iter().map(|(_, score)| *score).fold(0.0, f32::max),
+        min_iou: ious.first().copied().unwrap_or(0.0),
         median_iou: ious.get(ious.len() / 2).copied().unwrap_or(0.0),
         noise,
     }
@@ -172,8 +172,8 @@ impl fmt::Display for Agreement {
             self.boxes_int8,
             100.0 * self.matched,
             100.0 * self.same,
-            self.greatest_score_difference,
-            self.least_iou,
+            self.max_score_difference,
+            self.min_iou,
             self.median_iou,
             100.0 * self.noise[0],
             100.0 * self.noise[1]

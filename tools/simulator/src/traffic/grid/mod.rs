@@ -144,7 +144,7 @@ fn best_pair(place: &Scenery, roads: &Roads, driven: &[Driven], horizon: f64) ->
             let share = together as f64 / times.len() as f64;
             let moving = 0.03 * gone(a).min(6.0) + 0.01 * gone(b).min(6.0);
             let score = share + moving - if approaching(second, b) { 0.0 } else { 0.15 };
-            if best.is_none_or(|(least, _)| score > least) {
+            if best.is_none_or(|(min, _)| score > min) {
                 best = Some((score, [first.number, second.number]));
             }
         }

@@ -228,12 +228,8 @@ fn dense_traffic_has_at_least_120_road_users_at_all_times() {
     {
         for k in 0..=20 {
             let count = there(traffic, f64::from(k)).len();
-            let least = if *dense { 120 } else { 35 };
-            assert!(
-                count >= least,
-                "seed {seed} {:?}: {count} road users",
-                place.grid().grid
-            );
+            let min = if *dense { 120 } else { 35 };
+            assert!(count >= min, "seed {seed} {:?}: {count} road users", place.grid().grid);
         }
     }
 }

@@ -62,7 +62,7 @@ pub(super) struct Lane {
     pub source: bool,
     /// Whether vehicles leave the place at its end, and the loop back for those who stay.
     pub exit: Option<Option<usize>>,
-    /// Least radius, m.
+    /// Smallest radius, m.
     pub tightest: f64,
     /// Outermost of its direction, where trucks and buses keep.
     pub outer: bool,

@@ -81,7 +81,7 @@ struct Crowd<'a> {
 }
 
 impl Crowd<'_> {
-    /// Finds a way for some more that keeps clear of all before, or gives up after some tries; tells how many they are.
+    /// Finds a way for some more that keeps clear of all before, or gives up after some tries; reports how many they are.
     fn admit(&mut self, draws: &mut Stream, t: f64) -> usize {
         const TRIES: usize = 12;
         let mix = &self.ways.network.mix;
@@ -212,8 +212,8 @@ impl Crowd<'_> {
             let own = margin(member.class, member.size);
             places.iter().all(|(look, pose)| {
                 self.places[*look].iter().all(|([x, y], theirs)| {
-                    let (dx, dy, least) = (x - pose.x, y - pose.y, own + theirs);
-                    dx * dx + dy * dy > least * least
+                    let (dx, dy, min) = (x - pose.x, y - pose.y, own + theirs);
+                    dx * dx + dy * dy > min * min
                 })
             })
         };

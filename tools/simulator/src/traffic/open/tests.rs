@@ -342,9 +342,9 @@ fn lanes_join_smoothly() {
                 let turn = angle_within(end.heading - begin.heading).abs();
                 assert!(off < 1e-6 && turn < 1e-6, "{}: {off} m, {turn} rad", sample.name());
             }
-            let least = if lane.kind == Kind::Cycle { 2.0 } else { 3.2 };
+            let min = if lane.kind == Kind::Cycle { 2.0 } else { 3.2 };
             assert!(
-                lane.tightest > least,
+                lane.tightest > min,
                 "{}: {:?} with {} m",
                 sample.name(),
                 lane.kind,
@@ -405,14 +405,14 @@ fn cavs_come_by_two_lanes_and_stay_near_each_other() {
             .map(|k| [a, b].map(|user| user.course.at(f64::from(k) * 0.5).unwrap().pose))
             .filter(|[p, q]| within(*p, *q, 70.0) && within(*p, rsu, near) && within(*q, rsu, near))
             .count();
-        let least = if sample.place.scenario == Scenario::Motorway {
+        let min = if sample.place.scenario == Scenario::Motorway {
             7
         } else {
             12
         };
         println!("{}: together for {together} of 21", sample.name());
         assert!(
-            together >= least,
+            together >= min,
             "{}: together for {together} of 21 looks",
             sample.name()
         );

@@ -1,6 +1,6 @@
 //! An agent's pose and motion as bytes.
 
-use realo_schemas::{EgoState, PoseStatus};
+use realo_schemas::{AgentState, PoseStatus};
 
 use crate::bytes::{Reader, put_covariance6, put_f64s, put_pose};
 use crate::error::{DecodeError, EncodeError};
@@ -11,7 +11,7 @@ const RATE: u8 = 4;
 
 const STATUSES: [PoseStatus; 3] = [PoseStatus::Truth, PoseStatus::Recorded, PoseStatus::Extrapolated];
 
-pub(crate) fn write(out: &mut Vec<u8>, state: &EgoState) -> Result<(), EncodeError> {
+pub(crate) fn write(out: &mut Vec<u8>, state: &AgentState) -> Result<(), EncodeError> {
     let flag = |set: bool, flag: u8| if set { flag } else { 0 };
     let status = match state.status {
         PoseStatus::Truth => 0,
@@ -35,7 +35,7 @@ pub(crate) fn write(out: &mut Vec<u8>, state: &EgoState) -> Result<(), EncodeErr
     Ok(())
 }
 
-pub(crate) fn read(bytes: &mut Reader) -> Result<EgoState, DecodeError> {
+pub(crate) fn read(bytes: &mut Reader) -> Result<AgentState, DecodeError> {
     let flags = bytes.flags(COVARIANCE | VELOCITY | RATE, "flags of the state")?;
     let code = bytes.u8("status")?;
     let unknown = || DecodeError::Value {
@@ -44,7 +44,7 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<EgoState, DecodeError> {
         found: code.to_string(),
     };
     let status = *STATUSES.get(usize::from(code)).ok_or_else(unknown)?;
-    Ok(EgoState {
+    Ok(AgentState {
         map_from_body: bytes.pose("map_from_body")?,
         covariance: if flags & COVARIANCE == 0 {
             None
