@@ -111,7 +111,7 @@ mod tests {
 
     const TELLS: &str = "LINKEMU_TELLS_THE_TIME";
     const THIS_TEST: &str = "clock::tests::a_program_reads_a_clock_that_is_set_while_it_runs";
-    /// What tells the times may be held up by.
+    /// What reports the times may be held up by.
     const HELD_UP: f64 = 10.0;
 
     fn now() -> Duration {

@@ -6,7 +6,7 @@ mod sway;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use realo_schemas::{EgoState, Name, Nanos, PoseStatus, to_seconds};
+use realo_schemas::{AgentState, Name, Nanos, PoseStatus, to_seconds};
 
 use crate::options::{EPOCH, Error, Options, SWEEP_PERIOD, agent_of};
 use crate::path::{Pose2, State};

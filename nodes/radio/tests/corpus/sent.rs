@@ -9,7 +9,7 @@ pub(super) fn seeds() -> Vec<Seed> {
     rsu1.up(&"cav1".into(), moment(0));
     rsu1.offer(&offer(Kind::Features, 8, 1_500));
     rsu1.offer(&offer(Kind::Boxes, 1, 300));
-    rsu1.offer(&offer(Kind::EgoState, 1, 200));
+    rsu1.offer(&offer(Kind::AgentState, 1, 200));
     let mut sent = sends(&mut rsu1, moment(0));
     sent.extend(sends(&mut rsu1, moment(600 * MS)));
     let seed = |(place, (topic, bytes)): (usize, (_, bytes::Bytes))| {

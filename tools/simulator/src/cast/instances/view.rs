@@ -26,7 +26,7 @@ pub(super) struct Stance {
     pub stride: f64,
 }
 
-/// The least turn that makes an angle, either way, rad.
+/// The smallest turn that makes an angle, either way, rad.
 pub(super) fn away(angle: f64) -> f64 {
     (angle - TAU * (angle / TAU).round()).abs()
 }

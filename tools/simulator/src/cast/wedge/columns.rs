@@ -15,16 +15,16 @@ pub(crate) struct Column {
     pub position: [f64; 3],
     pub velocity: [f64; 3],
     pub place_from_sensor: Rotation,
-    pub told_from_sensor: Rotation,
+    pub reported_from_sensor: Rotation,
 }
 
 /// The columns of a sweep, and how they are cut into wedges: a wedge has of each beam the rays that look between two
 /// azimuths, whatever columns they belong to.
 pub(crate) struct Columns {
     pub all: Vec<Column>,
-    /// By how many columns each beam looks ahead, the least and the most.
+    /// By how many columns each beam looks ahead, the smallest and the most.
     pub(super) shifts: Vec<isize>,
-    pub(super) least: isize,
+    pub(super) min: isize,
     most: isize,
     /// Azimuth from one column to the next, rad.
     pub(super) step: f64,
@@ -45,8 +45,8 @@ impl Columns {
             .iter()
             .map(|beam| (beam.azimuth / step).round() as isize)
             .collect();
-        let (least, most) = shifts.iter().fold((0, 0), |(a, b), v| (a.min(*v), b.max(*v)));
-        let reach = most - least + WIDTH as isize;
+        let (min, most) = shifts.iter().fold((0, 0), |(a, b), v| (a.min(*v), b.max(*v)));
+        let reach = most - min + WIDTH as isize;
         let numbers = |number: &dyn Fn(&Column) -> f64| -> Vec<f64> {
             let last = all.len() as isize - 1;
             (-reach..all.len() as isize + reach)
@@ -62,25 +62,25 @@ impl Columns {
             height: shot.agent.info.sensor_height,
             all,
             shifts,
-            least,
+            min,
             most,
             step,
         }
     }
 
     pub(super) fn reach(&self) -> usize {
-        (self.most - self.least) as usize + WIDTH
+        (self.most - self.min) as usize + WIDTH
     }
 
     /// How many wedges there are.
     pub fn wedges(&self) -> usize {
-        (self.all.len() + (self.most - self.least) as usize).div_ceil(WIDTH)
+        (self.all.len() + (self.most - self.min) as usize).div_ceil(WIDTH)
     }
 
     /// First and last bin of azimuth in each wedge, rounded outwards.
     pub fn bins(&self, shot: &Shot) -> Vec<[i16; 2]> {
         let bins = |wedge: usize| {
-            let first = (self.least + (wedge * WIDTH) as isize) as f64 * self.step;
+            let first = (self.min + (wedge * WIDTH) as isize) as f64 * self.step;
             let last = first + (WIDTH - 1) as f64 * self.step;
             let [low, high] =
                 [first - 0.6 * self.step, last + 0.6 * self.step].map(|azimuth| shot.span.bin_of(azimuth));

@@ -104,8 +104,8 @@ impl Builder {
             1 | 2 => -half(own),
             // A road that ends at another must not bulge over its far kerb.
             _ => {
-                let least = node.arms.iter().map(half).fold(f64::INFINITY, f64::min);
-                (node.corner - least + 0.5).clamp(0.0, least - 1.0)
+                let min = node.arms.iter().map(half).fold(f64::INFINITY, f64::min);
+                (node.corner - min + 0.5).clamp(0.0, min - 1.0)
             }
         }
     }

@@ -43,7 +43,7 @@ pub(super) fn band_beams(check: &Checker, bands: &[Band]) -> Result<Vec<Beam>, S
 }
 
 /// Beams of a table in CSV. Its first line names the columns: `elevation_deg`, and if they are there
-/// `azimuth_offset_deg` (clockwise) and `firing_offset_us`; others are passed over. Rows stand in the order of
+/// `azimuth_offset_deg` (clockwise) and `firing_offset_us`; others are skipped. Rows stand in the order of
 /// firing; where all fire at once, elevations rise or fall.
 pub(super) fn table_beams(check: &Checker, text: &str) -> Result<Vec<Beam>, SensorError> {
     let text = text.trim_start_matches('\u{feff}');

@@ -27,7 +27,7 @@ pub(super) fn choose(
         let traffic_seed = Stream::new(seed, "traffic", attempt).bits();
         let driven = run(traffic_seed, horizon + MARGIN);
         if let Some((score, numbers)) = best_pair(place, network, parked, &driven, horizon)
-            && best.is_none_or(|(least, ..)| score > least)
+            && best.is_none_or(|(min, ..)| score > min)
         {
             best = Some((score, traffic_seed, numbers));
         }
@@ -98,7 +98,7 @@ fn best_pair(
                 })
                 .count();
             let score = together as f64 / times.len() as f64 + worth_a + worth_b;
-            if best.is_none_or(|(least, _)| score > least) {
+            if best.is_none_or(|(min, _)| score > min) {
                 let [worthier, other] = if worth_a < worth_b {
                     [second, first]
                 } else {

@@ -14,21 +14,21 @@ impl<'a> Traffic<'a> {
             desired = desired.min((ASIDE * radius + 2.0 * 1.5 * ahead).sqrt());
         }
         let free = own.driver().free(desired);
-        let mut least = if own.v > desired { free.max(-BRAKE) } else { free };
+        let mut min = if own.v > desired { free.max(-BRAKE) } else { free };
         for (j, other) in self.vehicles.iter().enumerate() {
             if let Some(gap) = (j != i).then(|| self.gap_to(own, other)).flatten() {
-                least = least.min(own.driver().follow(own.desired, gap, other.v, 2.0));
+                min = min.min(own.driver().follow(own.desired, gap, other.v, 2.0));
             }
         }
         let to_stop = lane.stop - own.front();
         if !own.granted && to_stop > -0.5 {
-            least = least.min(own.driver().follow(own.desired, to_stop, 0.0, 0.8));
+            min = min.min(own.driver().follow(own.desired, to_stop, 0.0, 0.8));
         }
         let to_loop = way.path.length() - 6.0 - own.front();
         if self.stays(own) && to_loop > -1.0 && self.loop_taken(i) {
-            least = least.min(own.driver().follow(own.desired, to_loop, 0.0, 0.8));
+            min = min.min(own.driver().follow(own.desired, to_loop, 0.0, 0.8));
         }
-        least.clamp(-EMERGENCY, own.accelerate)
+        min.clamp(-EMERGENCY, own.accelerate)
     }
 
     /// Bumper-to-bumper distance to somebody who is ahead on the way, m.

@@ -109,7 +109,7 @@ impl<'a> Flow<'a> {
         for leg in own.legs[k..].iter().take(3) {
             for other in self.on[leg.lane].iter().filter(|other| other.vehicle != i) {
                 let rear = leg.way_at(other.rear);
-                if nearest.is_none_or(|(least, _)| rear < least) {
+                if nearest.is_none_or(|(min, _)| rear < min) {
                     nearest = Some((rear, other.v));
                 }
             }

@@ -31,14 +31,14 @@ impl<'a> Flow<'a> {
         let own = &self.vehicles[i];
         let desired = self.desired(own);
         let free = own.driver().free(desired);
-        let mut least = if own.v > desired { free.max(-BRAKE) } else { free };
+        let mut min = if own.v > desired { free.max(-BRAKE) } else { free };
         if let Some((gap, v)) = self.leader(i) {
-            least = least.min(own.driver().follow(desired, gap, v, 2.0));
+            min = min.min(own.driver().follow(desired, gap, v, 2.0));
         }
         if let Some(k) = self.gate(own) {
             let to_stop = own.legs[k].way[0] - own.front();
             if to_stop < SIGHT {
-                least = least.min(own.driver().follow(desired, to_stop, 0.0, 0.8));
+                min = min.min(own.driver().follow(desired, to_stop, 0.0, 0.8));
             }
         }
         // A lane that ends has to be left before.
@@ -48,18 +48,18 @@ impl<'a> Flow<'a> {
             let left = (last.way[1] - own.front() - 22.0).max(0.0);
             let most = (2.0 * BRAKE * left).sqrt();
             if own.v > most {
-                least = least.min(-own.v * own.v / (2.0 * left.max(0.1)));
+                min = min.min(-own.v * own.v / (2.0 * left.max(0.1)));
             }
         }
-        least = least.min(self.let_in(i, desired));
-        least.clamp(-EMERGENCY, own.accelerate)
+        min = min.min(self.let_in(i, desired));
+        min.clamp(-EMERGENCY, own.accelerate)
     }
 
     /// What letting those in whose lane ends asks for; never more than comfort allows.
     fn let_in(&self, i: usize, desired: f64) -> f64 {
         let own = &self.vehicles[i];
         let lane = own.lane();
-        let mut least = f64::INFINITY;
+        let mut min = f64::INFINITY;
         for (from, other) in self.plan.lanes.lanes.iter().enumerate() {
             let Some((_, [begin, _])) = other.beside[0].filter(|(left, _)| *left == lane && other.next.is_empty())
             else {
@@ -74,11 +74,11 @@ impl<'a> Flow<'a> {
                 let there = project(&self.lane(lane).path, pose, at);
                 let gap = there - at - own.length();
                 if there > at && gap < 60.0 {
-                    least = least.min(own.driver().follow(desired, gap.max(4.0), merging.v, 2.0).max(-1.4));
+                    min = min.min(own.driver().follow(desired, gap.max(4.0), merging.v, 2.0).max(-1.4));
                 }
             }
         }
-        least
+        min
     }
 
     /// Bumper-to-bumper distance and speed of the nearest ahead.
@@ -86,7 +86,7 @@ impl<'a> Flow<'a> {
         let own = &self.vehicles[i];
         let mut nearest: Option<(f64, f64)> = None;
         let mut offer = |gap: f64, v: f64| {
-            if nearest.is_none_or(|(least, _)| gap < least) {
+            if nearest.is_none_or(|(min, _)| gap < min) {
                 nearest = Some((gap, v));
             }
         };

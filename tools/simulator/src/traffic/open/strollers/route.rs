@@ -23,7 +23,7 @@ pub(super) struct Route {
 /// The points of a route in the making, and the crossings between some of them.
 pub(super) struct Draft {
     pub points: Vec<[f64; 2]>,
-    /// Least radius of its corners where there is room, m.
+    /// Smallest radius of its corners where there is room, m.
     pub radius: f64,
     pub overs: Vec<(usize, usize, bool)>,
 }
